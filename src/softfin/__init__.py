@@ -1,0 +1,1 @@
+"""softfin: learn to make the force that you ask a soft fin for."""

@@ -1,0 +1,145 @@
+"""Folders on disk that describe themselves: a JSON beside ``weights.safetensors``, written whole or not at all.
+
+A folder is written beside its place and renamed into it, so a crash leaves the old one or the new one. No pickle.
+"""
+
+import importlib.metadata
+import json
+import os
+import platform
+import shutil
+import subprocess
+from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import safetensors
+import safetensors.numpy
+from numpy.typing import NDArray
+
+from softfin.errors import ArtifactError, RunError
+
+Weights = Mapping[str, NDArray[Any]]
+
+WEIGHTS = "weights.safetensors"
+
+
+def check_vacant(path: Path, overwrite: bool = False) -> None:
+    """Raise unless a folder may be written at `path`: vacant, or a softfin folder and `overwrite`."""
+    if not path.exists() or (path.is_dir() and not any(path.iterdir())):
+        return
+    if not overwrite:
+        raise ArtifactError(f"{path}: exists already; give another --out, or --overwrite to replace it")
+    if not path.is_dir() or not any(
+        is_kind(path, kind) for kind in ("dataset", "surrogate", "controller", "evaluation")
+    ):
+        raise ArtifactError(f"{path}: exists and is no folder of softfin's, so it is not replaced; give another --out")
+
+
+def is_kind(path: Path, kind: str) -> bool:
+    """Whether `path` holds a ``KIND.json``."""
+    return (path / f"{kind}.json").is_file()
+
+
+def write_folder(path: Path, write: Callable[[Path], None]) -> None:
+    """Let `write` fill a folder beside `path`, then rename it into place, replacing what was there."""
+    path = path.absolute()
+    beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    old = path.with_name(f".{path.name}.{os.getpid()}.old")
+    try:
+        beside.mkdir(parents=True)
+        write(beside)
+        if path.exists():
+            path.rename(old)
+        beside.rename(path)
+    except OSError as error:
+        raise RunError(f"{path}: cannot be written ({error.strerror}); nothing was left there") from None
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+        if not path.exists() and old.exists():
+            old.rename(path)
+        shutil.rmtree(old, ignore_errors=True)
+
+
+def write_file(path: Path, data: bytes | str) -> None:
+    """Write a file beside its place and rename it into it."""
+    beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        beside.write_bytes(data if isinstance(data, bytes) else data.encode())
+        beside.replace(path)
+    except OSError as error:
+        raise RunError(f"{path}: cannot be written ({error.strerror})") from None
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def save(path: Path, kind: str, description: Mapping[str, Any], weights: Weights) -> None:
+    """Write ``KIND.json`` and the weights as one folder."""
+
+    def write(folder: Path) -> None:
+        safetensors.numpy.save_file({k: np.ascontiguousarray(v) for k, v in weights.items()}, folder / WEIGHTS)
+        (folder / f"{kind}.json").write_text(dump_json(description))
+
+    write_folder(path, write)
+
+
+def load(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """The description and the weights of a folder that `save` wrote; raises ArtifactError for anything else."""
+    description = load_description(path, kind)
+    try:
+        weights = safetensors.numpy.load_file(path / WEIGHTS)
+    except FileNotFoundError:
+        raise ArtifactError(f"{path / WEIGHTS}: missing; copy the whole folder again") from None
+    except (safetensors.SafetensorError, OSError, ValueError) as error:
+        raise ArtifactError(f"{path / WEIGHTS}: truncated or damaged ({error}); copy it again") from None
+    return description, weights
+
+
+def load_description(path: Path, kind: str) -> dict[str, Any]:
+    """The JSON of a folder of one kind: dataset, surrogate, controller."""
+    file = path / f"{kind}.json"
+    if not path.is_dir():
+        raise ArtifactError(f"{path}: no such folder; it should be a {kind}, a folder with a {kind}.json")
+    if not file.is_file():
+        raise ArtifactError(f"{path}: not a {kind}: it holds no {kind}.json")
+    try:
+        description = json.loads(file.read_text())
+    except (ValueError, OSError) as error:
+        raise ArtifactError(f"{file}: not readable as JSON ({error}); copy it again") from None
+    if not isinstance(description, dict):
+        raise ArtifactError(f"{file}: holds no object; it was not written by softfin")
+    return description
+
+
+def dump_json(value: Any) -> str:
+    """Indented JSON with a final newline; NumPy scalars become numbers."""
+    return json.dumps(value, indent=2, default=lambda x: x.tolist() if hasattr(x, "tolist") else str(x)) + "\n"
+
+
+def provenance(**facts: Any) -> dict[str, Any]:
+    """Where an artifact comes from: the given facts, versions, git commit, time."""
+    return {
+        **facts,
+        "softfin": importlib.metadata.version("softfin"),
+        "jax": importlib.metadata.version("jax"),
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+        "git_commit": _git_commit(),
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+
+
+def _git_commit() -> str | None:
+    """Of the checkout that softfin runs from, with ``+`` when it has uncommitted changes; None outside one."""
+    here = Path(__file__).parent
+    try:
+        run = subprocess.run(
+            ["git", "describe", "--always", "--dirty=+", "--abbrev=12", "--exclude=*"],
+            cwd=here, capture_output=True, text=True, check=True, timeout=5,
+        )  # fmt: skip
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return run.stdout.strip() or None

@@ -1,0 +1,93 @@
+"""Configuration: a tree of frozen pydantic models with the paper's values as defaults, changed by YAML or ``path=value``."""
+
+import difflib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Self
+
+import pydantic
+import yaml
+
+from softfin.errors import ConfigurationError
+
+
+class Configuration(pydantic.BaseModel):
+    """Base of every stage's configuration: frozen, hashable, validated when built, unknown keys are errors."""
+
+    model_config = pydantic.ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+    @classmethod
+    def build(cls, values: Mapping[str, Any], source: str = "configuration") -> Self:
+        """From nested mappings; raises ConfigurationError that names the key, the value and what is allowed."""
+        try:
+            return cls.model_validate(values)
+        except pydantic.ValidationError as error:
+            raise ConfigurationError(f"{source}: {_explain(cls, error)}") from None
+
+    def changed(self, changes: Sequence[str]) -> Self:
+        """With ``path=value`` changes applied, such as ``reward.smoothness=0.2``; values are read as YAML."""
+        values = self.model_dump()
+        for change in changes:
+            path, sign, text = change.partition("=")
+            if not sign:
+                raise ConfigurationError(f"--set {change}: no '='; write path=value, for example {_example(self)}")
+            *parents, leaf = path.strip().split(".")
+            node = values
+            for parent in parents:
+                if not isinstance(node.get(parent), dict):
+                    raise ConfigurationError(f"--set {change}: there is no group {parent!r}{_nearest(parent, node)}")
+                node = node[parent]
+            if leaf not in node:
+                raise ConfigurationError(f"--set {change}: there is no {leaf!r}{_nearest(leaf, node)}")
+            node[leaf] = yaml.safe_load(text)
+        return self.build(values, "--set")
+
+    def merged(self, values: Mapping[str, Any], source: str) -> Self:
+        """With a mapping, such as a part of a YAML file, laid over this configuration."""
+        return self.build(_merge(self.model_dump(), values), source)
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """The mapping in a YAML file."""
+    try:
+        values = yaml.safe_load(path.read_text())
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"{path}: cannot be read ({error})") from None
+    except yaml.YAMLError as error:
+        raise ConfigurationError(f"{path}: not YAML ({' '.join(str(error).split())})") from None
+    if values is None:
+        return {}
+    if not isinstance(values, dict):
+        raise ConfigurationError(f"{path}: holds a {type(values).__name__}; it must be a mapping of names to values")
+    return values
+
+
+def _merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in over.items():
+        inner = base.get(key)
+        merged[key] = _merge(inner, value) if isinstance(inner, dict) and isinstance(value, Mapping) else value
+    return merged
+
+
+def _explain(cls: type[pydantic.BaseModel], error: pydantic.ValidationError) -> str:
+    first = error.errors(include_url=False)[0]
+    *parents, leaf = first["loc"] or ("",)
+    name = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "extra_forbidden":
+        model: Any = cls
+        for parent in parents:
+            model = model.model_fields[str(parent)].annotation
+        fields = dict.fromkeys(model.model_fields) if hasattr(model, "model_fields") else {}
+        return f"unknown key {name!r}{_nearest(str(leaf), fields)}"
+    return f"{name or 'value'} = {first['input']!r}: {first['msg']}"
+
+
+def _nearest(name: str, allowed: Mapping[str, Any]) -> str:
+    close = difflib.get_close_matches(name, list(allowed), n=1)
+    return f"; did you mean {close[0]!r}?" if close else f"; there are {', '.join(allowed)}"
+
+
+def _example(config: pydantic.BaseModel) -> str:
+    name, value = next(iter(config.model_dump().items()))
+    return f"{name}={value}"

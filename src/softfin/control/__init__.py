@@ -1,0 +1,1 @@
+"""Controllers: they turn a reference force into commands, three times a second."""

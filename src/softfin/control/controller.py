@@ -1,0 +1,28 @@
+"""The Controller contract: reference force in, command out, three times a second; pure and traceable like a plant."""
+
+from typing import Any, Protocol, runtime_checkable
+
+from jaxtyping import Array, Float, PyTree
+
+from softfin.quantities import Command
+
+ControllerState = PyTree[Any]
+
+
+@runtime_checkable
+class Controller(Protocol):
+    """Holds a reference force by commanding one fin; deterministic, no batch axes (`jax.vmap` adds them)."""
+
+    def init(self) -> ControllerState:
+        """The state before the first action: the fin at rest, nothing remembered."""
+        ...
+
+    def act(
+        self, state: ControllerState, angle: Float[Array, ""], reference: Float[Array, "2"]
+    ) -> tuple[ControllerState, Command]:
+        """The next action, from the fin's last measured angle [rad] and the reference force (x, y) [N]."""
+        ...
+
+    def check(self, reference: tuple[float, float]) -> None:
+        """Raise CoverageError where `reference` [N] is outside what the controller was trained for."""
+        ...

@@ -1,0 +1,47 @@
+"""What softfin raises. Every message says what was wrong, where, what is allowed, and the way out, in one line.
+
+SoftfinError
+├── InputError              what the user gave cannot be used           exit code 2
+│   ├── ConfigurationError  an option, a YAML file, a ``--set``
+│   ├── LogError            a recording: columns, gaps, NaN, rate
+│   ├── ArtifactError       a folder that is not, or no longer, a dataset, surrogate or controller
+│   ├── PlantError          something that does not meet the Plant contract
+│   └── CoverageError       a reference force that a controller was not trained for
+└── RunError                a run that started well and failed midway   exit code 1
+"""
+
+
+class SoftfinError(Exception):
+    """Root of all errors that softfin raises on purpose."""
+
+    exit_code = 1
+
+
+class InputError(SoftfinError):
+    """What the user gave cannot be used."""
+
+    exit_code = 2
+
+
+class ConfigurationError(InputError):
+    """An option, a YAML file or a ``--set`` that does not fit the configuration."""
+
+
+class LogError(InputError):
+    """A recording that cannot be learnt from."""
+
+
+class ArtifactError(InputError):
+    """A folder that is not, or no longer, a whole dataset, surrogate or controller."""
+
+
+class PlantError(InputError):
+    """Something that does not meet the Plant contract."""
+
+
+class CoverageError(InputError):
+    """A reference force outside what a controller covers."""
+
+
+class RunError(SoftfinError):
+    """A run that started well and failed midway."""

@@ -1,0 +1,65 @@
+"""The three records that everything passes on: Command, Reading, Log. SI units, float32 arrays, time before channel.
+
+Axes: thrust that pushes the robot forward is +x. At angle theta the fin points along (-cos theta, +sin theta) from its
+shaft. Forces are those of the fin on its mount.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Float
+
+RATE_HZ = 100
+"""Readings a second: the rate of the paper's logs (Sec. III-A) and of every plant."""
+
+TICK_S = 1 / RATE_HZ
+
+AnyArray = Array | np.ndarray
+"""In a compiled program a JAX array, in files and figures a NumPy one; float32 in both."""
+
+
+class Command(NamedTuple):
+    """What the drive is asked to do; held until the next one."""
+
+    angle: Float[AnyArray, "*shape"]
+    """Target angle [rad]."""
+    velocity: Float[AnyArray, "*shape"]
+    """Profile velocity on the way there [rad/s], positive."""
+
+
+class Reading(NamedTuple):
+    """One sample, or a series of samples at 100 Hz."""
+
+    time: Float[AnyArray, "*shape"]
+    """Since the plant was initialised [s]."""
+    angle: Float[AnyArray, "*shape"]
+    """Of the shaft [rad]."""
+    velocity: Float[AnyArray, "*shape"]
+    """Of the shaft [rad/s]."""
+    force: Float[AnyArray, "*shape 2"]
+    """Of the fin on its mount, (x, y) [N]."""
+
+
+class Log(NamedTuple):
+    """A recording: row k is what was read at ``reading.time[k]`` and the command that was issued right then.
+
+    The command of row k therefore shows for the first time in the reading of row k + 1.
+    """
+
+    command: Command
+    reading: Reading
+
+
+class Limits(NamedTuple):
+    """The commands that a plant takes."""
+
+    angle_min: float
+    angle_max: float
+    velocity_min: float
+    velocity_max: float
+
+
+PAPER_LIMITS = Limits(-np.pi / 2, np.pi / 2, 1.0, np.pi)
+"""Sec. III-A: target position in (-pi/2, pi/2) rad, velocity in (1, pi) rad/s."""
+
+AXES = ("x", "y")
