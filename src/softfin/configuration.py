@@ -1,4 +1,4 @@
-"""Configuration: a tree of frozen pydantic models with the paper's values as defaults, changed by YAML or ``path=value``."""
+"""Configuration: frozen pydantic models whose defaults are the paper's; YAML or ``path=value`` change them."""
 
 import difflib
 from collections.abc import Mapping, Sequence

@@ -1,17 +1,17 @@
-"""The Plant contract: what moves when it is commanded. The virtual tank, every surrogate and one's own simulator are Plants.
+"""The Plant contract: what moves when commanded. The virtual tank, every surrogate, one's own simulator are Plants.
 
 A plant is pure and traceable, so that `jit`, `vmap`, `scan` and `grad` go through it.
 """
 
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, PRNGKeyArray, PyTree
+from jaxtyping import PRNGKeyArray, PyTree
 
 from softfin.quantities import Command, Limits, Reading
 
-State = PyTree[Any]
+State: TypeAlias = PyTree[Any]
 
 
 @runtime_checkable
@@ -72,6 +72,3 @@ def hold(plant: Plant, state: State, actions: Command) -> tuple[State, Reading]:
         state, tail = some(state, jax.tree.map(lambda x: x[cycles * 3 :], actions), rest)
         reading = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), reading, tail)
     return state, reading
-
-
-__all__ = ["ACTION_RATE_HZ", "ACTION_TICKS", "Array", "Plant", "State", "hold", "rest_command", "roll"]

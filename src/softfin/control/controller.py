@@ -1,12 +1,12 @@
 """The Controller contract: reference force in, command out, three times a second; pure and traceable like a plant."""
 
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 from jaxtyping import Array, Float, PyTree
 
 from softfin.quantities import Command
 
-ControllerState = PyTree[Any]
+ControllerState: TypeAlias = PyTree[Any]
 
 
 @runtime_checkable
