@@ -1,5 +1,19 @@
 """Every shape and type in softfin's annotations is checked at run time in the tests."""
 
+import os
+from pathlib import Path
+
 import jaxtyping
+import pytest
 
 jaxtyping.install_import_hook("softfin", "beartype.beartype")
+
+PUBLISHED = Path(os.environ.get("SOFTFIN_PUBLISHED", Path(__file__).parents[2] / "shared" / "published"))
+
+
+@pytest.fixture(scope="session")
+def published() -> Path:
+    """The folder of the authors' published nets, which are not part of softfin."""
+    if not (PUBLISHED / "cnn_pos_net.keras").is_file():
+        pytest.skip(f"the authors' published nets are not at {PUBLISHED}; set SOFTFIN_PUBLISHED to their folder")
+    return PUBLISHED

@@ -80,7 +80,7 @@ def save(path: Path, kind: str, description: Mapping[str, Any], weights: Weights
     """Write ``KIND.json`` and the weights as one folder."""
 
     def write(folder: Path) -> None:
-        safetensors.numpy.save_file({k: np.ascontiguousarray(v) for k, v in weights.items()}, folder / WEIGHTS)
+        safetensors.numpy.save_file({k: np.asarray(v, order="C") for k, v in weights.items()}, folder / WEIGHTS)
         (folder / f"{kind}.json").write_text(dump_json(description))
 
     write_folder(path, write)

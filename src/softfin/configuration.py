@@ -3,12 +3,15 @@
 import difflib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, TypeVar
 
 import pydantic
 import yaml
 
 from softfin.errors import ConfigurationError
+
+# Not typing.Self: the run-time check of the tests decorates functions one by one, and cannot know their class.
+Config = TypeVar("Config", bound="Configuration")
 
 
 class Configuration(pydantic.BaseModel):
@@ -17,14 +20,14 @@ class Configuration(pydantic.BaseModel):
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
     @classmethod
-    def build(cls, values: Mapping[str, Any], source: str = "configuration") -> Self:
+    def build(cls: type[Config], values: Mapping[str, Any], source: str = "configuration") -> Config:
         """From nested mappings; raises ConfigurationError that names the key, the value and what is allowed."""
         try:
             return cls.model_validate(values)
         except pydantic.ValidationError as error:
             raise ConfigurationError(f"{source}: {_explain(cls, error)}") from None
 
-    def changed(self, changes: Sequence[str]) -> Self:
+    def changed(self: Config, changes: Sequence[str]) -> Config:
         """With ``path=value`` changes applied, such as ``reward.smoothness=0.2``; values are read as YAML."""
         values = self.model_dump()
         for change in changes:
@@ -42,7 +45,7 @@ class Configuration(pydantic.BaseModel):
             node[leaf] = yaml.safe_load(text)
         return self.build(values, "--set")
 
-    def merged(self, values: Mapping[str, Any], source: str) -> Self:
+    def merged(self: Config, values: Mapping[str, Any], source: str) -> Config:
         """With a mapping, such as a part of a YAML file, laid over this configuration."""
         return self.build(_merge(self.model_dump(), values), source)
 

@@ -1,0 +1,135 @@
+"""Work in progress beside its output: a folder ``.NAME.unfinished`` with the last checkpoint and the training log.
+
+A checkpoint is a pytree of arrays in safetensors and the facts that go with it in JSON; never pickle. It is replaced
+whole, so a kill at any moment leaves the one before or the new one.
+"""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softfin import artifacts
+from softfin.errors import ArtifactError
+
+Tree = TypeVar("Tree")
+
+CHECKPOINT = "checkpoint"
+LOG = "log.jsonl"
+
+
+class Workspace:
+    """The unfinished work of one output folder."""
+
+    def __init__(self, out: Path, fingerprint: dict[str, Any], resume: bool = False, overwrite: bool = False) -> None:
+        """Claim ``.NAME.unfinished`` beside `out`: taken over with `resume`, emptied with `overwrite`.
+
+        Args:
+            out: where the finished artifact will stand.
+            fingerprint: what must be the same for a resumed run to be the same run: configuration, data, seed.
+            resume: go on from the checkpoint that is there, if one is.
+            overwrite: drop unfinished work.
+
+        Raises:
+            ArtifactError: unfinished work is there and neither was asked for, or it is that of another run.
+        """
+        artifacts.check_vacant(out, overwrite)
+        self.folder = out.absolute().with_name(f".{out.absolute().name}.unfinished")
+        self.fingerprint = json.loads(artifacts.dump_json(fingerprint))
+        if self.folder.exists() and not resume:
+            if not overwrite and (self.folder / CHECKPOINT).exists():
+                raise ArtifactError(
+                    f"{self.folder}: holds an unfinished run; go on with --resume, or drop it with --overwrite"
+                )
+            shutil.rmtree(self.folder)
+        self.folder.mkdir(parents=True, exist_ok=True)
+
+    def save(self, tree: Any, facts: dict[str, Any]) -> None:
+        """Replace the checkpoint."""
+        leaves = {str(i): np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(tree))}
+        artifacts.save(self.folder / CHECKPOINT, CHECKPOINT, {"fingerprint": self.fingerprint, **facts}, leaves)
+
+    def load(self, like: Tree) -> tuple[Tree, dict[str, Any]] | None:
+        """The last checkpoint, in the structure of `like`; None where there is none yet."""
+        path = self.folder / CHECKPOINT
+        if not path.exists():
+            return None
+        facts, arrays = artifacts.load(path, CHECKPOINT)
+        before = facts.pop("fingerprint", None)
+        if before != self.fingerprint:
+            differing = _differences(before or {}, self.fingerprint)
+            raise ArtifactError(
+                f"{path}: is of another run ({differing}); resume with the same options, or --overwrite"
+            )
+        leaves, structure = jax.tree.flatten(like)
+        shapes = [np.shape(leaf) for leaf in leaves]
+        found = [arrays[str(i)] for i in range(len(arrays))]
+        if shapes != [leaf.shape for leaf in found]:
+            raise ArtifactError(f"{path}: does not fit this version's training state; start anew with --overwrite")
+        return jax.tree.unflatten(structure, [jnp.asarray(leaf) for leaf in found]), facts
+
+    def log(self, rewind_to: int | None = None) -> "RunLog":
+        """The training log; on resuming, entries beyond step `rewind_to` are dropped, because they will come again."""
+        return RunLog(self.folder, rewind_to)
+
+    def finish(self, keep: Path | None = None) -> None:
+        """Remove the folder; the training log first moves to `keep`, where one is given."""
+        shutil.rmtree(self.folder / CHECKPOINT, ignore_errors=True)
+        if keep is not None:
+            shutil.copytree(self.folder, keep, dirs_exist_ok=True)
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+class RunLog:
+    """Scalars over a run: a line of JSON a step, always, and an event file for TensorBoard."""
+
+    def __init__(self, folder: Path, rewind_to: int | None = None) -> None:
+        # Imported here: protobuf costs every other command a third of a second.
+        from tensorboardX import SummaryWriter
+
+        self.path = folder / LOG
+        kept = [entry for entry in read_log(self.path) if rewind_to is not None and entry["step"] <= rewind_to]
+        artifacts.write_file(self.path, "".join(json.dumps(entry) + "\n" for entry in kept))
+        purge = None if rewind_to is None else rewind_to + 1
+        self._writer = SummaryWriter(str(folder), purge_step=purge, filename_suffix=".softfin")
+
+    def write(self, step: int, **scalars: float) -> None:
+        """Append the scalars of one step."""
+        with self.path.open("a") as file:
+            file.write(json.dumps({"step": step, **{name: float(value) for name, value in scalars.items()}}) + "\n")
+        for name, value in scalars.items():
+            self._writer.add_scalar(name, float(value), step)
+
+    def close(self) -> None:
+        """Flush the event file."""
+        self._writer.close()
+
+
+def read_log(path: Path) -> list[dict[str, Any]]:
+    """The entries of a ``log.jsonl``; a last line that a kill cut short is left out."""
+    if not path.exists():
+        return []
+    entries = []
+    for line in path.read_text().splitlines():
+        try:
+            entries.append(json.loads(line))
+        except ValueError:
+            break
+    return entries
+
+
+def _differences(before: dict[str, Any], now: dict[str, Any]) -> str:
+    flat_before, flat_now = _flat(before), _flat(now)
+    names = [n for n in sorted(flat_before | flat_now) if flat_before.get(n) != flat_now.get(n)]
+    return ", ".join(f"{n} was {flat_before.get(n)!r} and is {flat_now.get(n)!r}" for n in names[:3])
+
+
+def _flat(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in tree.items():
+        flat.update(_flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value})
+    return flat

@@ -1,0 +1,64 @@
+"""A surrogate's folder: ``surrogate.json`` (networks, scaling, scores, provenance) and ``weights.safetensors``."""
+
+from pathlib import Path
+from typing import Any
+
+import pydantic
+
+from softfin import artifacts
+from softfin.errors import ArtifactError
+from softfin.quantities import RATE_HZ
+from softfin.surrogate.forcenet import FORCES
+from softfin.surrogate.network import Network, NetworkConfig
+from softfin.surrogate.posnet import COMMANDS
+from softfin.surrogate.scaling import Scaling
+from softfin.surrogate.surrogate import ANGLE, Surrogate
+
+KIND = "surrogate"
+FORMAT = 1
+
+
+def save_surrogate(
+    path: Path, surrogate: Surrogate, scores: dict[str, Any] | None, provenance: dict[str, Any], **facts: Any
+) -> None:
+    """Write the folder, whole or not at all; `facts` are further entries of the JSON."""
+    nets = {"posnet": surrogate.posnet, "forcenet": surrogate.forcenet}
+    description = {
+        "kind": KIND,
+        "format": FORMAT,
+        "rate_hz": RATE_HZ,
+        "limits": surrogate.limits._asdict(),
+        "networks": {name: net.config.model_dump(mode="json") for name, net in nets.items()},
+        "parameters": {name: net.config.parameters() for name, net in nets.items()},
+        "scaling": surrogate.scaling.model_dump(mode="json")["channels"],
+        "scores": scores,
+        **facts,
+        "provenance": provenance,
+    }
+    weights = {f"{name}.{key}": array for name, net in nets.items() for key, array in net.arrays().items()}
+    artifacts.save(path, KIND, description, weights)
+
+
+def load_surrogate(path: Path) -> Surrogate:
+    """The surrogate in a folder; raises ArtifactError where it is none, damaged or made for another rate."""
+    description, weights = artifacts.load(path, KIND)
+    source = str(path / f"{KIND}.json")
+    if description.get("rate_hz") != RATE_HZ:
+        raise ArtifactError(f"{source}: made for {description.get('rate_hz')} Hz; softfin runs at {RATE_HZ} Hz")
+    try:
+        configs = {name: NetworkConfig.model_validate(description["networks"][name]) for name in ("posnet", "forcenet")}
+        scaling = Scaling(channels=description["scaling"])
+    except (KeyError, TypeError, pydantic.ValidationError) as error:
+        raise ArtifactError(f"{source}: not a surrogate's description ({' '.join(str(error).split())})") from None
+    scaling.require([ANGLE, *COMMANDS, *FORCES], source)
+    networks = {
+        name: Network.of(
+            config, {k.partition(".")[2]: w for k, w in weights.items() if k.startswith(f"{name}.")}, source
+        )
+        for name, config in configs.items()
+    }
+    return Surrogate(networks["posnet"], networks["forcenet"], scaling)
+
+
+def _of_net(name: str, weights: dict[str, Any]) -> dict[str, Any]:
+    return {key.partition(".")[2]: array for key, array in weights.items() if key.startswith(f"{name}.")}

@@ -1,0 +1,86 @@
+"""The surrogate: PosNet and ForceNet as a Plant, commands in and readings out at 100 Hz (paper Sec. III-C1).
+
+    command ──> last 100 commands ──> PosNet ──> angle ──> last 100 angles ─┐
+                        └───────────────────────────────────────────────────┴──> ForceNet ──> force
+
+A held command lets all ticks of an action go through each net at once: PosNet sees commands alone, and ForceNet sees
+angles that PosNet has then said already. Only the new ticks are computed.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from softfin.plant import rest_command
+from softfin.quantities import RATE_HZ, TICK_S, Command, Limits, Reading
+from softfin.surrogate.forcenet import FORCES
+from softfin.surrogate.network import Network
+from softfin.surrogate.posnet import COMMANDS
+from softfin.surrogate.scaling import Scaling
+
+ANGLE = "angle_rad"
+
+
+class SurrogateState(NamedTuple):
+    """The last second, scaled; the newest sample last."""
+
+    tick: Int[Array, ""]
+    """Since the start [10 ms]."""
+    commands: Float[Array, "2 window"]
+    angles: Float[Array, "window"]
+
+
+class Surrogate(eqx.Module):
+    """A learnt fin; meets the Plant contract."""
+
+    posnet: Network
+    forcenet: Network
+    scaling: Scaling = eqx.field(static=True)
+
+    @property
+    def window(self) -> int:
+        """Samples of the past that both nets see."""
+        return self.posnet.config.window
+
+    @property
+    def limits(self) -> Limits:
+        """The range of the commands in the training data: beyond it the nets extrapolate."""
+        angle, velocity = (self.scaling.channels[name] for name in COMMANDS)
+        return Limits(angle.data_min, angle.data_max, velocity.data_min, velocity.data_max)
+
+    def init(self, key: PRNGKeyArray) -> SurrogateState:
+        """At rest at angle 0 for longer than the window. Nothing is random here: the key is not used."""
+        rest = self._scaled(rest_command(self.limits))
+        angle = jnp.full(self.window, self.scaling.scaled(ANGLE, jnp.float32(0)))
+        return SurrogateState(jnp.int32(0), jnp.tile(rest[:, None], self.window), angle)
+
+    def advance(self, state: SurrogateState, command: Command, ticks: int) -> tuple[SurrogateState, Reading]:
+        """Hold the command for `ticks` samples; all of them go through each net as one batch."""
+        held = jnp.tile(self._scaled(command)[:, None], ticks)
+        commands = jnp.concatenate([state.commands, held], axis=1)
+        seen = windows(commands[:, 1:], self.window)
+        fresh = self.posnet(seen)[:, 0]
+        angles = jnp.concatenate([state.angles, fresh])
+        motion = jnp.concatenate([windows(angles[None, :-1], self.window), seen], axis=1)
+        force = self.scaling.physical(FORCES, self.forcenet(motion))
+
+        angle = self.scaling.physical([ANGLE], angles[-ticks - 1 :, None])[:, 0]
+        time = (state.tick + 1 + jnp.arange(ticks)) * jnp.float32(TICK_S)
+        reading = Reading(time, angle[1:], jnp.diff(angle) * RATE_HZ, force)
+        return SurrogateState(state.tick + ticks, commands[:, -self.window :], angles[-self.window :]), reading
+
+    def _scaled(self, command: Command) -> Float[Array, "2"]:
+        return jnp.stack([self.scaling.scaled(name, value) for name, value in zip(COMMANDS, command, strict=True)])
+
+    def flops_per_tick(self) -> int:
+        """Floating-point operations of the matrix products for one sample of one fin."""
+        return self.posnet.config.flops() + self.forcenet.config.flops()
+
+
+def windows(series: Float[Array, "channels samples"], window: int) -> Float[Array, "count channels window"]:
+    """Every run of `window` samples, the oldest first: ``count = samples - window + 1``."""
+    count = series.shape[1] - window + 1
+    rows = jnp.arange(count)[:, None] + jnp.arange(window)
+    return jnp.swapaxes(series[:, rows], 0, 1)

@@ -1,0 +1,95 @@
+"""Conformance kits: `check_plant` holds a plant against the Plant contract, here and in the tests of its users."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softfin.errors import PlantError
+from softfin.plant import ACTION_TICKS, Plant, State
+from softfin.quantities import TICK_S, Command, Limits, Reading
+
+STROKE_TICKS = ACTION_TICKS[0]
+
+
+def check_plant(plant: Any) -> None:
+    """Raise PlantError, with what is wrong and what is asked, unless `plant` meets the contract.
+
+    Checked: the members, the limits, shapes and types, time, finite readings at the corners of the limits, that the
+    same state and command give the same readings (purity), and that `jit`, `vmap` and `scan` go through.
+    """
+    if not isinstance(plant, Plant):
+        missing = [name for name in ("limits", "init", "advance") if not hasattr(plant, name)]
+        _fail(plant, f"has no {', '.join(missing)}", "a plant has limits, init(key) and advance(state, command, ticks)")
+    limits = _check_limits(plant)
+    key = jax.random.key(0)
+    state = plant.init(key)
+    for angle in (limits.angle_min, limits.angle_max):
+        for velocity in (limits.velocity_min, limits.velocity_max):
+            state = _check_stroke(plant, state, Command(jnp.float32(angle), jnp.float32(velocity)))
+    _check_purity(plant, plant.init(key))
+    _check_batches(plant)
+
+
+def _check_limits(plant: Plant) -> Limits:
+    try:
+        limits = Limits(*(float(value) for value in plant.limits))
+    except (TypeError, ValueError):
+        _fail(plant, f"limits = {plant.limits!r}", "limits is a softfin.Limits of four numbers")
+    if not (limits.angle_min < limits.angle_max and 0 <= limits.velocity_min < limits.velocity_max):
+        _fail(plant, f"limits = {limits}", "angle_min < angle_max and 0 <= velocity_min < velocity_max")
+    return limits
+
+
+def _check_stroke(plant: Plant, state: State, command: Command) -> State:
+    before = plant.advance(state, command, 1)[1].time
+    after, reading = plant.advance(state, command, STROKE_TICKS)
+    if not isinstance(reading, Reading):
+        _fail(plant, f"advance returns a {type(reading).__name__}", "advance returns (state, softfin.Reading)")
+    for name, values in reading._asdict().items():
+        shape = (STROKE_TICKS, 2) if name == "force" else (STROKE_TICKS,)
+        if jnp.shape(values) != shape:
+            _fail(
+                plant, f"reading.{name} has shape {jnp.shape(values)} for {STROKE_TICKS} ticks", f"it must be {shape}"
+            )
+        if jnp.asarray(values).dtype != jnp.float32:
+            _fail(plant, f"reading.{name} is {jnp.asarray(values).dtype}", "readings are float32")
+        if not jnp.isfinite(values).all():
+            _fail(plant, f"reading.{name} is not finite under {command}", "readings are finite within the limits")
+    expected = float(before[0]) + TICK_S * np.arange(STROKE_TICKS)
+    if not np.allclose(reading.time, expected, atol=TICK_S / 4):
+        _fail(plant, f"time goes {np.asarray(reading.time)[:3]} ...", "each tick is 0.01 s and time starts at 0")
+    if str(jax.tree.structure(after)) != str(jax.tree.structure(state)):
+        _fail(plant, "advance changes the structure of the state", "init and advance return the same structure")
+    return after
+
+
+def _check_purity(plant: Plant, state: State) -> None:
+    command = Command(jnp.float32(0.5), jnp.float32(plant.limits.velocity_max))
+    first, second = (plant.advance(state, command, STROKE_TICKS)[1] for _ in range(2))
+    if not all(np.array_equal(a, b) for a, b in zip(first, second, strict=True)):
+        _fail(plant, "the same state and command give other readings the second time",
+              "a plant keeps everything, random keys too, in its state")  # fmt: skip
+
+
+def _check_batches(plant: Plant) -> None:
+    keys = jax.random.split(jax.random.key(1), 2)
+    angles = jnp.asarray([[0.5, -0.5, 0.2], [-0.5, 0.5, 0.0]], jnp.float32)
+    velocities = jnp.full_like(angles, plant.limits.velocity_max)
+
+    def strokes(key: Any, commands: Command) -> Any:
+        return jax.lax.scan(lambda s, c: plant.advance(s, c, STROKE_TICKS), plant.init(key), commands)[1].force
+
+    try:
+        together = jax.jit(jax.vmap(strokes))(keys, Command(angles, velocities))
+    except Exception as error:
+        _fail(plant, f"jit, vmap or scan does not go through it ({str(error).splitlines()[0]})",
+              "write init and advance in jax.numpy, with no Python branches on values")  # fmt: skip
+    alone = strokes(keys[0], Command(angles[0], velocities[0]))
+    if not np.allclose(together[0], alone, rtol=1e-3, atol=1e-3):
+        _fail(plant, "a fin in a batch differs from the same fin alone", "nothing may be shared between fins")
+
+
+def _fail(plant: Any, what: str, allowed: str) -> Any:
+    raise PlantError(f"{type(plant).__name__}: {what}; {allowed}")
