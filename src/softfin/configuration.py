@@ -42,7 +42,12 @@ class Configuration(pydantic.BaseModel):
                 node = node[parent]
             if leaf not in node:
                 raise ConfigurationError(f"--set {change}: there is no {leaf!r}{_nearest(leaf, node)}")
-            node[leaf] = yaml.safe_load(text)
+            try:
+                node[leaf] = yaml.safe_load(text)
+            except yaml.YAMLError:
+                raise ConfigurationError(
+                    f"--set {change}: {text!r} is not YAML; quote it, or close its bracket"
+                ) from None
         return self.build(values, "--set")
 
     def merged(self: Config, values: Mapping[str, Any], source: str) -> Config:

@@ -46,7 +46,7 @@ def _imported(name: str, module: str, attribute: str) -> Plant:
         raise PlantError(f"--plant {name}: module {module} has no {attribute!r}; give {HELP}") from None
     finally:
         sys.path.pop(0)
-    if callable(plant) and not isinstance(plant, Plant):
+    if isinstance(plant, type) or (callable(plant) and not isinstance(plant, Plant)):
         plant = plant()
     if not isinstance(plant, Plant):
         raise PlantError(f"--plant {name}: a {type(plant).__name__} is no plant: it needs limits, init and advance; "

@@ -1,0 +1,43 @@
+# Everything works from a fresh clone with Python >= 3.11, make and a network; nothing is installed outside this folder.
+
+PYTHON ?= python3
+UV := $(shell command -v uv 2>/dev/null)
+ifeq ($(UV),)
+UV := .tools/bin/uv
+endif
+export UV_PYTHON_DOWNLOADS ?= never
+RUN := $(UV) run --frozen
+OUT ?= runs/demo
+PRESET ?= demo
+
+.PHONY: setup demo test lint bench figures clean
+
+setup: .venv/.ready ## make the environment
+
+.tools/bin/uv:
+	$(PYTHON) -m venv .tools
+	.tools/bin/python -m pip install --quiet uv
+
+.venv/.ready: pyproject.toml uv.lock $(filter .tools/bin/uv,$(UV))
+	$(UV) sync --frozen --python $(PYTHON)
+	touch $@
+
+demo: setup ## collect, fit, train, evaluate, report: at most 5 minutes on 2 cores
+	$(RUN) softfin reproduce --preset $(PRESET) --plant tank --out $(OUT) --overwrite
+
+test: setup ## all tests
+	$(RUN) pytest
+
+lint: setup ## style and types
+	$(RUN) ruff check .
+	$(RUN) ruff format --check .
+	$(RUN) mypy
+
+bench: setup ## speed and memory, as JSON
+	$(RUN) python -m benchmarks
+
+figures: setup ## the figures of the README, from the runs that it names
+	$(RUN) python docs/figures.py
+
+clean:
+	rm -rf .venv .tools build dist .mypy_cache .ruff_cache .pytest_cache

@@ -1,0 +1,107 @@
+"""The command line: ``softfin COMMAND ...``; each command is a module of this folder, imported when it is called."""
+
+import contextlib
+import importlib
+import importlib.metadata
+import io
+import os
+import re
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+COMMANDS = {
+    "collect": "record random motions of a fin and its force as a dataset",
+    "fit": "learn a surrogate, PosNet and ForceNet, from a dataset",
+    "import-keras": "turn published .keras nets and their scalers into a surrogate",
+    "train": "train LSTM-PPO force controllers inside a surrogate",
+    "evaluate": "judge a controller on a fin over reference forces",
+    "reproduce": "all of it in one run, with the paper's tables and figures",
+}
+
+STOPPED = 1
+"""Exit code after Ctrl-C: a failure midway."""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run one command; exit code 0, 1 for a failure midway, 2 for input that cannot be used."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    name = words[0] if words else "--help"
+    if name in ("-h", "--help"):
+        sys.stdout.write(_usage() + "\n")
+    elif name in ("-V", "--version"):
+        sys.stdout.write(f"softfin {importlib.metadata.version('softfin')}\n")
+    elif name not in COMMANDS:
+        _exit(f"softfin: unknown command {name!r}; there are {', '.join(COMMANDS)}", 2)
+    else:
+        _run(name, words[1:])
+
+
+def _run(name: str, words: list[str]) -> None:
+    debug = "--debug" in words
+    # The readers of these lines want theirs, not XLA's notes on how it compiles.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
+    try:
+        command = _parse(name, importlib.import_module(f"softfin.cli.{name.replace('-', '_')}").Arguments, words)
+        command.run()
+    except KeyboardInterrupt:
+        if debug:
+            raise
+        hint = "; the same command with --resume goes on" if "resume" in _options(name) else ""
+        _exit(f"softfin {name}: stopped, nothing is half-written{hint}", STOPPED)
+    except Exception as error:
+        from softfin.errors import SoftfinError
+
+        if debug:
+            raise
+        if isinstance(error, SoftfinError):
+            _exit(f"softfin {name}: {error}", error.exit_code)
+        if isinstance(error, OSError):
+            _exit(f"softfin {name}: {error.filename or 'system'}: {error.strerror or error}", STOPPED)
+        _exit(f"softfin {name}: {type(error).__name__}: {' '.join(str(error).split())[:500]} "
+              "(this should not happen; --debug shows where)", STOPPED)  # fmt: skip
+
+
+def _parse(name: str, arguments: type[Any], words: list[str]) -> Any:
+    import tyro
+
+    complaint = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(complaint):
+            return tyro.cli(arguments, prog=f"softfin {name}", args=words, config=(tyro.conf.FlagCreatePairsOff,))
+    except SystemExit as stop:
+        if stop.code:
+            _exit(f"softfin {name}: {_one_line(complaint.getvalue())}", 2)
+        raise
+
+
+def _one_line(box: str) -> str:
+    """The words of tyro's framed complaint, up to its help for the option."""
+    lines = [re.sub(r"^[╭╰│─\s]+|[╮╯│─\s]+$", "", line) for line in re.sub(r"\x1b\[[0-9;]*m", "", box).splitlines()]
+    words = [line for line in lines[1:] if line]
+    useful = []
+    for line in words:
+        if line.startswith(("Argument helptext", "For full helptext")):
+            break
+        useful.append(line)
+    return " ".join(useful) + "; see --help"
+
+
+def _options(name: str) -> set[str]:
+    import dataclasses
+
+    module = importlib.import_module(f"softfin.cli.{name.replace('-', '_')}")
+    return {field.name for field in dataclasses.fields(module.Arguments)}
+
+
+def _usage() -> str:
+    width = max(map(len, COMMANDS))
+    lines = [f"  {name:{width}}  {what}" for name, what in COMMANDS.items()]
+    head = ["usage: softfin COMMAND [OPTION ...]", "", "Learn to make the force that you ask a soft fin for.", ""]
+    foot = ["", "softfin COMMAND --help tells a command's options; --debug shows tracebacks."]
+    return "\n".join([*head, *lines, *foot])
+
+
+def _exit(message: str, code: int) -> None:
+    sys.stderr.write(message + "\n")
+    raise SystemExit(code)

@@ -1,0 +1,5 @@
+"""``python -m softfin.cli`` is ``softfin``."""
+
+from softfin.cli import main
+
+main()

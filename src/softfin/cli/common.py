@@ -1,0 +1,83 @@
+"""What commands share: configuration from a file and ``--set``; progress on stderr, results on stdout."""
+
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from softfin import artifacts
+from softfin.configuration import Configuration, read_yaml
+from softfin.stages import Progress as Report
+
+Config = TypeVar("Config", bound=Configuration)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Common:
+    """Options of every command."""
+
+    config: Path | None = None
+    """YAML file that changes the configuration."""
+    set: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """Change one value of the configuration: path=value."""
+    json: bool = False
+    """Print the result as JSON on standard output."""
+    overwrite: bool = False
+    """Replace what is at --out, and drop an unfinished run of it."""
+    debug: bool = False
+    """Show the traceback of an error."""
+
+    def configured(self, base: Config, **options: Any) -> Config:
+        """The defaults, changed by the YAML file, then by `--set`, then by the options that were given."""
+        config = base if self.config is None else base.merged(read_yaml(self.config), str(self.config))
+        given = {name: value for name, value in options.items() if value is not None}
+        return config.changed(self.set).merged(given, "options")
+
+    def tell(self, result: Any, text: str) -> None:
+        """The result: as JSON, or as text for people."""
+        sys.stdout.write(artifacts.dump_json(result) if self.json else text.rstrip("\n") + "\n")
+
+
+Out = Annotated[Path, tyro.conf.arg(metavar="DIR")]
+
+
+@contextmanager
+def progress() -> Iterator[Report]:
+    """A bar on standard error; where that is no terminal, a line every ten seconds."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield _Lines()
+        return
+    columns = (TextColumn("{task.description:>12}"), BarColumn(), TextColumn("{task.percentage:>3.0f}%"),
+               TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("{task.fields[note]}"))  # fmt: skip
+    with Progress(*columns, console=console) as bars:
+        tasks: dict[str, TaskID] = {}
+
+        def report(stage: str, done: float, note: str) -> None:
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=1.0, note="")
+            bars.update(tasks[stage], completed=done, note=note)
+
+        yield report
+
+
+class _Lines:
+    """Progress for logs and pipes."""
+
+    def __init__(self, every_s: float = 10.0) -> None:
+        self.every_s = every_s
+        self._next = 0.0
+        self._stage = ""
+
+    def __call__(self, stage: str, done: float, note: str) -> None:
+        now = time.monotonic()
+        if stage != self._stage or now >= self._next or done >= 1:
+            sys.stderr.write(f"{stage}: {done:.0%} {note}\n")
+            self._stage, self._next = stage, now + self.every_s

@@ -1,0 +1,61 @@
+"""Figures of learning: how a reward grew over training, and how a surrogate follows a log."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.figure import Figure
+
+from softfin.evaluation.style import BLACK, BLUE, GREEN, ORANGE, new_figure, styled
+from softfin.quantities import AXES, RATE_HZ
+
+Numbers = Sequence[int | float] | np.ndarray
+
+Curve = tuple[Numbers, Numbers]
+"""(steps, values) of one run, steps increasing."""
+
+
+def learning_figure(runs: Mapping[str, Sequence[Curve]], quantity: str = "mean reward a step") -> Figure:
+    """One line a group of runs, their mean, in a band from the least to the greatest of them."""
+    with styled():
+        figure = new_figure(7, 3.4)
+        axes = figure.subplots()
+        for (name, curves), colour, line in zip(
+            runs.items(), (BLUE, ORANGE, GREEN, BLACK), ("-", "--", "-.", ":"), strict=False
+        ):
+            steps, values = _together(curves)
+            label = name if len(curves) == 1 else f"{name}, mean and range of {len(curves)}"
+            axes.plot(steps, values.mean(axis=0), line, color=colour, label=label)
+            if len(curves) > 1:
+                axes.fill_between(steps, values.min(axis=0), values.max(axis=0), color=colour, alpha=0.2, linewidth=0)
+        axes.set(xlabel="environment steps (actions at 3 Hz)", ylabel=quantity)
+        axes.xaxis.set_major_formatter("{x:,.0f}")
+        axes.legend()
+    return figure
+
+
+def _together(curves: Sequence[Curve]) -> tuple[Float[np.ndarray, "points"], Float[np.ndarray, "runs points"]]:
+    """On the steps of the first run, as far as all runs go; straight lines between the points of the others."""
+    reach = min(steps[-1] for steps, _ in curves)
+    steps = np.array([step for step in curves[0][0] if step <= reach], np.float64)
+    return steps, np.stack([np.interp(steps, np.asarray(x, float), np.asarray(y, float)) for x, y in curves])
+
+
+def prediction_figure(
+    measured: Float[np.ndarray, "ticks 2"], predicted: Mapping[str, Float[np.ndarray, "ticks 2"]], start_s: float = 0.0
+) -> Figure:
+    """Measured force and predictions of it by name, at 100 Hz from `start_s` [s]."""
+    time = start_s + np.arange(len(measured)) / RATE_HZ
+    with styled():
+        figure = new_figure(9, 4.2)
+        for index, (axes, axis) in enumerate(zip(figure.subplots(2, 1, sharex=True), AXES, strict=True)):
+            axes.plot(time, measured[:, index], color="#BBBBBB", linewidth=2.6, label="measured")
+            for (name, force), colour, line in zip(predicted.items(), (BLUE, BLACK), ("-", "--"), strict=False):
+                axes.plot(time, force[:, index], line, color=colour, label=name, linewidth=1.1)
+            axes.set_ylabel(f"force {axis} [N]")
+        last: Any = axes
+        last.set(xlabel="time [s]", xlim=(time[0], time[-1]))
+        handles, labels = last.get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    return figure

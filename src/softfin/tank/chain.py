@@ -1,0 +1,131 @@
+"""A planar chain of rigid plates hinged end to end: where it is, how it moves, what a load on a plate does to it.
+
+Plate i lies from its inner end, nearer the shaft, along d(phi) = (-cos phi, sin phi); its normal is n = d' =
+(sin phi, cos phi). The absolute angles phi are the only coordinates, so length is kept exactly. Loads, momenta and
+motions of a plate are given along n and d and about its inner end.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+PerPlate = Float[Array, " plates"]
+
+
+class Pose(NamedTuple):
+    """How the turning of plate j moves the inner end of plate i > j; rows i, columns j, zero elsewhere [m]."""
+
+    normal: Float[Array, "plates plates"]
+    along: Float[Array, "plates plates"]
+
+
+class Motion(NamedTuple):
+    """Of each plate: velocity of its inner end along n and d [m/s], rate of turning [rad/s]."""
+
+    normal: PerPlate
+    along: PerPlate
+    turning: PerPlate
+
+
+class Wrench(NamedTuple):
+    """On each plate: force along n and d [N], moment about the inner end [N m]. Likewise momenta [N s, N m s]."""
+
+    normal: PerPlate
+    along: PerPlate
+    moment: PerPlate
+
+
+class Moments(NamedTuple):
+    """Of what resists each plate, mass [kg] or drag [kg/s]: moments along n of order 0 to 2, and the whole along d.
+
+    With m(s) the mass per length along n, they are the integrals of m, m s and m s^2 over the plate.
+    """
+
+    zeroth: PerPlate
+    first: PerPlate
+    second: PerPlate
+    along: PerPlate
+
+    def times(self, motion: Motion) -> Wrench:
+        """The momentum of that motion, or the force that resists it."""
+        return Wrench(
+            self.zeroth * motion.normal + self.first * motion.turning,
+            self.along * motion.along,
+            self.first * motion.normal + self.second * motion.turning,
+        )
+
+
+def pose(angles: PerPlate, plate_length: Float[Array, ""]) -> Pose:
+    """Of a chain whose plates lie at absolute `angles` [rad]."""
+    cos, sin = jnp.cos(angles), jnp.sin(angles)
+    lever = jnp.tril(jnp.ones((angles.size, angles.size), angles.dtype), -1) * plate_length
+    return Pose(
+        lever * (cos[:, None] * cos[None] + sin[:, None] * sin[None]),
+        lever * (sin[:, None] * cos[None] - cos[:, None] * sin[None]),
+    )
+
+
+def motion(pose: Pose, rates: PerPlate) -> Motion:
+    """Of plates that turn at absolute `rates` [rad/s]."""
+    return Motion((pose.normal * rates).sum(1), (pose.along * rates).sum(1), rates)
+
+
+def project(pose: Pose, wrench: Wrench) -> PerPlate:
+    """The moment that the wrenches exert on each absolute angle [N m]."""
+    levers = pose.normal * wrench.normal[:, None] + pose.along * wrench.along[:, None]
+    return levers.sum(0) + wrench.moment
+
+
+def matrix(pose: Pose, moments: Moments) -> Float[Array, "plates plates"]:
+    """The symmetric matrix that takes rates of turning to generalised momenta, or to the moments that resist them."""
+    normal, along = pose.normal, pose.along
+    outer = normal[:, :, None] * (moments.zeroth[:, None] * normal)[:, None, :]
+    outer += along[:, :, None] * (moments.along[:, None] * along)[:, None, :]
+    arm = moments.first[:, None] * normal
+    return outer.sum(0) + arm + arm.T + jnp.diag(moments.second)
+
+
+def centripetal(pose: Pose, inertia: Moments, motion: Motion) -> Wrench:
+    """Minus the rate of change of each plate's momentum at constant rates of turning (Kirchhoff's equations)."""
+    squares = motion.turning**2
+    rise = (pose.along * squares).sum(1) - motion.along * motion.turning
+    slide = motion.normal * motion.turning - (pose.normal * squares).sum(1)
+    momentum = inertia.times(motion)
+    return Wrench(
+        -inertia.zeroth * rise - motion.turning * momentum.along,
+        -inertia.along * slide + motion.turning * momentum.normal,
+        -inertia.first * rise - motion.along * momentum.normal + motion.normal * momentum.along,
+    )
+
+
+def resultant(angles: PerPlate, wrench: Wrench) -> Float[Array, "2"]:
+    """The sum of the forces in the axes of the tank, (x, y)."""
+    cos, sin = jnp.cos(angles), jnp.sin(angles)
+    return jnp.stack(
+        [(wrench.normal * sin - wrench.along * cos).sum(), (wrench.normal * cos + wrench.along * sin).sum()]
+    )
+
+
+def solve(matrix: Float[Array, "plates plates"], right: PerPlate) -> PerPlate:
+    """For a symmetric positive definite matrix: elimination without pivoting, unrolled.
+
+    A batch of such small systems is a handful of long vector operations, where a call of LAPACK is one call a fin.
+    """
+    size = right.shape[0]
+    rows = [[matrix[i, j] for j in range(size)] for i in range(size)]
+    rhs = [right[i] for i in range(size)]
+    for k in range(size):
+        inverse = 1 / rows[k][k]
+        for i in range(k + 1, size):
+            factor = rows[k][i] * inverse
+            for j in range(i, size):
+                rows[i][j] = rows[i][j] - factor * rows[k][j]
+            rhs[i] = rhs[i] - factor * rhs[k]
+    solution: list[Array] = []
+    for k in reversed(range(size)):
+        rest = rhs[k]
+        for j, x in zip(range(size - 1, k, -1), solution, strict=True):
+            rest = rest - rows[k][j] * x
+        solution.append(rest / rows[k][k])
+    return jnp.stack(solution[::-1])

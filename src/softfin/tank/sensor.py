@@ -1,0 +1,86 @@
+"""The force sensor under the fin, after an ATI Axia80-M20: the true force in, what it reports at 100 Hz out.
+
+Low-pass filter, mounting misalignment, slow drift (Ornstein-Uhlenbeck), white noise, resolution, in this order. The
+numbers are assumptions of the right order, not a datasheet's; `IDEAL` turns every one of them off.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+from pydantic import Field
+
+from softfin.configuration import Configuration
+from softfin.quantities import TICK_S
+from softfin.tank.rounding import to_multiple
+
+
+class SensorConfig(Configuration):
+    """Imperfections of the sensor; 0 turns one off."""
+
+    filter_s: float = Field(0.01, ge=0)
+    """Time constant of the low-pass filter [s]: 16 Hz."""
+    misalignment_rad: float = Field(0.0, ge=-np.pi, le=np.pi)
+    """Its axes are turned from the tank's by this [rad], from x to y."""
+    noise_n: float = Field(0.05, ge=0)
+    """Standard deviation of the white noise on each axis [N]: 1e-4 of the range of 500 N."""
+    drift_n: float = Field(0.05, ge=0)
+    """Standard deviation of the drift on each axis [N]."""
+    drift_s: float = Field(300.0, gt=0)
+    """Time in which the drift forgets itself [s]."""
+    resolution_n: float = Field(0.02, ge=0)
+    """Readings are multiples of this [N]."""
+
+
+IDEAL = SensorConfig(filter_s=0.0, noise_n=0.0, drift_n=0.0, resolution_n=0.0)
+"""Reports the true force, averaged over each sample."""
+
+
+class SensorState(NamedTuple):
+    """Output of the filter and drift, both (x, y) [N]."""
+
+    filtered: Float[Array, "2"]
+    drift: Float[Array, "2"]
+
+
+class Sensor(eqx.Module):
+    """What a sample needs to know of the sensor."""
+
+    filter_time: Float[Array, ""]
+    misalignment: Float[Array, ""]
+    noise: Float[Array, ""]
+    drift: Float[Array, ""]
+    drift_time: Float[Array, ""]
+    resolution: Float[Array, ""]
+
+    def __init__(self, config: SensorConfig):
+        self.filter_time = jnp.asarray(config.filter_s)
+        self.misalignment = jnp.asarray(config.misalignment_rad)
+        self.noise = jnp.asarray(config.noise_n)
+        self.drift = jnp.asarray(config.drift_n)
+        self.drift_time = jnp.asarray(config.drift_s)
+        self.resolution = jnp.asarray(config.resolution_n)
+
+    def rest(self, key: PRNGKeyArray) -> SensorState:
+        """No force yet; the drift is wherever its past has left it."""
+        drift = self.drift * jax.random.normal(key, (2,), self.drift.dtype)
+        return SensorState(jnp.zeros_like(drift), drift)
+
+    def read(
+        self, state: SensorState, force: Float[Array, "2"], key: PRNGKeyArray
+    ) -> tuple[SensorState, Float[Array, "2"]]:
+        """One sample of 10 ms, in which the mean force was `force` [N]."""
+        white, walk = jax.random.normal(key, (2, 2), force.dtype)
+        tiny = np.finfo(np.float32).tiny
+        pass_through = jnp.exp(-TICK_S / jnp.maximum(self.filter_time, tiny))
+        filtered = force + (state.filtered - force) * pass_through
+        kept = jnp.exp(-TICK_S / self.drift_time)
+        drift = kept * state.drift + jnp.sqrt(1 - kept**2) * self.drift * walk
+        cos, sin = jnp.cos(self.misalignment), jnp.sin(self.misalignment)
+        x, y = filtered
+        turned = jnp.stack([cos * x + sin * y, cos * y - sin * x])
+        reading = to_multiple(turned + drift + self.noise * white, self.resolution)
+        return SensorState(filtered, drift), reading

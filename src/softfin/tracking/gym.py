@@ -1,0 +1,99 @@
+"""The task as a Gymnasium environment, ``softfin/ForceTracking-v0``: what any reinforcement-learning library takes.
+
+gymnasium.make("softfin/ForceTracking-v0", plant=surrogate)
+"""
+
+from functools import partial
+from typing import Any
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from softfin.errors import InputError
+from softfin.plant import ACTION_TICKS, Plant
+from softfin.quantities import AXES
+from softfin.tracking.references import PAPER_RANGE, Cell, References
+from softfin.tracking.registration import ID
+from softfin.tracking.task import ANGLE_SCALE_RAD, ForceTracking, Outcome, TaskConfig, TaskState
+
+Observation = Float[np.ndarray, "observations"]
+
+
+class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
+    """Hold a reference force. Never terminates; truncated after `config.episode_actions`.
+
+    Observations and actions are those of `ForceTracking`; `info` holds the window's ``error_n``, its Sobolev term
+    ``smoothness_n``, the ``reference_n`` (each x, y) and the ``force_n`` of every tick that the action was held.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        config: TaskConfig | None = None,
+        references: Cell = PAPER_RANGE,
+        render_mode: None = None,
+    ) -> None:
+        self.task = ForceTracking(plant, config or TaskConfig())
+        self.references = references
+        self.render_mode = render_mode
+        high = _greatest(self.task.config, references)
+        self.observation_space = gymnasium.spaces.Box(-high, high, dtype=np.float32)
+        self.action_space = gymnasium.spaces.Box(-1, 1, (2,), np.float32)
+        self._reset = jax.jit(self.task.reset)
+        self._observe = jax.jit(self.task.observe)
+        self._step = {ticks: jax.jit(partial(self.task.step, ticks=ticks)) for ticks in set(ACTION_TICKS)}
+        self._state: TaskState | None = None
+        self._actions = 0
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """The fin at rest; ``options={"reference": (x, y)}`` asks for one reference instead of a drawn one."""
+        super().reset(seed=seed)
+        key = jax.random.key(self.np_random.integers(2**31))
+        self._state = self._reset(key, self._drawn_from(options or {}))
+        self._actions = 0
+        return self._observed(self._state), {"reference_n": np.array(self._state.reference)}
+
+    def step(self, action: Float[np.ndarray, "2"]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Hold an action for its 33 or 34 ticks."""
+        if self._state is None:
+            raise InputError(f"{ID}: step before reset; call reset first")
+        if not self.action_space.contains(np.asarray(action, np.float32)):
+            raise InputError(f"{ID}: action {action} is not two numbers in [-1, 1]; clip it or squash it")
+        reference = np.array(self._state.reference)
+        step = self._step[ACTION_TICKS[self._actions % len(ACTION_TICKS)]]
+        self._state, outcome = step(self._state, jnp.asarray(action, jnp.float32))
+        self._actions += 1
+        truncated = self._actions >= self.task.config.episode_actions
+        return self._observed(self._state), float(outcome.reward), False, truncated, _info(outcome, reference)
+
+    def _drawn_from(self, options: dict[str, Any]) -> References:
+        if "reference" not in options:
+            return self.references.references()
+        x, y = (float(value) for value in options["reference"])
+        if self.references.distance((x, y)) > 0:
+            raise InputError(f"{ID}: reference ({x:g}, {y:g}) N is outside {self.references}; make a wider environment")
+        return Cell(low=(x, y), high=(x, y)).references()
+
+    def _observed(self, state: TaskState) -> Observation:
+        return np.array(self._observe(state))
+
+
+def _greatest(config: TaskConfig, references: Cell) -> Observation:
+    """Bounds of what can be observed: half a turn of the shaft, the references, the actions."""
+    forces = [max(abs(references.low[i]), abs(references.high[i])) / config.force_scale_n for i in range(len(AXES))]
+    actions = [1.0] * (config.observations - 3)
+    return np.array([np.pi / ANGLE_SCALE_RAD, *forces, *actions], np.float32)
+
+
+def _info(outcome: Outcome, reference: Float[np.ndarray, "2"]) -> dict[str, Any]:
+    return {
+        "error_n": np.array(outcome.error),
+        "smoothness_n": np.array(outcome.smoothness),
+        "reference_n": reference,
+        "force_n": np.array(outcome.forces),
+    }

@@ -1,0 +1,198 @@
+"""Force tracking as pure functions over any plant (paper Sec. III-C2): action in, plant moved, reward and state out.
+
+    action in [-1, 1]^2 ──> command, held 33 or 34 ticks ──> plant ──> angle, forces
+    observation = [angle, reference x, reference y, A_t, A_t-1, .. A_t-k], each about unit size
+
+Actions follow one another on the 33/33/34 clock, so whatever plays the task goes in cycles of three actions.
+"""
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
+
+from softfin.configuration import Configuration
+from softfin.plant import Plant, State, rest_command
+from softfin.quantities import Command, Limits
+from softfin.tracking.references import References
+from softfin.tracking.reward import SMOOTHNESS, reward, window_error
+
+Action = Float[Array, "2"]
+"""(angle, velocity) normalised to [-1, 1], the plant's limits."""
+
+ANGLE_SCALE_RAD = np.pi / 2
+
+FORCE_BLOCKS = 8
+
+
+class RewardConfig(Configuration):
+    """Weights of the reward; the paper names them and gives no values."""
+
+    weight: tuple[NonNegativeFloat, NonNegativeFloat] = (1.0, 1.0)
+    """w of x and y."""
+    smoothness: tuple[NonNegativeFloat, NonNegativeFloat] = (0.01, 0.01)
+    """lambda of x and y; for a full window 0.01 in the form `sum` weighs as much as 0.14 in the form `mean`."""
+    sobolev: Literal["sum", "mean"] = "sum"
+    """Form of the Sobolev term: the paper's sum of squared steps or the published code's mean."""
+
+
+class TaskConfig(Configuration):
+    """The task."""
+
+    past_actions: int = Field(3, ge=0)
+    """k: actions before the last one that are observed; 3 makes 11 observations, so the paper's 592,325 weights."""
+    window_samples: int = Field(200, ge=2)
+    """Evaluation window of the mean force and the Sobolev term [samples at 100 Hz]."""
+    episode_actions: int = Field(90, ge=3, multiple_of=3)
+    """Actions until the fin starts again from rest, whole cycles of three; 90 are the paper's 30 s."""
+    reference_actions: PositiveInt = 90
+    """Actions until another reference is drawn."""
+    force_scale_n: PositiveFloat = 3.0
+    """References are observed in this unit [N], so that they are of about unit size."""
+    reward: RewardConfig = RewardConfig()
+
+    @property
+    def observations(self) -> int:
+        """How many numbers are observed."""
+        return 3 + 2 * (1 + self.past_actions)
+
+
+class TaskState(NamedTuple):
+    """One fin with a reference."""
+
+    plant: State
+    angle: Float[Array, ""]
+    """Of the shaft, last read [rad]."""
+    reference: Float[Array, "2"]
+    references: References
+    """Where references are drawn from."""
+    actions: Float[Array, "remembered 2"]
+    """The last one first."""
+    forces: Float[Array, "window 2"]
+    """The newest last; only the last `samples` of them were made since the reset."""
+    samples: Int[Array, ""]
+    age: Int[Array, ""]
+    """Actions since the reset."""
+    key: PRNGKeyArray
+
+
+class Outcome(NamedTuple):
+    """What one action led to."""
+
+    reward: Float[Array, ""]
+    error: Float[Array, "2"]
+    """|F_e| of the window [N]."""
+    smoothness: Float[Array, "2"]
+    """Sobolev term of the window [N]."""
+    forces: Float[Array, "ticks 2"]
+    """While the action was held [N]."""
+
+
+@dataclass(frozen=True)
+class ForceTracking:
+    """The task on one plant; no batch axes (`jax.vmap` adds them)."""
+
+    plant: Plant
+    config: TaskConfig
+
+    def reset(self, key: PRNGKeyArray, references: References) -> TaskState:
+        """The fin at rest, no force remembered, a reference drawn."""
+        plant_key, reference_key, key = jax.random.split(key, 3)
+        return TaskState(
+            plant=self.plant.init(plant_key),
+            angle=jnp.float32(0),
+            reference=references.draw(reference_key),
+            references=references,
+            actions=rest_actions(self.config, self.plant.limits),
+            forces=jnp.zeros((self.config.window_samples, 2)),
+            samples=jnp.int32(0),
+            age=jnp.int32(0),
+            key=key,
+        )
+
+    def observe(self, state: TaskState) -> Float[Array, "observations"]:
+        """The paper's state."""
+        return observation(self.config, state.angle, state.reference, state.actions)
+
+    def inspect(self, state: TaskState) -> Float[Array, "seen"]:
+        """The observation, and what only a simulator knows: the window's forces, how many count, the clock."""
+        scale = self.config.force_scale_n
+        window = state.forces.reshape(FORCE_BLOCKS, -1, 2).sum(axis=1) * FORCE_BLOCKS
+        mean = (window / jnp.maximum(state.samples, 1)).reshape(-1) / scale
+        full = state.samples / self.config.window_samples
+        clock = jax.nn.one_hot(state.age % 3, 3)
+        return jnp.concatenate([self.observe(state), mean, full[None], clock])
+
+    def step(self, state: TaskState, action: Action, ticks: int) -> tuple[TaskState, Outcome]:
+        """Hold an action for `ticks` (static)."""
+        plant, reading = self.plant.advance(state.plant, command_of(self.plant.limits, action), ticks)
+        forces = jnp.concatenate([state.forces, reading.force])[-self.config.window_samples :]
+        samples = jnp.minimum(state.samples + ticks, self.config.window_samples)
+        age = state.age + 1
+        outcome = self._judge(forces, samples, state.reference, jnp.asarray(reading.force))
+        key, draw_key = jax.random.split(state.key)
+        due = age % self.config.reference_actions == 0
+        return TaskState(
+            plant=plant,
+            angle=reading.angle[-1],
+            reference=jnp.where(due, state.references.draw(draw_key), state.reference),
+            references=state.references,
+            actions=remember(state.actions, action),
+            forces=forces,
+            samples=samples,
+            age=age,
+            key=key,
+        ), outcome
+
+    def finished(self, state: TaskState) -> Bool[Array, ""]:
+        """Whether the episode is over: cut, not ended, since the fin could beat on."""
+        return state.age >= self.config.episode_actions
+
+    def _judge(
+        self, forces: Float[Array, "window 2"], samples: Int[Array, ""], reference: Array, fresh: Array
+    ) -> Outcome:
+        config = self.config.reward
+        error = window_error(forces, samples, reference)
+        smoothness = SMOOTHNESS[config.sobolev](forces, samples)
+        value = reward(error, smoothness, jnp.asarray(config.weight), jnp.asarray(config.smoothness))
+        return Outcome(value, error, smoothness, fresh)
+
+
+def observation(
+    config: TaskConfig,
+    angle: Float[Array, ""],
+    reference: Float[Array, "2"],
+    actions: Float[Array, "remembered 2"],
+) -> Float[Array, "observations"]:
+    """[angle, reference x, reference y, A_t, A_t-1, .. A_t-k], in units of `ANGLE_SCALE_RAD` and `force_scale_n`."""
+    return jnp.concatenate([angle[None] / ANGLE_SCALE_RAD, reference / config.force_scale_n, actions.reshape(-1)])
+
+
+def command_of(limits: Limits, action: Action) -> Command:
+    """[-1, 1]^2 onto the plant's limits."""
+    part = (action + 1) / 2
+    return Command(
+        limits.angle_min + part[0] * (limits.angle_max - limits.angle_min),
+        limits.velocity_min + part[1] * (limits.velocity_max - limits.velocity_min),
+    )
+
+
+def action_of(limits: Limits, command: Command) -> Action:
+    """The plant's limits onto [-1, 1]^2."""
+    angle = (command.angle - limits.angle_min) / (limits.angle_max - limits.angle_min)
+    velocity = (command.velocity - limits.velocity_min) / (limits.velocity_max - limits.velocity_min)
+    return 2 * jnp.stack([jnp.asarray(angle), jnp.asarray(velocity)]) - 1
+
+
+def rest_actions(config: TaskConfig, limits: Limits) -> Float[Array, "remembered 2"]:
+    """The memory of a fin that has long been told to stay where it is."""
+    return jnp.tile(action_of(limits, rest_command(limits)), (config.past_actions + 1, 1))
+
+
+def remember(actions: Float[Array, "remembered 2"], action: Action) -> Float[Array, "remembered 2"]:
+    """A new action in front, the oldest forgotten."""
+    return jnp.concatenate([action[None], actions[:-1]])

@@ -1,0 +1,74 @@
+"""An LSTM cell that can be stepped, and run over a whole sequence with its memory cleared at resets."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
+
+
+class Memory(NamedTuple):
+    """What an LSTM remembers."""
+
+    hidden: Float[Array, "*batch units"]
+    cell: Float[Array, "*batch units"]
+
+
+class LSTM(eqx.Module):
+    """Hochreiter and Schmidhuber 1997 with forget gates; gates in the order input, forget, cell, output."""
+
+    kernel: Float[Array, "inputs gates"]
+    recurrent: Float[Array, "units gates"]
+    bias: Float[Array, "gates"]
+
+    @classmethod
+    def create(cls, key: PRNGKeyArray, inputs: int, units: int) -> "LSTM":
+        """Normal weights; the forget gate starts open, so that early gradients reach far back."""
+        kernel, recurrent = (
+            normal(k, shape)
+            for k, shape in zip(jax.random.split(key), ((inputs, 4 * units), (units, 4 * units)), strict=True)
+        )
+        return cls(kernel, recurrent, jnp.zeros(4 * units).at[units : 2 * units].set(1.0))
+
+    def init(self) -> Memory:
+        """Nothing remembered."""
+        empty = jnp.zeros(self.recurrent.shape[0])
+        return Memory(empty, empty)
+
+    def step(self, memory: Memory, x: Float[Array, "inputs"]) -> Memory:
+        """One step; what it says is the new hidden state."""
+        return self._step(memory, self._project(x))
+
+    def sequence(
+        self, memory: Memory, x: Float[Array, "time inputs"], fresh: Bool[Array, "time"]
+    ) -> Float[Array, "time units"]:
+        """The hidden state after each step, the memory cleared before every step that is `fresh`."""
+
+        def step(memory: Memory, now: tuple[Array, Array]) -> tuple[Memory, Array]:
+            gates, is_fresh = now
+            memory = self._step(cleared(memory, is_fresh), gates)
+            return memory, memory.hidden
+
+        return jax.lax.scan(step, memory, (self._project(x), fresh))[1]
+
+    def _project(self, x: Float[Array, "*time inputs"]) -> Float[Array, "*time gates"]:
+        return x @ self.kernel + self.bias
+
+    def _step(self, memory: Memory, gates: Float[Array, "gates"]) -> Memory:
+        i, f, g, o = jnp.split(gates + memory.hidden @ self.recurrent, 4)
+        cell = jax.nn.sigmoid(f) * memory.cell + jax.nn.sigmoid(i) * jnp.tanh(g)
+        return Memory(jax.nn.sigmoid(o) * jnp.tanh(cell), cell)
+
+
+def normal(key: PRNGKeyArray, shape: tuple[int, int], gain: float = 1.0) -> Float[Array, "inputs outputs"]:
+    """Weights that keep the variance of their inputs, times gain^2.
+
+    Not orthogonal ones: the QR decomposition of a batch of matrices hangs in XLA's threads on two cores (JAX 0.10).
+    """
+    return jax.random.normal(key, shape) * (gain * shape[0] ** -0.5)
+
+
+def cleared(memory: Memory, where: Bool[Array, ""]) -> Memory:
+    """The memory, or nothing remembered."""
+    return jax.tree.map(lambda x: jnp.where(where, 0.0, x), memory)

@@ -1,0 +1,149 @@
+"""The policy: an LSTM actor, and the LSTM critic that only training needs (paper Sec. III-C2: LSTM-PPO).
+
+Actions are squashed Gaussians: a = tanh(u), u ~ N(mean(observations so far), deviation). The deterministic action is
+tanh(mean). So every action is within the limits, and none is clipped.
+"""
+
+from collections.abc import Mapping
+from typing import Any, cast
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
+from pydantic import Field, PositiveInt
+
+from softfin.configuration import Configuration
+from softfin.errors import ArtifactError
+from softfin.training.lstm import LSTM, Memory, normal
+
+
+class PolicyConfig(Configuration):
+    """Size and start of actor and critic, which are alike and share nothing."""
+
+    units: PositiveInt = 64
+    """Of the LSTM; the paper's 256 learn no better and cost ten times the time."""
+    width: PositiveInt = 64
+    """Of the layer behind the LSTM."""
+    deviation: float = Field(0.6, gt=0)
+    """Of the exploration noise before the squashing, at the start."""
+
+
+class Dense(eqx.Module):
+    """x W + b."""
+
+    kernel: Float[Array, "inputs outputs"]
+    bias: Float[Array, "outputs"]
+
+    @classmethod
+    def create(cls, key: PRNGKeyArray, inputs: int, outputs: int, gain: float) -> "Dense":
+        """New weights; `gain` scales what it says."""
+        return cls(normal(key, (inputs, outputs), gain), jnp.zeros(outputs))
+
+    def __call__(self, x: Float[Array, "*batch inputs"]) -> Float[Array, "*batch outputs"]:
+        return x @ self.kernel + self.bias
+
+
+class Recurrent(eqx.Module):
+    """LSTM, one layer, one linear layer."""
+
+    lstm: LSTM
+    hidden: Dense
+    output: Dense
+
+    @classmethod
+    def create(cls, key: PRNGKeyArray, config: PolicyConfig, inputs: int, outputs: int, gain: float) -> "Recurrent":
+        """New weights; `gain` scales the last layer."""
+        lstm, hidden, output = jax.random.split(key, 3)
+        return cls(
+            LSTM.create(lstm, inputs, config.units),
+            Dense.create(hidden, config.units, config.width, 2**0.5),
+            Dense.create(output, config.width, outputs, gain),
+        )
+
+    def init(self) -> Memory:
+        """Nothing remembered."""
+        return self.lstm.init()
+
+    def step(self, memory: Memory, x: Float[Array, "inputs"]) -> tuple[Memory, Float[Array, "outputs"]]:
+        """One step."""
+        memory = self.lstm.step(memory, x)
+        return memory, self._read(memory.hidden)
+
+    def sequence(
+        self, memory: Memory, x: Float[Array, "time inputs"], fresh: Bool[Array, "time"]
+    ) -> Float[Array, "time outputs"]:
+        """What `step` says over a sequence, the memory cleared before every step that is `fresh`."""
+        return self._read(self.lstm.sequence(memory, x, fresh))
+
+    def _read(self, hidden: Float[Array, "*time units"]) -> Float[Array, "*time outputs"]:
+        return self.output(jnp.tanh(self.hidden(hidden)))
+
+
+class Policy(eqx.Module):
+    """The actor: observations in, actions out."""
+
+    net: Recurrent
+    log_deviation: Float[Array, "actions"]
+
+    @classmethod
+    def create(cls, key: PRNGKeyArray, config: PolicyConfig, observations: int, actions: int = 2) -> "Policy":
+        """New weights; at the start the mean action is near the middle whatever is observed."""
+        deviation = jnp.full(actions, jnp.log(config.deviation))
+        return cls(Recurrent.create(key, config, observations, actions, 0.01), deviation)
+
+    def init(self) -> Memory:
+        """Nothing remembered."""
+        return self.net.init()
+
+    def act(self, memory: Memory, observation: Float[Array, "observations"]) -> tuple[Memory, Float[Array, "actions"]]:
+        """The deterministic action, in (-1, 1)."""
+        memory, mean = self.net.step(memory, observation)
+        return memory, jnp.tanh(mean)
+
+    def log_density(self, mean: Float[Array, "*t actions"], raw: Float[Array, "*t actions"]) -> Float[Array, "*t"]:
+        """Of the action before the squashing; the squashing cancels in every ratio of densities."""
+        z = (raw - mean) / jnp.exp(self.log_deviation)
+        return -jnp.sum(0.5 * z**2 + self.log_deviation + 0.5 * jnp.log(2 * jnp.pi), axis=-1)
+
+    @classmethod
+    def of(cls, config: PolicyConfig, observations: int, weights: Mapping[str, np.ndarray], source: str) -> "Policy":
+        """From named arrays, all of which may have a leading axis of policies; `source` is named in errors."""
+        template = jax.eval_shape(lambda: cls.create(jax.random.key(0), config, observations))
+        shapes = named(template)
+        if sorted(shapes) != sorted(weights):
+            odd = sorted(set(shapes) ^ set(weights))
+            raise ArtifactError(f"{source}: weights {', '.join(odd)} are missing or unknown; copy the folder again")
+        for name, leaf in shapes.items():
+            if weights[name].shape[-leaf.ndim :] != leaf.shape:
+                raise ArtifactError(
+                    f"{source}: {name} has shape {weights[name].shape}; its configuration needs {leaf.shape}"
+                )
+        arrays = [jnp.asarray(weights[name], jnp.float32) for name in shapes]
+        return cast(Policy, jax.tree.unflatten(jax.tree.structure(template), arrays))
+
+    def entropy(self) -> Float[Array, ""]:
+        """Of the action before the squashing [nat]."""
+        return jnp.sum(self.log_deviation + 0.5 * jnp.log(2 * jnp.pi * jnp.e))
+
+
+class ActorCritic(eqx.Module):
+    """What training changes."""
+
+    policy: Policy
+    critic: Recurrent
+
+    @classmethod
+    def create(
+        cls, key: PRNGKeyArray, config: PolicyConfig, observations: int, seen: int, actions: int = 2
+    ) -> "ActorCritic":
+        """New weights; the critic sees `seen` numbers."""
+        actor, critic = jax.random.split(key)
+        return cls(Policy.create(actor, config, observations, actions), Recurrent.create(critic, config, seen, 1, 1.0))
+
+
+def named(tree: Any) -> dict[str, Any]:
+    """The leaves of a pytree by their paths, such as ``net.lstm.kernel``."""
+    paths, _ = jax.tree_util.tree_flatten_with_path(tree)
+    return {jax.tree_util.keystr(path, simple=True, separator="."): leaf for path, leaf in paths}

@@ -1,0 +1,45 @@
+"""What counts in the end: a policy without its exploration noise, from rest, judged as the paper's Table II judges."""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from softfin.plant import ACTION_TICKS
+from softfin.tracking.references import References
+from softfin.tracking.reward import moving_average
+from softfin.tracking.task import ForceTracking
+from softfin.training.policy import Policy
+
+
+class Score(NamedTuple):
+    """Of an episode per reference."""
+
+    error: Float[Array, "references 2"]
+    """Mean over all whole windows of |moving average - reference| [N]."""
+    deviation: Float[Array, "references 2"]
+    """Standard deviation of the moving average [N]."""
+
+
+def score(task: ForceTracking, policy: Policy, references: Float[Array, "references 2"], key: PRNGKeyArray) -> Score:
+    """One episode from rest for each reference, all side by side; the reference stays."""
+    count, window = len(references), task.config.window_samples
+    states = jax.vmap(task.reset)(jax.random.split(key, count), References(references, references))
+    memories = jax.tree.map(lambda x: jnp.tile(x, (count, 1)), policy.init())
+
+    def cycle(carry: tuple[Any, Any], _: None) -> tuple[tuple[Any, Any], Float[Array, "references ticks 2"]]:
+        states, memories = carry
+        forces = []
+        for ticks in ACTION_TICKS:
+            memories, actions = jax.vmap(policy.act)(memories, jax.vmap(task.observe)(states))
+            states, outcome = jax.vmap(partial(task.step, ticks=ticks))(states, actions)
+            forces.append(outcome.forces)
+        return (states, memories), jnp.concatenate(forces, axis=1)
+
+    cycles = task.config.episode_actions // len(ACTION_TICKS)
+    _, forces = jax.lax.scan(cycle, (states, memories), None, cycles)
+    series = jnp.swapaxes(forces, 0, 1).reshape(count, -1, 2)
+    average = jax.vmap(partial(moving_average, window=window))(series)
+    return Score(jnp.abs(average - references[:, None]).mean(axis=1), average.std(axis=1))

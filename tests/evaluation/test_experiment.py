@@ -1,0 +1,87 @@
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softfin.evaluation.experiment import Recording, run
+from softfin.plant import Plant
+from softfin.quantities import Command
+from tests.plants import AnalyticFin, Flapper, PlainFin
+
+REFERENCES = np.array([[1, -1], [2, 0], [3, 1]], np.float32)
+KEYS = jax.random.split(jax.random.key(0), 2)
+ENDS = np.array([33, 66, 100, 133, 166, 200])
+
+
+class Echo(eqx.Module):
+    """Commands the angle it was given, and the reference force, shifted into what a plant takes."""
+
+    gain: jax.Array = eqx.field(default_factory=lambda: jnp.float32(0.1))
+
+    def init(self):
+        return ()
+
+    def act(self, state, angle, reference):
+        return state, Command(angle + self.gain * reference[0], 2 + self.gain * reference[1])
+
+    def check(self, reference):
+        """Covers everything."""
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return run(Echo(), AnalyticFin(), REFERENCES, 2, KEYS)
+
+
+def test_everything_is_recorded_every_10_ms(recording):
+    assert recording.command.angle.shape == recording.reading.angle.shape == (3, 2, 200)
+    assert recording.reading.force.shape == (3, 2, 200, 2)
+    np.testing.assert_allclose(recording.reading.time[1, 1], np.arange(1, 201) / 100, rtol=1e-6)
+    np.testing.assert_array_equal(recording.reference, REFERENCES)
+
+
+def test_commands_change_after_33_33_and_34_ticks(recording):
+    changes = np.flatnonzero(np.diff(recording.command.angle[0, 0])) + 1
+    np.testing.assert_array_equal(changes, ENDS[:-1])
+
+
+def test_each_action_sees_the_last_reading_and_the_first_sees_rest(recording):
+    starts = np.r_[0, ENDS[:-1]]
+    seen = recording.command.angle[..., starts] - 0.1 * REFERENCES[:, :1, None]
+    np.testing.assert_allclose(seen[..., 0], 0, atol=1e-6)
+    np.testing.assert_allclose(seen[..., 1:], recording.reading.angle[..., ENDS[:-1] - 1], atol=1e-6)
+
+
+def test_each_experiment_has_its_own_reference(recording):
+    np.testing.assert_allclose(recording.command.velocity[:, 1, 150], 2 + 0.1 * REFERENCES[:, 1], rtol=1e-6)
+
+
+def test_seeds_differ_in_the_plants_randomness_alone(recording):
+    assert (recording.reading.force[0, 0] != recording.reading.force[0, 1]).any()
+    np.testing.assert_array_equal(recording.reading.angle[0, 0], recording.reading.angle[0, 1])
+
+
+def test_side_by_side_equals_one_at_a_time(recording):
+    for i in range(3):
+        alone = run(Echo(), AnalyticFin(), REFERENCES[i : i + 1], 2, KEYS[1:])
+        np.testing.assert_allclose(alone.reading.force[0, 0], recording.reading.force[i, 1], atol=1e-5)
+
+
+def test_a_controller_keeps_its_memory_from_action_to_action():
+    recording = run(Flapper(), AnalyticFin(), REFERENCES[:1], 2, KEYS[:1])
+    np.testing.assert_allclose(recording.command.angle[0, 0, ENDS - 1], 0.8 * np.array([1, -1] * 3), rtol=1e-6)
+
+
+class Unhashable(PlainFin):
+    """As a mutable dataclass is."""
+
+    __hash__ = None
+
+
+def test_a_plant_may_be_any_object():
+    plant = Unhashable()
+    assert isinstance(plant, Plant)
+    plain = run(Flapper(), plant, REFERENCES[:1], 1, KEYS[:1])
+    module = run(Flapper(), AnalyticFin(), REFERENCES[:1], 1, KEYS[:1])
+    np.testing.assert_allclose(plain.reading.force, module.reading.force, atol=1e-5)

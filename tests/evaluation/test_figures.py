@@ -1,0 +1,151 @@
+import re
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from matplotlib import rcParams
+from matplotlib.colors import to_rgb
+
+from softfin.errors import ConfigurationError
+from softfin.evaluation import style
+from softfin.evaluation.curves import learning_figure, prediction_figure
+from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, evaluate
+from softfin.evaluation.figures import experiments_figure, table_two_figure
+from softfin.evaluation.style import inline_svg, save
+from tests.plants import AnalyticFin, Flapper
+
+
+@pytest.fixture(scope="module")
+def evaluation() -> Evaluation:
+    return evaluate(Flapper(), AnalyticFin(), EvaluateConfig(seconds=11, seeds=2))
+
+
+def lines(axes) -> dict:
+    return {line.get_label(): line for line in axes.get_lines()}
+
+
+def test_each_reference_has_its_trajectory_and_both_forces(evaluation):
+    axes = experiments_figure(evaluation.recording).get_axes()
+    assert len(axes) == 3 * 6
+    for index, (polar, above, below) in enumerate(zip(axes[::3], axes[1::3], axes[2::3], strict=True)):
+        radius = polar.get_lines()[0].get_ydata()
+        np.testing.assert_allclose(radius, np.arange(1, 501) / 100)
+        np.testing.assert_array_equal(
+            polar.get_lines()[0].get_xdata(), evaluation.recording.reading.angle[index, 0, :500]
+        )
+        for axis, panel in enumerate((above, below)):
+            shown = lines(panel)
+            force = evaluation.recording.reading.force[index, 0, :1000, axis]
+            np.testing.assert_array_equal(shown["force"].get_ydata(), force)
+            average = shown["moving average over 2 s"]
+            assert average.get_linestyle() == "--"
+            np.testing.assert_allclose(average.get_xdata()[[0, -1]], [2.0, 10.0])
+            assert average.get_ydata()[0] == pytest.approx(force[:200].mean(), abs=1e-5)
+            assert set(shown["reference"].get_ydata()) == {evaluation.recording.reference[index, axis]}
+            assert panel.get_ylabel() == f"force {'xy'[axis]} [N]"
+        assert below.get_xlabel() == "time [s]"
+
+
+def test_a_fin_at_positive_angles_is_drawn_up_and_to_the_left(evaluation):
+    polar = experiments_figure(evaluation.recording).get_axes()[0]
+    x, y = polar.transData.transform([[0.5, 1.0]])[0] - polar.transData.transform([[0.0, 0.0]])[0]
+    assert x < 0 < y
+
+
+def test_an_angle_beyond_90_degrees_is_still_drawn():
+    far = evaluate(Flapper(angle=1.9), AnalyticFin(lag_s=0.02), EvaluateConfig(references=[(1, 1)], seconds=3, seeds=1))
+    polar = experiments_figure(far.recording).get_axes()[0]
+    assert np.degrees(np.abs(far.recording.reading.angle).max()) <= polar.get_thetamax()
+
+
+def test_bars_stand_beside_the_papers_with_their_intervals(evaluation):
+    figure = table_two_figure({"single": evaluation.summary(), "grid": evaluation.summary()})
+    above = figure.get_axes()[0]
+    bars = [container for container in above.containers if hasattr(container, "patches")]
+    assert [len(container.patches) for container in bars] == [7, 7, 7, 7]
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels == ["single", "single, paper (real fin)", "grid", "grid, paper (real fin)"]
+    assert bars[1].patches[0].get_height() == 1.07
+    assert bars[0].errorbar is not None
+    assert bars[1].errorbar is None
+
+
+def test_bars_of_other_references_stand_alone():
+    own = evaluate(Flapper(), AnalyticFin(), EvaluateConfig(references=[(0.5, 0)], seconds=3, seeds=1))
+    figure = table_two_figure({"single": own.summary(), "inverse": own.summary()})
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["single", "inverse"]
+
+
+def test_learning_curves_show_mean_and_range_of_the_runs():
+    figure = learning_figure(
+        {"grid": [([0, 100, 200], [0, 1, 2]), ([0, 200, 400], [2, 4, 6])], "single": [([0, 9], [1, 2])]}
+    )
+    axes = figure.get_axes()[0]
+    grid, single = axes.get_lines()
+    np.testing.assert_allclose(grid.get_xdata(), [0, 100, 200])
+    np.testing.assert_allclose(grid.get_ydata(), [1, 2, 3])
+    assert grid.get_label() == "grid, mean and range of 2"
+    assert single.get_label() == "single"
+    assert len(axes.collections) == 1
+
+
+def test_a_prediction_is_laid_over_its_measurement():
+    force = np.random.default_rng(0).normal(size=(50, 2))
+    axes = prediction_figure(force, {"free-running": force + 1}, start_s=3.0).get_axes()
+    for index, panel in enumerate(axes):
+        np.testing.assert_array_equal(lines(panel)["measured"].get_ydata(), force[:, index])
+        np.testing.assert_array_equal(lines(panel)["free-running"].get_ydata(), force[:, index] + 1)
+        assert lines(panel)["measured"].get_xdata()[0] == 3.0
+
+
+def test_colours_differ_in_grey_too():
+    def lightness(colour):
+        return np.dot(to_rgb(colour), [0.299, 0.587, 0.114])
+
+    shades = sorted(map(lightness, (style.BLACK, style.BLUE, style.ORANGE, "#FFFFFF")))
+    assert min(np.diff(shades)) > 0.2
+
+
+def test_drawing_leaves_no_global_state(evaluation, tmp_path):
+    before = dict(rcParams)
+    save(table_two_figure({"single": evaluation.summary()}), tmp_path / "figure.svg")
+    assert dict(rcParams) == before
+
+
+@pytest.mark.parametrize("suffix", ["svg", "png"])
+def test_the_same_figure_gives_the_same_file(evaluation, tmp_path, suffix):
+    for name in "ab":
+        save(table_two_figure({"grid": evaluation.summary()}), tmp_path / f"{name}.{suffix}")
+    one, other = ((tmp_path / f"{name}.{suffix}").read_bytes() for name in "ab")
+    assert one == other
+    assert one.startswith({"svg": b"<?xml", "png": b"\x89PNG"}[suffix])
+
+
+def test_another_format_is_refused(tmp_path):
+    with pytest.raises(ConfigurationError, match=r"figure\.jpeg: a figure is written as \.svg or \.png"):
+        save(learning_figure({"single": [([0, 1], [0, 1])]}), tmp_path / "figure.jpeg")
+
+
+def test_inline_svgs_share_no_ids_and_every_link_finds_its_target(evaluation):
+    figures = {
+        "bars": table_two_figure({"grid": evaluation.summary()}),
+        "learning": learning_figure({"a": [([0, 1], [0, 1])]}),
+    }
+    figures["bars again"] = figures["bars"]
+    seen: set[str] = set()
+    for name, figure in figures.items():
+        text = inline_svg(figure, name)
+        ElementTree.fromstring(text)
+        ids = re.findall(r'\bid="([^"]+)"', text)
+        assert len(ids) == len(set(ids))
+        assert not seen & set(ids)
+        links = re.findall(r'href="#([^"]+)"|url\(#([^)]+)\)', text)
+        assert links
+        assert {a or b for a, b in links} <= set(ids)
+        seen |= set(ids)
+
+
+def test_text_stays_text_and_is_escaped():
+    text = inline_svg(learning_figure({"<b> & co": [([0, 1], [0, 1])]}), "x")
+    assert "&lt;b&gt; &amp; co" in text
+    assert "<b>" not in text

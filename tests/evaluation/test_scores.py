@@ -1,0 +1,117 @@
+import numpy as np
+import pytest
+
+from softfin.evaluation.experiment import Recording
+from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_II, REFERENCES, recomputed_means
+from softfin.evaluation.scores import STILL_RAD_S, moving_average, score, travel
+from softfin.evaluation.statistics import interval, t_quantile
+from softfin.quantities import Command, Reading
+
+
+def record(force: np.ndarray, angle: np.ndarray | None = None, reference=(0.0, 0.0)) -> Recording:
+    """One experiment of one seed from a force ``(ticks, 2)`` and an angle ``(ticks,)``."""
+    ticks = len(force)
+    angle = np.zeros(ticks) if angle is None else angle
+    time = np.arange(1, ticks + 1) / 100
+    batch = tuple(np.asarray(x, np.float32)[None, None] for x in (time, angle, np.zeros(ticks), force))
+    return Recording(np.array([reference], np.float32), Command(batch[1], batch[1]), Reading(*batch))
+
+
+def test_the_moving_average_is_the_mean_of_each_full_window():
+    series = np.random.default_rng(0).normal(size=(3, 450, 2))
+    expected = np.stack([series[:, i : i + 200].mean(axis=1) for i in range(251)], axis=1)
+    np.testing.assert_allclose(moving_average(series), expected, atol=1e-13)
+
+
+def test_the_moving_average_keeps_its_digits_over_long_float32_series():
+    series = (500 + np.random.default_rng(0).normal(size=(200_000, 1))).astype(np.float32)
+    last = series[-200:].astype(np.float64).mean(axis=0)
+    np.testing.assert_allclose(moving_average(series)[-1], last, rtol=1e-10)
+
+
+def test_a_constant_force_errs_by_its_distance_from_the_reference():
+    scores = score(record(np.full((3000, 2), [1.5, -0.5]), reference=(1.0, 1.0)))
+    np.testing.assert_allclose(scores.error[0, 0], [0.5, 1.5], rtol=1e-6)
+    np.testing.assert_allclose(scores.std[0, 0], 0, atol=1e-9)
+    np.testing.assert_allclose(scores.raw_std[0, 0], 0, atol=1e-9)
+
+
+def test_a_force_that_swings_with_the_window_has_no_error_and_no_std_but_a_raw_std():
+    time = np.arange(3000) / 100
+    swing = 5 * np.sin(2 * np.pi * time)
+    scores = score(record(np.stack([swing, 1 + swing], axis=1), reference=(0.0, 1.0)))
+    np.testing.assert_allclose(scores.error[0, 0], 0, atol=1e-6)
+    np.testing.assert_allclose(scores.std[0, 0], 0, atol=1e-6)
+    np.testing.assert_allclose(scores.raw_std[0, 0], 5 / np.sqrt(2), rtol=1e-5)
+
+
+def test_errors_of_both_signs_do_not_cancel():
+    force = np.concatenate([np.full((1500, 2), 1.0), np.full((1500, 2), -1.0)])
+    scores = score(record(force))
+    # In 200 of the 2801 windows the average passes from 1 to -1, with 0.5 as its mean distance.
+    np.testing.assert_allclose(scores.error[0, 0], 1 - 200 / 2801 * 0.5, rtol=1e-3)
+    assert (scores.std > 0.9).all()
+
+
+def test_the_start_counts_from_the_first_full_window_on():
+    force = np.zeros((3000, 2))
+    force[:199] = 200.0
+    scores = score(record(force))
+    expected = sum(range(1, 200)) / 2801
+    np.testing.assert_allclose(scores.error[0, 0], expected, rtol=1e-6)
+
+
+def test_travel_is_the_path_between_the_ends_of_actions():
+    stroke = np.repeat([0.5, -0.5], 100)
+    angle = np.tile(stroke, 15)
+    np.testing.assert_allclose(travel(angle), 29 / 29.67, rtol=1e-3)
+
+
+def test_sensor_noise_on_a_resting_shaft_is_standing_still():
+    noise = 1e-3 * np.random.default_rng(0).normal(size=3000)
+    assert score(record(np.zeros((3000, 2)), noise)).late_travel[0, 0] < STILL_RAD_S
+
+
+def test_a_fin_that_stops_after_a_while_is_seen():
+    angle = np.sin(2 * np.pi * np.arange(3000) / 100 * 0.5)
+    angle[1000:] = angle[1000]
+    scores = score(record(np.zeros((3000, 2)), angle))
+    assert scores.shaft_travel[0, 0] > STILL_RAD_S
+    assert scores.late_travel[0, 0] == 0
+
+
+@pytest.mark.parametrize(
+    ("freedom", "quantile"),
+    [
+        (1, 12.7062),
+        (2, 4.3027),
+        (3, 3.1824),
+        (4, 2.7764),
+        (5, 2.5706),
+        (9, 2.2622),
+        (10, 2.2281),
+        (30, 2.0423),
+        (200, 1.9719),
+    ],
+)
+def test_quantiles_are_those_of_students_table(freedom, quantile):
+    assert t_quantile(freedom) == pytest.approx(quantile, abs=6e-5)
+
+
+def test_a_95_percent_interval_holds_the_mean_in_95_of_100_samples():
+    samples = np.random.default_rng(0).normal(3.0, 2.0, size=(1500, 5))
+    held = [low <= 3.0 <= high for low, high in map(interval, samples)]
+    assert np.mean(held) == pytest.approx(0.95, abs=0.012)
+
+
+def test_one_seed_has_no_interval():
+    assert interval(np.array([1.0])) is None
+
+
+def test_the_papers_rows_are_complete_and_its_printed_means_disagree_where_we_say():
+    for controller, rows in PAPER_TABLE_II.items():
+        assert tuple(rows) == REFERENCES
+        printed, means = PAPER_PRINTED_MEANS[controller], recomputed_means(controller)
+        far = {name for name, p, m in zip(printed._fields, printed, means, strict=True) if abs(p - m) > 0.0015}
+        assert far == {"single": set(), "grid": {"x_error", "x_std", "y_error", "y_std"}}[controller]
+    assert recomputed_means("grid").y_std == pytest.approx(0.293, abs=0.0005)

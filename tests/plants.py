@@ -1,0 +1,76 @@
+"""A small analytic fin for tests: a first-order drive under a speed limit, and a force with the square of its speed."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from softfin.quantities import PAPER_LIMITS, TICK_S, Command, Limits, Reading
+
+
+class FinState(NamedTuple):
+    ticks: Int[Array, ""]
+    angle: Float[Array, ""]
+    key: PRNGKeyArray
+
+
+class AnalyticFin(eqx.Module):
+    """Angle goes to its target with time constant `lag_s`, no faster than commanded; force = gain v|v| (cos, -sin)."""
+
+    gain: Float[Array, ""] = eqx.field(default=0.5, converter=lambda x: jnp.asarray(x, jnp.float32))
+    noise_n: Float[Array, ""] = eqx.field(default=0.01, converter=lambda x: jnp.asarray(x, jnp.float32))
+    lag_s: float = eqx.field(default=0.05, static=True)
+
+    @property
+    def limits(self) -> Limits:
+        return PAPER_LIMITS
+
+    def init(self, key: PRNGKeyArray) -> FinState:
+        return FinState(jnp.int32(0), jnp.float32(0.0), key)
+
+    def advance(self, state: FinState, command: Command, ticks: int) -> tuple[FinState, Reading]:
+        def tick(state: FinState, _: None) -> tuple[FinState, Reading]:
+            speed = jnp.clip((command.angle - state.angle) / self.lag_s, -command.velocity, command.velocity)
+            angle = state.angle + speed * TICK_S
+            count = state.ticks + 1
+            direction = jnp.stack([jnp.cos(angle), -jnp.sin(angle)])
+            noise = self.noise_n * jax.random.normal(jax.random.fold_in(state.key, count), (2,))
+            force = self.gain * speed**2 * direction + noise
+            return FinState(count, angle, state.key), Reading(count * jnp.float32(TICK_S), angle, speed, force)
+
+        return jax.lax.scan(tick, state, None, ticks)
+
+
+class PlainFin:
+    """The same fin as a class that JAX knows nothing of, as a user's own simulator may be."""
+
+    limits = PAPER_LIMITS
+
+    def __init__(self, gain: float = 0.5) -> None:
+        self._fin = AnalyticFin(gain=gain)
+
+    def init(self, key: PRNGKeyArray) -> FinState:
+        return self._fin.init(key)
+
+    def advance(self, state: FinState, command: Command, ticks: int) -> tuple[FinState, Reading]:
+        return self._fin.advance(state, command, ticks)
+
+
+class Flapper(eqx.Module):
+    """A controller that swings between two angles whatever the reference; remembers which side is next."""
+
+    angle: float = 0.8
+    velocity: float = 3.0
+
+    def init(self) -> Float[Array, ""]:
+        return jnp.float32(1.0)
+
+    def act(
+        self, state: Float[Array, ""], angle: Float[Array, ""], reference: Float[Array, "2"]
+    ) -> tuple[Float[Array, ""], Command]:
+        return -state, Command(self.angle * state, jnp.float32(self.velocity))
+
+    def check(self, reference: tuple[float, float]) -> None:
+        """Covers everything."""

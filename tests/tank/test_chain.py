@@ -1,0 +1,121 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softfin.tank import chain
+from softfin.tank.chain import Moments, Motion, Wrench
+
+PLATES = 5
+LENGTH = 0.04
+MASS, ADDED = np.array([1.0, 0.9, 0.8, 0.7, 0.6]), np.array([5.0, 6.0, 7.0, 6.5, 4.0])
+"""Per length [kg/m]: of the plates, and of the water along their normals."""
+
+
+def directions(angles):
+    return jnp.stack([-jnp.cos(angles), jnp.sin(angles)], -1), jnp.stack([jnp.sin(angles), jnp.cos(angles)], -1)
+
+
+def velocities(angles, rates, points=200):
+    """Of points along each plate, by summing the plates from the shaft: (plates, points, 2)."""
+    _, normals = directions(angles)
+    ends = jnp.cumsum(LENGTH * normals * rates[:, None], axis=0)
+    inner = jnp.concatenate([jnp.zeros((1, 2)), ends[:-1]])
+    along = (np.arange(points) + 0.5) / points * LENGTH
+    return inner[:, None] + along[:, None] * (normals * rates[:, None])[:, None]
+
+
+def kinetic(angles, rates):
+    velocity = velocities(angles, rates)
+    _, normals = directions(angles)
+    across = jnp.einsum("ipk,ik->ip", velocity, normals)
+    return 0.5 * LENGTH * ((MASS[:, None] * (velocity**2).sum(-1)).mean(1) + (ADDED[:, None] * across**2).mean(1)).sum()
+
+
+def momentum(angles, rates):
+    velocity = velocities(angles, rates)
+    _, normals = directions(angles)
+    across = jnp.einsum("ipk,ik->ip", velocity, normals)
+    density = MASS[:, None, None] * velocity + ADDED[:, None, None] * across[..., None] * normals[:, None]
+    return LENGTH * density.mean(1).sum(0)
+
+
+@pytest.fixture(autouse=True)
+def double():
+    with jax.enable_x64(True):
+        yield
+
+
+@pytest.fixture
+def moments():
+    both = (MASS + ADDED) * LENGTH
+    return Moments(*map(jnp.asarray, (both, both * LENGTH / 2, both * LENGTH**2 / 3, MASS * LENGTH)))
+
+
+@pytest.fixture
+def moving():
+    rng = np.random.default_rng(0)
+    return jnp.asarray(rng.uniform(-2, 2, PLATES)), jnp.asarray(rng.uniform(-5, 5, PLATES))
+
+
+def test_the_mass_matrix_gives_the_kinetic_energy_of_every_point(moments, moving):
+    angles, rates = moving
+    matrix = chain.matrix(chain.pose(angles, jnp.asarray(LENGTH)), moments)
+    np.testing.assert_allclose(0.5 * rates @ matrix @ rates, kinetic(angles, rates), rtol=1e-4)
+
+
+def test_momentum_is_that_of_every_point(moments, moving):
+    angles, rates = moving
+    motion = chain.motion(chain.pose(angles, jnp.asarray(LENGTH)), rates)
+    np.testing.assert_allclose(
+        chain.resultant(angles, moments.times(motion)), momentum(angles, rates), rtol=1e-4, atol=1e-6
+    )
+
+
+def test_momentum_projected_on_the_joints_is_the_mass_matrix_times_the_rates(moments, moving):
+    angles, rates = moving
+    pose = chain.pose(angles, jnp.asarray(LENGTH))
+    projected = chain.project(pose, moments.times(chain.motion(pose, rates)))
+    np.testing.assert_allclose(projected, chain.matrix(pose, moments) @ rates, rtol=1e-12)
+
+
+def test_centripetal_moments_are_those_of_lagranges_equations(moments, moving):
+    angles, rates = moving
+    pose = chain.pose(angles, jnp.asarray(LENGTH))
+    _, drift = jax.jvp(lambda q: jax.grad(kinetic, argnums=1)(q, rates), (angles,), (rates,))
+    lagrange = jax.grad(kinetic)(angles, rates) - drift
+    found = chain.project(pose, chain.centripetal(pose, moments, chain.motion(pose, rates)))
+    np.testing.assert_allclose(found, lagrange, rtol=1e-4, atol=1e-5)
+
+
+def test_centripetal_forces_are_the_loss_of_momentum_at_constant_rates(moments, moving):
+    angles, rates = moving
+    pose = chain.pose(angles, jnp.asarray(LENGTH))
+    _, gained = jax.jvp(lambda q: momentum(q, rates), (angles,), (rates,))
+    found = chain.resultant(angles, chain.centripetal(pose, moments, chain.motion(pose, rates)))
+    np.testing.assert_allclose(found, -gained, rtol=1e-4, atol=1e-5)
+
+
+def test_a_load_on_the_tip_turns_each_plate_by_its_lever():
+    angles = jnp.zeros(PLATES)
+    load = Wrench(jnp.zeros(PLATES).at[-1].set(2.0), jnp.zeros(PLATES), jnp.zeros(PLATES).at[-1].set(2.0 * LENGTH))
+    turning = chain.project(chain.pose(angles, jnp.asarray(LENGTH)), load)
+    np.testing.assert_allclose(turning, 2.0 * LENGTH * np.ones(PLATES))
+
+
+def test_a_plate_at_angle_theta_points_along_minus_cosine_and_sine():
+    rigid = jnp.full(PLATES, 0.3)
+    motion = chain.motion(chain.pose(rigid, jnp.asarray(LENGTH)), jnp.ones(PLATES))
+    np.testing.assert_allclose(motion.normal, LENGTH * np.arange(PLATES), atol=1e-15)
+    assert isinstance(motion, Motion)
+    pull = Wrench(jnp.zeros(PLATES), jnp.zeros(PLATES).at[0].set(1.0), jnp.zeros(PLATES))
+    np.testing.assert_allclose(chain.resultant(rigid, pull), [-np.cos(0.3), np.sin(0.3)])
+
+
+@pytest.mark.parametrize("size", [1, 2, 6])
+def test_the_unrolled_solve_is_numpys(size):
+    rng = np.random.default_rng(size)
+    half = rng.normal(size=(size, size))
+    matrix, right = half @ half.T + 0.1 * np.eye(size), rng.normal(size=size)
+    found = chain.solve(jnp.asarray(matrix), jnp.asarray(right))
+    np.testing.assert_allclose(found, np.linalg.solve(matrix, right), rtol=1e-9)

@@ -1,0 +1,47 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softfin.plant import roll
+from softfin.quantities import Command
+from softfin.tank import Conditions, Spread, Tank, draw, randomised, under
+
+KEYS = jax.random.split(jax.random.key(3), 4)
+NONE = Spread(**dict.fromkeys(Spread.model_fields, 0.0))
+
+
+def record(tank):
+    commands = Command(jnp.tile(jnp.array([1.0, -1.0]), 20).repeat(3), jnp.full(120, 2.5))
+    return roll(tank, tank.init(jax.random.key(0)), commands)[1]
+
+
+def test_a_batch_of_different_tanks_runs_as_each_of_them_alone():
+    tanks = jax.vmap(lambda key: randomised(Tank(), key))(KEYS)
+    together = jax.jit(jax.vmap(record))(tanks)
+    for i, key in enumerate(KEYS):
+        alone = jax.jit(record)(randomised(Tank(), key))
+        np.testing.assert_allclose(together.force[i], alone.force, atol=0.025)
+        np.testing.assert_allclose(together.angle[i], alone.angle, atol=1e-5)
+    assert np.asarray(together.force).std(0).max() > 0.1
+
+
+def test_no_spread_is_the_same_tank():
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-6), randomised(Tank(), KEYS[0], NONE), Tank())
+
+
+def test_draws_stay_within_the_spread_and_fill_it():
+    spread = Spread(temperature_c=8.0, stiffness=0.3, lag=0.0)
+    drawn = jax.vmap(lambda key: draw(key, spread))(jax.random.split(jax.random.key(0), 500))
+    assert 7.5 < np.abs(drawn.temperature_c).max() <= 8.0
+    assert 0.28 < np.abs(np.asarray(drawn.stiffness) - 1).max() <= 0.3001
+    np.testing.assert_array_equal(drawn.lag, 1.0)
+    assert abs(np.corrcoef(drawn.temperature_c, drawn.stiffness)[0, 1]) < 0.15
+
+
+@pytest.mark.parametrize("name", Conditions._fields)
+def test_each_condition_changes_the_tank(name):
+    plain = Conditions(*(jnp.float32(name not in ("temperature_c", "misalignment_rad")) for name in Conditions._fields))
+    other = under(Tank(), plain._replace(**{name: getattr(plain, name) + 0.1}))
+    changed = jax.tree.map(lambda a, b: not np.allclose(a, b, rtol=1e-6), other, under(Tank(), plain))
+    assert any(jax.tree.leaves(changed))

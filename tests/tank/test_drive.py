@@ -1,0 +1,93 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from softfin.quantities import Command
+from softfin.tank.drive import Drive, DriveConfig
+
+STEP = 0.005
+DIRECT = DriveConfig(lag_s=0.0)
+
+
+@jax.jit
+def run(drive, commands):
+    def step(state, command):
+        state, shaft = drive.step(state, command, STEP)
+        return state, (state, shaft)
+
+    return jax.lax.scan(step, drive.rest(), commands)[1]
+
+
+def commands(*pieces):
+    """Of (angle, velocity, seconds)."""
+    columns = [np.concatenate([np.full(round(p[2] / STEP), p[i], np.float32) for p in pieces]) for i in (0, 1)]
+    return Command(*map(jnp.asarray, columns))
+
+
+def test_one_radian_at_two_radians_a_second_is_exactly_that():
+    states, _ = run(Drive(DIRECT), commands((1.0, 2.0, 2.0)))
+    angle, velocity = np.asarray(states.profile_angle), np.asarray(states.profile_velocity)
+    assert velocity.max() == pytest.approx(2.0, abs=1e-6)
+    arrival = (np.argmax(angle > 1 - 1e-4) + 1) * STEP
+    assert arrival == pytest.approx(1.0 / 2.0 + 2.0 / 60.0, abs=2 * STEP)
+    assert angle[-1] == pytest.approx(1.0, abs=1e-6)
+    assert angle.max() < 1.0 + 1e-3
+    np.testing.assert_array_equal(states.shaft_angle, states.profile_angle)
+
+
+def test_half_way_the_profile_is_on_the_trapezoid():
+    states, _ = run(Drive(DIRECT), commands((1.0, 2.0, 0.25)))
+    assert states.profile_angle[-1] == pytest.approx(2.0 * 0.25 - 2.0**2 / (2 * 60.0), abs=2e-3)
+
+
+def test_a_short_move_never_reaches_the_commanded_velocity():
+    states, _ = run(Drive(DIRECT), commands((0.05, 3.0, 1.0)))
+    assert np.asarray(states.profile_velocity).max() == pytest.approx(np.sqrt(0.05 * 60.0), rel=0.15)
+    assert states.profile_angle[-1] == pytest.approx(0.05, abs=1e-6)
+
+
+def test_a_command_in_midstroke_is_planned_from_the_present_motion():
+    states, _ = run(Drive(DIRECT), commands((1.0, 2.0, 0.3), (-1.0, 3.0, 2.0)))
+    angle, velocity = np.asarray(states.profile_angle), np.asarray(states.profile_velocity)
+    assert np.abs(np.diff(velocity)).max() <= 60.0 * STEP * 1.0001
+    assert np.abs(np.diff(angle)).max() <= 3.0 * STEP * 1.0001
+    assert velocity.min() == pytest.approx(-3.0, abs=1e-5)
+    assert angle[-1] == pytest.approx(-1.0, abs=1e-6)
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    st.lists(st.tuples(st.floats(-1.57, 1.57), st.floats(1, 3.14)), min_size=1, max_size=4),
+    st.sampled_from([20, 33, 60]),
+)
+def test_velocity_and_acceleration_stay_within_limits_whatever_is_commanded(moves, held):
+    left = 1000 - held * len(moves)
+    series = commands(*((angle, velocity, held * STEP) for angle, velocity in moves), (0.5, 1.0, left * STEP))
+    states, _ = run(Drive(DIRECT), series)
+    velocity = np.concatenate([[0.0], states.profile_velocity])
+    assert np.abs(velocity).max() <= max(v for _, v in moves) + 1e-5
+    assert np.abs(np.diff(velocity)).max() <= 60.0 * STEP * 1.001
+    assert states.profile_angle[-1] == pytest.approx(0.5, abs=1e-5)
+
+
+def test_the_shaft_follows_a_steady_profile_at_its_velocity_and_one_lag_behind():
+    lag = 0.1
+    states, shaft = run(Drive(DriveConfig(lag_s=lag)), commands((1.5, 1.0, 1.2)))
+    assert shaft.rate[-1] == pytest.approx(1.0, abs=1e-4)
+    assert states.profile_angle[-1] - states.shaft_angle[-1] == pytest.approx(lag * 1.0, abs=1e-4)
+
+
+def test_the_mean_motion_over_a_step_joins_its_ends():
+    states, shaft = run(Drive(DriveConfig()), commands((0.7, 2.0, 0.5)))
+    ends = np.concatenate([[0.0], states.shaft_angle])
+    np.testing.assert_allclose(np.diff(ends) / STEP, shaft.rate, atol=1e-4)
+    np.testing.assert_allclose((ends[1:] + ends[:-1]) / 2, shaft.angle, atol=1e-6)
+
+
+def test_the_encoder_reads_multiples_of_its_step_or_the_angle_itself():
+    state = Drive(DIRECT).rest()._replace(shaft_angle=jnp.asarray(0.1234))
+    assert Drive(DriveConfig(encoder_step_rad=0.01)).read(state)[0] == pytest.approx(0.12)
+    assert Drive(DIRECT).read(state)[0] == pytest.approx(0.1234)

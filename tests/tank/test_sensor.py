@@ -1,0 +1,65 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softfin.tank.sensor import IDEAL, Sensor, SensorConfig
+
+SAMPLES = 20_000
+
+
+def record(config, force, seed=0):
+    """Readings of a force, ``(samples, 2)``, in the ideal sensor's order."""
+    sensor = Sensor(config)
+    first, noise = jax.random.split(jax.random.key(seed))
+
+    def sample(state, step):
+        tick, force = step
+        return sensor.read(state, force, jax.random.fold_in(noise, tick))
+
+    steps = (jnp.arange(len(force)), jnp.asarray(force, jnp.float32))
+    return np.asarray(jax.jit(lambda: jax.lax.scan(sample, sensor.rest(first), steps)[1])())
+
+
+def with_only(**imperfection):
+    return SensorConfig(**{**IDEAL.model_dump(), **imperfection})
+
+
+def test_an_ideal_sensor_reports_the_force():
+    force = np.random.default_rng(0).normal(size=(100, 2)).astype(np.float32)
+    np.testing.assert_array_equal(record(IDEAL, force), force)
+
+
+def test_the_filter_answers_a_step_with_its_time_constant():
+    reading = record(with_only(filter_s=0.05), np.ones((50, 2)))
+    np.testing.assert_allclose(reading[:, 0], 1 - np.exp(-np.arange(1, 51) * 0.01 / 0.05), rtol=1e-5)
+
+
+def test_noise_is_white_and_of_its_standard_deviation():
+    reading = record(with_only(noise_n=0.2), np.zeros((SAMPLES, 2)))
+    np.testing.assert_allclose(reading.std(0), 0.2, rtol=0.03)
+    assert np.abs(np.corrcoef(reading[1:, 0], reading[:-1, 0])[0, 1]) < 0.03
+    assert np.abs(np.corrcoef(reading.T)[0, 1]) < 0.03
+
+
+def test_drift_is_slow_and_of_its_standard_deviation_from_the_start():
+    config = with_only(drift_n=0.3, drift_s=5.0)
+    starts = np.concatenate([record(config, np.zeros((1, 2)), seed) for seed in range(60)])
+    assert starts.std() == pytest.approx(0.3, rel=0.25)
+    reading = record(config, np.zeros((SAMPLES, 2)))
+    assert reading.std() == pytest.approx(0.3, rel=0.35)
+    assert np.diff(reading, axis=0).std() == pytest.approx(0.3 * np.sqrt(2 * 0.01 / 5.0), rel=0.05)
+
+
+def test_resolution_rounds_and_lets_gradients_through():
+    config = with_only(resolution_n=0.5)
+    np.testing.assert_allclose(record(config, np.array([[0.7, -0.7]])), [[0.5, -0.5]])
+    sensor = Sensor(config)
+    key = jax.random.key(0)
+    jacobian = jax.jacobian(lambda force: sensor.read(sensor.rest(key), force, key)[1])(jnp.array([0.7, -0.7]))
+    np.testing.assert_allclose(jacobian, np.eye(2), atol=1e-6)
+
+
+def test_a_sensor_turned_by_a_right_angle_reports_x_as_minus_y():
+    reading = record(with_only(misalignment_rad=np.pi / 2), np.array([[1.0, 0.0]]))
+    np.testing.assert_allclose(reading, [[0.0, -1.0]], atol=1e-6)

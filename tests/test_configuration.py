@@ -1,0 +1,71 @@
+import pytest
+from pydantic import Field
+
+from softfin.configuration import Configuration, read_yaml
+from softfin.errors import ConfigurationError
+
+
+class Inner(Configuration):
+    rate: float = Field(default=0.1, gt=0)
+    name: str = "a"
+
+
+class Outer(Configuration):
+    inner: Inner = Inner()
+    steps: int = 3
+
+
+def test_values_change_by_path_and_the_original_stays():
+    config = Outer()
+    assert config.changed(["inner.rate=0.5", "steps=7"]) == Outer(inner=Inner(rate=0.5), steps=7)
+    assert config == Outer()
+
+
+def test_equal_configurations_hash_equal_so_that_programs_are_compiled_once():
+    assert hash(Outer(steps=4)) == hash(Outer().changed(["steps=4"]))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("steps", "no '='; write path=value"),
+        ("step=4", "there is no 'step'; did you mean 'steps'?"),
+        ("iner.rate=1", "there is no group 'iner'; did you mean 'inner'?"),
+        ("steps.x=1", "there is no group 'steps'"),
+        ("inner.rate=-1", r"inner.rate = -1: Input should be greater than 0"),
+        ("steps=many", "steps = 'many': Input should be a valid integer"),
+        ("steps=[1", "not YAML"),
+    ],
+)
+def test_a_wrong_change_says_what_is_allowed(change, words):
+    with pytest.raises(ConfigurationError, match=words):
+        Outer().changed([change])
+
+
+def test_a_yaml_file_is_laid_over_the_defaults(tmp_path):
+    file = tmp_path / "run.yaml"
+    file.write_text("inner:\n  rate: 0.25\n")
+    assert Outer().merged(read_yaml(file), "run.yaml") == Outer(inner=Inner(rate=0.25))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("inner: {rat: 1}", "unknown key 'inner.rat'; did you mean 'rate'?"),
+        ("- 1", "holds a list; it must be a mapping"),
+        ("a: [", "not YAML"),
+        ("a: !!python/object:os.system x", "not YAML"),
+    ],
+)
+def test_a_wrong_yaml_file_is_refused_by_name(tmp_path, text, words):
+    file = tmp_path / "run.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigurationError, match=words) as error:
+        Outer().merged(read_yaml(file), str(file))
+    assert "run.yaml" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_missing_yaml_file_is_refused_by_name(tmp_path):
+    with pytest.raises(ConfigurationError, match=r"nothing\.yaml: cannot be read"):
+        read_yaml(tmp_path / "nothing.yaml")

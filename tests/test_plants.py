@@ -1,0 +1,99 @@
+import sys
+
+import jax.numpy as jnp
+import pytest
+
+from softfin.errors import PlantError
+from softfin.plants import find_plant
+from softfin.quantities import Limits
+from softfin.surrogate import Surrogate, save_surrogate
+from softfin.tank import Tank
+from softfin.testing import check_plant
+from tests.plants import AnalyticFin, PlainFin
+from tests.surrogate import small
+
+
+def test_the_tank_a_surrogate_and_ones_own_simulator_are_found(tmp_path, monkeypatch):
+    save_surrogate(tmp_path / "s", small.surrogate(), None, {})
+    assert isinstance(find_plant(str(tmp_path / "s")), Surrogate)
+    assert isinstance(find_plant("tank"), Tank)
+    (tmp_path / "my_simulator.py").write_text("from tests.plants import PlainFin\nplant = PlainFin()\n")
+    monkeypatch.chdir(tmp_path)
+    assert isinstance(find_plant("my_simulator:plant"), PlainFin)
+    assert isinstance(find_plant("my_simulator:PlainFin"), PlainFin)
+    sys.modules.pop("my_simulator")
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("pool", r"--plant pool: unknown plant \(is no folder\); give tank, the folder of a surrogate, or package"),
+        ("no_such_module:plant", "No module named 'no_such_module'"),
+        ("json:plant", "module json has no 'plant'"),
+        ("math:pi", "a float is no plant: it needs limits, init and advance"),
+    ],
+)
+def test_an_unknown_plant_is_refused_with_the_ways_out(name, words):
+    with pytest.raises(PlantError, match=words):
+        find_plant(name)
+
+
+def test_a_folder_that_is_no_surrogate_is_no_plant(tmp_path):
+    with pytest.raises(PlantError, match=r"holds no surrogate\.json"):
+        find_plant(str(tmp_path))
+
+
+@pytest.mark.parametrize("plant", [AnalyticFin(), PlainFin(), Tank()])
+def test_good_plants_pass_the_conformance_kit(plant):
+    check_plant(plant)
+
+
+class Broken(PlainFin):
+    """A plant with one fault, given as a change of what advance returns."""
+
+    def __init__(self, fault):
+        super().__init__()
+        self._fault = fault
+
+    def advance(self, state, command, ticks):
+        return self._fault(*super().advance(state, command, ticks))
+
+
+class Forgetful(PlainFin):
+    calls = 0
+
+    def advance(self, state, command, ticks):
+        self.calls += 1
+        state, reading = super().advance(state, command, ticks)
+        return state, reading._replace(angle=reading.angle + self.calls)
+
+
+class Backwards(PlainFin):
+    limits = Limits(1.0, -1.0, 1.0, 2.0)
+
+
+class Branching(PlainFin):
+    def advance(self, state, command, ticks):
+        if command.angle > 0:
+            command = command._replace(velocity=command.velocity * 0.9)
+        return super().advance(state, command, ticks)
+
+
+@pytest.mark.parametrize(
+    ("plant", "words"),
+    [
+        (object(), "has no limits, init, advance"),
+        (Backwards(), "angle_min < angle_max"),
+        (Broken(lambda s, r: (s, r._replace(force=r.force[:, 0]))), r"reading.force has shape \(33,\) for 33 ticks"),
+        (Broken(lambda s, r: (s, r._replace(angle=r.angle.astype(jnp.float16)))), "reading.angle is float16"),
+        (Broken(lambda s, r: (s, r._replace(force=r.force / 0))), "reading.force is not finite"),
+        (Broken(lambda s, r: (s, r._replace(time=2 * r.time))), "each tick is 0.01 s"),
+        (Broken(lambda s, r: (s._replace(angle=(s.angle, s.angle)), r)), "init and advance return the same structure"),
+        (Broken(lambda s, r: (s, tuple(r))), "advance does not return a Reading"),
+        (Forgetful(), "the same state and command give other readings"),
+        (Branching(), "no Python branches on values"),
+    ],
+)
+def test_the_conformance_kit_names_the_fault(plant, words):
+    with pytest.raises(PlantError, match=words):
+        check_plant(plant)
