@@ -25,6 +25,9 @@ Weights = Mapping[str, NDArray[Any]]
 
 WEIGHTS = "weights.safetensors"
 
+KINDS = ("dataset", "surrogate", "controller", "controllers", "evaluation", "reproduction")
+"""Of folders, each told by its ``KIND.json``."""
+
 
 def check_vacant(path: Path, overwrite: bool = False) -> None:
     """Raise unless a folder may be written at `path`: vacant, or a softfin folder and `overwrite`."""
@@ -32,9 +35,7 @@ def check_vacant(path: Path, overwrite: bool = False) -> None:
         return
     if not overwrite:
         raise ArtifactError(f"{path}: exists already; give another --out, or --overwrite to replace it")
-    if not path.is_dir() or not any(
-        is_kind(path, kind) for kind in ("dataset", "surrogate", "controller", "evaluation")
-    ):
+    if not path.is_dir() or not any(is_kind(path, kind) for kind in KINDS):
         raise ArtifactError(f"{path}: exists and is no folder of softfin's, so it is not replaced; give another --out")
 
 

@@ -3,23 +3,31 @@
 They are the Python API that ``import softfin`` offers, and the command line is a few lines over them.
 """
 
-from collections.abc import Callable
+import hashlib
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from softfin import artifacts
 from softfin.checkpoint import Workspace
+from softfin.control.store import load_controller, save_controller
+from softfin.errors import ArtifactError, PlantError
+from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, write_evaluation
+from softfin.evaluation.evaluate import evaluate as _evaluate
 from softfin.logs.collect import CollectConfig
 from softfin.logs.collect import collect as _collect
 from softfin.logs.dataset import Dataset
 from softfin.plant import Plant
-from softfin.plants import find_plant
+from softfin.plants import find_plant, is_surrogate
+from softfin.quantities import Limits
 from softfin.randomness import key_of
 from softfin.surrogate import FitConfig, Surrogate, save_surrogate
 from softfin.surrogate import import_keras as _import_keras
 from softfin.surrogate.fit import fit as _fit
 from softfin.surrogate.metrics import table_one
 from softfin.tank import Tank, randomised
+from softfin.training.train import GRID, TrainConfig
+from softfin.training.train import train as _train
 
 Progress = Callable[[str, float, str], None]
 """Called with what is going on, how much of it is done (0 .. 1), and the newest figures."""
@@ -85,3 +93,90 @@ def import_keras(posnet: Path, forcenet: Path, scalers: Path, out: Path, *, over
     sources = {"posnet": posnet.name, "forcenet": forcenet.name, "scalers": scalers.name}
     save_surrogate(out, surrogate, None, artifacts.provenance(imported_from=sources))
     return surrogate
+
+
+def train(
+    plant: str | Plant,
+    out: Path,
+    config: TrainConfig = GRID,
+    *,
+    seeds: Sequence[int] = (0,),
+    resume: bool = False,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> None:
+    """Train controllers inside a plant, as a rule a surrogate, with LSTM-PPO (paper Sec. III-C).
+
+    One seed writes the controller's folder `out`; several are trained in one program and written as ``out/seed-N``.
+    """
+    moving = find_plant(plant) if isinstance(plant, str) else plant
+    facts = {
+        "configuration": config.model_dump(mode="json"),
+        "seeds": list(seeds),
+        "plant": str(plant),
+        "plant_hash": _hash_of(str(plant)),
+    }
+    workspace = Workspace(out, facts, resume, overwrite)
+    trained = _train(moving, config, seeds, workspace, progress)
+
+    def save(folder: Path, seed: int) -> None:
+        origin = {"plant": facts["plant"], "plant_hash": facts["plant_hash"]}
+        save_controller(folder, trained, seed, artifacts.provenance(seed=seed, **origin))
+
+    def save_all(folder: Path) -> None:
+        for seed in seeds:
+            save(folder / f"seed-{seed}", seed)
+        (folder / "controllers.json").write_text(artifacts.dump_json({"seeds": list(seeds)}))
+
+    if len(seeds) == 1:
+        save(out, seeds[0])
+    else:
+        artifacts.write_folder(out, save_all)
+    workspace.finish(keep=out / TRAINING_LOG)
+
+
+def evaluate(
+    controller: Path,
+    plant: str | Plant,
+    out: Path | None = None,
+    config: EvaluateConfig | None = None,
+    *,
+    overwrite: bool = False,
+) -> dict[str, Any]:
+    """Judge a controller on a plant (paper Sec. IV-B, Table II); writes ``evaluation.json`` and figures to `out`."""
+    if out is not None:
+        artifacts.check_vacant(out, overwrite)
+    evaluation = judged(controller, plant, config or EvaluateConfig())
+    if out is None:
+        return evaluation.summary()
+    return write_evaluation(evaluation, out, {"controller": str(controller), "plant": str(plant)})
+
+
+def judged(controller: Path, plant: str | Plant, config: EvaluateConfig) -> Evaluation:
+    """A controller's experiments on a plant, not yet written."""
+    moving = find_plant(plant) if isinstance(plant, str) else plant
+    holding = load_controller(controller)
+    _check_limits(holding.limits, Limits(*moving.limits), controller, plant)
+    return _evaluate(holding, moving, config)
+
+
+def _check_limits(asked: Limits, taken: Limits, controller: Path, plant: str | Plant) -> None:
+    for low, high in (("angle_min", "angle_max"), ("velocity_min", "velocity_max")):
+        ours, theirs = ((getattr(limits, low), getattr(limits, high)) for limits in (asked, taken))
+        tolerance = 1e-3 * (theirs[1] - theirs[0])
+        if ours[0] < theirs[0] - tolerance or ours[1] > theirs[1] + tolerance:
+            quantity = low.removesuffix("_min")
+            raise PlantError(
+                f"{controller}: commands a {quantity} of {ours[0]:.3g} .. {ours[1]:.3g}; {plant} takes "
+                f"{theirs[0]:.3g} .. {theirs[1]:.3g}; train it in a surrogate of this plant"
+            )
+
+
+def _hash_of(plant: str) -> str | None:
+    """SHA-256 of a surrogate's weights, so that an artifact names what it was made with; None for other plants."""
+    if not is_surrogate(plant):
+        return None
+    try:
+        return hashlib.sha256((Path(plant) / artifacts.WEIGHTS).read_bytes()).hexdigest()
+    except OSError as error:
+        raise ArtifactError(f"{plant}: {artifacts.WEIGHTS} cannot be read ({error.strerror})") from None

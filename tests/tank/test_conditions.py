@@ -5,29 +5,32 @@ import pytest
 
 from softfin.plant import roll
 from softfin.quantities import Command
-from softfin.tank import Conditions, Spread, Tank, draw, randomised, under
+from softfin.tank import Conditions, Spread, Tank, TankConfig, draw, randomised, under
+from softfin.tank.fin import FinConfig
 
+TANK = Tank(TankConfig(fin=FinConfig(plates=2)))
 KEYS = jax.random.split(jax.random.key(3), 4)
 NONE = Spread(**dict.fromkeys(Spread.model_fields, 0.0))
 
 
+@jax.jit
 def record(tank):
-    commands = Command(jnp.tile(jnp.array([1.0, -1.0]), 20).repeat(3), jnp.full(120, 2.5))
+    commands = Command(jnp.tile(jnp.array([1.0, -1.0]), 2).repeat(30), jnp.full(120, 2.5))
     return roll(tank, tank.init(jax.random.key(0)), commands)[1]
 
 
 def test_a_batch_of_different_tanks_runs_as_each_of_them_alone():
-    tanks = jax.vmap(lambda key: randomised(Tank(), key))(KEYS)
-    together = jax.jit(jax.vmap(record))(tanks)
+    tanks = jax.vmap(lambda key: randomised(TANK, key))(KEYS)
+    together = jax.vmap(record)(tanks)
     for i, key in enumerate(KEYS):
-        alone = jax.jit(record)(randomised(Tank(), key))
+        alone = record(randomised(TANK, key))
         np.testing.assert_allclose(together.force[i], alone.force, atol=0.025)
         np.testing.assert_allclose(together.angle[i], alone.angle, atol=1e-5)
     assert np.asarray(together.force).std(0).max() > 0.1
 
 
 def test_no_spread_is_the_same_tank():
-    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-6), randomised(Tank(), KEYS[0], NONE), Tank())
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-6), randomised(TANK, KEYS[0], NONE), TANK)
 
 
 def test_draws_stay_within_the_spread_and_fill_it():
@@ -42,6 +45,6 @@ def test_draws_stay_within_the_spread_and_fill_it():
 @pytest.mark.parametrize("name", Conditions._fields)
 def test_each_condition_changes_the_tank(name):
     plain = Conditions(*(jnp.float32(name not in ("temperature_c", "misalignment_rad")) for name in Conditions._fields))
-    other = under(Tank(), plain._replace(**{name: getattr(plain, name) + 0.1}))
-    changed = jax.tree.map(lambda a, b: not np.allclose(a, b, rtol=1e-6), other, under(Tank(), plain))
+    other = under(TANK, plain._replace(**{name: getattr(plain, name) + 0.1}))
+    changed = jax.tree.map(lambda a, b: not np.allclose(a, b, rtol=1e-6), other, under(TANK, plain))
     assert any(jax.tree.leaves(changed))

@@ -83,10 +83,11 @@ def test_a_small_load_on_the_tip_deflects_it_as_it_does_a_cantilever():
 
 def test_joints_of_a_taper_are_those_of_the_beam_between_the_plates():
     fin = Fin(FinConfig(tip_thickness_ratio=0.4, plates=8))
-    longer = Fin(FinConfig(tip_thickness_ratio=0.4, plates=16))
-    # The compliance from the shaft to the middle of the fin's last plate, whichever the number of plates.
-    assert (1 / fin.stiffness).sum() == pytest.approx((1 / longer.stiffness).sum(), rel=0.15)
-    assert np.all(np.diff(np.asarray(fin.stiffness)[1:]) < 0)
+    config = FinConfig()
+    along = np.linspace(0, config.length_m * 7.5 / 8, 100_001)
+    thickness = config.root_thickness_m * (1 - 0.6 * along / config.length_m)
+    bending = config.youngs_modulus_pa * config.span_m * thickness**3 / 12
+    assert float((1 / fin.stiffness).sum()) == pytest.approx(np.trapezoid(1 / bending, along), rel=1e-3)
 
 
 def test_a_fin_held_at_an_angle_ends_up_straight_along_it():
@@ -96,7 +97,7 @@ def test_a_fin_held_at_an_angle_ends_up_straight_along_it():
     step = jax.jit(lambda state: fin.step(state, held, fin.inertia, nothing, 5e-3)[0])
     for _ in range(600):
         state = step(state)
-    np.testing.assert_allclose(state.angles, 0.7, atol=1e-6)
+    np.testing.assert_allclose(state.angles, 0.7, atol=1e-4)
 
 
 def test_a_fin_of_negative_thickness_is_refused_by_name():

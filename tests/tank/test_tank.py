@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from softfin.errors import ConfigurationError
-from softfin.plant import Plant, hold, roll
+from softfin.plant import ACTION_TICKS, Plant, hold, roll
 from softfin.quantities import PAPER_LIMITS, TICK_S, Command
 from softfin.tank import IDEAL, Tank, TankConfig
 from softfin.tank.drive import DriveConfig
@@ -15,22 +15,21 @@ from softfin.tank.hydrodynamics import WaterConfig
 
 KEY = jax.random.key(0)
 QUIET = TankConfig(sensor=IDEAL)
-RIGID = FinConfig(plates=3, youngs_modulus_pa=1e10)
+COARSE = Tank(TankConfig(fin=FinConfig(plates=2)))
+"""Where the number of plates does not matter: it compiles faster."""
+TICKS = 1000
+"""Of every record, so that one compiled program makes them all."""
 
 
 @jax.jit
-def rolled(tank, commands):
-    return roll(tank, tank.init(KEY), commands)
-
-
-@jax.jit
-def held(tank, actions):
-    return hold(tank, tank.init(KEY), actions)[1]
+def rolled(tank, commands, key=KEY):
+    return roll(tank, tank.init(key), commands)
 
 
 def issue(*pieces):
-    """One command a tick, of (angle, velocity, ticks)."""
-    return Command(*(jnp.concatenate([jnp.full(p[2], p[i], jnp.float32) for p in pieces]) for i in (0, 1)))
+    """One command a tick, of (angle, velocity, ticks); the last one is held to the end."""
+    columns = [np.concatenate([np.full(p[2], p[i], np.float32) for p in pieces])[:TICKS] for i in (0, 1)]
+    return Command(*(jnp.asarray(np.pad(x, (0, TICKS - x.size), mode="edge")) for x in columns))
 
 
 def excitation(logs, ticks, seed=0):
@@ -46,8 +45,9 @@ def excitation(logs, ticks, seed=0):
     return Command(*map(jnp.asarray, found))
 
 
-def beating(centre, amplitude=0.5, velocity=3.0, actions=18):
-    return Command(centre + amplitude * (-1.0) ** jnp.arange(actions), jnp.full(actions, velocity))
+def beating(centre, amplitude=0.5, velocity=3.0):
+    """On the 3 Hz clock."""
+    return issue(*((centre + amplitude * (-1.0) ** i, velocity, ACTION_TICKS[i % 3]) for i in range(30)))
 
 
 def test_a_tank_is_a_plant():
@@ -57,29 +57,29 @@ def test_a_tank_is_a_plant():
 
 
 def test_holding_a_command_is_issuing_it_every_tick():
-    tank = Tank()
-    together, reading = tank.advance(tank.init(KEY), Command(jnp.float32(1.0), jnp.float32(2.0)), 40)
-    singly, readings = rolled(tank, issue((1.0, 2.0, 40)))
-    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-4), reading, readings)
-    assert int(together.ticks) == int(singly.ticks) == 40
+    tank = COARSE
+    state, reading = tank.advance(tank.init(KEY), Command(jnp.float32(1.0), jnp.float32(2.0)), 40)
+    readings = jax.tree.map(lambda x: x[:40], rolled(tank, issue((1.0, 2.0, TICKS)))[1])
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-4, atol=0.025), reading, readings)
+    assert int(state.ticks) == 40
     np.testing.assert_allclose(reading.time, np.arange(1, 41) * TICK_S, rtol=1e-6)
 
 
 def test_the_fin_ends_up_still_where_it_was_sent_and_makes_no_force():
-    reading = rolled(Tank(QUIET), issue((1.0, 2.0, 600)))[1]
+    reading = rolled(Tank(QUIET), issue((1.0, 2.0, TICKS)))[1]
     assert reading.angle[-1] == pytest.approx(1.0, abs=1e-4)
     assert reading.velocity[-1] == pytest.approx(0.0, abs=1e-4)
     np.testing.assert_allclose(reading.force[-50:], 0.0, atol=0.02)
 
 
 def test_at_rest_there_is_no_force():
-    reading = rolled(Tank(QUIET), issue((0.0, 1.0, 50)))[1]
-    np.testing.assert_array_equal(reading.force, np.zeros((50, 2)))
-    np.testing.assert_array_equal(reading.angle, np.zeros(50))
+    reading = rolled(Tank(QUIET), issue((0.0, 1.0, TICKS)))[1]
+    np.testing.assert_array_equal(reading.force, np.zeros((TICKS, 2)))
+    np.testing.assert_array_equal(reading.angle, np.zeros(TICKS))
 
 
 def test_mirrored_commands_mirror_y_and_leave_x():
-    commands = jax.tree.map(lambda x: x[0], excitation(1, 400))
+    commands = jax.tree.map(lambda x: x[0], excitation(1, TICKS))
     one = rolled(Tank(QUIET), commands)[1]
     other = rolled(Tank(QUIET), commands._replace(angle=-commands.angle))[1]
     np.testing.assert_allclose(other.force, one.force * jnp.array([1.0, -1.0]), atol=1e-3)
@@ -88,13 +88,13 @@ def test_mirrored_commands_mirror_y_and_leave_x():
 
 def test_noise_differs_between_keys_and_nothing_else_does():
     tank = Tank()
-    first, second = (roll(tank, tank.init(jax.random.key(i)), issue((0.5, 2.0, 60)))[1] for i in (1, 2))
+    first, second = (rolled(tank, issue((0.5, 2.0, TICKS)), jax.random.key(i))[1] for i in (1, 2))
     np.testing.assert_array_equal(first.angle, second.angle)
     assert 0 < np.abs(first.force - second.force).max() < 1.0
 
 
 def test_a_rigid_fin_at_constant_speed_feels_drag_across_and_its_own_centrifugal_force_along():
-    config = TankConfig(fin=RIGID, sensor=IDEAL)
+    config = TankConfig(fin=FinConfig(youngs_modulus_pa=1e10), sensor=IDEAL)
     rate = 2.0
     reading = rolled(Tank(config), issue((-1.5, 3.0, 200), (1.5, rate, 110)))[1]
     tick = 290
@@ -103,9 +103,10 @@ def test_a_rigid_fin_at_constant_speed_feels_drag_across_and_its_own_centrifugal
     along = force @ [-np.cos(angle), np.sin(angle)]
     fin, length = config.fin, config.fin.length_m
     drag = 0.5 * 998.2 * config.water.drag_coefficient * fin.span_m * rate**2 * length**3 / 3
-    thickness = fin.root_thickness_m * (1 - np.array([1, 3, 5]) / 6 * (1 - fin.tip_thickness_ratio))
-    mass = fin.density_kg_m3 * fin.span_m * thickness * length / 3
-    centrifugal = rate**2 * (mass * length * np.array([1, 3, 5]) / 6).sum()
+    middles = (np.arange(fin.plates) + 0.5) / fin.plates
+    thickness = fin.root_thickness_m * (1 - middles * (1 - fin.tip_thickness_ratio))
+    mass = fin.density_kg_m3 * fin.span_m * thickness * length / fin.plates
+    centrifugal = rate**2 * (mass * length * middles).sum()
     assert across == pytest.approx(-drag, rel=0.01)
     assert along == pytest.approx(centrifugal, rel=0.02)
 
@@ -126,7 +127,7 @@ def test_in_vacuum_the_force_summed_twice_is_the_way_of_the_centre_of_mass():
 
 @pytest.mark.parametrize(("centre", "x", "y"), [(0.0, (1.5, 4.0), (-0.5, 0.5)), (0.75, (0.5, 4.0), (-4.0, -1.0))])
 def test_beating_makes_thrust_away_from_the_fin(centre, x, y):
-    mean = held(Tank(QUIET), beating(centre)).force[200:].mean(0)
+    mean = rolled(Tank(QUIET), beating(centre))[1].force[200:].mean(0)
     assert x[0] < mean[0] < x[1]
     assert y[0] < mean[1] < y[1]
 
@@ -136,13 +137,12 @@ def test_a_stroke_is_a_pulse_of_five_to_fifteen_newtons_for_a_fraction_of_a_seco
         reading = rolled(Tank(QUIET), issue((-amplitude / 2, velocity, 200), (amplitude / 2, velocity, 150)))[1]
         size = np.linalg.norm(np.asarray(reading.force[200:]), axis=-1)
         assert 5.0 < size.max() < 15.0
-        assert 0.2 < TICK_S * (size > 0.3 * size.max()).sum() < 0.5
+        assert 0.2 < TICK_S * (size > size.max() / 2).sum() < 0.45
 
 
 def test_random_commands_make_forces_of_the_published_size():
     tank = Tank()
-    commands = excitation(16, 1500)
-    force = jax.jit(jax.vmap(lambda c: roll(tank, tank.init(KEY), c)[1].force))(commands)
+    force = jax.vmap(lambda commands: rolled(tank, commands)[1].force)(excitation(24, TICKS))
     spread = np.asarray(force).std((0, 1))
     np.testing.assert_allclose(spread, [3.4, 4.1], rtol=0.15)
 
@@ -178,62 +178,62 @@ COMMAND = st.tuples(st.floats(-1.57, 1.57), st.floats(1.0, 3.14), st.sampled_fro
 @settings(max_examples=8, deadline=None)
 @given(st.lists(COMMAND, min_size=4, max_size=20))
 def test_no_command_makes_a_reading_that_is_not_a_number(name, pieces):
-    commands = jax.tree.map(lambda x: jnp.resize(x, 660), issue(*pieces))
-    state, reading = rolled(TANKS[name], commands)
+    state, reading = rolled(TANKS[name], issue(*pieces, *pieces, *pieces))
     assert np.isfinite(reading.force).all()
     assert np.abs(np.asarray(state.fin.angles)).max() < 10.0
 
 
 def test_the_force_converges_as_the_square_of_the_step_and_the_default_step_is_fine():
+    fin = FinConfig(plates=2)
     with jax.enable_x64(True):
-        commands = jax.tree.map(lambda x: jnp.asarray(x[0], float), excitation(1, 500))
+        commands = jax.tree.map(lambda x: jnp.asarray(x[0], float), excitation(1, TICKS))
 
         def force(steps):
-            return np.asarray(rolled(Tank(QUIET.model_copy(update={"steps_per_tick": steps})), commands)[1].force)
+            return np.asarray(rolled(Tank(TankConfig(fin=fin, sensor=IDEAL, steps_per_tick=steps)), commands)[1].force)
 
-        best = force(64)
-        errors = {steps: np.sqrt(np.mean((force(steps) - best) ** 2)) / best.std() for steps in (2, 4, 8)}
+        best = force(40)
+        errors = {steps: np.sqrt(np.mean((force(steps) - best) ** 2)) / best.std() for steps in (2, 4)}
     assert errors[QUIET.steps_per_tick] < 0.005
-    orders = np.log2([errors[2] / errors[4], errors[4] / errors[8]])
-    np.testing.assert_allclose(orders, 2.0, atol=0.3)
+    assert np.log2(errors[2] / errors[4]) == pytest.approx(2.0, abs=0.3)
 
 
+@pytest.mark.slow
 def test_the_force_converges_as_the_square_of_the_number_of_plates():
-    commands = jax.tree.map(lambda x: x[0], excitation(1, 500))
+    commands = jax.tree.map(lambda x: x[0], excitation(1, TICKS))
 
     def force(plates):
         return np.asarray(rolled(Tank(TankConfig(fin=FinConfig(plates=plates), sensor=IDEAL)), commands)[1].force)
 
-    best = force(20)
+    best = force(12)
     errors = {plates: np.sqrt(np.mean((force(plates) - best) ** 2)) / best.std() for plates in (3, 6)}
-    assert errors[QUIET.fin.plates] < 0.04
-    assert 1.5 < np.log2(errors[3] / errors[6]) < 2.5
+    assert errors[QUIET.fin.plates] < 0.03
+    # Against a best of 12 plates an error that falls as 1/plates^2 is 5 times smaller at 6 plates than at 3.
+    assert errors[3] / errors[6] == pytest.approx(5.0, rel=0.35)
 
 
 def test_the_gradient_through_a_second_agrees_with_finite_differences():
     with jax.enable_x64(True):
-        tank = Tank(QUIET)
-        velocity = jnp.full(3, 2.5)
+        tank = Tank(TankConfig(fin=FinConfig(plates=2), sensor=IDEAL))
 
         def effort(angles):
-            force = hold(tank, tank.init(KEY), Command(angles, velocity))[1].force
+            commands = Command(jnp.repeat(angles, 33), jnp.full(99, 2.5))
+            force = roll(tank, tank.init(KEY), commands)[1].force
             return (force * jnp.array([1.0, 0.5])).mean() + 0.01 * (force**2).mean()
 
         angles, step = jnp.array([0.6, -0.4, 0.5]), 1e-5
-        gradient = jax.jit(jax.grad(effort))(angles)
-        value = jax.jit(effort)
-        differences = [(value(angles + step * e) - value(angles - step * e)) / (2 * step) for e in jnp.eye(3)]
+        value = jax.jit(jax.value_and_grad(effort))
+        gradient = value(angles)[1]
+        differences = [(value(angles + step * e)[0] - value(angles - step * e)[0]) / (2 * step) for e in jnp.eye(3)]
         np.testing.assert_allclose(gradient, differences, rtol=1e-3, atol=1e-5)
         assert np.abs(gradient).max() > 1e-3
 
 
-def test_the_gradient_with_noise_in_single_precision_is_finite():
-    tank = Tank()
-
+def test_the_gradient_at_rest_with_noise_in_single_precision_is_finite():
     def effort(tank, angles):
-        return hold(tank, tank.init(KEY), Command(angles, jnp.full(3, 2.0)))[1].force.mean()
+        commands = Command(angles, jnp.full(100, 2.0))
+        return roll(tank, tank.init(KEY), commands)[1].force.mean()
 
-    gradients = jax.jit(jax.grad(effort, argnums=(0, 1)))(tank, jnp.zeros(3))
+    gradients = jax.jit(jax.grad(effort, argnums=(0, 1)))(COARSE, jnp.zeros(100))
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradients))
 
 

@@ -1,7 +1,10 @@
 """The paper's tables as text for a terminal."""
 
+from collections.abc import Mapping
 from typing import Any
 
+from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_II, PaperScores
+from softfin.quantities import AXES
 from softfin.surrogate.metrics import PAPER_TABLE_I
 
 NETS = {
@@ -28,3 +31,36 @@ def table_one(scores: dict[str, Any] | None) -> str:
         values = f"{row['rmse']:>9}{row['mae']:>9}{row['dtw']:>9}"
         lines.append(f"{'the paper, ' + name:32}{row['window']:>7}{row['parameters']:>11,}{'no unit':>10}{values}")
     return "\n".join(lines)
+
+
+def table_two(controllers: Mapping[str, Any]) -> str:
+    """Table II: error and std of the 200-sample moving average, with half of the 95% interval, beside the paper's."""
+    lines = []
+    for name, summary in controllers.items():
+        paper = PAPER_TABLE_II.get(name, {})
+        beside = f"{'the paper':>36}" if paper else ""
+        lines.append(f"Table II, {name:21}{'x error':>15}{'x std':>8}{'y error':>15}{'y std':>8}{beside}")
+        for row in summary["references"]:
+            x, y = row["reference_n"]
+            printed = paper.get((x, y))
+            lines.append(f"  ({x:5.2f}, {y:5.2f}) N{'':13}{_scores(row)}{_published(printed)}{_still(row)}")
+        means = PAPER_PRINTED_MEANS.get(name) if len(paper) == len(summary["references"]) else None
+        lines.append(f"  {'mean':29}{_scores(summary['mean'])}{_published(means)}")
+    return "\n".join(lines)
+
+
+def _scores(row: Mapping[str, Any]) -> str:
+    text = ""
+    for axis in AXES:
+        interval = row[axis]["error_interval_n"]
+        half = "" if interval is None else f" ±{(interval[1] - interval[0]) / 2:.2f}"
+        text += f"{row[axis]['error_n']:.3f}{half}".rjust(15) + f"{row[axis]['std_n']:8.3f}"
+    return text
+
+
+def _published(scores: PaperScores | None) -> str:
+    return "" if scores is None else "    " + "".join(f"{value:8.3f}" for value in scores)
+
+
+def _still(row: Mapping[str, Any]) -> str:
+    return "  stands still" if row["still"] else ""

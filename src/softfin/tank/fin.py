@@ -43,8 +43,8 @@ class FinConfig(Configuration):
     """Effective, with the bracket that stiffens the root [Pa]; the silicone alone, Shore A 22, has about 1e6."""
     density_kg_m3: float = Field(1100.0, gt=0)
     """Of the silicone [kg/m3]."""
-    damping_s: float = Field(0.01, ge=0)
-    """Kelvin-Voigt time: damping over stiffness of each joint [s]; a loss factor of 0.1 at 1.6 Hz."""
+    damping_s: float = Field(0.02, ge=0)
+    """Kelvin-Voigt time: damping over stiffness of each joint [s]; a loss factor of 0.2 at 1.6 Hz."""
 
 
 class FinState(NamedTuple):
@@ -147,7 +147,9 @@ def _thickness(config: FinConfig, along: NDArray[np.floating[Any]]) -> NDArray[n
     return config.root_thickness_m * (1 - taper * along / config.length_m)
 
 
-def _compliance(config: FinConfig, start: NDArray[np.floating[Any]], stop: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+def _compliance(
+    config: FinConfig, start: NDArray[np.floating[Any]], stop: NDArray[np.floating[Any]]
+) -> NDArray[np.floating[Any]]:
     """The integral of 1/EI between two places on the fin [rad/(N m)]."""
     points = 64
     along = start + (np.arange(points)[:, None] + 0.5) / points * (stop - start)

@@ -1,7 +1,7 @@
 """Reference forces: the six of the paper's Table II, the cells round them, and drawing at random from a cell."""
 
 from collections.abc import Sequence
-from typing import NamedTuple, Self, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +10,7 @@ from pydantic import model_validator
 
 from softfin.configuration import Configuration
 
-Force: TypeAlias = tuple[float, float]
+Force: TypeAlias = tuple[float | int, float | int]
 """(x, y) [N]."""
 
 PAPER_REFERENCES: tuple[Force, ...] = ((1, -1), (2, -1), (2, 0), (3, 0), (1, 1), (2, 1))
@@ -37,13 +37,13 @@ class Cell(Configuration):
     """Greatest (x, y) [N]; not under `low`, equal to it for a single reference."""
 
     @model_validator(mode="after")
-    def _ordered(self) -> Self:
+    def _ordered(self) -> "Cell":
         if self.low[0] > self.high[0] or self.low[1] > self.high[1]:
             raise ValueError(f"low {self.low} is above high {self.high}; give the lower corner first")
         return self
 
     @classmethod
-    def around(cls, centre: Force, width_n: float = 1.0) -> Self:
+    def around(cls, centre: Force, width_n: float = 1.0) -> "Cell":
         """A square."""
         half = width_n / 2
         return cls(low=(centre[0] - half, centre[1] - half), high=(centre[0] + half, centre[1] + half))

@@ -27,6 +27,7 @@ Action = Float[Array, "2"]
 ANGLE_SCALE_RAD = np.pi / 2
 
 FORCE_BLOCKS = 8
+"""Parts of the window whose mean forces the critic sees, so that it knows which forces are about to leave it."""
 
 
 class RewardConfig(Configuration):
@@ -43,11 +44,11 @@ class RewardConfig(Configuration):
 class TaskConfig(Configuration):
     """The task."""
 
-    past_actions: int = Field(3, ge=0)
+    past_actions: int = Field(default=3, ge=0)
     """k: actions before the last one that are observed; 3 makes 11 observations, so the paper's 592,325 weights."""
-    window_samples: int = Field(200, ge=2)
+    window_samples: int = Field(default=200, ge=8, multiple_of=8)
     """Evaluation window of the mean force and the Sobolev term [samples at 100 Hz]."""
-    episode_actions: int = Field(90, ge=3, multiple_of=3)
+    episode_actions: int = Field(default=90, ge=3, multiple_of=3)
     """Actions until the fin starts again from rest, whole cycles of three; 90 are the paper's 30 s."""
     reference_actions: PositiveInt = 90
     """Actions until another reference is drawn."""

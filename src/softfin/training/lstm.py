@@ -1,6 +1,6 @@
 """An LSTM cell that can be stepped, and run over a whole sequence with its memory cleared at resets."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar, cast
 
 import equinox as eqx
 import jax
@@ -13,6 +13,9 @@ class Memory(NamedTuple):
 
     hidden: Float[Array, "*batch units"]
     cell: Float[Array, "*batch units"]
+
+
+Memories = TypeVar("Memories", bound=tuple[Any, ...])
 
 
 class LSTM(eqx.Module):
@@ -69,6 +72,6 @@ def normal(key: PRNGKeyArray, shape: tuple[int, int], gain: float = 1.0) -> Floa
     return jax.random.normal(key, shape) * (gain * shape[0] ** -0.5)
 
 
-def cleared(memory: Memory, where: Bool[Array, ""]) -> Memory:
-    """The memory, or nothing remembered."""
-    return jax.tree.map(lambda x: jnp.where(where, 0.0, x), memory)
+def cleared(memory: Memories, where: Bool[Array, ""]) -> Memories:
+    """The memory of one LSTM or of several, or nothing remembered."""
+    return cast(Memories, jax.tree.map(lambda x: jnp.where(where, 0.0, x), memory))

@@ -26,7 +26,7 @@ class PolicyConfig(Configuration):
     """Of the LSTM; the paper's 256 learn no better and cost ten times the time."""
     width: PositiveInt = 64
     """Of the layer behind the LSTM."""
-    deviation: float = Field(0.6, gt=0)
+    deviation: float = Field(default=0.6, gt=0)
     """Of the exploration noise before the squashing, at the start."""
 
 
@@ -42,6 +42,7 @@ class Dense(eqx.Module):
         return cls(normal(key, (inputs, outputs), gain), jnp.zeros(outputs))
 
     def __call__(self, x: Float[Array, "*batch inputs"]) -> Float[Array, "*batch outputs"]:
+        """Of each vector in a batch."""
         return x @ self.kernel + self.bias
 
 
@@ -115,10 +116,12 @@ class Policy(eqx.Module):
         if sorted(shapes) != sorted(weights):
             odd = sorted(set(shapes) ^ set(weights))
             raise ArtifactError(f"{source}: weights {', '.join(odd)} are missing or unknown; copy the folder again")
+        stacks = {weights[name].shape[: weights[name].ndim - leaf.ndim] for name, leaf in shapes.items()}
         for name, leaf in shapes.items():
-            if weights[name].shape[-leaf.ndim :] != leaf.shape:
+            if weights[name].shape[-leaf.ndim :] != leaf.shape or len(stacks) > 1:
                 raise ArtifactError(
-                    f"{source}: {name} has shape {weights[name].shape}; its configuration needs {leaf.shape}"
+                    f"{source}: {name} has shape {weights[name].shape}; its configuration needs {leaf.shape} for each "
+                    "policy; copy the folder again"
                 )
         arrays = [jnp.asarray(weights[name], jnp.float32) for name in shapes]
         return cast(Policy, jax.tree.unflatten(jax.tree.structure(template), arrays))

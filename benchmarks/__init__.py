@@ -1,0 +1,1 @@
+"""Speed and memory: each figure a ratio against something measured in the same run."""

@@ -1,0 +1,18 @@
+"""``python -m benchmarks [NAME ...]``: all figures, or some, as JSON on standard output."""
+
+import importlib
+import json
+import sys
+
+NAMES = ("task", "fit", "ppo", "memory")
+
+
+def main() -> None:
+    rows = []
+    for name in sys.argv[1:] or NAMES:
+        sys.stderr.write(f"{name} ...\n")
+        rows += importlib.import_module(f"benchmarks.{name}").main()
+    print(json.dumps(rows, indent=2))
+
+
+main()

@@ -1,0 +1,39 @@
+"""A surrogate with the published layout (two LSTM layers, 144,258 + 113,601 parameters) and random weights.
+
+Speed does not depend on the weights' values, and the published files are not part of softfin.
+"""
+
+import jax
+
+from softfin.surrogate import Surrogate
+from softfin.surrogate.forcenet import FORCES
+from softfin.surrogate.network import LSTM, Dense, Dropout, Network, NetworkConfig
+from softfin.surrogate.posnet import COMMANDS, POSNET
+from softfin.surrogate.scaling import ChannelScaling, Scaling
+from softfin.surrogate.surrogate import ANGLE
+
+PUBLISHED_FORCENET = NetworkConfig(
+    channels=(ANGLE, *COMMANDS),
+    outputs=FORCES,
+    layers=(
+        LSTM(units=128, sequence=True),
+        LSTM(units=32),
+        Dense(units=64),
+        Dense(units=64),
+        Dropout(rate=0.2),
+        Dense(units=2, activation="linear"),
+    ),
+)
+
+RANGES = {ANGLE: 1.6, COMMANDS[0]: 1.6, COMMANDS[1]: 1.6, FORCES[0]: 18.0, FORCES[1]: 18.0}
+
+
+def published_layout() -> Surrogate:
+    scaling = Scaling(
+        channels={
+            name: ChannelScaling(scale=0.5 / reach, offset=0.5, data_min=-reach, data_max=reach)
+            for name, reach in RANGES.items()
+        }
+    )
+    first, second = jax.random.split(jax.random.key(0))
+    return Surrogate(Network.create(POSNET, first), Network.create(PUBLISHED_FORCENET, second), scaling)

@@ -1,0 +1,49 @@
+"""``softfin evaluate``: a controller and a plant in, Table II and figures out."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from softfin import stages
+from softfin.cli.common import Common, Out
+from softfin.cli.tables import table_two
+from softfin.errors import ConfigurationError
+from softfin.evaluation.evaluate import EvaluateConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments(Common):
+    """Judge a controller on a fin over reference forces (paper Sec. IV-B, Table II)."""
+
+    controller: tyro.conf.Positional[Path]
+    """Folder of the controller."""
+    out: Out
+    """Folder to write evaluation.json and the figures to."""
+    plant: str = "tank"
+    """The fin: tank, the folder of a surrogate, or package.module:plant."""
+    reference: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """Reference force as --reference=X,Y in newton, once for each (the paper's six)."""
+    seconds: int | None = None
+    """Length of each experiment (30)."""
+    seeds: int | None = None
+    """Repetitions (5)."""
+    seed: int | None = None
+    """Of the plant's noise (0)."""
+
+    def run(self) -> None:
+        """Evaluate."""
+        references = [_force(text) for text in self.reference] or None
+        config = self.configured(
+            EvaluateConfig(), references=references, seconds=self.seconds, seeds=self.seeds, seed=self.seed
+        )
+        summary = stages.evaluate(self.controller, self.plant, Path(self.out), config, overwrite=self.overwrite)
+        self.tell(summary, table_two({str(self.controller): summary}))
+
+
+def _force(text: str) -> tuple[float, float]:
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ConfigurationError(f"--reference={text}: not a force; write --reference=X,Y in newton, as 1,-1") from None
+    return x, y

@@ -1,0 +1,41 @@
+"""``softfin reproduce``: the main job in one run."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from softfin.cli.common import Common, Out, progress
+from softfin.cli.tables import table_one, table_two
+from softfin.reproduce import PRESETS, reproduce
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments(Common):
+    """Collect, fit, train, evaluate and report in one run: results.json, report.html, both tables of the paper."""
+
+    out: Out
+    """Folder of the run."""
+    preset: Literal["demo", "paper", "tiny"] = "demo"
+    """How much: demo takes minutes, paper is the paper's full data and budgets, tiny only shows that all works."""
+    plant: str = "tank"
+    """The fin: tank, package.module:plant, or the folder of a surrogate, which skips collect and fit."""
+    seed: int = 0
+    """First of the seeds."""
+    resume: bool = False
+    """Go on with a stopped run."""
+
+    def run(self) -> None:
+        """Reproduce."""
+        config = self.configured(PRESETS[self.preset])
+        with progress() as report:
+            results = reproduce(
+                self.plant, Path(self.out), config, preset=self.preset, seed=self.seed,
+                resume=self.resume, overwrite=self.overwrite, progress=report,
+            )  # fmt: skip
+        parts = [] if results["surrogate"] is None else [table_one(results["surrogate"]["scores"])]
+        parts.append(f"On {self.plant}\n{table_two(results['controllers'])}")
+        if results["in_surrogate"]:
+            parts.append(f"The same in the surrogate that they were trained in\n{table_two(results['in_surrogate'])}")
+        took = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in results["seconds"].items())
+        parts.append(f"{took}; {results['peak_memory_gib']:.1f} GiB at most\n{Path(self.out) / 'report.html'}")
+        self.tell(results, "\n\n".join(parts))

@@ -1,0 +1,54 @@
+"""One policy for a whole range of references (paper Sec. III-C3, first design)."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from softfin.errors import CoverageError
+from softfin.quantities import Command, Limits
+from softfin.tracking.references import Cell, Force
+from softfin.tracking.task import TaskConfig, command_of, observation, remember, rest_actions
+from softfin.training.lstm import Memory
+from softfin.training.policy import Policy
+
+
+class SingleState(NamedTuple):
+    """What a policy remembers."""
+
+    memory: Memory
+    actions: Float[Array, "remembered 2"]
+    """The last one first, normalised."""
+
+
+class SingleController(eqx.Module):
+    """Meets the Controller contract."""
+
+    policy: Policy
+    task: TaskConfig = eqx.field(static=True)
+    limits: Limits = eqx.field(static=True)
+    """Of the plant that it was trained in: its commands stay within them."""
+    cell: Cell = eqx.field(static=True)
+    """References that it was trained for [N]."""
+
+    def init(self) -> SingleState:
+        """The fin at rest, nothing remembered."""
+        return SingleState(self.policy.init(), rest_actions(self.task, self.limits))
+
+    def act(
+        self, state: SingleState, angle: Float[Array, ""], reference: Float[Array, "2"]
+    ) -> tuple[SingleState, Command]:
+        """The policy's mean action."""
+        seen = observation(self.task, jnp.asarray(angle), jnp.asarray(reference), state.actions)
+        memory, action = self.policy.act(state.memory, seen)
+        return SingleState(memory, remember(state.actions, action)), command_of(self.limits, action)
+
+    def check(self, reference: Force) -> None:
+        """Raise CoverageError outside the range."""
+        beyond = self.cell.distance(reference)
+        if beyond > 0:
+            raise CoverageError(
+                f"reference ({reference[0]:g}, {reference[1]:g}) N: {beyond:.2g} N outside what this controller was "
+                f"trained for ({self.cell}); ask within it, or train with a wider cell"
+            )

@@ -1,0 +1,100 @@
+"""A controller's folder: ``controller.json`` (cells, task, limits, scores, provenance) and ``weights.safetensors``."""
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pydantic
+
+from softfin import artifacts
+from softfin.control.grid import GridController
+from softfin.control.single import SingleController
+from softfin.errors import ArtifactError
+from softfin.plant import ACTION_RATE_HZ
+from softfin.quantities import Limits
+from softfin.tracking.references import Cell
+from softfin.tracking.task import TaskConfig
+from softfin.training.policy import Policy, PolicyConfig, named
+from softfin.training.train import Trained
+
+KIND = "controller"
+FORMAT = 1
+
+
+def controller_of(trained: Trained, seed: int) -> SingleController | GridController:
+    """The controller that a run trained from one of its seeds."""
+    index = trained.seeds.index(seed)
+    policies = jax.tree.map(lambda leaf: leaf[index], trained.policies)
+    config = trained.config
+    if config.controller == "single":
+        policy = jax.tree.map(lambda leaf: leaf[0], policies)
+        return SingleController(policy, config.task, trained.limits, config.cells[0])
+    return GridController(policies, config.task, trained.limits, config.cells)
+
+
+def save_controller(path: Path, trained: Trained, seed: int, provenance: dict[str, Any], **facts: Any) -> None:
+    """Write the controller of one seed, whole or not at all; `facts` are further entries of the JSON."""
+    config = trained.config
+    index = trained.seeds.index(seed)
+    controller = controller_of(trained, seed)
+    policy = controller.policy if isinstance(controller, SingleController) else controller.policies
+    description = {
+        "kind": KIND,
+        "format": FORMAT,
+        "controller": config.controller,
+        "action_rate_hz": ACTION_RATE_HZ,
+        "limits": trained.limits._asdict(),
+        "cells": [cell.model_dump(mode="json") for cell in config.cells],
+        "task": config.task.model_dump(mode="json"),
+        "policy": config.policy.model_dump(mode="json"),
+        "scores": _scores(trained, index),
+        "configuration": config.model_dump(mode="json"),
+        **facts,
+        "provenance": provenance,
+    }
+    artifacts.save(path, KIND, description, {name: np.asarray(leaf) for name, leaf in named(policy).items()})
+
+
+def load_controller(path: Path) -> SingleController | GridController:
+    """The controller in a folder; raises ArtifactError where it is none, or no longer a whole one."""
+    description, weights = artifacts.load(path, KIND)
+    source = str(path / f"{KIND}.json")
+    try:
+        kind = description["controller"]
+        cells = tuple(Cell.model_validate(cell) for cell in description["cells"])
+        task = TaskConfig.model_validate(description["task"])
+        config = PolicyConfig.model_validate(description["policy"])
+        limits = Limits(**description["limits"])
+        rate = description["action_rate_hz"]
+    except (KeyError, TypeError, pydantic.ValidationError) as error:
+        raise ArtifactError(f"{source}: not a controller's description ({' '.join(str(error).split())})") from None
+    if rate != ACTION_RATE_HZ:
+        raise ArtifactError(f"{source}: acts at {rate} Hz; softfin acts at {ACTION_RATE_HZ} Hz")
+    policy = Policy.of(config, task.observations, weights, str(path / artifacts.WEIGHTS))
+    stacked = policy.log_deviation.shape[:-1]
+    if kind == "single" and len(cells) == 1 and stacked == ():
+        return SingleController(policy, task, limits, cells[0])
+    if kind == "grid" and stacked == (len(cells),):
+        return GridController(policy, task, limits, cells)
+    raise ArtifactError(
+        f"{source}: controller {kind!r} with {len(cells)} cells does not fit weights of {stacked or 1} policies; "
+        "there are single (one) and grid (one a cell); copy the folder again"
+    )
+
+
+def _scores(trained: Trained, index: int) -> list[dict[str, Any]]:
+    """Of each cell: the references that it was scored at, in the plant that it was trained in."""
+    rows = []
+    for i, cell in enumerate(trained.config.cells):
+        for j, reference in enumerate(cell.lattice(trained.config.lattice)):
+            error, deviation = (np.asarray(part)[index, i, j] for part in trained.score)
+            rows.append(
+                {
+                    "cell": i,
+                    "reference_n": list(reference),
+                    "error_n": [round(float(x), 4) for x in error],
+                    "std_n": [round(float(x), 4) for x in deviation],
+                }
+            )
+    return rows

@@ -1,0 +1,265 @@
+"""The main job in one run: collect, fit, train, evaluate, report; each stage a folder, so a stopped run can go on."""
+
+import resource
+import shutil
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from matplotlib.figure import Figure
+from pydantic import Field, PositiveInt
+
+from softfin import artifacts, stages
+from softfin.checkpoint import LOG, read_log
+from softfin.configuration import Configuration
+from softfin.errors import ArtifactError
+from softfin.evaluation.curves import learning_figure, prediction_figure
+from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, write_evaluation
+from softfin.evaluation.figures import experiments_figure
+from softfin.evaluation.report import write_report
+from softfin.evaluation.scores import Scores
+from softfin.logs.collect import CollectConfig
+from softfin.logs.dataset import Dataset
+from softfin.plants import is_surrogate
+from softfin.quantities import RATE_HZ
+from softfin.stages import Progress
+from softfin.surrogate import FitConfig, load_surrogate
+from softfin.surrogate.predict import predict
+from softfin.training.train import GRID, SINGLE, TrainConfig
+
+KIND = "reproduction"
+CONTROLLERS = ("single", "grid")
+SHOWN_S = 8
+"""Length of the stretch of a test log in the report [s]."""
+
+
+class ReproduceConfig(Configuration):
+    """All stages; the defaults are the paper's data and budgets."""
+
+    collect: CollectConfig = CollectConfig()
+    """Logs of the plant; not used when the plant is a surrogate."""
+    fit: FitConfig = FitConfig()
+    """The surrogate; not used when the plant is one."""
+    single: TrainConfig = SINGLE
+    """One controller for all references."""
+    grid: TrainConfig = GRID
+    """One policy a cell."""
+    evaluate: EvaluateConfig = EvaluateConfig(seeds=1)
+    """The experiments; each trained controller does all of them, `seeds` times."""
+    seeds: PositiveInt = Field(default=5)
+    """Controllers trained of each kind, from seeds 0, 1, ...: the intervals are over these."""
+
+
+def reproduce(
+    plant: str,
+    out: Path,
+    config: ReproduceConfig | None = None,
+    *,
+    preset: str = "paper",
+    seed: int = 0,
+    resume: bool = False,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Run all stages into `out` and write ``results.json`` and ``report.html``; returns the results.
+
+    ``results.json``:
+
+    ================= ================================================================================================
+    ``plant``         what the controllers were judged on; ``preset``, ``seed`` and ``seeds`` say how
+    ``surrogate``     null when the plant is a surrogate, else ``scores``: Table I (see `surrogate.metrics.table_one`)
+    ``controllers``   ``single`` and ``grid``, each what `evaluation.evaluate.write_evaluation` writes: per reference
+                      and axis ``error_n``, ``std_n``, ``raw_std_n`` and their 95% intervals over the trained seeds
+    ``in_surrogate``  the same controllers judged in the surrogate that they were trained in; null when that is `plant`
+    ``seconds``       wall-clock time of each stage, as far as it ran in this call
+    ``peak_memory_gib`` of this process
+    ``configuration``, ``provenance``
+    ================= ================================================================================================
+    """
+    config = config or ReproduceConfig()
+    run = _Reproduction(plant, out, config, seed, progress)
+    run.claim(preset, resume, overwrite)
+    scores = None if is_surrogate(plant) else run.learn_surrogate()
+    for kind in CONTROLLERS:
+        run.stage(f"train {kind}", out / kind, partial(run.train, kind))
+    judged = run.judge(plant, "evaluation")
+    within = None if is_surrogate(plant) else run.judge(str(run.surrogate), "evaluation-in-surrogate")
+    results = {
+        "title": "softfin: force control of a soft fin",
+        "preset": preset,
+        "plant": plant,
+        "seed": seed,
+        "seeds": config.seeds,
+        "surrogate": None if scores is None else {"scores": scores},
+        "controllers": {kind: summary for kind, (summary, _) in judged.items()},
+        "in_surrogate": None if within is None else {kind: summary for kind, (summary, _) in within.items()},
+        "seconds": run.seconds,
+        "peak_memory_gib": peak_memory_gib(),
+        "configuration": config.model_dump(mode="json"),
+        "provenance": artifacts.provenance(seed=seed, plant=plant),
+    }
+    write_report(
+        out / "report.html",
+        results,
+        surrogate_figures=run.surrogate_figures() if scores is not None else None,
+        learning_figures=run.learning_figures(),
+        experiment_figures={
+            f"{kind} controller, seed {seed}": experiments_figure(e.recording) for kind, (_, e) in judged.items()
+        },
+    )
+    artifacts.write_file(out / "results.json", artifacts.dump_json(results))
+    return results
+
+
+class _Reproduction:
+    """One run and where its parts lie."""
+
+    def __init__(self, plant: str, out: Path, config: ReproduceConfig, seed: int, progress: Progress | None) -> None:
+        self.plant, self.out, self.config, self.seed, self.progress = plant, out, config, seed, progress
+        self.dataset, self.seconds = out / "dataset", dict[str, float]()
+        self.surrogate = Path(plant) if is_surrogate(plant) else out / "surrogate"
+        self.seeds = tuple(range(seed, seed + config.seeds))
+
+    def claim(self, preset: str, resume: bool, overwrite: bool) -> None:
+        """Take the folder for this run, or take it over from a stopped run with the same options."""
+        facts = {
+            "plant": self.plant, "preset": preset, "seed": self.seed,
+            "configuration": self.config.model_dump(mode="json"),
+        }  # fmt: skip
+        if resume and artifacts.is_kind(self.out, KIND):
+            before = artifacts.load_description(self.out, KIND)
+            changed = [name for name, value in facts.items() if before.get(name) != value]
+            if changed:
+                raise ArtifactError(f"{self.out}: holds a run with another {' and '.join(changed)}; resume with the "
+                                    "same options, or give another --out")  # fmt: skip
+            return
+        artifacts.check_vacant(self.out, overwrite)
+        shutil.rmtree(self.out, ignore_errors=True)
+        artifacts.write_file(self.out / f"{KIND}.json", artifacts.dump_json(facts))
+        artifacts.write_file(self.out / "configuration.yaml", yaml.safe_dump(facts["configuration"], sort_keys=False))
+
+    def stage(self, name: str, result: Path, work: Callable[[], Any]) -> None:
+        """Do the work unless its result stands there from before."""
+        if result.exists():
+            return
+        start = time.perf_counter()
+        work()
+        self.seconds[name] = time.perf_counter() - start
+
+    def learn_surrogate(self) -> dict[str, Any] | None:
+        """Collect and fit; Table I."""
+        settings = self.config.collect.model_copy(update={"seed": self.seed})
+        self.stage(
+            "collect", self.dataset,
+            lambda: stages.collect(self.plant, self.dataset, settings, progress=self.progress),
+        )  # fmt: skip
+        self.stage(
+            "fit", self.surrogate,
+            lambda: stages.fit(self.dataset, self.surrogate, self.config.fit, seed=self.seed, resume=True,
+                               progress=self.progress),
+        )  # fmt: skip
+        scores: dict[str, Any] | None = artifacts.load_description(self.surrogate, "surrogate")["scores"]
+        return scores
+
+    def train(self, kind: str) -> None:
+        """All seeds of one kind of controller, in one program."""
+        config = getattr(self.config, kind)
+        stages.train(
+            str(self.surrogate), self.out / kind, config, seeds=self.seeds, resume=True, progress=self.progress
+        )
+
+    def judge(self, plant: str, folder: str) -> dict[str, tuple[dict[str, Any], Evaluation]]:
+        """Every seed's controller of each kind on a plant, as one evaluation over the seeds."""
+        start, judged = time.perf_counter(), {}
+        for kind in CONTROLLERS:
+            each = []
+            for index, seed in enumerate(self.seeds):
+                if self.progress is not None:
+                    self.progress(f"evaluate {kind}", (index + 1) / len(self.seeds), plant)
+                path = self.out / kind / f"seed-{seed}" if len(self.seeds) > 1 else self.out / kind
+                each.append(stages.judged(path, plant, self.config.evaluate.model_copy(update={"seed": seed})))
+            whole = _together(each)
+            facts = {"controller": kind, "plant": plant, "repetitions": "controllers trained from different seeds"}
+            judged[kind] = write_evaluation(whole, self.out / folder / kind, facts), whole
+        self.seconds[folder] = time.perf_counter() - start
+        return judged
+
+    def learning_figures(self) -> dict[str, Figure]:
+        """Reward over the steps, and the error of the policies without their noise."""
+        logs = {kind: read_log(self.out / kind / stages.TRAINING_LOG / LOG) for kind in CONTROLLERS}
+
+        def curves(*names: str) -> dict[str, Any]:
+            return {kind: [_curve(log, seed, names) for seed in self.seeds] for kind, log in logs.items()}
+
+        return {
+            "Mean reward a step while exploring": learning_figure(curves("reward"), "mean reward a step [N]"),
+            "Mean error of the policies without exploration noise, over both axes": learning_figure(
+                curves("score_x_n", "score_y_n"), "error without noise [N]"
+            ),
+        }
+
+    def surrogate_figures(self) -> dict[str, Figure]:
+        """A stretch of an unseen log beside what the surrogate says."""
+        data, surrogate = Dataset.open(self.dataset), load_surrogate(self.surrogate)
+        if not data.test:
+            return {}
+        log = next(data.load(data.test[:1]))
+        first = min(10 * RATE_HZ, len(log.reading.time) // 2)
+        stretch = slice(first, first + SHOWN_S * RATE_HZ)
+        behind = slice(first - surrogate.window, stretch.stop - surrogate.window)
+        said = {
+            "given the angle": predict(surrogate, log, "measured").force[behind],
+            "free-running": predict(surrogate, log, "free-running").force[behind],
+        }
+        return {"Force in a test log and in the surrogate": prediction_figure(
+            np.asarray(log.reading.force[stretch]), said, first / RATE_HZ
+        )}  # fmt: skip
+
+
+def _together(each: list[Evaluation]) -> Evaluation:
+    """One evaluation whose repetitions are those of all controllers; the recording is the first's."""
+    scores = Scores(*(np.concatenate(parts, axis=1) for parts in zip(*(e.scores for e in each), strict=True)))
+    config = each[0].config
+    return Evaluation(config.model_copy(update={"seeds": config.seeds * len(each)}), scores, each[0].recording)
+
+
+def _curve(log: list[dict[str, Any]], seed: int, names: tuple[str, ...]) -> tuple[list[float], list[float]]:
+    keys = [f"seed{seed}/{name}" for name in names]
+    entries = [entry for entry in log if keys[0] in entry]
+    return [e["step"] for e in entries], [float(np.mean([e[key] for key in keys])) for e in entries]
+
+
+def peak_memory_gib() -> float:
+    """Largest resident memory of this process so far."""
+    largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return largest / (2**30 if sys.platform == "darwin" else 2**20)
+
+
+def _shrunk(train: TrainConfig, steps: int, **changes: int) -> TrainConfig:
+    return train.model_copy(update={"steps": steps, **changes})
+
+
+PRESETS = {
+    "paper": ReproduceConfig(),
+    "demo": ReproduceConfig(
+        collect=CollectConfig(logs=20, rows=12_000),
+        fit=FitConfig(epochs=4),
+        seeds=2,
+    ),
+    "tiny": ReproduceConfig(
+        collect=CollectConfig(logs=3, test_logs=1, rows=1500),
+        fit=FitConfig(epochs=1),
+        single=_shrunk(SINGLE, 960),
+        grid=_shrunk(GRID, 960),
+        evaluate=EvaluateConfig(seeds=1, seconds=6),
+        seeds=2,
+    ),
+}
+"""``paper``: the paper's full data and budgets. ``demo``: a few minutes. ``tiny``: does every stage work at all?"""
+
+__all__ = ["PRESETS", "ReproduceConfig", "peak_memory_gib", "reproduce"]

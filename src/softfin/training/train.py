@@ -1,0 +1,252 @@
+"""Training runs: a plant, a configuration and seeds in; one deterministic policy per seed and cell out.
+
+Seeds x cells are lanes of one program. Every few updates the policies are scored without their noise, the best ones so
+far kept, and a checkpoint written; a resumed run ends with the same weights as one that was never stopped.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, Literal, NamedTuple, TypeVar, cast
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from pydantic import PositiveInt, model_validator
+
+from softfin.checkpoint import Workspace
+from softfin.configuration import Configuration
+from softfin.errors import ConfigurationError, RunError
+from softfin.plant import Plant
+from softfin.quantities import AXES, Limits
+from softfin.randomness import key_of
+from softfin.tracking.references import PAPER_CELLS, PAPER_RANGE, Cell, stack_references
+from softfin.tracking.task import ForceTracking, TaskConfig
+from softfin.training.policy import Policy, PolicyConfig
+from softfin.training.ppo import PPO, Lane, Metrics, PPOConfig
+from softfin.training.score import Score, score
+
+Tree = TypeVar("Tree")
+
+
+class TrainConfig(Configuration):
+    """A training run; the defaults are those of `GRID`."""
+
+    controller: Literal["single", "grid"] = "grid"
+    """One policy for a whole range of references, or one for each cell of a grid."""
+    steps: PositiveInt = 10_000
+    """Actions in the plant for each policy, over all its environments: the paper's 10,000 a cell, 30,000 single."""
+    cells: tuple[Cell, ...] = PAPER_CELLS
+    """References [N] that each policy is trained for; one cell for `single`."""
+    task: TaskConfig = TaskConfig()
+    """The force-tracking task."""
+    policy: PolicyConfig = PolicyConfig()
+    """Size and start of the networks."""
+    ppo: PPOConfig = PPOConfig()
+    """The learner."""
+    scorings: PositiveInt = 10
+    """How often the deterministic policies are scored, evenly over the run; a checkpoint is written each time."""
+    lattice: PositiveInt = 1
+    """Scored are lattice x lattice references of each cell; their actions do not count among `steps`."""
+
+    @model_validator(mode="after")
+    def _fits(self) -> "TrainConfig":
+        if self.controller == "single" and len(self.cells) != 1:
+            raise ValueError(f"a single controller has one cell, not {len(self.cells)}; give one, or controller=grid")
+        if not self.cells:
+            raise ValueError("no cells; give at least one")
+        return self
+
+    @property
+    def updates(self) -> int:
+        """Of each policy: as many whole rollouts as `steps` hold."""
+        return self.steps // self.ppo.steps_per_update
+
+
+GRID = TrainConfig()
+"""The paper's grid-switching controller on its budget."""
+
+SINGLE = TrainConfig(
+    controller="single",
+    steps=30_000,
+    cells=(PAPER_RANGE,),
+    task=TaskConfig(reference_actions=45),
+    lattice=3,
+)
+"""The paper's single controller on its budget."""
+
+
+class TrainState(NamedTuple):
+    """All that a resumed run needs; every leaf has a leading axis of lanes."""
+
+    lanes: Lane
+    best: Policy
+    best_score: Score
+    """(lanes, references, 2) each, of `best`."""
+
+
+class Trained(NamedTuple):
+    """What a run ends with."""
+
+    config: TrainConfig
+    limits: Limits
+    seeds: tuple[int, ...]
+    policies: Policy
+    """Leaves ``(seeds, cells, ...)``: of each lane the policy with the best deterministic score."""
+    score: Score
+    """Of these policies, ``(seeds, cells, references, 2)``."""
+
+
+Progress = Callable[[str, float, str], None]
+"""Called with what is going on, how much of it is done (0 .. 1), and the newest figures."""
+
+
+def train(
+    plant: Plant, config: TrainConfig, seeds: Sequence[int], workspace: Workspace, progress: Progress | None = None
+) -> Trained:
+    """Train a policy for every seed and cell; goes on from the workspace's checkpoint where there is one.
+
+    Raises:
+        ConfigurationError: the budget is smaller than one rollout, or a seed comes twice.
+        RunError: a loss is no longer finite; the last good checkpoint is left in the workspace.
+    """
+    _check(config, seeds)
+    run = _Run(plant, config, tuple(seeds))
+    state, done = run.start(), 0
+    if (resumed := workspace.load(_unkeyed(state))) is not None:
+        state, done = _rekeyed(resumed[0], state), resumed[1]["updates"]
+    record = workspace.log(rewind_to=done * config.ppo.steps_per_update)
+    due = _scorings(config)
+    while done < config.updates:
+        lanes, metrics = run.update(state.lanes)
+        state, done = state._replace(lanes=lanes), done + 1
+        steps = done * config.ppo.steps_per_update
+        scalars = run.by_seed(run.finite(metrics, done))
+        if done in due:
+            scores = run.score(state.lanes.networks.policy)
+            state = _keep_best(state, scores)
+            scalars |= run.by_seed(_summary(scores))
+            workspace.save(_unkeyed(state), {"updates": done})
+        record.write(steps, **scalars)
+        if progress is not None:
+            progress(f"train {config.controller}", done / config.updates, run.note(metrics, state))
+    record.close()
+    return run.end(state)
+
+
+class _Run:
+    """The compiled programs of one run over its lanes."""
+
+    def __init__(self, plant: Plant, config: TrainConfig, seeds: tuple[int, ...]) -> None:
+        self.config, self.seeds, self.limits = config, seeds, Limits(*map(float, plant.limits))
+        self.lanes = [(seed, index) for seed in seeds for index in range(len(config.cells))]
+        # Arrays are arguments of the programs, not constants in them; the rest may be any object.
+        self.arrays, static = eqx.partition(plant, eqx.is_array)
+
+        def learner(arrays: Any) -> PPO:
+            task = ForceTracking(eqx.combine(arrays, static), config.task)
+            return PPO(task, config.ppo, config.policy, config.updates)
+
+        over_lanes = partial(jax.vmap, in_axes=(None, 0, 0))
+        self._init = jax.jit(over_lanes(lambda arrays, key, box: learner(arrays).init(key, box)))
+        self._update = jax.jit(jax.vmap(lambda arrays, lane: learner(arrays).update(lane), in_axes=(None, 0)))
+        key = key_of(0, "score")
+        self._score = jax.jit(over_lanes(lambda arrays, policy, at: score(learner(arrays).task, policy, at, key)))
+        lattices = [config.cells[index].lattice(config.lattice) for _, index in self.lanes]
+        self.references = jnp.asarray(lattices, jnp.float32)
+
+    def start(self) -> TrainState:
+        """Fresh lanes; the key of a lane depends on its seed and cell alone, not on the lanes beside it."""
+        keys = jnp.stack([key_of(seed, f"train/{self.config.cells[index]}") for seed, index in self.lanes])
+        boxes = stack_references([self.config.cells[index] for _, index in self.lanes])
+        lanes = self._init(self.arrays, keys, boxes)
+        worst = jnp.full(self.references.shape, jnp.inf)
+        return TrainState(lanes, lanes.networks.policy, Score(worst, worst))
+
+    def update(self, lanes: Lane) -> tuple[Lane, Metrics]:
+        """One update of every lane."""
+        after: tuple[Lane, Metrics] = self._update(self.arrays, lanes)
+        return after
+
+    def score(self, policies: Policy) -> Score:
+        """Of every lane's policy without its noise."""
+        scores: Score = self._score(self.arrays, policies, self.references)
+        return scores
+
+    def finite(self, metrics: Metrics, update: int) -> Metrics:
+        """The metrics; raises RunError where a lane's loss is not finite."""
+        bad = np.flatnonzero(~np.isfinite(np.asarray(metrics["loss"])))
+        if bad.size:
+            seed, index = self.lanes[bad[0]]
+            raise RunError(
+                f"train: the loss is not finite in update {update} of {self.config.updates}, seed {seed}, cell "
+                f"{self.config.cells[index]}; lower ppo.learning_rate (the last good checkpoint is kept)"
+            )
+        return metrics
+
+    def by_seed(self, metrics: Metrics) -> dict[str, float]:
+        """Means over the cells, named ``seedN/...``."""
+        shape = (len(self.seeds), len(self.config.cells))
+        means = {name: np.asarray(values).reshape(shape).mean(axis=1) for name, values in metrics.items()}
+        return {f"seed{s}/{n}": float(values[i]) for n, values in means.items() for i, s in enumerate(self.seeds)}
+
+    def note(self, metrics: Metrics, state: TrainState) -> str:
+        """For a progress bar."""
+        best = _summary(state.best_score)
+        figures = [float(np.mean(best[f"score_{axis}_n"])) for axis in AXES]
+        scored = "" if not np.isfinite(figures).all() else f", best deterministic {figures[0]:.2f}/{figures[1]:.2f} N"
+        return f"error {float(metrics['error_x_n'].mean()):.2f}/{float(metrics['error_y_n'].mean()):.2f} N{scored}"
+
+    def end(self, state: TrainState) -> Trained:
+        """The best policies, by seed and cell."""
+        shape = (len(self.seeds), len(self.config.cells))
+        policies, scores = jax.tree.map(lambda x: x.reshape(*shape, *x.shape[1:]), (state.best, state.best_score))
+        return Trained(self.config, self.limits, self.seeds, policies, scores)
+
+
+def _check(config: TrainConfig, seeds: Sequence[int]) -> None:
+    if not seeds or len(set(seeds)) != len(seeds):
+        raise ConfigurationError(f"seeds {list(seeds)}: give at least one, and each once")
+    if config.updates == 0:
+        raise ConfigurationError(
+            f"steps = {config.steps}: fewer than one rollout of {config.ppo.steps_per_update} "
+            f"({config.ppo.environments} environments x {config.ppo.rollout_actions} actions); give more steps"
+        )
+
+
+def _scorings(config: TrainConfig) -> set[int]:
+    """After which updates policies are scored; always after the last."""
+    count = min(config.scorings, config.updates)
+    return {round(config.updates * (i + 1) / count) for i in range(count)}
+
+
+def _summary(scores: Score) -> Metrics:
+    """Of each lane, the mean error over its references."""
+    return {f"score_{axis}_n": scores.error[..., i].mean(axis=-1) for i, axis in enumerate(AXES)}
+
+
+def _keep_best(state: TrainState, scores: Score) -> TrainState:
+    """Lane by lane, the policy whose mean error over references and axes is least."""
+    better = scores.error.mean(axis=(1, 2)) < state.best_score.error.mean(axis=(1, 2))
+
+    def pick(new: Array, old: Array) -> Array:
+        return jnp.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+
+    best = jax.tree.map(pick, state.lanes.networks.policy, state.best)
+    best_score = jax.tree.map(pick, scores, state.best_score)
+    return state._replace(best=best, best_score=best_score)
+
+
+def _is_key(leaf: Any) -> bool:
+    return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+
+
+def _unkeyed(tree: Tree) -> Tree:
+    """Keys of the random generator as the numbers that they are, for storage."""
+    return cast(Tree, jax.tree.map(lambda x: jax.random.key_data(x) if _is_key(x) else x, tree))
+
+
+def _rekeyed(tree: Tree, like: Tree) -> Tree:
+    """Numbers as keys again, where `like` has keys."""
+    return cast(Tree, jax.tree.map(lambda x, y: jax.random.wrap_key_data(x) if _is_key(y) else x, tree, like))

@@ -1,0 +1,83 @@
+"""The Gymnasium environment, on an analytic fin."""
+
+import warnings
+from collections.abc import Callable
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from softfin.errors import InputError
+from softfin.tracking.references import Cell
+from softfin.tracking.registration import ID, register
+from softfin.tracking.task import TaskConfig
+from tests.plants import AnalyticFin
+
+register()
+
+
+@pytest.fixture(scope="module")
+def make() -> Callable[..., gymnasium.Env]:
+    plant = AnalyticFin()
+    return lambda **changes: gymnasium.make(ID, plant=plant, **changes)
+
+
+def test_check_env_passes_without_a_warning(make: Callable[..., gymnasium.Env]) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(make().unwrapped)
+
+
+def test_an_episode_is_truncated_after_30_s_and_never_terminates(make: Callable[..., gymnasium.Env]) -> None:
+    env = make()
+    env.reset(seed=0)
+    ticks, ends = 0, []
+    for i in range(90):
+        _, _, terminated, truncated, info = env.step(np.array([0.5 * (-1) ** i, 0.5], np.float32))
+        ticks += len(info["force_n"])
+        ends.append((terminated, truncated))
+    assert ticks == 3000
+    assert ends == [(False, False)] * 89 + [(False, True)]
+
+
+def test_the_clock_starts_anew_with_each_episode(make: Callable[..., gymnasium.Env]) -> None:
+    env = make()
+    for _ in range(2):
+        env.reset()
+        held = [len(env.step(np.zeros(2, np.float32))[-1]["force_n"]) for _ in range(4)]
+        assert held == [33, 33, 34, 33]
+
+
+def test_a_reference_can_be_asked_for(make: Callable[..., gymnasium.Env]) -> None:
+    env = make(references=Cell(low=(0, -2), high=(4, 2)))
+    observation, info = env.reset(options={"reference": (2, -1)})
+    np.testing.assert_allclose(info["reference_n"], [2, -1])
+    np.testing.assert_allclose(observation[1:3], np.array([2, -1]) / 3, rtol=1e-6)
+    with pytest.raises(InputError, match=r"reference \(9, 0\) N is outside x 0 .. 4, y -2 .. 2 N"):
+        env.reset(options={"reference": (9, 0)})
+
+
+def test_an_action_outside_the_box_is_refused(make: Callable[..., gymnasium.Env]) -> None:
+    env = make().unwrapped
+    env.reset(seed=0)
+    with pytest.raises(InputError, match=r"is not two numbers in \[-1, 1\]"):
+        env.step(np.array([2.0, 0.0], np.float32))
+
+
+def test_a_step_before_the_first_reset_is_refused(make: Callable[..., gymnasium.Env]) -> None:
+    with pytest.raises(InputError, match="call reset first"):
+        make().unwrapped.step(np.zeros(2, np.float32))
+
+
+@pytest.mark.slow
+def test_recurrent_ppo_of_sb3_contrib_trains_on_it(make: Callable[..., gymnasium.Env]) -> None:
+    sb3 = pytest.importorskip("sb3_contrib", reason="the extra sb3 is not installed")
+    config = TaskConfig(episode_actions=30)
+    model = sb3.RecurrentPPO("MlpLstmPolicy", make(config=config), n_steps=64, batch_size=64, n_epochs=2, seed=0)
+    before = [p.detach().numpy().copy() for p in model.policy.parameters()]
+    model.learn(128)
+    after = [p.detach().numpy() for p in model.policy.parameters()]
+    assert sum(p.size for p in after) == 592_325  # the paper's weights follow from 11 observations and k = 3
+    assert any(np.abs(a - b).max() > 0 for a, b in zip(after, before, strict=True))
+    assert all(np.isfinite(a).all() for a in after)
