@@ -10,7 +10,7 @@ RUN := $(UV) run --frozen
 OUT ?= runs/demo
 PRESET ?= demo
 
-.PHONY: setup demo test lint bench figures clean
+.PHONY: setup demo test lint bench clean
 
 setup: .venv/.ready ## make the environment
 
@@ -35,9 +35,6 @@ lint: setup ## style and types
 
 bench: setup ## speed and memory, as JSON
 	$(RUN) python -m benchmarks
-
-figures: setup ## the figures of the README, from the runs that it names
-	$(RUN) python docs/figures.py
 
 clean:
 	rm -rf .venv .tools build dist .mypy_cache .ruff_cache .pytest_cache

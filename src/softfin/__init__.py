@@ -1,1 +1,84 @@
-"""softfin: learn to make the force that you ask a soft fin for."""
+"""softfin: learn to make the force that you ask a soft fin for.
+
+The stages of the main job, the records that pass between them, and what plants and controllers are:
+
+    import softfin
+
+    softfin.collect("tank", Path("dataset"))
+    softfin.fit(Path("dataset"), Path("surrogate"))
+    softfin.train("surrogate", Path("controller"))
+    softfin.evaluate(Path("controller"), "tank", Path("evaluation"))
+
+Everything is imported when it is first used, so that ``import softfin`` costs nothing.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from softfin.control.store import load_controller
+    from softfin.evaluation.evaluate import EvaluateConfig
+    from softfin.logs.collect import CollectConfig
+    from softfin.logs.dataset import Dataset
+    from softfin.plants import find_plant
+    from softfin.quantities import Command, Limits, Log, Reading
+    from softfin.reproduction import PRESETS, ReproduceConfig, reproduce
+    from softfin.stages import collect, evaluate, fit, import_keras, train
+    from softfin.surrogate import FitConfig, Surrogate, load_surrogate
+    from softfin.tank import Tank, TankConfig
+    from softfin.training.train import GRID, SINGLE, TrainConfig
+
+__all__ = [
+    "GRID",
+    "PRESETS",
+    "SINGLE",
+    "CollectConfig",
+    "Command",
+    "Dataset",
+    "EvaluateConfig",
+    "FitConfig",
+    "Limits",
+    "Log",
+    "Reading",
+    "ReproduceConfig",
+    "Surrogate",
+    "Tank",
+    "TankConfig",
+    "TrainConfig",
+    "collect",
+    "evaluate",
+    "find_plant",
+    "fit",
+    "import_keras",
+    "load_controller",
+    "load_surrogate",
+    "reproduce",
+    "train",
+]
+
+_HOMES = {
+    "softfin.control.store": ("load_controller",),
+    "softfin.evaluation.evaluate": ("EvaluateConfig",),
+    "softfin.logs.collect": ("CollectConfig",),
+    "softfin.logs.dataset": ("Dataset",),
+    "softfin.plants": ("find_plant",),
+    "softfin.quantities": ("Command", "Limits", "Log", "Reading"),
+    "softfin.reproduction": ("PRESETS", "ReproduceConfig", "reproduce"),
+    "softfin.stages": ("collect", "evaluate", "fit", "import_keras", "train"),
+    "softfin.surrogate": ("FitConfig", "Surrogate", "load_surrogate"),
+    "softfin.tank": ("Tank", "TankConfig"),
+    "softfin.training.train": ("GRID", "SINGLE", "TrainConfig"),
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME_OF:
+        raise AttributeError(f"module 'softfin' has no attribute {name!r}; it has {', '.join(__all__)}")
+    value = getattr(importlib.import_module(_HOME_OF[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__

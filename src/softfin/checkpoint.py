@@ -46,7 +46,6 @@ class Workspace:
                     f"{self.folder}: holds an unfinished run; go on with --resume, or drop it with --overwrite"
                 )
             shutil.rmtree(self.folder)
-        self.folder.mkdir(parents=True, exist_ok=True)
 
     def save(self, tree: Any, facts: dict[str, Any]) -> None:
         """Replace the checkpoint."""
@@ -74,6 +73,7 @@ class Workspace:
 
     def log(self, rewind_to: int | None = None) -> "RunLog":
         """The training log; on resuming, entries beyond step `rewind_to` are dropped, because they will come again."""
+        self.folder.mkdir(parents=True, exist_ok=True)
         return RunLog(self.folder, rewind_to)
 
     def finish(self, keep: Path | None = None) -> None:

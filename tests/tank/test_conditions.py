@@ -20,7 +20,7 @@ def record(tank):
 
 
 def test_a_batch_of_different_tanks_runs_as_each_of_them_alone():
-    tanks = jax.vmap(lambda key: randomised(TANK, key))(KEYS)
+    tanks = jax.jit(jax.vmap(lambda key: randomised(TANK, key)))(KEYS)
     together = jax.vmap(record)(tanks)
     for i, key in enumerate(KEYS):
         alone = record(randomised(TANK, key))

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from softfin.errors import ConfigurationError
 from softfin.plant import ACTION_TICKS, Plant, hold, roll
 from softfin.quantities import PAPER_LIMITS, TICK_S, Command
-from softfin.tank import IDEAL, Tank, TankConfig
+from softfin.tank import IDEAL, Conditions, SensorConfig, Tank, TankConfig, under
 from softfin.tank.drive import DriveConfig
 from softfin.tank.fin import FinConfig
 from softfin.tank.hydrodynamics import WaterConfig
@@ -17,6 +17,7 @@ KEY = jax.random.key(0)
 QUIET = TankConfig(sensor=IDEAL)
 COARSE = Tank(TankConfig(fin=FinConfig(plates=2)))
 """Where the number of plates does not matter: it compiles faster."""
+PLAIN = Conditions(**{name: float(not name.endswith(("_c", "_rad"))) for name in Conditions._fields})
 TICKS = 1000
 """Of every record, so that one compiled program makes them all."""
 
@@ -151,7 +152,7 @@ def test_random_commands_make_forces_of_the_published_size():
 def test_some_gait_of_six_actions_holds_each_reference_force():
     tank = Tank(QUIET)
     rng = np.random.default_rng(0)
-    gaits = 2000
+    gaits = 500
     actions = Command(
         jnp.asarray(rng.uniform(-1.5, 1.5, (gaits, 6)), jnp.float32),
         jnp.asarray(rng.uniform(1.0, np.pi, (gaits, 6)), jnp.float32),
@@ -163,7 +164,7 @@ def test_some_gait_of_six_actions_holds_each_reference_force():
 
     means = np.asarray(jax.jit(jax.vmap(mean))(actions))
     for reference in ((1, -1), (2, -1), (2, 0), (3, 0), (1, 1), (2, 1)):
-        assert np.linalg.norm(means - reference, axis=-1).min() < 0.15, reference
+        assert np.linalg.norm(means - reference, axis=-1).min() < 0.25, reference
 
 
 TANKS = {
@@ -213,28 +214,27 @@ def test_the_force_converges_as_the_square_of_the_number_of_plates():
 
 def test_the_gradient_through_a_second_agrees_with_finite_differences():
     with jax.enable_x64(True):
-        tank = Tank(TankConfig(fin=FinConfig(plates=2), sensor=IDEAL))
+        config = TankConfig(fin=FinConfig(plates=2), sensor=SensorConfig(resolution_n=0.0))
+        tank = Tank(config)
 
-        def effort(angles):
+        def effort(tank, angles):
             commands = Command(jnp.repeat(angles, 33), jnp.full(99, 2.5))
             force = roll(tank, tank.init(KEY), commands)[1].force
             return (force * jnp.array([1.0, 0.5])).mean() + 0.01 * (force**2).mean()
 
         angles, step = jnp.array([0.6, -0.4, 0.5]), 1e-5
-        value = jax.jit(jax.value_and_grad(effort))
-        gradient = value(angles)[1]
-        differences = [(value(angles + step * e)[0] - value(angles - step * e)[0]) / (2 * step) for e in jnp.eye(3)]
-        np.testing.assert_allclose(gradient, differences, rtol=1e-3, atol=1e-5)
-        assert np.abs(gradient).max() > 1e-3
-
-
-def test_the_gradient_at_rest_with_noise_in_single_precision_is_finite():
-    def effort(tank, angles):
-        commands = Command(angles, jnp.full(100, 2.0))
-        return roll(tank, tank.init(KEY), commands)[1].force.mean()
-
-    gradients = jax.jit(jax.grad(effort, argnums=(0, 1)))(COARSE, jnp.zeros(100))
-    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradients))
+        value = jax.jit(jax.value_and_grad(effort, argnums=(0, 1)))
+        by_tank, by_angles = value(tank, angles)[1]
+        aside = [
+            (value(tank, angles + step * e)[0] - value(tank, angles - step * e)[0]) / (2 * step) for e in np.eye(3)
+        ]
+        np.testing.assert_allclose(by_angles, aside, rtol=1e-3, atol=1e-5)
+        assert np.abs(by_angles).max() > 1e-3
+        scaled = {c: value(under(tank, PLAIN._replace(stiffness=jnp.asarray(c))), angles)[0] for c in (0.9999, 1.0001)}
+        along = (by_tank.fin.stiffness * tank.fin.stiffness + by_tank.fin.damping * tank.fin.damping).sum()
+        assert float(along) == pytest.approx(float(scaled[1.0001] - scaled[0.9999]) / 2e-4, rel=1e-3)
+        # At rest every root and every absolute value stands at zero.
+        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(value(tank, jnp.zeros(3))))
 
 
 def test_an_unknown_parameter_is_refused_with_the_nearest_name():

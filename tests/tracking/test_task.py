@@ -19,10 +19,11 @@ STROKE = jnp.array([0.5, 0.9])
 
 
 def played(task: ForceTracking, actions: Any, seed: int = 0) -> tuple[TaskState, list[Outcome]]:
+    step = jax.jit(task.step, static_argnums=2)
     state = task.reset(jax.random.key(seed), BOX)
     outcomes = []
     for i, action in enumerate(actions):
-        state, outcome = task.step(state, jnp.asarray(action, jnp.float32), ACTION_TICKS[i % 3])
+        state, outcome = step(state, jnp.asarray(action, jnp.float32), ACTION_TICKS[i % 3])
         outcomes.append(outcome)
     return state, outcomes
 

@@ -6,7 +6,7 @@ from typing import Literal
 
 from softfin.cli.common import Common, Out, progress
 from softfin.cli.tables import table_one, table_two
-from softfin.reproduce import PRESETS, reproduce
+from softfin.reproduction import PRESETS, reproduce
 
 
 @dataclass(frozen=True, kw_only=True)

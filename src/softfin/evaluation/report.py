@@ -45,6 +45,7 @@ def write_report(
     ``plant``         what the controllers were evaluated on, in words
     ``surrogate``     ``{"scores": ...}`` with what `softfin.surrogate.metrics.table_one` gives, or None (imported)
     ``controllers``   by name (``single``, ``grid``), what `write_evaluation` gives
+    ``in_surrogate``  the same of these controllers in the surrogate that they were trained in
     ``configuration`` nested mappings
     ``provenance``    a mapping
     ================= ===============================================================================================
@@ -56,6 +57,7 @@ def write_report(
         plant=results.get("plant"),
         table_one=[_net_row(key, scores[key]) for key in NETS if key in scores] if scores else [],
         tables_two={name: _table_two(name, summary) for name, summary in controllers.items()},
+        in_surrogate={name: _table_two(name, summary) for name, summary in (results.get("in_surrogate") or {}).items()},
         conditions=next((summary["conditions"] for summary in controllers.values()), None),
         table_two_svg=_svg("errors", table_two_figure(controllers)) if controllers else None,
         surrogate_figures=_svgs(surrogate_figures),

@@ -30,7 +30,7 @@ class FinConfig(Configuration):
     """
 
     plates: int = Field(6, ge=1, le=32)
-    """Rigid plates in the chain [-]; the error of the force falls as their number squared: 2.4% at 6 (rms)."""
+    """Rigid plates in the chain [-]; the error of the force falls as their number squared: 2% at 6 (rms)."""
     length_m: float = Field(0.25, gt=0)
     """From the shaft to the tip [m]."""
     span_m: float = Field(0.13, gt=0)

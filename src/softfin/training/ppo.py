@@ -150,7 +150,7 @@ class PPO:
             start = jax.tree.map(lambda x: x[chosen], lane.batch.memories)
             gradient, metrics = jax.grad(self.loss, has_aux=True)(networks, part, start)
             change, state = optimiser.update(gradient, state, networks)
-            metrics["gradient_norm"] = optax.global_norm(gradient)
+            metrics["gradient_norm"] = optax.tree.norm(gradient)
             return (optax.apply_updates(networks, change), state), metrics
 
         def epoch(carry: Any, key: PRNGKeyArray) -> tuple[Any, Metrics]:

@@ -1,0 +1,92 @@
+import subprocess
+import sys
+
+import pytest
+
+from softfin.cli import COMMANDS, main
+
+
+def fails(capsys, *words):
+    """The one line on standard error, and the exit code."""
+    with pytest.raises(SystemExit) as stop:
+        main(words)
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1, lines
+    assert "Traceback" not in lines[0]
+    return lines[0], stop.value.code
+
+
+def test_help_lists_every_command(capsys):
+    main(["--help"])
+    text = capsys.readouterr().out
+    assert all(f"  {name} " in text for name in COMMANDS)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_each_command_has_help_with_its_options(capsys, name):
+    with pytest.raises(SystemExit) as stop:
+        main([name, "--help"])
+    assert stop.value.code == 0
+    text = capsys.readouterr().out
+    assert "--out" in text
+    assert "--json" in text
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["colect"], "unknown command 'colect'; there are collect, fit"),
+        (["collect"], "--out"),
+        (["collect", "--out", "x", "--rowz", "3"], "--rowz"),
+        (["collect", "--out", "x", "--rows", "many"], "--rows"),
+        (["collect", "--out", "x", "--logs", "0"], "logs = 0: Input should be greater than or equal to 1"),
+        (["collect", "--out", "x", "--set", "excitation.hold_min=1"], "did you mean 'hold_min_s'?"),
+        (["collect", "--out", "x", "--config", "none.yaml"], "none.yaml: cannot be read"),
+        (["collect", "--out", "x", "--plant", "pool"], "--plant pool: unknown plant"),
+        (["fit", "nothing", "--out", "x"], "nothing: no such folder; it should be a dataset"),
+        (["fit", ".", "--out", "x"], ".: not a dataset: it holds no dataset.json"),
+        (["import-keras", "a.keras", "b.keras", "--scalers", "s.json", "--out", "x"], "s.json: cannot be read"),
+        (["train", "nothing", "--out", "x"], "nothing: unknown plant (is no folder)"),
+        (["train", "tank", "--steps", "3", "--out", "x"], "steps = 3: fewer than one rollout"),
+        (["evaluate", "nothing", "--out", "x"], "nothing: no such folder; it should be a controller"),
+        (["evaluate", ".", "--reference=1;2", "--out", "x"], "--reference=1;2: not a force; write --reference=X,Y"),
+        (["reproduce", "--preset", "huge", "--out", "x"], "huge"),
+    ],
+)
+def test_wrong_input_is_one_line_and_exit_code_2(capsys, tmp_path, monkeypatch, words, expected):
+    monkeypatch.chdir(tmp_path)
+    line, code = fails(capsys, *words)
+    assert expected in line
+    assert line.startswith("softfin")
+    assert code == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_leaves_nothing_half_written_and_says_how_to_go_on(capsys, tmp_path, monkeypatch):
+    def interrupted(*words, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("softfin.stages.fit", interrupted)
+    line, code = fails(capsys, "fit", "data", "--out", str(tmp_path / "s"))
+    assert line == "softfin fit: stopped, nothing is half-written; the same command with --resume goes on"
+    assert code == 1
+
+
+def test_a_full_disk_is_one_line_that_names_the_folder(capsys, tmp_path, monkeypatch):
+    def full(*words, **options):
+        raise OSError(28, "No space left on device", "train/0000.parquet")
+
+    monkeypatch.setattr("softfin.stages.collect", full)
+    line, code = fails(capsys, "collect", "--out", str(tmp_path / "d"))
+    assert "train/0000.parquet: No space left on device" in line
+    assert code == 1
+
+
+def test_debug_shows_the_traceback():
+    run = subprocess.run(
+        [sys.executable, "-m", "softfin.cli", "collect", "--plant", "pool", "--out", "x", "--debug"],
+        capture_output=True,
+        text=True,
+    )
+    assert run.returncode == 1
+    assert "Traceback" in run.stderr

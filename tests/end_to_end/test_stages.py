@@ -1,0 +1,126 @@
+"""The main job through the command line, small: collect, fit, train, evaluate; and all of it by reproduce."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+import yaml
+
+from softfin.cli import main
+from softfin.stages import TRAINING_LOG
+from tests.surrogate import small
+
+PLANT = "tests.plants:PlainFin"
+FIT = {
+    "epochs": 1,
+    "batch": 64,
+    "posnet": small.POSNET.model_dump(mode="json"),
+    "forcenet": small.FORCENET.model_dump(mode="json"),
+}
+LEARNER = {"environments": 4, "rollout_actions": 6, "epochs": 2, "minibatches": 2}
+TRAIN = {"steps": 48, "scorings": 2, "policy": {"units": 8, "width": 8}, "ppo": LEARNER}
+CELLS = [{"low": [0.5, -0.5], "high": [1.5, 0.5]}, {"low": [1.5, -0.5], "high": [2.5, 0.5]}]
+
+
+def run(capsys, *words):
+    capsys.readouterr()
+    main([*words, "--json"])
+    return json.loads(capsys.readouterr().out)
+
+
+def write(path, values):
+    path.write_text(yaml.safe_dump(values))
+    return str(path)
+
+
+def test_each_command_reads_what_the_one_before_wrote(capsys, tmp_path, monkeypatch):
+    dataset, surrogate = str(tmp_path / "dataset"), str(tmp_path / "surrogate")
+    made = run(
+        capsys, "collect", "--plant", PLANT, "--logs", "3", "--test-logs", "1", "--rows", "400", "--out", dataset
+    )
+    assert made["logs"] == 3
+    assert made["rows"] == 400
+
+    config = write(tmp_path / "fit.yaml", FIT)
+    fitted = run(capsys, "fit", dataset, "--config", config, "--out", surrogate)
+    assert fitted["table_i"]["posnet"]["window"] == small.WINDOW
+    description = json.loads((tmp_path / "surrogate" / "surrogate.json").read_text())
+    assert description["provenance"]["data_hash"] == made["data_hash"]
+    assert (tmp_path / "surrogate" / TRAINING_LOG / "log.jsonl").is_file()
+
+    for kind, cells in (("single", CELLS[:1]), ("grid", CELLS)):
+        controller, judged = str(tmp_path / kind), str(tmp_path / f"{kind}-judged")
+        config = write(tmp_path / f"{kind}.yaml", {**TRAIN, "cells": cells})
+        trained = run(capsys, "train", surrogate, "--controller", kind, "--config", config, "--out", controller)
+        assert {row["cell"] for row in trained["scores"]} == set(range(len(cells)))
+        scored = run(
+            capsys, "evaluate", controller, "--plant", PLANT, "--reference=1,0", "--seconds", "3", "--seeds", "2",
+            "--out", judged,
+        )  # fmt: skip
+        assert scored["references"][0]["reference_n"] == [1, 0]
+        assert scored["references"][0]["x"]["error_n"] >= 0
+        written = json.loads((tmp_path / f"{kind}-judged" / "evaluation.json").read_text())
+        assert written["conditions"]["seconds"] == 3
+
+    with pytest.raises(SystemExit) as stop:
+        main(["evaluate", str(tmp_path / "grid"), "--plant", PLANT, "--reference=9,0", "--out", str(tmp_path / "far")])
+    assert stop.value.code == 2
+    assert "reference (9, 0) N: 6.5 N outside the nearest of 2 cells" in capsys.readouterr().err
+    left_behind = [path.name for path in tmp_path.iterdir() if path.name.startswith(".")]
+    assert left_behind == []
+
+
+def reproduction(tmp_path):
+    config = {
+        "collect": {"logs": 3, "test_logs": 1, "rows": 400},
+        "fit": FIT,
+        "single": {**TRAIN, "cells": [{"low": [0.5, -1.5], "high": [3.5, 1.5]}]},
+        "grid": TRAIN,
+        "evaluate": {"seconds": 3},
+        "seeds": 2,
+    }
+    return write(tmp_path / "run.yaml", config)
+
+
+def test_reproduce_writes_results_and_a_report_that_needs_no_network(capsys, tmp_path):
+    out = tmp_path / "run"
+    results = run(capsys, "reproduce", "--plant", PLANT, "--config", reproduction(tmp_path), "--out", str(out))
+    assert results == json.loads((out / "results.json").read_text())
+    for kind in ("single", "grid"):
+        rows = results["controllers"][kind]["references"]
+        assert len(rows) == 6
+        assert all(row[axis]["error_interval_n"] is not None for row in rows for axis in ("x", "y"))
+    page = (out / "report.html").read_text()
+    assert "<svg" in page
+    assert "src=" not in page
+    assert "@import" not in page
+    assert results["surrogate"]["scores"]["forcenet_free_running"]["physical"]["rmse"] > 0
+
+
+def test_a_run_that_was_killed_goes_on_where_it_was(tmp_path):
+    """Killed while the controllers train; the second call neither records nor fits again."""
+    out, config = tmp_path / "run", reproduction(tmp_path)
+    words = [sys.executable, "-m", "softfin.cli", "reproduce", "--plant", PLANT, "--config", config, "--out", str(out)]
+    process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
+    until = time.monotonic() + 300
+    while not (out / "surrogate").exists() and time.monotonic() < until:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "stopped, nothing is half-written; the same command with --resume goes on" in said
+    assert not (out / "results.json").exists()
+
+    again = subprocess.run([*words, "--resume"], capture_output=True, text=True, timeout=600)
+    assert again.returncode == 0, again.stderr
+    results = json.loads((out / "results.json").read_text())
+    assert "collect" not in results["seconds"]
+    assert "fit" not in results["seconds"]
+    assert (out / "report.html").is_file()
+
+    other = subprocess.run([*words, "--resume", "--seed", "7"], capture_output=True, text=True)
+    assert other.returncode == 2
+    assert "holds a run with another seed" in other.stderr

@@ -1,0 +1,86 @@
+"""Rollouts: what the learner replays is what was lived through; resets; the clock."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softfin.training.ppo import PPO, Lane
+from softfin.training.rollout import Rollout, collect
+from tests.plants import AnalyticFin
+from tests.training.probes import box, learner
+
+BOX = box((1, -1), (3, 1))
+
+
+@pytest.fixture(scope="module")
+def lived() -> tuple[PPO, Lane, Lane, Rollout]:
+    """A learner whose second rollout crosses resets."""
+    ppo = learner(AnalyticFin(), 3, environments=4, episode=12)
+    start = jax.jit(ppo.init)(jax.random.key(0), BOX)
+    play = jax.jit(lambda lane, key: collect(ppo.task, lane.networks, lane.batch, key, 4))
+    before = start._replace(batch=play(start, jax.random.key(1))[0])
+    batch, rollout = play(before, jax.random.key(2))
+    return ppo, before, before._replace(batch=batch), rollout
+
+
+def test_the_replay_of_a_rollout_gives_the_densities_and_values_it_was_lived_with(
+    lived: tuple[PPO, Lane, Lane, Rollout],
+) -> None:
+    _, before, _, rollout = lived
+    assert rollout.fresh.any()
+    networks = before.networks
+    for env in range(4):
+        memories = jax.tree.map(lambda x, i=env: x[i], before.batch.memories)
+        mean = networks.policy.net.sequence(memories.actor, rollout.observation[:, env], rollout.fresh[:, env])
+        density = networks.policy.log_density(mean, rollout.raw[:, env])
+        np.testing.assert_allclose(density, rollout.log_density[:, env], atol=1e-4)
+        value = networks.critic.sequence(memories.critic, rollout.seen[:, env], rollout.fresh[:, env])[:, 0]
+        np.testing.assert_allclose(value, rollout.value[:, env], atol=1e-4)
+
+
+def test_episodes_are_cut_once_each_at_spread_times_and_only_at_the_end_of_a_cycle(
+    lived: tuple[PPO, Lane, Lane, Rollout],
+) -> None:
+    cut = np.asarray(lived[-1].cut)
+    assert cut.sum(axis=0).tolist() == [1, 1, 1, 1]
+    assert sorted(np.argmax(cut, axis=0)) == [2, 5, 8, 11]
+
+
+def test_a_reset_comes_right_after_a_cut_and_shows_a_fin_at_rest(lived: tuple[PPO, Lane, Lane, Rollout]) -> None:
+    rollout, after = lived[-1], lived[2]
+    np.testing.assert_array_equal(rollout.fresh[1:], rollout.cut[:-1])
+    np.testing.assert_array_equal(after.batch.fresh, rollout.cut[-1])
+    at_rest = rollout.observation[rollout.fresh]
+    np.testing.assert_allclose(at_rest[:, 0], 0)
+    np.testing.assert_allclose(at_rest[:, 3:], np.tile([0.0, -1.0], (len(at_rest), 1)), atol=1e-6)
+
+
+def test_a_reset_clears_what_the_networks_remember(lived: tuple[PPO, Lane, Lane, Rollout]) -> None:
+    _, before, _, rollout = lived
+    policy = before.networks.policy
+    time, env = np.argwhere(np.asarray(rollout.fresh))[0]
+    _, mean = policy.net.step(policy.init(), rollout.observation[time, env])
+    density = policy.log_density(mean, rollout.raw[time, env])
+    np.testing.assert_allclose(density, rollout.log_density[time, env], atol=1e-4)
+
+
+def test_the_value_beyond_a_cut_is_that_of_the_state_before_the_reset(lived: tuple[PPO, Lane, Lane, Rollout]) -> None:
+    rollout = lived[-1]
+    beyond, cut = np.asarray(rollout.value_beyond), np.asarray(rollout.cut)
+    assert np.all(beyond[~cut] == 0)
+    assert np.all(beyond[cut] != 0)
+    after_reset = np.asarray(rollout.value)[1:][cut[:-1]]
+    assert np.all(beyond[:-1][cut[:-1]] != after_reset)
+
+
+def test_all_environments_keep_to_the_33_33_34_clock(lived: tuple[PPO, Lane, Lane, Rollout]) -> None:
+    ages, ticks = lived[2].batch.states.age, lived[2].batch.states.plant.ticks
+    assert np.all(np.asarray(ages) % 3 == 0)
+    assert np.all(np.asarray(ticks) % 100 == 0)
+
+
+def test_every_environment_has_its_own_reference(lived: tuple[PPO, Lane, Lane, Rollout]) -> None:
+    references = np.asarray(lived[2].batch.states.reference)
+    assert len(np.unique(references, axis=0)) == 4
+    assert np.all((references >= jnp.array([1, -1])) & (references <= jnp.array([3, 1])))

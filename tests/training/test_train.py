@@ -1,0 +1,133 @@
+"""Training runs: lanes, checkpoints, resuming, logs, what stops them."""
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softfin.artifacts import load_description
+from softfin.checkpoint import Workspace, read_log
+from softfin.errors import ConfigurationError, RunError
+from softfin.quantities import Command
+from softfin.tracking.references import Cell
+from softfin.tracking.task import TaskConfig
+from softfin.training.policy import PolicyConfig
+from softfin.training.ppo import PPOConfig
+from softfin.training.train import GRID, SINGLE, TrainConfig, Trained, train
+from tests.plants import AnalyticFin
+
+SMALL = TrainConfig(
+    steps=4 * 24,
+    cells=(Cell.around((1, -1)), Cell.around((2, 0))),
+    task=TaskConfig(episode_actions=12, reference_actions=12),
+    policy=PolicyConfig(units=8, width=8),
+    ppo=PPOConfig(environments=4, rollout_actions=6, epochs=2, minibatches=2),
+    scorings=4,
+)
+
+
+class Cut(Exception):
+    """The power goes."""
+
+
+def trained(folder: Path, seeds: tuple[int, ...] = (0,), config: TrainConfig = SMALL, **options: Any) -> Trained:
+    facts = {"configuration": config.model_dump(mode="json"), "seeds": list(seeds)}
+    workspace = Workspace(folder / "out", facts, resume=options.pop("resume", False))
+    return train(options.pop("plant", AnalyticFin()), config, seeds, workspace, **options)
+
+
+def log_of(folder: Path) -> list[dict[str, Any]]:
+    return read_log(folder / ".out.unfinished" / "log.jsonl")
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Trained, Path]:
+    folder = tmp_path_factory.mktemp("whole")
+    return trained(folder, (0, 1)), folder
+
+
+def test_there_is_a_policy_for_each_seed_and_cell_and_none_are_alike(whole: tuple[Trained, Path]) -> None:
+    kernels = np.asarray(whole[0].policies.net.lstm.kernel)
+    assert kernels.shape[:2] == (2, 2)
+    assert len(np.unique(kernels.reshape(4, -1), axis=0)) == 4
+    assert np.asarray(whole[0].score.error).shape == (2, 2, 1, 2)
+    assert np.isfinite(whole[0].score.error).all()
+
+
+def test_a_resumed_run_ends_as_one_that_was_never_stopped(whole: tuple[Trained, Path], tmp_path: Path) -> None:
+    def cut(stage: str, done: float, note: str) -> None:
+        if done >= 0.6:
+            raise Cut
+
+    with pytest.raises(Cut):
+        trained(tmp_path, (0, 1), progress=cut)
+    resumed = trained(tmp_path, (0, 1), resume=True)
+
+    jax.tree.map(np.testing.assert_array_equal, resumed.policies, whole[0].policies)
+    jax.tree.map(np.testing.assert_array_equal, resumed.score, whole[0].score)
+    assert log_of(tmp_path) == log_of(whole[1])
+
+
+def test_a_lane_alone_learns_as_among_others(whole: tuple[Trained, Path], tmp_path: Path) -> None:
+    config = SMALL.model_copy(update={"cells": SMALL.cells[1:]})
+    alone = trained(tmp_path, (1,), config)
+    jax.tree.map(
+        lambda a, b: np.testing.assert_allclose(a[0, 0], b[1, 1], atol=1e-3), alone.policies, whole[0].policies
+    )
+
+
+def test_the_log_tells_every_update_and_seed_and_the_deterministic_score(whole: tuple[Trained, Path]) -> None:
+    entries = log_of(whole[1])
+    assert [entry["step"] for entry in entries] == [24, 48, 72, 96]
+    for entry in entries:
+        assert {f"seed{s}/{n}" for s in (0, 1) for n in ("reward", "kl", "score_x_n", "score_y_n")} <= set(entry)
+    assert list((whole[1] / ".out.unfinished").glob("events.*"))
+
+
+def test_the_policy_with_the_best_deterministic_score_is_kept(whole: tuple[Trained, Path]) -> None:
+    entries = log_of(whole[1])
+    for i, seed in enumerate((0, 1)):
+        best = np.asarray(whole[0].score.error)[i].mean()
+        logged = [entry[f"seed{seed}/score_x_n"] + entry[f"seed{seed}/score_y_n"] for entry in entries]
+        assert best <= min(logged) / 2 + 1e-6
+
+
+class Breaking(AnalyticFin):
+    """Its forces are no numbers after two seconds."""
+
+    def advance(self, state: Any, command: Command, ticks: int) -> Any:
+        state, reading = super().advance(state, command, ticks)
+        broken = jnp.where(reading.time[:, None] > 2.5, jnp.nan, reading.force)
+        return state, reading._replace(force=broken)
+
+
+def test_a_loss_that_is_not_finite_stops_with_its_place_and_the_last_good_checkpoint(tmp_path: Path) -> None:
+    words = r"the loss is not finite in update 2 of 4, seed 5, cell x 0.5 .. 1.5, y -1.5 .. -0.5 N; lower ppo.learning"
+    with pytest.raises(RunError, match=words):
+        trained(tmp_path, (5,), plant=Breaking())
+    checkpoint = tmp_path / ".out.unfinished" / "checkpoint"
+    assert load_description(checkpoint, "checkpoint")["updates"] == 1
+
+
+def test_a_budget_under_one_rollout_and_repeated_seeds_are_refused(tmp_path: Path) -> None:
+    small = SMALL.model_copy(update={"steps": 23})
+    with pytest.raises(ConfigurationError, match=r"steps = 23: fewer than one rollout of 24 \(4 environments x 6"):
+        trained(tmp_path, config=small)
+    with pytest.raises(ConfigurationError, match=r"seeds \[3, 3\]: give at least one, and each once"):
+        trained(tmp_path, (3, 3))
+
+
+def test_a_single_controller_of_two_cells_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="a single controller has one cell, not 2"):
+        TrainConfig.build({**SMALL.model_dump(), "controller": "single"})
+
+
+def test_the_budgets_are_those_of_the_paper() -> None:
+    assert (SINGLE.steps, len(SINGLE.cells)) == (30_000, 1)
+    assert (GRID.steps, len(GRID.cells)) == (10_000, 6)
+    for config in (SINGLE, GRID):
+        assert config.steps - config.ppo.steps_per_update < config.updates * config.ppo.steps_per_update <= config.steps
+        assert config.task.episode_actions / 3 == 30
