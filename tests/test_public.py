@@ -19,3 +19,9 @@ def test_importing_softfin_and_asking_for_help_imports_nothing_heavy():
         "assert not heavy, heavy"
     )
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
+def test_the_environment_is_known_to_gymnasium_whichever_is_imported_first():
+    make = "gymnasium.make('softfin/ForceTracking-v0', plant=softfin.Tank())"
+    for order in ("import gymnasium, softfin", "import softfin, gymnasium"):
+        subprocess.run([sys.executable, "-c", f"{order}; {make}"], check=True, capture_output=True)

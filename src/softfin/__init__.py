@@ -9,10 +9,12 @@ The stages of the main job, the records that pass between them, and what plants 
     softfin.train("surrogate", Path("controller"))
     softfin.evaluate(Path("controller"), "tank", Path("evaluation"))
 
-Everything is imported when it is first used, so that ``import softfin`` costs nothing.
+Everything is imported when it is first used, so that ``import softfin`` costs nothing. The environment
+``softfin/ForceTracking-v0`` is known to Gymnasium once Gymnasium and softfin are imported, or any name below is used.
 """
 
 import importlib
+import sys
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -75,6 +77,7 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 def __getattr__(name: str) -> Any:
     if name not in _HOME_OF:
         raise AttributeError(f"module 'softfin' has no attribute {name!r}; it has {', '.join(__all__)}")
+    _register()
     value = getattr(importlib.import_module(_HOME_OF[name]), name)
     globals()[name] = value
     return value
@@ -82,3 +85,13 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return __all__
+
+
+def _register() -> None:
+    from softfin.tracking.registration import register
+
+    register()
+
+
+if "gymnasium" in sys.modules:
+    _register()
