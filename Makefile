@@ -26,7 +26,7 @@ demo: setup ## collect, fit, train, evaluate, report: at most 5 minutes on 2 cor
 	$(RUN) softfin reproduce --preset $(PRESET) --plant tank --out $(OUT) --overwrite
 
 test: setup ## all tests
-	$(RUN) pytest
+	$(RUN) pytest -n auto
 
 lint: setup ## style and types
 	$(RUN) ruff check .
