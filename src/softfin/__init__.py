@@ -18,6 +18,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from softfin import testing
     from softfin.control.store import load_controller
     from softfin.evaluation.evaluate import EvaluateConfig
     from softfin.logs.collect import CollectConfig
@@ -55,6 +56,7 @@ __all__ = [
     "load_controller",
     "load_surrogate",
     "reproduce",
+    "testing",
     "train",
 ]
 
@@ -75,6 +77,8 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
+    if name == "testing":
+        return importlib.import_module("softfin.testing")
     if name not in _HOME_OF:
         raise AttributeError(f"module 'softfin' has no attribute {name!r}; it has {', '.join(__all__)}")
     _register()

@@ -31,6 +31,7 @@ KINDS = ("dataset", "surrogate", "controller", "controllers", "evaluation", "rep
 
 def check_vacant(path: Path, overwrite: bool = False) -> None:
     """Raise unless a folder may be written at `path`: vacant, or a softfin folder and `overwrite`."""
+    recover(path)
     if not path.exists() or (path.is_dir() and not any(path.iterdir())):
         return
     if not overwrite:
@@ -47,21 +48,31 @@ def is_kind(path: Path, kind: str) -> bool:
 def write_folder(path: Path, write: Callable[[Path], None]) -> None:
     """Let `write` fill a folder beside `path`, then rename it into place, replacing what was there."""
     path = path.absolute()
-    beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    old = path.with_name(f".{path.name}.{os.getpid()}.old")
+    recover(path)
+    beside, old = path.with_name(f".{path.name}.partial"), _old(path)
     try:
+        shutil.rmtree(beside, ignore_errors=True)
         beside.mkdir(parents=True)
         write(beside)
         if path.exists():
             path.rename(old)
         beside.rename(path)
     except OSError as error:
-        raise RunError(f"{path}: cannot be written ({error.strerror}); nothing was left there") from None
+        raise RunError(f"{path}: cannot be written ({error.strerror or error}); what was there is left") from None
     finally:
         shutil.rmtree(beside, ignore_errors=True)
-        if not path.exists() and old.exists():
-            old.rename(path)
+        recover(path)
         shutil.rmtree(old, ignore_errors=True)
+
+
+def recover(path: Path) -> None:
+    """Put back a folder that a kill left between the two renames of `write_folder`."""
+    if not path.exists() and _old(path).exists():
+        _old(path).rename(path)
+
+
+def _old(path: Path) -> Path:
+    return path.absolute().with_name(f".{path.name}.old")
 
 
 def write_file(path: Path, data: bytes | str) -> None:
@@ -72,19 +83,33 @@ def write_file(path: Path, data: bytes | str) -> None:
         beside.write_bytes(data if isinstance(data, bytes) else data.encode())
         beside.replace(path)
     except OSError as error:
-        raise RunError(f"{path}: cannot be written ({error.strerror})") from None
+        raise RunError(f"{path}: cannot be written ({error.strerror or error})") from None
     finally:
         beside.unlink(missing_ok=True)
 
 
-def save(path: Path, kind: str, description: Mapping[str, Any], weights: Weights) -> None:
-    """Write ``KIND.json`` and the weights as one folder."""
+def save(
+    path: Path,
+    kind: str,
+    description: Mapping[str, Any],
+    weights: Weights,
+    also: Callable[[Path], None] | None = None,
+) -> None:
+    """Write ``KIND.json``, the weights and what `also` adds as one folder."""
 
     def write(folder: Path) -> None:
-        safetensors.numpy.save_file({k: np.asarray(v, order="C") for k, v in weights.items()}, folder / WEIGHTS)
+        # Bytes through Path: safetensors' own writer hides a full disk, and makes files that others cannot read.
+        (folder / WEIGHTS).write_bytes(encode(weights))
         (folder / f"{kind}.json").write_text(dump_json(description))
+        if also is not None:
+            also(folder)
 
     write_folder(path, write)
+
+
+def encode(weights: Weights, metadata: dict[str, str] | None = None) -> bytes:
+    """Arrays by name as safetensors."""
+    return safetensors.numpy.save({name: np.asarray(array, order="C") for name, array in weights.items()}, metadata)
 
 
 def load(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
@@ -101,6 +126,7 @@ def load(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]
 
 def load_description(path: Path, kind: str) -> dict[str, Any]:
     """The JSON of a folder of one kind: dataset, surrogate, controller."""
+    recover(path)
     file = path / f"{kind}.json"
     if not path.is_dir():
         raise ArtifactError(f"{path}: no such folder; it should be a {kind}, a folder with a {kind}.json")
@@ -117,7 +143,10 @@ def load_description(path: Path, kind: str) -> dict[str, Any]:
 
 def dump_json(value: Any) -> str:
     """Indented JSON with a final newline; NumPy scalars become numbers."""
-    return json.dumps(value, indent=2, default=lambda x: x.tolist() if hasattr(x, "tolist") else str(x)) + "\n"
+    return (
+        json.dumps(value, indent=2, allow_nan=False, default=lambda x: x.tolist() if hasattr(x, "tolist") else str(x))
+        + "\n"
+    )
 
 
 def provenance(**facts: Any) -> dict[str, Any]:
@@ -135,12 +164,16 @@ def provenance(**facts: Any) -> dict[str, Any]:
 
 def _git_commit() -> str | None:
     """Of the checkout that softfin runs from, with ``+`` when it has uncommitted changes; None outside one."""
-    here = Path(__file__).parent
-    try:
+
+    def git(*words: str) -> str:
         run = subprocess.run(
-            ["git", "describe", "--always", "--dirty=+", "--abbrev=12", "--exclude=*"],
-            cwd=here, capture_output=True, text=True, check=True, timeout=5,
-        )  # fmt: skip
+            ["git", *words], cwd=Path(__file__).parent, capture_output=True, text=True, check=True, timeout=5
+        )
+        return run.stdout.strip()
+
+    try:
+        # An environment inside somebody's repository is no checkout of softfin.
+        git("ls-files", "--error-unmatch", Path(__file__).name)
+        return git("describe", "--always", "--dirty=+", "--abbrev=12", "--exclude=*") or None
     except (OSError, subprocess.SubprocessError):
         return None
-    return run.stdout.strip() or None

@@ -1,7 +1,7 @@
 """Work in progress beside its output: a folder ``.NAME.unfinished`` with the last checkpoint and the training log.
 
-A checkpoint is a pytree of arrays in safetensors and the facts that go with it in JSON; never pickle. It is replaced
-whole, so a kill at any moment leaves the one before or the new one.
+A checkpoint is one safetensors file: a pytree of arrays, and the facts that go with it as JSON in its metadata; never
+pickle. It is replaced in one rename, so a kill at any moment leaves the one before or the new one.
 """
 
 import json
@@ -12,13 +12,14 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
+import safetensors
 
 from softfin import artifacts
-from softfin.errors import ArtifactError
+from softfin.errors import ArtifactError, RunError
 
 Tree = TypeVar("Tree")
 
-CHECKPOINT = "checkpoint"
+CHECKPOINT = "checkpoint.safetensors"
 LOG = "log.jsonl"
 
 
@@ -50,14 +51,20 @@ class Workspace:
     def save(self, tree: Any, facts: dict[str, Any]) -> None:
         """Replace the checkpoint."""
         leaves = {str(i): np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(tree))}
-        artifacts.save(self.folder / CHECKPOINT, CHECKPOINT, {"fingerprint": self.fingerprint, **facts}, leaves)
+        metadata = {"facts": json.dumps({"fingerprint": self.fingerprint, **facts})}
+        artifacts.write_file(self.folder / CHECKPOINT, artifacts.encode(leaves, metadata))
 
     def load(self, like: Tree) -> tuple[Tree, dict[str, Any]] | None:
         """The last checkpoint, in the structure of `like`; None where there is none yet."""
         path = self.folder / CHECKPOINT
         if not path.exists():
             return None
-        facts, arrays = artifacts.load(path, CHECKPOINT)
+        try:
+            with safetensors.safe_open(path, "numpy") as file:
+                facts = json.loads(file.metadata()["facts"])
+                arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        except (OSError, KeyError, TypeError, ValueError, safetensors.SafetensorError) as error:
+            raise ArtifactError(f"{path}: damaged ({error}); start anew with --overwrite") from None
         before = facts.pop("fingerprint", None)
         if before != self.fingerprint:
             differing = _differences(before or {}, self.fingerprint)
@@ -76,11 +83,14 @@ class Workspace:
         self.folder.mkdir(parents=True, exist_ok=True)
         return RunLog(self.folder, rewind_to)
 
-    def finish(self, keep: Path | None = None) -> None:
-        """Remove the folder; the training log first moves to `keep`, where one is given."""
-        shutil.rmtree(self.folder / CHECKPOINT, ignore_errors=True)
-        if keep is not None:
-            shutil.copytree(self.folder, keep, dirs_exist_ok=True)
+    def keep_log(self, folder: Path) -> None:
+        """Copy the training log to `folder`, a part of the finished artifact."""
+        folder.mkdir()
+        for file in (self.folder / LOG, *self.folder.glob("events.*")):
+            shutil.copy(file, folder)
+
+    def finish(self) -> None:
+        """Remove the folder: the artifact stands."""
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
@@ -99,8 +109,13 @@ class RunLog:
 
     def write(self, step: int, **scalars: float) -> None:
         """Append the scalars of one step."""
-        with self.path.open("a") as file:
-            file.write(json.dumps({"step": step, **{name: float(value) for name, value in scalars.items()}}) + "\n")
+        try:
+            with self.path.open("a") as file:
+                file.write(json.dumps({"step": step, **{name: float(value) for name, value in scalars.items()}}) + "\n")
+        except OSError as error:
+            raise RunError(
+                f"{self.path}: cannot be written ({error.strerror or error}); make room and --resume"
+            ) from None
         for name, value in scalars.items():
             self._writer.add_scalar(name, float(value), step)
 

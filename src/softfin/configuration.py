@@ -85,9 +85,10 @@ def _explain(cls: type[pydantic.BaseModel], error: pydantic.ValidationError) -> 
     if first["type"] == "extra_forbidden":
         model: Any = cls
         for parent in parents:
-            model = model.model_fields[str(parent)].annotation
+            field = getattr(model, "model_fields", {}).get(str(parent))
+            model = field.annotation if field else None
         fields = dict.fromkeys(model.model_fields) if hasattr(model, "model_fields") else {}
-        return f"unknown key {name!r}{_nearest(str(leaf), fields)}"
+        return f"unknown key {name!r}{_nearest(str(leaf), fields) if fields else ''}"
     return f"{name or 'value'} = {first['input']!r}: {first['msg']}"
 
 

@@ -1,9 +1,14 @@
 """Finding a plant by what a user calls it: ``tank``, the folder of a surrogate, or ``package.module:plant``."""
 
+import hashlib
 import importlib
 import sys
 from pathlib import Path
 from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
 
 from softfin import artifacts
 from softfin.errors import PlantError
@@ -32,22 +37,39 @@ def find_plant(name: str) -> Plant:
 
 def is_surrogate(name: str) -> bool:
     """Whether `name` stands for a surrogate's folder."""
-    return artifacts.is_kind(Path(name), "surrogate")
+    return name != "tank" and artifacts.is_kind(Path(name), "surrogate")
+
+
+def identity(plant: Plant) -> str:
+    """What kind of plant, and a hash of all its arrays and settings: equal for equal plants in every process."""
+    arrays, rest = eqx.partition(plant, eqx.is_array)
+    digest = hashlib.sha256()
+    for leaf in jax.tree.leaves(arrays):
+        digest.update(np.asarray(leaf).tobytes())
+    # Of a plant that JAX knows nothing of, the whole object is one leaf, and its text may hold an address.
+    digest.update(str(jax.tree.structure(rest)).encode())
+    return f"{type(plant).__module__}.{type(plant).__qualname__} {digest.hexdigest()[:16]}"
 
 
 def _imported(name: str, module: str, attribute: str) -> Plant:
     # As `python -m` does: one's own simulator mostly lies in the folder where one works.
-    sys.path.insert(0, str(Path.cwd()))
+    here = str(Path.cwd())
+    sys.path.insert(0, here)
     try:
-        plant: Any = getattr(importlib.import_module(module), attribute)
-    except ImportError as error:
-        raise PlantError(f"--plant {name}: {error}; give {HELP}") from None
-    except AttributeError:
-        raise PlantError(f"--plant {name}: module {module} has no {attribute!r}; give {HELP}") from None
+        imported = importlib.import_module(module)
+        if not hasattr(imported, attribute):
+            raise PlantError(f"--plant {name}: module {module} has no {attribute!r}; give {HELP}")
+        plant: Any = getattr(imported, attribute)
+        if isinstance(plant, type) or (callable(plant) and not isinstance(plant, Plant)):
+            plant = plant()
+    except PlantError:
+        raise
+    except Exception as error:
+        # It is the user's code that runs here, and it may fail in any way.
+        reason = " ".join(str(error).split())
+        raise PlantError(f"--plant {name}: {type(error).__name__}: {reason}; give {HELP}") from error
     finally:
-        sys.path.pop(0)
-    if isinstance(plant, type) or (callable(plant) and not isinstance(plant, Plant)):
-        plant = plant()
+        sys.path.remove(here)
     if not isinstance(plant, Plant):
         raise PlantError(f"--plant {name}: a {type(plant).__name__} is no plant: it needs limits, init and advance; "
                          "softfin.testing.check_plant says what is missing")  # fmt: skip

@@ -58,6 +58,17 @@ class Limits(NamedTuple):
     velocity_min: float
     velocity_max: float
 
+    def described(self) -> dict[str, float]:
+        """For JSON: names with units."""
+        return {
+            f"{name}_{'rad' if 'angle' in name else 'rad_s'}": float(value) for name, value in self._asdict().items()
+        }
+
+    @classmethod
+    def of(cls, description: dict[str, float]) -> "Limits":
+        """From what `described` gave; raises KeyError where a name is missing."""
+        return cls(*(float(description[name]) for name in cls(0, 0, 0, 0).described()))
+
 
 PAPER_LIMITS = Limits(-np.pi / 2, np.pi / 2, 1.0, np.pi)
 """Sec. III-A: target position in (-pi/2, pi/2) rad, velocity in (1, pi) rad/s."""

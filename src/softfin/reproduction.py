@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import yaml
 from matplotlib.figure import Figure
-from pydantic import Field, PositiveInt
+from pydantic import Field, PositiveInt, model_validator
 
 from softfin import artifacts, stages
 from softfin.checkpoint import LOG, read_log
@@ -25,7 +25,7 @@ from softfin.evaluation.report import write_report
 from softfin.evaluation.scores import Scores
 from softfin.logs.collect import CollectConfig
 from softfin.logs.dataset import Dataset
-from softfin.plants import is_surrogate
+from softfin.plants import find_plant, identity, is_surrogate
 from softfin.quantities import RATE_HZ
 from softfin.stages import Progress
 from softfin.surrogate import FitConfig, load_surrogate
@@ -54,13 +54,22 @@ class ReproduceConfig(Configuration):
     seeds: PositiveInt = Field(default=5)
     """Controllers trained of each kind, from seeds 0, 1, ...: the intervals are over these."""
 
+    @model_validator(mode="after")
+    def _covered(self) -> "ReproduceConfig":
+        for reference in self.evaluate.references:
+            for kind in CONTROLLERS:
+                if all(cell.distance(reference) > 0 for cell in getattr(self, kind).cells):
+                    raise ValueError(
+                        f"evaluate.references has {reference} N, which no cell of {kind} covers; add a cell"
+                    )
+        return self
+
 
 def reproduce(
     plant: str,
     out: Path,
     config: ReproduceConfig | None = None,
     *,
-    preset: str = "paper",
     seed: int = 0,
     resume: bool = False,
     overwrite: bool = False,
@@ -76,14 +85,14 @@ def reproduce(
     ``controllers``   ``single`` and ``grid``, each what `evaluation.evaluate.write_evaluation` writes: per reference
                       and axis ``error_n``, ``std_n``, ``raw_std_n`` and their 95% intervals over the trained seeds
     ``in_surrogate``  the same controllers judged in the surrogate that they were trained in; null when that is `plant`
-    ``seconds``       wall-clock time of each stage, as far as it ran in this call
+    ``wall_s``        wall-clock time of each stage, as far as it ran in this call
     ``peak_memory_gib`` of this process
     ``configuration``, ``provenance``
     ================= ================================================================================================
     """
     config = config or ReproduceConfig()
     run = _Reproduction(plant, out, config, seed, progress)
-    run.claim(preset, resume, overwrite)
+    run.claim(resume, overwrite)
     scores = None if is_surrogate(plant) else run.learn_surrogate()
     for kind in CONTROLLERS:
         run.stage(f"train {kind}", out / kind, partial(run.train, kind))
@@ -91,18 +100,19 @@ def reproduce(
     within = None if is_surrogate(plant) else run.judge(str(run.surrogate), "evaluation-in-surrogate")
     results = {
         "title": "softfin: force control of a soft fin",
-        "preset": preset,
+        "preset": run.preset,
         "plant": plant,
         "seed": seed,
         "seeds": config.seeds,
         "surrogate": None if scores is None else {"scores": scores},
         "controllers": {kind: summary for kind, (summary, _) in judged.items()},
         "in_surrogate": None if within is None else {kind: summary for kind, (summary, _) in within.items()},
-        "seconds": run.seconds,
+        "wall_s": run.wall_s,
         "peak_memory_gib": peak_memory_gib(),
         "configuration": config.model_dump(mode="json"),
         "provenance": artifacts.provenance(seed=seed, plant=plant),
     }
+    artifacts.write_file(out / "results.json", artifacts.dump_json(results))
     write_report(
         out / "report.html",
         results,
@@ -112,7 +122,6 @@ def reproduce(
             f"{kind} controller, seed {seed}": experiments_figure(e.recording) for kind, (_, e) in judged.items()
         },
     )
-    artifacts.write_file(out / "results.json", artifacts.dump_json(results))
     return results
 
 
@@ -121,14 +130,16 @@ class _Reproduction:
 
     def __init__(self, plant: str, out: Path, config: ReproduceConfig, seed: int, progress: Progress | None) -> None:
         self.plant, self.out, self.config, self.seed, self.progress = plant, out, config, seed, progress
-        self.dataset, self.seconds = out / "dataset", dict[str, float]()
+        self.preset = next((name for name, preset in PRESETS.items() if preset == config), "custom")
+        self.settings = config.collect.merged({"seed": seed}, "seed")
+        self.dataset, self.wall_s = out / "dataset", dict[str, float]()
         self.surrogate = Path(plant) if is_surrogate(plant) else out / "surrogate"
         self.seeds = tuple(range(seed, seed + config.seeds))
 
-    def claim(self, preset: str, resume: bool, overwrite: bool) -> None:
+    def claim(self, resume: bool, overwrite: bool) -> None:
         """Take the folder for this run, or take it over from a stopped run with the same options."""
         facts = {
-            "plant": self.plant, "preset": preset, "seed": self.seed,
+            "plant": identity(find_plant(self.plant)), "seed": self.seed,
             "configuration": self.config.model_dump(mode="json"),
         }  # fmt: skip
         if resume and artifacts.is_kind(self.out, KIND):
@@ -149,14 +160,13 @@ class _Reproduction:
             return
         start = time.perf_counter()
         work()
-        self.seconds[name] = time.perf_counter() - start
+        self.wall_s[name] = time.perf_counter() - start
 
     def learn_surrogate(self) -> dict[str, Any] | None:
         """Collect and fit; Table I."""
-        settings = self.config.collect.model_copy(update={"seed": self.seed})
         self.stage(
             "collect", self.dataset,
-            lambda: stages.collect(self.plant, self.dataset, settings, progress=self.progress),
+            lambda: stages.collect(self.plant, self.dataset, self.settings, progress=self.progress),
         )  # fmt: skip
         self.stage(
             "fit", self.surrogate,
@@ -186,7 +196,7 @@ class _Reproduction:
             whole = _together(each)
             facts = {"controller": kind, "plant": plant, "repetitions": "controllers trained from different seeds"}
             judged[kind] = write_evaluation(whole, self.out / folder / kind, facts), whole
-        self.seconds[folder] = time.perf_counter() - start
+        self.wall_s[folder] = time.perf_counter() - start
         return judged
 
     def learning_figures(self) -> dict[str, Figure]:
@@ -209,7 +219,7 @@ class _Reproduction:
         if not data.test:
             return {}
         log = next(data.load(data.test[:1]))
-        first = min(10 * RATE_HZ, len(log.reading.time) // 2)
+        first = max(surrogate.window, min(10 * RATE_HZ, len(log.reading.time) // 2))
         stretch = slice(first, first + SHOWN_S * RATE_HZ)
         behind = slice(first - surrogate.window, stretch.stop - surrogate.window)
         said = {
@@ -222,13 +232,13 @@ class _Reproduction:
 
 
 def _together(each: list[Evaluation]) -> Evaluation:
-    """One evaluation whose repetitions are those of all controllers; the recording is the first's."""
-    scores = Scores(*(np.concatenate(parts, axis=1) for parts in zip(*(e.scores for e in each), strict=True)))
-    config = each[0].config
-    return Evaluation(config.model_copy(update={"seeds": config.seeds * len(each)}), scores, each[0].recording)
+    """One evaluation whose repetitions are the controllers, each the mean of its own; the recording is the first's."""
+    means = [[field.mean(axis=1) for field in e.scores] for e in each]
+    scores = Scores(*(np.stack(fields, axis=1) for fields in zip(*means, strict=True)))
+    return Evaluation(each[0].config, scores, len(each), each[0].recording)
 
 
-def _curve(log: list[dict[str, Any]], seed: int, names: tuple[str, ...]) -> tuple[list[float], list[float]]:
+def _curve(log: list[dict[str, Any]], seed: int, names: tuple[str, ...]) -> tuple[list[int], list[float]]:
     keys = [f"seed{seed}/{name}" for name in names]
     entries = [entry for entry in log if keys[0] in entry]
     return [e["step"] for e in entries], [float(np.mean([e[key] for key in keys])) for e in entries]

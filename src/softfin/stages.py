@@ -3,7 +3,6 @@
 They are the Python API that ``import softfin`` offers, and the command line is a few lines over them.
 """
 
-import hashlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,18 +10,19 @@ from typing import Any
 from softfin import artifacts
 from softfin.checkpoint import Workspace
 from softfin.control.store import load_controller, save_controller
-from softfin.errors import ArtifactError, PlantError
+from softfin.errors import PlantError
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, write_evaluation
 from softfin.evaluation.evaluate import evaluate as _evaluate
 from softfin.logs.collect import CollectConfig
 from softfin.logs.collect import collect as _collect
 from softfin.logs.dataset import Dataset
 from softfin.plant import Plant
-from softfin.plants import find_plant, is_surrogate
+from softfin.plants import find_plant, identity
 from softfin.quantities import Limits
 from softfin.randomness import key_of
 from softfin.surrogate import FitConfig, Surrogate, save_surrogate
 from softfin.surrogate import import_keras as _import_keras
+from softfin.surrogate.fit import check_lengths
 from softfin.surrogate.fit import fit as _fit
 from softfin.surrogate.metrics import table_one
 from softfin.tank import Tank, randomised
@@ -78,11 +78,16 @@ def fit(
     data = Dataset.open(dataset)
     facts = {"configuration": config.model_dump(mode="json"), "seed": seed, "data_hash": data.data_hash}
     workspace = Workspace(out, facts, resume, overwrite)
+    test = list(data.load(data.test))
+    check_lengths(test, config.posnet.window, "test")
     surrogate = _fit(list(data.load(data.train)), config, seed, workspace, progress)
-    scores = table_one(surrogate, list(data.load(data.test))) if data.test else None
+    scores = table_one(surrogate, test) if test else None
     provenance = artifacts.provenance(seed=seed, data_hash=data.data_hash, dataset=str(dataset))
-    save_surrogate(out, surrogate, scores, provenance, configuration=facts["configuration"])
-    workspace.finish(keep=out / TRAINING_LOG)
+    save_surrogate(
+        out, surrogate, scores, provenance,
+        also=lambda folder: workspace.keep_log(folder / TRAINING_LOG), configuration=facts["configuration"],
+    )  # fmt: skip
+    workspace.finish()
     return {"table_i": scores}
 
 
@@ -113,26 +118,30 @@ def train(
     facts = {
         "configuration": config.model_dump(mode="json"),
         "seeds": list(seeds),
-        "plant": str(plant),
-        "plant_hash": _hash_of(str(plant)),
+        "plant": identity(moving),
     }
     workspace = Workspace(out, facts, resume, overwrite)
     trained = _train(moving, config, seeds, workspace, progress)
 
-    def save(folder: Path, seed: int) -> None:
-        origin = {"plant": facts["plant"], "plant_hash": facts["plant_hash"]}
-        save_controller(folder, trained, seed, artifacts.provenance(seed=seed, **origin))
+    def save(folder: Path, seed: int, also: Callable[[Path], None] | None = None) -> None:
+        named = plant if isinstance(plant, str) else type(plant).__name__
+        origin = artifacts.provenance(seed=seed, plant=named, plant_identity=facts["plant"])
+        save_controller(folder, trained, seed, origin, also)
+
+    def keep_log(folder: Path) -> None:
+        workspace.keep_log(folder / TRAINING_LOG)
 
     def save_all(folder: Path) -> None:
         for seed in seeds:
             save(folder / f"seed-{seed}", seed)
         (folder / "controllers.json").write_text(artifacts.dump_json({"seeds": list(seeds)}))
+        keep_log(folder)
 
     if len(seeds) == 1:
-        save(out, seeds[0])
+        save(out, seeds[0], keep_log)
     else:
         artifacts.write_folder(out, save_all)
-    workspace.finish(keep=out / TRAINING_LOG)
+    workspace.finish()
 
 
 def evaluate(
@@ -149,7 +158,14 @@ def evaluate(
     evaluation = judged(controller, plant, config or EvaluateConfig())
     if out is None:
         return evaluation.summary()
-    return write_evaluation(evaluation, out, {"controller": str(controller), "plant": str(plant)})
+    facts = {"controller": str(controller), "kind": kind_of(controller), "plant": str(plant)}
+    return write_evaluation(evaluation, out, facts)
+
+
+def kind_of(controller: Path) -> str:
+    """``single`` or ``grid``."""
+    kind: str = artifacts.load_description(controller, "controller")["controller"]
+    return kind
 
 
 def judged(controller: Path, plant: str | Plant, config: EvaluateConfig) -> Evaluation:
@@ -170,13 +186,3 @@ def _check_limits(asked: Limits, taken: Limits, controller: Path, plant: str | P
                 f"{controller}: commands a {quantity} of {ours[0]:.3g} .. {ours[1]:.3g}; {plant} takes "
                 f"{theirs[0]:.3g} .. {theirs[1]:.3g}; train it in a surrogate of this plant"
             )
-
-
-def _hash_of(plant: str) -> str | None:
-    """SHA-256 of a surrogate's weights, so that an artifact names what it was made with; None for other plants."""
-    if not is_surrogate(plant):
-        return None
-    try:
-        return hashlib.sha256((Path(plant) / artifacts.WEIGHTS).read_bytes()).hexdigest()
-    except OSError as error:
-        raise ArtifactError(f"{plant}: {artifacts.WEIGHTS} cannot be read ({error.strerror})") from None

@@ -63,7 +63,7 @@ def test_each_command_reads_what_the_one_before_wrote(capsys, tmp_path, monkeypa
         assert scored["references"][0]["reference_n"] == [1, 0]
         assert scored["references"][0]["x"]["error_n"] >= 0
         written = json.loads((tmp_path / f"{kind}-judged" / "evaluation.json").read_text())
-        assert written["conditions"]["seconds"] == 3
+        assert written["conditions"]["duration_s"] == 3
 
     with pytest.raises(SystemExit) as stop:
         main(["evaluate", str(tmp_path / "grid"), "--plant", PLANT, "--reference=9,0", "--out", str(tmp_path / "far")])
@@ -117,8 +117,8 @@ def test_a_run_that_was_killed_goes_on_where_it_was(tmp_path):
     again = subprocess.run([*words, "--resume"], capture_output=True, text=True, timeout=600)
     assert again.returncode == 0, again.stderr
     results = json.loads((out / "results.json").read_text())
-    assert "collect" not in results["seconds"]
-    assert "fit" not in results["seconds"]
+    assert "collect" not in results["wall_s"]
+    assert "fit" not in results["wall_s"]
     assert (out / "report.html").is_file()
 
     other = subprocess.run([*words, "--resume", "--seed", "7"], capture_output=True, text=True)

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softfin.training.lstm import LSTM, Memory, cleared, normal
+from softfin.training.lstm import LSTM, Memory, cleared, weights
 
 
 def sigmoid(x: np.ndarray) -> np.ndarray:
@@ -52,5 +52,5 @@ def test_nothing_before_a_reset_reaches_what_comes_after() -> None:
 def test_new_weights_keep_the_variance_of_their_inputs() -> None:
     x = jax.random.normal(jax.random.key(0), (4000, 50))
     for gain in (1.0, 3.0):
-        y = x @ normal(jax.random.key(1), (50, 200), gain)
+        y = x @ weights(jax.random.key(1), (50, 200), gain)
         assert abs(float(y.std()) / gain - 1) < 0.05

@@ -18,25 +18,23 @@ def lived() -> tuple[PPO, Lane, Lane, Rollout]:
     """A learner whose second rollout crosses resets."""
     ppo = learner(AnalyticFin(), 3, environments=4, episode=12)
     start = jax.jit(ppo.init)(jax.random.key(0), BOX)
-    play = jax.jit(lambda lane, key: collect(ppo.task, lane.networks, lane.batch, key, 4))
+    play = jax.jit(lambda lane, key: collect(ppo.task, lane.networks.policy, lane.batch, key, 4))
     before = start._replace(batch=play(start, jax.random.key(1))[0])
     batch, rollout = play(before, jax.random.key(2))
     return ppo, before, before._replace(batch=batch), rollout
 
 
-def test_the_replay_of_a_rollout_gives_the_densities_and_values_it_was_lived_with(
+def test_the_replay_of_a_rollout_gives_the_densities_it_was_lived_with(
     lived: tuple[PPO, Lane, Lane, Rollout],
 ) -> None:
     _, before, _, rollout = lived
     assert rollout.fresh.any()
-    networks = before.networks
+    policy = before.networks.policy
     for env in range(4):
         memories = jax.tree.map(lambda x, i=env: x[i], before.batch.memories)
-        mean = networks.policy.net.sequence(memories.actor, rollout.observation[:, env], rollout.fresh[:, env])
-        density = networks.policy.log_density(mean, rollout.raw[:, env])
+        mean = policy.net.sequence(memories, rollout.observation[:, env], rollout.fresh[:, env])
+        density = policy.log_density(mean, rollout.raw[:, env])
         np.testing.assert_allclose(density, rollout.log_density[:, env], atol=1e-4)
-        value = networks.critic.sequence(memories.critic, rollout.seen[:, env], rollout.fresh[:, env])[:, 0]
-        np.testing.assert_allclose(value, rollout.value[:, env], atol=1e-4)
 
 
 def test_episodes_are_cut_once_each_at_spread_times_and_only_at_the_end_of_a_cycle(
@@ -65,13 +63,16 @@ def test_a_reset_clears_what_the_networks_remember(lived: tuple[PPO, Lane, Lane,
     np.testing.assert_allclose(density, rollout.log_density[time, env], atol=1e-4)
 
 
-def test_the_value_beyond_a_cut_is_that_of_the_state_before_the_reset(lived: tuple[PPO, Lane, Lane, Rollout]) -> None:
+def test_the_critic_sees_the_state_that_was_left_not_the_one_after_the_reset(
+    lived: tuple[PPO, Lane, Lane, Rollout],
+) -> None:
     rollout = lived[-1]
-    beyond, cut = np.asarray(rollout.value_beyond), np.asarray(rollout.cut)
-    assert np.all(beyond[~cut] == 0)
-    assert np.all(beyond[cut] != 0)
-    after_reset = np.asarray(rollout.value)[1:][cut[:-1]]
-    assert np.all(beyond[:-1][cut[:-1]] != after_reset)
+    goes_on = ~np.asarray(rollout.cut)[:-1]
+    np.testing.assert_array_equal(rollout.seen_after[:-1][goes_on], rollout.seen[1:][goes_on])
+    part_of_window_that_counts = -4
+    left = np.asarray(rollout.seen_after)[np.asarray(rollout.cut)]
+    assert np.all(left[:, part_of_window_that_counts] == 1)
+    assert np.all(np.asarray(rollout.seen)[np.asarray(rollout.fresh)][:, part_of_window_that_counts] == 0)
 
 
 def test_all_environments_keep_to_the_33_33_34_clock(lived: tuple[PPO, Lane, Lane, Rollout]) -> None:

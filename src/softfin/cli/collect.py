@@ -4,12 +4,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from softfin import stages
-from softfin.cli.common import Common, Out, progress
+from softfin.cli.common import Configured, Out, progress
 from softfin.logs.collect import CollectConfig
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments(Common):
+class Arguments(Configured):
     """Record random motions of a fin and its force as a dataset (paper Sec. III-A)."""
 
     out: Out

@@ -23,10 +23,6 @@ Config = TypeVar("Config", bound=Configuration)
 class Common:
     """Options of every command."""
 
-    config: Path | None = None
-    """YAML file that changes the configuration."""
-    set: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """Change one value of the configuration: path=value."""
     json: bool = False
     """Print the result as JSON on standard output."""
     overwrite: bool = False
@@ -34,15 +30,25 @@ class Common:
     debug: bool = False
     """Show the traceback of an error."""
 
+    def tell(self, result: Any, text: str) -> None:
+        """The result: as JSON, or as text for people."""
+        sys.stdout.write(artifacts.dump_json(result) if self.json else text.rstrip("\n") + "\n")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Configured(Common):
+    """Options of every command that has a configuration."""
+
+    config: Path | None = None
+    """YAML file that changes the configuration."""
+    set: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """Change one value of the configuration: path=value."""
+
     def configured(self, base: Config, **options: Any) -> Config:
         """The defaults, changed by the YAML file, then by `--set`, then by the options that were given."""
         config = base if self.config is None else base.merged(read_yaml(self.config), str(self.config))
         given = {name: value for name, value in options.items() if value is not None}
         return config.changed(self.set).merged(given, "options")
-
-    def tell(self, result: Any, text: str) -> None:
-        """The result: as JSON, or as text for people."""
-        sys.stdout.write(artifacts.dump_json(result) if self.json else text.rstrip("\n") + "\n")
 
 
 Out = Annotated[Path, tyro.conf.arg(metavar="DIR")]

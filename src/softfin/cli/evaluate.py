@@ -6,14 +6,14 @@ from pathlib import Path
 import tyro
 
 from softfin import stages
-from softfin.cli.common import Common, Out
+from softfin.cli.common import Configured, Out
 from softfin.cli.tables import table_two
 from softfin.errors import ConfigurationError
 from softfin.evaluation.evaluate import EvaluateConfig
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments(Common):
+class Arguments(Configured):
     """Judge a controller on a fin over reference forces (paper Sec. IV-B, Table II)."""
 
     controller: tyro.conf.Positional[Path]
@@ -38,7 +38,7 @@ class Arguments(Common):
             EvaluateConfig(), references=references, seconds=self.seconds, seeds=self.seeds, seed=self.seed
         )
         summary = stages.evaluate(self.controller, self.plant, Path(self.out), config, overwrite=self.overwrite)
-        self.tell(summary, table_two({str(self.controller): summary}))
+        self.tell(summary, table_two({stages.kind_of(self.controller): summary}))
 
 
 def _force(text: str) -> tuple[float, float]:

@@ -6,13 +6,13 @@ from pathlib import Path
 import tyro
 
 from softfin import stages
-from softfin.cli.common import Common, Out, progress
+from softfin.cli.common import Configured, Out, progress
 from softfin.cli.tables import table_one
 from softfin.surrogate import FitConfig
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments(Common):
+class Arguments(Configured):
     """Learn a surrogate, PosNet and ForceNet, from a dataset; print Table I (paper Sec. III-B)."""
 
     dataset: tyro.conf.Positional[Path]

@@ -32,4 +32,4 @@ class Arguments(Common):
             "forcenet": surrogate.forcenet.config.parameters(),
         }
         text = f"{self.out}: PosNet {counts['posnet']:,} and ForceNet {counts['forcenet']:,} parameters"
-        self.tell({"surrogate": str(self.out), "parameters": counts, "limits": surrogate.limits._asdict()}, text)
+        self.tell({"surrogate": str(self.out), "parameters": counts, "limits": surrogate.limits.described()}, text)

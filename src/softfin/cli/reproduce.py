@@ -4,13 +4,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from softfin.cli.common import Common, Out, progress
+from softfin.cli.common import Configured, Out, progress
 from softfin.cli.tables import table_one, table_two
 from softfin.reproduction import PRESETS, reproduce
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments(Common):
+class Arguments(Configured):
     """Collect, fit, train, evaluate and report in one run: results.json, report.html, both tables of the paper."""
 
     out: Out
@@ -29,13 +29,13 @@ class Arguments(Common):
         config = self.configured(PRESETS[self.preset])
         with progress() as report:
             results = reproduce(
-                self.plant, Path(self.out), config, preset=self.preset, seed=self.seed,
+                self.plant, Path(self.out), config, seed=self.seed,
                 resume=self.resume, overwrite=self.overwrite, progress=report,
             )  # fmt: skip
         parts = [] if results["surrogate"] is None else [table_one(results["surrogate"]["scores"])]
         parts.append(f"On {self.plant}\n{table_two(results['controllers'])}")
         if results["in_surrogate"]:
             parts.append(f"The same in the surrogate that they were trained in\n{table_two(results['in_surrogate'])}")
-        took = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in results["seconds"].items())
+        took = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in results["wall_s"].items())
         parts.append(f"{took}; {results['peak_memory_gib']:.1f} GiB at most\n{Path(self.out) / 'report.html'}")
         self.tell(results, "\n\n".join(parts))

@@ -18,14 +18,14 @@ def table_one(scores: dict[str, Any] | None) -> str:
     """Table I, in physical and in scaled units, beside the paper's."""
     if scores is None:
         return "no test logs: Table I has no rows"
-    head = f"{'Table I':32}{'window':>7}{'parameters':>11}{'':>10}{'RMSE':>9}{'MAE':>9}{'DTW rms':>9}{'DTW mae':>9}"
+    head = f"{'Table I':32}{'window':>7}{'parameters':>11}{'':>10}{'RMSE':>9}{'MAE':>9}{'DTW':>9}"
     lines = [head]
     for name, title in NETS.items():
         row = scores[name]
         for unit in ("physical", "scaled"):
             label = f"{title:32}{row['window']:>7}{row['parameters']:>11,}" if unit == "physical" else " " * 50
             measure = ("rad" if name == "posnet" else "N") if unit == "physical" else "scaled"
-            values = "".join(f"{row[unit][key]:>9.4f}" for key in ("rmse", "mae", "dtw_rms", "dtw_mae"))
+            values = "".join(f"{row[unit][key]:>9.4f}" for key in ("rmse", "mae", "dtw_mae"))
             lines.append(f"{label}{measure:>10}{values}")
     for name, row in PAPER_TABLE_I.items():
         values = f"{row['rmse']:>9}{row['mae']:>9}{row['dtw']:>9}"
@@ -44,7 +44,8 @@ def table_two(controllers: Mapping[str, Any]) -> str:
             x, y = row["reference_n"]
             printed = paper.get((x, y))
             lines.append(f"  ({x:5.2f}, {y:5.2f}) N{'':13}{_scores(row)}{_published(printed)}{_still(row)}")
-        means = PAPER_PRINTED_MEANS.get(name) if len(paper) == len(summary["references"]) else None
+        complete = {tuple(row["reference_n"]) for row in summary["references"]} == set(paper)
+        means = PAPER_PRINTED_MEANS[name] if paper and complete else None
         lines.append(f"  {'mean':29}{_scores(summary['mean'])}{_published(means)}")
     return "\n".join(lines)
 

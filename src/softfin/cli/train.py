@@ -8,13 +8,13 @@ import tyro
 
 from softfin import stages
 from softfin.artifacts import load_description
-from softfin.cli.common import Common, Out, progress
+from softfin.cli.common import Configured, Out, progress
 from softfin.control.store import KIND
 from softfin.training.train import GRID, SINGLE
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments(Common):
+class Arguments(Configured):
     """Train LSTM-PPO force controllers inside a surrogate (paper Sec. III-C)."""
 
     surrogate: tyro.conf.Positional[str]
@@ -32,7 +32,9 @@ class Arguments(Common):
 
     def run(self) -> None:
         """Train."""
-        config = self.configured({"single": SINGLE, "grid": GRID}[self.controller], steps=self.steps)
+        config = self.configured(
+            {"single": SINGLE, "grid": GRID}[self.controller], controller=self.controller, steps=self.steps
+        )
         with progress() as report:
             stages.train(
                 self.surrogate, Path(self.out), config,

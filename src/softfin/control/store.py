@@ -1,5 +1,6 @@
 """A controller's folder: ``controller.json`` (cells, task, limits, scores, provenance) and ``weights.safetensors``."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +34,14 @@ def controller_of(trained: Trained, seed: int) -> SingleController | GridControl
     return GridController(policies, config.task, trained.limits, config.cells)
 
 
-def save_controller(path: Path, trained: Trained, seed: int, provenance: dict[str, Any], **facts: Any) -> None:
-    """Write the controller of one seed, whole or not at all; `facts` are further entries of the JSON."""
+def save_controller(
+    path: Path,
+    trained: Trained,
+    seed: int,
+    provenance: dict[str, Any],
+    also: Callable[[Path], None] | None = None,
+) -> None:
+    """Write the controller of one seed, whole or not at all; `also` adds files to the folder."""
     config = trained.config
     index = trained.seeds.index(seed)
     controller = controller_of(trained, seed)
@@ -44,28 +51,29 @@ def save_controller(path: Path, trained: Trained, seed: int, provenance: dict[st
         "format": FORMAT,
         "controller": config.controller,
         "action_rate_hz": ACTION_RATE_HZ,
-        "limits": trained.limits._asdict(),
+        "limits": trained.limits.described(),
         "cells": [cell.model_dump(mode="json") for cell in config.cells],
         "task": config.task.model_dump(mode="json"),
         "policy": config.policy.model_dump(mode="json"),
         "scores": _scores(trained, index),
         "configuration": config.model_dump(mode="json"),
-        **facts,
         "provenance": provenance,
     }
-    artifacts.save(path, KIND, description, {name: np.asarray(leaf) for name, leaf in named(policy).items()})
+    artifacts.save(path, KIND, description, {name: np.asarray(leaf) for name, leaf in named(policy).items()}, also)
 
 
 def load_controller(path: Path) -> SingleController | GridController:
     """The controller in a folder; raises ArtifactError where it is none, or no longer a whole one."""
     description, weights = artifacts.load(path, KIND)
     source = str(path / f"{KIND}.json")
+    if description.get("format", FORMAT) != FORMAT:
+        raise ArtifactError(f"{source}: format {description['format']}; this softfin reads {FORMAT}; update it")
     try:
         kind = description["controller"]
         cells = tuple(Cell.model_validate(cell) for cell in description["cells"])
         task = TaskConfig.model_validate(description["task"])
         config = PolicyConfig.model_validate(description["policy"])
-        limits = Limits(**description["limits"])
+        limits = Limits.of(description["limits"])
         rate = description["action_rate_hz"]
     except (KeyError, TypeError, pydantic.ValidationError) as error:
         raise ArtifactError(f"{source}: not a controller's description ({' '.join(str(error).split())})") from None

@@ -1,6 +1,7 @@
 """Figures of learning: how a reward grew over training, and how a surrogate follows a log."""
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ def learning_figure(runs: Mapping[str, Sequence[Curve]], quantity: str = "mean r
         figure = new_figure(7, 3.4)
         axes = figure.subplots()
         for (name, curves), colour, line in zip(
-            runs.items(), (BLUE, ORANGE, GREEN, BLACK), ("-", "--", "-.", ":"), strict=False
+            runs.items(), cycle((BLUE, ORANGE, GREEN, BLACK)), cycle(("-", "--", "-.", ":")), strict=False
         ):
             steps, values = _together(curves)
             label = name if len(curves) == 1 else f"{name}, mean and range of {len(curves)}"
@@ -51,7 +52,9 @@ def prediction_figure(
         figure = new_figure(9, 4.2)
         for index, (axes, axis) in enumerate(zip(figure.subplots(2, 1, sharex=True), AXES, strict=True)):
             axes.plot(time, measured[:, index], color="#BBBBBB", linewidth=2.6, label="measured")
-            for (name, force), colour, line in zip(predicted.items(), (BLUE, BLACK), ("-", "--"), strict=False):
+            for (name, force), colour, line in zip(
+                predicted.items(), cycle((BLUE, BLACK)), cycle(("-", "--")), strict=False
+            ):
                 axes.plot(time, force[:, index], line, color=colour, label=name, linewidth=1.1)
             axes.set_ylabel(f"force {axis} [N]")
         last: Any = axes

@@ -25,7 +25,7 @@ from softfin.plant import ACTION_RATE_HZ, Plant
 from softfin.quantities import AXES, RATE_HZ
 from softfin.randomness import key_of
 
-Reference = tuple[float, float]
+Reference = tuple[pydantic.FiniteFloat, pydantic.FiniteFloat]
 
 
 class EvaluateConfig(Configuration):
@@ -47,6 +47,8 @@ class Evaluation:
 
     config: EvaluateConfig
     scores: Scores
+    repetitions: int
+    """Independent ones: a plant without randomness does the same at every seed, so it is run as often as it differs."""
     recording: Recording
     """Of the first seed alone: fields ``(references, 1, ticks)``, as NumPy arrays."""
 
@@ -55,8 +57,9 @@ class Evaluation:
         still = np.all(self.scores.late_travel < STILL_RAD_S, axis=1).tolist()
         return {
             "conditions": {
-                "seconds": self.config.seconds,
-                "seeds": self.config.seeds,
+                "duration_s": self.config.seconds,
+                "seeds": self.repetitions,
+                "seeds_asked": self.config.seeds,
                 "seed": self.config.seed,
                 "window_samples": WINDOW,
                 "rate_hz": RATE_HZ,
@@ -85,14 +88,23 @@ def evaluate(controller: Controller, plant: Plant, config: EvaluateConfig) -> Ev
     recording = run(controller, plant, np.asarray(config.references, np.float32), config.seconds, keys)
     _check_finite(recording)
     first = jax.tree.map(lambda x: np.asarray(x[:, :1]), (recording.command, recording.reading))
-    return Evaluation(config, score(recording), Recording(np.asarray(recording.reference), *first))
+    scores, repetitions = score(recording), config.seeds
+    if _alike(recording):
+        scores, repetitions = Scores(*(field[:, :1] for field in scores)), 1
+    return Evaluation(config, scores, repetitions, Recording(np.asarray(recording.reference), *first))
+
+
+def _alike(recording: Recording) -> bool:
+    """Whether all seeds did the same."""
+    force = np.asarray(recording.reading.force)
+    return bool((force == force[:, :1]).all())
 
 
 def write_evaluation(evaluation: Evaluation, out: Path, facts: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """Write ``evaluation.json`` and ``experiments.svg``, ``.png`` as one folder; returns the content of the JSON.
 
     ======================== ========================================================================================
-    ``conditions``           seconds, seeds, seed, window_samples, rate_hz, action_rate_hz, start, confidence, ...;
+    ``conditions``           duration_s, seeds, seed, window_samples, rate_hz, action_rate_hz, start, confidence, ...;
                              and the caller's `facts`, such as the controller and the plant
     ``references``           a list, one entry a reference force: ``reference_n`` [x, y] [N]; ``x`` and ``y``, each with
                              ``error_n``, ``std_n``, ``raw_std_n`` [N], which are means over the seeds, and the 95%

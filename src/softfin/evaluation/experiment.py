@@ -4,6 +4,7 @@ Controller, plant and reference forces go in, a Recording of every 10 ms comes o
 by side in one compiled program.
 """
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -35,19 +36,55 @@ def run(
     keys: Key[Array, "seeds"],
 ) -> Recording:
     """Run every reference with every key of the plant, each from rest, for whole seconds."""
-    # Arrays are arguments of the program, not constants in it; the rest may be any object, hashable or not.
-    arrays, static = eqx.partition((controller, plant), eqx.is_array)
+    command, reading = _program((controller, _Same(plant)), jnp.asarray(references, jnp.float32), seconds, keys)
+    return Recording(references, command, reading)
 
-    def one(arrays: Any, reference: Float[Array, "2"], key: PRNGKeyArray) -> tuple[Command, Reading]:
-        controller, plant = eqx.combine(arrays, static)
+
+class _Same(eqx.Module):
+    """A plant as an argument of a compiled program: its arrays are traced, an object without arrays is itself."""
+
+    parts: Any
+    whole: "_Itself | None" = eqx.field(static=True)
+
+    def __init__(self, plant: Plant) -> None:
+        opaque = jax.tree.leaves(plant) == [plant] if not eqx.is_array(plant) else False
+        self.parts, self.whole = (None, _Itself(plant)) if opaque else (plant, None)
+
+    def plant(self) -> Plant:
+        """The plant again."""
+        plant: Plant = self.parts if self.whole is None else self.whole.plant
+        return plant
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Itself:
+    """Compared by being the same object, whatever the object says of equality; so it can be looked up."""
+
+    plant: Plant
+
+    def __hash__(self) -> int:
+        return id(self.plant)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Itself) and other.plant is self.plant
+
+
+@eqx.filter_jit
+def _program(
+    parties: tuple[Controller, _Same], references: Float[Array, "references 2"], seconds: int, keys: Key[Array, "seeds"]
+) -> tuple[Command, Reading]:
+    """Compiled once for controllers and plants that are alike but for their arrays."""
+    controller, plant = parties[0], parties[1].plant()
+
+    def one(reference: Float[Array, "2"], key: PRNGKeyArray) -> tuple[Command, Reading]:
         carry = (controller.init(), plant.init(key), jnp.float32(0.0))
+        kept: tuple[Command, Reading]
         _, kept = jax.lax.scan(lambda carry, _: _second(controller, plant, reference, carry), carry, None, seconds)
         command, reading = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), kept)
         return command, reading
 
-    program = jax.jit(jax.vmap(jax.vmap(one, in_axes=(None, None, 0)), in_axes=(None, 0, None)))
-    command, reading = program(arrays, jnp.asarray(references, jnp.float32), keys)
-    return Recording(references, command, reading)
+    each: tuple[Command, Reading] = jax.vmap(jax.vmap(one, in_axes=(None, 0)), in_axes=(0, None))(references, keys)
+    return each
 
 
 def _second(

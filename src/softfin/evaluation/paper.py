@@ -6,14 +6,9 @@ give 0.293), so both are kept: `PAPER_PRINTED_MEANS` and `recomputed_means`.
 
 from typing import NamedTuple
 
-REFERENCES: tuple[tuple[float, float], ...] = (
-    (1.0, -1.0),
-    (2.0, -1.0),
-    (2.0, 0.0),
-    (3.0, 0.0),
-    (1.0, 1.0),
-    (2.0, 1.0),
-)
+from softfin.tracking.references import PAPER_REFERENCES
+
+REFERENCES = PAPER_REFERENCES
 """Reference forces (x, y) [N] of Table II."""
 
 

@@ -4,7 +4,7 @@ Results and figures go in; the page needs no network, and a part whose data is a
 """
 
 import importlib.resources
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -128,7 +128,7 @@ def _cell(scores: Mapping[str, Any], name: str) -> dict[str, Any]:
     return {"mean": scores[f"{name}_n"], "half": None if interval is None else (interval[1] - interval[0]) / 2}
 
 
-def _signed(reference: list[float]) -> str:
+def _signed(reference: Sequence[float | int]) -> str:
     return ", ".join(f"{value:g}" for value in reference).replace("-", "\N{MINUS SIGN}")
 
 

@@ -80,6 +80,7 @@ def fit(
         LogError: too few logs, or logs too short for one window.
         RunError: the loss is no longer finite.
     """
+    check_lengths(logs, config.posnet.window, "training")
     held = _held_out(len(logs), config.held_out)
     training, holding = logs[:-held], logs[-held:]
     names = {name: np.concatenate([channels_of(log)[name] for log in training]) for name in COLUMNS}
@@ -105,7 +106,7 @@ def fit(
         state, losses = _epoch(learner, state, table, batches, key_of(seed, f"fit/dropout/{epoch}"), epoch, progress)
         validation = Nets(*(_held_out_loss(net, scaling, holding) for net in state.nets))
         if not np.isfinite([*losses, *validation]).all():
-            raise RunError(f"fit: the loss is not finite in epoch {epoch + 1}; lower learning_rate and --resume")
+            raise RunError(f"fit: the loss is not finite in epoch {epoch + 1}; lower fit.learning_rate and start anew")
         better = Nets(*(now < float(best) for now, best in zip(validation, state.best_loss, strict=True)))
         state = _keep_best(state, validation, better)
         done = {"epoch": epoch + 1, "stale": 0 if any(better) else done["stale"] + 1}
@@ -163,6 +164,16 @@ def loss(
     return losses.posnet + losses.forcenet, losses
 
 
+def check_lengths(logs: Sequence[Log], window: int, part: str) -> None:
+    """Raise LogError where a log is too short to predict a single row of."""
+    for index, log in enumerate(logs):
+        rows = len(log.reading.time)
+        if rows <= window:
+            raise LogError(
+                f"{part} log {index}: {rows} rows; more than a window of {window} are needed, so record longer"
+            )
+
+
 def window_starts(rows: Sequence[int], window: int) -> Int[np.ndarray, "windows"]:
     """Where windows begin in logs laid end to end, with their target inside the same log."""
     offsets = np.cumsum([0, *rows[:-1]])
@@ -179,14 +190,15 @@ def _epoch(
     epoch: int,
     progress: Progress | None,
 ) -> tuple[FitState, Nets]:
-    learning = state.nets, state.optimiser
-    losses = Nets(jnp.inf, jnp.inf)
+    learning, each = (state.nets, state.optimiser), []
     for call, some in enumerate(batches):
         learning, losses = learner.run(learning, table, jnp.asarray(some), key)
+        each.append(losses)
         if progress is not None:
             done = (epoch + (call + 1) / len(batches)) / learner.config.epochs
             progress("fit", done, f"epoch {epoch + 1}, rms {losses.posnet**0.5:.4f} / {losses.forcenet**0.5:.4f}")
-    return state._replace(nets=learning[0], optimiser=learning[1]), losses
+    mean = Nets(*(float(np.mean(column)) for column in zip(*each, strict=True)))
+    return state._replace(nets=learning[0], optimiser=learning[1]), mean
 
 
 def _calls(updates: int) -> tuple[int, int]:

@@ -6,6 +6,7 @@ The scaler values come as a JSON file of ``{channel: {scale, offset, data_min, d
 import io
 import json
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -29,10 +30,6 @@ def import_keras(posnet: Path, forcenet: Path, scalers: Path) -> Surrogate:
     scaling = read_scalers(scalers)
     scaling.require([ANGLE, *COMMANDS, *FORCES], str(scalers))
     nets = read_network(posnet, COMMANDS, (ANGLE,)), read_network(forcenet, (ANGLE, *COMMANDS), FORCES)
-    if nets[0].config.window != nets[1].config.window:
-        raise ArtifactError(
-            f"{posnet} sees {nets[0].config.window} samples, {forcenet} {nets[1].config.window}; both must see the same"
-        )
     return Surrogate(*nets, scaling)
 
 
@@ -60,7 +57,11 @@ def read_network(path: Path, channels: tuple[str, ...], outputs: tuple[str, ...]
             arrays = _weights(path, file, layers, names)
     except OSError as error:
         raise ArtifactError(f"{path}: cannot be read ({error.strerror or error})") from None
-    except (zipfile.BadZipFile, KeyError, TypeError, ValueError) as error:
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise ArtifactError(f"{path}: a layer's {where} = {first['input']!r}: {first['msg']}") from None
+    except (zipfile.BadZipFile, zlib.error, LookupError, TypeError, ValueError) as error:
         raise ArtifactError(f"{path}: not a whole Keras 2 .keras file ({error})") from None
     if shape[0] != len(channels):
         raise ArtifactError(
@@ -97,7 +98,8 @@ def _layers(path: Path, description: dict[str, Any]) -> tuple[list[Layer], list[
 
 def _layer(path: Path, kind: str, config: dict[str, Any]) -> Layer:
     if kind == "Conv1D":
-        _expect(path, config, padding="same", strides=[1], dilation_rate=[1], groups=1, data_format="channels_last")
+        _expect(path, config, padding="same", strides=[1], dilation_rate=[1], groups=1, use_bias=True,
+                data_format="channels_last")  # fmt: skip
         return Conv1D(filters=config["filters"], kernel=config["kernel_size"][0], activation=config["activation"])
     if kind == "LSTM":
         _expect(path, config, activation="tanh", recurrent_activation="sigmoid", use_bias=True, go_backwards=False)

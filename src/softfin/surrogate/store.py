@@ -1,5 +1,6 @@
 """A surrogate's folder: ``surrogate.json`` (networks, scaling, scores, provenance) and ``weights.safetensors``."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +20,20 @@ FORMAT = 1
 
 
 def save_surrogate(
-    path: Path, surrogate: Surrogate, scores: dict[str, Any] | None, provenance: dict[str, Any], **facts: Any
+    path: Path,
+    surrogate: Surrogate,
+    scores: dict[str, Any] | None,
+    provenance: dict[str, Any],
+    also: Callable[[Path], None] | None = None,
+    **facts: Any,
 ) -> None:
-    """Write the folder, whole or not at all; `facts` are further entries of the JSON."""
+    """Write the folder, whole or not at all; `also` adds files to it, `facts` are further entries of the JSON."""
     nets = {"posnet": surrogate.posnet, "forcenet": surrogate.forcenet}
     description = {
         "kind": KIND,
         "format": FORMAT,
         "rate_hz": RATE_HZ,
-        "limits": surrogate.limits._asdict(),
+        "limits": surrogate.limits.described(),
         "networks": {name: net.config.model_dump(mode="json") for name, net in nets.items()},
         "parameters": {name: net.config.parameters() for name, net in nets.items()},
         "scaling": surrogate.scaling.model_dump(mode="json")["channels"],
@@ -36,13 +42,15 @@ def save_surrogate(
         "provenance": provenance,
     }
     weights = {f"{name}.{key}": array for name, net in nets.items() for key, array in net.arrays().items()}
-    artifacts.save(path, KIND, description, weights)
+    artifacts.save(path, KIND, description, weights, also)
 
 
 def load_surrogate(path: Path) -> Surrogate:
     """The surrogate in a folder; raises ArtifactError where it is none, damaged or made for another rate."""
     description, weights = artifacts.load(path, KIND)
     source = str(path / f"{KIND}.json")
+    if description.get("format", FORMAT) != FORMAT:
+        raise ArtifactError(f"{source}: format {description['format']}; this softfin reads {FORMAT}; update it")
     if description.get("rate_hz") != RATE_HZ:
         raise ArtifactError(f"{source}: made for {description.get('rate_hz')} Hz; softfin runs at {RATE_HZ} Hz")
     try:
@@ -51,12 +59,7 @@ def load_surrogate(path: Path) -> Surrogate:
     except (KeyError, TypeError, pydantic.ValidationError) as error:
         raise ArtifactError(f"{source}: not a surrogate's description ({' '.join(str(error).split())})") from None
     scaling.require([ANGLE, *COMMANDS, *FORCES], source)
-    networks = {
-        name: Network.of(
-            config, {k.partition(".")[2]: w for k, w in weights.items() if k.startswith(f"{name}.")}, source
-        )
-        for name, config in configs.items()
-    }
+    networks = {name: Network.of(config, _of_net(name, weights), source) for name, config in configs.items()}
     return Surrogate(networks["posnet"], networks["forcenet"], scaling)
 
 

@@ -13,6 +13,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from softfin.errors import ArtifactError
 from softfin.plant import rest_command
 from softfin.quantities import RATE_HZ, TICK_S, Command, Limits, Reading
 from softfin.surrogate.forcenet import FORCES
@@ -38,6 +39,11 @@ class Surrogate(eqx.Module):
     posnet: Network
     forcenet: Network
     scaling: Scaling = eqx.field(static=True)
+
+    def __check_init__(self) -> None:
+        seen = self.posnet.config.window, self.forcenet.config.window
+        if seen[0] != seen[1]:
+            raise ArtifactError(f"PosNet sees {seen[0]} samples and ForceNet {seen[1]}; both must see the same window")
 
     @property
     def window(self) -> int:

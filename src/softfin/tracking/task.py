@@ -135,18 +135,18 @@ class ForceTracking:
         samples = jnp.minimum(state.samples + ticks, self.config.window_samples)
         age = state.age + 1
         outcome = self._judge(forces, samples, state.reference, jnp.asarray(reading.force))
-        key, draw_key = jax.random.split(state.key)
+        drawn = state.references.draw(jax.random.fold_in(state.key, age))
         due = age % self.config.reference_actions == 0
         return TaskState(
             plant=plant,
             angle=reading.angle[-1],
-            reference=jnp.where(due, state.references.draw(draw_key), state.reference),
+            reference=jnp.where(due, drawn, state.reference),
             references=state.references,
             actions=remember(state.actions, action),
             forces=forces,
             samples=samples,
             age=age,
-            key=key,
+            key=state.key,
         ), outcome
 
     def finished(self, state: TaskState) -> Bool[Array, ""]:

@@ -10,23 +10,21 @@ PerStep = Float[Array, "time environments"]
 def advantages(
     reward: PerStep,
     value: PerStep,
-    value_after: Float[Array, "environments"],
+    value_after: PerStep,
     cut: Bool[Array, "time environments"],
-    value_beyond: PerStep,
     discount: float,
     trace: float,
 ) -> PerStep:
-    """A_t = d_t + discount trace A_{t+1},  d_t = r_t + discount V_{t+1} - V_t.
+    """A_t = d_t + discount trace A_{t+1},  d_t = r_t + discount V'_t - V_t.
 
-    At a cut the sum stops, and V_{t+1} is the value of the state that the episode was cut in (`value_beyond`), since
-    the fin could have beaten on; behind the last step it is `value_after`.
+    V' is the value of the state that the action led to, before any reset: the fin could have beaten on, so a cut is
+    bootstrapped with it, and only the sum stops there.
     """
-    following = jnp.concatenate([value[1:], value_after[None]])
-    errors = reward + discount * jnp.where(cut, value_beyond, following) - value
+    errors = reward + discount * value_after - value
 
     def back(advantage: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
         error, is_cut = now
         advantage = error + discount * trace * jnp.where(is_cut, 0.0, advantage)
         return advantage, advantage
 
-    return jax.lax.scan(back, jnp.zeros_like(value_after), (errors, cut), reverse=True)[1]
+    return jax.lax.scan(back, jnp.zeros_like(errors[0]), (errors, cut), reverse=True)[1]

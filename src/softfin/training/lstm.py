@@ -27,9 +27,9 @@ class LSTM(eqx.Module):
 
     @classmethod
     def create(cls, key: PRNGKeyArray, inputs: int, units: int) -> "LSTM":
-        """Normal weights; the forget gate starts open, so that early gradients reach far back."""
+        """New weights; the forget gate starts open, so that early gradients reach far back."""
         kernel, recurrent = (
-            normal(k, shape)
+            weights(k, shape)
             for k, shape in zip(jax.random.split(key), ((inputs, 4 * units), (units, 4 * units)), strict=True)
         )
         return cls(kernel, recurrent, jnp.zeros(4 * units).at[units : 2 * units].set(1.0))
@@ -64,12 +64,10 @@ class LSTM(eqx.Module):
         return Memory(jax.nn.sigmoid(o) * jnp.tanh(cell), cell)
 
 
-def normal(key: PRNGKeyArray, shape: tuple[int, int], gain: float = 1.0) -> Float[Array, "inputs outputs"]:
-    """Weights that keep the variance of their inputs, times gain^2.
-
-    Not orthogonal ones: the QR decomposition of a batch of matrices hangs in XLA's threads on two cores (JAX 0.10).
-    """
-    return jax.random.normal(key, shape) * (gain * shape[0] ** -0.5)
+def weights(key: PRNGKeyArray, shape: tuple[int, int], gain: float = 1.0) -> Float[Array, "inputs outputs"]:
+    """Uniform random weights that keep the variance of their inputs, times gain^2."""
+    bound = gain * (3 / shape[0]) ** 0.5
+    return jax.random.uniform(key, shape, minval=-bound, maxval=bound)
 
 
 def cleared(memory: Memories, where: Bool[Array, ""]) -> Memories:

@@ -1,4 +1,4 @@
-"""The policy: an LSTM actor, and the LSTM critic that only training needs (paper Sec. III-C2: LSTM-PPO).
+"""The policy, an LSTM (paper Sec. III-C2: LSTM-PPO), and the critic that only training needs.
 
 Actions are squashed Gaussians: a = tanh(u), u ~ N(mean(observations so far), deviation). The deterministic action is
 tanh(mean). So every action is within the limits, and none is clipped.
@@ -16,16 +16,18 @@ from pydantic import Field, PositiveInt
 
 from softfin.configuration import Configuration
 from softfin.errors import ArtifactError
-from softfin.training.lstm import LSTM, Memory, normal
+from softfin.training.lstm import LSTM, Memory, weights
 
 
 class PolicyConfig(Configuration):
-    """Size and start of actor and critic, which are alike and share nothing."""
+    """Size and start of the networks."""
 
     units: PositiveInt = 64
-    """Of the LSTM; the paper's 256 learn no better and cost ten times the time."""
+    """Of the LSTM; the paper has 256, in a policy of 592,325 weights."""
     width: PositiveInt = 64
     """Of the layer behind the LSTM."""
+    critic_width: PositiveInt = 128
+    """Of both layers of the critic."""
     deviation: float = Field(default=0.6, gt=0)
     """Of the exploration noise before the squashing, at the start."""
 
@@ -39,7 +41,7 @@ class Dense(eqx.Module):
     @classmethod
     def create(cls, key: PRNGKeyArray, inputs: int, outputs: int, gain: float) -> "Dense":
         """New weights; `gain` scales what it says."""
-        return cls(normal(key, (inputs, outputs), gain), jnp.zeros(outputs))
+        return cls(weights(key, (inputs, outputs), gain), jnp.zeros(outputs))
 
     def __call__(self, x: Float[Array, "*batch inputs"]) -> Float[Array, "*batch outputs"]:
         """Of each vector in a batch."""
@@ -109,41 +111,59 @@ class Policy(eqx.Module):
         return -jnp.sum(0.5 * z**2 + self.log_deviation + 0.5 * jnp.log(2 * jnp.pi), axis=-1)
 
     @classmethod
-    def of(cls, config: PolicyConfig, observations: int, weights: Mapping[str, np.ndarray], source: str) -> "Policy":
+    def of(cls, config: PolicyConfig, observations: int, arrays: Mapping[str, np.ndarray], source: str) -> "Policy":
         """From named arrays, all of which may have a leading axis of policies; `source` is named in errors."""
         template = jax.eval_shape(lambda: cls.create(jax.random.key(0), config, observations))
         shapes = named(template)
-        if sorted(shapes) != sorted(weights):
-            odd = sorted(set(shapes) ^ set(weights))
+        if sorted(shapes) != sorted(arrays):
+            odd = sorted(set(shapes) ^ set(arrays))
             raise ArtifactError(f"{source}: weights {', '.join(odd)} are missing or unknown; copy the folder again")
-        stacks = {weights[name].shape[: weights[name].ndim - leaf.ndim] for name, leaf in shapes.items()}
+        stacks = {arrays[name].shape[: arrays[name].ndim - leaf.ndim] for name, leaf in shapes.items()}
         for name, leaf in shapes.items():
-            if weights[name].shape[-leaf.ndim :] != leaf.shape or len(stacks) > 1:
+            if arrays[name].shape[-leaf.ndim :] != leaf.shape or len(stacks) > 1:
                 raise ArtifactError(
-                    f"{source}: {name} has shape {weights[name].shape}; its configuration needs {leaf.shape} for each "
+                    f"{source}: {name} has shape {arrays[name].shape}; its configuration needs {leaf.shape} for each "
                     "policy; copy the folder again"
                 )
-        arrays = [jnp.asarray(weights[name], jnp.float32) for name in shapes]
-        return cast(Policy, jax.tree.unflatten(jax.tree.structure(template), arrays))
+        leaves = [jnp.asarray(arrays[name], jnp.float32) for name in shapes]
+        return cast(Policy, jax.tree.unflatten(jax.tree.structure(template), leaves))
 
     def entropy(self) -> Float[Array, ""]:
         """Of the action before the squashing [nat]."""
         return jnp.sum(self.log_deviation + 0.5 * jnp.log(2 * jnp.pi * jnp.e))
 
 
+class Critic(eqx.Module):
+    """What reward is to come, from all that a simulator knows: it needs no memory, and no robot needs it."""
+
+    layers: tuple[Dense, Dense, Dense]
+
+    @classmethod
+    def create(cls, key: PRNGKeyArray, seen: int, width: int) -> "Critic":
+        """New weights."""
+        sizes = ((seen, width), (width, width), (width, 1))
+        first, second, last = (
+            Dense.create(k, *size, 1.0) for k, size in zip(jax.random.split(key, 3), sizes, strict=True)
+        )
+        return cls((first, second, last))
+
+    def __call__(self, seen: Float[Array, "*batch seen"]) -> Float[Array, "*batch"]:
+        """Value."""
+        first, second, last = self.layers
+        return last(jnp.tanh(second(jnp.tanh(first(seen)))))[..., 0]
+
+
 class ActorCritic(eqx.Module):
     """What training changes."""
 
     policy: Policy
-    critic: Recurrent
+    critic: Critic
 
     @classmethod
-    def create(
-        cls, key: PRNGKeyArray, config: PolicyConfig, observations: int, seen: int, actions: int = 2
-    ) -> "ActorCritic":
+    def create(cls, key: PRNGKeyArray, config: PolicyConfig, observations: int, seen: int) -> "ActorCritic":
         """New weights; the critic sees `seen` numbers."""
         actor, critic = jax.random.split(key)
-        return cls(Policy.create(actor, config, observations, actions), Recurrent.create(critic, config, seen, 1, 1.0))
+        return cls(Policy.create(actor, config, observations), Critic.create(critic, seen, config.critic_width))
 
 
 def named(tree: Any) -> dict[str, Any]:

@@ -4,7 +4,6 @@ A lane is one policy with its own key and its own box of references.
 """
 
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
 import jax
@@ -14,11 +13,13 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
 
 from softfin.configuration import Configuration
+from softfin.plant import ACTION_TICKS
 from softfin.tracking.references import References
 from softfin.tracking.task import ForceTracking
 from softfin.training.advantage import advantages
-from softfin.training.policy import ActorCritic, PolicyConfig
-from softfin.training.rollout import Batch, Memories, Rollout, begin, collect, values
+from softfin.training.lstm import Memory
+from softfin.training.policy import ActorCritic, Critic, PolicyConfig
+from softfin.training.rollout import Batch, Rollout, begin, collect
 
 Metrics: TypeAlias = dict[str, Float[Array, "*lanes"]]
 
@@ -38,9 +39,9 @@ class PPOConfig(Configuration):
     """Of Adam, at the start."""
     final_learning_rate: float = Field(default=0.1, ge=0, le=1)
     """At the end, as a part of that at the start; in between it falls linearly."""
-    discount: float = Field(default=0.9, gt=0, lt=1)
-    """Gamma an action; 0.9 looks ahead 10 actions, and the window of the reward holds 6."""
-    trace: float = Field(default=0.95, ge=0, le=1)
+    discount: float = Field(default=0.8, gt=0, lt=1)
+    """Gamma an action; 0.8 looks ahead 5 actions, and the window of the reward holds the last 6."""
+    trace: float = Field(default=0.8, ge=0, le=1)
     """Lambda of the advantages."""
     clip: PositiveFloat = 0.2
     """Of the ratio of densities."""
@@ -80,6 +81,7 @@ class Lesson(NamedTuple):
 
     rollout: Rollout
     advantage: Float[Array, "time environments"]
+    """Mean 0, standard deviation 1."""
     target: Float[Array, "time environments"]
     """Of the critic."""
 
@@ -96,50 +98,50 @@ class PPO:
     def init(self, key: PRNGKeyArray, references: References) -> Lane:
         """New networks, fins at rest."""
         network_key, batch_key, key = jax.random.split(key, 3)
-        state = self.task.reset(batch_key, references)
-        sizes = len(self.task.observe(state)), len(self.task.inspect(state))
-        networks = ActorCritic.create(network_key, self.policy, *sizes)
-        batch = begin(self.task, networks, references, batch_key, self.config.environments)
+        state = jax.eval_shape(self.task.reset, batch_key, references)
+        seen = jax.eval_shape(self.task.inspect, state)
+        networks = ActorCritic.create(network_key, self.policy, self.task.config.observations, len(seen))
+        batch = begin(self.task, networks.policy, references, batch_key, self.config.environments)
         return Lane(networks, self._optimiser().init(networks), batch, key)
 
     def update(self, lane: Lane) -> tuple[Lane, Metrics]:
         """Collect a rollout and learn from it."""
         collect_key, learn_key, key = jax.random.split(lane.key, 3)
-        batch, rollout = collect(self.task, lane.networks, lane.batch, collect_key, self.config.rollout_actions // 3)
-        lesson = self._lesson(rollout, values(self.task, lane.networks, batch))
-        networks, optimiser, metrics = self._learn(lane, lesson, learn_key)
-        return Lane(networks, optimiser, batch, key), metrics | _summary(lesson, networks)
+        cycles = self.config.rollout_actions // len(ACTION_TICKS)
+        batch, rollout = collect(self.task, lane.networks.policy, lane.batch, collect_key, cycles)
+        lesson, metrics = self._lesson(lane.networks.critic, rollout)
+        networks, optimiser, learning = self._learn(lane, lesson, learn_key)
+        return Lane(networks, optimiser, batch, key), metrics | learning
 
-    def loss(self, networks: ActorCritic, lesson: Lesson, start: Memories) -> tuple[Float[Array, ""], Metrics]:
+    def loss(self, networks: ActorCritic, lesson: Lesson, start: Memory) -> tuple[Float[Array, ""], Metrics]:
         """Clipped surrogate objective, squared error of the critic, entropy; over whole sequences from `start`."""
         config, rollout = self.config, lesson.rollout
-        over = partial(jax.vmap, in_axes=(0, 1, 1), out_axes=1)
-        mean = over(networks.policy.net.sequence)(start.actor, rollout.observation, rollout.fresh)
-        value = over(networks.critic.sequence)(start.critic, rollout.seen, rollout.fresh)[..., 0]
+        replay = jax.vmap(networks.policy.net.sequence, in_axes=(0, 1, 1), out_axes=1)
+        mean = replay(start, rollout.observation, rollout.fresh)
         log_ratio = networks.policy.log_density(mean, rollout.raw) - rollout.log_density
         ratio = jnp.exp(log_ratio)
-        advantage = (lesson.advantage - lesson.advantage.mean()) / (lesson.advantage.std() + 1e-8)
         clipped = jnp.clip(ratio, 1 - config.clip, 1 + config.clip)
-        objective = jnp.minimum(ratio * advantage, clipped * advantage).mean()
-        value_loss = jnp.mean((value - lesson.target) ** 2)
+        objective = jnp.minimum(ratio * lesson.advantage, clipped * lesson.advantage).mean()
+        value_loss = jnp.mean((networks.critic(rollout.seen) - lesson.target) ** 2)
         loss = -objective + config.value_weight * value_loss - config.entropy * networks.policy.entropy()
         beyond_clip = jnp.mean(jnp.abs(ratio - 1) > config.clip)
         kl = jnp.mean(ratio - 1 - log_ratio)
         return loss, {"loss": loss, "value_loss": value_loss, "kl": kl, "clipped": beyond_clip}
 
-    def _lesson(self, rollout: Rollout, value_after: Float[Array, "environments"]) -> Lesson:
-        # With rewards in units of (1 - discount) values are means of the reward ahead [N]: of unit size, any discount.
-        reward = (1 - self.config.discount) * rollout.reward
-        advantage = advantages(
-            reward,
-            rollout.value,
-            value_after,
-            rollout.cut,
-            rollout.value_beyond,
-            self.config.discount,
-            self.config.trace,
-        )
-        return Lesson(rollout, advantage, advantage + rollout.value)
+    def _lesson(self, critic: Critic, rollout: Rollout) -> tuple[Lesson, Metrics]:
+        """With rewards in units of 1 - discount, values are means of the reward ahead [N], whatever the discount."""
+        discount = self.config.discount
+        value, value_after = critic(rollout.seen), critic(rollout.seen_after)
+        reward = (1 - discount) * rollout.reward
+        advantage = advantages(reward, value, value_after, rollout.cut, discount, self.config.trace)
+        normal = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+        target = advantage + value
+        return Lesson(rollout, normal, target), {
+            "reward": rollout.reward.mean(),
+            "error_x_n": rollout.error[..., 0].mean(),
+            "error_y_n": rollout.error[..., 1].mean(),
+            "explained": 1 - jnp.var(advantage) / (jnp.var(target) + 1e-8),
+        }
 
     def _learn(self, lane: Lane, lesson: Lesson, key: PRNGKeyArray) -> tuple[ActorCritic, Any, Metrics]:
         config, optimiser = self.config, self._optimiser()
@@ -153,12 +155,11 @@ class PPO:
             metrics["gradient_norm"] = optax.tree.norm(gradient)
             return (optax.apply_updates(networks, change), state), metrics
 
-        def epoch(carry: Any, key: PRNGKeyArray) -> tuple[Any, Metrics]:
-            order = jax.random.permutation(key, config.environments).reshape(config.minibatches, -1)
-            return jax.lax.scan(minibatch, carry, order)
-
-        keys = jax.random.split(key, config.epochs)
-        (networks, state), metrics = jax.lax.scan(epoch, (lane.networks, lane.optimiser), keys)
+        fins = jnp.tile(jnp.arange(config.environments), (config.epochs, 1))
+        order = jax.random.permutation(key, fins, axis=1, independent=True)
+        batches = order.reshape(config.epochs * config.minibatches, -1)
+        (networks, state), metrics = jax.lax.scan(minibatch, (lane.networks, lane.optimiser), batches)
+        metrics["deviation"] = jnp.exp(networks.policy.log_deviation)
         return networks, state, jax.tree.map(jnp.mean, metrics)
 
     def _optimiser(self) -> optax.GradientTransformation:
@@ -166,15 +167,3 @@ class PPO:
         steps = self.updates * config.epochs * config.minibatches
         rate = optax.linear_schedule(config.learning_rate, config.learning_rate * config.final_learning_rate, steps)
         return optax.chain(optax.clip_by_global_norm(config.gradient_norm), optax.adam(rate, eps=1e-5))
-
-
-def _summary(lesson: Lesson, networks: ActorCritic) -> Metrics:
-    """How the rollout went, before it was learnt from."""
-    rollout = lesson.rollout
-    return {
-        "reward": rollout.reward.mean(),
-        "error_x_n": rollout.error[..., 0].mean(),
-        "error_y_n": rollout.error[..., 1].mean(),
-        "deviation": jnp.exp(networks.policy.log_deviation).mean(),
-        "explained": 1 - jnp.var(lesson.target - rollout.value) / (jnp.var(lesson.target) + 1e-8),
-    }

@@ -5,14 +5,14 @@ far kept, and a checkpoint written; a resumed run ends with the same weights as 
 """
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cache
 from typing import Any, Literal, NamedTuple, TypeVar, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, PRNGKeyArray
 from pydantic import PositiveInt, model_validator
 
 from softfin.checkpoint import Workspace
@@ -21,7 +21,7 @@ from softfin.errors import ConfigurationError, RunError
 from softfin.plant import Plant
 from softfin.quantities import AXES, Limits
 from softfin.randomness import key_of
-from softfin.tracking.references import PAPER_CELLS, PAPER_RANGE, Cell, stack_references
+from softfin.tracking.references import PAPER_CELLS, PAPER_RANGE, Cell, References, stack_references
 from softfin.tracking.task import ForceTracking, TaskConfig
 from softfin.training.policy import Policy, PolicyConfig
 from softfin.training.ppo import PPO, Lane, Metrics, PPOConfig
@@ -72,6 +72,7 @@ SINGLE = TrainConfig(
     steps=30_000,
     cells=(PAPER_RANGE,),
     task=TaskConfig(reference_actions=45),
+    ppo=PPOConfig(environments=32, rollout_actions=15, minibatches=8),
     lattice=3,
 )
 """The paper's single controller on its budget."""
@@ -135,24 +136,45 @@ def train(
     return run.end(state)
 
 
+class _Programs(NamedTuple):
+    """Compiled for all lanes at once; the plant's arrays are arguments, not constants in the programs."""
+
+    init: Callable[[Any, PRNGKeyArray, References], Lane]
+    update: Callable[[Any, Lane], tuple[Lane, Metrics]]
+    score: Callable[[Any, Policy, Array], Score]
+
+
+def _compile(static: Any, config: TrainConfig) -> _Programs:
+    """For a plant without its arrays."""
+
+    def learner(arrays: Any) -> PPO:
+        task = ForceTracking(eqx.combine(arrays, static), config.task)
+        return PPO(task, config.ppo, config.policy, config.updates)
+
+    def judge(arrays: Any, policy: Policy, references: Array) -> Score:
+        return score(learner(arrays).task, policy, references, key_of(0, "score"))
+
+    return _Programs(
+        jax.jit(jax.vmap(lambda arrays, key, box: learner(arrays).init(key, box), (None, 0, 0))),
+        jax.jit(jax.vmap(lambda arrays, lane: learner(arrays).update(lane), (None, 0))),
+        jax.jit(jax.vmap(judge, (None, 0, 0))),
+    )
+
+
+_compile_once = cache(_compile)
+
+
 class _Run:
-    """The compiled programs of one run over its lanes."""
+    """One run over its lanes."""
 
     def __init__(self, plant: Plant, config: TrainConfig, seeds: tuple[int, ...]) -> None:
         self.config, self.seeds, self.limits = config, seeds, Limits(*map(float, plant.limits))
         self.lanes = [(seed, index) for seed in seeds for index in range(len(config.cells))]
-        # Arrays are arguments of the programs, not constants in them; the rest may be any object.
         self.arrays, static = eqx.partition(plant, eqx.is_array)
-
-        def learner(arrays: Any) -> PPO:
-            task = ForceTracking(eqx.combine(arrays, static), config.task)
-            return PPO(task, config.ppo, config.policy, config.updates)
-
-        over_lanes = partial(jax.vmap, in_axes=(None, 0, 0))
-        self._init = jax.jit(over_lanes(lambda arrays, key, box: learner(arrays).init(key, box)))
-        self._update = jax.jit(jax.vmap(lambda arrays, lane: learner(arrays).update(lane), in_axes=(None, 0)))
-        key = key_of(0, "score")
-        self._score = jax.jit(over_lanes(lambda arrays, policy, at: score(learner(arrays).task, policy, at, key)))
+        try:
+            self.programs = _compile_once(static, config)
+        except TypeError:  # a plant that cannot be hashed is compiled for again
+            self.programs = _compile(static, config)
         lattices = [config.cells[index].lattice(config.lattice) for _, index in self.lanes]
         self.references = jnp.asarray(lattices, jnp.float32)
 
@@ -160,19 +182,17 @@ class _Run:
         """Fresh lanes; the key of a lane depends on its seed and cell alone, not on the lanes beside it."""
         keys = jnp.stack([key_of(seed, f"train/{self.config.cells[index]}") for seed, index in self.lanes])
         boxes = stack_references([self.config.cells[index] for _, index in self.lanes])
-        lanes = self._init(self.arrays, keys, boxes)
+        lanes = self.programs.init(self.arrays, keys, boxes)
         worst = jnp.full(self.references.shape, jnp.inf)
         return TrainState(lanes, lanes.networks.policy, Score(worst, worst))
 
     def update(self, lanes: Lane) -> tuple[Lane, Metrics]:
         """One update of every lane."""
-        after: tuple[Lane, Metrics] = self._update(self.arrays, lanes)
-        return after
+        return self.programs.update(self.arrays, lanes)
 
     def score(self, policies: Policy) -> Score:
         """Of every lane's policy without its noise."""
-        scores: Score = self._score(self.arrays, policies, self.references)
-        return scores
+        return self.programs.score(self.arrays, policies, self.references)
 
     def finite(self, metrics: Metrics, update: int) -> Metrics:
         """The metrics; raises RunError where a lane's loss is not finite."""

@@ -1,0 +1,177 @@
+"""Controllers: they act as their policies do in the task, cover what they were trained for, and come back from disk."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softfin.control.controller import Controller
+from softfin.control.grid import GridController
+from softfin.control.single import SingleController
+from softfin.control.store import controller_of, load_controller, save_controller
+from softfin.errors import ArtifactError, CoverageError
+from softfin.plant import ACTION_TICKS
+from softfin.quantities import PAPER_LIMITS
+from softfin.tracking.references import PAPER_REFERENCES, Cell
+from softfin.tracking.task import ForceTracking, command_of
+from softfin.training.policy import Policy, PolicyConfig
+from softfin.training.score import Score
+from softfin.training.train import GRID, SINGLE, TrainConfig, Trained
+from tests.plants import AnalyticFin
+
+SIZE = PolicyConfig(units=8, width=8)
+SEEDS = (3, 5)
+
+
+def untrained(config: TrainConfig) -> Trained:
+    """As if trained: loud random policies."""
+    config = config.model_copy(update={"policy": SIZE})
+    cells, points = len(config.cells), config.lattice**2
+    keys = jax.random.split(jax.random.key(0), (len(SEEDS), cells))
+    policies = jax.vmap(jax.vmap(lambda key: Policy.create(key, SIZE, 11)))(keys)
+    loud = jax.tree.map(lambda x: 3 * x, policies)
+    shape = (len(SEEDS), cells, points, 2)
+    return Trained(config, PAPER_LIMITS, SEEDS, loud, Score(jnp.full(shape, 0.25), jnp.full(shape, 0.5)))
+
+
+GRID_RUN, SINGLE_RUN = untrained(GRID), untrained(SINGLE)
+
+
+@pytest.fixture(params=[SINGLE_RUN, GRID_RUN], ids=["single", "grid"])
+def run(request: pytest.FixtureRequest) -> Trained:
+    return request.param
+
+
+def commands(controller: Controller, references: Any, angles: Any) -> np.ndarray:
+    def act(state: Any, now: Any) -> Any:
+        state, command = controller.act(state, *now)
+        return state, jnp.stack(command)
+
+    return np.asarray(jax.jit(lambda a, r: jax.lax.scan(act, controller.init(), (a, r)))(angles, references)[1])
+
+
+def test_controllers_meet_the_contract(run: Trained) -> None:
+    assert isinstance(controller_of(run, 3), Controller)
+
+
+def test_a_controller_acts_as_its_policy_does_in_the_task() -> None:
+    task = ForceTracking(AnalyticFin(), GRID.task)
+    controller = controller_of(GRID_RUN, 5)
+    assert isinstance(controller, GridController)
+    act, step = jax.jit(lambda *now: controller.act(*now)), jax.jit(task.step, static_argnums=2)
+    for index, reference in enumerate(PAPER_REFERENCES[:3]):
+        policy = jax.tree.map(lambda leaf, i=index: leaf[1, i], GRID_RUN.policies)
+        at = Cell(low=reference, high=reference).references()
+        fin, state, memory = task.reset(jax.random.key(0), at), controller.init(), policy.init()
+        for i in range(4):
+            memory, action = policy.act(memory, task.observe(fin))
+            state, command = act(state, fin.angle, fin.reference)
+            np.testing.assert_allclose(command, command_of(PAPER_LIMITS, action), rtol=1e-4, atol=1e-5)
+            fin, _ = step(fin, action, ACTION_TICKS[i % 3])
+
+
+def test_each_reference_is_served_by_its_cell_and_the_nearest_beyond_the_grid() -> None:
+    controller = controller_of(GRID_RUN, 3)
+    assert isinstance(controller, GridController)
+    nearest = [int(controller.nearest(jnp.asarray(r, jnp.float32))) for r in PAPER_REFERENCES]
+    assert nearest == [0, 1, 2, 3, 4, 5]
+    assert int(controller.nearest(jnp.array([9.0, 0.0]))) == 3
+
+
+def test_on_a_switch_the_memory_starts_anew_and_the_last_actions_stay() -> None:
+    controller = controller_of(GRID_RUN, 3)
+    assert isinstance(controller, GridController)
+    first, second = jnp.array([1.0, -1.0]), jnp.array([2.0, 0.0])
+    state, _ = controller.act(controller.init(), jnp.float32(0.1), first)
+    after, command = controller.act(state, jnp.float32(0.1), second)
+
+    other = controller.of_cell(jnp.int32(2))
+    fresh = state.inner._replace(memory=other.policy.init())
+    np.testing.assert_allclose(command, other.act(fresh, jnp.float32(0.1), second)[1], rtol=1e-5)
+    np.testing.assert_array_equal(after.inner.actions[1:], state.inner.actions[:-1])
+
+
+def test_without_a_switch_the_memory_goes_on() -> None:
+    controller = controller_of(GRID_RUN, 3)
+    reference = jnp.tile(jnp.array([2.0, 0.0]), (6, 1))
+    alone = controller.of_cell(jnp.int32(2)) if isinstance(controller, GridController) else controller
+    angles = jnp.linspace(-0.5, 0.5, 6)
+    np.testing.assert_allclose(commands(controller, reference, angles), commands(alone, reference, angles), rtol=1e-5)
+
+
+def test_a_reference_outside_is_refused_with_the_nearest_cell() -> None:
+    with pytest.raises(CoverageError, match=r"\(3, 2\) N: 0.71 N outside the nearest of 6 cells \(x 1.5 .. 2.5, y 0.5"):
+        controller_of(GRID_RUN, 3).check((3.0, 2.0))
+    with pytest.raises(CoverageError, match=r"\(5, 0\) N: 1.5 N outside what .* \(x 0.5 .. 3.5, y -1.5 .. 1.5 N\)"):
+        controller_of(SINGLE_RUN, 3).check((5.0, 0.0))
+
+
+def test_every_reference_of_the_paper_is_covered(run: Trained) -> None:
+    for x, y in PAPER_REFERENCES:
+        controller_of(run, 3).check((float(x), float(y)))
+
+
+def test_a_controller_comes_back_from_its_folder(run: Trained, tmp_path: Path) -> None:
+    save_controller(tmp_path / "c", run, 5, {"seed": 5}, note="hello")
+    again = load_controller(tmp_path / "c")
+    references = jnp.asarray([[1, -1], [2, 0], [2, 0], [2, 1]], jnp.float32)
+    angles = jnp.linspace(-1, 1, 4)
+    expected = commands(controller_of(run, 5), references, angles)
+    np.testing.assert_array_equal(commands(again, references, angles), expected)
+    assert again.limits == PAPER_LIMITS
+    with pytest.raises(CoverageError):
+        again.check((9.0, 9.0))
+
+
+def test_the_folder_describes_itself(run: Trained, tmp_path: Path) -> None:
+    save_controller(tmp_path / "c", run, 5, {"seed": 5}, note="hello")
+    description = json.loads((tmp_path / "c" / "controller.json").read_text())
+    assert description["kind"] == "controller"
+    assert description["controller"] == run.config.controller
+    assert description["provenance"] == {"seed": 5}
+    assert description["note"] == "hello"
+    assert len(description["scores"]) == len(run.config.cells) * run.config.lattice**2
+    assert description["scores"][0]["error_n"] == [0.25, 0.25]
+    assert description["configuration"]["steps"] == run.config.steps
+
+
+@pytest.mark.parametrize(
+    ("harm", "message"),
+    [
+        (lambda f: (f / "weights.safetensors").unlink(), "weights.safetensors: missing"),
+        (lambda f: (f / "weights.safetensors").write_bytes(b"12"), "truncated or damaged"),
+        (lambda f: (f / "controller.json").write_text("{"), "not readable as JSON"),
+        (lambda f: _edit(f, limits={"angle_min": 0}), "controller.json: not a controller's description"),
+        (lambda f: _edit(f, task={"past_actions": -1}), "controller.json: not a controller's description"),
+        (lambda f: _edit(f, task={"past_actions": 5}), r"net.lstm.kernel has shape .*; its configuration needs \(15"),
+        (lambda f: _edit(f, cells=[]), "with 0 cells does not fit"),
+        (lambda f: _edit(f, controller="neither"), r"controller 'neither' .*; there are single .* and grid"),
+        (lambda f: _edit(f, action_rate_hz=5.0), "acts at 5.0 Hz; softfin acts at 3.0 Hz"),
+    ],
+)
+def test_a_damaged_folder_is_refused(harm: Callable[[Path], Any], message: str, tmp_path: Path) -> None:
+    save_controller(tmp_path / "c", SINGLE_RUN, 3, {})
+    harm(tmp_path / "c")
+    with pytest.raises(ArtifactError, match=message):
+        load_controller(tmp_path / "c")
+
+
+def _edit(folder: Path, **changes: Any) -> None:
+    file = folder / "controller.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | changes))
+
+
+def test_another_folder_is_no_controller(tmp_path: Path) -> None:
+    with pytest.raises(ArtifactError, match=r"not a controller: it holds no controller\.json"):
+        load_controller(tmp_path)
+
+
+def test_a_single_controller_is_one_policy() -> None:
+    controller = controller_of(SINGLE_RUN, 3)
+    assert isinstance(controller, SingleController)
+    assert controller.policy.log_deviation.shape == (2,)
