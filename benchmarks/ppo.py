@@ -14,6 +14,7 @@ from benchmarks.measure import entry
 from benchmarks.nets import published_layout
 from softfin.checkpoint import Workspace
 from softfin.surrogate import Surrogate
+from softfin.tracking.registration import register
 from softfin.training.train import GRID, SINGLE, TrainConfig, train
 
 PEER_STEPS = 512
@@ -38,6 +39,7 @@ def peer_speed(plant: Surrogate, units: int) -> float:
     import gymnasium
     from sb3_contrib import RecurrentPPO
 
+    register()
     environment = gymnasium.make("softfin/ForceTracking-v0", plant=plant)
     model = RecurrentPPO("MlpLstmPolicy", environment, device="cpu", policy_kwargs={"lstm_hidden_size": units})
     model.learn(model.n_steps)

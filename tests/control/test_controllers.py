@@ -117,7 +117,7 @@ def test_every_reference_of_the_paper_is_covered(run: Trained) -> None:
 
 
 def test_a_controller_comes_back_from_its_folder(run: Trained, tmp_path: Path) -> None:
-    save_controller(tmp_path / "c", run, 5, {"seed": 5}, note="hello")
+    save_controller(tmp_path / "c", run, 5, {"seed": 5})
     again = load_controller(tmp_path / "c")
     references = jnp.asarray([[1, -1], [2, 0], [2, 0], [2, 1]], jnp.float32)
     angles = jnp.linspace(-1, 1, 4)
@@ -129,12 +129,12 @@ def test_a_controller_comes_back_from_its_folder(run: Trained, tmp_path: Path) -
 
 
 def test_the_folder_describes_itself(run: Trained, tmp_path: Path) -> None:
-    save_controller(tmp_path / "c", run, 5, {"seed": 5}, note="hello")
+    save_controller(tmp_path / "c", run, 5, {"seed": 5}, _note)
     description = json.loads((tmp_path / "c" / "controller.json").read_text())
     assert description["kind"] == "controller"
     assert description["controller"] == run.config.controller
     assert description["provenance"] == {"seed": 5}
-    assert description["note"] == "hello"
+    assert (tmp_path / "c" / "note.txt").read_text() == "hello"
     assert len(description["scores"]) == len(run.config.cells) * run.config.lattice**2
     assert description["scores"][0]["error_n"] == [0.25, 0.25]
     assert description["configuration"]["steps"] == run.config.steps
@@ -159,6 +159,10 @@ def test_a_damaged_folder_is_refused(harm: Callable[[Path], Any], message: str, 
     harm(tmp_path / "c")
     with pytest.raises(ArtifactError, match=message):
         load_controller(tmp_path / "c")
+
+
+def _note(folder: Path) -> None:
+    (folder / "note.txt").write_text("hello")
 
 
 def _edit(folder: Path, **changes: Any) -> None:

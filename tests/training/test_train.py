@@ -1,5 +1,6 @@
 """Training runs: lanes, checkpoints, resuming, logs, what stops them."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -7,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import safetensors
 
-from softfin.artifacts import load_description
-from softfin.checkpoint import Workspace, read_log
+from softfin.checkpoint import CHECKPOINT, Workspace, read_log
 from softfin.errors import ConfigurationError, RunError
 from softfin.quantities import Command
 from softfin.tracking.references import Cell
@@ -71,6 +72,7 @@ def test_a_resumed_run_ends_as_one_that_was_never_stopped(whole: tuple[Trained, 
     assert log_of(tmp_path) == log_of(whole[1])
 
 
+@pytest.mark.slow
 def test_a_lane_alone_learns_as_among_others(whole: tuple[Trained, Path], tmp_path: Path) -> None:
     config = SMALL.model_copy(update={"cells": SMALL.cells[1:]})
     alone = trained(tmp_path, (1,), config)
@@ -104,12 +106,13 @@ class Breaking(AnalyticFin):
         return state, reading._replace(force=broken)
 
 
+@pytest.mark.slow
 def test_a_loss_that_is_not_finite_stops_with_its_place_and_the_last_good_checkpoint(tmp_path: Path) -> None:
     words = r"the loss is not finite in update 2 of 4, seed 5, cell x 0.5 .. 1.5, y -1.5 .. -0.5 N; lower ppo.learning"
     with pytest.raises(RunError, match=words):
         trained(tmp_path, (5,), plant=Breaking())
-    checkpoint = tmp_path / ".out.unfinished" / "checkpoint"
-    assert load_description(checkpoint, "checkpoint")["updates"] == 1
+    with safetensors.safe_open(tmp_path / ".out.unfinished" / CHECKPOINT, "numpy") as file:
+        assert json.loads(file.metadata()["facts"])["updates"] == 1
 
 
 def test_a_budget_under_one_rollout_and_repeated_seeds_are_refused(tmp_path: Path) -> None:
