@@ -80,18 +80,20 @@ class LSTM(Configuration):
         return (example[0], self.units) if self.sequence else (self.units,)
 
     def apply(self, parameters: Parameters, x: Float[Array, "batch steps features"]) -> Array:
-        """One product a step, of input and past side by side; the first step has no past."""
-        hidden, cell = None, None
+        """One product a step, of input and past side by side; the first step has no past, so nothing to forget."""
+        hidden: Array | None = None
+        cell: Array = jnp.float32(0)
         outputs = []
-        both = jnp.concatenate([parameters["kernel"], parameters["recurrent"]])
+        kernel, bias = parameters["kernel"], parameters["bias"]
+        both = jnp.concatenate([kernel, parameters["recurrent"]])
         for step in range(x.shape[1]):
             if hidden is None:
-                gates = x[:, step] @ parameters["kernel"] + parameters["bias"]
+                i, g, o = jnp.split(x[:, step] @ self._without_forget(kernel) + self._without_forget(bias), 3, axis=-1)
+                cell = jax.nn.sigmoid(i) * jnp.tanh(g)
             else:
-                gates = jnp.concatenate([x[:, step], hidden], axis=1) @ both + parameters["bias"]
-            i, f, g, o = jnp.split(gates, 4, axis=-1)
-            fresh = jax.nn.sigmoid(i) * jnp.tanh(g)
-            cell = fresh if cell is None else jax.nn.sigmoid(f) * cell + fresh
+                gates = jnp.concatenate([x[:, step], hidden], axis=1) @ both + bias
+                i, f, g, o = jnp.split(gates, 4, axis=-1)
+                cell = jax.nn.sigmoid(f) * cell + jax.nn.sigmoid(i) * jnp.tanh(g)
             hidden = jax.nn.sigmoid(o) * jnp.tanh(cell)
             outputs.append(hidden)
         return jnp.stack(outputs, axis=1) if self.sequence else outputs[-1]
@@ -99,7 +101,10 @@ class LSTM(Configuration):
     def products(self, example: Shape) -> int:
         """Multiply-adds of the matrix products for one example, as `apply` does them."""
         steps, features = example
-        return 4 * self.units * (steps * features + (steps - 1) * self.units)
+        return self.units * (3 * features + 4 * (steps - 1) * (features + self.units))
+
+    def _without_forget(self, gates: Array) -> Array:
+        return jnp.concatenate([gates[..., : self.units], gates[..., 2 * self.units :]], axis=-1)
 
 
 class MeanPool(Configuration):
