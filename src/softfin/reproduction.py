@@ -272,6 +272,7 @@ PRESETS = {
         seeds=2,
     ),
 }
-"""``paper``: the paper's full data and budgets. ``demo``: a few minutes, two thirds of the paper's steps or more. ``tiny``: does every stage work at all?"""
+"""``paper``: the paper's full data and budgets. ``demo``: a few minutes, with two thirds of the paper's steps or more.
+``tiny``: does every stage work at all?"""
 
 __all__ = ["PRESETS", "ReproduceConfig", "peak_memory_gib", "reproduce"]
