@@ -106,7 +106,7 @@ def test_a_column_that_never_changes_is_named(tmp_path):
 
 
 def test_a_loss_that_explodes_stops_the_fit(tmp_path):
-    with pytest.raises(RunError, match="lower fit.learning_rate and start anew"):
+    with pytest.raises(RunError, match=r"lower fit\.learning_rate and start anew"):
         fit(LOGS, CONFIG.changed(["learning_rate=1e30"]), 0, Workspace(tmp_path / "s", {}))
 
 
