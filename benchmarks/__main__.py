@@ -4,7 +4,7 @@ import importlib
 import json
 import sys
 
-NAMES = ("task", "fit", "ppo", "memory")
+NAMES = ("tank", "task", "fit", "ppo", "memory")
 
 
 def main() -> None:

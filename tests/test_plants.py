@@ -3,7 +3,7 @@ import sys
 import jax.numpy as jnp
 import pytest
 
-from softfin.errors import PlantError
+from softfin.errors import ConfigurationError, PlantError
 from softfin.plants import find_plant
 from softfin.quantities import Limits
 from softfin.surrogate import Surrogate, save_surrogate
@@ -24,10 +24,18 @@ def test_the_tank_a_surrogate_and_ones_own_simulator_are_found(tmp_path, monkeyp
     sys.modules.pop("my_simulator")
 
 
+def test_a_tank_of_ones_own_numbers_is_found_by_its_file(tmp_path):
+    (tmp_path / "mine.yaml").write_text("fin: {plates: 3}\n")
+    assert find_plant(str(tmp_path / "mine.yaml")).fin.stiffness.shape == (3,)
+    (tmp_path / "bad.yaml").write_text("fin: {root_thickness_m: -0.01}\n")
+    with pytest.raises(ConfigurationError, match=r"bad.yaml: fin.root_thickness_m = -0.01: .* greater than 0"):
+        find_plant(str(tmp_path / "bad.yaml"))
+
+
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("pool", r"--plant pool: unknown plant \(is no folder\); give tank, the folder of a surrogate, or package"),
+        ("pool", r"--plant pool: unknown plant \(is no folder\); give tank, the YAML file of a tank, the folder of"),
         ("no_such_module:plant", "No module named 'no_such_module'"),
         ("json:plant", "module json has no 'plant'"),
         ("math:pi", "a float is no plant: it needs limits, init and advance"),

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from softfin import testing
+    from softfin.calibration.config import CalibrateConfig
     from softfin.control.store import load_controller
     from softfin.evaluation.evaluate import EvaluateConfig
     from softfin.logs.collect import CollectConfig
@@ -26,15 +27,17 @@ if TYPE_CHECKING:
     from softfin.plants import find_plant
     from softfin.quantities import Command, Limits, Log, Reading
     from softfin.reproduction import PRESETS, ReproduceConfig, reproduce
-    from softfin.stages import collect, evaluate, fit, import_keras, train
+    from softfin.stages import calibrate, collect, evaluate, fit, import_keras, train, view
     from softfin.surrogate import FitConfig, Surrogate, load_surrogate
     from softfin.tank import Tank, TankConfig
     from softfin.training.train import GRID, SINGLE, TrainConfig
+    from softfin.viewing import ViewConfig
 
 __all__ = [
     "GRID",
     "PRESETS",
     "SINGLE",
+    "CalibrateConfig",
     "CollectConfig",
     "Command",
     "Dataset",
@@ -48,6 +51,8 @@ __all__ = [
     "Tank",
     "TankConfig",
     "TrainConfig",
+    "ViewConfig",
+    "calibrate",
     "collect",
     "evaluate",
     "find_plant",
@@ -58,9 +63,11 @@ __all__ = [
     "reproduce",
     "testing",
     "train",
+    "view",
 ]
 
 _HOMES = {
+    "softfin.calibration.config": ("CalibrateConfig",),
     "softfin.control.store": ("load_controller",),
     "softfin.evaluation.evaluate": ("EvaluateConfig",),
     "softfin.logs.collect": ("CollectConfig",),
@@ -68,10 +75,11 @@ _HOMES = {
     "softfin.plants": ("find_plant",),
     "softfin.quantities": ("Command", "Limits", "Log", "Reading"),
     "softfin.reproduction": ("PRESETS", "ReproduceConfig", "reproduce"),
-    "softfin.stages": ("collect", "evaluate", "fit", "import_keras", "train"),
+    "softfin.stages": ("calibrate", "collect", "evaluate", "fit", "import_keras", "train", "view"),
     "softfin.surrogate": ("FitConfig", "Surrogate", "load_surrogate"),
     "softfin.tank": ("Tank", "TankConfig"),
     "softfin.training.train": ("GRID", "SINGLE", "TrainConfig"),
+    "softfin.viewing": ("ViewConfig",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

@@ -25,7 +25,7 @@ Weights = Mapping[str, NDArray[Any]]
 
 WEIGHTS = "weights.safetensors"
 
-KINDS = ("dataset", "surrogate", "controller", "controllers", "evaluation", "reproduction")
+KINDS = ("dataset", "surrogate", "controller", "controllers", "evaluation", "reproduction", "calibration")
 """Of folders, each told by its ``KIND.json``."""
 
 

@@ -6,6 +6,7 @@ SoftfinError
 │   ├── LogError            a recording: columns, gaps, NaN, rate
 │   ├── ArtifactError       a folder that is not, or no longer, a dataset, surrogate or controller
 │   ├── PlantError          something that does not meet the Plant contract
+│   ├── CommandError        a command that a plant does not take
 │   └── CoverageError       a reference force that a controller was not trained for
 └── RunError                a run that started well and failed midway   exit code 1
 """
@@ -37,6 +38,10 @@ class ArtifactError(InputError):
 
 class PlantError(InputError):
     """Something that does not meet the Plant contract."""
+
+
+class CommandError(InputError):
+    """A command outside the limits of a plant."""
 
 
 class CoverageError(InputError):

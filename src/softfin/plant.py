@@ -7,8 +7,10 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import PRNGKeyArray, PyTree
 
+from softfin.errors import CommandError
 from softfin.quantities import Command, Limits, Reading
 
 State: TypeAlias = PyTree[Any]
@@ -32,8 +34,26 @@ class Plant(Protocol):
         ...
 
 
+def check_commands(limits: Limits, commands: Command) -> None:
+    """Refuse commands beyond the limits, where their values are known: not while a program is being compiled."""
+    for name, unit, channel, low, high in (
+        ("angle", "rad", commands.angle, limits.angle_min, limits.angle_max),
+        ("velocity", "rad/s", commands.velocity, limits.velocity_min, limits.velocity_max),
+    ):
+        if isinstance(channel, jax.core.Tracer):
+            continue
+        values = np.asarray(channel)
+        # Limits are kept in double precision, commands in single.
+        outside = ~((values >= low - 1e-6) & (values <= high + 1e-6))
+        if outside.any():
+            raise CommandError(
+                f"command {name} = {values[outside].flat[0]:g} {unit}: the plant takes {low:g} to {high:g} {unit}"
+            )
+
+
 def roll(plant: Plant, state: State, commands: Command) -> tuple[State, Reading]:
-    """Issue one command a tick, ``(ticks,)``, and read after each."""
+    """Issue one command a tick, ``(ticks,)``, and read after each; raises CommandError beyond the plant's limits."""
+    check_commands(plant.limits, commands)
 
     def tick(state: State, command: Command) -> tuple[State, Reading]:
         state, reading = plant.advance(state, command, 1)
@@ -55,6 +75,7 @@ def rest_command(limits: Limits) -> Command:
 
 def hold(plant: Plant, state: State, actions: Command) -> tuple[State, Reading]:
     """Hold each of ``(actions,)`` commands on the 3.0 Hz clock; fields ``(ticks,)`` with 100 ticks for 3 actions."""
+    check_commands(plant.limits, actions)
     cycles, rest = divmod(actions.angle.shape[0], len(ACTION_TICKS))
 
     def some(state: State, commands: Command, count: int) -> tuple[State, Reading]:

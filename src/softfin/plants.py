@@ -1,4 +1,4 @@
-"""Finding a plant by what a user calls it: ``tank``, the folder of a surrogate, or ``package.module:plant``."""
+"""Finding a plant by what a user calls it: ``tank``, a tank's YAML, a surrogate's folder, ``package.module:plant``."""
 
 import hashlib
 import importlib
@@ -11,10 +11,11 @@ import jax
 import numpy as np
 
 from softfin import artifacts
+from softfin.configuration import read_yaml
 from softfin.errors import PlantError
 from softfin.plant import Plant
 
-HELP = "tank, the folder of a surrogate, or package.module:plant (one's own simulator)"
+HELP = "tank, the YAML file of a tank, the folder of a surrogate, or package.module:plant (one's own simulator)"
 
 
 def find_plant(name: str) -> Plant:
@@ -24,6 +25,10 @@ def find_plant(name: str) -> Plant:
         from softfin.tank import Tank
 
         return Tank()
+    if path.suffix in (".yaml", ".yml") and path.is_file():
+        from softfin.tank import Tank, TankConfig
+
+        return Tank(TankConfig.build(read_yaml(path), str(path)))
     if artifacts.is_kind(path, "surrogate"):
         from softfin.surrogate import load_surrogate
 

@@ -8,9 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from softfin import artifacts
+from softfin.calibration.calibrate import calibrate as _calibrate
+from softfin.calibration.config import CalibrateConfig
+from softfin.calibration.material import material
 from softfin.checkpoint import Workspace
 from softfin.control.store import load_controller, save_controller
-from softfin.errors import PlantError
+from softfin.errors import ConfigurationError, PlantError
+from softfin.evaluation.calibration import write_calibration
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, write_evaluation
 from softfin.evaluation.evaluate import evaluate as _evaluate
 from softfin.logs.collect import CollectConfig
@@ -28,6 +32,9 @@ from softfin.surrogate.metrics import table_one
 from softfin.tank import Tank, randomised
 from softfin.training.train import GRID, TrainConfig
 from softfin.training.train import train as _train
+from softfin.viewing import ViewConfig
+from softfin.viewing.video import ticks_of
+from softfin.viewing.view import check_out, draw, footage_of, title_of
 
 Progress = Callable[[str, float, str], None]
 """Called with what is going on, how much of it is done (0 .. 1), and the newest figures."""
@@ -89,6 +96,33 @@ def fit(
     )  # fmt: skip
     workspace.finish()
     return {"table_i": scores}
+
+
+def calibrate(
+    data: str | Path | Plant,
+    out: Path,
+    config: CalibrateConfig | None = None,
+    *,
+    seed: int = 0,
+    resume: bool = False,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Fit the virtual tank to a dataset or to a plant; writes ``calibration.json``, ``tank.yaml`` and figures."""
+    config = config or CalibrateConfig()
+    artifacts.check_vacant(out, overwrite)
+    found = material(data, config, seed)
+    facts = {"configuration": config.model_dump(mode="json"), "seed": seed, **found.facts}
+    workspace = Workspace(out, facts, resume, overwrite)
+    calibration = _calibrate(config, found.train, found.test, seed, workspace, progress)
+    named = str(data) if isinstance(data, str | Path) else type(data).__name__
+    origin = artifacts.provenance(seed=seed, data=named, **found.facts)
+    written = {"configuration": facts["configuration"], "provenance": origin}
+    summary = write_calibration(
+        calibration, found.beats, out, written, lambda folder: workspace.keep_log(folder / TRAINING_LOG)
+    )
+    workspace.finish()
+    return summary
 
 
 def import_keras(posnet: Path, forcenet: Path, scalers: Path, out: Path, *, overwrite: bool = False) -> Surrogate:
@@ -160,6 +194,50 @@ def evaluate(
         return evaluation.summary()
     facts = {"controller": str(controller), "kind": kind_of(controller), "plant": str(plant)}
     return write_evaluation(evaluation, out, facts)
+
+
+def view(
+    plant: str | Plant,
+    out: Path,
+    config: ViewConfig | None = None,
+    *,
+    controller: Path | None = None,
+    reference: tuple[float, float] | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Show a plant in motion as a .gif, .mp4, .html or .png, beating or held to a `reference` [N] by a controller."""
+    config = config or ViewConfig()
+    check_out(out, overwrite)
+    moving = find_plant(plant) if isinstance(plant, str) else plant
+    holding = None if controller is None else load_controller(controller)
+    if (holding is None) != (reference is None):
+        raise ConfigurationError("a controller and a reference belong together; give both or none")
+    if holding is not None and config.random:
+        raise ConfigurationError("random commands and a controller at once; give one of them")
+    if controller is not None and holding is not None and reference is not None:
+        holding.check(reference)
+        _check_limits(holding.limits, Limits(*moving.limits), controller, plant)
+    named = plant if isinstance(plant, str) else type(plant).__name__
+    title = title_of(named, config, reference)
+
+    def report(done: float) -> None:
+        if progress is not None:
+            progress("view", done, "")
+
+    report(0.0)
+    footage = footage_of(moving, config, holding, reference)
+    draw(footage, out, title, config, report)
+    ticks = len(footage.shape)
+    films = out.suffix in (".gif", ".mp4")
+    return {
+        "view": str(out),
+        "title": title,
+        "seconds": config.seconds,
+        "frames": len(ticks_of(ticks, config.frames_per_second)) if films else None,
+        "mean_force_n": [round(float(force), 4) for force in footage.reading.force.mean(axis=0)],
+        "shape_known": footage.shape_known,
+    }
 
 
 def kind_of(controller: Path) -> str:

@@ -66,3 +66,8 @@ def test_resolution_rounds_and_lets_gradients_through():
 def test_a_sensor_turned_by_a_right_angle_reports_x_as_minus_y():
     reading = record(with_only(misalignment_rad=np.pi / 2), np.array([[1.0, 0.0]]))
     np.testing.assert_allclose(reading, [[0.0, -1.0]], atol=1e-6)
+
+
+def test_readings_end_at_the_range():
+    reading = record(with_only(range_n=2.0), np.array([[3.0, -1.0], [-3.0, 2.5]]))
+    np.testing.assert_allclose(reading, [[2.0, -1.0], [-2.0, 2.0]])

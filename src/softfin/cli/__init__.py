@@ -13,9 +13,11 @@ from typing import Any
 COMMANDS = {
     "collect": "record random motions of a fin and its force as a dataset",
     "fit": "learn a surrogate, PosNet and ForceNet, from a dataset",
+    "calibrate": "fit the virtual tank to logs or to a plant",
     "import-keras": "turn published .keras nets and their scalers into a surrogate",
     "train": "train LSTM-PPO force controllers inside a surrogate",
     "evaluate": "judge a controller on a fin over reference forces",
+    "view": "show a fin in motion, as a film or as a page that plays it",
     "reproduce": "all of it in one run, with the paper's tables and figures",
 }
 

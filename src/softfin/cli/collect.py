@@ -15,7 +15,7 @@ class Arguments(Configured):
     out: Out
     """Folder of the dataset to write."""
     plant: str = "tank"
-    """The fin: tank, the folder of a surrogate, or package.module:plant."""
+    """The fin: tank, a tank's YAML, the folder of a surrogate, or package.module:plant."""
     logs: int | None = None
     """Logs to learn from (the paper's 100)."""
     test_logs: int | None = None

@@ -21,7 +21,7 @@ class Arguments(Configured):
     out: Out
     """Folder to write evaluation.json and the figures to."""
     plant: str = "tank"
-    """The fin: tank, the folder of a surrogate, or package.module:plant."""
+    """The fin: tank, a tank's YAML, the folder of a surrogate, or package.module:plant."""
     reference: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """Reference force as --reference=X,Y in newton, once for each (the paper's six)."""
     seconds: int | None = None
@@ -33,7 +33,7 @@ class Arguments(Configured):
 
     def run(self) -> None:
         """Evaluate."""
-        references = [_force(text) for text in self.reference] or None
+        references = [force(text) for text in self.reference] or None
         config = self.configured(
             EvaluateConfig(), references=references, seconds=self.seconds, seeds=self.seeds, seed=self.seed
         )
@@ -41,7 +41,8 @@ class Arguments(Configured):
         self.tell(summary, table_two({stages.kind_of(self.controller): summary}))
 
 
-def _force(text: str) -> tuple[float, float]:
+def force(text: str) -> tuple[float, float]:
+    """A reference force as it stands on the command line."""
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError:

@@ -5,6 +5,7 @@ Plate i lies from its inner end, nearer the shaft, along d(phi) = (-cos phi, sin
 motions of a plate are given along n and d and about its inner end.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -26,6 +27,10 @@ class Motion(NamedTuple):
     normal: PerPlate
     along: PerPlate
     turning: PerPlate
+
+    def less(self, other: "Motion") -> "Motion":
+        """Relative to another motion of the same plates."""
+        return Motion(self.normal - other.normal, self.along - other.along, self.turning - other.turning)
 
 
 class Wrench(NamedTuple):
@@ -71,6 +76,13 @@ def motion(pose: Pose, rates: PerPlate) -> Motion:
     return Motion((pose.normal * rates).sum(1), (pose.along * rates).sum(1), rates)
 
 
+def components(angles: PerPlate, velocity: Float[Array, "2"]) -> Motion:
+    """Of one velocity (x, y) [m/s], along every plate's axes."""
+    cos, sin = jnp.cos(angles), jnp.sin(angles)
+    x, y = velocity
+    return Motion(x * sin + y * cos, y * sin - x * cos, jnp.zeros_like(angles))
+
+
 def project(pose: Pose, wrench: Wrench) -> PerPlate:
     """The moment that the wrenches exert on each absolute angle [N m]."""
     levers = pose.normal * wrench.normal[:, None] + pose.along * wrench.along[:, None]
@@ -107,25 +119,43 @@ def resultant(angles: PerPlate, wrench: Wrench) -> Float[Array, "2"]:
     )
 
 
-def solve(matrix: Float[Array, "plates plates"], right: PerPlate) -> PerPlate:
-    """For a symmetric positive definite matrix: elimination without pivoting, unrolled.
+Turn = Callable[[Float[Array, ""], Float[Array, ""]], Float[Array, ""]]
+"""The shaft's rate of turning [rad/s], where the fin exerts load - drag * rate on it."""
 
-    A batch of such small systems is a handful of long vector operations, where a call of LAPACK is one call a fin.
+
+class Joint(NamedTuple):
+    """Between shaft and first plate: exerts strain + grip * (rate of the plate - rate of the shaft) on the shaft."""
+
+    strain: Float[Array, ""]
+    grip: Float[Array, ""]
+
+
+def solve(
+    matrix: Float[Array, "plates plates"], right: PerPlate, joint: Joint, turn: Turn
+) -> tuple[PerPlate, Float[Array, ""]]:
+    """Rates of the plates, whose own equations are ``matrix @ rates = right``, and of the shaft that they hang on.
+
+    Elimination goes from the tip to the root, without pivoting, as the matrix is symmetric positive definite; what is
+    left at the shaft is one scalar equation, which `turn` may solve with whatever law its drive has. Unrolled: a batch
+    of such small systems is a handful of long vector operations, where a call of LAPACK is one call a fin.
     """
     size = right.shape[0]
     rows = [[matrix[i, j] for j in range(size)] for i in range(size)]
     rhs = [right[i] for i in range(size)]
-    for k in range(size):
+    for k in reversed(range(1, size)):
         inverse = 1 / rows[k][k]
-        for i in range(k + 1, size):
+        for i in range(k):
             factor = rows[k][i] * inverse
-            for j in range(i, size):
+            for j in range(i + 1):
                 rows[i][j] = rows[i][j] - factor * rows[k][j]
             rhs[i] = rhs[i] - factor * rhs[k]
-    solution: list[Array] = []
-    for k in reversed(range(size)):
+    inertia, impulse = rows[0][0], rhs[0]
+    total = inertia + joint.grip
+    rate = turn((joint.strain * inertia + joint.grip * impulse) / total, joint.grip * inertia / total)
+    solution = [(impulse - joint.strain + joint.grip * rate) / total]
+    for k in range(1, size):
         rest = rhs[k]
-        for j, x in zip(range(size - 1, k, -1), solution, strict=True):
-            rest = rest - rows[k][j] * x
+        for j in range(k):
+            rest = rest - rows[k][j] * solution[j]
         solution.append(rest / rows[k][k])
-    return jnp.stack(solution[::-1])
+    return jnp.stack(solution), rate

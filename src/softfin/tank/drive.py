@@ -1,79 +1,149 @@
-"""The drive: a positioning controller in profile position mode, the command in, the motion of the shaft out.
+"""The drive: a positioning controller in profile position mode, motor and gearbox; commands in, the shaft's motion out.
 
 A trapezoidal velocity profile runs to the target angle at the commanded velocity, within an acceleration limit. It is
-planned anew at each step from the present motion, so a command may come at any time, mid-stroke too. The shaft follows
-the profile with a first-order lag.
+planned anew at each step from the present motion, so a command may come at any time, mid-stroke too. A servo with a
+torque limit makes the motor follow it, against the fin's load; a gearbox with play stands between motor and fin. The
+encoder sits on the motor. Angles, torques and inertias are those at the fin's side of the gearbox.
 """
 
 from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 from pydantic import Field
 
 from softfin.configuration import Configuration
-from softfin.quantities import Command
+from softfin.quantities import TICK_S, Command
 from softfin.tank.fin import Shaft
 from softfin.tank.rounding import to_multiple
+
+DEAD_TICKS = 20
+"""Longest dead time, in ticks of 10 ms."""
 
 
 class DriveConfig(Configuration):
     """Motor, gearbox and positioning controller."""
 
-    acceleration_rad_s2: float = Field(60.0, gt=0)
-    """Of the profile, speeding up and braking [rad/s2]; reaches the fastest command, pi rad/s, in 0.05 s."""
-    lag_s: float = Field(0.04, ge=0)
-    """Time constant with which the shaft follows the profile [s].
-
-    A fit to the published fin gave 0.16 s, but with commands so fast that this lag was the whole stroke. With the
-    profile at the commanded velocity, 0.04 s is left for the following error and the way through the network.
-    """
-    encoder_step_rad: float = Field(0.0, ge=0)
-    """Readings of the shaft are multiples of this [rad]; 0: not quantised, as a geared encoder's step is below 1e-3."""
+    slowest_rad_s: float = Field(1.0, gt=0)
+    """Least profile velocity that the drive takes [rad/s] (paper, Sec. III-A)."""
+    fastest_rad_s: float = Field(6.7, gt=0)
+    """Greatest profile velocity that the drive takes [rad/s]."""
+    acceleration_rad_s2: float = Field(67.0, gt=0)
+    """Of the profile, speeding up and braking [rad/s2]."""
+    dead_time_s: float = Field(0.004, ge=0, le=DEAD_TICKS * TICK_S)
+    """From a command to the profile that obeys it [s]: the way through computer and bus."""
+    lag_s: float = Field(0.003, ge=0)
+    """Following error over velocity [s]: what the servo's velocity damping costs."""
+    stiffness_nm_rad: float = Field(300.0, gt=0)
+    """Torque over following error of the servo [N m/rad]."""
+    inertia_kg_m2: float = Field(0.034, gt=0)
+    """Of rotor and gearbox, times the gear ratio squared [kg m2]: 22.6e-7 at 123:1."""
+    torque_limit_nm: float = Field(6.0, gt=0)
+    """Most that motor and gearbox exert [N m]: what a 32 mm planetary gearbox bears."""
+    backlash_rad: float = Field(0.0, ge=0, le=0.2)
+    """Of the gearbox, from end to end [rad]; catalogues give 0.003 to 0.017."""
+    encoder_step_rad: float = Field(2.55e-5, ge=0)
+    """Readings of the shaft are multiples of this [rad]: 2000 counts a turn at 123:1; 0: not quantised."""
 
 
 class DriveState(NamedTuple):
-    """Of the profile, angle [rad] and velocity [rad/s]; of the shaft, angle [rad] and rate in the last step [rad/s]."""
+    """Of the profile and of the motor, and the commands on their way."""
 
     profile_angle: Float[Array, ""]
+    """[rad]"""
     profile_velocity: Float[Array, ""]
-    shaft_angle: Float[Array, ""]
-    shaft_rate: Float[Array, ""]
+    """[rad/s]"""
+    angle: Float[Array, ""]
+    """Of the motor [rad]."""
+    rate: Float[Array, ""]
+    """Of the motor [rad/s]."""
+    torque: Float[Array, ""]
+    """Of the motor, mean of the last step [N m]."""
+    waiting: Command
+    """Of the last ticks, newest first."""
 
 
 class Drive(eqx.Module):
     """What a step needs to know of the drive."""
 
     acceleration: Float[Array, ""]
+    dead_time: Float[Array, ""]
     lag: Float[Array, ""]
+    stiffness: Float[Array, ""]
+    inertia: Float[Array, ""]
+    torque_limit: Float[Array, ""]
+    backlash: Float[Array, ""]
     encoder_step: Float[Array, ""]
 
     def __init__(self, config: DriveConfig):
         self.acceleration = jnp.asarray(config.acceleration_rad_s2)
+        self.dead_time = jnp.asarray(config.dead_time_s)
         self.lag = jnp.asarray(config.lag_s)
+        self.stiffness = jnp.asarray(config.stiffness_nm_rad)
+        self.inertia = jnp.asarray(config.inertia_kg_m2)
+        self.torque_limit = jnp.asarray(config.torque_limit_nm)
+        self.backlash = jnp.asarray(config.backlash_rad)
         self.encoder_step = jnp.asarray(config.encoder_step_rad)
 
     def rest(self) -> DriveState:
-        """At angle 0, still."""
-        return DriveState(*(jnp.zeros_like(self.lag) for _ in DriveState._fields))
+        """At angle 0, still, and told to stay there."""
+        zero = jnp.zeros_like(self.lag)
+        waiting = jnp.zeros(DEAD_TICKS, zero.dtype)
+        return DriveState(zero, zero, zero, zero, zero, Command(waiting, waiting))
 
-    def step(self, state: DriveState, command: Command, seconds: float) -> tuple[DriveState, Shaft]:
-        """One step of time under a command; also the mean motion of the shaft in it."""
+    def receive(self, state: DriveState, command: Command) -> tuple[DriveState, Command]:
+        """A command that is issued now; out comes the one that the profile obeys for the next tick.
+
+        A dead time between whole ticks is a mean of the two commands beside it, so that it has a derivative.
+        """
+        queue = Command(*(jnp.append(new, old) for new, old in zip(command, state.waiting, strict=True)))
+        age = jnp.arange(DEAD_TICKS + 1, dtype=self.dead_time.dtype)
+        weights = jnp.maximum(1 - jnp.abs(age - self.dead_time / TICK_S), 0.0)
+        waiting = Command(*(channel[:-1] for channel in queue))
+        return state._replace(waiting=waiting), Command(*((weights * channel).sum() for channel in queue))
+
+    def plan(self, state: DriveState, command: Command, seconds: float) -> DriveState:
+        """With the profile a step of time further under a command."""
         velocity = _next_velocity(state, command, self.acceleration, seconds)
         mean = (velocity + state.profile_velocity) / 2
-        angle = state.profile_angle + seconds * mean
-        # The exact response of the lag to a profile that moves at constant velocity over the step.
-        lead = self.lag * mean
-        decay = jnp.exp(-seconds / jnp.maximum(self.lag, np.finfo(np.float32).tiny))
-        shaft = angle - lead + (state.shaft_angle - state.profile_angle + lead) * decay
-        rate = (shaft - state.shaft_angle) / seconds
-        return DriveState(angle, velocity, shaft, rate), Shaft((shaft + state.shaft_angle) / 2, rate)
+        return state._replace(profile_angle=state.profile_angle + seconds * mean, profile_velocity=velocity)
+
+    def shaft(self, before: DriveState, planned: DriveState, seconds: float) -> Shaft:
+        """What the fin hangs on while the profile goes from one state to the next."""
+        half = seconds / 2
+        pull, grip, rotor = self._servo(before, planned, half)
+
+        def turn(load: Float[Array, ""], drag: Float[Array, ""]) -> Float[Array, ""]:
+            free = (rotor * before.rate + pull + load) / (rotor + grip + drag)
+            torque = pull - grip * free
+            limited = jnp.clip(torque, -self.torque_limit, self.torque_limit)
+            return jnp.where(limited == torque, free, (rotor * before.rate + limited + load) / (rotor + drag))
+
+        return Shaft(before.angle, before.rate, self.backlash, turn)
+
+    def follow(self, before: DriveState, planned: DriveState, mean: Float[Array, ""], seconds: float) -> DriveState:
+        """The state after a step in which the motor turned at that mean rate [rad/s]."""
+        pull, grip, _ = self._servo(before, planned, seconds / 2)
+        torque = jnp.clip(pull - grip * mean, -self.torque_limit, self.torque_limit)
+        return planned._replace(angle=before.angle + seconds * mean, rate=2 * mean - before.rate, torque=torque)
 
     def read(self, state: DriveState) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """What the encoder says: angle [rad] and velocity [rad/s] of the shaft."""
-        return to_multiple(state.shaft_angle, self.encoder_step), state.shaft_rate
+        """What the encoder says: angle [rad] and velocity [rad/s]."""
+        return to_multiple(state.angle, self.encoder_step), state.rate
+
+    def _servo(
+        self, before: DriveState, planned: DriveState, half: float
+    ) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
+        """The motor's mean torque in a step is pull - grip * (mean rate) [N m], and the rotor's 1/time inertia.
+
+        Proportional to the following error less the lag's share, and critically damped about the profile.
+        """
+        damping = 2 * jnp.sqrt(self.stiffness * self.inertia)
+        profile_angle = (before.profile_angle + planned.profile_angle) / 2
+        profile_rate = (before.profile_velocity + planned.profile_velocity) / 2
+        pull = self.stiffness * (profile_angle - before.angle) + damping * profile_rate
+        return pull, self.stiffness * (self.lag + half) + damping, self.inertia / half
 
 
 def _next_velocity(

@@ -1,8 +1,9 @@
 """The soft fin: a tapered silicone plate, bending in the plane of beating, as a chain of plates with sprung joints.
 
-The first joint holds the fin on the shaft, whose motion is prescribed. One step of time takes bending, structural
-damping and the water's resistance by the implicit midpoint rule, and what is left of the nonlinearity at a midpoint
-that the last acceleration foretells: second order in the step, one linear solve, stable however stiff the fin.
+The first joint holds the fin on the shaft, and loads it back. One step of time takes bending, structural damping, the
+water's resistance and the shaft by the implicit midpoint rule, and what is left of the nonlinearity at a midpoint that
+the last acceleration foretells: second order in the step, one linear solve. No stiffness and no damping makes it
+unstable; turning far in one step does (docs/tank.md, "Step of time").
 """
 
 from collections.abc import Callable
@@ -18,33 +19,44 @@ from pydantic import Field
 
 from softfin.configuration import Configuration
 from softfin.tank import chain
-from softfin.tank.chain import Moments, Motion, PerPlate, Wrench
+from softfin.tank.chain import Joint, Moments, Motion, PerPlate, Turn, Wrench
 
 
 class FinConfig(Configuration):
-    """Geometry and material.
+    """Geometry and material; thickness and span fall linearly from root to tip."""
 
-    A fit to the published fin's surrogate gave length 0.20 m, span 0.081 m and 7 MPa, with commands taken to be several
-    times faster than logged. Here a command means what it says, so the default fin is larger: it makes the published
-    forces at the paper's own velocities, 1 to pi rad/s. Root thickness and taper are the fit's.
-    """
-
-    plates: int = Field(6, ge=1, le=32)
-    """Rigid plates in the chain [-]; the error of the force falls as their number squared: 2% at 6 (rms)."""
-    length_m: float = Field(0.25, gt=0)
+    plates: int = Field(8, ge=1, le=32)
+    """Rigid plates in the chain [-]; the error of the force falls as their number squared."""
+    length_m: float = Field(0.165, gt=0)
     """From the shaft to the tip [m]."""
-    span_m: float = Field(0.13, gt=0)
-    """Across the plane of beating, constant along the fin [m]."""
+    root_length_m: float = Field(0.0, ge=0)
+    """Of the aluminium bracket that stiffens the root, from the shaft [m]."""
+    span_m: float = Field(0.081, gt=0)
+    """Across the plane of beating, at the shaft [m]."""
+    tip_span_ratio: float = Field(1.0, gt=0)
+    """Span at the tip over that at the shaft [-]."""
     root_thickness_m: float = Field(0.019, gt=0)
     """At the shaft [m]."""
-    tip_thickness_ratio: float = Field(0.4, gt=0)
-    """Thickness at the tip over that at the root; linear between them."""
-    youngs_modulus_pa: float = Field(8e6, gt=0)
-    """Effective, with the bracket that stiffens the root [Pa]; the silicone alone, Shore A 22, has about 1e6."""
-    density_kg_m3: float = Field(1100.0, gt=0)
-    """Of the silicone [kg/m3]."""
-    damping_s: float = Field(0.02, ge=0)
-    """Kelvin-Voigt time: damping over stiffness of each joint [s]; a loss factor of 0.2 at 1.6 Hz."""
+    tip_thickness_ratio: float = Field(0.37, gt=0)
+    """Thickness at the tip over that at the shaft [-]."""
+    youngs_modulus_pa: float = Field(5.2e6, gt=0)
+    """Of the silicone [Pa]."""
+    density_kg_m3: float = Field(1150.0, gt=0)
+    """Of the silicone [kg/m3]; addition silicones have 1050 to 1200."""
+    damping_s: float = Field(0.005, ge=0)
+    """Kelvin-Voigt time: damping over stiffness of each joint [s]; a loss factor of 0.05 at 1.6 Hz."""
+
+    def span(self, along: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+        """Of the fin at distances from the shaft [m]."""
+        return self.span_m * (1 - (1 - self.tip_span_ratio) * along / self.length_m)
+
+    def thickness(self, along: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+        """Of the fin at distances from the shaft [m]."""
+        return self.root_thickness_m * (1 - (1 - self.tip_thickness_ratio) * along / self.length_m)
+
+
+BRACKET_BENDING_N_M = 70e9 * 0.003**3 / 12
+"""Bending stiffness over span of the aluminium bracket [N m]: 70 GPa, taken to be 3 mm thick."""
 
 
 class FinState(NamedTuple):
@@ -56,14 +68,30 @@ class FinState(NamedTuple):
 
 
 class Shaft(NamedTuple):
-    """Motion of the shaft over a step: its mean angle [rad] and rate [rad/s]."""
+    """What the fin hangs on, at the start of a step."""
 
     angle: Float[Array, ""]
+    """[rad]"""
     rate: Float[Array, ""]
+    """[rad/s]"""
+    play: Float[Array, ""]
+    """Angle over which the joint between shaft and fin transmits nothing [rad]: the gearbox's backlash."""
+    turn: Turn
+    """Its mean rate over the step, by the moment with which the fin loads it."""
 
 
 Loads = Callable[[Motion], tuple[Moments, Wrench]]
-"""What the water does besides its inertia: what resists the motion [kg/s], and forces whatever the motion [N]."""
+"""What water does besides its inertia to plates that move in it: resists [kg/s], and exerts forces [N]."""
+
+
+class Surroundings(NamedTuple):
+    """What the fin moves in."""
+
+    inertia: Moments
+    """Of the water that each plate carries [kg, kg m, kg m2]."""
+    stream: Float[Array, "2"]
+    """Velocity (x, y) of the water far from the fin [m/s]; inertia and loads are those of the motion relative to it."""
+    loads: Loads
 
 
 class Fin(eqx.Module):
@@ -79,79 +107,145 @@ class Fin(eqx.Module):
 
     def __init__(self, config: FinConfig):
         plate = config.length_m / config.plates
-        # The joint between two plates bends as the beam between their middles does; the first plate's inner half bends
-        # against the shaft.
-        middles = (np.arange(config.plates) + 0.5) * plate
-        stiffness = 1 / _compliance(config, np.concatenate([[0.0], middles[:-1]]), middles)
-        mass = config.density_kg_m3 * config.span_m * _thickness(config, middles) * plate
+        stiffness = 1 / _compliance(config)
         self.plate_length = jnp.asarray(plate)
         self.stiffness = jnp.asarray(stiffness)
         self.damping = jnp.asarray(stiffness * config.damping_s)
-        zeroth, first, second = (jnp.asarray(mass * factor) for factor in (1.0, plate / 2, plate**2 / 3))
+        zeroth, first, second = plate_moments(
+            config, lambda s: config.density_kg_m3 * config.span(s) * config.thickness(s)
+        )
         self.inertia = Moments(zeroth, first, second, along=zeroth)
 
     def rest(self) -> FinState:
         """Straight along angle 0, still."""
         return FinState(*(jnp.zeros_like(self.stiffness) for _ in FinState._fields))
 
-    def momentum(self, state: FinState, inertia: Moments) -> Float[Array, "2"]:
-        """Of the fin, or with the water's inertia of both, in the axes of the tank [N s]."""
-        motion = chain.motion(chain.pose(state.angles, self.plate_length), state.rates)
-        return chain.resultant(state.angles, inertia.times(motion))
+    def shape(self, state: FinState) -> Float[Array, "points 2"]:
+        """The shaft and the outer end of each plate, in the axes of the tank [m]."""
+        plates = self.plate_length * jnp.stack([-jnp.cos(state.angles), jnp.sin(state.angles)], axis=-1)
+        return jnp.concatenate([jnp.zeros((1, 2), plates.dtype), jnp.cumsum(plates, axis=0)])
+
+    def relative(self, state: FinState, around: Surroundings) -> Motion:
+        """Of each plate, relative to the stream."""
+        return self._motion(state).less(chain.components(state.angles, around.stream))
+
+    def momenta(self, state: FinState, around: Surroundings) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
+        """Of the fin itself and of the water that it carries, in the axes of the tank [N s]."""
+        return (
+            chain.resultant(state.angles, self.inertia.times(self._motion(state))),
+            chain.resultant(state.angles, around.inertia.times(self.relative(state, around))),
+        )
 
     def energy(self, state: FinState, shaft_angle: Float[Array, ""], inertia: Moments) -> Float[Array, ""]:
-        """Kinetic and elastic [J]."""
-        motion = chain.motion(chain.pose(state.angles, self.plate_length), state.rates)
+        """Kinetic and elastic [J], in still water and without play."""
+        motion = self._motion(state)
         momentum = inertia.times(motion)
         kinetic = sum((p * v).sum() for p, v in zip(momentum, motion, strict=True)) / 2
-        bends = state.angles - jnp.concatenate([shaft_angle[None], state.angles[:-1]])
+        bends = _bends(state.angles, shaft_angle)
         return kinetic + (self.stiffness * bends**2).sum() / 2
 
+    def frequencies(self, inertia: Moments) -> NDArray[np.floating[Any]]:
+        """Natural frequencies about straight with that inertia, clamped and undamped, lowest first [rad/s]."""
+        straight = chain.pose(jnp.zeros_like(self.stiffness), self.plate_length)
+        factor = np.linalg.inv(np.linalg.cholesky(chain.matrix(straight, inertia)))
+        stiffness = np.array(_joint_matrix(self.stiffness))
+        stiffness[0, 0] += self.stiffness[0]
+        return np.sqrt(np.linalg.eigvalsh(factor @ stiffness @ factor.T))
+
     def step(
-        self, state: FinState, shaft: Shaft, inertia: Moments, loads: Loads, seconds: float
-    ) -> tuple[FinState, Float[Array, "2"]]:
-        """One step of time; also the mean force of `loads` on the fin in it, in the axes of the tank [N]."""
+        self, state: FinState, shaft: Shaft, around: Surroundings, seconds: float
+    ) -> tuple[FinState, Float[Array, ""], Float[Array, "2"]]:
+        """One step of time; also the mean rate of the shaft in it [rad/s] and the mean force of the loads [N]."""
         half = seconds / 2
         foretold = state.rates + half * state.accelerations
         angles = state.angles + half * (state.rates + foretold) / 2
         pose = chain.pose(angles, self.plate_length)
+        stream = chain.components(angles, around.stream)
         motion = chain.motion(pose, foretold)
-        resistance, push = loads(motion)
-        momentum = inertia.times(chain.motion(pose, state.rates))
+        relative = motion.less(stream)
+        resistance, push = around.loads(relative)
+        push = jax.tree.map(jnp.add, push, resistance.times(stream))
+        inertia = jax.tree.map(jnp.add, self.inertia, around.inertia)
         impulse = jax.tree.map(
-            lambda p, c, f: p + half * (c + f), momentum, chain.centripetal(pose, inertia, motion), push
+            lambda p, c, w, f: p + half * (c + w + f),
+            inertia.times(chain.motion(pose, state.rates)),
+            chain.centripetal(pose, self.inertia, motion),
+            chain.centripetal(pose, around.inertia, relative),
+            push,
         )
+        # Where the first joint stands in its play it transmits nothing; elsewhere it is strained from the play's edge.
+        bend = angles[0] - shaft.angle - half * shaft.rate
+        slack = jnp.clip(bend, -shaft.play / 2, shaft.play / 2)
+        held = jnp.abs(bend) >= shaft.play / 2
+        grips = half * (self.damping + half * self.stiffness)
+        strains = half * self.stiffness * _bends(state.angles, shaft.angle)
+        root = Joint(held * (strains[0] - half * self.stiffness[0] * slack), held * grips[0])
         left = chain.matrix(pose, jax.tree.map(lambda m, r: m + half * r, inertia, resistance))
-        right = chain.project(pose, impulse) + half * self._spring_moments(state.angles, shaft)
-        mean = chain.solve(left + half * _joint_matrix(self.damping + half * self.stiffness), right)
+        right = chain.project(pose, impulse) - _between(strains)
+
+        def turn(load: Float[Array, ""], drag: Float[Array, ""]) -> Float[Array, ""]:
+            return shaft.turn(load / half, drag / half)
+
+        mean, rate = chain.solve(left + _joint_matrix(grips), right, root, turn)
         force = jax.tree.map(lambda f, r: f - r, push, resistance.times(chain.motion(pose, mean)))
         after = FinState(state.angles + seconds * mean, 2 * mean - state.rates, (mean - state.rates) / half)
-        return after, chain.resultant(angles, force)
+        return after, rate, chain.resultant(angles, force)
 
-    def _spring_moments(self, angles: PerPlate, shaft: Shaft) -> PerPlate:
-        bends = angles - jnp.concatenate([shaft.angle[None], angles[:-1]])
-        rates = jnp.concatenate([-shaft.rate[None], jnp.zeros_like(angles[1:])])
-        torques = self.stiffness * bends + self.damping * rates
-        return jnp.concatenate([torques[1:], jnp.zeros_like(torques[:1])]) - torques
+    def _motion(self, state: FinState) -> Motion:
+        return chain.motion(chain.pose(state.angles, self.plate_length), state.rates)
+
+
+def plate_moments(
+    config: FinConfig, density: Callable[[NDArray[np.floating[Any]]], NDArray[np.floating[Any]]]
+) -> tuple[PerPlate, PerPlate, PerPlate]:
+    """Integrals of a density per length, times distance from the inner end to the power 0, 1, 2, over each plate."""
+    plate = config.length_m / config.plates
+    # Exact for the cubic densities of a linear taper.
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+    inside = (nodes[:, None] + 1) / 2 * plate
+    mass = weights[:, None] / 2 * plate * density(np.arange(config.plates) * plate + inside)
+    zeroth, first, second = (jnp.asarray((mass * inside**order).sum(0)) for order in range(3))
+    return zeroth, first, second
+
+
+def _bends(angles: PerPlate, shaft_angle: Float[Array, ""]) -> PerPlate:
+    return angles - jnp.concatenate([shaft_angle[None], angles[:-1]])
+
+
+def _between(torques: PerPlate) -> PerPlate:
+    """What the joints between plates, all but the first, take from each plate."""
+    inner = torques.at[0].set(0.0)
+    return inner - jnp.append(inner[1:], 0.0)
 
 
 def _joint_matrix(joints: PerPlate) -> Float[Array, "plates plates"]:
-    """The tridiagonal matrix that takes absolute angles to the moments of sprung joints."""
-    outer = jnp.concatenate([joints[1:], jnp.zeros_like(joints[:1])])
-    below = jnp.diag(joints[1:], -1)
-    return jnp.diag(joints + outer) - below - below.T
+    """The tridiagonal matrix that takes angles of plates to what the joints between them take from each."""
+    inner = joints.at[0].set(0.0)
+    below = jnp.diag(inner[1:], -1)
+    return jnp.diag(inner + jnp.append(inner[1:], 0.0)) - below - below.T
 
 
-def _thickness(config: FinConfig, along: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
-    taper = 1 - config.tip_thickness_ratio
-    return config.root_thickness_m * (1 - taper * along / config.length_m)
+def _compliance(config: FinConfig) -> NDArray[np.floating[Any]]:
+    """Of each joint [rad/(N m)]: the beam's, from the middle of one plate to that of the next.
 
+    The joints bend where their plates meet, the beam all along between. So each piece of beam counts by the work that a
+    load on the tip does in bending it, which makes the deflection under such a load that of the beam, however few the
+    plates.
+    """
+    plate = config.length_m / config.plates
+    joints = np.arange(config.plates) * plate
+    middles = joints[:-1] + plate / 2
+    start, stop = np.append(0.0, middles), np.append(middles, config.length_m)
 
-def _compliance(
-    config: FinConfig, start: NDArray[np.floating[Any]], stop: NDArray[np.floating[Any]]
-) -> NDArray[np.floating[Any]]:
-    """The integral of 1/EI between two places on the fin [rad/(N m)]."""
-    points = 64
-    along = start + (np.arange(points)[:, None] + 0.5) / points * (stop - start)
-    bending: NDArray[np.floating[Any]] = config.youngs_modulus_pa * config.span_m * _thickness(config, along) ** 3 / 12
-    return np.asarray((stop - start) * (1 / bending).mean(axis=0))
+    def work(
+        start: NDArray[np.floating[Any]], stop: NDArray[np.floating[Any]], bracket: float
+    ) -> NDArray[np.floating[Any]]:
+        nodes, weights = np.polynomial.legendre.leggauss(8)
+        along = start + (nodes[:, None] + 1) / 2 * (stop - start)
+        bending = config.span(along) * (config.youngs_modulus_pa * config.thickness(along) ** 3 / 12 + bracket)
+        shares = weights[:, None] / 2 * (config.length_m - along) ** 2 / bending
+        return np.asarray((stop - start) * shares.sum(axis=0))
+
+    edge = np.clip(config.root_length_m, start, stop)
+    whole = work(start, edge, BRACKET_BENDING_N_M) + work(edge, stop, 0.0)
+    return np.asarray(whole / (config.length_m - joints) ** 2)

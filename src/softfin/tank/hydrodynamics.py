@@ -1,47 +1,81 @@
-"""Still water round the fin: the loads on each plate of the chain.
+"""The water round the fin: the loads on each plate of the chain, and the flow that the fin itself has set going.
 
 - Reactive: the added mass of a thin plate, along its normal alone, stands in the chain's inertia (Lighthill 1960); its
   momentum leaves over the tip by the large-amplitude elongated-body theory (Lighthill 1971; Candelier, Boyer and
   Leroyer 2011): force m w u n - m w^2/2 d there, with w and u the tip's velocities along its n and outwards along d.
-- Resistive: quadratic drag along the normal (Taylor 1952; Morison 1950), skin friction along the plate (Blasius).
+- Resistive: quadratic drag along the normal (Taylor 1952; Morison 1950), with a coefficient that is constant or falls
+  with the Keulegan-Carpenter number of the plate's recent strokes; skin friction along the plate (Blasius).
+- Memory: the momentum that drag, friction and tip take from the fin stays in the water round it, which streams on until
+  that has died down. All loads are those of the motion relative to this stream; the added mass's own momentum is not
+  in it, as the fin takes that back.
 
-Left out: the stream that the fin sets moving in the tank, free surface and walls, and history (Basset) forces.
+Left out: free surface and walls, history (Basset) forces, and the pressure of an accelerating stream.
 """
 
+from typing import NamedTuple
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from pydantic import Field
 
 from softfin.configuration import Configuration
+from softfin.quantities import TICK_S
 from softfin.tank.chain import Moments, Motion, PerPlate, Wrench
-from softfin.tank.fin import FinConfig
+from softfin.tank.fin import FinConfig, Surroundings, plate_moments
+from softfin.tank.relaxation import kept
 
 
 class WaterConfig(Configuration):
-    """The water and the coefficients of its loads; drag and added mass came out of a fit to the published fin."""
+    """The water, the coefficients of its loads, and its memory."""
 
     temperature_c: float = Field(20.0, ge=0, le=40)
     """Of fresh water [degrees Celsius]; gives its density and viscosity."""
-    added_mass_coefficient: float = Field(1.26, ge=0)
+    added_mass_coefficient: float = Field(1.0, ge=0)
     """Added mass per length over that of a long flat plate, rho pi/4 span^2 [-]."""
-    drag_coefficient: float = Field(5.2, ge=0)
-    """Of a plate beating through a few thicknesses of its own wake; 2 in a steady stream [-]."""
+    drag_coefficient: float = Field(10.5, ge=0)
+    """Of the plates, at a Keulegan-Carpenter number of 5 where it depends on that [-]."""
+    drag_exponent: float = Field(0.0, ge=0, le=1)
+    """Power with which drag falls with the Keulegan-Carpenter number [-]: 0 constant, 1/3 thin plates (Graham 1980)."""
     friction_coefficient: float = Field(1.328, ge=0)
     """Blasius: skin friction is this / sqrt(Reynolds number of the length) on each of both faces [-]."""
     tip_coefficient: float = Field(1.0, ge=0)
     """Share of the elongated-body tip term [-]; 0 leaves it out."""
+    wake_memory_s: float = Field(1.0, gt=0)
+    """Time over which strokes are remembered [s]; matters where drag depends on them."""
+    stream_mass_kg: float = Field(3.0, gt=0)
+    """Of the water that takes up the fin's momentum [kg]: about a cube of the fin's reach."""
+    stream_decay_s: float = Field(0.43, ge=0)
+    """Time constant with which the stream dies down [s]; 0: the water stays still."""
 
+
+REFERENCE_STROKE = 5.0
+"""Keulegan-Carpenter number at which the drag coefficient is stated."""
+
+LEAST_STROKE = 0.5
+"""Keulegan-Carpenter number below which drag grows no more."""
 
 SLOWEST_FRICTION_M_S = 0.01
 """Below this speed skin friction grows linearly with it, as Stokes's does, so that its slope at rest is finite."""
 
 GAUSS = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)
-"""Two points along a plate integrate its mass exactly, and its drag wherever its ends move to the same side."""
+"""Two points along a plate integrate its drag well wherever its ends move to the same side."""
 
 
 Scale = Float[Array, ""] | float
+
+
+class Flow(NamedTuple):
+    """What the fin has left in the water."""
+
+    stream: Float[Array, "2"]
+    """Velocity of the water round the fin, (x, y) [m/s]."""
+    excursion: PerPlate
+    """Way that each plate's middle went along its normal lately [m]."""
+    square: PerPlate
+    """Recent mean of the excursion's square [m2]."""
 
 
 class Water(eqx.Module):
@@ -50,26 +84,43 @@ class Water(eqx.Module):
     plate_length: Float[Array, ""]
     temperature: Float[Array, ""]
     """[degrees Celsius]"""
-    added_mass: PerPlate
-    """Along the normal [kg/m]."""
-    drag: PerPlate
-    """Normal force per length over velocity squared [kg/m2]."""
+    inertia: Moments
+    """Added mass of each plate [kg, kg m, kg m2]."""
+    drag: Float[Array, "2 plates"]
+    """Normal force per length over velocity squared, at two points of each plate [kg/m2]."""
     friction: PerPlate
     """Tangential force per length over velocity to the power 3/2 [kg/m2 (m/s)^(1/2)]."""
     tip: PerPlate
     """Added mass per length at the outer end of each plate where water leaves the fin: zero but for the last [kg/m]."""
+    span: PerPlate
+    """At the middle of each plate [m]."""
+    drag_exponent: Float[Array, ""]
+    wake_memory: Float[Array, ""]
+    """[s]"""
+    stream_mass: Float[Array, ""]
+    """[kg]"""
+    stream_decay: Float[Array, ""]
+    """[s]"""
 
     def __init__(self, config: WaterConfig, fin: FinConfig):
         rho, nu = _density(config.temperature_c), _viscosity(config.temperature_c)
-        added_mass = config.added_mass_coefficient * rho * np.pi / 4 * fin.span_m**2
-        friction = config.friction_coefficient * np.sqrt(nu / fin.length_m) * rho * fin.span_m
-        each = np.ones(fin.plates)
-        self.plate_length = jnp.asarray(fin.length_m / fin.plates)
+        plate = fin.length_m / fin.plates
+        inner = np.arange(fin.plates) * plate
+        section = float(config.added_mass_coefficient * rho * np.pi / 4)
+        zeroth, first, second = plate_moments(fin, lambda s: section * fin.span(s) ** 2)
+        span = fin.span(inner + plate / 2)
+        self.plate_length = jnp.asarray(plate)
         self.temperature = jnp.asarray(config.temperature_c)
-        self.added_mass = jnp.asarray(added_mass * each)
-        self.drag = jnp.asarray(0.5 * rho * config.drag_coefficient * fin.span_m * each)
-        self.friction = jnp.asarray(friction * each)
-        self.tip = jnp.asarray(config.tip_coefficient * added_mass * np.eye(fin.plates)[-1])
+        self.inertia = Moments(zeroth, first, second, jnp.zeros_like(zeroth))
+        self.drag = jnp.asarray(0.5 * rho * config.drag_coefficient * fin.span(inner + plate * GAUSS[:, None]))
+        self.friction = jnp.asarray(config.friction_coefficient * np.sqrt(nu / fin.length_m) * rho * span)
+        leaving = config.tip_coefficient * section * (fin.span_m * fin.tip_span_ratio) ** 2
+        self.tip = jnp.asarray(leaving * np.eye(fin.plates)[-1])
+        self.span = jnp.asarray(span)
+        self.drag_exponent = jnp.asarray(config.drag_exponent)
+        self.wake_memory = jnp.asarray(config.wake_memory_s)
+        self.stream_mass = jnp.asarray(config.stream_mass_kg)
+        self.stream_decay = jnp.asarray(config.stream_decay_s)
 
     def at(self, temperature: Float[Array, ""]) -> "Water":
         """The same fin in water of another temperature [degrees Celsius]."""
@@ -82,22 +133,44 @@ class Water(eqx.Module):
     def scaled(self, added_mass: Scale = 1.0, drag: Scale = 1.0, friction: Scale = 1.0) -> "Water":
         """With its loads multiplied; the tip goes with the added mass."""
         changed: Water = eqx.tree_at(
-            lambda water: (water.added_mass, water.tip, water.drag, water.friction),
+            lambda water: (water.inertia, water.tip, water.drag, water.friction),
             self,
-            (self.added_mass * added_mass, self.tip * added_mass, self.drag * drag, self.friction * friction),
+            (
+                jax.tree.map(lambda x: x * added_mass, self.inertia),
+                self.tip * added_mass,
+                self.drag * drag,
+                self.friction * friction,
+            ),
         )
         return changed
 
-    def inertia(self) -> Moments:
-        """Added mass of each plate [kg, kg m, kg m2]."""
-        mass, length = self.added_mass * self.plate_length, self.plate_length
-        return Moments(mass, mass * length / 2, mass * length**2 / 3, jnp.zeros_like(mass))
+    def rest(self) -> Flow:
+        """Still water, undisturbed."""
+        zero = jnp.zeros_like(self.span)
+        return Flow(jnp.zeros(2, zero.dtype), zero, zero)
 
-    def loads(self, motion: Motion) -> tuple[Moments, Wrench]:
-        """What resists the motion [kg/s], and the suction at the tip [N]."""
+    def around(self, flow: Flow) -> Surroundings:
+        """What the fin moves in while the flow is such."""
+        # 2 pi amplitude / span, for the amplitude of a sine with that mean square.
+        number = jnp.sqrt(8 * jnp.pi**2 * flow.square / self.span**2 + LEAST_STROKE**2) / REFERENCE_STROKE
+        drag = self.drag * number**-self.drag_exponent
+        return Surroundings(self.inertia, flow.stream, lambda motion: self._loads(motion, drag))
+
+    def stirred(self, flow: Flow, motion: Motion, force: Float[Array, "2"]) -> Flow:
+        """The flow a tick later, where the plates moved so relative to it and the mean of its loads was `force` [N]."""
+        share = kept(self.stream_decay)
+        stream = share * flow.stream - (1 - share) * self.stream_decay / self.stream_mass * force
+        share = kept(self.wake_memory)
+        excursion = share * flow.excursion + TICK_S * (motion.normal + self.plate_length / 2 * motion.turning)
+        return Flow(stream, excursion, share * flow.square + (1 - share) * excursion**2)
+
+    def _loads(self, motion: Motion, drag: Float[Array, "2 plates"]) -> tuple[Moments, Wrench]:
+        """What resists the motion relative to the stream [kg/s], and the suction at the tip [N]."""
         length = self.plate_length
         places = [length * place for place in GAUSS.tolist()]
-        drags = [self.drag * length / 2 * jnp.abs(motion.normal + s * motion.turning) for s in places]
+        drags = [
+            d * length / 2 * jnp.abs(motion.normal + s * motion.turning) for d, s in zip(drag, places, strict=True)
+        ]
         # Water that comes over the tip from outside is at rest and brings no momentum with it. So the tip never feeds
         # energy into the fin: the power of its force is -m w^2 |u|/2.
         leaving = self.tip * jnp.maximum(-motion.along, 0.0)

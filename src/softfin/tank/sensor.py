@@ -1,7 +1,7 @@
 """The force sensor under the fin, after an ATI Axia80-M20: the true force in, what it reports at 100 Hz out.
 
-Low-pass filter, mounting misalignment, slow drift (Ornstein-Uhlenbeck), white noise, resolution, in this order. The
-numbers are assumptions of the right order, not a datasheet's; `IDEAL` turns every one of them off.
+Low-pass filter, mounting misalignment, slow drift (Ornstein-Uhlenbeck), white noise, resolution, range, in this order.
+The numbers are assumptions of the right order, not a datasheet's; `IDEAL` turns every one of them off.
 """
 
 from typing import NamedTuple
@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from pydantic import Field
 
 from softfin.configuration import Configuration
-from softfin.quantities import TICK_S
+from softfin.tank.relaxation import kept
 from softfin.tank.rounding import to_multiple
 
 
@@ -33,9 +33,11 @@ class SensorConfig(Configuration):
     """Time in which the drift forgets itself [s]."""
     resolution_n: float = Field(0.02, ge=0)
     """Readings are multiples of this [N]."""
+    range_n: float = Field(500.0, ge=0)
+    """Readings end at this, either way, on each axis [N]."""
 
 
-IDEAL = SensorConfig(filter_s=0.0, noise_n=0.0, drift_n=0.0, resolution_n=0.0)
+IDEAL = SensorConfig(filter_s=0.0, noise_n=0.0, drift_n=0.0, resolution_n=0.0, range_n=0.0)
 """Reports the true force, averaged over each sample."""
 
 
@@ -55,6 +57,7 @@ class Sensor(eqx.Module):
     drift: Float[Array, ""]
     drift_time: Float[Array, ""]
     resolution: Float[Array, ""]
+    range: Float[Array, ""]
 
     def __init__(self, config: SensorConfig):
         self.filter_time = jnp.asarray(config.filter_s)
@@ -63,6 +66,7 @@ class Sensor(eqx.Module):
         self.drift = jnp.asarray(config.drift_n)
         self.drift_time = jnp.asarray(config.drift_s)
         self.resolution = jnp.asarray(config.resolution_n)
+        self.range = jnp.asarray(config.range_n)
 
     def rest(self, key: PRNGKeyArray) -> SensorState:
         """No force yet; the drift is wherever its past has left it."""
@@ -74,13 +78,12 @@ class Sensor(eqx.Module):
     ) -> tuple[SensorState, Float[Array, "2"]]:
         """One sample of 10 ms, in which the mean force was `force` [N]."""
         white, walk = jax.random.normal(key, (2, 2), force.dtype)
-        tiny = np.finfo(np.float32).tiny
-        pass_through = jnp.exp(-TICK_S / jnp.maximum(self.filter_time, tiny))
-        filtered = force + (state.filtered - force) * pass_through
-        kept = jnp.exp(-TICK_S / self.drift_time)
-        drift = kept * state.drift + jnp.sqrt(1 - kept**2) * self.drift * walk
+        filtered = force + (state.filtered - force) * kept(self.filter_time)
+        share = kept(self.drift_time)
+        drift = share * state.drift + jnp.sqrt(1 - share**2) * self.drift * walk
         cos, sin = jnp.cos(self.misalignment), jnp.sin(self.misalignment)
         x, y = filtered
         turned = jnp.stack([cos * x + sin * y, cos * y - sin * x])
         reading = to_multiple(turned + drift + self.noise * white, self.resolution)
-        return SensorState(filtered, drift), reading
+        most = jnp.where(self.range > 0, self.range, jnp.inf)
+        return SensorState(filtered, drift), jnp.clip(reading, -most, most)

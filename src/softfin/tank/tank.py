@@ -1,8 +1,9 @@
-"""The virtual tank: drive, soft fin, still water and force sensor composed behind the Plant contract.
+"""The virtual tank: drive, soft fin, water and force sensor composed behind the Plant contract.
 
 A `Tank` is a pytree of arrays, so tanks that differ in their parameters can be stacked and run side by side by `vmap`.
 """
 
+import math
 from typing import NamedTuple
 
 import equinox as eqx
@@ -12,11 +13,12 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from pydantic import Field
 
 from softfin.configuration import Configuration
+from softfin.errors import ConfigurationError
+from softfin.plant import check_commands
 from softfin.quantities import PAPER_LIMITS, TICK_S, Command, Limits, Reading
-from softfin.tank.chain import Moments
 from softfin.tank.drive import Drive, DriveConfig, DriveState
 from softfin.tank.fin import Fin, FinConfig, FinState
-from softfin.tank.hydrodynamics import Water, WaterConfig
+from softfin.tank.hydrodynamics import Flow, Water, WaterConfig
 from softfin.tank.sensor import Sensor, SensorConfig, SensorState
 
 
@@ -32,7 +34,7 @@ class TankConfig(Configuration):
     sensor: SensorConfig = SensorConfig()
     """Under the fin."""
     steps_per_tick: int = Field(2, ge=1, le=1000)
-    """Steps of time in each sample of 10 ms [-]; the error of the force falls as their square: 0.12% at 2 (rms)."""
+    """Steps of time in each sample of 10 ms [-]; the error of the force falls as their square: 0.2% at 2 (rms)."""
 
 
 class TankState(NamedTuple):
@@ -41,6 +43,7 @@ class TankState(NamedTuple):
     ticks: Int[Array, ""]
     drive: DriveState
     fin: FinState
+    flow: Flow
     sensor: SensorState
     key: PRNGKeyArray
 
@@ -53,6 +56,8 @@ class Tank(eqx.Module):
     water: Water
     sensor: Sensor
     steps_per_tick: int = eqx.field(static=True)
+    limits: Limits = eqx.field(static=True)
+    """The commands that the drive takes: angles of the paper (Sec. III-A), velocities of its configuration."""
 
     def __init__(self, config: TankConfig | None = None):
         config = config or TankConfig()
@@ -61,44 +66,66 @@ class Tank(eqx.Module):
         self.water = Water(config.water, config.fin)
         self.sensor = Sensor(config.sensor)
         self.steps_per_tick = config.steps_per_tick
+        self.limits = PAPER_LIMITS._replace(
+            velocity_min=config.drive.slowest_rad_s, velocity_max=config.drive.fastest_rad_s
+        )
 
-    @property
-    def limits(self) -> Limits:
-        """The commands of the paper, Sec. III-A."""
-        return PAPER_LIMITS
+        self._check_step(config)
 
     def init(self, key: PRNGKeyArray) -> TankState:
         """The fin at rest at angle 0; the key draws the sensor's drift and its noise."""
         drift, noise = jax.random.split(key)
-        return TankState(jnp.int32(0), self.drive.rest(), self.fin.rest(), self.sensor.rest(drift), noise)
+        return TankState(
+            jnp.int32(0), self.drive.rest(), self.fin.rest(), self.water.rest(), self.sensor.rest(drift), noise
+        )
 
     def advance(self, state: TankState, command: Command, ticks: int) -> tuple[TankState, Reading]:
-        """Hold the command for `ticks` samples of 10 ms and read after each: fields ``(ticks,)``."""
+        """Hold the command for `ticks` samples of 10 ms and read after each: fields ``(ticks,)``.
+
+        Raises CommandError for a command beyond the limits.
+        """
+        check_commands(self.limits, command)
         dtype = state.fin.angles.dtype
         command = Command(jnp.asarray(command.angle, dtype), jnp.asarray(command.velocity, dtype))
-        inertia = self.inertia()
-        return jax.lax.scan(lambda state, _: self._tick(state, command, inertia), state, length=ticks)
+        return jax.lax.scan(lambda state, _: self._tick(state, command), state, length=ticks)
 
-    def inertia(self) -> Moments:
-        """Of the fin and the water that it moves [kg, kg m, kg m2]."""
-        both: Moments = jax.tree.map(jnp.add, self.fin.inertia, self.water.inertia())
-        return both
+    def shape(self, state: TankState) -> Float[Array, "points 2"]:
+        """Where the fin is: the shaft and the outer end of each plate, in the axes of the tank [m]."""
+        return self.fin.shape(state.fin)
 
-    def _tick(self, state: TankState, command: Command, inertia: Moments) -> tuple[TankState, Reading]:
+    def _check_step(self, config: TankConfig) -> None:
+        """Beyond a radian of the first bending in a step there is no vibration left in what the tank shows."""
+        inertia = jax.tree.map(jnp.add, self.fin.inertia, self.water.inertia)
+        frequency = float(self.fin.frequencies(inertia)[0])
+        needed = math.ceil(frequency * TICK_S)
+        if config.steps_per_tick < needed and frequency * config.fin.damping_s / 2 < 1:
+            raise ConfigurationError(
+                f"tank: steps_per_tick = {config.steps_per_tick}: too coarse for a fin that bends at "
+                f"{frequency / (2 * math.pi):.0f} Hz in water; at least {needed}, or a lower fin.youngs_modulus_pa"
+            )
+
+    def _tick(self, state: TankState, command: Command) -> tuple[TankState, Reading]:
         seconds = TICK_S / self.steps_per_tick
+        around = self.water.around(state.flow)
+        drive, obeyed = self.drive.receive(state.drive, command)
 
         def step(moving: tuple[DriveState, FinState], _: None) -> tuple[tuple[DriveState, FinState], Float[Array, "2"]]:
-            drive, shaft = self.drive.step(moving[0], command, seconds)
-            fin, force = self.fin.step(moving[1], shaft, inertia, self.water.loads, seconds)
-            return (drive, fin), force
+            drive, fin = moving
+            planned = self.drive.plan(drive, obeyed, seconds)
+            fin, rate, force = self.fin.step(fin, self.drive.shaft(drive, planned, seconds), around, seconds)
+            return (self.drive.follow(drive, planned, rate, seconds), fin), force
 
-        (drive, fin), forces = jax.lax.scan(step, (state.drive, state.fin), length=self.steps_per_tick)
-        # The fin presses on its mount with what the water exerts on it less what goes into its own momentum; the
-        # water's inertia is counted with the fin's.
-        gained = self.fin.momentum(fin, inertia) - self.fin.momentum(state.fin, inertia)
-        force = forces.mean(0) - gained / TICK_S
-        sensor, measured = self.sensor.read(state.sensor, force, jax.random.fold_in(state.key, state.ticks))
+        (drive, fin), forces = jax.lax.scan(step, (drive, state.fin), length=self.steps_per_tick)
+        # The fin presses on its mount with what the water exerts on it less what goes into its own momentum.
+        own, carried = (
+            (after - before) / TICK_S
+            for before, after in zip(self.fin.momenta(state.fin, around), self.fin.momenta(fin, around), strict=True)
+        )
+        loads = forces.mean(0)
+        noise = jax.random.fold_in(state.key, state.ticks)
+        sensor, measured = self.sensor.read(state.sensor, loads - carried - own, noise)
+        flow = self.water.stirred(state.flow, self.fin.relative(fin, around), loads)
         angle, velocity = self.drive.read(drive)
         ticks = state.ticks + 1
         reading = Reading(ticks * jnp.asarray(TICK_S, angle.dtype), angle, velocity, measured)
-        return TankState(ticks, drive, fin, sensor, state.key), reading
+        return TankState(ticks, drive, fin, flow, sensor, state.key), reading

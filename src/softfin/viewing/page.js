@@ -1,0 +1,358 @@
+"use strict";
+
+const footage = JSON.parse(document.getElementById("footage").textContent);
+const { scale, ticks, points, window: span } = footage;
+const element = (id) => document.getElementById(id);
+const tank = element("tank"), traces = element("traces"), slider = element("time"), play = element("play");
+const panels = [
+  { name: "angle", unit: "rad", measured: footage.angle, asked: footage.command, mean: null, range: scale.angle },
+  { name: "force x", unit: "N", measured: footage.force_x, asked: footage.reference && footage.reference[0], mean: footage.mean_x, range: scale.force },
+  { name: "force y", unit: "N", measured: footage.force_y, asked: footage.reference && footage.reference[1], mean: footage.mean_y, range: scale.force },
+];
+
+let now = 0, playing = false, hovered = null, colours = {}, last = null, waiting = false, coming = null;
+
+const numeral = (value, digits) => (value < 0 && Number(value.toFixed(digits)) !== 0 ? "\u2212" : "") + Math.abs(value).toFixed(digits);
+const valueAt = (series, tick) => (Array.isArray(series) ? series[tick] : series);
+const meanAt = (panel, tick) => (panel.mean && tick >= span - 1 ? panel.mean[tick - span + 1] : null);
+const secondsAt = (tick) => ((tick + 1) / footage.rate_hz).toFixed(2) + " s";
+const shapeAt = (tick) => Array.from({ length: points }, (_, i) => [
+  footage.shape[2 * (tick * points + i)] * footage.shape_unit_m, footage.shape[2 * (tick * points + i) + 1] * footage.shape_unit_m]);
+
+/* A canvas in CSS pixels, sharp on every screen. */
+function prepare(canvas) {
+  const ratio = window.devicePixelRatio || 1;
+  const width = canvas.clientWidth, height = canvas.clientHeight;
+  if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
+    canvas.width = Math.round(width * ratio);
+    canvas.height = Math.round(height * ratio);
+  }
+  const pen = canvas.getContext("2d");
+  pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+  pen.clearRect(0, 0, width, height);
+  pen.font = "13px system-ui, sans-serif";
+  return { pen, width, height };
+}
+
+function ticksOf(low, high, most) {
+  const rough = (high - low) / most, power = 10 ** Math.floor(Math.log10(rough));
+  const step = [1, 2, 5, 10].map((s) => s * power).find((s) => s >= rough);
+  const marks = [];
+  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) marks.push(k * step);
+  return { marks, digits: Math.max(0, -Math.floor(Math.log10(step) + 1e-9)) };
+}
+
+/* Through the points from the pen's place, smoothly (Catmull and Rom). */
+function curve(pen, line) {
+  for (let i = 1; i < line.length; i++) {
+    const [p, a, b, n] = [line[Math.max(i - 2, 0)], line[i - 1], line[i], line[Math.min(i + 1, line.length - 1)]];
+    pen.bezierCurveTo(a[0] + (b[0] - p[0]) / 6, a[1] + (b[1] - p[1]) / 6, b[0] - (n[0] - a[0]) / 6, b[1] - (n[1] - a[1]) / 6, b[0], b[1]);
+  }
+}
+
+function drawFin(pen, place, tick, pixelsPerMetre) {
+  const middle = shapeAt(tick).map(place);
+  const side = (sign) => middle.map(([x, y], i) => {
+    const a = middle[Math.max(i - 1, 0)], b = middle[Math.min(i + 1, points - 1)];
+    const length = Math.hypot(b[0] - a[0], b[1] - a[1]) || 1;
+    const half = (sign * footage.thickness[i] * pixelsPerMetre) / 2;
+    return [x - (half * (b[1] - a[1])) / length, y + (half * (b[0] - a[0])) / length];
+  });
+  const left = side(1), right = side(-1).reverse(), tip = middle[points - 1];
+  const start = Math.atan2(left[points - 1][1] - tip[1], left[points - 1][0] - tip[0]);
+  pen.beginPath();
+  pen.moveTo(...left[0]);
+  curve(pen, left);
+  pen.arc(tip[0], tip[1], (footage.thickness[points - 1] * pixelsPerMetre) / 2, start, start - Math.PI, true);
+  curve(pen, right);
+  pen.closePath();
+  pen.fill();
+}
+
+function drawArrow(pen, from, vector, width) {
+  const length = Math.hypot(...vector);
+  if (length < 0.5) return;
+  const [ux, uy] = [vector[0] / length, vector[1] / length];
+  const head = Math.min(3.2 * width, 0.6 * length), half = head / 6.4;
+  const at = (far, wide) => [from[0] + ux * far - uy * wide, from[1] + uy * far + ux * wide];
+  const outline = [[0, half], [length - head, half], [length - head, 3 * half], [length, 0], [length - head, -3 * half], [length - head, -half], [0, -half]];
+  pen.beginPath();
+  outline.forEach(([far, wide], i) => (i ? pen.lineTo(...at(far, wide)) : pen.moveTo(...at(far, wide))));
+  pen.closePath();
+  pen.fill();
+}
+
+function drawTank(tick) {
+  const { pen, width, height } = prepare(tank);
+  const margin = { left: 12, right: 12, top: 34, bottom: 30 };
+  const metres = [scale.x[1] - scale.x[0], scale.y[1] - scale.y[0]];
+  const pixels = Math.min((width - margin.left - margin.right) / metres[0], (height - margin.top - margin.bottom) / metres[1]);
+  const origin = [
+    margin.left + (width - margin.left - margin.right) / 2 - (pixels * (scale.x[0] + scale.x[1])) / 2,
+    margin.top + (height - margin.top - margin.bottom) / 2 + (pixels * (scale.y[0] + scale.y[1])) / 2,
+  ];
+  const place = ([x, y]) => [origin[0] + pixels * x, origin[1] - pixels * y];
+  const forceVector = (x, y) => [x * scale.metres_per_newton * pixels, -y * scale.metres_per_newton * pixels];
+  const thick = 0.035 * scale.length_m * pixels;
+
+  pen.strokeStyle = colours.grid;
+  pen.lineWidth = 1;
+  const spacing = 0.05;
+  pen.beginPath();
+  for (let k = Math.ceil(-origin[0] / (spacing * pixels)); origin[0] + k * spacing * pixels < width; k++) {
+    pen.moveTo(origin[0] + k * spacing * pixels, 0);
+    pen.lineTo(origin[0] + k * spacing * pixels, height);
+  }
+  for (let k = Math.ceil(-origin[1] / (spacing * pixels)); origin[1] + k * spacing * pixels < height; k++) {
+    pen.moveTo(0, origin[1] + k * spacing * pixels);
+    pen.lineTo(width, origin[1] + k * spacing * pixels);
+  }
+  pen.stroke();
+
+  pen.fillStyle = colours.fin;
+  footage.trail.slice().reverse().forEach((ago, i) => {
+    pen.globalAlpha = 0.04 + (0.12 * i) / (footage.trail.length - 1);
+    drawFin(pen, place, Math.max(tick - ago, 0), pixels);
+  });
+  pen.globalAlpha = 1;
+  drawFin(pen, place, tick, pixels);
+  if (footage.reference) {
+    pen.fillStyle = colours.asked;
+    drawArrow(pen, origin, forceVector(...footage.reference), thick);
+  }
+  pen.fillStyle = colours.measured;
+  drawArrow(pen, origin, forceVector(footage.force_x[tick], footage.force_y[tick]), thick);
+  if (meanAt(panels[1], tick) !== null) {
+    pen.fillStyle = colours.mean;
+    drawArrow(pen, origin, forceVector(meanAt(panels[1], tick), meanAt(panels[2], tick)), thick / 2);
+  }
+  pen.beginPath();
+  pen.arc(...origin, 0.025 * scale.length_m * pixels, 0, 2 * Math.PI);
+  pen.fillStyle = colours.shaft;
+  pen.fill();
+  pen.strokeStyle = colours.text;
+  pen.lineWidth = 1.5;
+  pen.stroke();
+  drawKeys(pen, width, height, pixels, tick, thick);
+}
+
+function drawKeys(pen, width, height, pixels, tick, thick) {
+  pen.fillStyle = colours.text;
+  pen.textAlign = "left";
+  pen.textBaseline = "alphabetic";
+  pen.font = "600 15px system-ui, sans-serif";
+  pen.fillText(secondsAt(tick), 12, 23);
+  pen.font = "13px system-ui, sans-serif";
+  const key = (length, text, y, colour) => {
+    pen.fillStyle = colour;
+    pen.textAlign = "right";
+    pen.fillText(text, width - 12, y);
+    const end = width - 18 - pen.measureText(text).width;
+    pen.fillRect(end - length, y - 6, length, 3);
+  };
+  key(scale.key_n * scale.metres_per_newton * pixels, `${scale.key_n} N`, 22, colours.measured);
+  key(0.05 * pixels, "5 cm", height - 12, colours.soft);
+  if (footage.stream_x) {
+    const [x, y] = [footage.stream_x[tick], footage.stream_y[tick]];
+    const drawn = (0.2 * scale.length_m * pixels) / scale.stream_m_s;
+    pen.fillStyle = colours.stream;
+    pen.textAlign = "left";
+    pen.fillText(`stream ${Math.hypot(x, y).toFixed(2)} m/s`, 12, height - 12);
+    const reach = 0.2 * scale.length_m * pixels;
+    drawArrow(pen, [24 + reach, height - 34 - reach], [x * drawn, -y * drawn], thick / 2);
+  }
+}
+
+function tracesLayout(width, height) {
+  const left = 58, right = 10, top = 22, bottom = 38, gap = 26;
+  const each = (height - top - bottom - 2 * gap) / 3;
+  return { left, right: width - right, each, top: (k) => top + k * (each + gap), x: (tick) => left + ((width - right - left) * (tick + 1)) / ticks };
+}
+
+function drawTraces(tick, pointed) {
+  const { pen, width, height } = prepare(traces);
+  const layout = tracesLayout(width, height);
+  panels.forEach((panel, k) => {
+    const top = layout.top(k), [low, high] = panel.range;
+    const y = (value) => top + (layout.each * (high - value)) / (high - low);
+    pen.lineWidth = 1;
+    pen.strokeStyle = colours.rule;
+    pen.fillStyle = colours.soft;
+    pen.textAlign = "right";
+    pen.textBaseline = "middle";
+    const { marks, digits } = ticksOf(low, high, 4);
+    for (const mark of marks) {
+      pen.beginPath();
+      pen.moveTo(layout.left, y(mark));
+      pen.lineTo(layout.right, y(mark));
+      pen.stroke();
+      pen.fillText(numeral(mark, digits), layout.left - 7, y(mark));
+    }
+    pen.textAlign = "left";
+    pen.textBaseline = "alphabetic";
+    pen.fillStyle = colours.text;
+    pen.fillText(`${panel.name} [${panel.unit}]`, layout.left, top - 7);
+    const line = (series, first, from, to, colour, thickness, alpha, steps) => {
+      pen.globalAlpha = alpha;
+      pen.strokeStyle = colour;
+      pen.lineWidth = thickness;
+      pen.beginPath();
+      for (let i = Math.max(from, first); i <= to; i++) {
+        const value = y(valueAt(series, i - first));
+        if (i > Math.max(from, first) && steps) pen.lineTo(layout.x(i - 1), value);
+        pen.lineTo(layout.x(i), value);
+      }
+      pen.stroke();
+      pen.globalAlpha = 1;
+    };
+    const whole = (from, to, alpha) => {
+      if (panel.asked !== null) line(panel.asked, 0, from, to, colours.asked, 1.6, alpha, true);
+      line(panel.measured, 0, from, to, colours.measured, 1.3, alpha, false);
+      if (panel.mean && ticks >= span) line(panel.mean, span - 1, from, to, colours.mean, 2, alpha, false);
+    };
+    whole(tick, ticks - 1, Number(colours.faint));
+    whole(0, tick, 1);
+    rule(pen, layout.x(tick), top, layout.each, colours.text, []);
+    if (pointed !== null) {
+      rule(pen, layout.x(pointed), top, layout.each, colours.soft, [4, 3]);
+      label(pen, layout, panel, pointed, top, y);
+    }
+  });
+  pen.fillStyle = colours.soft;
+  pen.textBaseline = "top";
+  const { marks, digits } = ticksOf(0, ticks / footage.rate_hz, Math.max(3, Math.floor(width / 80)));
+  for (const mark of marks) {
+    const x = layout.x(mark * footage.rate_hz - 1);
+    pen.textAlign = x > layout.right - 12 ? "right" : "center";
+    pen.fillText(mark.toFixed(digits), x > layout.right - 12 ? layout.right : x, layout.top(2) + layout.each + 5);
+  }
+  pen.textAlign = "center";
+  pen.fillText("time [s]", (layout.left + layout.right) / 2, height - 15);
+}
+
+function rule(pen, x, top, tall, colour, dashes) {
+  pen.strokeStyle = colour;
+  pen.lineWidth = 1;
+  pen.setLineDash(dashes);
+  pen.beginPath();
+  pen.moveTo(x, top);
+  pen.lineTo(x, top + tall);
+  pen.stroke();
+  pen.setLineDash([]);
+}
+
+/* The measured value where the pointer is, beside its dot. */
+function label(pen, layout, panel, tick, top, y) {
+  const value = panel.measured[tick], x = layout.x(tick);
+  pen.fillStyle = colours.measured;
+  pen.beginPath();
+  pen.arc(x, y(value), 3.5, 0, 2 * Math.PI);
+  pen.fill();
+  const text = `${numeral(value, 2)} ${panel.unit}`;
+  const wide = pen.measureText(text).width + 10, leftwards = x + 8 + wide > layout.right;
+  const box = [leftwards ? x - 8 - wide : x + 8, Math.min(Math.max(y(value) - 10, top), top + layout.each - 20)];
+  pen.fillStyle = colours.page;
+  pen.globalAlpha = 0.9;
+  pen.fillRect(...box, wide, 20);
+  pen.globalAlpha = 1;
+  pen.fillStyle = colours.text;
+  pen.textAlign = "left";
+  pen.textBaseline = "middle";
+  pen.fillText(text, box[0] + 5, box[1] + 10);
+}
+
+const rows = panels.map((panel) => {
+  const row = element("values").insertRow();
+  const head = document.createElement("th");
+  head.scope = "row";
+  head.textContent = `${panel.name} [${panel.unit}]`;
+  row.append(head);
+  return [0, 1, 2].map(() => row.insertCell());
+});
+
+function tell(tick) {
+  element("now").textContent = secondsAt(tick);
+  panels.forEach((panel, k) => {
+    const values = [panel.measured[tick], panel.asked === null ? null : valueAt(panel.asked, tick), meanAt(panel, tick)];
+    values.forEach((value, i) => { rows[k][i].textContent = value === null ? "\u2013" : numeral(value, 2); });
+  });
+}
+
+function draw() {
+  waiting = false;
+  const tick = Math.floor(now);
+  drawTank(tick);
+  drawTraces(tick, hovered);
+  tell(hovered === null ? tick : hovered);
+  slider.value = tick;
+  slider.setAttribute("aria-valuetext", secondsAt(tick));
+}
+
+function redraw() {
+  if (!waiting) {
+    waiting = true;
+    requestAnimationFrame(draw);
+  }
+}
+
+function advance(time) {
+  if (!playing) return;
+  const speed = Number(element("speed").value);
+  if (last !== null) now += ((time - last) / 1000) * footage.rate_hz * speed;
+  last = time;
+  if (now >= ticks) now %= ticks;
+  draw();
+  coming = requestAnimationFrame(advance);
+}
+
+function setPlaying(value) {
+  if (value === playing) return;
+  playing = value;
+  last = null;
+  play.textContent = playing ? "Pause" : "Play";
+  cancelAnimationFrame(coming);
+  if (playing) coming = requestAnimationFrame(advance);
+}
+
+function goTo(tick) {
+  now = Math.min(Math.max(tick, 0), ticks - 1);
+  redraw();
+}
+
+function tickUnder(event) {
+  const box = traces.getBoundingClientRect(), layout = tracesLayout(box.width, box.height);
+  const share = (event.clientX - box.left - layout.left) / (layout.right - layout.left);
+  return Math.min(Math.max(Math.round(share * ticks) - 1, 0), ticks - 1);
+}
+
+play.addEventListener("click", () => setPlaying(!playing));
+slider.max = ticks - 1;
+slider.addEventListener("input", () => { setPlaying(false); goTo(Number(slider.value)); });
+traces.addEventListener("pointermove", (event) => {
+  hovered = tickUnder(event);
+  if (event.buttons & 1) goTo(hovered);
+  redraw();
+});
+traces.addEventListener("pointerdown", (event) => { setPlaying(false); goTo(tickUnder(event)); });
+for (const name of ["pointerleave", "pointercancel"]) traces.addEventListener(name, () => { hovered = null; redraw(); });
+document.addEventListener("keydown", (event) => {
+  if (event.ctrlKey || event.metaKey || event.altKey || event.target === element("speed")) return;
+  const step = event.shiftKey ? 10 : 1;
+  const moves = { ArrowLeft: Math.floor(now) - step, ArrowRight: Math.floor(now) + step, Home: 0, End: ticks - 1 };
+  if (event.key === " " && event.target !== play) setPlaying(!playing);
+  else if (event.key in moves) { setPlaying(false); goTo(moves[event.key]); }
+  else return;
+  event.preventDefault();
+});
+
+function readColours() {
+  const style = getComputedStyle(document.documentElement);
+  const names = ["page", "text", "soft", "rule", "grid", "fin", "measured", "asked", "mean", "stream", "shaft", "faint"];
+  for (const name of names) colours[name] = style.getPropertyValue(`--${name}`).trim();
+  redraw();
+}
+
+readColours();
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", readColours);
+new ResizeObserver(redraw).observe(document.querySelector("main"));
+if (!matchMedia("(prefers-reduced-motion: reduce)").matches) setPlaying(true);

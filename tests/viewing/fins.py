@@ -1,0 +1,26 @@
+"""A fin that knows its shape without a tank's cost: an arc whose curvature goes with the shaft's speed."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from softfin.quantities import Command
+from softfin.randomness import key_of
+from softfin.viewing.beating import BeatConfig, beat
+from softfin.viewing.footage import Footage, film
+from tests.plants import AnalyticFin, FinState
+
+LENGTH_M = 0.2
+
+
+class BendingFin(AnalyticFin):
+    """The analytic fin; its shape lags behind the shaft towards the tip."""
+
+    def shape(self, state: FinState) -> Float[Array, "points 2"]:
+        angles = state.angle * jnp.linspace(1.0, 0.7, 8)
+        steps = LENGTH_M / 8 * jnp.stack([-jnp.cos(angles), jnp.sin(angles)], axis=-1)
+        return jnp.concatenate([jnp.zeros((1, 2)), jnp.cumsum(steps, axis=0)])
+
+
+def beating(plant: AnalyticFin, ticks: int, reference: tuple[float, float] | None = None) -> Footage:
+    commands: Command = beat(BeatConfig(), plant.limits, ticks)
+    return film(plant, key_of(0, "test"), commands, reference)
