@@ -7,7 +7,15 @@ from softfin.errors import ConfigurationError
 from softfin.tank.chain import Moments, Wrench
 from softfin.tank.fin import BRACKET_BENDING_N_M, Fin, FinConfig, FinState, Shaft, Surroundings
 
+PLAIN = FinConfig(
+    length_m=0.2, root_length_m=0.0, span_m=0.081, root_thickness_m=0.019, tip_thickness_ratio=0.4,
+    youngs_modulus_pa=7e6, density_kg_m3=1150.0, damping_s=0.02,
+)  # fmt: skip
 UNIFORM = {"tip_thickness_ratio": 1.0, "damping_s": 0.0}
+
+
+def config_of(**changes):
+    return PLAIN.model_copy(update=changes)
 
 
 @pytest.fixture(autouse=True)
@@ -54,7 +62,7 @@ def bent(fin, rate):
 
 
 def test_energy_is_kept_in_vacuum_without_damping():
-    fin = Fin(FinConfig(**UNIFORM, plates=4))
+    fin = Fin(config_of(**UNIFORM, plates=4))
     start = bent(fin, 20.0)
     states = swing(fin, start, 50_000, 2e-4)
     energy = jax.vmap(lambda state: fin.energy(state, jnp.asarray(0.0), fin.inertia))(states)
@@ -64,13 +72,13 @@ def test_energy_is_kept_in_vacuum_without_damping():
 
 
 def test_structural_damping_takes_energy_out():
-    fin = Fin(FinConfig(damping_s=0.005))
+    fin = Fin(config_of(damping_s=0.005))
     states = swing(fin, bent(fin, 10.0), 2000, 1e-3)
     energy = jax.vmap(lambda state: fin.energy(state, jnp.asarray(0.0), fin.inertia))(states)
     assert energy[-1] < 1e-3 * energy[0]
 
 
-@pytest.mark.parametrize(("damping", "rates", "growth"), [(0.02, (5.0, 40.0), 1e-6), (0.0, (1.0, 10.0), 0.02)])
+@pytest.mark.parametrize(("damping", "rates", "growth"), [(0.018, (5.0, 40.0), 1e-6), (0.0, (1.0, 10.0), 0.15)])
 def test_at_the_default_step_energy_in_vacuum_grows_no_more_than_documented(damping, rates, growth):
     fin = Fin(FinConfig(damping_s=damping))
     for rate in rates:
@@ -88,13 +96,13 @@ def beam_frequencies(config):
 
 
 def test_the_first_two_frequencies_are_those_of_a_clamped_beam():
-    config = FinConfig(**UNIFORM, plates=12)
+    config = config_of(**UNIFORM, plates=12)
     fin = Fin(config)
     np.testing.assert_allclose(fin.frequencies(fin.inertia)[:2], beam_frequencies(config), rtol=0.01)
 
 
 def test_a_plucked_fin_rings_at_its_first_two_frequencies():
-    config = FinConfig(**UNIFORM, plates=12)
+    config = config_of(**UNIFORM, plates=12)
     fin = Fin(config)
     tip = np.asarray(swing(fin, bent(fin, 0.01), 20_000, 1e-4).angles[:, -1])
     spectrum = np.abs(np.fft.rfft(tip * np.hanning(tip.size), 16 * tip.size))
@@ -105,7 +113,7 @@ def test_a_plucked_fin_rings_at_its_first_two_frequencies():
 
 
 def test_a_small_load_on_the_tip_deflects_a_taper_as_the_beams_integral_says():
-    config = FinConfig(damping_s=0.5, plates=4)
+    config = config_of(damping_s=0.5, plates=4)
     fin = Fin(config)
     force = 0.01
     angles = swing(fin, fin.rest(), 4000, 5e-3, tip_load(fin, force)).angles[-1]
@@ -120,7 +128,7 @@ def test_a_small_load_on_the_tip_deflects_a_taper_as_the_beams_integral_says():
 )
 def test_a_large_load_on_the_tip_makes_an_elastica(load, across, along):
     # Bisshopp and Drucker (1945): deflection and shortening over length, at load times length squared over EI.
-    config = FinConfig(tip_thickness_ratio=1.0, damping_s=0.5, plates=12)
+    config = config_of(tip_thickness_ratio=1.0, damping_s=0.5, plates=12)
     fin = Fin(config)
     bending = config.youngs_modulus_pa * config.span_m * config.root_thickness_m**3 / 12
     state = swing(fin, fin.rest(), 4000, 5e-3, tip_load(fin, load * bending / config.length_m**2))
@@ -130,7 +138,7 @@ def test_a_large_load_on_the_tip_makes_an_elastica(load, across, along):
 
 
 def test_the_bracket_makes_the_root_as_stiff_as_aluminium():
-    plain = FinConfig(plates=4, length_m=0.2, youngs_modulus_pa=7e6, tip_thickness_ratio=0.4)
+    plain = config_of(plates=4)
     config = plain.model_copy(update={"root_length_m": 0.06})
     with_bracket, without = Fin(config), Fin(plain)
     ratio = np.asarray(with_bracket.stiffness / without.stiffness)
@@ -140,7 +148,7 @@ def test_the_bracket_makes_the_root_as_stiff_as_aluminium():
 
 
 def test_within_its_play_the_root_bears_nothing_and_at_its_edge_it_holds():
-    fin = Fin(FinConfig(plates=2, damping_s=0.1))
+    fin = Fin(config_of(plates=2, damping_s=0.1))
     play = 0.1
     moment = jnp.asarray([0.05, 0.0])
     shaft = held(play=play)
@@ -165,7 +173,7 @@ def test_within_its_play_the_root_bears_nothing_and_at_its_edge_it_holds():
 
 
 def test_a_fin_held_at_an_angle_ends_up_straight_along_it():
-    fin = Fin(FinConfig(damping_s=0.02))
+    fin = Fin(config_of(damping_s=0.02))
     state = fin.rest()
     step = jax.jit(lambda state: fin.step(state, held(0.7), vacuum(fin), 5e-3)[0])
     for _ in range(600):
@@ -179,6 +187,6 @@ def test_a_fin_of_negative_thickness_is_refused_by_name():
 
 
 def test_the_state_at_rest_is_straight_and_still():
-    state = Fin(FinConfig(plates=3)).rest()
+    state = Fin(config_of(plates=3)).rest()
     assert isinstance(state, FinState)
     assert all(np.array_equal(part, np.zeros(3)) for part in state)

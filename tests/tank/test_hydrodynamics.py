@@ -121,6 +121,7 @@ def test_the_first_wet_frequency_of_a_plate_is_chus():
         plates=12,
         youngs_modulus_pa=7e6,
         length_m=0.3,
+        root_length_m=0.0,
         span_m=0.06,
         root_thickness_m=0.01,
         tip_thickness_ratio=1.0,

@@ -23,28 +23,32 @@ DEAD_TICKS = 20
 
 
 class DriveConfig(Configuration):
-    """Motor, gearbox and positioning controller."""
+    """Motor, gearbox and positioning controller.
+
+    Velocity, acceleration, dead time and lag are a calibration's against the published fin (docs/tank.md); motor and
+    gearbox are catalogue values for a reduction of 111:1, which is assumed.
+    """
 
     slowest_rad_s: float = Field(1.0, gt=0)
     """Least profile velocity that the drive takes [rad/s] (paper, Sec. III-A)."""
-    fastest_rad_s: float = Field(6.7, gt=0)
+    fastest_rad_s: float = Field(7.2, gt=0)
     """Greatest profile velocity that the drive takes [rad/s]."""
-    acceleration_rad_s2: float = Field(67.0, gt=0)
+    acceleration_rad_s2: float = Field(80.0, gt=0)
     """Of the profile, speeding up and braking [rad/s2]."""
-    dead_time_s: float = Field(0.004, ge=0, le=DEAD_TICKS * TICK_S)
+    dead_time_s: float = Field(0.028, ge=0, le=DEAD_TICKS * TICK_S)
     """From a command to the profile that obeys it [s]: the way through computer and bus."""
     lag_s: float = Field(0.003, ge=0)
     """Following error over velocity [s]: what the servo's velocity damping costs."""
     stiffness_nm_rad: float = Field(300.0, gt=0)
     """Torque over following error of the servo [N m/rad]."""
-    inertia_kg_m2: float = Field(0.034, gt=0)
-    """Of rotor and gearbox, times the gear ratio squared [kg m2]: 22.6e-7 at 123:1."""
+    inertia_kg_m2: float = Field(0.028, gt=0)
+    """Of rotor and gearbox, times the gear ratio squared [kg m2]: 22.6e-7 at 111:1."""
     torque_limit_nm: float = Field(6.0, gt=0)
     """Most that motor and gearbox exert [N m]: what a 32 mm planetary gearbox bears."""
     backlash_rad: float = Field(0.0, ge=0, le=0.2)
     """Of the gearbox, from end to end [rad]; catalogues give 0.003 to 0.017."""
-    encoder_step_rad: float = Field(2.55e-5, ge=0)
-    """Readings of the shaft are multiples of this [rad]: 2000 counts a turn at 123:1; 0: not quantised."""
+    encoder_step_rad: float = Field(2.83e-5, ge=0)
+    """Readings of the shaft are multiples of this [rad]: 2000 counts a turn at 111:1; 0: not quantised."""
 
 
 class DriveState(NamedTuple):

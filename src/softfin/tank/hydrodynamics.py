@@ -29,14 +29,17 @@ from softfin.tank.relaxation import kept
 
 
 class WaterConfig(Configuration):
-    """The water, the coefficients of its loads, and its memory."""
+    """The water, the coefficients of its loads, and its memory.
+
+    Drag and stream are a calibration's against the published fin (docs/tank.md); added mass, tip, friction are theory.
+    """
 
     temperature_c: float = Field(20.0, ge=0, le=40)
     """Of fresh water [degrees Celsius]; gives its density and viscosity."""
     added_mass_coefficient: float = Field(1.0, ge=0)
     """Added mass per length over that of a long flat plate, rho pi/4 span^2 [-]."""
-    drag_coefficient: float = Field(10.5, ge=0)
-    """Of the plates, at a Keulegan-Carpenter number of 5 where it depends on that [-]."""
+    drag_coefficient: float = Field(8.2, ge=0)
+    """Against the stream that the fin meets, at a Keulegan-Carpenter number of 5 where it depends on that [-]."""
     drag_exponent: float = Field(0.0, ge=0, le=1)
     """Power with which drag falls with the Keulegan-Carpenter number [-]: 0 constant, 1/3 thin plates (Graham 1980)."""
     friction_coefficient: float = Field(1.328, ge=0)
@@ -45,9 +48,9 @@ class WaterConfig(Configuration):
     """Share of the elongated-body tip term [-]; 0 leaves it out."""
     wake_memory_s: float = Field(1.0, gt=0)
     """Time over which strokes are remembered [s]; matters where drag depends on them."""
-    stream_mass_kg: float = Field(3.0, gt=0)
-    """Of the water that takes up the fin's momentum [kg]: about a cube of the fin's reach."""
-    stream_decay_s: float = Field(0.43, ge=0)
+    stream_mass_kg: float = Field(2.95, gt=0)
+    """Of the water that takes up what the fin loses [kg]: about a cube of 0.14 m."""
+    stream_decay_s: float = Field(0.34, ge=0)
     """Time constant with which the stream dies down [s]; 0: the water stays still."""
 
 
