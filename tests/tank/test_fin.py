@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from softfin.errors import ConfigurationError
+from softfin.tank import chain
 from softfin.tank.chain import Moments, Wrench
 from softfin.tank.fin import BRACKET_BENDING_N_M, Fin, FinConfig, FinState, Shaft, Surroundings
 
@@ -25,7 +26,7 @@ def double():
 
 
 def held(angle=0.0, play=0.0):
-    return Shaft(jnp.asarray(angle), jnp.asarray(0.0), jnp.asarray(play), lambda load, drag: jnp.zeros_like(load))
+    return Shaft(jnp.asarray(angle), jnp.asarray(play), lambda load, drag: jnp.zeros_like(load))
 
 
 def vacuum(fin, push=None):
@@ -145,6 +146,27 @@ def test_the_bracket_makes_the_root_as_stiff_as_aluminium():
     assert ratio[0] == pytest.approx(1 + BRACKET_BENDING_N_M / (7e6 * 0.0185**3 / 12), rel=0.1)
     assert 1.2 < ratio[1] < 5.0
     np.testing.assert_allclose(ratio[2:], 1.0)
+
+
+@pytest.mark.parametrize("play", [0.0, 0.05])
+def test_fin_and_free_rotor_keep_their_angular_momentum(play):
+    fin, rotor, seconds = Fin(config_of(damping_s=0.0, plates=3)), 0.01, 5e-4
+
+    def step(moving, _):
+        state, angle, before = moving
+
+        def turn(load, drag):
+            return (rotor * before + load * seconds / 2) / (rotor + drag * seconds / 2)
+
+        state, rate, _ = fin.step(state, Shaft(angle, jnp.asarray(play), turn), vacuum(fin), seconds)
+        after = 2 * rate - before
+        momentum = (chain.matrix(chain.pose(state.angles, fin.plate_length), fin.inertia) @ state.rates).sum()
+        return (state, angle + seconds * rate, after), (momentum + rotor * after, after)
+
+    start = (bent(fin, 5.0), jnp.asarray(0.0), jnp.asarray(0.0))
+    total, rotor_rates = jax.jit(lambda: jax.lax.scan(step, start, length=2000)[1])()
+    assert np.abs(rotor_rates).max() > 0.1
+    np.testing.assert_allclose(total, total[0], rtol=1e-3)
 
 
 def test_within_its_play_the_root_bears_nothing_and_at_its_edge_it_holds():

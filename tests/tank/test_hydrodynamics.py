@@ -37,19 +37,19 @@ def prescribed(fin, water, rates, seconds, angle=0.0, rate=0.0):
     around = still(water)
 
     def step(carry, turning):
-        state, angle, before = carry
+        state, angle = carry
         moments = []
 
         def turn(load, drag):
             moments.append(load - drag * turning)
             return turning
 
-        state, _, force = fin.step(state, Shaft(angle, before, jnp.asarray(0.0), turn), around, seconds)
-        return (state, angle + seconds * turning, turning), (force, moments[0])
+        state, _, force = fin.step(state, Shaft(angle, jnp.asarray(0.0), turn), around, seconds)
+        return (state, angle + seconds * turning), (force, moments[-1])
 
     start = fin.rest()._replace(angles=jnp.full(4, float(angle)), rates=jnp.full(4, float(rate)))
-    carry = (start, jnp.asarray(float(angle)), jnp.asarray(float(rate)))
-    (end, _, _), (forces, moments) = jax.jit(lambda: jax.lax.scan(step, carry, jnp.asarray(rates)))()
+    carry = (start, jnp.asarray(float(angle)))
+    (end, _), (forces, moments) = jax.jit(lambda: jax.lax.scan(step, carry, jnp.asarray(rates)))()
     return start, end, forces, moments
 
 
@@ -130,7 +130,7 @@ def test_the_first_wet_frequency_of_a_plate_is_chus():
     fin = Fin(plate)
     water = Water(WaterConfig(added_mass_coefficient=1.0, drag_coefficient=0.0), plate)
     around = still(water)
-    held = Shaft(*(jnp.asarray(0.0),) * 3, lambda load, drag: jnp.zeros_like(load))
+    held = Shaft(jnp.asarray(0.0), jnp.asarray(0.0), lambda load, drag: jnp.zeros_like(load))
 
     def step(state, _):
         state, _, _ = fin.step(state, held, around, 5e-4)
@@ -148,7 +148,7 @@ def test_the_first_wet_frequency_of_a_plate_is_chus():
 def test_a_stream_past_a_fin_held_across_it_is_drag_alone(water):
     flow = water.rest()._replace(stream=jnp.array([0.0, 0.4]))
     around = water.around(flow)
-    held = Shaft(*(jnp.asarray(0.0),) * 3, lambda load, drag: jnp.zeros_like(load))
+    held = Shaft(jnp.asarray(0.0), jnp.asarray(0.0), lambda load, drag: jnp.zeros_like(load))
     fin = Fin(RIGID)
     state, _, force = fin.step(fin.rest(), held, around, 1e-3)
     np.testing.assert_allclose(fin.momenta(state, around)[0], 0.0, atol=1e-4)

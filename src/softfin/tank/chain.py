@@ -119,25 +119,17 @@ def resultant(angles: PerPlate, wrench: Wrench) -> Float[Array, "2"]:
     )
 
 
-Turn = Callable[[Float[Array, ""], Float[Array, ""]], Float[Array, ""]]
-"""The shaft's rate of turning [rad/s], where the fin exerts load - drag * rate on it."""
+Root = Callable[[Float[Array, ""], Float[Array, ""]], Float[Array, ""]]
+"""The first plate's rate of turning [rad/s], where it is impulse / inertia as long as nothing holds the root."""
 
 
-class Joint(NamedTuple):
-    """Between shaft and first plate: exerts strain + grip * (rate of the plate - rate of the shaft) on the shaft."""
-
-    strain: Float[Array, ""]
-    grip: Float[Array, ""]
-
-
-def solve(
-    matrix: Float[Array, "plates plates"], right: PerPlate, joint: Joint, turn: Turn
-) -> tuple[PerPlate, Float[Array, ""]]:
-    """Rates of the plates, whose own equations are ``matrix @ rates = right``, and of the shaft that they hang on.
+def solve(matrix: Float[Array, "plates plates"], right: PerPlate, root: Root) -> PerPlate:
+    """Rates of the plates, whose own equations are ``matrix @ rates = right``.
 
     Elimination goes from the tip to the root, without pivoting, as the matrix is symmetric positive definite; what is
-    left at the shaft is one scalar equation, which `turn` may solve with whatever law its drive has. Unrolled: a batch
-    of such small systems is a handful of long vector operations, where a call of LAPACK is one call a fin.
+    left there is one scalar equation, ``inertia * rate = impulse``, which `root` may solve with whatever holds the fin.
+    Unrolled: a batch of such small systems is a handful of long vector operations, where a call of LAPACK is one call a
+    fin.
     """
     size = right.shape[0]
     rows = [[matrix[i, j] for j in range(size)] for i in range(size)]
@@ -149,13 +141,10 @@ def solve(
             for j in range(i + 1):
                 rows[i][j] = rows[i][j] - factor * rows[k][j]
             rhs[i] = rhs[i] - factor * rhs[k]
-    inertia, impulse = rows[0][0], rhs[0]
-    total = inertia + joint.grip
-    rate = turn((joint.strain * inertia + joint.grip * impulse) / total, joint.grip * inertia / total)
-    solution = [(impulse - joint.strain + joint.grip * rate) / total]
+    solution = [root(rows[0][0], rhs[0])]
     for k in range(1, size):
         rest = rhs[k]
         for j in range(k):
             rest = rest - rows[k][j] * solution[j]
         solution.append(rest / rows[k][k])
-    return jnp.stack(solution), rate
+    return jnp.stack(solution)

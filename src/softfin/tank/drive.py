@@ -124,7 +124,7 @@ class Drive(eqx.Module):
             limited = jnp.clip(torque, -self.torque_limit, self.torque_limit)
             return jnp.where(limited == torque, free, (rotor * before.rate + limited + load) / (rotor + drag))
 
-        return Shaft(before.angle, before.rate, self.backlash, turn)
+        return Shaft(before.angle, self.backlash, turn)
 
     def follow(self, before: DriveState, planned: DriveState, mean: Float[Array, ""], seconds: float) -> DriveState:
         """The state after a step in which the motor turned at that mean rate [rad/s]."""

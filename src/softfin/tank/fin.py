@@ -19,7 +19,7 @@ from pydantic import Field
 
 from softfin.configuration import Configuration
 from softfin.tank import chain
-from softfin.tank.chain import Joint, Moments, Motion, PerPlate, Turn, Wrench
+from softfin.tank.chain import Moments, Motion, PerPlate, Wrench
 
 
 class FinConfig(Configuration):
@@ -76,13 +76,15 @@ class FinState(NamedTuple):
     """In the step before that [rad/s2]."""
 
 
+Turn = Callable[[Float[Array, ""], Float[Array, ""]], Float[Array, ""]]
+"""The shaft's mean rate of turning [rad/s], where the fin exerts load - drag * rate on it."""
+
+
 class Shaft(NamedTuple):
     """What the fin hangs on, at the start of a step."""
 
     angle: Float[Array, ""]
     """[rad]"""
-    rate: Float[Array, ""]
-    """[rad/s]"""
     play: Float[Array, ""]
     """Angle over which the joint between shaft and fin transmits nothing [rad]: the gearbox's backlash."""
     turn: Turn
@@ -183,28 +185,64 @@ class Fin(eqx.Module):
             chain.centripetal(pose, around.inertia, relative),
             push,
         )
-        # Where the first joint stands in its play it transmits nothing; elsewhere it is strained from the play's edge.
-        bend = angles[0] - shaft.angle - half * shaft.rate
-        slack = jnp.clip(bend, -shaft.play / 2, shaft.play / 2)
-        held = jnp.abs(bend) >= shaft.play / 2
         grips = half * (self.damping + half * self.stiffness)
         strains = half * self.stiffness * _bends(state.angles, shaft.angle)
-        root = Joint(held * (strains[0] - half * self.stiffness[0] * slack), held * grips[0])
         left = chain.matrix(pose, jax.tree.map(lambda m, r: m + half * r, inertia, resistance))
         right = chain.project(pose, impulse) - _between(strains)
+        rates: list[Float[Array, ""]] = []
 
-        def turn(load: Float[Array, ""], drag: Float[Array, ""]) -> Float[Array, ""]:
-            return shaft.turn(load / half, drag / half)
+        def root(inertia: Float[Array, ""], impulse: Float[Array, ""]) -> Float[Array, ""]:
+            first, rate = _held(
+                inertia, impulse, shaft, Joint(self.stiffness[0], grips[0], state.angles[0] - shaft.angle), half
+            )
+            rates.append(rate)
+            return first
 
-        mean, rate = chain.solve(left + _joint_matrix(grips), right, root, turn)
+        mean = chain.solve(left + _joint_matrix(grips), right, root)
         force = jax.tree.map(lambda f, r: f - r, push, resistance.times(chain.motion(pose, mean)))
         after = FinState(
             state.angles + seconds * mean, 2 * mean - state.rates, (mean - state.rates) / half, state.accelerations
         )
-        return after, rate, chain.resultant(angles, force)
+        return after, rates[0], chain.resultant(angles, force)
 
     def _motion(self, state: FinState) -> Motion:
         return chain.motion(chain.pose(state.angles, self.plate_length), state.rates)
+
+
+class Joint(NamedTuple):
+    """Between the shaft and the first plate."""
+
+    stiffness: Float[Array, ""]
+    """[N m/rad]"""
+    grip: Float[Array, ""]
+    """What it transmits in a step of their relative rate, where it is tight [N m s2/rad]."""
+    bend: Float[Array, ""]
+    """At the start of the step [rad]."""
+
+
+def _held(
+    inertia: Float[Array, ""], impulse: Float[Array, ""], shaft: Shaft, joint: Joint, half: float
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Mean rates of the first plate and of the shaft over a step.
+
+    Where the step's midpoint would be within the joint's play if it were loose, it is loose; beyond, it is strained
+    from that edge of the play. So a contact is found in the step in which it happens, and takes the motion up softly.
+    """
+
+    def rates(strain: Float[Array, ""], grip: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        total = inertia + grip
+        load = (strain * inertia + grip * impulse) / total
+        rate = shaft.turn(load / half, grip * inertia / total / half)
+        return (impulse - strain + grip * rate) / total, rate
+
+    nothing = jnp.zeros_like(joint.grip)
+    first, rate = rates(nothing, nothing)
+    edge = shaft.play / 2
+    middle = joint.bend + half * (first - rate)
+    for beyond, slack in ((middle >= edge, edge), (middle <= -edge, -edge)):
+        tight = rates(half * joint.stiffness * (joint.bend - slack), joint.grip)
+        first, rate = jnp.where(beyond, tight[0], first), jnp.where(beyond, tight[1], rate)
+    return first, rate
 
 
 def plate_moments(
