@@ -35,7 +35,7 @@ def test_a_tank_of_ones_own_numbers_is_found_by_its_file(tmp_path):
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("pool", r"--plant pool: unknown plant \(is no folder\); give tank, the YAML file of a tank, the folder of"),
+        ("pool", r"plant pool: unknown \(is no folder\); give tank, the YAML file of a tank, the folder of"),
         ("no_such_module:plant", "No module named 'no_such_module'"),
         ("json:plant", "module json has no 'plant'"),
         ("math:pi", "a float is no plant: it needs limits, init and advance"),

@@ -3,6 +3,7 @@
 A folder is written beside its place and renamed into it, so a crash leaves the old one or the new one. No pickle.
 """
 
+import contextlib
 import importlib.metadata
 import json
 import os
@@ -85,7 +86,8 @@ def write_file(path: Path, data: bytes | str) -> None:
     except OSError as error:
         raise RunError(f"{path}: cannot be written ({error.strerror or error})") from None
     finally:
-        beside.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            beside.unlink()
 
 
 def save(

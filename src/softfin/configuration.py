@@ -17,7 +17,7 @@ Config = TypeVar("Config", bound="Configuration")
 class Configuration(pydantic.BaseModel):
     """Base of every stage's configuration: frozen, hashable, validated when built, unknown keys are errors."""
 
-    model_config = pydantic.ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+    model_config = pydantic.ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False)
 
     @classmethod
     def build(cls: type[Config], values: Mapping[str, Any], source: str = "configuration") -> Config:

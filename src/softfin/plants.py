@@ -36,8 +36,10 @@ def find_plant(name: str) -> Plant:
     module, colon, attribute = name.partition(":")
     if colon and not path.exists():
         return _imported(name, module, attribute)
-    what = "holds no surrogate.json" if path.is_dir() else "is no folder"
-    raise PlantError(f"--plant {name}: unknown plant ({what}); give {HELP}")
+    what = (
+        "holds no surrogate.json" if path.is_dir() else "is a file of no such kind" if path.exists() else "is no folder"
+    )
+    raise PlantError(f"plant {name}: unknown ({what}); give {HELP}")
 
 
 def is_surrogate(name: str) -> bool:
@@ -63,7 +65,7 @@ def _imported(name: str, module: str, attribute: str) -> Plant:
     try:
         imported = importlib.import_module(module)
         if not hasattr(imported, attribute):
-            raise PlantError(f"--plant {name}: module {module} has no {attribute!r}; give {HELP}")
+            raise PlantError(f"plant {name}: module {module} has no {attribute!r}; give {HELP}")
         plant: Any = getattr(imported, attribute)
         if isinstance(plant, type) or (callable(plant) and not isinstance(plant, Plant)):
             plant = plant()
@@ -72,10 +74,10 @@ def _imported(name: str, module: str, attribute: str) -> Plant:
     except Exception as error:
         # It is the user's code that runs here, and it may fail in any way.
         reason = " ".join(str(error).split())
-        raise PlantError(f"--plant {name}: {type(error).__name__}: {reason}; give {HELP}") from error
+        raise PlantError(f"plant {name}: {type(error).__name__}: {reason}; give {HELP}") from error
     finally:
         sys.path.remove(here)
     if not isinstance(plant, Plant):
-        raise PlantError(f"--plant {name}: a {type(plant).__name__} is no plant: it needs limits, init and advance; "
+        raise PlantError(f"plant {name}: a {type(plant).__name__} is no plant: it needs limits, init and advance; "
                          "softfin.testing.check_plant says what is missing")  # fmt: skip
     return plant

@@ -42,6 +42,17 @@ def test_draws_stay_within_the_spread_and_fill_it():
     assert abs(np.corrcoef(drawn.temperature_c, drawn.stiffness)[0, 1]) < 0.15
 
 
+def test_a_longer_and_thicker_fin_is_the_one_configured_so():
+    with jax.enable_x64(True):
+        plain = Conditions(*(jnp.asarray(float(not name.endswith(("_c", "_rad")))) for name in Conditions._fields))
+        fin = FinConfig(plates=3, root_length_m=0.0)
+        changed = under(Tank(TankConfig(fin=fin)), plain._replace(length=jnp.asarray(1.1), thickness=jnp.asarray(0.8)))
+        other = fin.model_copy(update={"length_m": 1.1 * fin.length_m, "root_thickness_m": 0.8 * fin.root_thickness_m})
+        expected = Tank(TankConfig(fin=other))
+        same = jax.tree.map(lambda a, b: np.allclose(a, b, rtol=1e-9), changed, expected)
+        assert all(jax.tree.leaves(same)), same
+
+
 @pytest.mark.parametrize("name", Conditions._fields)
 def test_each_condition_changes_the_tank(name):
     plain = Conditions(*(jnp.float32(name not in ("temperature_c", "misalignment_rad")) for name in Conditions._fields))

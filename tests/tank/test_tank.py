@@ -43,7 +43,7 @@ def excitation(logs, ticks, seed=0):
     for log in range(logs):
         tick = 0
         while tick < ticks:
-            for channel, low, high in ((0, -np.pi / 2, np.pi / 2), (1, 1.0, 6.0)):
+            for channel, low, high in ((0, -np.pi / 2, np.pi / 2), (1, 1.0, 7.1)):
                 found[channel, log, tick:] = rng.uniform(low, high)
             tick += rng.integers(20, 150)
     return Command(*map(jnp.asarray, found))
@@ -58,7 +58,7 @@ def test_a_tank_is_a_plant():
     tank = Tank()
     assert isinstance(tank, Plant)
     assert tank.limits.angle_max == PAPER_LIMITS.angle_max
-    assert (tank.limits.velocity_min, tank.limits.velocity_max) == (1.0, 7.2)
+    assert (tank.limits.velocity_min, tank.limits.velocity_max) == (1.0, 7.1)
 
 
 def test_holding_a_command_is_issuing_it_every_tick():
@@ -187,7 +187,7 @@ def test_some_gait_of_six_actions_holds_each_reference_force():
     tank = Tank(QUIET)
     rng = np.random.default_rng(0)
     gaits = 500
-    centre, amplitude, velocity = (rng.uniform(low, high, (gaits, 1)) for low, high in ((-1, 1), (0.1, 1), (3, 7.2)))
+    centre, amplitude, velocity = (rng.uniform(low, high, (gaits, 1)) for low, high in ((-1, 1), (0.1, 1), (3, 7.1)))
     angle = np.clip(centre + amplitude * (-1.0) ** np.arange(6), -1.57, 1.57)
     actions = Command(*(jnp.asarray(x, jnp.float32) for x in (angle, np.tile(velocity, 6))))
 
@@ -204,10 +204,24 @@ def test_commands_beyond_the_limits_are_refused_before_anything_moves():
     tank = COARSE
     with pytest.raises(CommandError, match=r"command angle = 2 rad: the plant takes -1.5708 to 1.5708 rad"):
         roll(tank, tank.init(KEY), Command(jnp.array([0.0, 2.0]), jnp.array([1.0, 1.0])))
-    with pytest.raises(CommandError, match=r"command velocity = 0.5 rad/s: the plant takes 1 to 7.2 rad/s"):
+    with pytest.raises(CommandError, match=r"command velocity = 0.5 rad/s: the plant takes 1 to 7.1 rad/s"):
         tank.advance(tank.init(KEY), Command(jnp.float32(0.0), jnp.float32(0.5)), 3)
     with pytest.raises(CommandError, match=r"command angle = nan"):
         hold(tank, tank.init(KEY), Command(jnp.array([np.nan]), jnp.array([2.0])))
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"fin": {"youngs_modulus_pa": float("inf")}}, "fin.youngs_modulus_pa = inf: .* finite"),
+        ({"fin": {"root_length_m": 0.5}}, "root_length_m must not be above length_m = 0.187"),
+        ({"drive": {"slowest_rad_s": 9.0}}, "slowest_rad_s must not be above fastest_rad_s = 7.1"),
+        ({"water": {"stream_mass_kg": 0.05}}, "stream_mass_kg = 0.05: .* greater than or equal to 0.2"),
+    ],
+)
+def test_numbers_that_make_no_tank_are_refused_by_name(values, words):
+    with pytest.raises(ConfigurationError, match=words):
+        TankConfig.build(values)
 
 
 def test_a_step_too_coarse_for_the_fins_vibration_is_refused_with_the_number_that_would_do():
@@ -227,13 +241,13 @@ TANKS = {
     "loose": Tank(
         TankConfig(
             drive=DriveConfig(backlash_rad=0.05, torque_limit_nm=0.3, dead_time_s=0.025),
-            water=WaterConfig(drag_exponent=1 / 3, stream_decay_s=5.0, stream_mass_kg=1.0),
+            water=WaterConfig(drag_exponent=1 / 3, stream_decay_s=5.0, stream_mass_kg=0.2),
         )
     ),
     "limp": Tank(TankConfig(fin=FinConfig(youngs_modulus_pa=1e3, damping_s=0.0))),
     "stiff": Tank(TankConfig(fin=FinConfig(youngs_modulus_pa=1e12), drive=DriveConfig(lag_s=0.0))),
 }
-COMMAND = st.tuples(st.floats(-1.57, 1.57), st.floats(1.0, 6.0), st.sampled_from([1, 3, 33]))
+COMMAND = st.tuples(st.floats(-1.57, 1.57), st.floats(1.0, 7.1), st.sampled_from([1, 3, 33]))
 
 
 @pytest.mark.parametrize("name", TANKS)

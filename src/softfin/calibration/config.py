@@ -55,11 +55,11 @@ class CalibrateConfig(Configuration):
     """Pieces of the training logs that are fitted."""
     test_pieces: int = Field(12, ge=1)
     """Pieces of the test logs that the fit is judged on."""
-    piece_s: float = Field(12.0, gt=0)
+    piece_s: float = Field(12.0, ge=0.1)
     """Length of each piece [s]."""
     warm_up_s: float = Field(2.0, ge=0)
     """Start of each piece that is simulated but not compared [s]: longer than a stroke, so that one under way ends."""
-    block_s: float = Field(2.0, gt=0)
+    block_s: float = Field(2.0, ge=0.01)
     """Stretches [s] whose errors are taken to be independent of each other when standard errors are computed."""
     excitation: ExcitationConfig = ExcitationConfig()
     """Of a plant that is to be fitted; logs bring their own commands."""

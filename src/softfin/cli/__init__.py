@@ -25,6 +25,23 @@ STOPPED = 1
 """Exit code after Ctrl-C: a failure midway."""
 
 
+def script() -> None:
+    """What the installed command calls: `main`, and an end at once after Ctrl-C.
+
+    An interpreter that shuts down beside a compiled program that Ctrl-C has left running may crash, after all is said.
+    """
+    try:
+        main()
+    except _Interrupted as stop:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(int(stop.code or STOPPED))
+
+
+class _Interrupted(SystemExit):
+    """After Ctrl-C."""
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run one command; exit code 0, 1 for a failure midway, 2 for input that cannot be used."""
     words = list(sys.argv[1:] if arguments is None else arguments)
@@ -50,7 +67,8 @@ def _run(name: str, words: list[str]) -> None:
         if debug:
             raise
         hint = "; the same command with --resume goes on" if "resume" in _options(name) else ""
-        _exit(f"softfin {name}: stopped, nothing is half-written{hint}", STOPPED)
+        sys.stderr.write(f"softfin {name}: stopped, nothing is half-written{hint}\n")
+        raise _Interrupted(STOPPED) from None
     except Exception as error:
         from softfin.errors import SoftfinError
 

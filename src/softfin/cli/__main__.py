@@ -1,5 +1,5 @@
 """``python -m softfin.cli`` is ``softfin``."""
 
-from softfin.cli import main
+from softfin.cli import script
 
-main()
+script()

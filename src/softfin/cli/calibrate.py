@@ -18,11 +18,11 @@ class Arguments(Configured):
     """Fit the virtual tank to logs or to a plant; say how well each parameter is determined."""
 
     data: tyro.conf.Positional[str]
-    """Folder of a dataset, or a plant to move: a surrogate's folder, a tank's YAML, or package.module:plant."""
+    """Folder of a dataset, or a plant to move: a surrogate's folder, tank, a tank's YAML, or package.module:plant."""
     out: Out
     """Folder to write calibration.json, tank.yaml and the figures to."""
     preset: Literal["full", "quick"] = "full"
-    """What is fitted: full is fin, water, drive and recording; quick is seven numbers, in a minute."""
+    """What is fitted: full is fin, water, drive and recording; quick is six numbers, in a minute."""
     evaluations: int | None = None
     """Tanks that the global search tries (4000); 0 leaves it to the local one."""
     velocity: str | None = None

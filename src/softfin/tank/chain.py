@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 PerPlate = Float[Array, " plates"]
+Scale = Float[Array, ""] | float
 
 
 class Pose(NamedTuple):
@@ -51,6 +52,15 @@ class Moments(NamedTuple):
     first: PerPlate
     second: PerPlate
     along: PerPlate
+
+    def stretched(self, length: Scale, density: Scale = 1.0) -> "Moments":
+        """Of plates longer by a factor, with all per length multiplied by another."""
+        return Moments(
+            self.zeroth * (density * length),
+            self.first * (density * length**2),
+            self.second * (density * length**3),
+            self.along * (density * length),
+        )
 
     def times(self, motion: Motion) -> Wrench:
         """The momentum of that motion, or the force that resists it."""

@@ -1,4 +1,4 @@
-"""Tanks that differ: conditions drawn by name, for test logs under other conditions and for domain randomisation.
+"""Tanks that differ: fin and conditions drawn by name, for test logs under other conditions and domain randomisation.
 
 Every draw depends on the key and its own name alone, so a condition that is added later leaves the others as they were.
 Draws are traceable: `jax.vmap` over keys gives one tank that holds a batch of parameters.
@@ -23,6 +23,10 @@ class Spread(Configuration):
     """Of the water, either side of the tank's [degrees Celsius]."""
     stiffness: float = Field(0.1, ge=0, lt=1)
     """Relative: silicone of another batch, age and temperature [-]."""
+    length: float = Field(0.0, ge=0, lt=1)
+    """Of the fin, relative [-]; as a rule it is one fin that is tested under several conditions."""
+    thickness: float = Field(0.0, ge=0, lt=1)
+    """Likewise [-]."""
     drag: float = Field(0.1, ge=0, lt=1)
     """Relative [-]."""
     added_mass: float = Field(0.05, ge=0, lt=1)
@@ -40,6 +44,8 @@ class Conditions(NamedTuple):
 
     temperature_c: Float[Array, ""]
     stiffness: Float[Array, ""]
+    length: Float[Array, ""]
+    thickness: Float[Array, ""]
     drag: Float[Array, ""]
     added_mass: Float[Array, ""]
     lag: Float[Array, ""]
@@ -66,8 +72,7 @@ def under(tank: Tank, conditions: Conditions) -> Tank:
     water = tank.water.at(tank.water.temperature + conditions.temperature_c)
     changed: Tank = eqx.tree_at(
         lambda tank: (
-            tank.fin.stiffness,
-            tank.fin.damping,
+            tank.fin,
             tank.water,
             tank.drive.lag,
             tank.sensor.drift,
@@ -75,9 +80,8 @@ def under(tank: Tank, conditions: Conditions) -> Tank:
         ),
         tank,
         (
-            tank.fin.stiffness * conditions.stiffness,
-            tank.fin.damping * conditions.stiffness,
-            water.scaled(drag=conditions.drag, added_mass=conditions.added_mass),
+            tank.fin.scaled(conditions.stiffness, conditions.length, conditions.thickness),
+            water.scaled(drag=conditions.drag, added_mass=conditions.added_mass, length=conditions.length),
             tank.drive.lag * conditions.lag,
             tank.sensor.drift * conditions.drift,
             tank.sensor.misalignment + conditions.misalignment_rad,

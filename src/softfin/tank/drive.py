@@ -11,7 +11,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from softfin.configuration import Configuration
 from softfin.quantities import TICK_S, Command
@@ -31,13 +31,13 @@ class DriveConfig(Configuration):
 
     slowest_rad_s: float = Field(1.0, gt=0)
     """Least profile velocity that the drive takes [rad/s] (paper, Sec. III-A)."""
-    fastest_rad_s: float = Field(7.2, gt=0)
+    fastest_rad_s: float = Field(7.1, gt=0)
     """Greatest profile velocity that the drive takes [rad/s]."""
-    acceleration_rad_s2: float = Field(80.0, gt=0)
+    acceleration_rad_s2: float = Field(81.0, gt=0)
     """Of the profile, speeding up and braking [rad/s2]."""
-    dead_time_s: float = Field(0.028, ge=0, le=DEAD_TICKS * TICK_S)
+    dead_time_s: float = Field(0.029, ge=0, le=DEAD_TICKS * TICK_S)
     """From a command to the profile that obeys it [s]: the way through computer and bus."""
-    lag_s: float = Field(0.003, ge=0)
+    lag_s: float = Field(0.001, ge=0)
     """Following error over velocity [s]: what the servo's velocity damping costs."""
     stiffness_nm_rad: float = Field(300.0, gt=0)
     """Torque over following error of the servo [N m/rad]."""
@@ -49,6 +49,12 @@ class DriveConfig(Configuration):
     """Of the gearbox, from end to end [rad]; catalogues give 0.003 to 0.017."""
     encoder_step_rad: float = Field(2.83e-5, ge=0)
     """Readings of the shaft are multiples of this [rad]: 2000 counts a turn at 111:1; 0: not quantised."""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "DriveConfig":
+        if self.slowest_rad_s > self.fastest_rad_s:
+            raise ValueError(f"slowest_rad_s must not be above fastest_rad_s = {self.fastest_rad_s:g}")
+        return self
 
 
 class DriveState(NamedTuple):

@@ -15,7 +15,6 @@ Left out: free surface and walls, history (Basset) forces, and the pressure of a
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -23,7 +22,7 @@ from pydantic import Field
 
 from softfin.configuration import Configuration
 from softfin.quantities import TICK_S
-from softfin.tank.chain import Moments, Motion, PerPlate, Wrench
+from softfin.tank.chain import Moments, Motion, PerPlate, Scale, Wrench
 from softfin.tank.fin import FinConfig, Surroundings, plate_moments
 from softfin.tank.relaxation import kept
 
@@ -38,7 +37,7 @@ class WaterConfig(Configuration):
     """Of fresh water [degrees Celsius]; gives its density and viscosity."""
     added_mass_coefficient: float = Field(1.0, ge=0)
     """Added mass per length over that of a long flat plate, rho pi/4 span^2 [-]."""
-    drag_coefficient: float = Field(8.2, ge=0)
+    drag_coefficient: float = Field(5.46, ge=0)
     """Against the stream that the fin meets, at a Keulegan-Carpenter number of 5 where it depends on that [-]."""
     drag_exponent: float = Field(0.0, ge=0, le=1)
     """Power with which drag falls with the Keulegan-Carpenter number [-]: 0 constant, 1/3 thin plates (Graham 1980)."""
@@ -48,9 +47,10 @@ class WaterConfig(Configuration):
     """Share of the elongated-body tip term [-]; 0 leaves it out."""
     wake_memory_s: float = Field(1.0, gt=0)
     """Time over which strokes are remembered [s]; matters where drag depends on them."""
-    stream_mass_kg: float = Field(2.95, gt=0)
-    """Of the water that takes up what the fin loses [kg]: about a cube of 0.14 m."""
-    stream_decay_s: float = Field(0.34, ge=0)
+    stream_mass_kg: float = Field(2.17, ge=0.2)
+    """Of the water that takes up what the fin loses [kg]: about a cube of 0.13 m. Lighter than 0.2 the
+    stream would outrun the tick in which it is held."""
+    stream_decay_s: float = Field(0.241, ge=0)
     """Time constant with which the stream dies down [s]; 0: the water stays still."""
 
 
@@ -65,9 +65,6 @@ SLOWEST_FRICTION_M_S = 0.01
 
 GAUSS = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)
 """Two points along a plate integrate its drag well wherever its ends move to the same side."""
-
-
-Scale = Float[Array, ""] | float
 
 
 class Flow(NamedTuple):
@@ -133,16 +130,17 @@ class Water(eqx.Module):
         changed: Water = eqx.tree_at(lambda water: water.temperature, water, temperature)
         return changed
 
-    def scaled(self, added_mass: Scale = 1.0, drag: Scale = 1.0, friction: Scale = 1.0) -> "Water":
-        """With its loads multiplied; the tip goes with the added mass."""
+    def scaled(self, added_mass: Scale = 1.0, drag: Scale = 1.0, friction: Scale = 1.0, length: Scale = 1.0) -> "Water":
+        """With its loads multiplied, and round a longer fin; the tip goes with the added mass."""
         changed: Water = eqx.tree_at(
-            lambda water: (water.inertia, water.tip, water.drag, water.friction),
+            lambda water: (water.plate_length, water.inertia, water.tip, water.drag, water.friction),
             self,
             (
-                jax.tree.map(lambda x: x * added_mass, self.inertia),
+                self.plate_length * length,
+                self.inertia.stretched(length, added_mass),
                 self.tip * added_mass,
                 self.drag * drag,
-                self.friction * friction,
+                self.friction * (friction * length**-0.5),
             ),
         )
         return changed

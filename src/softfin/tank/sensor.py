@@ -14,6 +14,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from pydantic import Field
 
 from softfin.configuration import Configuration
+from softfin.quantities import TICK_S
 from softfin.tank.relaxation import kept
 from softfin.tank.rounding import to_multiple
 
@@ -80,7 +81,7 @@ class Sensor(eqx.Module):
         white, walk = jax.random.normal(key, (2, 2), force.dtype)
         filtered = force + (state.filtered - force) * kept(self.filter_time)
         share = kept(self.drift_time)
-        drift = share * state.drift + jnp.sqrt(1 - share**2) * self.drift * walk
+        drift = share * state.drift + jnp.sqrt(-jnp.expm1(-2 * TICK_S / self.drift_time)) * self.drift * walk
         cos, sin = jnp.cos(self.misalignment), jnp.sin(self.misalignment)
         x, y = filtered
         turned = jnp.stack([cos * x + sin * y, cos * y - sin * x])
