@@ -73,7 +73,8 @@ def test_on_unseen_logs_it_errs_by_the_noise_of_the_sensor(found):
     unseen = found.summary()["scores"]["test"]
     assert unseen["angle"]["r2"] > 0.9999
     for axis in ("force_x", "force_y"):
-        assert unseen[axis]["rmse"] == pytest.approx(0.2, rel=0.05)
+        # Three standard errors of the deviation of 600 samples.
+        assert unseen[axis]["rmse"] == pytest.approx(0.2, abs=3 * 0.2 / np.sqrt(2 * 600))
         assert unseen[axis]["r2"] == pytest.approx(1 - 0.04 / unseen[axis]["std_measured"] ** 2, abs=0.01)
 
 
