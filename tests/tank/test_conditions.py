@@ -6,7 +6,7 @@ import pytest
 from softfin.plant import roll
 from softfin.quantities import Command
 from softfin.tank import Conditions, Spread, Tank, TankConfig, draw, randomised, under
-from softfin.tank.fin import FinConfig
+from softfin.tank.geometry import FinConfig
 
 TANK = Tank(TankConfig(fin=FinConfig(plates=2)))
 KEYS = jax.random.split(jax.random.key(3), 4)

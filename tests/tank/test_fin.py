@@ -6,7 +6,8 @@ import pytest
 from softfin.errors import ConfigurationError
 from softfin.tank import chain
 from softfin.tank.chain import Moments, Wrench
-from softfin.tank.fin import BRACKET_BENDING_N_M, Fin, FinConfig, FinState, Shaft, Surroundings
+from softfin.tank.fin import Fin, FinState, Shaft, Surroundings
+from softfin.tank.geometry import BRACKET_BENDING_N_M, FinConfig
 
 PLAIN = FinConfig(
     length_m=0.2, root_length_m=0.0, span_m=0.081, root_thickness_m=0.019, tip_thickness_ratio=0.4,

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from softfin.quantities import TICK_S
 from softfin.tank import chain
 from softfin.tank.chain import Motion
-from softfin.tank.fin import Fin, FinConfig, Shaft
+from softfin.tank.fin import Fin, Shaft
+from softfin.tank.geometry import FinConfig
 from softfin.tank.hydrodynamics import REFERENCE_STROKE, Water, WaterConfig
 
 RIGID = FinConfig(plates=4, length_m=0.2, span_m=0.08, youngs_modulus_pa=1e11)

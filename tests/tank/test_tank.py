@@ -12,7 +12,7 @@ from softfin.plant import ACTION_TICKS, Plant, hold, roll
 from softfin.quantities import PAPER_LIMITS, TICK_S, Command
 from softfin.tank import IDEAL, Conditions, SensorConfig, Tank, TankConfig, under
 from softfin.tank.drive import DriveConfig
-from softfin.tank.fin import FinConfig
+from softfin.tank.geometry import FinConfig
 from softfin.tank.hydrodynamics import WaterConfig
 
 KEY = jax.random.key(0)

@@ -9,7 +9,7 @@ from softfin.plant import roll
 from softfin.quantities import Command
 from softfin.randomness import key_of
 from softfin.tank import Tank, TankConfig
-from softfin.tank.fin import FinConfig
+from softfin.tank.geometry import FinConfig
 from softfin.tank.hydrodynamics import WaterConfig
 from softfin.viewing.beating import BeatConfig, beat
 from softfin.viewing.footage import film, thickness

@@ -23,7 +23,8 @@ from pydantic import Field
 from softfin.configuration import Configuration
 from softfin.quantities import TICK_S
 from softfin.tank.chain import Moments, Motion, PerPlate, Scale, Wrench
-from softfin.tank.fin import FinConfig, Surroundings, plate_moments
+from softfin.tank.fin import Surroundings
+from softfin.tank.geometry import FinConfig, plate_moments
 from softfin.tank.relaxation import kept
 
 

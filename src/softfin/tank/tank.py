@@ -17,7 +17,8 @@ from softfin.errors import ConfigurationError
 from softfin.plant import check_commands
 from softfin.quantities import PAPER_LIMITS, TICK_S, Command, Limits, Reading
 from softfin.tank.drive import Drive, DriveConfig, DriveState
-from softfin.tank.fin import Fin, FinConfig, FinState
+from softfin.tank.fin import Fin, FinState
+from softfin.tank.geometry import FinConfig
 from softfin.tank.hydrodynamics import Flow, Water, WaterConfig
 from softfin.tank.sensor import Sensor, SensorConfig, SensorState
 
