@@ -12,7 +12,7 @@ from softfin.tank import Tank, TankConfig
 from softfin.tank.geometry import FinConfig
 from softfin.tank.hydrodynamics import WaterConfig
 from softfin.viewing.beating import BeatConfig, beat
-from softfin.viewing.footage import film, thickness
+from softfin.viewing.footage import film
 from tests.plants import AnalyticFin, PlainFin
 from tests.viewing.fins import LENGTH_M, BendingFin, beating
 
@@ -59,11 +59,16 @@ def test_the_tip_of_a_stiff_fin_in_the_tank_is_where_the_shaft_points_and_the_st
     assert footage.stream.shape == (60, 2)
 
 
-def test_the_drawn_thickness_is_the_default_fins_in_proportion():
+def test_a_tank_is_drawn_in_its_own_thickness():
+    fin = FinConfig(plates=2, root_thickness_m=0.03, tip_thickness_ratio=0.5)
+    np.testing.assert_allclose(beating(Tank(TankConfig(fin=fin)), 5).thickness, [0.03, 0.0225, 0.015], rtol=1e-6)
+
+
+def test_another_plant_is_drawn_in_the_default_thickness_in_proportion():
     fin = FinConfig()
-    drawn = thickness(2 * fin.length_m, 5)
-    assert drawn[0] == pytest.approx(2 * fin.root_thickness_m)
-    assert drawn[-1] == pytest.approx(2 * fin.root_thickness_m * fin.tip_thickness_ratio)
+    drawn = beating(BendingFin(), 5).thickness
+    assert len(drawn) == beating(BendingFin(), 5).shape.shape[1]
+    assert drawn[0] == pytest.approx(fin.root_thickness_m * LENGTH_M / fin.length_m, rel=0.02)
 
 
 def test_a_plant_whose_readings_are_not_finite_is_named():

@@ -73,6 +73,8 @@ class Fin(eqx.Module):
     """Likewise [N m s/rad]."""
     inertia: Moments
     """Of the fin itself, without the water [kg, kg m, kg m2]."""
+    thickness: Float[Array, " points"]
+    """At the shaft and the outer end of each plate [m]: not needed for motion, but to be seen."""
 
     def __init__(self, config: FinConfig):
         plate = config.length_m / config.plates
@@ -84,18 +86,20 @@ class Fin(eqx.Module):
             config, lambda s: config.density_kg_m3 * config.span(s) * config.thickness(s)
         )
         self.inertia = Moments(zeroth, first, second, along=zeroth)
+        self.thickness = jnp.asarray(config.thickness(np.arange(config.plates + 1) * plate))
 
     def scaled(self, stiffness: Scale = 1.0, length: Scale = 1.0, thickness: Scale = 1.0) -> "Fin":
         """Another casting of the same fin, its bracket in proportion; damping keeps its time."""
         bending = stiffness * thickness**3 / length
         changed: Fin = eqx.tree_at(
-            lambda fin: (fin.plate_length, fin.stiffness, fin.damping, fin.inertia),
+            lambda fin: (fin.plate_length, fin.stiffness, fin.damping, fin.inertia, fin.thickness),
             self,
             (
                 self.plate_length * length,
                 self.stiffness * bending,
                 self.damping * bending,
                 self.inertia.stretched(length, thickness),
+                self.thickness * thickness,
             ),
         )
         return changed

@@ -14,7 +14,7 @@ from softfin.errors import PlantError
 from softfin.evaluation.scores import WINDOW, moving_average
 from softfin.plant import Plant, State
 from softfin.quantities import Command, Reading
-from softfin.tank import TankConfig, TankState
+from softfin.tank import Tank, TankConfig, TankState
 
 
 class Shaped(Protocol):
@@ -38,6 +38,8 @@ class Footage(NamedTuple):
     """From the shaft to the tip [m]."""
     shape_known: bool
     """Whether the plant told the shape; if not, it is a line at the shaft's angle, as long as the default fin."""
+    thickness: Float[np.ndarray, " points"]
+    """At the same points [m]; that of the default fin, in proportion, where the plant is no tank."""
     stream: Float[np.ndarray, "ticks 2"] | None
     """Velocity of the water that the fin has set moving [m/s], where the plant has it."""
     reference: tuple[float, float] | None
@@ -58,12 +60,16 @@ def film(plant: Plant, key: PRNGKeyArray, commands: Command, reference: tuple[fl
     command, (reading, shape, stream) = jax.tree.map(np.asarray, (issued, kept))
     _check(plant, reading, shape)
     force = np.asarray(reading.force, np.float64)
+    known = shape is not None
+    if not known:
+        shape = straight(reading.angle, TankConfig().fin.length_m)
     return Footage(
         command=command,
         reading=reading,
         average=moving_average(force) if len(force) >= WINDOW else np.zeros((0, 2)),
-        shape=straight(reading.angle, TankConfig().fin.length_m) if shape is None else shape,
-        shape_known=shape is not None,
+        shape=shape,
+        shape_known=known,
+        thickness=np.asarray(plant.fin.thickness) if isinstance(plant, Tank) else _thickness(shape[0]),
         stream=_moved(stream),
         reference=reference,
     )
@@ -75,10 +81,10 @@ def straight(angle: Float[np.ndarray, " ticks"], length_m: float) -> Float[np.nd
     return np.stack([np.zeros_like(tip), tip], axis=1)
 
 
-def thickness(length_m: float, points: int) -> Float[np.ndarray, " points"]:
-    """Of the drawn fin at its points [m]: that of the default tank's fin, in proportion to the length."""
-    fin = TankConfig().fin
-    return fin.thickness(np.linspace(0, fin.length_m, points)) * length_m / fin.length_m
+def _thickness(shape: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, " points"]:
+    """Of the default fin, made as long as that one."""
+    fin, length = TankConfig().fin, float(np.linalg.norm(np.diff(shape, axis=0), axis=1).sum())
+    return fin.thickness(np.linspace(0, fin.length_m, len(shape))) * length / fin.length_m
 
 
 def _stream(state: State) -> Float[Array, "2"] | None:

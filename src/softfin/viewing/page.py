@@ -12,7 +12,7 @@ from markupsafe import Markup
 from softfin import artifacts
 from softfin.evaluation.scores import WINDOW
 from softfin.quantities import AXES, RATE_HZ
-from softfin.viewing.footage import Footage, thickness
+from softfin.viewing.footage import Footage
 from softfin.viewing.scale import TRAIL_TICKS, scale_of
 
 SHAPE_UNIT_M = 1e-4
@@ -51,7 +51,7 @@ def described(footage: Footage) -> dict[str, Any]:
         "reference": footage.reference,
         "shape_unit_m": SHAPE_UNIT_M,
         "shape": np.rint(footage.shape / SHAPE_UNIT_M).astype(int).ravel().tolist(),
-        "thickness": _rounded(thickness(scale.length_m, points), 5),
+        "thickness": _rounded(footage.thickness, 5),
     }
     if footage.stream is not None:
         described |= {f"stream_{axis}": _rounded(footage.stream[:, i], 4) for i, axis in enumerate(AXES)}

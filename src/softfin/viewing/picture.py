@@ -16,7 +16,7 @@ from matplotlib.patches import Circle, Polygon
 from softfin.evaluation.scores import WINDOW
 from softfin.evaluation.style import BLACK, BLUE, GREY, ORANGE, new_figure, styled
 from softfin.quantities import AXES, TICK_S
-from softfin.viewing.footage import Footage, thickness
+from softfin.viewing.footage import Footage
 from softfin.viewing.outline import arrow_outline, fin_outline
 from softfin.viewing.scale import TRAIL_TICKS, scale_of
 
@@ -40,7 +40,6 @@ class Picture:
 
     def __init__(self, footage: Footage, title: str, dots_per_inch: int = 100) -> None:
         self.footage, self.scale = footage, scale_of(footage)
-        self._thickness = thickness(self.scale.length_m, footage.shape.shape[1])
         self._time = np.arange(1, len(footage.shape) + 1) * TICK_S
         self._moving: list[Any] = []
         self._lines: list[tuple[Any, Any, Any]] = []
@@ -73,8 +72,8 @@ class Picture:
     def _set(self, tick: int) -> None:
         footage = self.footage
         for ghost, ago in zip(self._ghosts, TRAIL_TICKS, strict=True):
-            ghost.set_xy(fin_outline(footage.shape[max(tick - ago, 0)], self._thickness))
-        self._fin.set_xy(fin_outline(footage.shape[tick], self._thickness))
+            ghost.set_xy(fin_outline(footage.shape[max(tick - ago, 0)], self.footage.thickness))
+        self._fin.set_xy(fin_outline(footage.shape[tick], self.footage.thickness))
         self._set_arrow(self._force, footage.reading.force[tick])
         if tick + 1 >= WINDOW:
             self._set_arrow(self._mean, footage.average[tick + 1 - WINDOW], 0.5)
