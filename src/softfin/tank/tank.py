@@ -70,7 +70,6 @@ class Tank(eqx.Module):
         self.limits = PAPER_LIMITS._replace(
             velocity_min=config.drive.slowest_rad_s, velocity_max=config.drive.fastest_rad_s
         )
-
         self._check_step(config)
 
     def init(self, key: PRNGKeyArray) -> TankState:
