@@ -145,7 +145,7 @@ class Drive(eqx.Module):
     def _servo(
         self, before: DriveState, planned: DriveState, half: float
     ) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
-        """The motor's mean torque in a step is pull - grip * (mean rate) [N m], and the rotor's inertia over half a step.
+        """The motor's mean torque in a step is pull - grip * (mean rate) [N m]; last, its inertia over half a step.
 
         Proportional to the following error less the lag's share, and critically damped about the profile.
         """
