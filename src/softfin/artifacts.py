@@ -26,7 +26,10 @@ Weights = Mapping[str, NDArray[Any]]
 
 WEIGHTS = "weights.safetensors"
 
-KINDS = ("dataset", "surrogate", "controller", "controllers", "evaluation", "reproduction", "calibration")
+KINDS = (
+    "dataset", "surrogate", "controller", "controllers", "evaluation", "reproduction", "calibration", "comparison",
+    "inspection",
+)  # fmt: skip
 """Of folders, each told by its ``KIND.json``."""
 
 

@@ -4,6 +4,7 @@ A checkpoint is one safetensors file: a pytree of arrays, and the facts that go 
 pickle. It is replaced in one rename, so a kill at any moment leaves the one before or the new one.
 """
 
+import copy
 import json
 import shutil
 from pathlib import Path
@@ -47,6 +48,12 @@ class Workspace:
                     f"{self.folder}: holds an unfinished run; go on with --resume, or drop it with --overwrite"
                 )
             shutil.rmtree(self.folder)
+
+    def part(self, name: str) -> "Workspace":
+        """A folder within this one, for a part of the run that has checkpoints of its own."""
+        inner = copy.copy(self)
+        inner.folder = self.folder / name
+        return inner
 
     def save(self, tree: Any, facts: dict[str, Any]) -> None:
         """Replace the checkpoint."""

@@ -3,6 +3,7 @@
 They are the Python API that ``import softfin`` offers, and the command line is a few lines over them.
 """
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,22 +14,31 @@ from softfin.calibration.config import CalibrateConfig
 from softfin.calibration.material import material
 from softfin.checkpoint import Workspace
 from softfin.control.store import load_controller, save_controller
-from softfin.errors import ConfigurationError, PlantError
+from softfin.errors import ArtifactError, ConfigurationError, PlantError
 from softfin.evaluation.calibration import write_calibration
+from softfin.evaluation.candidates import candidates
+from softfin.evaluation.compare import CompareConfig
+from softfin.evaluation.compare import compare as _compare
+from softfin.evaluation.comparison import write_comparison
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, write_evaluation
 from softfin.evaluation.evaluate import evaluate as _evaluate
+from softfin.evaluation.inspection import write_inspection
 from softfin.logs.collect import CollectConfig
 from softfin.logs.collect import collect as _collect
-from softfin.logs.dataset import Dataset
+from softfin.logs.dataset import Dataset, write_dataset
+from softfin.logs.findings import check_accepted
+from softfin.logs.importing import ImportConfig
+from softfin.logs.inspection import Inspection
+from softfin.logs.recordings import Opened, open_logs
 from softfin.plant import Plant
 from softfin.plants import find_plant, identity
 from softfin.quantities import Limits
 from softfin.randomness import key_of
-from softfin.surrogate import FitConfig, Surrogate, save_surrogate
+from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig, Surrogate, save_surrogate
 from softfin.surrogate import import_keras as _import_keras
+from softfin.surrogate.choice import fit_any
 from softfin.surrogate.fit import check_lengths
-from softfin.surrogate.fit import fit as _fit
-from softfin.surrogate.metrics import table_one
+from softfin.surrogate.metrics import SKIPPED, table_one
 from softfin.tank import Tank, randomised
 from softfin.training.train import GRID, TrainConfig
 from softfin.training.train import train as _train
@@ -70,32 +80,88 @@ def collect(
     return _collect(moving, config, out, others, report, {"plant": str(plant)})
 
 
+def inspect_logs(
+    path: Path,
+    out: Path | None = None,
+    config: ImportConfig | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Say what is wrong with recordings; writes ``inspection.json`` and a figure to `out`."""
+    if out is not None:
+        artifacts.check_vacant(out, overwrite)
+    config = config or ImportConfig()
+    opened = open_logs(path, config, progress)
+    facts = {
+        "source": str(path),
+        "options": config.model_dump(mode="json"),
+        "provenance": artifacts.provenance(data_hash=opened.data_hash),
+    }
+    if out is None:
+        return {**opened.inspection.described(), **facts}
+    return write_inspection(opened.inspection, opened.logs, out, facts)
+
+
+def import_logs(
+    path: Path,
+    out: Path,
+    config: ImportConfig | None = None,
+    *,
+    accept: bool = False,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> tuple[Dataset, Inspection]:
+    """Recordings of any kind become a dataset; raises LogError where they have errors, unless they are accepted."""
+    artifacts.check_vacant(out, overwrite)
+    opened = open_logs(path, config or ImportConfig(), progress)
+    check_accepted(opened.findings, str(path), accept)
+    facts = {**opened.facts, "accepted": accept, "provenance": artifacts.provenance()}
+    return write_dataset(out, opened.train, opened.test, facts), opened.inspection
+
+
 def fit(
     dataset: Path,
     out: Path,
-    config: FitConfig | None = None,
+    config: FitConfig | StreamingConfig | AutoConfig | None = None,
     *,
+    logs: ImportConfig | None = None,
+    accept: bool = False,
     seed: int = 0,
     resume: bool = False,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Fit PosNet and ForceNet to a dataset, score them on its test logs, write a surrogate; returns Table I."""
-    config = config or FitConfig()
-    data = Dataset.open(dataset)
-    facts = {"configuration": config.model_dump(mode="json"), "seed": seed, "data_hash": data.data_hash}
+    """Fit a surrogate to logs, score it on their test logs, write it; returns Table I.
+
+    The kind of configuration says which model: the paper's nets, streaming nets, or what is best on held-out logs.
+    `dataset` is a dataset's folder, or recordings of any other kind, read as `logs` says; raises LogError where these
+    have errors, unless they are accepted.
+    """
+    config = config or StreamingConfig()
+    opened = _opened(dataset, logs, accept, progress)
+    facts = {"configuration": config.model_dump(mode="json"), "seed": seed, "data_hash": opened.data_hash}
     workspace = Workspace(out, facts, resume, overwrite)
-    test = list(data.load(data.test))
-    check_lengths(test, config.posnet.window, "test")
-    surrogate = _fit(list(data.load(data.train)), config, seed, workspace, progress)
+    test = opened.test
+    check_lengths(test, SKIPPED, "test")
+    surrogate, evidence = fit_any(opened.train, config, seed, workspace, progress)
     scores = table_one(surrogate, test) if test else None
-    provenance = artifacts.provenance(seed=seed, data_hash=data.data_hash, dataset=str(dataset))
+    provenance = artifacts.provenance(seed=seed, data_hash=opened.data_hash, dataset=str(dataset), **opened.facts)
     save_surrogate(
         out, surrogate, scores, provenance,
         also=lambda folder: workspace.keep_log(folder / TRAINING_LOG), configuration=facts["configuration"],
+        **({} if evidence is None else {"candidates": evidence}),
     )  # fmt: skip
     workspace.finish()
-    return {"table_i": scores}
+    return {"model": surrogate.model, "table_i": scores, "candidates": evidence}
+
+
+def _opened(dataset: Path, config: ImportConfig | None, accept: bool, progress: Progress | None) -> Opened:
+    opened = open_logs(dataset, config, progress)
+    check_accepted(opened.findings, str(dataset), accept)
+    # Of a dataset its folder tells what is known of it.
+    facts = {} if artifacts.is_kind(dataset, "dataset") else {"logs": opened.facts}
+    return dataclasses.replace(opened, facts=facts)
 
 
 def calibrate(
@@ -123,6 +189,46 @@ def calibrate(
     )
     workspace.finish()
     return summary
+
+
+def compare(
+    surrogates: Sequence[Path],
+    dataset: Path,
+    out: Path | None = None,
+    config: CompareConfig | None = None,
+    *,
+    floor: str | Plant | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Score surrogates on a dataset's test logs, left alone for several horizons; writes JSON and a figure.
+
+    `floor` is a plant that runs beside them, such as the tank that was recorded: what noise and conditions leave.
+    """
+    config = config or CompareConfig()
+    if out is not None:
+        artifacts.check_vacant(out, overwrite)
+    found = candidates(surrogates)
+    data = Dataset.open(dataset)
+    if not data.test:
+        raise ArtifactError(f"{dataset}: holds no test logs to compare on; put Parquet logs into {dataset / 'test'}")
+    named = floor if isinstance(floor, str) or floor is None else type(floor).__name__
+    bottom = find_plant(floor) if isinstance(floor, str) else floor
+
+    def report(done: float, note: str) -> None:
+        if progress is not None:
+            progress("compare", done, note)
+
+    comparison = _compare(
+        found, list(data.load(data.test)), config, None if bottom is None or named is None else (named, bottom), report
+    )
+    facts = {
+        "dataset": str(dataset),
+        "test_logs": len(data.test),
+        "configuration": config.model_dump(mode="json"),
+        "provenance": artifacts.provenance(seed=config.seed, data_hash=data.data_hash),
+    }
+    return {**comparison.summary(), **facts} if out is None else write_comparison(comparison, out, facts)
 
 
 def import_keras(posnet: Path, forcenet: Path, scalers: Path, out: Path, *, overwrite: bool = False) -> Surrogate:

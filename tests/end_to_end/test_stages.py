@@ -45,7 +45,7 @@ def test_each_command_reads_what_the_one_before_wrote(capsys, tmp_path, monkeypa
     assert made["rows"] == 400
 
     config = write(tmp_path / "fit.yaml", FIT)
-    fitted = run(capsys, "fit", dataset, "--config", config, "--out", surrogate)
+    fitted = run(capsys, "fit", dataset, "--model", "paper", "--config", config, "--out", surrogate)
     assert fitted["table_i"]["posnet"]["window"] == small.WINDOW
     description = json.loads((tmp_path / "surrogate" / "surrogate.json").read_text())
     assert description["provenance"]["data_hash"] == made["data_hash"]

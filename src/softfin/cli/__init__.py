@@ -12,9 +12,12 @@ from typing import Any
 
 COMMANDS = {
     "collect": "record random motions of a fin and its force as a dataset",
+    "inspect": "say what is wrong with logs, before anyone trains on them",
+    "import-logs": "turn CSV, Parquet or ROS 2 bags into a dataset",
     "fit": "learn a surrogate, PosNet and ForceNet, from a dataset",
     "calibrate": "fit the virtual tank to logs or to a plant",
     "import-keras": "turn published .keras nets and their scalers into a surrogate",
+    "compare": "score surrogates on unseen logs, left alone for several horizons",
     "train": "train LSTM-PPO force controllers inside a surrogate",
     "evaluate": "judge a controller on a fin over reference forces",
     "view": "show a fin in motion, as a film or as a page that plays it",

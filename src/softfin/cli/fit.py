@@ -1,26 +1,40 @@
-"""``softfin fit``: a dataset in, a surrogate and Table I out."""
+"""``softfin fit``: logs in, a surrogate and Table I out."""
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import tyro
 
 from softfin import stages
 from softfin.cli.common import Configured, Out, progress
-from softfin.cli.tables import table_one
-from softfin.surrogate import FitConfig
+from softfin.cli.log_options import LogOptions
+from softfin.cli.tables import choice, table_one
+from softfin.errors import ConfigurationError
+from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig
+
+MODELS: dict[str, StreamingConfig | FitConfig | AutoConfig] = {
+    "streaming": StreamingConfig(),
+    "paper": FitConfig(),
+    "auto": AutoConfig(),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments(Configured):
-    """Learn a surrogate, PosNet and ForceNet, from a dataset; print Table I (paper Sec. III-B)."""
+class Arguments(Configured, LogOptions):
+    """Learn a surrogate from logs; print Table I (paper Sec. III-B)."""
 
     dataset: tyro.conf.Positional[Path]
-    """Folder of the dataset."""
+    """Folder of a dataset, or of recordings: CSV, Parquet, ROS 2 bags."""
     out: Out
     """Folder of the surrogate to write."""
+    model: Literal["streaming", "paper", "auto"] = "streaming"
+    """streaming: an ensemble of recurrent nets; paper: PosNet and ForceNet; auto: both, and the streaming nets without
+    symmetry, of which the best on held-out logs is kept."""
+    accept: bool = False
+    """Take the logs in spite of errors that were found."""
     epochs: int | None = None
-    """Most passes over the data."""
+    """Most passes over the data, of --model paper."""
     seed: int = 0
     """Of weights, order and dropout."""
     resume: bool = False
@@ -28,10 +42,14 @@ class Arguments(Configured):
 
     def run(self) -> None:
         """Fit."""
-        config = self.configured(FitConfig(), epochs=self.epochs)
+        if self.epochs is not None and self.model != "paper":
+            raise ConfigurationError(f"--epochs with --model {self.model}: only --model paper counts in epochs; see "
+                                     "--set force_updates=N, or --set paper.epochs=N of --model auto")  # fmt: skip
+        config = self.configured(MODELS[self.model], epochs=self.epochs)
         with progress() as report:
             result = stages.fit(
-                self.dataset, Path(self.out), config,
+                self.dataset, Path(self.out), config, logs=self.import_config(), accept=self.accept,
                 seed=self.seed, resume=self.resume, overwrite=self.overwrite, progress=report,
             )  # fmt: skip
-        self.tell({"surrogate": str(self.out), **result}, table_one(result["table_i"]))
+        parts = [table_one(result["table_i"]), *([choice(result["candidates"])] if result["candidates"] else [])]
+        self.tell({"surrogate": str(self.out), **result}, "\n\n".join(parts))

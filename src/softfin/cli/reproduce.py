@@ -15,8 +15,9 @@ class Arguments(Configured):
 
     out: Out
     """Folder of the run."""
-    preset: Literal["demo", "paper", "tiny"] = "demo"
-    """How much: demo takes minutes, paper is the paper's full data and budgets, tiny only shows that all works."""
+    preset: Literal["demo", "paper", "streaming", "tiny"] = "demo"
+    """How much: demo takes minutes, paper is the paper's full data and budgets, streaming
+    the same with a streaming surrogate, tiny only shows that all works."""
     plant: str = "tank"
     """The fin: tank, package.module:plant, or the folder of a surrogate, which skips collect and fit."""
     seed: int = 0

@@ -11,6 +11,9 @@ NETS = {
     "posnet": "PosNet 1D CNN",
     "forcenet_measured": "ForceNet LSTM, given the angle",
     "forcenet_free_running": "ForceNet LSTM, behind PosNet",
+    "drive": "drive nets",
+    "force_measured": "force nets, given the motion",
+    "force_free_running": "force nets, behind drive nets",
 }
 
 
@@ -20,11 +23,11 @@ def table_one(scores: dict[str, Any] | None) -> str:
         return "no test logs: Table I has no rows"
     head = f"{'Table I':32}{'window':>7}{'parameters':>11}{'':>10}{'RMSE':>9}{'MAE':>9}{'DTW':>9}"
     lines = [head]
-    for name, title in NETS.items():
-        row = scores[name]
+    for name, row in scores.items():
+        title = NETS[name]
         for unit in ("physical", "scaled"):
-            label = f"{title:32}{row['window']:>7}{row['parameters']:>11,}" if unit == "physical" else " " * 50
-            measure = ("rad" if name == "posnet" else "N") if unit == "physical" else "scaled"
+            label = f"{title:32}{row['window'] or '-':>7}{row['parameters']:>11,}" if unit == "physical" else " " * 50
+            measure = ("rad" if name in ("posnet", "drive") else "N") if unit == "physical" else "scaled"
             values = "".join(f"{row[unit][key]:>9.4f}" for key in ("rmse", "mae", "dtw_mae"))
             lines.append(f"{label}{measure:>10}{values}")
     for name, row in PAPER_TABLE_I.items():
@@ -65,3 +68,12 @@ def _published(scores: PaperScores | None) -> str:
 
 def _still(row: Mapping[str, Any]) -> str:
     return "  stands still" if row["still"] else ""
+
+
+def choice(candidates: Mapping[str, Any]) -> str:
+    """What the candidates leave on held-out logs."""
+    lines = [f"{'free-running on held-out logs':32}{'force RMSE [N]':>18}{'angle RMSE [rad]':>18}"]
+    for name, row in candidates["held_out"].items():
+        chosen = "  <- chosen" if name == candidates["chosen"] else ""
+        lines.append(f"{name:32}{row['force_rmse_n']:>18.4f}{row['angle_rmse_rad']:>18.4f}{chosen}")
+    return "\n".join(lines)

@@ -27,6 +27,9 @@ NETS = {
     "posnet": ("PosNet, commands to angle", "rad", "posnet"),
     "forcenet_measured": ("ForceNet, given the measured angle", "N", "forcenet"),
     "forcenet_free_running": ("ForceNet, free-running behind PosNet", "N", None),
+    "drive": ("Drive nets, commands to angle", "rad", "posnet"),
+    "force_measured": ("Force nets, given the measured motion", "N", "forcenet"),
+    "force_free_running": ("Force nets, free-running behind the drive nets", "N", None),
 }
 """Rows of Table I: by key of `table_one`, what the row is, its unit, the paper's row to stand beside."""
 

@@ -1,8 +1,21 @@
-"""The surrogate: two nets learnt from logs that stand in for the fin (paper Sec. III-B)."""
+"""The surrogate: nets learnt from logs that stand in for the fin (paper Sec. III-B), and nets that do so better."""
 
+from softfin.surrogate.choice import AutoConfig
 from softfin.surrogate.fit import FitConfig
 from softfin.surrogate.keras import import_keras
-from softfin.surrogate.store import load_surrogate, save_surrogate
+from softfin.surrogate.store import AnySurrogate, load_surrogate, save_surrogate
+from softfin.surrogate.streaming.config import StreamingConfig
+from softfin.surrogate.streaming.streaming import StreamingSurrogate
 from softfin.surrogate.surrogate import Surrogate
 
-__all__ = ["FitConfig", "Surrogate", "import_keras", "load_surrogate", "save_surrogate"]
+__all__ = [
+    "AnySurrogate",
+    "AutoConfig",
+    "FitConfig",
+    "StreamingConfig",
+    "StreamingSurrogate",
+    "Surrogate",
+    "import_keras",
+    "load_surrogate",
+    "save_surrogate",
+]

@@ -81,7 +81,7 @@ def fit(
         RunError: the loss is no longer finite.
     """
     check_lengths(logs, config.posnet.window, "training")
-    held = _held_out(len(logs), config.held_out)
+    held = held_out(len(logs), config.held_out)
     training, holding = logs[:-held], logs[-held:]
     names = {name: np.concatenate([channels_of(log)[name] for log in training]) for name in COLUMNS}
     scaling = Scaling.fit(names)
@@ -207,7 +207,8 @@ def _calls(updates: int) -> tuple[int, int]:
     return updates // calls, calls
 
 
-def _held_out(logs: int, share: float) -> int:
+def held_out(logs: int, share: float) -> int:
+    """How many of the logs, the last ones; raises LogError where there are fewer than two."""
     if logs < 2:
         raise LogError(f"{logs} training log: at least 2 are needed, one to learn from and one held out; record more")
     return min(logs - 1, max(1, round(logs * share)))

@@ -7,15 +7,16 @@ A held command lets all ticks of an action go through each net at once: PosNet s
 angles that PosNet has then said already. Only the new ticks are computed.
 """
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from softfin.errors import ArtifactError
+from softfin.errors import ArtifactError, LogError
 from softfin.plant import rest_command
-from softfin.quantities import RATE_HZ, TICK_S, Command, Limits, Reading
+from softfin.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading
 from softfin.surrogate.forcenet import FORCES
 from softfin.surrogate.network import Network
 from softfin.surrogate.posnet import COMMANDS
@@ -36,6 +37,9 @@ class SurrogateState(NamedTuple):
 class Surrogate(eqx.Module):
     """A learnt fin; meets the Plant contract."""
 
+    model: ClassVar[str] = "paper"
+    """Among the kinds of surrogates."""
+
     posnet: Network
     forcenet: Network
     scaling: Scaling = eqx.field(static=True)
@@ -51,6 +55,11 @@ class Surrogate(eqx.Module):
         return self.posnet.config.window
 
     @property
+    def memory(self) -> int:
+        """Rows of a log that `warm` needs."""
+        return self.window
+
+    @property
     def limits(self) -> Limits:
         """The range of the commands in the training data: beyond it the nets extrapolate."""
         angle, velocity = (self.scaling.channels[name] for name in COMMANDS)
@@ -61,6 +70,23 @@ class Surrogate(eqx.Module):
         rest = self._scaled(rest_command(self.limits))
         angle = jnp.full(self.window, self.scaling.scaled(ANGLE, jnp.float32(0)))
         return SurrogateState(jnp.int32(0), jnp.tile(rest[:, None], self.window), angle)
+
+    def warm(self, history: Log) -> SurrogateState:
+        """As if the fin had been followed through a recording: the next tick says row ``len(history)`` of the log.
+
+        That tick is given the command of the last row, as the log's order wants it. Only the last `memory` rows matter;
+        raises LogError where there are fewer.
+        """
+        rows = len(history.reading.time)
+        if rows < self.memory:
+            raise LogError(f"{rows} rows of history; a surrogate that sees {self.memory} samples is warm after as many")
+        seen = slice(rows - self.window, rows)
+        table = np.stack([self.scaling.scaled(n, c[seen]) for n, c in zip(COMMANDS, history.command, strict=True)])
+        # The last row's command is yet to be given; the oldest of the state's leaves before it is looked at.
+        commands = np.concatenate([table[:, :1], table[:, :-1]], axis=1)
+        angles = self.scaling.scaled(ANGLE, history.reading.angle[seen])
+        tick = round(float(history.reading.time[-1]) * RATE_HZ)
+        return SurrogateState(jnp.int32(tick), jnp.asarray(commands, jnp.float32), jnp.asarray(angles, jnp.float32))
 
     def advance(self, state: SurrogateState, command: Command, ticks: int) -> tuple[SurrogateState, Reading]:
         """Hold the command for `ticks` samples; all of them go through each net as one batch."""
@@ -83,6 +109,10 @@ class Surrogate(eqx.Module):
     def flops_per_tick(self) -> int:
         """Floating-point operations of the matrix products for one sample of one fin."""
         return self.posnet.config.flops() + self.forcenet.config.flops()
+
+    def parameters(self) -> int:
+        """Trainable numbers of both nets."""
+        return self.posnet.config.parameters() + self.forcenet.config.parameters()
 
 
 def windows(series: Float[Array, "channels samples"], window: int) -> Float[Array, "count channels window"]:

@@ -103,19 +103,14 @@ class Drive(eqx.Module):
         return DriveState(zero, zero, zero, zero, zero, Command(waiting, waiting))
 
     def receive(self, state: DriveState, command: Command) -> tuple[DriveState, Command]:
-        """A command that is issued now; out comes the one that the profile obeys for the next tick.
-
-        A dead time between whole ticks is a mean of the two commands beside it, so that it has a derivative.
-        """
+        """A command that is issued now; out comes the one that the profile obeys for the next tick."""
         queue = Command(*(jnp.append(new, old) for new, old in zip(command, state.waiting, strict=True)))
-        age = jnp.arange(DEAD_TICKS + 1, dtype=self.dead_time.dtype)
-        weights = jnp.maximum(1 - jnp.abs(age - self.dead_time / TICK_S), 0.0)
         waiting = Command(*(channel[:-1] for channel in queue))
-        return state._replace(waiting=waiting), Command(*((weights * channel).sum() for channel in queue))
+        return state._replace(waiting=waiting), delayed(queue, self.dead_time / TICK_S)
 
     def plan(self, state: DriveState, command: Command, seconds: float) -> DriveState:
         """With the profile a step of time further under a command."""
-        velocity = _next_velocity(state, command, self.acceleration, seconds)
+        velocity = next_velocity(state.profile_angle, state.profile_velocity, command, self.acceleration, seconds)
         mean = (velocity + state.profile_velocity) / 2
         return state._replace(profile_angle=state.profile_angle + seconds * mean, profile_velocity=velocity)
 
@@ -156,13 +151,27 @@ class Drive(eqx.Module):
         return pull, self.stiffness * (self.lag + half) + damping, self.inertia / half
 
 
-def _next_velocity(
-    state: DriveState, command: Command, acceleration: Float[Array, ""], seconds: float
+def next_velocity(
+    angle: Float[Array, ""],
+    velocity: Float[Array, ""],
+    command: Command,
+    acceleration: Float[Array, ""],
+    seconds: float,
 ) -> Float[Array, ""]:
     """The fastest velocity from which the profile, in steps of time, still stops at the target without overshoot."""
-    ahead = command.angle - state.profile_angle - seconds * state.profile_velocity / 2
+    ahead = command.angle - angle - seconds * velocity / 2
     gain = acceleration * seconds
     braking = jnp.sqrt((gain / 2) ** 2 + 2 * acceleration * jnp.abs(ahead)) - gain / 2
     speed = jnp.minimum(jnp.minimum(braking, jnp.abs(ahead) / seconds), command.velocity)
-    change = jnp.sign(ahead) * speed - state.profile_velocity
-    return state.profile_velocity + jnp.clip(change, -gain, gain)
+    change = jnp.sign(ahead) * speed - velocity
+    return velocity + jnp.clip(change, -gain, gain)
+
+
+def delayed(commands: Command, delay: Float[Array, ""]) -> Command:
+    """The command of `delay` ticks ago among the last ones, newest first.
+
+    A delay between whole ticks is a mean of the two commands beside it, so that it has a derivative.
+    """
+    age = jnp.arange(commands.angle.shape[0], dtype=delay.dtype)
+    weights = jnp.maximum(1 - jnp.abs(age - delay), 0.0)
+    return Command(*((weights * channel).sum() for channel in commands))

@@ -1,0 +1,37 @@
+"""``softfin import-logs``: recordings of any kind in, a dataset out."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from softfin import stages
+from softfin.cli.common import Common, Out, progress
+from softfin.cli.log_options import LogOptions
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments(Common, LogOptions):
+    """Turn CSV, Parquet or ROS 2 bags into a dataset at 100 Hz; stop where inspect finds errors."""
+
+    logs: tyro.conf.Positional[Path]
+    """A folder of recordings, or one."""
+    out: Out
+    """Folder of the dataset to write."""
+    accept: bool = False
+    """Take the logs in spite of errors that were found."""
+
+    def run(self) -> None:
+        """Import."""
+        with progress() as report:
+            data, inspection = stages.import_logs(
+                self.logs, Path(self.out), self.import_config(),
+                accept=self.accept, overwrite=self.overwrite, progress=report,
+            )  # fmt: skip
+        summary = inspection.summary()
+        counts = ", ".join(f"{count} {kind}{'s' * (count != 1)}" for kind, count in summary["counts"].items())
+        result = {"dataset": str(self.out), **summary, "data_hash": data.data_hash}
+        self.tell(
+            result,
+            f"{self.out}: {summary['logs']} + {summary['test_logs']} logs, {summary['rows']:,} rows; {counts}",
+        )

@@ -1,0 +1,58 @@
+"""Options that every command has which reads recordings that somebody else made."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from softfin.logs.importing import ImportConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogOptions:
+    """How recordings become logs; softfin's own need none of these."""
+
+    columns: str | None = None
+    """Which column is which channel: angle=position,command_angle=NAME,command_velocity=NAME,force_x=NAME,force_y=NAME;
+    time and velocity where there are any."""
+    topics: str | None = None
+    """Of ROS 2 bags: command=/fin/command,joint=/fin/joint_states,wrench=/fin/wrench."""
+    rate: float | None = None
+    """Rows a second [Hz], where no column holds the time."""
+    time_unit: Literal["s", "ms", "us", "ns"] | None = None
+    """Of the column of time (s)."""
+    angles: str | None = None
+    """Unit of angles and their velocities: rad or deg, or of each, as angle=deg,velocity=deg."""
+    force: str | None = None
+    """What is +x (thrust) and +y in the recording's own axes, such as y,-x. Write --force=-y,x if it begins with -."""
+    negate: str | None = None
+    """Channels of the wrong sign, such as command_angle."""
+    command_lag: float | None = None
+    """How much too late commands were stamped, beside the angle [ms]."""
+    force_lag: float | None = None
+    """How much too late forces were stamped, beside the angle [ms]."""
+    rows_per_log: int | None = None
+    """Where one file holds several logs, end to end."""
+    test: str | None = None
+    """Pattern of the files to score on (names that begin with test, and what lies in a folder test)."""
+    gap: float | None = None
+    """Longest gap that is bridged [s]; longer ones split a log (0.05)."""
+    shortest: float | None = None
+    """Shortest piece between gaps that is kept [s] (2)."""
+
+    def import_config(self) -> ImportConfig:
+        """The options that were given, over the defaults."""
+        given = {
+            "columns": self.columns,
+            "topics": self.topics,
+            "rate_hz": self.rate,
+            "time_unit": self.time_unit,
+            "angles": self.angles,
+            "force": self.force,
+            "negate": self.negate,
+            "command_lag_ms": self.command_lag,
+            "force_lag_ms": self.force_lag,
+            "rows_per_log": self.rows_per_log,
+            "test": self.test,
+            "gap_s": self.gap,
+            "shortest_s": self.shortest,
+        }
+        return ImportConfig.build({name: value for name, value in given.items() if value is not None}, "options")

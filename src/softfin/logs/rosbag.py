@@ -1,0 +1,140 @@
+"""ROS 2 bags, MCAP or SQLite, read without ROS: the topics of command, joint and force in, a recording out.
+
+A message's own stamp counts where every message of the topic has one, else the time at which it was logged.
+"""
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from softfin.errors import LogError
+from softfin.logs.columns import converted
+from softfin.logs.findings import Finding, Place
+from softfin.logs.importing import TOPICS, ImportConfig
+from softfin.logs.recording import Part, Recording, Track
+
+DEFAULT_TOPICS = {"command": "/fin/command", "joint": "/fin/joint_states", "wrench": "/fin/wrench"}
+
+TYPES = {
+    "command": ("sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"),
+    "joint": ("sensor_msgs/msg/JointState",),
+    "wrench": ("geometry_msgs/msg/WrenchStamped", "geometry_msgs/msg/Wrench"),
+}
+
+CHANNELS = {
+    "command": ("command_angle", "command_velocity"),
+    "joint": ("angle", "velocity"),
+    "wrench": ("force_x", "force_y"),
+}
+
+Values = Callable[[Any], tuple[float, float]]
+
+
+def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recording:
+    """One bag; raises LogError where it is damaged, lacks a topic, or a topic has messages of another type."""
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            topics = _topics(reader, config, path)
+            tracks, findings = [], []
+            for role, (topic, joint) in topics.items():
+                track, found = _track(reader, role, topic, joint, path, name)
+                tracks.append(Track(track.time, converted(track.channels, config)))
+                findings += found
+    except LogError:
+        raise
+    except Exception as error:
+        # Damaged bags fail in the reader, its storage, its decompression or its messages, each in a way of its own.
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise LogError(f"{path}: truncated, or no ROS 2 bag ({reason}); copy it again, or: ros2 bag reindex") from None
+    if not any("velocity" in track.channels for track in tracks):
+        text = "no velocity in the joint's messages: it is the central difference of the angle"
+        findings.append(Finding("note", "velocity derived", Place(name, "velocity"), text))
+    return Recording(name, part, tuple(tracks), tuple(findings))
+
+
+def _topics(reader: AnyReader, config: ImportConfig, path: Path) -> dict[str, tuple[str, str]]:
+    """Of each role the topic, and the joint's name or ""."""
+    there = {connection.topic: connection.msgtype for connection in reader.connections}
+    listed = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(there.items())) or "no topics"
+    chosen = {}
+    for role in TOPICS:
+        topic, _, joint = config.topics.get(role, DEFAULT_TOPICS[role]).partition(":")
+        if topic not in there:
+            fitting = [name for name, kind in there.items() if kind in TYPES[role]]
+            hint = f"--topics {role}={fitting[0] if len(fitting) == 1 else 'TOPIC'}"
+            raise LogError(f"{path}: no topic {topic} for the {role}; it has {listed}; say it: {hint}")
+        if there[topic] not in TYPES[role]:
+            raise LogError(f"{path}: {topic} is {there[topic]}; a {role} must be {' or '.join(TYPES[role])}")
+        chosen[role] = (topic, joint)
+    return chosen
+
+
+def _track(reader: AnyReader, role: str, topic: str, joint: str, path: Path, name: str) -> tuple[Track, list[Finding]]:
+    connections = [connection for connection in reader.connections if connection.topic == topic]
+    kind = connections[0].msgtype
+    where = f"{path}: {topic}"
+    values = _values(kind, joint, where)
+    logged, stamped, rows = _rows(
+        ((stamp, reader.deserialize(raw, kind)) for _, stamp, raw in reader.messages(connections)), values
+    )
+    if not rows:
+        raise LogError(f"{where}: no messages; record the {role} too")
+    own = all(stamped)
+    findings = []
+    if not own:
+        text = f"{topic}: {stamped.count(0):,} of {len(stamped):,} messages bear no stamp: the time of logging counts"
+        way_out = "stamp each message where it is measured: logging adds a delay that varies"
+        severity: Any = "note" if "Stamped" not in kind and "JointState" not in kind else "warning"
+        findings.append(Finding(severity, "no stamps", Place(name, role), text, way_out))
+    # Nanoseconds since 1970 as integers first: in double precision they are exact to a quarter of a microsecond.
+    time = np.array(stamped if own else logged, np.int64) / 1e9
+    pairs = np.array(rows, np.float64)
+    channels = {channel: pairs[:, i] for i, channel in enumerate(CHANNELS[role])}
+    if role == "joint" and np.isnan(pairs[:, 1]).all():
+        del channels["velocity"]
+    return Track(time, channels), findings
+
+
+def _rows(
+    messages: Iterable[tuple[int, Any]], values: Values
+) -> tuple[list[int], list[int], list[tuple[float, float]]]:
+    """Time of logging and own stamp (0 where there is none), both in ns, and the two values of each message."""
+    logged, stamped, rows = [], [], []
+    for stamp, message in messages:
+        logged.append(stamp)
+        header = getattr(message, "header", None)
+        stamped.append(0 if header is None else header.stamp.sec * 10**9 + header.stamp.nanosec)
+        rows.append(values(message))
+    return logged, stamped, rows
+
+
+def _values(kind: str, joint: str, where: str) -> Values:
+    def of_array(message: Any) -> tuple[float, float]:
+        if len(message.data) != 2:
+            raise LogError(f"{where}: an array of {len(message.data)} numbers; a command is [angle, velocity]")
+        return float(message.data[0]), float(message.data[1])
+
+    def of_joint(message: Any) -> tuple[float, float]:
+        index = _index(list(message.name), len(message.position), joint, where)
+        velocity = float(message.velocity[index]) if len(message.velocity) > index else float("nan")
+        return float(message.position[index]), velocity
+
+    def of_wrench(message: Any) -> tuple[float, float]:
+        force = getattr(message, "wrench", message).force
+        return float(force.x), float(force.y)
+
+    return of_array if "Array" in kind else of_joint if "JointState" in kind else of_wrench
+
+
+def _index(names: list[str], count: int, joint: str, where: str) -> int:
+    if joint in names:
+        return names.index(joint)
+    if joint or count != 1:
+        raise LogError(
+            f"{where}: which joint? It has {', '.join(names) or f'{count} without names'}; name it: TOPIC:JOINT"
+        )
+    return 0

@@ -1,0 +1,145 @@
+"""Tables on disk, CSV or Parquet with any column names: files in, recordings out."""
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet as pq
+from jaxtyping import Float
+
+from softfin.errors import LogError
+from softfin.logs.columns import channels_of, converted
+from softfin.logs.findings import Finding, Place
+from softfin.logs.importing import ImportConfig
+from softfin.logs.recording import Part, Recording, Track
+
+CSV = (".csv", ".tsv", ".txt")
+PARQUET = (".parquet",)
+
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+MANY_ROWS = 100_000
+"""A single log of more than this, a quarter of an hour, is more likely several end to end."""
+
+
+def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[Recording]:
+    """The logs of one file; raises LogError for a file that is no such table or lacks a channel."""
+    names = _csv_names(path) if path.suffix.lower() in CSV else _parquet_names(path)
+    found = channels_of(names, config, str(path))
+    table = (_read_csv if path.suffix.lower() in CSV else _read_parquet)(path, names, list(found.values()))
+    values = {channel: _numbers(table.column(column), column, path) for channel, column in found.items()}
+    if not table.num_rows:
+        raise LogError(f"{path}: empty: it has no rows; record it again")
+    timed = "time" in values
+    time = (
+        values.pop("time") * SECONDS[config.time_unit] if timed else np.arange(table.num_rows) / (config.rate_hz or 1)
+    )
+    track = Track(time, converted(values, config))
+    findings = _notes(name, names, found, table.num_rows, timed, config)
+    length = config.rows_per_log or table.num_rows
+    if length >= table.num_rows:
+        return [Recording(name, part, (track,), findings)]
+    return [
+        Recording(
+            f"{name} rows {start}..{min(start + length, table.num_rows) - 1}",
+            part,
+            (_cut(track, start, length),),
+            () if start else findings,
+        )
+        for start in range(0, table.num_rows, length)
+    ]
+
+
+def _cut(track: Track, start: int, length: int) -> Track:
+    rows = slice(start, start + length)
+    return Track(track.time[rows], {channel: values[rows] for channel, values in track.channels.items()})
+
+
+def _notes(
+    name: str, names: list[str], found: dict[str, str], rows: int, timed: bool, config: ImportConfig
+) -> tuple[Finding, ...]:
+    notes = []
+    if unused := [column for column in names if column not in found.values()]:
+        text = f"columns that were not read: {', '.join(map(repr, unused[:12]))}"
+        notes.append(Finding("note", "unread columns", Place(name), text))
+    if "velocity" not in found:
+        text = "no velocity: it is the central difference of the angle"
+        notes.append(Finding("note", "velocity derived", Place(name, "velocity"), text))
+    if rows > MANY_ROWS and not timed and config.rows_per_log is None:
+        text = f"{rows:,} rows without a column of time, taken as one log"
+        way_out = "if it is several end to end, as the paper's 20,000 rows each: --rows-per-log 20000"
+        notes.append(Finding("warning", "one log", Place(name), text, way_out))
+    return tuple(notes)
+
+
+def _csv_names(path: Path) -> list[str]:
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            line = file.readline()
+    except (OSError, UnicodeDecodeError) as error:
+        raise LogError(f"{path}: cannot be read as text ({error}); give a CSV file") from None
+    if not line.strip():
+        raise LogError(f"{path}: empty: it has no header; the first line must name the columns")
+    names = [name.strip().strip('"') for name in line.strip("\r\n").split(_delimiter(line))]
+    if all(_is_number(name) for name in names):
+        raise LogError(f"{path}: its first line holds numbers ({line.strip()[:60]}); write the columns' names above it")
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise LogError(f"{path}: column {twice!r} is there twice; rename one of them")
+    return names
+
+
+def _delimiter(line: str) -> str:
+    return max(",;\t", key=line.count)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _read_csv(path: Path, names: list[str], columns: list[str]) -> pa.Table:
+    with path.open(encoding="utf-8-sig") as file:
+        delimiter = _delimiter(file.readline())
+    empty = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", "None", "-"]
+    try:
+        return pyarrow.csv.read_csv(
+            io.BytesIO(path.read_bytes()),
+            read_options=pyarrow.csv.ReadOptions(column_names=names, skip_rows=1),
+            parse_options=pyarrow.csv.ParseOptions(delimiter=delimiter),
+            convert_options=pyarrow.csv.ConvertOptions(
+                include_columns=columns, column_types=dict.fromkeys(columns, pa.float64()), null_values=empty
+            ),
+        )
+    except (pa.ArrowException, OSError) as error:
+        reason = " ".join(str(error).split())
+        raise LogError(f"{path}: not a table of numbers ({reason}); correct that line, or leave it empty") from None
+
+
+def _parquet_names(path: Path) -> list[str]:
+    try:
+        names: list[str] = pq.read_schema(path).names
+    except (pa.ArrowException, OSError) as error:
+        raise LogError(f"{path}: not a Parquet file ({' '.join(str(error).split())}); copy it again") from None
+    return names
+
+
+def _read_parquet(path: Path, names: list[str], columns: list[str]) -> pa.Table:
+    try:
+        return pq.read_table(path, columns=columns, page_checksum_verification=True)
+    except (pa.ArrowException, OSError) as error:
+        raise LogError(f"{path}: truncated or damaged ({' '.join(str(error).split())}); copy it again") from None
+
+
+def _numbers(column: pa.ChunkedArray, name: str, path: Path) -> Float[np.ndarray, "rows"]:
+    try:
+        return np.asarray(column.cast(pa.float64()).to_numpy())
+    except pa.ArrowException:
+        raise LogError(
+            f"{path}: column {name!r} is {column.type}, must hold numbers; map another, or cast it"
+        ) from None

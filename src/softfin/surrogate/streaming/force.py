@@ -1,0 +1,158 @@
+"""The force net: the shaft's motion, tick by tick, in; the force on the mount out.
+
+In the frame that turns with the shaft the fin knows nothing of its angle: still water looks alike in all directions. So
+the net sees rates alone and says the force along the fin's axis (thrust, even) and across it (odd). What the water
+remembers in the tank's own axes, a wake, is a few vectors that the turning frame turns back at each tick.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+from pydantic import Field, PositiveInt
+
+from softfin.configuration import Configuration
+from softfin.quantities import TICK_S, AnyArray
+from softfin.surrogate.streaming.core import MirrorCore, Parity, PlainCore
+
+
+class ForceNetConfig(Configuration):
+    """Its size and what is known of the fin beforehand."""
+
+    units: PositiveInt = 16
+    """Remembered numbers of each parity; twice as many without `mirror`."""
+    hidden: PositiveInt = 32
+    """Of the layer between memory and force."""
+    wake: int = Field(default=4, ge=0, le=64)
+    """Vectors remembered in the tank's axes; they begin with time constants of 0.05 to 1.5 s."""
+    mirror: bool = True
+    """Whether the mirrored motion makes the mirrored force."""
+    turning: bool = True
+    """Whether the force turns with the fin: the tank is the same in all directions."""
+    quasi_steady: bool = True
+    """Whether a force of added mass and drag, with fitted coefficients, stands beside the net."""
+    heteroscedastic: bool = False
+    """Whether the net also says the standard deviation of the force that is read."""
+
+
+class Motion(NamedTuple):
+    """Of the shaft."""
+
+    angle: Float[AnyArray, "*shape"]
+    """[rad]"""
+    velocity: Float[AnyArray, "*shape"]
+    """[rad/s]"""
+
+
+class ForceState(NamedTuple):
+    """What the net carries from tick to tick."""
+
+    memory: Parity
+    wake: Parity
+    """Along and across the fin [1]."""
+    motion: Motion
+    """Of the tick before."""
+
+
+class Scales(Configuration):
+    """Units in which the nets see and say things: standard deviations in the training logs."""
+
+    velocity_rad_s: float = Field(gt=0)
+    """Of the shaft [rad/s]."""
+    change_rad_s: float = Field(gt=0)
+    """Of the velocity, from tick to tick [rad/s]."""
+    force_n: float = Field(gt=0)
+    """Root mean square of both axes [N]."""
+    angle_rad: float = Field(gt=0)
+    """Of the shaft [rad]."""
+
+    def __hash__(self) -> int:
+        return hash(tuple(self.model_dump().values()))
+
+
+class Said(NamedTuple):
+    """By the force net, of one tick."""
+
+    force: Float[AnyArray, "*shape 2"]
+    """In the tank's axes (x, y) [N]."""
+    log_deviation: Float[AnyArray, "*shape"]
+    """Logarithm of the standard deviation of what is read, in all directions alike [force scale]; 0 if not learnt."""
+
+
+class ForceNet(eqx.Module):
+    """See the module; one fin, no batch axes."""
+
+    core: MirrorCore | PlainCore
+    along: Float[Array, "wake_source wake"]
+    """What of the memory pushes the wake along the fin."""
+    across: Float[Array, "wake_source wake"]
+    log_time: Float[Array, "wake"]
+    """Logarithm of the wake's time constants [s]."""
+    thrust: Float[Array, "2"]
+    """Coefficients of velocity squared and velocity times its change."""
+    resistance: Float[Array, "3"]
+    """Coefficients of the velocity's change (added mass), velocity times speed (drag) and velocity (friction)."""
+    mount_turn: Float[Array, ""]
+    """Of the sensor against the tank's axes [rad]."""
+    offset: Float[Array, "2"]
+    """What the sensor reads without force [force scale]."""
+    config: ForceNetConfig = eqx.field(static=True)
+    scales: Scales = eqx.field(static=True)
+
+    def __init__(self, config: ForceNetConfig, scales: Scales, key: PRNGKeyArray) -> None:
+        inputs = Parity(config.wake + (0 if config.turning else 1), 3 + config.wake + (0 if config.turning else 1))
+        outputs = Parity(1 + config.heteroscedastic, 1)
+        kind, units = (MirrorCore, config.units) if config.mirror else (PlainCore, 2 * config.units)
+        self.core = kind(inputs, outputs, units, config.hidden, key)
+        memory = self.core.blank()
+        sources = memory if config.mirror else Parity(memory.even, memory.even)
+        self.along, self.across = (jnp.zeros((source.size, config.wake)) for source in sources)
+        self.log_time = jnp.log(jnp.geomspace(0.05, 1.5, config.wake))
+        self.thrust, self.resistance = jnp.zeros(2), jnp.zeros(3)
+        self.mount_turn, self.offset = jnp.zeros(()), jnp.zeros(2)
+        self.config, self.scales = config, scales
+
+    def start(self, motion: Motion) -> ForceState:
+        """Nothing remembered but the motion of the tick before."""
+        still = jnp.zeros(self.config.wake)
+        return ForceState(self.core.blank(), Parity(still, still), motion)
+
+    def step(self, state: ForceState, motion: Motion) -> tuple[ForceState, Said]:
+        """One tick: the motion that the shaft has come to, and the force that is read with it."""
+        turn, wake = motion.angle - state.motion.angle, state.wake
+        velocity = motion.velocity / self.scales.velocity_rad_s
+        change = (motion.velocity - state.motion.velocity) / self.scales.change_rad_s
+        even, odd = [], [velocity, change, velocity * jnp.abs(velocity)]
+        if self.config.turning:
+            # Seen from a fin that has turned, what stands still in the tank has turned the other way.
+            wake = Parity(*_turned(wake.even, wake.odd, -turn))
+        else:
+            even, odd = [jnp.cos(motion.angle)], [*odd, jnp.sin(motion.angle)]
+        inputs = Parity(*(jnp.concatenate([jnp.asarray(own), old]) for own, old in zip((even, odd), wake, strict=True)))
+        memory, said = self.core.step(state.memory, inputs)
+        along, across = said.even[0], said.odd[0]
+        if self.config.quasi_steady:
+            along += self.thrust @ jnp.stack([velocity**2, velocity * change])
+            across += self.resistance @ jnp.stack([change, velocity * jnp.abs(velocity), velocity])
+        frame = self.mount_turn + (motion.angle if self.config.turning else 0.0)
+        x, y = _turned(along, across, frame)
+        force = self.scales.force_n * (jnp.stack([x, y]) + self.offset)
+        log_deviation = said.even[1] if self.config.heteroscedastic else jnp.zeros(())
+        return ForceState(memory, self._stirred(wake, memory), motion), Said(force, log_deviation)
+
+    def _stirred(self, wake: Parity, memory: Parity) -> Parity:
+        kept = jnp.exp(-TICK_S * jnp.exp(-self.log_time))
+        sources = (memory.even, memory.odd if self.config.mirror else memory.even)
+        pushed = (source @ weights for source, weights in zip(sources, (self.along, self.across), strict=True))
+        return Parity(*(kept * old + (1 - kept) * new for old, new in zip(wake, pushed, strict=True)))
+
+    def products(self) -> int:
+        """Multiplications of the matrix products of one tick."""
+        return self.core.products() + self.along.size + self.across.size
+
+
+def _turned(along: Array, across: Array, angle: AnyArray) -> tuple[Array, Array]:
+    """Components along (cos, -sin) and across (sin, cos) of an angle, in the axes that the angle is counted from."""
+    cos, sin = jnp.cos(angle), jnp.sin(angle)
+    return along * cos + across * sin, across * cos - along * sin

@@ -1,0 +1,80 @@
+"""The coefficients of the drive's profile, read off logs: CMA-ES on the mean absolute error of the angle.
+
+The mean of the absolute error, so that a stroke that the profile cannot explain does not pull at all the others.
+"""
+
+from collections.abc import Sequence
+
+import cma
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from softfin.quantities import TICK_S, AnyArray, Command, Log
+from softfin.surrogate.streaming.profile import LONGEST_DELAY, Profile, ProfileConfig, ProfileState
+from softfin.surrogate.streaming.sequences import Stretch, Table
+
+STRETCHES, TICKS = 96, 300
+"""How many pieces of the logs the coefficients are read off, and how long they are [10 ms]."""
+
+POPULATION, GENERATIONS, STARTS = 16, 150, 2
+
+
+def identify(logs: Sequence[Log], seed: int) -> tuple[ProfileConfig, float]:
+    """The coefficients, and the mean absolute error of the angle [rad] that they leave."""
+    stretch = Table.of(logs, TICKS).draw(jax.random.key(seed), STRETCHES, TICKS)
+    errors = jax.jit(jax.vmap(lambda coded: _error(_profile(coded), stretch)))
+    best, least = None, np.inf
+    for start in range(STARTS):
+        options = {"popsize": POPULATION, "maxiter": GENERATIONS, "seed": seed * STARTS + start + 1, "verbose": -9,
+                   "tolx": 1e-6, "tolfun": 1e-8}  # fmt: skip
+        search = cma.CMAEvolutionStrategy(_guess(logs), 0.5 * (1 + start), options)
+        while not search.stop():
+            asked = search.ask()
+            search.tell(asked, np.asarray(errors(jnp.asarray(np.stack(asked), jnp.float32)), np.float64).tolist())
+        if search.result.fbest < least:
+            best, least = search.result.xbest, search.result.fbest
+    found = _profile(jnp.asarray(best, jnp.float32))
+    config = ProfileConfig(
+        gain=float(found.gain),
+        zero_rad=float(found.zero),
+        delay_ticks=float(found.delay),
+        velocity_factor=float(found.velocity_factor),
+        velocity_limit_rad_s=float(found.velocity_limit),
+        acceleration_rad_s2=float(found.acceleration),
+        lag_s=float(found.lag),
+    )
+    return config, float(least)
+
+
+def _guess(logs: Sequence[Log]) -> Float[np.ndarray, "coefficients"]:
+    """A drive that does what it is told three ticks later, no faster than it was ever seen."""
+    speed = np.abs(np.concatenate([log.reading.velocity for log in logs]))
+    change = np.abs(np.concatenate([np.diff(log.reading.velocity) for log in logs])) / TICK_S
+    steep = change[change > 0.1 * change.max()]
+    return np.array([0.0, 0.0, 3.0, 0.0, np.log(speed.max()), np.log(np.quantile(steep, 0.8)), 0.0])
+
+
+def _profile(coded: Float[Array, "coefficients"]) -> Profile:
+    """Gains, limits and acceleration are searched by their logarithms; delay and lag from 0 on."""
+    gain, zero, delay, factor, limit, acceleration, lag = coded
+    profile = Profile(ProfileConfig())
+    values = (
+        jnp.exp(0.1 * gain), 0.05 * zero, jnp.minimum(jnp.abs(delay), LONGEST_DELAY),
+        jnp.exp(factor), jnp.exp(limit), jnp.exp(acceleration), 0.01 * jnp.abs(lag),
+    )  # fmt: skip
+    found: Profile = jax.tree.unflatten(jax.tree.structure(profile), values)
+    return found
+
+
+def _error(profile: Profile, stretch: Stretch) -> Float[Array, ""]:
+    def one(stretch: Stretch) -> Float[Array, ""]:
+        def step(state: ProfileState, command: Command) -> tuple[ProfileState, AnyArray]:
+            state, _ = profile.step(state, command)
+            return state, profile.motion(state).angle
+
+        _, angle = jax.lax.scan(step, profile.start(stretch.before, stretch.waiting), stretch.commands)
+        return jnp.mean(jnp.abs(angle - stretch.motion.angle))
+
+    return jnp.mean(jax.vmap(one)(stretch))

@@ -1,0 +1,127 @@
+"""An ensemble of streaming nets as a Plant: commands in, readings out at 100 Hz, with what is known of their errors."""
+
+from typing import Any, ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from softfin.errors import LogError
+from softfin.plant import rest_command
+from softfin.quantities import TICK_S, Command, Limits, Log, Reading
+from softfin.surrogate.streaming.core import QUIET
+from softfin.surrogate.streaming.force import Motion
+from softfin.surrogate.streaming.member import Member, MemberState, parameters, single
+from softfin.surrogate.streaming.profile import LONGEST_DELAY
+from softfin.surrogate.streaming.uncertainty import Familiarity, Interval, remembered
+
+MEMORY = 300
+"""Ticks of a recorded history that `warm` follows: a stroke at the paper's least velocity takes as long."""
+
+
+class StreamingState(NamedTuple):
+    """Of every member; it does not grow, whatever it remembers."""
+
+    tick: Int[Array, ""]
+    """Since the start [10 ms]."""
+    members: MemberState
+
+
+class StreamingSurrogate(eqx.Module):
+    """A learnt fin; meets the Plant contract. Readings are the mean over the members."""
+
+    members: Member
+    """Stacked."""
+    rest: MemberState
+    """Long at rest at angle 0; stacked."""
+    familiarity: Familiarity
+    interval: Interval = eqx.field(static=True)
+    limits: Limits = eqx.field(static=True)
+    """The range of the commands in the training data: beyond it the nets extrapolate."""
+
+    model: ClassVar[str] = "streaming"
+    """Among the kinds of surrogates."""
+    memory: ClassVar[int] = MEMORY
+    """Rows of a log that `warm` needs."""
+
+    def __init__(self, members: Member, limits: Limits, interval: Interval, familiarity: Familiarity) -> None:
+        self.members, self.limits, self.interval, self.familiarity = members, limits, interval, familiarity
+        command = rest_command(limits)
+        waiting = Command(*(jnp.full(LONGEST_DELAY, value) for value in command))
+        still = Motion(jnp.zeros(()), jnp.zeros(()))
+
+        def settle(member: Member) -> MemberState:
+            return jax.lax.scan(
+                lambda state, _: (member.step(state, command)[0], None), member.start(still, waiting), length=3 * QUIET
+            )[0]
+
+        self.rest = eqx.filter_jit(eqx.filter_vmap(settle))(members)
+
+    @property
+    def size(self) -> int:
+        """How many members."""
+        return int(self.members.force.offset.shape[0])
+
+    def init(self, key: PRNGKeyArray) -> StreamingState:
+        """Long at rest at angle 0. Nothing is random here: the key is not used."""
+        return StreamingState(jnp.int32(0), self.rest)
+
+    def warm(self, history: Log) -> StreamingState:
+        """The state after a recorded history, free-running over its last `memory` rows; raises LogError if shorter."""
+        rows = len(history.reading.time)
+        if rows < self.memory:
+            raise LogError(f"history: {rows} rows; {self.memory} are needed to know what the fin has been doing")
+        command = Command(*(np.asarray(part[-self.memory :], np.float32) for part in history.command))
+        first = self.memory - LONGEST_DELAY
+        motion = Motion(*(jnp.float32(part[-first]) for part in (history.reading.angle, history.reading.velocity)))
+        waiting = Command(*(jnp.asarray(part[:LONGEST_DELAY][::-1]) for part in command))
+        # The last row's command shows in the row that comes next.
+        passed = Command(*(jnp.asarray(part[LONGEST_DELAY:-1]) for part in command))
+        return StreamingState(jnp.int32(0), _warm(self.members, motion, waiting, passed))
+
+    def advance(self, state: StreamingState, command: Command, ticks: int) -> tuple[StreamingState, Reading]:
+        """Hold the command for `ticks` samples of 10 ms and read after each: fields ``(ticks,)``."""
+        state, each = self.advance_members(state, command, ticks)
+        return state, each._replace(
+            time=each.time[0], angle=each.angle.mean(0), velocity=each.velocity.mean(0), force=each.force.mean(0)
+        )
+
+    def advance_members(self, state: StreamingState, command: Command, ticks: int) -> tuple[StreamingState, Reading]:
+        """The same with every member's own reading: fields ``(members, ticks)``."""
+        held = Command(*(jnp.asarray(part, jnp.float32) for part in command))
+
+        def tick(each: MemberState, _: None) -> tuple[MemberState, Any]:
+            each, (motion, said) = jax.vmap(lambda member, state: member.step(state, held))(self.members, each)
+            return each, (motion.angle, motion.velocity, said.force)
+
+        members, said = jax.lax.scan(tick, state.members, length=ticks)
+        angle, velocity, force = (jnp.swapaxes(part, 0, 1) for part in said)
+        time = (state.tick + 1 + jnp.arange(ticks)) * jnp.float32(TICK_S)
+        reading = Reading(jnp.tile(time, (self.size, 1)), angle, velocity, force)
+        return StreamingState(state.tick + ticks, members), reading
+
+    def distance(self, state: StreamingState) -> Float[Array, ""]:
+        """Of what the fin has been doing to the training data: 1 is as far as one in a thousand moments of them."""
+        return self.familiarity.distance(remembered(single(state.members.force)))
+
+    def flops_per_tick(self) -> int:
+        """Floating-point operations of the matrix products for one sample of one fin, all members together."""
+        return 2 * single(self.members).products() * self.size
+
+    def parameters(self) -> int:
+        """Of all members."""
+        return parameters(self.members)
+
+
+@eqx.filter_jit
+def _warm(members: Member, motion: Motion, waiting: Command, passed: Command) -> MemberState:
+    def one(member: Member) -> MemberState:
+        def step(state: MemberState, command: Any) -> tuple[MemberState, None]:
+            return member.step(state, Command(*command))[0], None
+
+        return jax.lax.scan(step, member.start(motion, waiting), passed)[0]
+
+    state: MemberState = eqx.filter_vmap(one)(members)
+    return state

@@ -1,0 +1,113 @@
+"""What an ensemble knows of its own errors: an interval on the mean force, and how far a motion is from its data.
+
+The interval is split conformal (Lei et al. 2018, J. Am. Stat. Assoc. 113:1094): errors on logs that no weight was
+trained on, divided by what the members' disagreement expects of them, and their quantile. The distance is Mahalanobis's
+in the memory of a net (Lee et al. 2018, NeurIPS): what the fin has been doing, as the force net sees it.
+"""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from pydantic import Field
+
+from softfin.configuration import Configuration
+from softfin.quantities import AnyArray, Log
+from softfin.surrogate.streaming.config import StreamingConfig
+from softfin.surrogate.streaming.follow import follow_motion
+from softfin.surrogate.streaming.force import ForceNet, ForceState, Motion
+from softfin.surrogate.streaming.member import Member, single
+
+WINDOW = 200
+"""Samples whose mean force controllers are judged by (paper, Sec. IV-B)."""
+
+RARE = 0.999
+"""Share of the training data that is nearer than distance 1."""
+
+LOGS, EVERY = 10, 7
+"""For the distance: logs, and ticks between the moments that are taken from them."""
+
+
+class Interval(Configuration):
+    """Of the mean force over `WINDOW` samples, each axis by itself: half width = factor * sqrt(spread^2 + floor^2)."""
+
+    coverage: float = Field(gt=0, lt=1)
+    """Share of the means that it should hold [-]."""
+    factor: float = Field(gt=0)
+    """Quantile of |error| / sqrt(spread^2 + floor^2) on the held-out logs [-]."""
+    floor_n: float = Field(gt=0)
+    """Root mean square error of the ensemble's mean there [N]: noise, drift, and what all members have wrong."""
+    windows: int = Field(ge=1)
+    """Means that it was calibrated with."""
+
+    def half_width(self, means: Float[AnyArray, "members *shape"]) -> Float[AnyArray, "*shape"]:
+        """From the members' own means [N]."""
+        return self.factor * (means.var(axis=0) + self.floor_n**2) ** 0.5
+
+
+def calibrated(
+    said: Sequence[Float[np.ndarray, "members rows 2"]], logs: Sequence[Log], config: StreamingConfig
+) -> Interval:
+    """From what the members say of held-out logs; windows side by side, not overlapping."""
+    means = np.concatenate([window_means(force[:, config.burn_in :]) for force in said], axis=1)
+    read = [window_means(np.asarray(log.reading.force)[None, config.burn_in :]) for log in logs]
+    measured = np.concatenate(read, axis=1)
+    error = np.abs(means.mean(axis=0) - measured[0])
+    floor = float(np.sqrt(np.mean(error**2)))
+    ratio = error / (means.var(axis=0) + floor**2) ** 0.5
+    # One more than there are, so that the next error is covered and not only these.
+    level = min(1.0, config.coverage * (1 + 1 / ratio.size))
+    factor = float(np.quantile(ratio, level))
+    return Interval(coverage=config.coverage, factor=factor, floor_n=floor, windows=ratio.size)
+
+
+def window_means(force: Float[np.ndarray, "members rows 2"]) -> Float[np.ndarray, "members windows 2"]:
+    """Over `WINDOW` samples each; a rest at the end is left out."""
+    count = force.shape[1] // WINDOW
+    windows = force[:, : count * WINDOW].astype(np.float64).reshape(len(force), count, WINDOW, 2)
+    return np.asarray(windows.mean(axis=2))
+
+
+class Familiarity(eqx.Module):
+    """Where the training data lie in the memory of the first member's force net."""
+
+    mean: Float[Array, "remembered"]
+    whitening: Float[Array, "remembered remembered"]
+    """Inverse square root of the covariance, over the distance that only 1 of 1000 training moments exceeds."""
+
+    def distance(self, memory: Float[Array, "remembered"]) -> Float[Array, ""]:
+        """1 where only one of a thousand moments of the training data is as far out."""
+        return jnp.sqrt(jnp.sum(((memory - self.mean) @ self.whitening) ** 2))
+
+
+def remembered(state: ForceState) -> Float[Array, "remembered"]:
+    """What the distance is measured in."""
+    return jnp.concatenate(jax.tree.leaves((state.memory, state.wake)))
+
+
+def familiar(members: Member, logs: Sequence[Log]) -> Familiarity:
+    """From training logs, free-running."""
+    first: Member = jax.tree.map(lambda x: x[:1], members)
+    seen = [_memories(first.force, m)[::EVERY] for m in follow_motion(first.drive, logs[:LOGS])]
+    memory = np.concatenate(seen).astype(np.float64)
+    mean = memory.mean(axis=0)
+    values, vectors = np.linalg.eigh(np.cov(memory, rowvar=False))
+    # A direction in which nothing moves would make rounding errors look far.
+    whitening = vectors / np.sqrt(np.maximum(values, 1e-6 * values.max()))
+    far = np.quantile(np.linalg.norm((memory - mean) @ whitening, axis=1), RARE)
+    return Familiarity(jnp.asarray(mean, jnp.float32), jnp.asarray(whitening / far, jnp.float32))
+
+
+def _memories(nets: ForceNet, motion: Motion) -> Float[np.ndarray, "rows remembered"]:
+    net = single(nets)
+    one = Motion(*(jnp.asarray(part[0]) for part in motion))
+
+    def step(state: ForceState, now: Motion) -> tuple[ForceState, Array]:
+        state, _ = net.step(state, now)
+        return state, remembered(state)
+
+    before, after = jax.tree.map(lambda x: x[0], one), jax.tree.map(lambda x: x[1:], one)
+    return np.asarray(jax.jit(lambda before, after: jax.lax.scan(step, net.start(before), after)[1])(before, after))

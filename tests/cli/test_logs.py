@@ -1,0 +1,113 @@
+import json
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pytest
+
+from softfin.cli import main
+from softfin.logs.dataset import Dataset
+from tests.logs.faulty import columns_of, tank_logs
+
+COLUMNS = "angle=position,command_angle=command angle,command_velocity=command velocity,force_x=force x,force_y=force y"
+
+
+@pytest.fixture(scope="module")
+def authors(tmp_path_factory):
+    """As the paper's authors lay theirs out: logs end to end without a time, test sets beside; here in degrees."""
+    path = tmp_path_factory.mktemp("authors")
+    logs = [columns_of(log) for log in tank_logs(3)]
+
+    def write(name, parts):
+        joined = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+        table = {
+            "command angle": np.degrees(joined["command_angle_rad"]),
+            "command velocity": np.degrees(joined["command_velocity_rad_s"]),
+            "position": np.degrees(joined["angle_rad"]),
+            "force x": joined["force_y_n"],
+            "force y": joined["force_x_n"],
+        }
+        pyarrow.csv.write_csv(pa.table(table), path / name)
+
+    write("final_dataset.csv", logs[:2])
+    write("test_1.csv", logs[2:])
+    return path
+
+
+def softfin(*words) -> int:
+    try:
+        main([str(word) for word in words])
+    except SystemExit as stop:
+        return int(stop.code or 0)
+    return 0
+
+
+def options(*more):
+    return ["--columns", COLUMNS, "--rate", "100", "--rows-per-log", "6000", *more]
+
+
+def test_inspect_says_what_is_wrong_and_how_to_get_out_of_it(authors, capsys):
+    assert softfin("inspect", authors, *options()) == 0
+    text = capsys.readouterr().out
+    assert "2 + 1 logs, 18,000 rows at 100 Hz, 3.0 minutes" in text
+    assert "degrees, not rad" in text
+    assert "-> --angles deg" in text
+    assert "-> --force=y,x" in text
+    assert "errors stop fit and import-logs, unless --accept" in text
+
+
+def test_inspect_writes_json_and_a_figure(authors, tmp_path, capsys):
+    assert softfin("inspect", authors, *options("--json", "--out", tmp_path / "i")) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed == json.loads((tmp_path / "i" / "inspection.json").read_text())
+    assert {one["name"] for one in printed["findings"]} == {"degrees", "force axes", "velocity derived"}
+    assert printed["options"]["rows_per_log"] == 6000
+    assert softfin("inspect", authors, *options("--out", tmp_path / "i")) == 2
+    assert softfin("inspect", authors, *options("--out", tmp_path / "i", "--overwrite")) == 0
+
+
+def test_what_cannot_be_read_is_exit_code_2_in_one_line(authors, tmp_path, capsys):
+    assert softfin("inspect", authors) == 2
+    assert "say it: --columns 'command_angle=command angle" in capsys.readouterr().err
+    assert softfin("inspect", tmp_path / "nowhere") == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_import_refuses_errors_and_writes_nothing(authors, tmp_path, capsys):
+    assert softfin("import-logs", authors, *options("--out", tmp_path / "d")) == 2
+    message = capsys.readouterr().err.splitlines()[-1]
+    assert "degrees, not rad; --angles deg; and 1 more" in message
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_import_takes_them_as_they_are_when_accepted(authors, tmp_path):
+    assert softfin("import-logs", authors, *options("--out", tmp_path / "d", "--accept")) == 0
+    data = Dataset.open(tmp_path / "d")
+    (log,) = data.load(data.test)
+    assert np.abs(log.reading.angle).max() > 10
+    assert data.description["accepted"] is True
+    assert data.description["findings"][0]["name"] == "degrees"
+
+
+def test_import_writes_a_dataset_that_says_what_was_done(authors, tmp_path, capsys):
+    right = options("--angles", "deg", "--force", "y,x", "--out", tmp_path / "d")
+    assert softfin("import-logs", authors, *right) == 0
+    assert "2 + 1 logs, 18,000 rows; 0 errors, 0 warnings, 1 note" in capsys.readouterr().out
+    data = Dataset.open(tmp_path / "d")
+    log, _ = data.load(data.train)
+    original = tank_logs()[0]
+    np.testing.assert_allclose(log.reading.angle, original.reading.angle, atol=1e-5)
+    np.testing.assert_allclose(log.reading.force, original.reading.force, atol=1e-5)
+    np.testing.assert_allclose(log.command.velocity, original.command.velocity, atol=1e-4)
+    assert data.description["imported_from"]["files"] == ["final_dataset.csv", "test_1.csv"]
+    assert data.description["options"]["force"] == "y,x"
+    assert data.description["logs"][1]["log"] == "final_dataset.csv rows 6000..11999"
+    assert softfin("inspect", tmp_path / "d") == 0
+    assert "0 errors, 0 warnings, 0 notes" in capsys.readouterr().out
+    assert softfin("import-logs", authors, *right) == 2
+    assert "exists already" in capsys.readouterr().err
+
+
+def test_a_frame_that_begins_with_a_minus_is_taken_as_it_is_printed(authors, capsys):
+    assert softfin("inspect", authors, *options("--angles", "deg", "--force=-x,y")) == 0
+    assert "-> --force=y,x" in capsys.readouterr().out

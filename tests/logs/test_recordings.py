@@ -1,0 +1,120 @@
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pytest
+
+from softfin.errors import ArtifactError, ConfigurationError, LogError
+from softfin.logs.dataset import Dataset, write_dataset
+from softfin.logs.findings import Finding, Place, check_accepted
+from softfin.logs.importing import ImportConfig
+from softfin.logs.recordings import open_logs
+from tests.logs.bags import topics_of, write_bag
+from tests.logs.faulty import columns_of, cut, tank_logs, write_parquet
+
+
+@pytest.fixture(scope="module")
+def logs():
+    return [cut(log, 0, 2000) for log in tank_logs(3)]
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory, logs):
+    path = tmp_path_factory.mktemp("data") / "dataset"
+    write_dataset(path, logs[:2], logs[2:], {})
+    return path
+
+
+def folder_of(path, logs):
+    path.mkdir()
+    for index, log in enumerate(logs[:2]):
+        pyarrow.csv.write_csv(pa.table(columns_of(log)), path / f"run{index}.csv")
+    write_parquet(path / "Test_a.parquet", columns_of(logs[2]))
+    write_bag(path / "test" / "bag", topics_of(columns_of(logs[2])))
+    (path / "notes.md").write_text("a calm day")
+    (path / ".hidden.csv").write_text("")
+    return path
+
+
+def test_a_dataset_opens_as_it_is_and_keeps_its_hash(dataset, logs):
+    opened = open_logs(dataset)
+    assert opened.findings == []
+    assert [one.name for one in opened.logs] == ["train/0000.parquet", "train/0001.parquet", "test/000.parquet"]
+    assert opened.data_hash == Dataset.open(dataset).data_hash
+    np.testing.assert_array_equal(opened.train[1].reading.force, logs[1].reading.force)
+    assert len(opened.test) == 1
+
+
+def test_a_dataset_that_was_changed_is_refused_as_ever(tmp_path, logs):
+    write_dataset(tmp_path / "d", logs[:1], [], {})
+    write_parquet(tmp_path / "d" / "train" / "0000.parquet", columns_of(logs[1]))
+    with pytest.raises(ArtifactError, match="truncated or changed"):
+        open_logs(tmp_path / "d")
+
+
+def test_faulty_files_put_into_a_dataset_are_findings_not_the_first_error(tmp_path, logs):
+    for index, log in enumerate(logs[:2]):
+        columns = columns_of(log)
+        columns["force_x_n"][5 + index] = np.nan
+        write_parquet(tmp_path / "train" / f"{index}.parquet", columns)
+    (tmp_path / "dataset.json").write_text("{}")
+    findings = open_logs(tmp_path).findings
+    assert findings[0].name == "not a number"
+    assert findings[0].logs == ("train/0.parquet", "train/1.parquet")
+
+
+def test_a_folder_of_all_kinds_opens_as_one_set_of_logs(tmp_path, logs):
+    opened = open_logs(folder_of(tmp_path / "all", logs))
+    assert [(one.name, one.part) for one in opened.logs] == [
+        ("Test_a.parquet", "test"), ("run0.csv", "train"), ("run1.csv", "train"), ("test/bag", "test"),
+    ]  # fmt: skip
+    assert not [one for one in opened.findings if one.severity != "note"]
+    assert "1 files are no CSV" in next(one.sentence for one in opened.findings if one.name == "other files")
+    np.testing.assert_allclose(opened.train[0].reading.angle, logs[0].reading.angle, atol=1e-6)
+    assert opened.facts["imported_from"]["files"] == ["Test_a.parquet", "run0.csv", "run1.csv", "test/bag"]
+    assert opened.facts["logs"][0] == {"log": "Test_a.parquet", "part": "test", "rows": 2000}
+
+
+def test_one_file_is_enough(tmp_path, logs):
+    path = folder_of(tmp_path / "all", logs) / "run0.csv"
+    assert [one.name for one in open_logs(path).logs] == ["run0.csv"]
+
+
+def test_test_logs_are_chosen_by_a_pattern(tmp_path, logs):
+    path = folder_of(tmp_path / "all", logs)
+    opened = open_logs(path, ImportConfig(test="run1*"))
+    assert [one.name for one in opened.logs if one.part == "test"] == ["run1.csv"]
+    with pytest.raises(ConfigurationError, match="--test walk: matches none of the files"):
+        open_logs(path, ImportConfig(test="walk"))
+    with pytest.raises(LogError, match="no logs to learn from"):
+        open_logs(path, ImportConfig(test="*"))
+
+
+def test_the_hash_tells_files_and_options_apart(tmp_path, logs):
+    path = folder_of(tmp_path / "all", logs)
+    plain = open_logs(path).data_hash
+    assert plain == open_logs(path).data_hash
+    assert plain != open_logs(path, ImportConfig(force="x,-y")).data_hash
+    (path / "run1.csv").rename(path / "run2.csv")
+    assert plain != open_logs(path).data_hash
+
+
+def test_nothing_to_read_is_refused(tmp_path):
+    with pytest.raises(LogError, match="holds no recordings"):
+        open_logs(tmp_path)
+    with pytest.raises(LogError, match="no such file or folder"):
+        open_logs(tmp_path / "nowhere")
+
+
+def test_errors_stop_unless_they_are_accepted_and_warnings_do_not():
+    def finding(severity, name):
+        return Finding(severity, name, Place("run.csv", "angle", 7), "spans -90 .. 90: degrees", "--angles deg")
+
+    check_accepted([finding("warning", "a"), finding("note", "b")], "runs")
+    errors = [finding("error", "a"), finding("error", "b"), finding("error", "c")]
+    check_accepted(errors, "runs", accept=True)
+    with pytest.raises(LogError) as error:
+        check_accepted(errors, "runs")
+    message = str(error.value)
+    assert message.startswith("runs: run.csv, row 7, column angle: spans -90 .. 90: degrees; --angles deg")
+    assert "2 more" in message
+    assert "--accept" in message
