@@ -19,6 +19,7 @@ from softfin.checkpoint import LOG, read_log
 from softfin.configuration import Configuration
 from softfin.errors import ArtifactError
 from softfin.evaluation.curves import learning_figure, prediction_figure
+from softfin.evaluation.doubt import Doubt
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, write_evaluation
 from softfin.evaluation.figures import experiments_figure
 from softfin.evaluation.report import write_report
@@ -238,7 +239,9 @@ def _together(each: list[Evaluation]) -> Evaluation:
     """One evaluation whose repetitions are the controllers, each the mean of its own; the recording is the first's."""
     means = [[field.mean(axis=1) for field in e.scores] for e in each]
     scores = Scores(*(np.stack(fields, axis=1) for fields in zip(*means, strict=True)))
-    return Evaluation(each[0].config, scores, len(each), each[0].recording)
+    doubts = [e.doubt for e in each if e.doubt is not None]
+    doubt = Doubt(*(np.mean(fields, axis=0) for fields in zip(*doubts, strict=True))) if doubts else None
+    return Evaluation(each[0].config, scores, len(each), each[0].recording, doubt)
 
 
 def _curve(log: list[dict[str, Any]], seed: int, names: tuple[str, ...]) -> tuple[list[int], list[float]]:

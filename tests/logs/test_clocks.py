@@ -64,7 +64,7 @@ def test_a_short_gap_is_bridged_by_interpolation_and_counted():
     (log,), findings = logs(rows_of(one, np.r_[0:400, 403:1000]))
     assert len(log.log.reading.time) == 1000
     assert kinds(findings) == ["short gaps"]
-    assert "1 gaps of up to 40 ms" in findings[0].sentence
+    assert "1 gap of up to 40 ms" in findings[0].sentence
     angle = one.channels["angle"]
     np.testing.assert_allclose(log.log.reading.angle[401], angle[399] + (angle[403] - angle[399]) / 2, atol=1e-6)
     np.testing.assert_allclose(log.log.reading.angle[600:], angle[600:], atol=1e-6)
@@ -75,7 +75,7 @@ def test_a_short_gap_is_bridged_by_interpolation_and_counted():
 def test_pieces_that_are_too_short_are_left_out_and_counted():
     pieces, findings = logs(rows_of(track(), np.r_[0:400, 430:500, 530:1000]))
     assert [len(piece.log.reading.time) for piece in pieces] == [400, 470]
-    assert "1 pieces between gaps are shorter than 2 s and left out: 0.69 s" in findings[-1].sentence
+    assert "1 piece between gaps, shorter than 2 s, left out: 0.69 s" in findings[-1].sentence
     assert len(logs(rows_of(track(), np.r_[0:400, 430:500, 530:1000]), shortest_s=0.5)[0]) == 3
 
 

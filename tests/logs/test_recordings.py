@@ -68,7 +68,7 @@ def test_a_folder_of_all_kinds_opens_as_one_set_of_logs(tmp_path, logs):
         ("Test_a.parquet", "test"), ("run0.csv", "train"), ("run1.csv", "train"), ("test/bag", "test"),
     ]  # fmt: skip
     assert not [one for one in opened.findings if one.severity != "note"]
-    assert "1 files are no CSV" in next(one.sentence for one in opened.findings if one.name == "other files")
+    assert "1 file not read" in next(one.sentence for one in opened.findings if one.name == "other files")
     np.testing.assert_allclose(opened.train[0].reading.angle, logs[0].reading.angle, atol=1e-6)
     assert opened.facts["imported_from"]["files"] == ["Test_a.parquet", "run0.csv", "run1.csv", "test/bag"]
     assert opened.facts["logs"][0] == {"log": "Test_a.parquet", "part": "test", "rows": 2000}

@@ -56,6 +56,12 @@ def test_delimiters_and_a_byte_order_mark_are_understood(tmp_path, columns, deli
     assert recording.findings == ()
 
 
+def test_a_quoted_name_may_hold_the_delimiter(tmp_path, columns):
+    write_csv(tmp_path / "a.csv", columns | {"forces, x and y": columns["time_s"]})
+    (recording,) = read(tmp_path / "a.csv")
+    assert "'forces, x and y'" in recording.findings[0].sentence
+
+
 def test_logs_end_to_end_are_parted_by_their_rows(tmp_path, columns):
     write_csv(tmp_path / "final.csv", authors(columns))
     recordings = read(tmp_path / "final.csv", columns=MAPPED, rate_hz=100, rows_per_log=2500)

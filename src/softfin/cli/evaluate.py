@@ -38,7 +38,8 @@ class Arguments(Configured):
             EvaluateConfig(), references=references, seconds=self.seconds, seeds=self.seeds, seed=self.seed
         )
         summary = stages.evaluate(self.controller, self.plant, Path(self.out), config, overwrite=self.overwrite)
-        self.tell(summary, table_two({stages.kind_of(self.controller): summary}))
+        table = table_two({stages.kind_of(self.controller): summary})
+        self.tell(summary, table if summary["warning"] is None else f"{table}\nwarning: {summary['warning']}")
 
 
 def force(text: str) -> tuple[float, float]:

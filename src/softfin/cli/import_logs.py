@@ -8,6 +8,7 @@ import tyro
 from softfin import stages
 from softfin.cli.common import Common, Out, progress
 from softfin.cli.log_options import LogOptions
+from softfin.logs.findings import counted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +30,7 @@ class Arguments(Common, LogOptions):
                 accept=self.accept, overwrite=self.overwrite, progress=report,
             )  # fmt: skip
         summary = inspection.summary()
-        counts = ", ".join(f"{count} {kind}{'s' * (count != 1)}" for kind, count in summary["counts"].items())
+        counts = ", ".join(counted(count, kind) for kind, count in summary["counts"].items())
         result = {"dataset": str(self.out), **summary, "data_hash": data.data_hash}
         self.tell(
             result,

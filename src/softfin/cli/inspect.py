@@ -11,6 +11,7 @@ import tyro
 from softfin import stages
 from softfin.cli.common import Common, progress
 from softfin.cli.log_options import LogOptions
+from softfin.logs.findings import counted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +49,7 @@ def table(result: Mapping[str, Any]) -> str:
         lines += [_head(finding), *_indented(finding["finding"])]
         lines += _indented(f"-> {finding['remedy']}") if finding["remedy"] else []
     counts = summary["counts"]
-    lines.append(", ".join(f"{count} {kind}{'s' * (count != 1)}" for kind, count in counts.items()))
+    lines.append(", ".join(counted(count, kind) for kind, count in counts.items()))
     if counts["error"]:
         lines.append("errors stop fit and import-logs, unless --accept")
     return "\n".join(lines)
@@ -61,7 +62,7 @@ def _head(finding: Mapping[str, Any]) -> str:
         finding["column"] or "",
     ]
     others = len(finding["logs"]) - 1
-    more = f" (and {others} more log{'s' * (others != 1)})" if others else ""
+    more = f" (and {counted(others, 'more log')})" if others else ""
     return f"{finding['severity']:8} {finding['name']:16} {', '.join(filter(None, place))}{more}"
 
 

@@ -15,6 +15,7 @@ from softfin import artifacts
 from softfin.configuration import Configuration
 from softfin.control.controller import Controller
 from softfin.errors import PlantError
+from softfin.evaluation.doubt import Doubt, doubt
 from softfin.evaluation.experiment import Recording, run
 from softfin.evaluation.figures import experiments_figure
 from softfin.evaluation.paper import REFERENCES
@@ -51,6 +52,8 @@ class Evaluation:
     """Independent ones: a plant without randomness does the same at every seed, so it is run as often as it differs."""
     recording: Recording
     """Of the first seed alone: fields ``(references, 1, ticks)``, as NumPy arrays."""
+    doubt: Doubt | None = None
+    """What a surrogate knows of its own errors; None of a plant that is none, or knows nothing."""
 
     def summary(self) -> dict[str, Any]:
         """Conditions, scores by reference and their mean; the first part of what `write_evaluation` writes."""
@@ -73,10 +76,12 @@ class Evaluation:
                     "reference_n": list(reference),
                     **_row(Scores(*(field[i] for field in self.scores))),
                     "still": still[i],
+                    **({} if self.doubt is None else {"surrogate": self.doubt.described(i)}),
                 }
                 for i, reference in enumerate(self.config.references)
             ],
             "mean": _row(Scores(*(field.mean(axis=0) for field in self.scores))),
+            "warning": None if self.doubt is None else self.doubt.warning(),
         }
 
 
@@ -91,7 +96,8 @@ def evaluate(controller: Controller, plant: Plant, config: EvaluateConfig) -> Ev
     scores, repetitions = score(recording), config.seeds
     if _alike(recording):
         scores, repetitions = Scores(*(field[:, :1] for field in scores)), 1
-    return Evaluation(config, scores, repetitions, Recording(np.asarray(recording.reference), *first))
+    kept = Recording(np.asarray(recording.reference), *first)
+    return Evaluation(config, scores, repetitions, kept, doubt(plant, kept))
 
 
 def _alike(recording: Recording) -> bool:
@@ -111,6 +117,9 @@ def write_evaluation(evaluation: Evaluation, out: Path, facts: Mapping[str, Any]
                              intervals of these means, ``error_interval_n``, ... as [low, high], null for a single seed;
                              ``command_travel_rad_s``, ``shaft_travel_rad_s``: path of target angle and shaft a second;
                              ``still``: whether the shaft rests in the second half of the experiment, at every seed
+    ``surrogate``            in each of these, where the plant is a surrogate that knows its errors: ``beyond_data``,
+                             the share of samples beyond its data, ``furthest``, the greatest distance (1: their edge),
+                             ``half_width_x_n``, ``y``: of the 90% interval of its mean force [N]; ``warning`` in words
     ``mean``                 the same over all references, the intervals again over the seeds
     ``provenance``           versions, git commit, time
     ======================== ========================================================================================

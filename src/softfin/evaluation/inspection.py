@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from softfin import artifacts
 from softfin.evaluation.style import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, render, styled
 from softfin.logs.alignment import COMMAND_LAG_MS, FORCE_LAG_MS
-from softfin.logs.findings import Finding
+from softfin.logs.findings import Finding, counted
 from softfin.logs.importing import FORCE_FRAMES
 from softfin.logs.inspection import Inspection
 from softfin.logs.recording import NamedLog
@@ -94,11 +94,15 @@ def _draw_trace(above: Axes, below: Axes, findings: Sequence[Finding], logs: Seq
 def _list_findings(axes: Axes, inspection: Inspection) -> None:
     axes.set_axis_off()
     counts = inspection.summary()["counts"]
-    axes.set_title(", ".join(f"{count} {kind}{'s' * (count != 1)}" for kind, count in counts.items()), weight="bold")
+    axes.set_title(", ".join(counted(count, kind) for kind, count in counts.items()), weight="bold")
     lines = []
     for finding in inspection.findings[:SHOWN_FINDINGS]:
-        more = "" if len(finding.logs) < 2 else f" (in {len(finding.logs)} logs)"
-        text = f"{finding.severity}, {finding.name}{more}: {finding.sentence}"
+        place = [
+            finding.place.column or "",
+            f"{len(finding.logs)} logs" if len(finding.logs) > 1 else finding.place.log,
+        ]
+        where = ", ".join(filter(None, place))
+        text = f"{finding.severity}, {finding.name} ({where}): {finding.sentence}"
         lines += ["", _wrapped(text), *([_wrapped(f"\N{RIGHTWARDS ARROW} {finding.remedy}")] if finding.remedy else [])]
     if len(inspection.findings) > SHOWN_FINDINGS:
         lines.append(f"\nand {len(inspection.findings) - SHOWN_FINDINGS} more in inspection.json")

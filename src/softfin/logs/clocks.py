@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from softfin.errors import LogError
-from softfin.logs.findings import Finding, Place
+from softfin.logs.findings import Finding, Place, counted
 from softfin.logs.importing import ImportConfig
 from softfin.logs.parquet import RATE_TOLERANCE
 from softfin.logs.recording import Channels, NamedLog, Recording, Track
@@ -152,13 +152,13 @@ def _pieces(tracks: list[Track], name: str, config: ImportConfig) -> tuple[list[
     findings = []
     narrow = [b - a for a, b, _ in holes if b - a <= config.gap_s + 1e-9]
     if narrow:
-        sentence = f"{len(narrow):,} gaps of up to {1e3 * max(narrow):.0f} ms, bridged by interpolation"
+        sentence = f"{counted(len(narrow), 'gap')} of up to {1e3 * max(narrow):.0f} ms, bridged by interpolation"
         findings.append(Finding("note", "short gaps", Place(name, "time"), sentence))
     if wide:
         a, b, row = wide[0]
         lost = sum(b - a for a, b, _ in wide)
         sentence = (
-            f"{len(wide):,} gap{'s' * (len(wide) > 1)} over {1e3 * config.gap_s:.0f} ms, the first of {b - a:.3f} s "
+            f"{counted(len(wide), 'gap')} over {1e3 * config.gap_s:.0f} ms, the first of {b - a:.3f} s "
             f"after {a:.2f} s; {lost:.2f} s are missing: the log is split there"
         )
         remedy = f"record again if much is lost; --gap {1.01 * (b - a):.2g} would bridge the first"
@@ -172,7 +172,7 @@ def _pieces(tracks: list[Track], name: str, config: ImportConfig) -> tuple[list[
     dropped = [piece.end - piece.start for piece in pieces if piece not in whole and piece.end > piece.start]
     if dropped:
         sentence = (
-            f"{len(dropped):,} pieces between gaps are shorter than {config.shortest_s:g} s and left out: "
+            f"{counted(len(dropped), 'piece')} between gaps, shorter than {config.shortest_s:g} s, left out: "
             f"{sum(dropped):.2f} s in all"
         )
         findings.append(Finding("warning", "short piece", Place(name), sentence, "--shortest 1 would keep more"))

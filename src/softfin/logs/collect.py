@@ -1,10 +1,12 @@
-"""Collect a dataset: random commands to a plant, many logs side by side in one compiled program (paper Sec. III-A).
+"""Collect a dataset: commands to a plant, random unless others are given, many logs side by side in one compiled program (paper Sec. III-A).
 
 A plant goes in; a dataset folder comes out, whole or not at all. Log number i of a part draws everything from the key
 ``collect/PART/i``, so it is the same log whatever is simulated beside it.
 """
 
+import functools
 from collections.abc import Callable, Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,7 @@ from softfin import artifacts
 from softfin.configuration import Configuration
 from softfin.errors import ConfigurationError, PlantError
 from softfin.logs.dataset import PARTS, Dataset, write_dataset
-from softfin.logs.excitation import ExcitationConfig
+from softfin.logs.excitation import Commands, ExcitationConfig, excite
 from softfin.logs.side_by_side import simulate
 from softfin.plant import Plant
 from softfin.quantities import RATE_HZ, TICK_S, Log
@@ -49,12 +51,18 @@ def collect(
     test_plant: Plant | Sequence[Plant] | None = None,
     progress: Progress | None = None,
     facts: dict[str, Any] | None = None,
+    commands: Commands | None = None,
+    before: Dataset | None = None,
 ) -> Dataset:
     """Record `plant` into the new dataset folder `out`; `facts`, say what plant it is, go into its ``dataset.json``.
 
     One plant serves all logs; a sequence gives each log its own, such as tanks under different conditions. Plants that
     are pytrees alike but for their arrays run side by side, others one after another. `test_plant` is for the test
-    logs; without it they are recorded from `plant` too, from the first of a sequence.
+    logs; without it they are recorded from `plant` too, from the first of a sequence. `commands` are for the logs to
+    learn from, instead of random ones; test logs are always under random ones.
+
+    `before` is a dataset whose logs are taken over. The new logs are numbered on from them, so that the same seed gives
+    others, but those to learn from stand first: a fit holds out the last ones, and what was held out stays held out.
     """
     train = _one_a_log(plant, config.logs, "plant")
     test = _one_a_log(train[0] if test_plant is None else test_plant, config.test_logs, "test_plant")
@@ -67,17 +75,30 @@ def collect(
         if progress:
             progress(done, all_rows)
 
+    held = (0, 0) if before is None else (len(before.train), len(before.test))
+    random = functools.partial(excite, config=config.excitation)
     described = {
         "configuration": config.model_dump(),
         "plant": type(train[0]).__name__,
         "provenance": artifacts.provenance(seed=config.seed),
     }
+    learning = _record(train, "train", held[0], config, commands or random, report)
+    testing = _record(test, "test", held[1], config, random, report)
+    if before is None:
+        return write_dataset(out, learning, testing, described | (facts or {}))
     return write_dataset(
         out,
-        _record(train, "train", config, report),
-        _record(test, "test", config, report),
-        described | (facts or {}),
+        chain(learning, before.load(before.train)),
+        chain(before.load(before.test), testing),
+        described | {"extends": extension(before)} | (facts or {}),
     )
+
+
+def extension(before: Dataset) -> dict[str, Any]:
+    """What a dataset says of the one that it took over: how many logs, and all that was known of them but the files."""
+    known = {name: value for name, value in before.description.items() if name not in ("files", "data_hash")}
+    counts = {"logs": len(before.train), "test_logs": len(before.test)}
+    return {"dataset": str(before.path), "data_hash": before.data_hash, **counts, "description": known}
 
 
 def _one_a_log(plant: Plant | Sequence[Plant], count: int, name: str) -> list[Plant]:
@@ -88,10 +109,16 @@ def _one_a_log(plant: Plant | Sequence[Plant], count: int, name: str) -> list[Pl
     return list(plant)
 
 
-def _record(plants: list[Plant], part: str, config: CollectConfig, report: Callable[[int], None]) -> Iterator[Log]:
-    keys = [key_of(config.seed, f"collect/{part}/{index}") for index in range(len(plants))]
-    logs = simulate(plants, keys, config.rows, config.excitation, config.batch, report)
-    for index, log in enumerate(logs):
+def _record(
+    plants: list[Plant],
+    part: str,
+    first: int,
+    config: CollectConfig,
+    commands: Commands,
+    report: Callable[[int], None],
+) -> Iterator[Log]:
+    keys = [key_of(config.seed, f"collect/{part}/{first + index}") for index in range(len(plants))]
+    for index, log in enumerate(simulate(plants, keys, config.rows, commands, config.batch, report)):
         yield _checked(log, f"{part}/{index:0{PARTS[part]}d}")
 
 

@@ -3,6 +3,8 @@
 A key goes in, one command a tick comes out; `collect` issues them to a plant.
 """
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 import pydantic
@@ -10,6 +12,9 @@ from jaxtyping import PRNGKeyArray
 
 from softfin.configuration import Configuration
 from softfin.quantities import RATE_HZ, Command, Limits
+
+Commands = Callable[[PRNGKeyArray, int, Limits], Command]
+"""What makes the commands of a log: from a key, so many, within these limits; one command a tick, traceable."""
 
 
 class ExcitationConfig(Configuration):

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from softfin.logs.alignment import SHORTEST_S, motion
-from softfin.logs.findings import Finding, Place, Severity
+from softfin.logs.findings import Finding, Place, Severity, counted
 from softfin.logs.importing import ANGLES
 from softfin.quantities import RATE_HZ, TICK_S, Log
 
@@ -88,8 +88,8 @@ def without_spikes(columns: Columns, name: str) -> tuple[Columns, list[Finding]]
             continue
         severity: Severity = "error" if rows.size > MANY_SPIKES * len(values) else "warning"
         sentence = (
-            f"{rows.size:,} spikes, up to {np.abs(values - calm)[rows].max():.3g} {_unit(channel)} "
-            f"off the samples beside them, where 98% of all lie within {np.ptp(np.percentile(values, [1, 99])):.3g}"
+            f"{counted(rows.size, 'spike')}, up to {np.abs(values - calm)[rows].max():.3g} {_unit(channel)} "
+            f"off the samples beside, where 98% of all lie within {np.ptp(np.percentile(values, [1, 99])):.3g}"
         )
         remedy = "check the cable and the sensor's range; repair these samples in the file, or record again"
         findings.append(Finding(severity, "spikes", Place(name, channel, int(rows[0])), sentence, remedy))
@@ -117,7 +117,7 @@ def jumps(columns: Columns, name: str) -> list[Finding]:
     if not rows.size:
         return []
     height = float(np.abs(np.diff(columns.angle)).max())
-    sentence = f"{rows.size:,} jumps of up to {height:.2f} rad from one sample to the next: logs end to end?"
+    sentence = f"{counted(rows.size, 'jump')} of up to {height:.2f} rad from one sample to the next: logs end to end?"
     remedy = "--rows-per-log 20000, if every log has so many rows; else cut the file at these rows"
     return [Finding("warning", "jumps", Place(name, "angle", int(rows[0])), sentence, remedy)]
 
@@ -143,7 +143,7 @@ def stuck(columns: Columns, name: str) -> list[Finding]:
             value = getattr(columns, channel)[start]
             sentence = (
                 f"stuck at {value:.4g} {_unit(channel)} for {(end - start) * TICK_S:.2f} s while {cause}; "
-                f"{len(runs)} such runs, {sum(b - a for a, b in runs) * TICK_S:.2f} s in all"
+                f"{counted(len(runs), 'such run')}, {sum(b - a for a, b in runs) * TICK_S:.2f} s in all"
             )
             remedy = "check sensor and drive; cut these rows off, or record again"
             findings.append(Finding("error", "stuck", Place(name, channel, start), sentence, remedy))

@@ -52,6 +52,11 @@ class Finding:
         }
 
 
+def counted(number: int, noun: str) -> str:
+    """``1 spike``, ``3 spikes``."""
+    return f"{number:,} {noun}{'s' * (number != 1)}"
+
+
 def merged(findings: Iterable[Finding]) -> list[Finding]:
     """One finding for all that are of a kind and a column, gravest first; the first one speaks for the others."""
     kinds: dict[Any, list[Finding]] = {}

@@ -14,7 +14,7 @@ from softfin import artifacts
 from softfin.errors import ConfigurationError, LogError
 from softfin.logs.clocks import logs_of
 from softfin.logs.dataset import PARTS, Dataset
-from softfin.logs.findings import Finding, Place
+from softfin.logs.findings import Finding, Place, counted
 from softfin.logs.importing import ImportConfig
 from softfin.logs.inspection import Inspection, inspect
 from softfin.logs.recording import NamedLog, Part, Recording
@@ -55,12 +55,12 @@ class Opened:
 def open_logs(path: Path, config: ImportConfig | None = None, progress: Progress | None = None) -> Opened:
     """Read and inspect everything at `path`; raises LogError or ArtifactError where it cannot be read at all."""
     config = config or ImportConfig()
+    # A dataset that changed since it was written is refused before anything is read.
+    dataset = Dataset.open(path) if artifacts.is_kind(path, "dataset") else None
     files = find_recordings(path)
     parts = _parts(path, files, config)
     logs: list[NamedLog] = []
     findings: list[Finding] = []
-    # A dataset that changed since it was written is refused before anything is read.
-    dataset = Dataset.open(path) if artifacts.is_kind(path, "dataset") else None
     for index, file in enumerate(files):
         for recording in _read(file, _name(file, path), parts[file], config):
             some, found = logs_of(recording, config)
@@ -72,7 +72,7 @@ def open_logs(path: Path, config: ImportConfig | None = None, progress: Progress
         raise LogError(f"{path}: no logs to learn from: all of its {len(logs)} are to score on; see --test")
     ignored = 0 if dataset else _ignored(path, files)
     if ignored:
-        text = f"{ignored} files are no CSV, Parquet or ROS 2 bag, and were not read"
+        text = f"{counted(ignored, 'file')} not read: no CSV, Parquet or ROS 2 bag"
         findings.append(Finding("note", "other files", Place(str(path)), text))
 
     def report(done: int, of: int) -> None:

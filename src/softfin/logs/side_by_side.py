@@ -1,4 +1,4 @@
-"""Many plants under random commands at once: one compiled program over the logs, run piece by piece in time."""
+"""Many plants under commands of their own at once: one compiled program over the logs, run piece by piece in time."""
 
 import functools
 import math
@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PRNGKeyArray, PyTree
 
-from softfin.logs.excitation import ExcitationConfig, excite
+from softfin.logs.excitation import Commands
 from softfin.plant import Plant, State, roll
 from softfin.quantities import Command, Limits, Log, Reading
 
@@ -26,7 +26,7 @@ def simulate(
     plants: Sequence[Plant],
     keys: Sequence[PRNGKeyArray],
     rows: int,
-    excitation: ExcitationConfig,
+    commands: Commands,
     batch: int,
     report: Report,
 ) -> Iterator[Log]:
@@ -34,9 +34,9 @@ def simulate(
     fleet = _fleet(plants)
     if fleet is None:
         for plant, key in zip(plants, keys, strict=True):
-            yield from simulate([plant], [key], rows, excitation, 1, report)
+            yield from simulate([plant], [key], rows, commands, 1, report)
         return
-    begin, advance = _programs(fleet, rows, excitation)
+    begin, advance = _programs(fleet, rows, commands)
     count = len(plants)
     batch = math.ceil(count / math.ceil(count / batch)) if count else 0
     for start in range(0, count, batch or 1):
@@ -44,8 +44,8 @@ def simulate(
         index = [i % count for i in range(start, start + batch)]
         wanted = min(batch, count - start)
         arrays = fleet.arrays if fleet.axis is None else _take(fleet.arrays, index)
-        state, commands = begin(arrays, jnp.stack([keys[i] for i in index]))
-        yield from _logs(functools.partial(advance, arrays), state, commands, rows, wanted, report)
+        state, issued = begin(arrays, jnp.stack([keys[i] for i in index]))
+        yield from _logs(functools.partial(advance, arrays), state, issued, rows, wanted, report)
 
 
 class _Fleet(NamedTuple):
@@ -77,16 +77,16 @@ def _take(arrays: PyTree[Any], index: list[int]) -> PyTree[Any]:
     return jax.tree.map(lambda x: x[np.array(index)], arrays)
 
 
-def _programs(fleet: _Fleet, rows: int, excitation: ExcitationConfig) -> tuple[Any, Any]:
+def _programs(fleet: _Fleet, rows: int, commands: Commands) -> tuple[Any, Any]:
     """Compiled over a batch: (arrays, keys) -> (states, all commands); (arrays, states, commands) -> one piece."""
 
     def begin(arrays: PyTree[Any], key: PRNGKeyArray) -> tuple[State, Command]:
         plant = eqx.combine(arrays, fleet.static)
         plant_key, command_key = jax.random.split(key)
-        return plant.init(plant_key), excite(command_key, rows + 1, Limits(*plant.limits), excitation)
+        return plant.init(plant_key), commands(command_key, rows + 1, Limits(*plant.limits))
 
-    def advance(arrays: PyTree[Any], state: State, commands: Command) -> tuple[State, Reading]:
-        return roll(eqx.combine(arrays, fleet.static), state, commands)
+    def advance(arrays: PyTree[Any], state: State, issued: Command) -> tuple[State, Reading]:
+        return roll(eqx.combine(arrays, fleet.static), state, issued)
 
     return (
         jax.jit(jax.vmap(begin, in_axes=(fleet.axis, 0))),

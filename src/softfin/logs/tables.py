@@ -1,6 +1,6 @@
 """Tables on disk, CSV or Parquet with any column names: files in, recordings out."""
 
-import io
+import csv
 from pathlib import Path
 
 import numpy as np
@@ -82,7 +82,7 @@ def _csv_names(path: Path) -> list[str]:
         raise LogError(f"{path}: cannot be read as text ({error}); give a CSV file") from None
     if not line.strip():
         raise LogError(f"{path}: empty: it has no header; the first line must name the columns")
-    names = [name.strip().strip('"') for name in line.strip("\r\n").split(_delimiter(line))]
+    names = [name.strip() for name in next(csv.reader([line], delimiter=_delimiter(line)))]
     if all(_is_number(name) for name in names):
         raise LogError(f"{path}: its first line holds numbers ({line.strip()[:60]}); write the columns' names above it")
     twice = next((name for name in names if names.count(name) > 1), None)
@@ -109,7 +109,7 @@ def _read_csv(path: Path, names: list[str], columns: list[str]) -> pa.Table:
     empty = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", "None", "-"]
     try:
         return pyarrow.csv.read_csv(
-            io.BytesIO(path.read_bytes()),
+            path,
             read_options=pyarrow.csv.ReadOptions(column_names=names, skip_rows=1),
             parse_options=pyarrow.csv.ParseOptions(delimiter=delimiter),
             convert_options=pyarrow.csv.ConvertOptions(

@@ -21,6 +21,8 @@ class Score(NamedTuple):
     """Mean over all whole windows of |moving average - reference| [N]."""
     deviation: Float[Array, "references 2"]
     """Standard deviation of the moving average [N]."""
+    beyond: Float[Array, "references"] | None
+    """Share of the actions that led beyond the training data of a plant that knows its `distance`; None of others."""
 
 
 def score(task: ForceTracking, policy: Policy, references: Float[Array, "references 2"], key: PRNGKeyArray) -> Score:
@@ -29,17 +31,22 @@ def score(task: ForceTracking, policy: Policy, references: Float[Array, "referen
     states = jax.vmap(task.reset)(jax.random.split(key, count), References(references, references))
     memories = jax.tree.map(lambda x: jnp.tile(x, (count, 1)), policy.init())
 
-    def cycle(carry: tuple[Any, Any], _: None) -> tuple[tuple[Any, Any], Float[Array, "references ticks 2"]]:
+    plant: Any = task.plant
+    knows = hasattr(plant, "distance")
+
+    def cycle(carry: tuple[Any, Any], _: None) -> tuple[tuple[Any, Any], tuple[Array, Array]]:
         states, memories = carry
-        forces = []
+        forces, distances = [], []
         for ticks in ACTION_TICKS:
             memories, actions = jax.vmap(policy.act)(memories, jax.vmap(task.observe)(states))
             states, outcome = jax.vmap(partial(task.step, ticks=ticks))(states, actions)
             forces.append(outcome.forces)
-        return (states, memories), jnp.concatenate(forces, axis=1)
+            distances.append(jax.vmap(plant.distance)(states.plant) if knows else jnp.zeros(count))
+        return (states, memories), (jnp.concatenate(forces, axis=1), jnp.stack(distances))
 
     cycles = task.config.episode_actions // len(ACTION_TICKS)
-    _, forces = jax.lax.scan(cycle, (states, memories), None, cycles)
+    _, (forces, distances) = jax.lax.scan(cycle, (states, memories), None, cycles)
     series = jnp.swapaxes(forces, 0, 1).reshape(count, -1, 2)
     average = jax.vmap(partial(moving_average, window=window))(series)
-    return Score(jnp.abs(average - references[:, None]).mean(axis=1), average.std(axis=1))
+    beyond = (distances > 1).mean(axis=(0, 1)) if knows else None
+    return Score(jnp.abs(average - references[:, None]).mean(axis=1), average.std(axis=1), beyond)

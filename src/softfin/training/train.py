@@ -84,7 +84,7 @@ class TrainState(NamedTuple):
     lanes: Lane
     best: Policy
     best_score: Score
-    """(lanes, references, 2) each, of `best`."""
+    """Errors and deviations ``(lanes, references, 2)``, of `best`."""
 
 
 class Trained(NamedTuple):
@@ -169,6 +169,7 @@ class _Run:
 
     def __init__(self, plant: Plant, config: TrainConfig, seeds: tuple[int, ...]) -> None:
         self.config, self.seeds, self.limits = config, seeds, Limits(*map(float, plant.limits))
+        self.knows = hasattr(plant, "distance")
         self.lanes = [(seed, index) for seed in seeds for index in range(len(config.cells))]
         self.arrays, static = eqx.partition(plant, eqx.is_array)
         try:
@@ -184,7 +185,8 @@ class _Run:
         boxes = stack_references([self.config.cells[index] for _, index in self.lanes])
         lanes = self.programs.init(self.arrays, keys, boxes)
         worst = jnp.full(self.references.shape, jnp.inf)
-        return TrainState(lanes, lanes.networks.policy, Score(worst, worst))
+        beyond = worst[..., 0] if self.knows else None
+        return TrainState(lanes, lanes.networks.policy, Score(worst, worst, beyond))
 
     def update(self, lanes: Lane) -> tuple[Lane, Metrics]:
         """One update of every lane."""
@@ -242,8 +244,9 @@ def _scorings(config: TrainConfig) -> set[int]:
 
 
 def _summary(scores: Score) -> Metrics:
-    """Of each lane, the mean error over its references."""
-    return {f"score_{axis}_n": scores.error[..., i].mean(axis=-1) for i, axis in enumerate(AXES)}
+    """Of each lane, the mean error over its references, and how often it left the surrogate's data, where known."""
+    beyond = {} if scores.beyond is None else {"score_beyond_data": scores.beyond.mean(axis=-1)}
+    return {f"score_{axis}_n": scores.error[..., i].mean(axis=-1) for i, axis in enumerate(AXES)} | beyond
 
 
 def _keep_best(state: TrainState, scores: Score) -> TrainState:

@@ -1,0 +1,64 @@
+"""Streaming surrogate against the paper's: FLOPs a tick, and task steps a second at a batch of 256, no learning.
+
+Random weights: speed does not depend on their values. The streaming ensemble has its default size and is counted whole.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from benchmarks.measure import entry, interleaved, matmul
+from benchmarks.nets import RANGES
+from benchmarks.task import TICKS, steps
+from softfin.quantities import PAPER_LIMITS
+from softfin.surrogate import StreamingConfig, StreamingSurrogate, Surrogate
+from softfin.surrogate.forcenet import FORCENET
+from softfin.surrogate.network import Network
+from softfin.surrogate.posnet import POSNET
+from softfin.surrogate.scaling import ChannelScaling, Scaling
+from softfin.surrogate.streaming.force import Motion, Scales
+from softfin.surrogate.streaming.member import ensemble, single
+from softfin.surrogate.streaming.profile import ProfileConfig
+from softfin.surrogate.streaming.uncertainty import Familiarity, Interval, remembered
+from softfin.tracking.task import ForceTracking, TaskConfig
+
+BATCH, CYCLES = 256, 8
+
+
+def paper_layout() -> Surrogate:
+    """Table I's nets, as `softfin fit --model paper` makes them."""
+    scaling = Scaling(
+        channels={
+            name: ChannelScaling(scale=0.5 / reach, offset=0.5, data_min=-reach, data_max=reach)
+            for name, reach in RANGES.items()
+        }
+    )
+    first, second = jax.random.split(jax.random.key(0))
+    return Surrogate(Network.create(POSNET, first), Network.create(FORCENET, second), scaling)
+
+
+def streaming_layout() -> StreamingSurrogate:
+    """As `softfin fit` makes it."""
+    config = StreamingConfig()
+    scales = Scales(angle_rad=0.8, velocity_rad_s=2.0, change_rad_s=0.25, force_n=2.2)
+    members = ensemble(config.members, config.drive, config.force, ProfileConfig(), scales, jax.random.key(0))
+    size = remembered(single(members.force).start(Motion(jnp.zeros(()), jnp.zeros(())))).size
+    interval = Interval(coverage=0.9, factor=1.6, floor_n=0.05, windows=1)
+    return StreamingSurrogate(members, PAPER_LIMITS, interval, Familiarity(jnp.zeros(size), jnp.eye(size)))
+
+
+def main() -> list[dict[str, Any]]:
+    paper, streaming = paper_layout(), streaming_layout()
+    product, flops = matmul()
+    calls = [steps(ForceTracking(plant, TaskConfig()), BATCH, CYCLES) for plant in (paper, streaming)]
+    old, new, square = interleaved([*calls, product])
+    rate, actions, ticks = flops / square, 3 * CYCLES * BATCH, CYCLES * BATCH * TICKS
+    return [
+        entry("surrogate, FLOPs a tick, streaming / paper", streaming.flops_per_tick() / paper.flops_per_tick(), "ratio",
+              0.2, at_least=False, streaming=streaming.flops_per_tick(), paper=paper.flops_per_tick()),
+        entry("surrogate, task steps/s at batch 256, streaming / paper", old / new, "ratio", 2,
+              streaming_actions_per_s=actions / new, paper_actions_per_s=actions / old, matmul_gflop_s=rate / 1e9,
+              streaming_share_of_matmul=ticks * streaming.flops_per_tick() / new / rate,
+              paper_share_of_matmul=ticks * paper.flops_per_tick() / old / rate),
+    ]  # fmt: skip

@@ -1,0 +1,84 @@
+"""What each part of the streaming surrogates is worth: the same fit with one thing changed at a time.
+
+    python docs/ablation.py OUT [--dataset DATASET] [--test DATASET] [--minutes 10] [--updates 600]
+
+Prints a table of free-running errors over 30 s, on the test logs of a dataset, as Markdown. Each variant keeps its
+folder in OUT, so a stopped run goes on where it was. Without --dataset one is recorded first.
+"""
+
+import argparse
+from pathlib import Path
+
+from softfin import stages
+from softfin.errors import ArtifactError
+from softfin.evaluation.compare import CompareConfig
+from softfin.logs.collect import CollectConfig
+from softfin.logs.dataset import Dataset, write_dataset
+from softfin.quantities import RATE_HZ
+from softfin.surrogate import StreamingConfig
+
+VARIANTS: dict[str, tuple[str, ...]] = {
+    "as it is": (),
+    "without the mirror": ("drive.mirror=false", "force.mirror=false"),
+    "without the turning frame": ("force.turning=false",),
+    "without both": ("drive.mirror=false", "force.mirror=false", "force.turning=false"),
+    "without the wake": ("force.wake=0",),
+    "without the quasi-steady force": ("force.quasi_steady=false",),
+    "without the drive's profile": ("drive.profile=false",),
+    "fed with measured motion only": ("free_running=[1.0, 1.0]",),
+    "fed with predicted motion only": ("free_running=[0.0, 0.0]",),
+    "with learnt deviations": ("force.heteroscedastic=true",),
+    "8 units": ("force.units=8",),
+    "32 units": ("force.units=32",),
+}
+
+
+def shortened(dataset: Path, minutes: float, out: Path) -> Path:
+    """The first minutes of a dataset's logs, with all of its test logs."""
+    if not (out / "dataset.json").exists():
+        data, left, logs = Dataset.open(dataset), round(minutes * 60 * RATE_HZ), []
+        for log in data.load(data.train):
+            rows = min(left, len(log.reading.time))
+            left -= rows
+            if rows:
+                command, reading = (type(part)(*(x[:rows] for x in part)) for part in log)
+                logs.append(type(log)(command, reading))
+        write_dataset(out, logs, data.load(data.test), {"plant": data.description.get("plant")})
+    return out
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--dataset", type=Path)
+    parser.add_argument("--minutes", type=float, default=10)
+    parser.add_argument("--updates", type=int, default=600)
+    parser.add_argument("--members", type=int, default=2)
+    parser.add_argument("--only", nargs="*", default=list(VARIANTS))
+    words = parser.parse_args()
+    if words.dataset is None:
+        words.dataset = words.out / "recorded"
+        if not (words.dataset / "dataset.json").exists():
+            stages.collect("tank", words.dataset, CollectConfig(logs=max(2, round(words.minutes / 3)), rows=18_000))
+    data = shortened(words.dataset, words.minutes, words.out / f"{words.minutes:g}min")
+    base = (f"members={words.members}", f"drive_updates={words.updates // 2}", f"force_updates={words.updates}")
+    print("| variant | angle RMSE [rad] | force RMSE x, y [N] | mean force, mean error, 95% [N] | FLOPs a tick |")
+    print("| --- | --- | --- | --- | --- |")
+    for name in words.only:
+        folder = words.out / f"{words.minutes:g}min-{name.replace(' ', '-')}"
+        if not (folder / "surrogate.json").exists():
+            try:
+                stages.fit(data, folder, StreamingConfig().changed((*base, *VARIANTS[name])), resume=True)
+            except ArtifactError as error:
+                raise SystemExit(f"{error}") from None
+        found = stages.compare([folder], data, config=CompareConfig(horizons_s=(30.0,)))["groups"][0]
+        row = {key: value["mean"] for key, value in found["horizons"][0].items() if isinstance(value, dict)}
+        print(
+            f"| {name} | {row['angle_rmse_rad']:.4f} | {row['force_x_rmse_n']:.3f}, {row['force_y_rmse_n']:.3f} | "
+            f"{row['mean_force_mae_n']:.3f}, {row['mean_force_p95_n']:.3f} | {found['flops_per_tick']:,} |",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()

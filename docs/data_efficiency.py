@@ -1,0 +1,247 @@
+"""How long to record: free-running error against minutes of tank time, with random and with active excitation.
+
+    python docs/data_efficiency.py RUN                                            # all of it: days on two cores
+    python docs/data_efficiency.py RUN --minutes 2 5 10 --active 5 10 --set members=3 force_updates=800
+
+Every recording, fit and score has a place of its own under RUN and is left out where it is there already: the same
+command goes on after a stop, and sizes, seeds and models can be added one after another. RUN/study.json and the table
+on standard output hold whatever is there by then; --figure draws it. A seed is other logs and other weights.
+"""
+
+import dataclasses
+import json
+import statistics
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import tyro
+
+from softfin import artifacts, stages
+from softfin.evaluation.compare import half_width_of
+from softfin.evaluation.prediction_scores import judge, ranges
+from softfin.evaluation.style import BLACK, BLUE, GREY, ORANGE, new_figure, save, styled
+from softfin.logs.collect import CollectConfig
+from softfin.logs.dataset import Dataset, write_dataset
+from softfin.quantities import RATE_HZ, Log
+from softfin.randomness import key_of
+from softfin.surrogate import FitConfig, StreamingConfig, load_surrogate
+from softfin.surrogate.active import ActiveCollectConfig
+from softfin.surrogate.horizons import free_running, from_rest, places, take
+from softfin.tank import Tank
+
+MINUTE = 60 * RATE_HZ
+"""Rows of a log to learn from."""
+
+HORIZON = 30 * RATE_HZ
+FIRST = 3 * RATE_HZ
+"""Row of a test log that the first stretch begins at: every kind of surrogate is warm by then."""
+
+TEST_SEED = 1_000_000
+"""Far from those of the logs to learn from."""
+
+COLUMNS = {
+    "angle_rmse_rad": ("angle RMSE [mrad]", 1000, 2),
+    "force_x_rmse_n": ("force x RMSE [N]", 1, 3),
+    "force_y_rmse_n": ("force y RMSE [N]", 1, 3),
+    "mean_force_mae_n": ("mean force MAE [N]", 1, 3),
+    "mean_force_p95_n": ("95% within [N]", 1, 3),
+    "coverage": ("inside 90% interval [%]", 100, 1),
+}
+"""Scores in the table: title, factor, digits."""
+
+SETS = {"same": "the same tank", "other": "other conditions"}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Options:
+    """How long to record: free-running error against minutes of tank time."""
+
+    run: tyro.conf.Positional[Path]
+    """Folder of all recordings, fits and scores."""
+    minutes: tuple[int, ...] = (2, 5, 10, 30, 100, 333)
+    """Of random excitation that streaming nets are fitted to."""
+    active: tuple[int, ...] = (5, 10)
+    """Of active excitation, in order; each goes on from the one before, the first from the shortest random one."""
+    paper: tuple[int, ...] = ()
+    """Of random excitation that the paper's nets are fitted to."""
+    seeds: tuple[int, ...] = (0, 1, 2)
+    """Of logs and weights."""
+    set: tuple[str, ...] = ()
+    """Changes of the streaming nets' configuration: path=value."""
+    choice: tuple[str, ...] = ()
+    """Changes of the configuration of the active excitation: path=value, such as active.candidates=16."""
+    choice_name: str = "active"
+    """Under which the active recordings and fits are kept."""
+    logs: Path | None = None
+    """Dataset whose training logs are learnt from, cut into minutes; without it the tank is recorded."""
+    same: Path | None = None
+    """Dataset whose training logs are tested on as those of the same tank; recorded without it."""
+    other: Path | None = None
+    """Dataset whose test logs are tested on as those under other conditions; recorded without it."""
+    figure: Path | None = None
+    """Picture to draw: a .png or .svg."""
+
+
+def main(options: Options) -> None:
+    tests = {"same": test_logs(options, "same"), "other": test_logs(options, "other")}
+    for minutes in options.minutes:
+        for seed in options.seeds:
+            study(options, "random", minutes, seed, tests)
+    for minutes in options.active:
+        for seed in options.seeds:
+            study(options, options.choice_name, minutes, seed, tests)
+    for minutes in options.paper:
+        for seed in options.seeds[:1]:
+            study(options, "paper", minutes, seed, tests)
+    floor(options.run, tests)
+    rows = gathered(options.run)
+    artifacts.write_file(options.run / "study.json", artifacts.dump_json(rows))
+    for name in SETS:
+        sys.stdout.write(table(rows, name) + "\n\n")
+    if options.figure is not None:
+        draw(rows, options.figure)
+
+
+def study(options: Options, kind: str, minutes: int, seed: int, tests: dict[str, list[Log]]) -> None:
+    """Record, fit and score one case, or whatever of it is not there yet."""
+    name = f"{kind}-{minutes:03d}/seed-{seed}"
+    fitted, scores = options.run / "fits" / name, options.run / "scores" / f"{name}.json"
+    if not artifacts.is_kind(fitted, "surrogate"):
+        paper = kind == "paper"
+        logs = learning_logs(options, "random" if paper else kind, minutes, seed)
+        config = FitConfig() if paper else StreamingConfig().changed(options.set)
+        stages.fit(logs, fitted, config, seed=seed, resume=True, progress=told(name))
+    if not scores.exists():
+        surrogate = load_surrogate(fitted)
+        found = {name: scored(surrogate, logs) for name, logs in tests.items()}
+        artifacts.write_file(scores, artifacts.dump_json(found))
+
+
+def learning_logs(options: Options, kind: str, minutes: int, seed: int) -> Path:
+    """A dataset of logs of a minute each; random ones of one seed begin alike, active ones extend each other."""
+    path = options.run / "logs" / f"{kind}-{minutes:03d}" / f"seed-{seed}"
+    if artifacts.is_kind(path, "dataset"):
+        return path
+    if kind != "random":
+        before, chooser = before_active(options, minutes, seed)
+        held = len(Dataset.open(before).train)
+        config = ActiveCollectConfig(logs=minutes - held, test_logs=0, rows=MINUTE, seed=seed).changed(options.choice)
+        stages.collect("tank", path, config, surrogate=chooser, extend=before, progress=told(path.name))
+    elif options.logs is not None:
+        write_dataset(path, pieces(options.logs, minutes, seed), [], {"plant": "tank", "cut_from": str(options.logs)})
+    else:
+        config = CollectConfig(logs=minutes, test_logs=0, rows=MINUTE, seed=seed)
+        stages.collect("tank", path, config, progress=told(path.name))
+    return path
+
+
+def before_active(options: Options, minutes: int, seed: int) -> tuple[Path, Path]:
+    """The logs that an active recording extends, and the ensemble that chooses what comes next."""
+    shorter = [m for m in options.active if m < minutes]
+    name = f"{options.choice_name}-{max(shorter):03d}" if shorter else f"random-{min(options.minutes):03d}"
+    return tuple(options.run / part / name / f"seed-{seed}" for part in ("logs", "fits"))
+
+
+def pieces(folder: Path, minutes: int, seed: int) -> list[Log]:
+    """Minutes of a dataset's training logs; every seed begins elsewhere. What is left of a log is not used."""
+    data = Dataset.open(folder)
+    logs: list[Log] = []
+    count = len(data.train)
+    for index in range(count):
+        (log,) = data.load([data.train[(index + seed * count // 3) % count]])
+        starts = range(0, len(log.reading.time) - MINUTE + 1, MINUTE)
+        logs += [jax.tree.map(lambda x, start=start: x[start : start + MINUTE], log) for start in starts]
+        if len(logs) >= minutes:
+            return logs[:minutes]
+    raise SystemExit(f"{folder}: {len(logs)} minutes, {minutes} are needed; record more, or leave --logs out")
+
+
+def test_logs(options: Options, name: str) -> list[Log]:
+    """Ten of the same tank, three under other conditions, 20,000 rows each, recorded once."""
+    given = {"same": options.same, "other": options.other}[name]
+    path = given or options.run / "logs" / f"test-{name}"
+    if given is None and not artifacts.is_kind(path, "dataset"):
+        counts = {"same": {"logs": 10, "test_logs": 0}, "other": {"logs": 1, "test_logs": 3}}[name]
+        config = CollectConfig(seed=TEST_SEED, **counts)
+        stages.collect("tank", path, config, progress=told(path.name))
+    data = Dataset.open(path)
+    return list(data.load((data.train if name == "same" else data.test)[:10]))
+
+
+def scored(surrogate: Any, logs: Sequence[Log]) -> dict[str, float]:
+    """Left alone for 30 s, again and again."""
+    where = stretches(logs)
+    said, members = free_running(surrogate, logs, where, HORIZON)
+    return judge(take(logs, where, HORIZON), said, ranges(logs), members, half_width_of(surrogate)).scores
+
+
+def floor(run: Path, tests: dict[str, list[Log]]) -> None:
+    """The tank itself, nominal and with other noise and drift, under the commands of the test logs."""
+    path = run / "scores" / "floor-000" / "seed-0.json"
+    if path.exists():
+        return
+    found = {}
+    for name, logs in tests.items():
+        where = stretches(logs)
+        again = take(from_rest(Tank(), logs, key_of(TEST_SEED, "floor")), where, HORIZON)
+        found[name] = judge(take(logs, where, HORIZON), again, ranges(logs)).scores
+    artifacts.write_file(path, artifacts.dump_json(found))
+
+
+def stretches(logs: Sequence[Log]) -> Any:
+    return places([len(log.reading.time) for log in logs], HORIZON, FIRST)
+
+
+def gathered(run: Path) -> list[dict[str, Any]]:
+    """Every case that has scores: mean and standard deviation over its seeds."""
+    rows = []
+    for folder in sorted((run / "scores").iterdir()):
+        kind, minutes = folder.name.rsplit("-", 1)
+        seeds = [json.loads(file.read_text()) for file in sorted(folder.glob("*.json"))]
+        sets = {name: {score: spread([seed[name].get(score) for seed in seeds]) for score in COLUMNS} for name in SETS}
+        rows.append({"kind": kind, "minutes": int(minutes), "seeds": len(seeds), **sets})
+    return rows
+
+
+def spread(values: list[float | None]) -> dict[str, float | None] | None:
+    known = [value for value in values if value is not None]
+    if not known:
+        return None
+    return {"mean": statistics.mean(known), "sd": statistics.stdev(known) if len(known) > 1 else None}
+
+
+def table(rows: Sequence[dict[str, Any]], name: str) -> str:
+    """For a document: a line a case."""
+    titles = [SETS[name], "minutes", "seeds", *(title for title, _, _ in COLUMNS.values())]
+    lines = [titles, ["---"] * len(titles)]
+    for row in rows:
+        cells = [cell(row[name][score], factor, digits) for score, (_, factor, digits) in COLUMNS.items()]
+        lines.append([row["kind"], str(row["minutes"] or "\N{EN DASH}"), str(row["seeds"]), *cells])
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def cell(value: dict[str, float | None] | None, factor: float, digits: int) -> str:
+    if value is None:
+        return "\N{EN DASH}"
+    text = f"{value['mean'] * factor:.{digits}f}"
+    return text if value["sd"] is None else f"{text} \N{PLUS-MINUS SIGN} {value['sd'] * factor:.{digits}f}"
+
+
+def told(name: str) -> Any:
+    """Progress as lines on standard error, one each tenth."""
+    last = -1
+
+    def report(stage: str, done: float, note: str) -> None:
+        nonlocal last
+        if int(done * 10) != last:
+            last = int(done * 10)
+            sys.stderr.write(f"{name}: {stage} {done:.0%} {note}\n")
+
+    return report
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))

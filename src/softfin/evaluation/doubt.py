@@ -1,0 +1,74 @@
+"""How far an evaluation in a surrogate can be trusted: where it left its data, and how wrong its mean force may be.
+
+A surrogate that knows its `distance` and states intervals is run over the recorded commands once more; what others say
+of themselves is nothing.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from softfin.evaluation.experiment import Recording
+from softfin.evaluation.scores import moving_average
+from softfin.plant import Plant, State
+from softfin.quantities import AXES, Command
+
+
+class Doubt(NamedTuple):
+    """Of each reference."""
+
+    beyond: Float[np.ndarray, "references"]
+    """Share of the samples at a distance of more than 1: further than all but 1 of 1000 training moments."""
+    furthest: Float[np.ndarray, "references"]
+    """Greatest distance."""
+    half_width: Float[np.ndarray, "references 2"]
+    """Of the stated interval of the mean force, mean over the windows [N]."""
+
+    def described(self, index: int) -> dict[str, Any]:
+        """Of one reference, for JSON."""
+        return {
+            "beyond_data": float(self.beyond[index]),
+            "furthest": float(self.furthest[index]),
+            **{f"half_width_{axis}_n": float(self.half_width[index, i]) for i, axis in enumerate(AXES)},
+        }
+
+    def warning(self) -> str | None:
+        """In words; None where the data were hardly ever left."""
+        if self.beyond.mean() <= RARELY:
+            return None
+        return (
+            f"{self.beyond.mean():.1%} of the samples lie beyond what the surrogate was fitted to (distance up to "
+            f"{self.furthest.max():.1f}, 1 is its edge): what it says there is extrapolated"
+        )
+
+
+RARELY = 0.01
+"""Share of samples beyond the data that is no reason for a warning: ten times that of the data themselves."""
+
+
+def doubt(plant: Plant, recording: Recording) -> Doubt | None:
+    """From the first repetition of every reference; None of a plant that knows nothing of its errors."""
+    if not hasattr(plant, "distance"):
+        return None
+    commands = Command(*(jnp.asarray(part[:, 0]) for part in recording.command))
+    distance, force = (np.asarray(part) for part in _again(plant, commands))
+    means = np.stack([moving_average(member) for member in np.moveaxis(force, 2, 0)])
+    stated: Any = plant
+    half_width = np.asarray(stated.interval.half_width(means))
+    return Doubt((distance > 1).mean(axis=1), distance.max(axis=1), half_width.mean(axis=1))
+
+
+@eqx.filter_jit
+def _again(plant: Any, commands: Command) -> tuple[Array, Array]:
+    """Distances ``(references, ticks)`` and the members' forces ``(references, ticks, members, 2)``."""
+
+    def tick(state: State, command: Command) -> tuple[State, tuple[Array, Array]]:
+        state, each = plant.advance_members(state, command, 1)
+        return state, (plant.distance(state), each.force[:, 0])
+
+    start = plant.init(jax.random.key(0))
+    return jax.vmap(lambda issued: jax.lax.scan(tick, start, issued)[1])(commands)
