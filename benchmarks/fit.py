@@ -1,5 +1,10 @@
-"""Fitting both nets: samples a second, and the share of the matrix-product rate by counted FLOPs."""
+"""Fitting, of the paper's nets and of streaming ones: samples a second, share of the matrix-product rate by counted FLOPs.
 
+A streaming net goes through its stretches tick by tick, with products of a few dozen rows and columns: that, and the
+functions between them, keep it far from the rate of large products. What counts there is the time of a whole fit.
+"""
+
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -7,9 +12,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.measure import entry, interleaved, matmul
-from softfin.surrogate import FitConfig
+from softfin.quantities import Command
+from softfin.surrogate import FitConfig, StreamingConfig
 from softfin.surrogate.fit import COLUMNS, Learner
 from softfin.surrogate.network import NetworkConfig
+from softfin.surrogate.streaming.force import Motion, Scales
+from softfin.surrogate.streaming.learner import Learner as StreamingLearner
+from softfin.surrogate.streaming.learner import force_loss
+from softfin.surrogate.streaming.member import ensemble, single
+from softfin.surrogate.streaming.profile import LONGEST_DELAY, ProfileConfig
+from softfin.surrogate.streaming.sequences import Table
 
 ROWS, UPDATES = 400_000, 25
 
@@ -35,9 +47,31 @@ def main() -> list[dict[str, Any]]:
     call, square = interleaved(
         [lambda: learner.run((state.nets, state.optimiser), table, batches, jax.random.key(1)), product]
     )
+    streaming, ticks, per_tick = streaming_updates(random)
+    stepped, square_then = interleaved([streaming, product], repeats=3)
     rate, samples = flops / square, UPDATES * config.batch / call
     each = training_flops(config.posnet) + training_flops(config.forcenet)
     return [
         entry("fit, share of the matmul rate", samples * each / rate, "-", 0.5,
-              samples_per_s=samples, flops_per_sample=each, batch=config.batch, matmul_gflop_s=rate / 1e9)
+              samples_per_s=samples, flops_per_sample=each, batch=config.batch, matmul_gflop_s=rate / 1e9),
+        entry("streaming fit, force nets, minutes for all updates", StreamingConfig().force_updates * stepped / 60,
+              "min", 20, at_least=False, member_ticks_per_s=ticks / stepped, flops_per_member_tick=per_tick,
+              share_of_matmul=ticks * per_tick / stepped / (flops / square_then)),
     ]  # fmt: skip
+
+
+def streaming_updates(random: np.random.Generator) -> tuple[Callable[[], Any], int, int]:
+    """A call of one update of the force nets; member-ticks of it, and FLOPs of each: forward, weights, inputs."""
+    config = StreamingConfig()
+    scales = Scales(angle_rad=0.8, velocity_rad_s=2.0, change_rad_s=0.25, force_n=2.2)
+    members = ensemble(config.members, config.drive, config.force, ProfileConfig(), scales, jax.random.key(0))
+    columns = [jnp.asarray(random.normal(size=ROWS), jnp.float32) for _ in range(4)]
+    force = jnp.asarray(random.normal(size=(ROWS, 2)), jnp.float32)
+    starts = jnp.arange(LONGEST_DELAY, ROWS - config.ticks, dtype=jnp.int32)
+    table = Table(Command(*columns[:2]), Motion(*columns[2:]), force, starts)
+    foretold = Motion(*(jnp.tile(column, (config.members, 1)) for column in columns[2:]))
+    learner = StreamingLearner(force_loss(config), config, config.force_updates)
+    state = learner.start(members.force)
+    ticks = config.members * config.batch * config.ticks
+    per_tick = 3 * 2 * single(members).force.products()
+    return lambda: learner.run(state, table, foretold, jnp.int32(0), 1, jax.random.key(1)), ticks, per_tick

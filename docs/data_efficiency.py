@@ -1,6 +1,6 @@
 """How long to record: free-running error against minutes of tank time, with random and with active excitation.
 
-    python docs/data_efficiency.py RUN                                            # all of it: days on two cores
+    python docs/data_efficiency.py RUN                                            # all of it: hours on two cores
     python docs/data_efficiency.py RUN --minutes 2 5 10 --active 5 10 --set members=3 force_updates=800
 
 Every recording, fit and score has a place of its own under RUN and is left out where it is there already: the same
@@ -18,11 +18,12 @@ from typing import Any
 
 import jax
 import tyro
+from matplotlib.ticker import LogLocator
 
 from softfin import artifacts, stages
 from softfin.evaluation.compare import half_width_of
 from softfin.evaluation.prediction_scores import judge, ranges
-from softfin.evaluation.style import BLACK, BLUE, GREY, ORANGE, new_figure, save, styled
+from softfin.evaluation.style import BLACK, BLUE, GREEN, ORANGE, new_figure, save, styled
 from softfin.logs.collect import CollectConfig
 from softfin.logs.dataset import Dataset, write_dataset
 from softfin.quantities import RATE_HZ, Log
@@ -30,7 +31,7 @@ from softfin.randomness import key_of
 from softfin.surrogate import FitConfig, StreamingConfig, load_surrogate
 from softfin.surrogate.active import ActiveCollectConfig
 from softfin.surrogate.horizons import free_running, from_rest, places, take
-from softfin.tank import Tank
+from softfin.tank import SensorConfig, Tank, TankConfig
 
 MINUTE = 60 * RATE_HZ
 """Rows of a log to learn from."""
@@ -52,7 +53,23 @@ COLUMNS = {
 }
 """Scores in the table: title, factor, digits."""
 
-SETS = {"same": "the same tank", "other": "other conditions"}
+KINDS = {"again": "the tank, recorded again", "silent": "the tank, without noise and drift"}
+"""Of the floors, in the table."""
+
+PANELS = {
+    "angle_rmse_rad": ("angle RMSE [mrad]", 1000),
+    "force_y_rmse_n": ("force y RMSE [N]", 1),
+    "mean_force_mae_n": ("mean |error| of the 200-sample mean force [N]", 1),
+}
+SETS = {
+    "silent": "the same tank, without noise and drift",
+    "same": "the same tank",
+    "other": "tanks under other conditions",
+}
+"""What is tested on; the first under the commands of the second: what the fin does, and no sensor adds to."""
+
+LOOKS = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"))
+"""Of the sets: colour, marker."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -64,7 +81,9 @@ class Options:
     minutes: tuple[int, ...] = (2, 5, 10, 30, 100, 333)
     """Of random excitation that streaming nets are fitted to."""
     active: tuple[int, ...] = (5, 10)
-    """Of active excitation, in order; each goes on from the one before, the first from the shortest random one."""
+    """Of active excitation, in order; each goes on from the one before, the first from the random ones of `start`."""
+    start: int = 2
+    """Minutes of random excitation that the active one begins with; their fit chooses first."""
     paper: tuple[int, ...] = ()
     """Of random excitation that the paper's nets are fitted to."""
     seeds: tuple[int, ...] = (0, 1, 2)
@@ -87,6 +106,7 @@ class Options:
 
 def main(options: Options) -> None:
     tests = {"same": test_logs(options, "same"), "other": test_logs(options, "other")}
+    tests["silent"] = without_sensor(options.run, tests["same"])
     for minutes in options.minutes:
         for seed in options.seeds:
             study(options, "random", minutes, seed, tests)
@@ -141,7 +161,7 @@ def learning_logs(options: Options, kind: str, minutes: int, seed: int) -> Path:
 def before_active(options: Options, minutes: int, seed: int) -> tuple[Path, Path]:
     """The logs that an active recording extends, and the ensemble that chooses what comes next."""
     shorter = [m for m in options.active if m < minutes]
-    name = f"{options.choice_name}-{max(shorter):03d}" if shorter else f"random-{min(options.minutes):03d}"
+    name = f"{options.choice_name}-{max(shorter):03d}" if shorter else f"random-{options.start:03d}"
     return tuple(options.run / part / name / f"seed-{seed}" for part in ("logs", "fits"))
 
 
@@ -179,16 +199,37 @@ def scored(surrogate: Any, logs: Sequence[Log]) -> dict[str, float]:
 
 
 def floor(run: Path, tests: dict[str, list[Log]]) -> None:
-    """The tank itself, nominal and with other noise and drift, under the commands of the test logs."""
-    path = run / "scores" / "floor-000" / "seed-0.json"
-    if path.exists():
-        return
-    found = {}
-    for name, logs in tests.items():
-        where = stretches(logs)
-        again = take(from_rest(Tank(), logs, key_of(TEST_SEED, "floor")), where, HORIZON)
-        found[name] = judge(take(logs, where, HORIZON), again, ranges(logs)).scores
-    artifacts.write_file(path, artifacts.dump_json(found))
+    """The tank itself under the commands of the test logs, with other noise and drift, and with none."""
+    for kind, plant in {"again": Tank(), "silent": silent()}.items():
+        path = run / "scores" / f"{kind}-000" / "seed-0.json"
+        if path.exists():
+            continue
+        found = {}
+        for name, logs in tests.items():
+            where = stretches(logs)
+            second = take(again(plant, logs), where, HORIZON)
+            found[name] = judge(take(logs, where, HORIZON), second.reading, ranges(logs)).scores
+        artifacts.write_file(path, artifacts.dump_json(found))
+
+
+def without_sensor(run: Path, logs: Sequence[Log]) -> list[Log]:
+    """What the fin did in these logs, but for noise and drift."""
+    path = run / "logs" / "test-silent"
+    if not artifacts.is_kind(path, "dataset"):
+        write_dataset(path, again(silent(), logs), [], {"plant": "tank"})
+    data = Dataset.open(path)
+    return list(data.load(data.train))
+
+
+def again(plant: Tank, logs: Sequence[Log]) -> list[Log]:
+    """The same commands once more, from rest."""
+    readings = from_rest(plant, logs, key_of(TEST_SEED, "again"))
+    return [Log(log.command, reading) for log, reading in zip(logs, readings, strict=True)]
+
+
+def silent() -> Tank:
+    """The tank with a sensor that neither is noisy nor drifts."""
+    return Tank(TankConfig(sensor=SensorConfig(noise_n=0.0, drift_n=0.0, resolution_n=0.0)))
 
 
 def stretches(logs: Sequence[Log]) -> Any:
@@ -196,14 +237,14 @@ def stretches(logs: Sequence[Log]) -> Any:
 
 
 def gathered(run: Path) -> list[dict[str, Any]]:
-    """Every case that has scores: mean and standard deviation over its seeds."""
+    """Every case that has scores: mean and standard deviation over its seeds; the floors last."""
     rows = []
     for folder in sorted((run / "scores").iterdir()):
         kind, minutes = folder.name.rsplit("-", 1)
         seeds = [json.loads(file.read_text()) for file in sorted(folder.glob("*.json"))]
         sets = {name: {score: spread([seed[name].get(score) for seed in seeds]) for score in COLUMNS} for name in SETS}
         rows.append({"kind": kind, "minutes": int(minutes), "seeds": len(seeds), **sets})
-    return rows
+    return sorted(rows, key=lambda row: (row["kind"] in KINDS, row["kind"] != "random", row["kind"], row["minutes"]))
 
 
 def spread(values: list[float | None]) -> dict[str, float | None] | None:
@@ -215,11 +256,13 @@ def spread(values: list[float | None]) -> dict[str, float | None] | None:
 
 def table(rows: Sequence[dict[str, Any]], name: str) -> str:
     """For a document: a line a case."""
-    titles = [SETS[name], "minutes", "seeds", *(title for title, _, _ in COLUMNS.values())]
+    titles = [f"on {SETS[name]}", "minutes", "seeds", *(title for title, _, _ in COLUMNS.values())]
     lines = [titles, ["---"] * len(titles)]
     for row in rows:
         cells = [cell(row[name][score], factor, digits) for score, (_, factor, digits) in COLUMNS.items()]
-        lines.append([row["kind"], str(row["minutes"] or "\N{EN DASH}"), str(row["seeds"]), *cells])
+        lines.append(
+            [KINDS.get(row["kind"], row["kind"]), str(row["minutes"] or "\N{EN DASH}"), str(row["seeds"]), *cells]
+        )
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
@@ -228,6 +271,40 @@ def cell(value: dict[str, float | None] | None, factor: float, digits: int) -> s
         return "\N{EN DASH}"
     text = f"{value['mean'] * factor:.{digits}f}"
     return text if value["sd"] is None else f"{text} \N{PLUS-MINUS SIGN} {value['sd'] * factor:.{digits}f}"
+
+
+def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
+    """Errors over minutes, both axes logarithmic; bars: a standard deviation over the seeds, either way."""
+    with styled():
+        figure = new_figure(10.5, 3.4)
+        panels: Any = figure.subplots(1, len(PANELS))
+        for axes, (score, (title, factor)) in zip(panels, PANELS.items(), strict=True):
+            for (name, label), (colour, marker) in zip(SETS.items(), LOOKS, strict=True):
+                look = {"color": colour, "marker": marker, "markersize": 4, "capsize": 2}
+                curve(axes, [row for row in rows if row["kind"] == "random"], name, score, factor, label=label, **look)
+                level = next((row[name][score]["mean"] for row in rows if row["kind"] == "silent"), 0.0)
+                # The tank itself has no error where nothing is added to it.
+                if level > 0:
+                    axes.axhline(level * factor, color=colour, linestyle=":", linewidth=1.2)
+            chosen = [row for row in rows if row["kind"] == "active"]
+            look = {"color": BLACK, "marker": "x", "markersize": 6, "capsize": 2, "linestyle": "--"}
+            curve(axes, chosen, "silent", score, factor, label=f"active, {SETS['silent']}", **look)
+            axes.set(title=title, xlabel="tank time [min]", xscale="log", yscale="log")
+            minutes = sorted({row["minutes"] for row in rows if row["minutes"]})
+            axes.set_xticks(minutes, [str(minute) for minute in minutes])
+            axes.minorticks_off()
+            axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            axes.yaxis.set_major_formatter("{x:g}")
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    save(figure, path)
+
+
+def curve(axes: Any, rows: Sequence[dict[str, Any]], name: str, score: str, factor: float, **look: Any) -> None:
+    rows = sorted(rows, key=lambda row: row["minutes"])
+    means = [row[name][score]["mean"] * factor for row in rows]
+    deviations = [(row[name][score]["sd"] or 0.0) * factor for row in rows]
+    axes.errorbar([row["minutes"] for row in rows], means, deviations, **look)
 
 
 def told(name: str) -> Any:

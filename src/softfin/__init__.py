@@ -21,14 +21,34 @@ if TYPE_CHECKING:
     from softfin import testing
     from softfin.calibration.config import CalibrateConfig
     from softfin.control.store import load_controller
+    from softfin.evaluation.compare import CompareConfig
     from softfin.evaluation.evaluate import EvaluateConfig
     from softfin.logs.collect import CollectConfig
     from softfin.logs.dataset import Dataset
+    from softfin.logs.importing import ImportConfig
     from softfin.plants import find_plant
     from softfin.quantities import Command, Limits, Log, Reading
     from softfin.reproduction import PRESETS, ReproduceConfig, reproduce
-    from softfin.stages import calibrate, collect, evaluate, fit, import_keras, train, view
-    from softfin.surrogate import FitConfig, Surrogate, load_surrogate
+    from softfin.stages import (
+        calibrate,
+        collect,
+        compare,
+        evaluate,
+        fit,
+        import_keras,
+        import_logs,
+        inspect_logs,
+        train,
+        view,
+    )
+    from softfin.surrogate import (
+        AutoConfig,
+        FitConfig,
+        StreamingConfig,
+        StreamingSurrogate,
+        Surrogate,
+        load_surrogate,
+    )
     from softfin.tank import Tank, TankConfig
     from softfin.training.train import GRID, SINGLE, TrainConfig
     from softfin.viewing import ViewConfig
@@ -37,16 +57,21 @@ __all__ = [
     "GRID",
     "PRESETS",
     "SINGLE",
+    "AutoConfig",
     "CalibrateConfig",
     "CollectConfig",
     "Command",
+    "CompareConfig",
     "Dataset",
     "EvaluateConfig",
     "FitConfig",
+    "ImportConfig",
     "Limits",
     "Log",
     "Reading",
     "ReproduceConfig",
+    "StreamingConfig",
+    "StreamingSurrogate",
     "Surrogate",
     "Tank",
     "TankConfig",
@@ -54,10 +79,13 @@ __all__ = [
     "ViewConfig",
     "calibrate",
     "collect",
+    "compare",
     "evaluate",
     "find_plant",
     "fit",
     "import_keras",
+    "import_logs",
+    "inspect_logs",
     "load_controller",
     "load_surrogate",
     "reproduce",
@@ -69,14 +97,34 @@ __all__ = [
 _HOMES = {
     "softfin.calibration.config": ("CalibrateConfig",),
     "softfin.control.store": ("load_controller",),
+    "softfin.evaluation.compare": ("CompareConfig",),
     "softfin.evaluation.evaluate": ("EvaluateConfig",),
     "softfin.logs.collect": ("CollectConfig",),
     "softfin.logs.dataset": ("Dataset",),
+    "softfin.logs.importing": ("ImportConfig",),
     "softfin.plants": ("find_plant",),
     "softfin.quantities": ("Command", "Limits", "Log", "Reading"),
     "softfin.reproduction": ("PRESETS", "ReproduceConfig", "reproduce"),
-    "softfin.stages": ("calibrate", "collect", "evaluate", "fit", "import_keras", "train", "view"),
-    "softfin.surrogate": ("FitConfig", "Surrogate", "load_surrogate"),
+    "softfin.stages": (
+        "calibrate",
+        "collect",
+        "compare",
+        "evaluate",
+        "fit",
+        "import_keras",
+        "import_logs",
+        "inspect_logs",
+        "train",
+        "view",
+    ),
+    "softfin.surrogate": (
+        "AutoConfig",
+        "FitConfig",
+        "StreamingConfig",
+        "StreamingSurrogate",
+        "Surrogate",
+        "load_surrogate",
+    ),
     "softfin.tank": ("Tank", "TankConfig"),
     "softfin.training.train": ("GRID", "SINGLE", "TrainConfig"),
     "softfin.viewing": ("ViewConfig",),

@@ -26,6 +26,8 @@ from softfin.evaluation.inspection import write_inspection
 from softfin.logs.collect import CollectConfig
 from softfin.logs.collect import collect as _collect
 from softfin.logs.dataset import Dataset, write_dataset
+from softfin.logs.excitation import Commands
+from softfin.logs.extension import extended
 from softfin.logs.findings import check_accepted
 from softfin.logs.importing import ImportConfig
 from softfin.logs.inspection import Inspection
@@ -36,6 +38,7 @@ from softfin.quantities import Limits
 from softfin.randomness import key_of
 from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig, Surrogate, save_surrogate
 from softfin.surrogate import import_keras as _import_keras
+from softfin.surrogate.active import ActiveCollectConfig, chooser
 from softfin.surrogate.choice import fit_any
 from softfin.surrogate.fit import check_lengths
 from softfin.surrogate.metrics import SKIPPED, table_one
@@ -56,28 +59,49 @@ TRAINING_LOG = "training"
 def collect(
     plant: str | Plant,
     out: Path,
-    config: CollectConfig | None = None,
+    config: CollectConfig | ActiveCollectConfig | None = None,
     *,
+    surrogate: Path | None = None,
+    extend: Path | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> Dataset:
-    """Record random motions of a plant as a dataset (paper Sec. III-A).
+    """Record motions of a plant as a dataset: random ones (paper Sec. III-A), or those that an ensemble chooses.
 
-    The test logs of the virtual tank are recorded in tanks under other conditions; other plants differ by seed alone.
+    The kind of configuration says which; an ActiveCollectConfig goes with the folder of a streaming `surrogate`. The
+    dataset `extend`, of the same plant, is taken over into the new one. Test logs are random in any case; those of the
+    virtual tank are recorded in tanks under other conditions, those of other plants differ by seed alone.
     """
     config = config or CollectConfig()
     artifacts.check_vacant(out, overwrite)
     moving = find_plant(plant) if isinstance(plant, str) else plant
+    facts: dict[str, Any] = {"plant": str(plant), "plant_identity": identity(moving)}
+    before = None if extend is None else extended(extend, facts)
+    commands, facts["commands"] = _commands(config, surrogate, Limits(*moving.limits))
     others: list[Plant] | None = None
     if isinstance(moving, Tank):
-        keys = [key_of(config.seed, f"collect/conditions/{i}") for i in range(config.test_logs)]
+        first = 0 if before is None else len(before.test)
+        keys = [key_of(config.seed, f"collect/conditions/{first + i}") for i in range(config.test_logs)]
         others = [randomised(moving, key) for key in keys]
 
     def report(rows: int, of: int) -> None:
         if progress is not None:
             progress("collect", rows / of, f"{rows:,} of {of:,} rows")
 
-    return _collect(moving, config, out, others, report, {"plant": str(plant)})
+    return _collect(moving, config, out, others, report, facts, commands, before)
+
+
+def _commands(
+    config: CollectConfig | ActiveCollectConfig, surrogate: Path | None, limits: Limits
+) -> tuple[Commands, dict[str, Any]]:
+    if not isinstance(config, ActiveCollectConfig):
+        if surrogate is not None:
+            raise ConfigurationError(f"surrogate {surrogate}: random excitation asks none; --excitation active does")
+        return config.excitation, {"excitation": "random"}
+    if surrogate is None:
+        raise ConfigurationError("active excitation needs an ensemble to choose the commands: give --surrogate DIR")
+    commands, chosen_by = chooser(surrogate, config, limits)
+    return commands, {"excitation": "active", **chosen_by}
 
 
 def inspect_logs(

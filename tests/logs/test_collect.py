@@ -131,6 +131,52 @@ def test_an_interrupt_leaves_nothing(config, tmp_path):
     assert not any(tmp_path.iterdir())
 
 
+def swinging(key, rows, limits):
+    """To and fro each second, whatever the key."""
+    side = jnp.where(jnp.arange(rows) // 100 % 2 == 0, limits.angle_min, limits.angle_max)
+    return Command(side / 2, jnp.full(rows, limits.velocity_max))
+
+
+def test_logs_to_learn_from_are_under_the_commands_that_are_given_and_test_logs_under_random_ones(
+    dataset, config, tmp_path
+):
+    other = collect(AnalyticFin(), config, tmp_path / "data", commands=swinging)
+    for log in other.load(other.train):
+        # The command that row 0 shows was given before any log.
+        np.testing.assert_allclose(log.command.angle, swinging(None, ROWS + 1, PAPER_LIMITS).angle[1:])
+    for one, another in zip(dataset.load(dataset.test), other.load(other.test), strict=True):
+        assert_same(one, another)
+
+
+def test_logs_that_are_recorded_on_are_those_that_one_recording_would_have_given(dataset, config, tmp_path):
+    first = collect(AnalyticFin(), config.changed(["logs=1", "test_logs=1"]), tmp_path / "first")
+    more = config.changed(["logs=3", "test_logs=1"])
+    both = collect(AnalyticFin(), more, tmp_path / "both", before=first)
+    whole, joined = logs_of(dataset), logs_of(both)
+    assert (len(both.train), len(both.test)) == (4, 2)
+    for one, another in zip([*whole[1:4], whole[0], *whole[4:]], joined, strict=True):
+        assert_same(one, another, tolerance=1e-5)
+
+
+def test_what_was_known_of_a_dataset_is_kept_when_it_is_recorded_on(tmp_path):
+    config = CollectConfig(logs=1, test_logs=1, rows=300, seed=7)
+    first = collect(AnalyticFin(), config, tmp_path / "first", facts={"colour": "blue"})
+    both = collect(AnalyticFin(), config.changed(["seed=8"]), tmp_path / "both", before=first)
+    told = both.description["extends"]
+    assert (told["dataset"], told["data_hash"]) == (str(first.path), first.data_hash)
+    assert (told["logs"], told["test_logs"]) == (1, 1)
+    assert told["description"]["colour"] == "blue"
+    assert told["description"]["configuration"]["seed"] == 7
+    assert both.description["configuration"]["seed"] == 8
+
+
+def test_a_dataset_may_be_recorded_on_in_its_own_place(tmp_path):
+    config = CollectConfig(logs=1, test_logs=0, rows=300)
+    first = collect(AnalyticFin(), config, tmp_path / "data")
+    both = collect(AnalyticFin(), config, tmp_path / "data", before=first)
+    assert [path.name for path in both.train] == ["0000.parquet", "0001.parquet"]
+
+
 class Broken(PlainFin):
     """A plant whose force is lost when the fin is far out."""
 

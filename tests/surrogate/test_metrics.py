@@ -1,7 +1,10 @@
 import numpy as np
 import pytest
 
-from softfin.surrogate.metrics import DTW_BAND, dtw_scores, series_scores
+from softfin.surrogate.metrics import DTW_BAND, SKIPPED, dtw_scores, series_scores, table_one
+from softfin.surrogate.streaming.follow import follow
+from softfin.surrogate.streaming.member import parameters, single
+from tests.surrogate.streaming import small as streaming
 
 
 def warped(a, b, band, cost):
@@ -37,3 +40,28 @@ def test_distances_scale_with_their_series():
 def test_equal_series_have_no_distance():
     series = np.sin(np.arange(50.0))[:, None]
     assert set(series_scores(series, series).values()) == {0.0}
+
+
+def test_table_one_of_a_streaming_surrogate_scores_both_nets_over_all_members():
+    plant, logs = streaming.surrogate(), [streaming.recorded(250, seed) for seed in range(2)]
+    table = table_one(plant, logs)
+    assert set(table) == {"drive", "force_measured", "force_free_running"}
+    drive, force = (parameters(net) for net in (plant.members.drive, plant.members.force))
+    assert [row["parameters"] for row in table.values()] == [drive, force, force]
+    assert [row["window"] for row in table.values()] == [None] * 3
+
+    def rmse(predicted, measured):
+        return np.mean(np.sqrt(np.mean((predicted - measured)[SKIPPED:] ** 2, axis=0)))
+
+    angle, free, given = [], [], []
+    for log, said in zip(logs, follow(plant.members, logs), strict=True):
+        reading = log.reading
+        angle.append(rmse(said.angle.mean(axis=0)[:, None], reading.angle[:, None]))
+        free.append(rmse(said.force.mean(axis=0), reading.force))
+        alone = [streaming.forces_of(single(plant.members.force, index), reading).force for index in range(2)]
+        given.append(rmse(np.concatenate([reading.force[:1], np.mean(alone, axis=0)]), reading.force))
+    for row, expected in zip(table.values(), (angle, given, free), strict=True):
+        assert row["physical"]["rmse"] == pytest.approx(np.mean(expected), rel=1e-4)
+    # One range for both logs: its width is what scales.
+    width = np.ptp(np.concatenate([log.reading.angle for log in logs]))
+    assert table["drive"]["scaled"]["rmse"] == pytest.approx(table["drive"]["physical"]["rmse"] / width, rel=1e-3)

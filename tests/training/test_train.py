@@ -19,6 +19,7 @@ from softfin.training.policy import PolicyConfig
 from softfin.training.ppo import PPOConfig
 from softfin.training.train import GRID, SINGLE, TrainConfig, Trained, train
 from tests.plants import AnalyticFin
+from tests.surrogate.streaming import small as streaming
 
 SMALL = TrainConfig(
     steps=4 * 24,
@@ -134,3 +135,12 @@ def test_the_budgets_are_those_of_the_paper() -> None:
     for config in (SINGLE, GRID):
         assert config.steps - config.ppo.steps_per_update < config.updates * config.ppo.steps_per_update <= config.steps
         assert config.task.episode_actions / 3 == 30
+
+
+def test_the_log_says_how_often_policies_leave_the_data_of_a_surrogate_that_knows(tmp_path):
+    one = SMALL.model_copy(update={"cells": SMALL.cells[:1], "scorings": 1})
+    trained(tmp_path, config=one, plant=streaming.surrogate())
+    (entry,) = [entry for entry in log_of(tmp_path) if "seed0/score_x_n" in entry]
+    assert 0 <= entry["seed0/score_beyond_data"] <= 1
+    trained(tmp_path / "other", config=one)
+    assert not any("seed0/score_beyond_data" in entry for entry in log_of(tmp_path / "other"))

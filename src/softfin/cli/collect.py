@@ -2,24 +2,32 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from softfin import stages
 from softfin.cli.common import Configured, Out, progress
 from softfin.logs.collect import CollectConfig
+from softfin.surrogate.active import ActiveCollectConfig
 
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(Configured):
-    """Record random motions of a fin and its force as a dataset (paper Sec. III-A)."""
+    """Record motions of a fin and its force as a dataset (paper Sec. III-A)."""
 
     out: Out
     """Folder of the dataset to write."""
     plant: str = "tank"
     """The fin: tank, a tank's YAML, the folder of a surrogate, or package.module:plant."""
+    excitation: Literal["random", "active"] = "random"
+    """random: as the paper's; active: the motions whose force the ensemble in --surrogate is least sure of."""
+    surrogate: Path | None = None
+    """Folder of the ensemble that chooses, fitted to logs of this fin, of --excitation active."""
+    extend: Path | None = None
+    """Folder of a dataset of this fin whose logs are taken over: the new one holds both."""
     logs: int | None = None
-    """Logs to learn from (the paper's 100)."""
+    """Logs to learn from that are recorded (the paper's 100)."""
     test_logs: int | None = None
-    """Logs to score on, under other conditions (the paper's 3)."""
+    """Logs to score on, under other conditions (the paper's 3; none more with --extend)."""
     rows: int | None = None
     """Readings a log at 100 Hz (the paper's 20,000)."""
     seed: int | None = None
@@ -27,11 +35,17 @@ class Arguments(Configured):
 
     def run(self) -> None:
         """Collect."""
-        config = self.configured(
-            CollectConfig(), logs=self.logs, test_logs=self.test_logs, rows=self.rows, seed=self.seed
+        fewer = {} if self.extend is None else {"test_logs": 0}
+        base = (ActiveCollectConfig if self.excitation == "active" else CollectConfig)(**fewer)
+        config: CollectConfig = self.configured(
+            base, logs=self.logs, test_logs=self.test_logs, rows=self.rows, seed=self.seed
         )
         with progress() as report:
-            data = stages.collect(self.plant, Path(self.out), config, overwrite=self.overwrite, progress=report)
+            data = stages.collect(
+                self.plant, Path(self.out), config, surrogate=self.surrogate, extend=self.extend,
+                overwrite=self.overwrite, progress=report,
+            )  # fmt: skip
         counts = {"logs": len(data.train), "test_logs": len(data.test), "rows": config.rows}
         result = {"dataset": str(self.out), **counts, "data_hash": data.data_hash}
-        self.tell(result, f"{self.out}: {counts['logs']} + {counts['test_logs']} logs of {config.rows:,} rows")
+        of = f"{config.rows:,} rows" if self.extend is None else f"{config.rows:,} rows, and those of {self.extend}"
+        self.tell(result, f"{self.out}: {config.logs} + {config.test_logs} logs of {of}")

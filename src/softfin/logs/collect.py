@@ -1,10 +1,9 @@
-"""Collect a dataset: commands to a plant, random unless others are given, many logs side by side in one compiled program (paper Sec. III-A).
+"""Collect a dataset: commands to a plant, random or given, many logs side by side in one program (paper Sec. III-A).
 
 A plant goes in; a dataset folder comes out, whole or not at all. Log number i of a part draws everything from the key
 ``collect/PART/i``, so it is the same log whatever is simulated beside it.
 """
 
-import functools
 from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
@@ -17,7 +16,8 @@ from softfin import artifacts
 from softfin.configuration import Configuration
 from softfin.errors import ConfigurationError, PlantError
 from softfin.logs.dataset import PARTS, Dataset, write_dataset
-from softfin.logs.excitation import Commands, ExcitationConfig, excite
+from softfin.logs.excitation import Commands, ExcitationConfig
+from softfin.logs.extension import extension
 from softfin.logs.side_by_side import simulate
 from softfin.plant import Plant
 from softfin.quantities import RATE_HZ, TICK_S, Log
@@ -76,14 +76,13 @@ def collect(
             progress(done, all_rows)
 
     held = (0, 0) if before is None else (len(before.train), len(before.test))
-    random = functools.partial(excite, config=config.excitation)
     described = {
         "configuration": config.model_dump(),
         "plant": type(train[0]).__name__,
         "provenance": artifacts.provenance(seed=config.seed),
     }
-    learning = _record(train, "train", held[0], config, commands or random, report)
-    testing = _record(test, "test", held[1], config, random, report)
+    learning = _record(train, "train", held[0], config, commands or config.excitation, report)
+    testing = _record(test, "test", held[1], config, config.excitation, report)
     if before is None:
         return write_dataset(out, learning, testing, described | (facts or {}))
     return write_dataset(
@@ -92,13 +91,6 @@ def collect(
         chain(before.load(before.test), testing),
         described | {"extends": extension(before)} | (facts or {}),
     )
-
-
-def extension(before: Dataset) -> dict[str, Any]:
-    """What a dataset says of the one that it took over: how many logs, and all that was known of them but the files."""
-    known = {name: value for name, value in before.description.items() if name not in ("files", "data_hash")}
-    counts = {"logs": len(before.train), "test_logs": len(before.test)}
-    return {"dataset": str(before.path), "data_hash": before.data_hash, **counts, "description": known}
 
 
 def _one_a_log(plant: Plant | Sequence[Plant], count: int, name: str) -> list[Plant]:

@@ -38,6 +38,10 @@ class ExcitationConfig(Configuration):
             raise ValueError(f"hold_max_s = {self.hold_max_s} must be at least hold_min_s = {self.hold_min_s}")
         return self
 
+    def __call__(self, key: PRNGKeyArray, rows: int, limits: Limits) -> Command:
+        """Random `Commands`."""
+        return excite(key, rows, limits, self)
+
 
 def excite(key: PRNGKeyArray, rows: int, limits: Limits, config: ExcitationConfig) -> Command:
     """One command a tick, fields ``(rows,)``: angle and velocity uniform in the limits, hold times uniform in ticks."""

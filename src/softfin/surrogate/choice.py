@@ -8,11 +8,12 @@ import numpy as np
 from softfin.checkpoint import Workspace
 from softfin.configuration import Configuration
 from softfin.quantities import RATE_HZ, Log
-from softfin.surrogate.fit import FitConfig, Progress, fit, held_out
+from softfin.surrogate.fit import FitConfig, Progress, check_lengths, fit, held_out
 from softfin.surrogate.horizons import free_running, places, take
 from softfin.surrogate.store import AnySurrogate
 from softfin.surrogate.streaming.config import StreamingConfig
 from softfin.surrogate.streaming.fit import fit_streaming
+from softfin.surrogate.streaming.streaming import MEMORY
 
 HORIZON_S = 30
 """That candidates are left alone for, where the held-out logs are as long."""
@@ -51,11 +52,13 @@ def fit_any(
     candidates = config.candidates()
     # The shares may differ: what none was fitted to is what the least share holds out.
     holding = list(logs[-min(held_out(len(logs), one.held_out) for one in candidates.values()) :])
+    # Before hours of fitting, not behind them.
+    first = max(MEMORY, config.paper.posnet.window)
+    check_lengths(holding, first, "held-out")
     fitted, scores = dict[str, AnySurrogate](), dict[str, dict[str, float]]()
     for number, (name, one) in enumerate(candidates.items()):
         report = None if progress is None else _part(progress, name, number, len(candidates))
         fitted[name], _ = fit_any(logs, one, seed, workspace.part(str(number)), report)
-    first = max(surrogate.memory for surrogate in fitted.values())
     for name, surrogate in fitted.items():
         scores[name] = _scores(surrogate, holding, first)
     record = workspace.log()

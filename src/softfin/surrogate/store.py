@@ -4,8 +4,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import pydantic
-
 from softfin import artifacts
 from softfin.errors import ArtifactError
 from softfin.quantities import RATE_HZ
@@ -64,7 +62,7 @@ def load_surrogate(path: Path) -> AnySurrogate:
         raise ArtifactError(f"{source}: model {model!r}; this softfin knows {', '.join(_READERS)}; update it")
     try:
         return _READERS[model](description, weights, source)
-    except (KeyError, TypeError, pydantic.ValidationError) as error:
+    except (KeyError, TypeError, ValueError) as error:
         raise ArtifactError(f"{source}: not a surrogate's description ({' '.join(str(error).split())})") from None
 
 

@@ -15,9 +15,6 @@ from jaxtyping import Array, Float, PRNGKeyArray
 SLOWEST = 60.0
 """Gates begin with time constants from 2 to this many ticks, so that both ripples and strokes are remembered."""
 
-QUIET = 100
-"""Ticks after which a core under constant input has settled."""
-
 
 class Parity(NamedTuple):
     """Something of each kind: sizes, inputs, outputs, memory."""

@@ -18,8 +18,6 @@ from softfin.surrogate.streaming.profile import ProfileConfig
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 from softfin.surrogate.streaming.uncertainty import Familiarity, Interval, remembered
 
-_STILL = Motion(jnp.zeros(()), jnp.zeros(()))
-
 CHANNELS = {"in": list(COMMANDS), "out": ["angle_rad", "velocity_rad_s", *FORCES]}
 
 Tree = TypeVar("Tree")
@@ -51,7 +49,8 @@ def read_streaming(description: dict[str, Any], weights: dict[str, Any], source:
         lambda: ensemble(int(description["members"]), drive, force, ProfileConfig(), scales, key)
     )
     members = _filled(skeleton, "members", weights, source)
-    size = remembered(single(members.force).start(_STILL)).size
+    still = Motion(jnp.zeros(()), jnp.zeros(()))
+    size = remembered(single(members.force).start(still)).size
     shapes = eqx.filter_eval_shape(lambda: Familiarity(jnp.zeros(size), jnp.zeros((size, size))))
     return StreamingSurrogate(
         members,

@@ -14,14 +14,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from softfin.checkpoint import Workspace
-from softfin.errors import RunError
+from softfin.errors import LogError, RunError
 from softfin.quantities import Limits, Log
 from softfin.randomness import key_of
 from softfin.surrogate.fit import Progress, check_lengths, held_out
 from softfin.surrogate.posnet import COMMANDS
 from softfin.surrogate.predict import channels_of
 from softfin.surrogate.streaming.config import StreamingConfig
-from softfin.surrogate.streaming.drive import DriveNet
+from softfin.surrogate.streaming.drive import DriveNet, FollowingNet
 from softfin.surrogate.streaming.follow import follow, follow_force, follow_motion
 from softfin.surrogate.streaming.force import ForceNet, Motion
 from softfin.surrogate.streaming.identify import identify
@@ -37,7 +37,7 @@ from softfin.surrogate.streaming.member import Member, ensemble
 from softfin.surrogate.streaming.profile import Profile, ProfileConfig
 from softfin.surrogate.streaming.sequences import Table, scales_of
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
-from softfin.surrogate.streaming.uncertainty import calibrated, familiar
+from softfin.surrogate.streaming.uncertainty import WINDOW, calibrated, familiar
 
 ROUNDS = 10
 """Times that a net is scored on the held-out logs while it is trained."""
@@ -71,6 +71,12 @@ class _Fit:
         held = held_out(len(logs), config.held_out)
         self.training, self.holding = list(logs[:-held]), list(logs[-held:])
         check_lengths(self.holding, config.burn_in, "held-out")
+        longest = max(len(log.reading.time) for log in self.holding)
+        if longest < config.burn_in + WINDOW:
+            raise LogError(
+                f"the longest of {held} held-out logs has {longest} rows; intervals on the mean over {WINDOW} samples "
+                f"behind burn_in = {config.burn_in} need {config.burn_in + WINDOW}; record longer"
+            )
         self.config, self.seed, self.workspace, self.progress = config, seed, workspace, progress
         self.scales = scales_of(self.training)
         self.table = Table.of(self.training, config.ticks)
@@ -111,8 +117,8 @@ class _Fit:
         count = self.config.members
         profile = jax.tree.map(lambda x: jnp.full((count, *x.shape), x), Profile(found))
 
-        def with_it(nets: DriveNet) -> DriveNet:
-            changed: DriveNet = eqx.tree_at(lambda nets: nets.profile, nets, profile)
+        def with_it(nets: FollowingNet) -> FollowingNet:
+            changed: FollowingNet = eqx.tree_at(lambda nets: nets.profile, nets, profile)
             return changed
 
         return learning._replace(nets=with_it(learning.nets), best=with_it(learning.best))
@@ -130,11 +136,13 @@ class _Fit:
         key = key_of(self.seed, f"fit/{name}")
         updates = self.updates[name]
         round_of = -(-updates // ROUNDS)
+        # Equal calls, so that one compiled program does them all.
+        call = -(-round_of // -(-round_of // UPDATES_A_CALL))
         before = sum(self.updates[other] for other in list(self.updates)[: list(self.updates).index(name)])
         while done[name] < updates:
             until = min(done[name] + round_of, updates)
             while done[name] < until:
-                count = min(UPDATES_A_CALL, until - done[name])
+                count = min(call, until - done[name])
                 state, loss = learner.run(state, self.table, foretold, jnp.int32(done[name]), count, key)
                 done[name] += count
                 if self.progress is not None:
@@ -144,9 +152,8 @@ class _Fit:
             if not np.isfinite([*np.asarray(loss), *errors]).all():
                 raise RunError(f"fit: the {name} nets' loss is not finite; lower streaming.learning_rate, start anew")
             state = keep_best(state, jnp.asarray(errors, jnp.float32))
-            self.record.write(
-                before + done[name], **{f"train/{name}_loss": float(loss.mean()), f"held_out/{name}_mse": errors.mean()}
-            )
+            scalars = {f"train/{name}_loss": float(loss.mean()), f"held_out/{name}_mse": float(errors.mean())}
+            self.record.write(before + done[name], **scalars)
             yield state
 
     def _drive_error(self, nets: DriveNet) -> Float[np.ndarray, "members"]:
@@ -174,7 +181,7 @@ class _Fit:
             members,
             limits,
             calibrated([said.force for said in held], self.holding, self.config),
-            familiar(members, self.training),
+            familiar(members, self.training, self.config.burn_in),
         )
 
 

@@ -133,8 +133,12 @@ class ForceNet(eqx.Module):
         memory, said = self.core.step(state.memory, inputs)
         along, across = said.even[0], said.odd[0]
         if self.config.quasi_steady:
-            along += self.thrust @ jnp.stack([velocity**2, velocity * change])
-            across += self.resistance @ jnp.stack([change, velocity * jnp.abs(velocity), velocity])
+            thrust = self.thrust @ jnp.stack([velocity**2, velocity * change])
+            resistance = self.resistance @ jnp.stack([change, velocity * jnp.abs(velocity), velocity])
+            if not self.config.turning:
+                # These two are along and across the fin whatever the net's axes are.
+                thrust, resistance = _turned(thrust, resistance, motion.angle)
+            along, across = along + thrust, across + resistance
         frame = self.mount_turn + (motion.angle if self.config.turning else 0.0)
         x, y = _turned(along, across, frame)
         force = self.scales.force_n * (jnp.stack([x, y]) + self.offset)

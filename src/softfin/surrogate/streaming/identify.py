@@ -16,14 +16,15 @@ from softfin.surrogate.streaming.profile import LONGEST_DELAY, Profile, ProfileC
 from softfin.surrogate.streaming.sequences import Stretch, Table
 
 STRETCHES, TICKS = 96, 300
-"""How many pieces of the logs the coefficients are read off, and how long they are [10 ms]."""
+"""How many pieces of the logs the coefficients are read off, and how long they are at most [10 ms]."""
 
 POPULATION, GENERATIONS, STARTS = 16, 150, 2
 
 
 def identify(logs: Sequence[Log], seed: int) -> tuple[ProfileConfig, float]:
     """The coefficients, and the mean absolute error of the angle [rad] that they leave."""
-    stretch = Table.of(logs, TICKS).draw(jax.random.key(seed), STRETCHES, TICKS)
+    ticks = min(TICKS, max(len(log.reading.time) for log in logs) - LONGEST_DELAY - 1)
+    stretch = Table.of(logs, ticks).draw(jax.random.key(seed), STRETCHES, ticks)
     errors = jax.jit(jax.vmap(lambda coded: _error(_profile(coded), stretch)))
     best, least = None, np.inf
     for start in range(STARTS):
@@ -53,16 +54,19 @@ def _guess(logs: Sequence[Log]) -> Float[np.ndarray, "coefficients"]:
     speed = np.abs(np.concatenate([log.reading.velocity for log in logs]))
     change = np.abs(np.concatenate([np.diff(log.reading.velocity) for log in logs])) / TICK_S
     steep = change[change > 0.1 * change.max()]
-    return np.array([0.0, 0.0, 3.0, 0.0, np.log(speed.max()), np.log(np.quantile(steep, 0.8)), 0.0])
+    return np.array([0.0, 0.0, 3.0, 0.0, 5 * np.log(speed.max()), np.log(np.quantile(steep, 0.8)), 0.0])
 
 
 def _profile(coded: Float[Array, "coefficients"]) -> Profile:
-    """Gains, limits and acceleration are searched by their logarithms; delay and lag from 0 on."""
+    """Gains, limits and acceleration are searched by their logarithms; delay and lag from 0 on.
+
+    The limit in small steps: where it is above all commands it does not show, and a search gets lost there.
+    """
     gain, zero, delay, factor, limit, acceleration, lag = coded
     profile = Profile(ProfileConfig())
     values = (
         jnp.exp(0.1 * gain), 0.05 * zero, jnp.minimum(jnp.abs(delay), LONGEST_DELAY),
-        jnp.exp(factor), jnp.exp(limit), jnp.exp(acceleration), 0.01 * jnp.abs(lag),
+        jnp.exp(0.2 * factor), jnp.exp(0.2 * limit), jnp.exp(acceleration), 0.01 * jnp.abs(lag),
     )  # fmt: skip
     found: Profile = jax.tree.unflatten(jax.tree.structure(profile), values)
     return found

@@ -21,7 +21,7 @@ WARM_UP = 100
 """Updates in which the learning rate rises."""
 
 Loss = Callable[[Any, Stretch, Motion, Float[Array, ""], PRNGKeyArray], Float[Array, ""]]
-"""Of one member: (net, stretch, predicted motion of the stretch, part of the training that is done, key)."""
+"""Of one member: (net, stretch, predicted motion from its `before` on, part of the training that is done, key)."""
 
 
 class Learning(NamedTuple):
@@ -45,7 +45,8 @@ class Learner:
 
     def start(self, nets: Any) -> Learning:
         """Fresh."""
-        worst = jnp.full(self.config.members, jnp.inf)
+        # With its type, or the second call would be compiled anew.
+        worst = jnp.full(self.config.members, jnp.inf, jnp.float32)
         return Learning(nets, jax.vmap(self.optimiser.init)(nets), jax.tree.map(jnp.copy, nets), worst)
 
     def _run(
@@ -56,9 +57,7 @@ class Learner:
         def member(net: Any, optimiser: Any, predicted: Motion, number: Array, key: PRNGKeyArray) -> Any:
             draw, key = jax.random.split(key)
             stretch = table.draw(draw, self.config.batch, self.config.ticks)
-            # Row k + 1 is what command k leads to.
-            there = slicer(stretch.starts + 1, self.config.ticks)
-            foretold = jax.tree.map(there, predicted)
+            foretold = jax.tree.map(slicer(stretch.starts, self.config.ticks + 1), predicted)
             loss, slope = jax.value_and_grad(self.loss)(net, stretch, foretold, number / self.updates, key)
             step, optimiser = self.optimiser.update(slope, optimiser, net)
             return optax.apply_updates(net, step), optimiser, loss
@@ -110,8 +109,10 @@ def force_loss(config: StreamingConfig) -> Loss:
     def loss(net: ForceNet, stretch: Stretch, foretold: Motion, done: Array, key: PRNGKeyArray) -> Float[Array, ""]:
         share = jnp.clip((done - begin) / jnp.maximum(end - begin, 1e-6), 0.0, 1.0)
         freed = jax.random.bernoulli(key, share, (config.batch, 1))
-        motion = Motion(*(jnp.where(freed, new, old) for new, old in zip(foretold, stretch.motion, strict=True)))
-        said = jax.vmap(lambda *of: forces(net, *of))(stretch.before, motion)
+        measured = jax.tree.map(lambda x, y: jnp.concatenate([x[:, None], y], axis=1), stretch.before, stretch.motion)
+        motion = jax.tree.map(lambda new, old: jnp.where(freed, new, old), foretold, measured)
+        before, after = jax.tree.map(lambda x: x[:, 0], motion), jax.tree.map(lambda x: x[:, 1:], motion)
+        said = jax.vmap(lambda *of: forces(net, *of))(before, after)
         error = jnp.sum(((said.force - stretch.force) / net.scales.force_n) ** 2, axis=-1)[:, config.burn_in :]
         if not net.config.heteroscedastic:
             return jnp.mean(error)

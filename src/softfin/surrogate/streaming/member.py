@@ -7,7 +7,7 @@ import jax
 from jaxtyping import PRNGKeyArray
 
 from softfin.quantities import Command
-from softfin.surrogate.streaming.drive import DriveNet, DriveNetConfig, DriveState
+from softfin.surrogate.streaming.drive import DriveNet, DriveNetConfig, DriveState, drive_net
 from softfin.surrogate.streaming.force import ForceNet, ForceNetConfig, ForceState, Motion, Said, Scales
 from softfin.surrogate.streaming.profile import ProfileConfig
 
@@ -49,7 +49,7 @@ def ensemble(
 
     def one(key: PRNGKeyArray) -> Member:
         keys = jax.random.split(key)
-        return Member(DriveNet(drive, profile, scales, keys[0]), ForceNet(force, scales, keys[1]))
+        return Member(drive_net(drive, profile, scales, keys[0]), ForceNet(force, scales, keys[1]))
 
     stacked: Member = eqx.filter_vmap(one)(jax.random.split(key, count))
     return stacked

@@ -10,8 +10,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from softfin.errors import LogError
 from softfin.plant import rest_command
-from softfin.quantities import TICK_S, Command, Limits, Log, Reading
-from softfin.surrogate.streaming.core import QUIET
+from softfin.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading
 from softfin.surrogate.streaming.force import Motion
 from softfin.surrogate.streaming.member import Member, MemberState, parameters, single
 from softfin.surrogate.streaming.profile import LONGEST_DELAY
@@ -19,6 +18,9 @@ from softfin.surrogate.streaming.uncertainty import Familiarity, Interval, remem
 
 MEMORY = 300
 """Ticks of a recorded history that `warm` follows: a stroke at the paper's least velocity takes as long."""
+
+SETTLED = 3000
+"""Ticks that `init` has been at rest for: twenty of the longest time constants that a wake begins with."""
 
 
 class StreamingState(NamedTuple):
@@ -52,12 +54,7 @@ class StreamingSurrogate(eqx.Module):
         waiting = Command(*(jnp.full(LONGEST_DELAY, value) for value in command))
         still = Motion(jnp.zeros(()), jnp.zeros(()))
 
-        def settle(member: Member) -> MemberState:
-            return jax.lax.scan(
-                lambda state, _: (member.step(state, command)[0], None), member.start(still, waiting), length=3 * QUIET
-            )[0]
-
-        self.rest = eqx.filter_jit(eqx.filter_vmap(settle))(members)
+        self.rest = _after(members, still, waiting, Command(*(jnp.full(SETTLED, value) for value in command)))
 
     @property
     def size(self) -> int:
@@ -79,7 +76,8 @@ class StreamingSurrogate(eqx.Module):
         waiting = Command(*(jnp.asarray(part[:LONGEST_DELAY][::-1]) for part in command))
         # The last row's command shows in the row that comes next.
         passed = Command(*(jnp.asarray(part[LONGEST_DELAY:-1]) for part in command))
-        return StreamingState(jnp.int32(0), _warm(self.members, motion, waiting, passed))
+        tick = round(float(history.reading.time[-1]) * RATE_HZ)
+        return StreamingState(jnp.int32(tick), _after(self.members, motion, waiting, passed))
 
     def advance(self, state: StreamingState, command: Command, ticks: int) -> tuple[StreamingState, Reading]:
         """Hold the command for `ticks` samples of 10 ms and read after each: fields ``(ticks,)``."""
@@ -116,7 +114,9 @@ class StreamingSurrogate(eqx.Module):
 
 
 @eqx.filter_jit
-def _warm(members: Member, motion: Motion, waiting: Command, passed: Command) -> MemberState:
+def _after(members: Member, motion: Motion, waiting: Command, passed: Command) -> MemberState:
+    """What every member remembers when these commands have passed, one a tick."""
+
     def one(member: Member) -> MemberState:
         def step(state: MemberState, command: Any) -> tuple[MemberState, None]:
             return member.step(state, Command(*command))[0], None

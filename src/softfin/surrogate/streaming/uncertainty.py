@@ -27,7 +27,7 @@ WINDOW = 200
 RARE = 0.999
 """Share of the training data that is nearer than distance 1."""
 
-LOGS, EVERY = 10, 7
+LOGS, EVERY = 50, 7
 """For the distance: logs, and ticks between the moments that are taken from them."""
 
 
@@ -60,7 +60,7 @@ def calibrated(
     ratio = error / (means.var(axis=0) + floor**2) ** 0.5
     # One more than there are, so that the next error is covered and not only these.
     level = min(1.0, config.coverage * (1 + 1 / ratio.size))
-    factor = float(np.quantile(ratio, level))
+    factor = float(np.quantile(ratio, level, method="inverted_cdf"))
     return Interval(coverage=config.coverage, factor=factor, floor_n=floor, windows=ratio.size)
 
 
@@ -88,10 +88,12 @@ def remembered(state: ForceState) -> Float[Array, "remembered"]:
     return jnp.concatenate(jax.tree.leaves((state.memory, state.wake)))
 
 
-def familiar(members: Member, logs: Sequence[Log]) -> Familiarity:
-    """From training logs, free-running."""
+def familiar(members: Member, logs: Sequence[Log], burn_in: int) -> Familiarity:
+    """From training logs, free-running; of the first `burn_in` ticks of each the net does not know what was before."""
     first: Member = jax.tree.map(lambda x: x[:1], members)
-    seen = [_memories(first.force, m)[::EVERY] for m in follow_motion(first.drive, logs[:LOGS])]
+    some = [log for log in logs if len(log.reading.time) > burn_in + 1][:LOGS]
+    net = single(first.force)
+    seen = [np.asarray(_memories(net, motion))[burn_in::EVERY] for motion in follow_motion(first.drive, some)]
     memory = np.concatenate(seen).astype(np.float64)
     mean = memory.mean(axis=0)
     values, vectors = np.linalg.eigh(np.cov(memory, rowvar=False))
@@ -101,13 +103,13 @@ def familiar(members: Member, logs: Sequence[Log]) -> Familiarity:
     return Familiarity(jnp.asarray(mean, jnp.float32), jnp.asarray(whitening / far, jnp.float32))
 
 
-def _memories(nets: ForceNet, motion: Motion) -> Float[np.ndarray, "rows remembered"]:
-    net = single(nets)
-    one = Motion(*(jnp.asarray(part[0]) for part in motion))
+@eqx.filter_jit
+def _memories(net: ForceNet, motion: Motion) -> Float[Array, "ticks remembered"]:
+    """Behind every row of a motion ``(1, rows)`` but the first."""
 
     def step(state: ForceState, now: Motion) -> tuple[ForceState, Array]:
         state, _ = net.step(state, now)
         return state, remembered(state)
 
-    before, after = jax.tree.map(lambda x: x[0], one), jax.tree.map(lambda x: x[1:], one)
-    return np.asarray(jax.jit(lambda before, after: jax.lax.scan(step, net.start(before), after)[1])(before, after))
+    before, after = Motion(*(x[0, 0] for x in motion)), Motion(*(x[0, 1:] for x in motion))
+    return jax.lax.scan(step, net.start(before), after)[1]

@@ -1,0 +1,117 @@
+import json
+
+import pytest
+
+from softfin import artifacts
+from softfin.cli import main
+from softfin.logs.dataset import write_dataset
+from softfin.surrogate import FitConfig, StreamingConfig
+from softfin.surrogate.choice import AutoConfig
+from tests.surrogate import small as paper
+from tests.surrogate.streaming import small
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("fit") / "dataset"
+    logs = [small.recorded(300, seed) for seed in range(3)]
+    write_dataset(folder, logs, [small.recorded(300, 9)], {})
+    return str(folder)
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """What is asked of the fit, which is not done; out come a surrogate with random weights and evidence."""
+    configs = []
+    evidence = {"chosen": "paper", "held_out": {name: {"force_rmse_n": 0.5, "angle_rmse_rad": 0.1, "seconds": 3.0}
+                                                for name in ("streaming", "paper")}}  # fmt: skip
+
+    def fit_any(logs, config, seed, workspace, progress):
+        workspace.log().close()
+        configs.append((config, seed, len(logs)))
+        return small.surrogate(), evidence if isinstance(config, AutoConfig) else None
+
+    monkeypatch.setattr("softfin.stages.fit_any", fit_any)
+    return configs
+
+
+def run(capsys, *words):
+    capsys.readouterr()
+    main(words)
+    return capsys.readouterr().out
+
+
+def fails(capsys, *words):
+    with pytest.raises(SystemExit) as stop:
+        main(words)
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert stop.value.code == 2
+    return line
+
+
+@pytest.mark.parametrize(
+    ("words", "config"),
+    [
+        ([], StreamingConfig()),
+        (["--model", "streaming", "--set", "members=2", "--set", "drive.profile=false"],
+         StreamingConfig(members=2, drive={"profile": False})),
+        (["--model", "paper", "--epochs", "3"], FitConfig(epochs=3)),
+        (["--model", "auto", "--set", "paper.epochs=3"], AutoConfig(paper={"epochs": 3})),
+    ],
+)  # fmt: skip
+def test_the_model_is_the_one_that_is_asked_for(capsys, tmp_path, dataset, asked, words, config):
+    out = tmp_path / "s"
+    said = json.loads(run(capsys, "fit", dataset, *words, "--seed", "4", "--out", str(out), "--json"))
+    assert asked == [(config, 4, 3)]
+    assert said["model"] == "streaming"
+    description = artifacts.load_description(out, "surrogate")
+    assert description["configuration"] == json.loads(json.dumps(config.model_dump(mode="json")))
+    assert description["scores"] == said["table_i"]
+    assert description.get("candidates") == said["candidates"]
+    assert ("candidates" in description) == ("auto" in words)
+
+
+def test_people_are_told_table_i_and_why_a_candidate_was_chosen(capsys, tmp_path, dataset, asked):
+    text = run(capsys, "fit", dataset, "--model", "auto", "--out", str(tmp_path / "s"))
+    assert "drive nets" in text
+    assert "force nets, behind drive nets" in text
+    (chosen,) = [line for line in text.splitlines() if "<- chosen" in line]
+    assert chosen.startswith("paper ")
+    assert "0.5000" in chosen
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--epochs", "3"], "--epochs with --model streaming: only --model paper counts in epochs; see --set force_up"),
+        (["--model", "oracle"], "oracle"),
+        (["--set", "epochs=3"], "--set epochs=3: there is no 'epochs'"),
+        (["--set", "force.wakes=3"], "there is no 'wakes'; did you mean 'wake'?"),
+        (["--model", "auto", "--set", "streaming.burn_in=900"], "burn_in must be less than ticks = 400"),
+        (["--set", "ticks=300", "--set", "burn_in=10"], "has 300 rows; 321 are needed in one piece; record longer"),
+    ],
+)
+def test_what_cannot_be_fitted_is_one_line_and_leaves_nothing(capsys, tmp_path, dataset, words, expected):
+    assert expected in fails(capsys, "fit", dataset, *words, "--out", str(tmp_path / "s"))
+    assert not (tmp_path / "s").exists()
+
+
+def test_one_log_is_too_few(capsys, tmp_path):
+    write_dataset(tmp_path / "one", [small.recorded(700)], [], {})
+    line = fails(capsys, "fit", str(tmp_path / "one"), "--out", str(tmp_path / "s"))
+    assert "1 training log: at least 2 are needed, one to learn from and one held out; record more" in line
+
+
+def test_other_models_resume_with_the_same_options_only(capsys, tmp_path, dataset, monkeypatch):
+    def stopped(logs, config, seed, workspace, progress):
+        workspace.save({"x": paper.surrogate().posnet.arrays()}, {})
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("softfin.stages.fit_any", stopped)
+    words = ["fit", dataset, "--out", str(tmp_path / "s")]
+    with pytest.raises(SystemExit):
+        main(words)
+    assert (
+        "holds an unfinished run; go on with --resume, or drop it with --overwrite"
+        in fails(capsys, *words[:0] or words).splitlines()[-1]
+    )

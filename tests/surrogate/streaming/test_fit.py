@@ -1,0 +1,170 @@
+import functools
+
+import jax
+import numpy as np
+import pytest
+
+from softfin.checkpoint import LOG, Workspace, read_log
+from softfin.errors import LogError, RunError
+from softfin.randomness import key_of
+from softfin.surrogate.streaming import fit as module
+from softfin.surrogate.streaming.fit import fit_streaming
+from softfin.surrogate.streaming.follow import follow
+from softfin.surrogate.streaming.member import ensemble, single
+from softfin.surrogate.streaming.profile import ProfileConfig
+from softfin.surrogate.streaming.sequences import scales_of
+from tests.surrogate.streaming import small
+
+CONFIG = small.CONFIG
+LOGS = [small.recorded(rows=400, seed=seed) for seed in range(4)]
+
+
+@pytest.fixture(autouse=True)
+def profile_known(monkeypatch):
+    """Read off the logs in a test of its own: it takes seconds."""
+    monkeypatch.setattr(module, "identify", lambda logs, seed: (small.PROFILE, 0.0))
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A fit that was not interrupted, and its log."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "identify", lambda logs, seed: (small.PROFILE, 0.0))
+        workspace = Workspace(tmp_path_factory.mktemp("whole") / "s", {"a": 1})
+        return fit_streaming(LOGS, CONFIG, 0, workspace), read_log(workspace.folder / LOG)
+
+
+class Killed(BaseException):
+    pass
+
+
+def same(one, other):
+    return all(np.array_equal(a, b) for a, b in zip(*map(jax.tree.leaves, (one, other)), strict=True))
+
+
+@pytest.mark.parametrize(("after", "from_then_on"), [(0.3, 0.1), (0.7, 0.5)])
+def test_a_killed_fit_resumes_to_the_same_surrogate(tmp_path, whole, after, from_then_on):
+    """Killed while the drive nets learn, and while the force nets do."""
+
+    def killer(stage, done, note):
+        if done > after:
+            raise Killed
+
+    with pytest.raises(Killed):
+        fit_streaming(LOGS, CONFIG, 0, Workspace(tmp_path / "cut", {"a": 1}), killer)
+    resumed_from = []
+    workspace = Workspace(tmp_path / "cut", {"a": 1}, resume=True)
+    resumed = fit_streaming(LOGS, CONFIG, 0, workspace, lambda stage, done, note: resumed_from.append(done))
+    assert min(resumed_from) > from_then_on
+    surrogate, history = whole
+    assert same(surrogate, resumed)
+    assert (resumed.interval, resumed.limits) == (surrogate.interval, surrogate.limits)
+    assert read_log(workspace.folder / LOG) == history
+    assert [entry["step"] for entry in history] == list(range(1, 21))
+
+
+def test_every_weight_learns_but_the_profile_which_is_what_the_logs_say(whole):
+    surrogate, _ = whole
+    scales = scales_of(LOGS[:-1])
+    fresh = ensemble(2, CONFIG.drive, CONFIG.force, small.PROFILE, scales, key_of(0, "fit/weights"))
+    before, after = (dict(jax.tree_util.tree_leaves_with_path(nets)) for nets in (fresh, surrogate.members))
+    held = [jax.tree_util.keystr(path) for path in before if before[path].size and same(before[path], after[path])]
+    assert len(held) == len(ProfileConfig.model_fields)
+    assert all(name.startswith(".drive.profile.") for name in held)
+
+
+def test_the_members_are_not_alike(whole):
+    one, other = (single(whole[0].members, index) for index in range(2))
+    alike = [
+        np.array_equal(a, b) for a, b in zip(*map(jax.tree.leaves, (one.force.core, other.force.core)), strict=True)
+    ]
+    assert not any(alike)
+
+
+def test_the_best_weights_are_kept_not_the_last(tmp_path):
+    config = CONFIG.changed(["learning_rate=0.1", "force_updates=20", "drive_updates=1", "members=1"])
+    workspace = Workspace(tmp_path / "s", {})
+    fitted = fit_streaming(LOGS, config, 0, workspace)
+    history = [
+        entry["held_out/force_mse"] for entry in read_log(workspace.folder / LOG) if "held_out/force_mse" in entry
+    ]
+    (said,) = follow(fitted.members, LOGS[-1:])
+    error = (said.force[0] - LOGS[-1].reading.force)[config.burn_in :]
+    assert np.mean(np.sum(error**2, axis=-1)) == pytest.approx(min(history), rel=1e-3)
+    assert min(history) < history[-1]
+
+
+def test_limits_are_the_range_of_the_training_commands(whole):
+    limits, command = whole[0].limits, [log.command for log in LOGS[:-1]]
+    angle, velocity = (np.concatenate([c[i] for c in command]) for i in range(2))
+    assert limits == pytest.approx((angle.min(), angle.max(), velocity.min(), velocity.max()))
+
+
+def test_held_out_logs_reach_no_weight(tmp_path, whole):
+    last = LOGS[-1]
+    strange = last._replace(reading=last.reading._replace(force=last.reading.force * np.float32(1e-6)))
+    workspace = Workspace(tmp_path / "s", {})
+    fit_streaming([*LOGS[:-1], strange], CONFIG, 0, workspace)
+    losses = [
+        [e for e in history if "train/force_loss" in e] for history in (whole[1], read_log(workspace.folder / LOG))
+    ]
+    assert [e["train/force_loss"] for e in losses[0]] == [e["train/force_loss"] for e in losses[1]]
+    assert losses[0][0]["held_out/force_mse"] != losses[1][0]["held_out/force_mse"]
+
+
+@functools.cache
+def learnt(path, seed=7):
+    """Enough updates to learn something, without any knowledge of the fin."""
+    knowing_nothing = [
+        "drive.mirror=false", "drive.profile=false", "force.mirror=false", "force.turning=false", "members=1",
+        "force.quasi_steady=false", "learning_rate=0.02", "drive_updates=60", "force_updates=60", "batch=16",
+    ]  # fmt: skip
+    workspace = Workspace(path, {})
+    return fit_streaming(LOGS, CONFIG.changed(knowing_nothing), seed, workspace), read_log(workspace.folder / LOG)
+
+
+def test_nets_that_are_told_nothing_of_the_fin_learn_too(tmp_path):
+    fitted, history = learnt(tmp_path / "s")
+    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(fitted.members))
+    for name in ("drive", "force"):
+        losses = [entry[f"train/{name}_loss"] for entry in history if f"train/{name}_loss" in entry]
+        assert losses[-1] < 0.7 * losses[0]
+
+
+@pytest.mark.parametrize(
+    ("logs", "changes", "words"),
+    [
+        (LOGS[:1], [], "1 training log: at least 2 are needed, one to learn from and one held out"),
+        (
+            LOGS,
+            ["ticks=390"],
+            "the longest of 3 training logs has 400 rows; 411 are needed in one piece; record longer",
+        ),
+        (
+            [*LOGS[:2], small.rows_of(LOGS[2], 0, 209)],
+            [],
+            r"longest of 1 held-out logs has 209 rows; .* behind burn_in = 10 need 210; record longer",
+        ),
+        (
+            [*LOGS[:2], small.rows_of(LOGS[2], 0, 10)],
+            [],
+            "held-out log 0: 10 rows; more than a window of 10 are needed",
+        ),
+    ],
+)
+def test_logs_that_are_too_few_or_too_short_are_refused(tmp_path, logs, changes, words):
+    with pytest.raises(LogError, match=words):
+        fit_streaming(logs, CONFIG.changed(changes), 0, Workspace(tmp_path / "s", {}))
+
+
+def test_a_loss_that_explodes_stops_the_fit(tmp_path):
+    with pytest.raises(RunError, match=r"the drive nets' loss is not finite; lower streaming\.learning_rate"):
+        fit_streaming(LOGS, CONFIG.changed(["learning_rate=1e38"]), 0, Workspace(tmp_path / "s", {}))
+
+
+def test_progress_never_goes_back_and_ends_at_1(tmp_path):
+    seen = []
+    config = CONFIG.changed(["drive_updates=2", "force_updates=3"])
+    fit_streaming(LOGS, config, 0, Workspace(tmp_path / "s", {}), lambda stage, done, note: seen.append((done, note)))
+    assert [done for done, _ in seen] == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
+    assert [note.split(" nets")[0] for _, note in seen[1:]] == ["drive"] * 2 + ["force"] * 3

@@ -1,0 +1,139 @@
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softfin.surrogate.streaming.force import Motion
+from softfin.surrogate.streaming.learner import Learner, drive_loss, force_loss, keep_best
+from softfin.surrogate.streaming.member import ensemble, single
+from softfin.surrogate.streaming.sequences import Table
+from tests.surrogate.streaming import small
+
+CONFIG = small.CONFIG
+TABLE = Table.of([small.recorded(200, seed) for seed in range(3)], CONFIG.ticks)
+STRETCH = TABLE.draw(jax.random.key(0), CONFIG.batch, CONFIG.ticks)
+KEY = jax.random.key(1)
+
+
+def foretold(shift=0.3):
+    """Another motion than was measured."""
+    whole = jax.tree.map(lambda x, y: jnp.concatenate([x[:, None], y], axis=1), STRETCH.before, STRETCH.motion)
+    return Motion(whole.angle + shift, whole.velocity * (1 + shift))
+
+
+@eqx.filter_jit
+def force_error(net, stretch, motion, done):
+    return force_loss(CONFIG)(net, stretch, motion, jnp.float32(done), KEY)
+
+
+@eqx.filter_jit
+def drive_error(net, stretch):
+    return drive_loss(CONFIG)(net, stretch, foretold(), jnp.float32(0), KEY)
+
+
+def slopes(function, net):
+    return dict(jax.tree_util.tree_leaves_with_path(jax.jit(jax.grad(function))(net)))
+
+
+@pytest.mark.parametrize("options", [{}, {"mirror": False}, {"turning": False}, {"heteroscedastic": True}])
+def test_gradients_reach_every_weight_of_a_force_net(options):
+    net = small.force_net(**options)
+    found = slopes(lambda net: force_loss(CONFIG)(net, STRETCH, foretold(), jnp.float32(0.5), KEY), net)
+    assert [jax.tree_util.keystr(path) for path, slope in found.items() if not np.all(slope)] == []
+
+
+@pytest.mark.parametrize("options", [{}, {"mirror": False}, {"profile": False}])
+def test_gradients_reach_every_weight_of_a_drive_net_and_none_of_its_profile(options):
+    net = small.drive_net(**options)
+    found = slopes(lambda net: drive_loss(CONFIG)(net, STRETCH, foretold(), jnp.float32(0), KEY), net)
+    names = {jax.tree_util.keystr(path): slope for path, slope in found.items()}
+    coefficients = {name for name in names if name.startswith(".profile")}
+    assert len(coefficients) == (7 if options.get("profile", True) else 0)
+    assert [name for name, slope in names.items() if name not in coefficients and not np.all(slope)] == []
+    assert [name for name in coefficients if names[name] != 0] == []
+
+
+@pytest.mark.parametrize("part", ["force", "motion"])
+def test_what_is_wrong_within_the_burn_in_does_not_count(part):
+    def with_error(tick):
+        if part == "force":
+            return STRETCH._replace(force=STRETCH.force.at[:, tick].add(5.0))
+        return STRETCH._replace(motion=STRETCH.motion._replace(angle=STRETCH.motion.angle.at[:, tick].add(5.0)))
+
+    def error(stretch):
+        if part == "force":
+            return float(force_error(small.force_net(), stretch, foretold(), 0.0))
+        return float(drive_error(small.drive_net(), stretch))
+
+    assert error(with_error(CONFIG.burn_in - 1)) == pytest.approx(error(STRETCH), rel=1e-6)
+    assert error(with_error(CONFIG.burn_in)) > 1.01 * error(STRETCH)
+
+
+def test_force_nets_see_the_measured_motion_first_and_the_foretold_one_in_the_end():
+    net, begin, end = small.force_net(), *CONFIG.free_running
+    told = foretold()
+    fed = STRETCH._replace(before=small.rows_of_ticks(told, 0), motion=small.rows_of_ticks(told, slice(1, None)))
+    measured, free = (float(force_error(net, stretch, foretold(0.0), 0.0)) for stretch in (STRETCH, fed))
+    assert abs(free - measured) > 0.05 * measured
+    for done, expected in ((0.0, measured), (begin, measured), (end, free), (1.0, free)):
+        assert float(force_error(net, STRETCH, told, done)) == pytest.approx(expected, rel=1e-5)
+    between = float(force_error(net, STRETCH, told, (begin + end) / 2))
+    assert abs(between - measured) > 1e-4
+    assert abs(between - free) > 1e-4
+
+
+def test_each_member_draws_and_learns_for_itself_and_the_best_weights_of_each_are_kept():
+    learner = Learner(force_loss(CONFIG), CONFIG, 8)
+    twins = jax.tree.map(lambda x: jnp.stack([x, x]), small.force_net())
+    nowhere = Motion(*(jnp.zeros((2, 600)) for _ in range(2)))
+    state, loss = learner.run(learner.start(twins), TABLE, nowhere, jnp.int32(0), 4, KEY)
+    assert loss[0] != loss[1]
+    moved = [np.asarray(new - old) for new, old in zip(*map(jax.tree.leaves, (state.nets, twins)), strict=True)]
+    assert all(np.abs(x[0] - x[1]).max() > 0 for x in moved if x.size)
+
+    first = keep_best(state, jnp.asarray([1.0, 2.0]))
+    later = keep_best(first._replace(nets=jax.tree.map(lambda x: x + 1, first.nets)), jnp.asarray([3.0, 0.5]))
+    np.testing.assert_array_equal(later.best_loss, [1.0, 0.5])
+    np.testing.assert_array_equal(later.best.offset[0], state.nets.offset[0])
+    np.testing.assert_array_equal(later.best.offset[1], state.nets.offset[1] + 1)
+
+
+def test_two_calls_are_one_compiled_program():
+    compiled = []
+
+    def loss(net, stretch, predicted, done, key):
+        compiled.append(1)
+        return force_loss(CONFIG)(net, stretch, predicted, done, key)
+
+    learner = Learner(loss, CONFIG, 8)
+    state = learner.start(small.members().force)
+    nowhere = Motion(*(jnp.zeros((2, 600)) for _ in range(2)))
+    for first in (0, 1):
+        state, _ = learner.run(state, TABLE, nowhere, jnp.int32(first), 1, KEY)
+        state = keep_best(state, jnp.asarray([1.0, 2.0], jnp.float32))
+        once = len(compiled) if first == 0 else once
+    assert len(compiled) == once
+
+
+def test_nets_learn_that_the_noise_grows_with_the_speed():
+    def noisy(seed):
+        log = small.recorded(600, seed, noise_n=0.0)
+        size = 0.02 + 0.2 * np.abs(log.reading.velocity)
+        noise = np.random.default_rng(seed).normal(size=(600, 2)) * size[:, None]
+        return log._replace(reading=log.reading._replace(force=(log.reading.force + noise).astype(np.float32)))
+
+    changes = ["learning_rate=0.03", "batch=16", "members=1", "force.heteroscedastic=true"]
+    config, updates = CONFIG.changed(changes), 300
+    table = Table.of([noisy(seed) for seed in range(6)], config.ticks)
+    learner = Learner(force_loss(config), config, updates)
+    fresh = ensemble(1, small.DRIVE, config.force, small.PROFILE, small.SCALES, KEY)
+    as_measured = jax.tree.map(lambda x: x[None], table.motion)
+    state, _ = learner.run(learner.start(fresh.force), table, as_measured, jnp.int32(0), updates, KEY)
+    net, motion = single(state.nets), small.recorded(400, seed=50).reading
+    said = small.forces_of(net, motion)
+    deviation = np.exp(np.asarray(said.log_deviation)) * small.SCALES.force_n
+    speed = np.abs(motion.velocity[1:])
+    for low, high in ((0.0, 0.1), (1.0, 1.5), (2.0, 2.5)):
+        there = (speed >= low) & (speed < high)
+        assert deviation[there].mean() == pytest.approx(0.02 + 0.2 * speed[there].mean(), rel=0.35, abs=0.02)

@@ -1,0 +1,117 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softfin.errors import LogError
+from softfin.plant import rest_command, roll
+from softfin.quantities import Command
+from softfin.surrogate import StreamingSurrogate
+from softfin.surrogate.streaming.follow import follow
+from softfin.surrogate.streaming.member import parameters, single
+from softfin.surrogate.streaming.profile import LONGEST_DELAY
+from softfin.testing import check_plant
+from tests.surrogate.streaming import small
+
+PLANT = small.surrogate()
+STROKE = Command(jnp.float32(0.7), jnp.float32(2.0))
+START = PLANT.init(jax.random.key(0))
+
+
+@pytest.fixture(scope="module")
+def advance():
+    return jax.jit(lambda state, command, ticks: PLANT.advance(state, command, ticks), static_argnums=2)
+
+
+def test_a_streaming_surrogate_is_a_plant():
+    check_plant(PLANT)
+
+
+def test_33_ticks_are_33_times_one(advance):
+    held_state, held = advance(START, STROKE, 33)
+    state, each = START, []
+    for _ in range(33):
+        state, reading = advance(state, STROKE, 1)
+        each.append(reading)
+    for one, other in zip(held, jax.tree.map(lambda *x: np.concatenate(x), *each), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-5)
+    for one, other in zip(*map(jax.tree.leaves, (held_state, state)), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-5)
+
+
+def test_readings_are_the_mean_of_the_members_who_disagree(advance):
+    _, mean = advance(START, STROKE, 33)
+    _, each = PLANT.advance_members(START, STROKE, 33)
+    assert each.force.shape == (2, 33, 2)
+    for one, other in zip(mean, each, strict=True):
+        np.testing.assert_allclose(one, np.asarray(other).mean(axis=0), atol=1e-6)
+    assert np.abs(each.force[0] - each.force[1]).max() > 0.1
+
+
+def test_the_state_does_not_grow_with_what_it_remembers(advance):
+    def shapes(ticks):
+        return [leaf.shape for leaf in jax.tree.leaves(advance(START, STROKE, ticks)[0])]
+
+    assert shapes(10) == shapes(1000) == [leaf.shape for leaf in jax.tree.leaves(START)]
+
+
+def test_it_begins_at_rest_and_stays_there_until_it_is_told_otherwise(advance):
+    after, reading = advance(START, rest_command(PLANT.limits), 100)
+    first = jax.tree.map(lambda x: x[:1], reading)
+    np.testing.assert_allclose(reading.force, np.repeat(first.force, 100, axis=0), atol=1e-4)
+    np.testing.assert_allclose(reading.angle, np.repeat(first.angle, 100), atol=1e-5)
+    np.testing.assert_allclose(reading.velocity, np.repeat(first.velocity, 100), atol=1e-5)
+    for one, other in zip(*(jax.tree.leaves(state.members) for state in (START, after)), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-4)
+    assert float(reading.time[0]) == pytest.approx(0.01)
+
+
+PAST = 360
+LOG = small.recorded(400, seed=5)
+
+
+def test_warm_is_where_following_the_log_from_there_on_comes_to():
+    begin = PAST - PLANT.memory + LONGEST_DELAY
+    # Held before that row, as `follow` takes it to have been.
+    held = Command(*(np.where(np.arange(400) < begin, part[begin], part) for part in LOG.command))
+    log = LOG._replace(command=held)
+    ahead = jax.tree.map(jnp.asarray, small.rows_of(held, PAST - 1, 399))
+    _, reading = roll(PLANT, PLANT.warm(small.rows_of(log, 0, PAST)), ahead)
+    (said,) = follow(PLANT.members, [small.rows_of(log, begin, None)])
+    np.testing.assert_allclose(reading.angle, said.angle.mean(axis=0)[-40:], atol=1e-5)
+    np.testing.assert_allclose(reading.force, said.force.mean(axis=0)[-40:], atol=1e-4)
+
+
+def test_warm_counts_on_from_the_time_of_the_last_row_and_sees_only_its_memory():
+    long, short = PLANT.warm(LOG), PLANT.warm(small.rows_of(LOG, 400 - PLANT.memory, None))
+    assert all(np.array_equal(a, b) for a, b in zip(*map(jax.tree.leaves, (long, short)), strict=True))
+    _, reading = PLANT.advance(long, STROKE, 1)
+    assert float(reading.time[0]) == pytest.approx(float(LOG.reading.time[-1]) + 0.01)
+
+
+def test_a_short_history_is_refused():
+    with pytest.raises(LogError, match="history: 299 rows; 300 are needed"):
+        PLANT.warm(small.rows_of(LOG, 101, None))
+
+
+def test_the_cost_of_a_tick_is_that_of_the_products_of_all_members():
+    member = single(PLANT.members)
+    assert PLANT.flops_per_tick() == 2 * 2 * (member.drive.products() + member.force.products())
+    assert PLANT.parameters() == sum(leaf.size for leaf in jax.tree.leaves(PLANT.members)) == 2 * parameters(member)
+    assert (PLANT.model, PLANT.size) == ("streaming", 2)
+
+
+def test_a_mirrored_fin_says_mirrored_readings():
+    members = small.eqx.tree_at(lambda m: small.MOUNT(m.force), PLANT.members, replace_fn=jnp.zeros_like)
+    plant = StreamingSurrogate(members, PLANT.limits, PLANT.interval, PLANT.familiarity)
+    issued = Command(*map(jnp.asarray, small.commands(200, seed=2)))
+    start = plant.init(jax.random.key(0))
+    both = [roll(plant, start, one)[1] for one in (issued, issued._replace(angle=-issued.angle))]
+    np.testing.assert_allclose(both[1].angle, -both[0].angle, atol=1e-5)
+    np.testing.assert_allclose(both[1].force, small.mirrored(both[0].force), atol=1e-3)
+
+
+def test_the_distance_is_that_of_the_first_members_force_net():
+    state, _ = PLANT.advance(START, STROKE, 20)
+    memory = np.concatenate([np.ravel(leaf[0]) for leaf in jax.tree.leaves(state.members.force[:2])])
+    assert float(PLANT.distance(state)) == pytest.approx(np.linalg.norm(memory), rel=1e-4)

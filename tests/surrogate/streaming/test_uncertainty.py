@@ -1,0 +1,89 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softfin.quantities import Command, Log, Reading
+from softfin.surrogate.streaming.member import single
+from softfin.surrogate.streaming.uncertainty import WINDOW, Interval, calibrated, familiar, remembered, window_means
+from tests.surrogate.streaming import small
+
+CONFIG = small.CONFIG.changed(["burn_in=7"])
+
+
+def log_of(means):
+    """With these mean forces in its windows, behind the burn-in."""
+    force = np.concatenate([np.full((7, 2), 99.0), np.repeat(means, WINDOW, axis=0), np.full((5, 2), 99.0)])
+    rows = np.zeros(len(force), np.float32)
+    return Log(Command(rows, rows), Reading(rows, rows, rows, force.astype(np.float32)))
+
+
+def said_of(members):
+    return np.stack([np.asarray(log_of(means).reading.force) for means in members])
+
+
+def test_means_are_those_of_whole_windows_behind_the_burn_in():
+    means = np.arange(8.0).reshape(4, 2)
+    np.testing.assert_allclose(window_means(said_of([means, -means])[:, 7:]), [means, -means])
+
+
+@pytest.mark.parametrize("windows", [10, 200])
+def test_the_interval_holds_its_share_of_errors_that_it_was_not_calibrated_with(windows):
+    """Members that disagree more where they are more wrong; so few windows that one more or less is seen."""
+    random, held = np.random.default_rng(windows), []
+    for _ in range(300):
+        size = random.uniform(0.1, 1.0, (windows + 50, 2))
+        error, spread = random.normal(0, 0.3, size.shape) * size, 0.3 * size
+        members = [error + spread, error - spread]
+        found = calibrated(
+            [said_of([m[:windows] for m in members])], [log_of(np.zeros((windows, 2)))], CONFIG
+        ) if windows == 10 or len(held) < 10 else found  # fmt: skip
+        fresh = np.stack(members)[:, windows:]
+        held.append(np.mean(np.abs(fresh.mean(axis=0)) <= found.half_width(fresh)))
+    assert 0.895 <= np.mean(held) <= (0.96 if windows == 10 else 0.93)
+    assert found.windows == 2 * windows
+
+
+def test_the_half_width_grows_with_the_spread_of_the_members():
+    found = Interval(coverage=0.9, factor=2.0, floor_n=0.3, windows=10)
+    spreads = np.array([0.0, 0.4, 4.0])
+    widths = found.half_width(np.stack([1 + spreads, 1 - spreads]))
+    np.testing.assert_allclose(widths, 2 * np.sqrt(spreads**2 + 0.09))
+
+
+@pytest.fixture(scope="module")
+def known():
+    """Training logs of slow commands to small angles, and distances of the memories of such logs."""
+    members = small.members(seed=3, spread=0.3)
+    return members, familiar(members, [training(seed) for seed in range(6)], burn_in=100)
+
+
+def training(seed, **options):
+    return small.recorded(1500, seed, reach=0.5, speeds=(1.0, 1.5), **options)
+
+
+def distances(known, log):
+    """Tick by tick along the commands of a log, behind a burn-in."""
+    members, familiarity = known
+    member = single(members)
+    waiting = jax.tree.map(lambda x: jnp.full(20, x[0]), log.command)
+
+    def step(state, command):
+        state, _ = member.step(state, Command(*command))
+        return state, familiarity.distance(remembered(state.force))
+
+    start = member.start(small.rows_of_first(log), waiting)
+    return np.asarray(jax.jit(lambda commands: jax.lax.scan(step, start, commands)[1])(log.command))[100:]
+
+
+def test_one_in_a_thousand_moments_of_the_training_data_is_further_than_1(known):
+    along = np.concatenate([distances(known, training(seed)) for seed in range(6)])
+    assert 0.0002 < np.mean(along > 1) < 0.004
+
+
+def test_commands_that_were_never_trained_are_far(known):
+    fast = distances(known, small.recorded(600, 9, reach=1.5, speeds=(3.0, 3.1)))
+    usual = distances(known, training(20))
+    assert np.median(fast) > 1.5 * np.median(usual)
+    assert np.mean(fast > 1) > 0.2
+    assert np.mean(usual > 1) < 0.02

@@ -1,0 +1,118 @@
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softfin import artifacts
+from softfin.errors import ArtifactError
+from softfin.plant import roll
+from softfin.plants import identity
+from softfin.quantities import PAPER_LIMITS, Command
+from softfin.surrogate import StreamingSurrogate, Surrogate, load_surrogate, save_surrogate
+from softfin.surrogate.streaming.force import Motion
+from softfin.surrogate.streaming.member import single
+from softfin.surrogate.streaming.uncertainty import Familiarity, remembered
+from tests.surrogate import small as paper
+from tests.surrogate.streaming import small
+
+
+@pytest.fixture
+def stored(tmp_path):
+    save_surrogate(tmp_path / "s", small.surrogate(), None, artifacts.provenance(seed=0))
+    return tmp_path / "s"
+
+
+def edit(folder, change):
+    file = folder / "surrogate.json"
+    description = json.loads(file.read_text())
+    change(description)
+    file.write_text(json.dumps(description))
+
+
+def readings(plant):
+    commands = Command(*map(jnp.asarray, small.commands(100)))
+    return roll(plant, plant.init(jax.random.key(0)), commands)[1]
+
+
+def test_a_stored_streaming_surrogate_says_the_same(stored):
+    plant, loaded = small.surrogate(), load_surrogate(stored)
+    assert isinstance(loaded, StreamingSurrogate)
+    for one, other in zip(readings(plant), readings(loaded), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert (loaded.interval, loaded.limits) == (plant.interval, plant.limits)
+    assert identity(loaded) == identity(plant)
+
+
+@pytest.mark.parametrize(
+    ("drive", "force"), [({"profile": False}, {"mirror": False, "turning": False}), ({}, {"wake": 0})]
+)
+def test_nets_of_other_kinds_are_stored_too(tmp_path, drive, force):
+    nets = small.members(drive=small.DRIVE.merged(drive, "test"), force=small.FORCE.merged(force, "test"))
+    size = remembered(single(nets.force).start(Motion(jnp.zeros(()), jnp.zeros(())))).size
+    plant = StreamingSurrogate(
+        nets, PAPER_LIMITS, small.interval(), Familiarity(jnp.zeros(size), jnp.eye(size))
+    )  # fmt: skip
+    save_surrogate(tmp_path / "s", plant, None, {})
+    loaded = load_surrogate(tmp_path / "s")
+    assert identity(loaded) == identity(plant)
+
+
+def test_the_folder_says_what_it_is(stored):
+    description = artifacts.load_description(stored, "surrogate")
+    assert description["model"] == "streaming"
+    assert description["rate_hz"] == 100
+    assert description["members"] == 2
+    assert description["parameters"] == small.surrogate().parameters()
+    assert description["channels"]["in"] == ["command_angle_rad", "command_velocity_rad_s"]
+    assert description["networks"]["force"]["mirror"] is True
+
+
+def test_a_surrogate_from_before_there_was_another_kind_is_the_papers(tmp_path):
+    save_surrogate(tmp_path / "s", paper.surrogate(), None, {})
+    edit(tmp_path / "s", lambda description: description.pop("model"))
+    loaded = load_surrogate(tmp_path / "s")
+    assert isinstance(loaded, Surrogate)
+    assert loaded.model == "paper"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda d: d.update(rate_hz=50), "made for 50 Hz; softfin runs at 100 Hz"),
+        (lambda d: d.update(format=2), "format 2; this softfin reads 1; update it"),
+        (lambda d: d.update(model="oracle"), "model 'oracle'; this softfin knows paper, streaming; update it"),
+        (
+            lambda d: d["channels"]["out"].pop(),
+            r"channels .*'force_x_n'\]\}; softfin steps surrogates with .*'force_y_n'",
+        ),
+        (
+            lambda d: d["networks"]["force"].update(units=4),
+            r"members\.force\.core\.\w+ has the shape .* must have .*copy",
+        ),
+        (lambda d: d.update(members=3), r"has the shape \(2, .* must have \(3, "),
+        (lambda d: d.update(members="many"), "not a surrogate's description"),
+        (lambda d: d.pop("scales"), r"not a surrogate's description \('scales'\)"),
+        (lambda d: d["scales"].update(force_n=-1), "not a surrogate's description"),
+        (lambda d: d["limits"].pop("angle_min_rad"), "not a surrogate's description"),
+        (lambda d: d["limits"].update(angle_min_rad="low"), "not a surrogate's description"),
+    ],
+)
+def test_a_description_that_does_not_fit_is_one_clear_line(stored, change, words):
+    edit(stored, change)
+    with pytest.raises(ArtifactError, match=words) as error:
+        load_surrogate(stored)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["members.force.core.odd_in", "familiarity.mean", "members.drive.profile.delay"])
+def test_arrays_that_are_missing_or_short_are_named(stored, name):
+    _, weights = artifacts.load(stored, "surrogate")
+    cut = weights[name][..., :-1]
+    for array, held in ((cut, rf"has the shape \({cut.shape[0]},"), (None, "is missing")):
+        changed = {key: value for key, value in weights.items() if key != name}
+        changed |= {} if array is None else {name: array}
+        (stored / artifacts.WEIGHTS).write_bytes(artifacts.encode(changed))
+        with pytest.raises(ArtifactError, match=rf"{name} {held}.* must have .*copy the whole folder again"):
+            load_surrogate(stored)
