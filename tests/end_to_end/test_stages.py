@@ -11,7 +11,9 @@ import yaml
 
 from softfin.cli import main
 from softfin.stages import TRAINING_LOG
+from softfin.surrogate.streaming import identify
 from tests.surrogate import small
+from tests.surrogate.streaming import small as small_streaming
 
 PLANT = "tests.plants:PlainFin"
 FIT = {
@@ -20,6 +22,7 @@ FIT = {
     "posnet": small.POSNET.model_dump(mode="json"),
     "forcenet": small.FORCENET.model_dump(mode="json"),
 }
+STREAMING = small_streaming.CONFIG.model_dump(mode="json") | {"drive_updates": 2, "force_updates": 2}
 LEARNER = {"environments": 4, "rollout_actions": 6, "epochs": 2, "minibatches": 2}
 TRAIN = {"steps": 48, "scorings": 2, "policy": {"units": 8, "width": 8}, "ppo": LEARNER}
 CELLS = [{"low": [0.5, -0.5], "high": [1.5, 0.5]}, {"low": [1.5, -0.5], "high": [2.5, 0.5]}]
@@ -71,6 +74,32 @@ def test_each_command_reads_what_the_one_before_wrote(capsys, tmp_path, monkeypa
     assert "reference (9, 0) N: 6.5 N outside the nearest of 2 cells" in capsys.readouterr().err
     left_behind = [path.name for path in tmp_path.iterdir() if path.name.startswith(".")]
     assert left_behind == []
+
+
+def test_streaming_surrogates_are_fitted_and_chosen_by_their_errors(capsys, tmp_path, monkeypatch):
+    # What a search finds is tested with it; here it only has to go through.
+    monkeypatch.setattr(identify, "GENERATIONS", 2)
+    monkeypatch.setattr(identify, "STRETCHES", 4)
+    dataset, surrogate = str(tmp_path / "dataset"), str(tmp_path / "surrogate")
+    run(capsys, "collect", "--plant", PLANT, "--logs", "3", "--test-logs", "1", "--rows", "400", "--out", dataset)
+
+    config = write(tmp_path / "streaming.yaml", STREAMING)
+    fitted = run(capsys, "fit", dataset, "--config", config, "--out", surrogate)
+    assert fitted["model"] == "streaming"
+    assert fitted["candidates"] is None
+    assert fitted["table_i"]["force_free_running"]["physical"]["rmse"] > 0
+    assert (tmp_path / "surrogate" / TRAINING_LOG / "log.jsonl").is_file()
+
+    config = write(tmp_path / "auto.yaml", {"paper": FIT, "streaming": STREAMING})
+    auto = run(capsys, "fit", dataset, "--model", "auto", "--config", config, "--out", str(tmp_path / "auto"))
+    errors = {name: score["force_rmse_n"] for name, score in auto["candidates"]["held_out"].items()}
+    assert len(errors) == 3
+    assert auto["candidates"]["chosen"] == min(errors, key=errors.get)
+    assert auto["model"] == auto["candidates"]["chosen"].partition(",")[0]
+    description = json.loads((tmp_path / "auto" / "surrogate.json").read_text())
+    assert description["candidates"] == auto["candidates"]
+    assert description["model"] == auto["model"]
+    assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
 
 
 def reproduction(tmp_path):

@@ -92,17 +92,22 @@ def load_controller(path: Path) -> SingleController | GridController:
 
 
 def _scores(trained: Trained, index: int) -> list[dict[str, Any]]:
-    """Of each cell: the references that it was scored at, in the plant that it was trained in."""
-    rows = []
+    """Of each cell: the references that it was scored at, in the plant that it was trained in.
+
+    With ``beyond_data``, the share of actions that led beyond its data, where that plant is a surrogate that knows.
+    """
+    score, rows = trained.score, []
     for i, cell in enumerate(trained.config.cells):
         for j, reference in enumerate(cell.lattice(trained.config.lattice)):
-            error, deviation = (np.asarray(part)[index, i, j] for part in trained.score)
+            error, deviation = (np.asarray(part)[index, i, j] for part in (score.error, score.deviation))
+            known = {} if score.beyond is None else {"beyond_data": float(score.beyond[index, i, j])}
             rows.append(
                 {
                     "cell": i,
                     "reference_n": list(reference),
                     "error_n": [round(float(x), 4) for x in error],
                     "std_n": [round(float(x), 4) for x in deviation],
+                    **known,
                 }
             )
     return rows

@@ -91,7 +91,8 @@ def _draw_traces(panels: Any, comparison: Comparison) -> None:
         axes.set(ylabel=f"force {AXES[axis]} [N]", xlim=(time[0], time[-1]))
     rest = len(comparison.groups) - len(shown)
     others = "" if not rest else f"; {rest} more not drawn"
-    panels[0].set_title(f"A stretch of median error, free-running, the first seed of each{others}", weight="bold", pad=22)
+    title = f"A stretch of median error, free-running, the first seed of each{others}"
+    panels[0].set_title(title, weight="bold", pad=22)
     panels[0].legend(ncols=1 + len(shown), loc="lower left", bbox_to_anchor=(0, 1.0), borderaxespad=0)
     panels[1].set_xlabel("time since the surrogate was left alone [s]")
 

@@ -21,7 +21,7 @@ class Score(NamedTuple):
     """Mean over all whole windows of |moving average - reference| [N]."""
     deviation: Float[Array, "references 2"]
     """Standard deviation of the moving average [N]."""
-    beyond: Float[Array, "references"] | None
+    beyond: Float[Array, "references"] | None = None
     """Share of the actions that led beyond the training data of a plant that knows its `distance`; None of others."""
 
 

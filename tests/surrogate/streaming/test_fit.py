@@ -1,5 +1,3 @@
-import functools
-
 import jax
 import numpy as np
 import pytest
@@ -16,22 +14,31 @@ from softfin.surrogate.streaming.sequences import scales_of
 from tests.surrogate.streaming import small
 
 CONFIG = small.CONFIG
+KNOWN = small.PROFILE.merged({"acceleration_rad_s2": 40.0}, "test")
+"""Not quite, so that there is something left to learn."""
+
 LOGS = [small.recorded(rows=400, seed=seed) for seed in range(4)]
 
 
 @pytest.fixture(autouse=True)
 def profile_known(monkeypatch):
     """Read off the logs in a test of its own: it takes seconds."""
-    monkeypatch.setattr(module, "identify", lambda logs, seed: (small.PROFILE, 0.0))
+    monkeypatch.setattr(module, "identify", lambda logs, seed: (KNOWN, 0.0))
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """A fit that was not interrupted, and its log."""
+    """A fit that was not interrupted, its log, and what it told on the way."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "identify", lambda logs, seed: (small.PROFILE, 0.0))
-        workspace = Workspace(tmp_path_factory.mktemp("whole") / "s", {"a": 1})
-        return fit_streaming(LOGS, CONFIG, 0, workspace), read_log(workspace.folder / LOG)
+        patch.setattr(module, "identify", lambda logs, seed: (KNOWN, 0.0))
+        workspace, seen = Workspace(tmp_path_factory.mktemp("whole") / "s", {"a": 1}), []
+        fitted = fit_streaming(LOGS, CONFIG, 0, workspace, lambda stage, done, note: seen.append((done, note)))
+        return fitted, read_log(workspace.folder / LOG), seen
+
+
+def of(name, history):
+    """One scalar of a training log, where it is."""
+    return [entry[name] for entry in history if name in entry]
 
 
 class Killed(BaseException):
@@ -56,7 +63,7 @@ def test_a_killed_fit_resumes_to_the_same_surrogate(tmp_path, whole, after, from
     workspace = Workspace(tmp_path / "cut", {"a": 1}, resume=True)
     resumed = fit_streaming(LOGS, CONFIG, 0, workspace, lambda stage, done, note: resumed_from.append(done))
     assert min(resumed_from) > from_then_on
-    surrogate, history = whole
+    surrogate, history, _ = whole
     assert same(surrogate, resumed)
     assert (resumed.interval, resumed.limits) == (surrogate.interval, surrogate.limits)
     assert read_log(workspace.folder / LOG) == history
@@ -64,9 +71,9 @@ def test_a_killed_fit_resumes_to_the_same_surrogate(tmp_path, whole, after, from
 
 
 def test_every_weight_learns_but_the_profile_which_is_what_the_logs_say(whole):
-    surrogate, _ = whole
+    surrogate, _, _ = whole
     scales = scales_of(LOGS[:-1])
-    fresh = ensemble(2, CONFIG.drive, CONFIG.force, small.PROFILE, scales, key_of(0, "fit/weights"))
+    fresh = ensemble(2, CONFIG.drive, CONFIG.force, KNOWN, scales, key_of(0, "fit/weights"))
     before, after = (dict(jax.tree_util.tree_leaves_with_path(nets)) for nets in (fresh, surrogate.members))
     held = [jax.tree_util.keystr(path) for path in before if before[path].size and same(before[path], after[path])]
     assert len(held) == len(ProfileConfig.model_fields)
@@ -81,17 +88,11 @@ def test_the_members_are_not_alike(whole):
     assert not any(alike)
 
 
-def test_the_best_weights_are_kept_not_the_last(tmp_path):
-    config = CONFIG.changed(["learning_rate=0.1", "force_updates=20", "drive_updates=1", "members=1"])
-    workspace = Workspace(tmp_path / "s", {})
-    fitted = fit_streaming(LOGS, config, 0, workspace)
-    history = [
-        entry["held_out/force_mse"] for entry in read_log(workspace.folder / LOG) if "held_out/force_mse" in entry
-    ]
-    (said,) = follow(fitted.members, LOGS[-1:])
-    error = (said.force[0] - LOGS[-1].reading.force)[config.burn_in :]
-    assert np.mean(np.sum(error**2, axis=-1)) == pytest.approx(min(history), rel=1e-3)
-    assert min(history) < history[-1]
+def test_the_best_weights_of_each_member_are_kept(whole):
+    surrogate, history, _ = whole
+    (said,) = follow(surrogate.members, LOGS[-1:])
+    error = (said.force - LOGS[-1].reading.force)[:, CONFIG.burn_in :]
+    assert np.mean(np.sum(error**2, axis=-1)) <= min(of("held_out/force_mse", history)) * 1.001
 
 
 def test_limits_are_the_range_of_the_training_commands(whole):
@@ -105,29 +106,22 @@ def test_held_out_logs_reach_no_weight(tmp_path, whole):
     strange = last._replace(reading=last.reading._replace(force=last.reading.force * np.float32(1e-6)))
     workspace = Workspace(tmp_path / "s", {})
     fit_streaming([*LOGS[:-1], strange], CONFIG, 0, workspace)
-    losses = [
-        [e for e in history if "train/force_loss" in e] for history in (whole[1], read_log(workspace.folder / LOG))
-    ]
-    assert [e["train/force_loss"] for e in losses[0]] == [e["train/force_loss"] for e in losses[1]]
-    assert losses[0][0]["held_out/force_mse"] != losses[1][0]["held_out/force_mse"]
+    both = whole[1], read_log(workspace.folder / LOG)
+    assert of("train/force_loss", both[0]) == of("train/force_loss", both[1])
+    assert of("held_out/force_mse", both[0]) != of("held_out/force_mse", both[1])
 
 
-@functools.cache
-def learnt(path, seed=7):
-    """Enough updates to learn something, without any knowledge of the fin."""
+def test_nets_that_are_told_nothing_of_the_fin_learn_too(tmp_path):
     knowing_nothing = [
         "drive.mirror=false", "drive.profile=false", "force.mirror=false", "force.turning=false", "members=1",
         "force.quasi_steady=false", "learning_rate=0.02", "drive_updates=60", "force_updates=60", "batch=16",
     ]  # fmt: skip
-    workspace = Workspace(path, {})
-    return fit_streaming(LOGS, CONFIG.changed(knowing_nothing), seed, workspace), read_log(workspace.folder / LOG)
-
-
-def test_nets_that_are_told_nothing_of_the_fin_learn_too(tmp_path):
-    fitted, history = learnt(tmp_path / "s")
+    workspace = Workspace(tmp_path / "s", {})
+    fitted = fit_streaming(LOGS, CONFIG.changed(knowing_nothing), 7, workspace)
+    history = read_log(workspace.folder / LOG)
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(fitted.members))
     for name in ("drive", "force"):
-        losses = [entry[f"train/{name}_loss"] for entry in history if f"train/{name}_loss" in entry]
+        losses = of(f"train/{name}_loss", history)
         assert losses[-1] < 0.7 * losses[0]
 
 
@@ -162,9 +156,7 @@ def test_a_loss_that_explodes_stops_the_fit(tmp_path):
         fit_streaming(LOGS, CONFIG.changed(["learning_rate=1e38"]), 0, Workspace(tmp_path / "s", {}))
 
 
-def test_progress_never_goes_back_and_ends_at_1(tmp_path):
-    seen = []
-    config = CONFIG.changed(["drive_updates=2", "force_updates=3"])
-    fit_streaming(LOGS, config, 0, Workspace(tmp_path / "s", {}), lambda stage, done, note: seen.append((done, note)))
-    assert [done for done, _ in seen] == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
-    assert [note.split(" nets")[0] for _, note in seen[1:]] == ["drive"] * 2 + ["force"] * 3
+def test_progress_never_goes_back_and_ends_at_1(whole):
+    _, _, seen = whole
+    assert [done for done, _ in seen] == pytest.approx(np.arange(21) / 20)
+    assert [note.split(" nets")[0] for _, note in seen[1:]] == ["drive"] * 10 + ["force"] * 10

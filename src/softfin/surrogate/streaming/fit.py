@@ -34,7 +34,7 @@ from softfin.surrogate.streaming.learner import (
     keep_best,
 )  # fmt: skip
 from softfin.surrogate.streaming.member import Member, ensemble
-from softfin.surrogate.streaming.profile import Profile, ProfileConfig
+from softfin.surrogate.streaming.profile import LONGEST_DELAY, Profile, ProfileConfig
 from softfin.surrogate.streaming.sequences import Table, scales_of
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 from softfin.surrogate.streaming.uncertainty import WINDOW, calibrated, familiar
@@ -96,6 +96,9 @@ class _Fit:
         elif config.drive.profile:
             learning = learning._replace(drive=self._with_profile(learning.drive))
         self.record = self.workspace.log(rewind_to=sum(done[name] for name in self.updates))
+        if resumed is None:
+            short = sum(len(log.reading.time) <= LONGEST_DELAY + config.ticks for log in self.training)
+            self.record.write(0, logs=float(len(self.training)), logs_shorter_than_a_stretch=float(short))
         nowhere = Motion(*(jnp.zeros((config.members, self.table.force.shape[0])) for _ in range(2)))
         for state in self._train("drive", drive, learning.drive, done, nowhere, self._drive_error):
             learning = learning._replace(drive=state)
@@ -148,7 +151,9 @@ class _Fit:
                 if self.progress is not None:
                     part = (before + done[name]) / sum(self.updates.values())
                     self.progress("fit", part, f"{name} nets, loss {float(loss.mean()):.3g}")
-            errors = error(state.nets)
+            # Told in words below.
+            with np.errstate(over="ignore", invalid="ignore"):
+                errors = error(state.nets)
             if not np.isfinite([*np.asarray(loss), *errors]).all():
                 raise RunError(f"fit: the {name} nets' loss is not finite; lower streaming.learning_rate, start anew")
             state = keep_best(state, jnp.asarray(errors, jnp.float32))

@@ -67,9 +67,6 @@ class Scales(Configuration):
     angle_rad: float = Field(gt=0)
     """Of the shaft [rad]."""
 
-    def __hash__(self) -> int:
-        return hash(tuple(self.model_dump().values()))
-
 
 class Said(NamedTuple):
     """By the force net, of one tick."""
