@@ -67,7 +67,8 @@ def test_a_killed_fit_resumes_to_the_same_surrogate(tmp_path, whole, after, from
     assert same(surrogate, resumed)
     assert (resumed.interval, resumed.limits) == (surrogate.interval, surrogate.limits)
     assert read_log(workspace.folder / LOG) == history
-    assert [entry["step"] for entry in history] == list(range(1, 21))
+    assert [entry["step"] for entry in history] == list(range(21))
+    assert history[0]["logs_shorter_than_a_stretch"] == 0
 
 
 def test_every_weight_learns_but_the_profile_which_is_what_the_logs_say(whole):
