@@ -1,4 +1,4 @@
-"""Fitting, of the paper's nets and of streaming ones: samples a second, share of the matrix-product rate by counted FLOPs.
+"""Fitting, of the paper's nets and of streaming ones: samples a second, share of the matrix-product rate.
 
 A streaming net goes through its stretches tick by tick, with products of a few dozen rows and columns: that, and the
 functions between them, keep it far from the rate of large products. What counts there is the time of a whole fit.

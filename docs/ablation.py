@@ -65,7 +65,8 @@ def main() -> None:
     print("| variant | angle RMSE [rad] | force RMSE x, y [N] | mean force, mean error, 95% [N] | FLOPs a tick |")
     print("| --- | --- | --- | --- | --- |")
     for name in words.only:
-        folder = words.out / f"{words.minutes:g}min-{name.replace(' ', '-')}"
+        size = f"{words.minutes:g}min-{words.members}x{words.updates}"
+        folder = words.out / f"{size}-{name.replace(' ', '-')}"
         if not (folder / "surrogate.json").exists():
             try:
                 stages.fit(data, folder, StreamingConfig().changed((*base, *VARIANTS[name])), resume=True)

@@ -1,5 +1,5 @@
 import pytest
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from softfin.configuration import Configuration, read_yaml
 from softfin.errors import ConfigurationError
@@ -13,6 +13,30 @@ class Inner(Configuration):
 class Outer(Configuration):
     inner: Inner = Inner()
     steps: int = 3
+
+
+class Ordered(Configuration):
+    low: float = 0.0
+    high: float = 1.0
+
+    @model_validator(mode="after")
+    def _in_order(self):
+        if self.low > self.high:
+            raise ValueError("low must not be above high")
+        return self
+
+
+class Group(Configuration):
+    ordered: Ordered = Ordered()
+
+
+def test_what_a_whole_model_refuses_is_told_without_all_its_values():
+    with pytest.raises(ConfigurationError) as error:
+        Ordered().changed(["low=2"])
+    assert str(error.value) == "--set: low must not be above high"
+    with pytest.raises(ConfigurationError) as error:
+        Group().changed(["ordered.low=2"])
+    assert str(error.value) == "--set: ordered: low must not be above high"
 
 
 def test_values_change_by_path_and_the_original_stays():

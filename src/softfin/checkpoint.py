@@ -7,6 +7,8 @@ pickle. It is replaced in one rename, so a kill at any moment leaves the one bef
 import copy
 import json
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -37,13 +39,19 @@ class Workspace:
             overwrite: drop unfinished work.
 
         Raises:
-            ArtifactError: unfinished work is there and neither was asked for, or it is that of another run.
+            ArtifactError: unfinished work is there and neither was asked for, or it, or a part of it, is that of
+                another run.
         """
         artifacts.check_vacant(out, overwrite)
         self.folder = out.absolute().with_name(f".{out.absolute().name}.unfinished")
         self.fingerprint = json.loads(artifacts.dump_json(fingerprint))
-        if self.folder.exists() and not resume:
-            if not overwrite and (self.folder / CHECKPOINT).exists():
+        # Also those of parts.
+        found = sorted(self.folder.rglob(CHECKPOINT))
+        if resume:
+            for path in found:
+                self._facts(path)
+        elif self.folder.exists():
+            if not overwrite and found:
                 raise ArtifactError(
                     f"{self.folder}: holds an unfinished run; go on with --resume, or drop it with --overwrite"
                 )
@@ -66,18 +74,9 @@ class Workspace:
         path = self.folder / CHECKPOINT
         if not path.exists():
             return None
-        try:
-            with safetensors.safe_open(path, "numpy") as file:
-                facts = json.loads(file.metadata()["facts"])
-                arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        except (OSError, KeyError, TypeError, ValueError, safetensors.SafetensorError) as error:
-            raise ArtifactError(f"{path}: damaged ({error}); start anew with --overwrite") from None
-        before = facts.pop("fingerprint", None)
-        if before != self.fingerprint:
-            differing = _differences(before or {}, self.fingerprint)
-            raise ArtifactError(
-                f"{path}: is of another run ({differing}); resume with the same options, or --overwrite"
-            )
+        facts = self._facts(path)
+        with _reading(path), safetensors.safe_open(path, "numpy") as file:
+            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         leaves, structure = jax.tree.flatten(like)
         shapes = [np.shape(leaf) for leaf in leaves]
         found = [arrays[str(i)] for i in range(len(arrays))]
@@ -85,16 +84,30 @@ class Workspace:
             raise ArtifactError(f"{path}: does not fit this version's training state; start anew with --overwrite")
         return jax.tree.unflatten(structure, [jnp.asarray(leaf) for leaf in found]), facts
 
+    def _facts(self, path: Path) -> dict[str, Any]:
+        """Of a checkpoint, which must be one of this run."""
+        with _reading(path), safetensors.safe_open(path, "numpy") as file:
+            facts: dict[str, Any] = json.loads(file.metadata()["facts"])
+            before = facts.pop("fingerprint", None)
+        if before != self.fingerprint:
+            differing = _differences(before or {}, self.fingerprint)
+            raise ArtifactError(
+                f"{path}: is of another run ({differing}); resume with the same options, or --overwrite"
+            )
+        return facts
+
     def log(self, rewind_to: int | None = None) -> "RunLog":
         """The training log; on resuming, entries beyond step `rewind_to` are dropped, because they will come again."""
         self.folder.mkdir(parents=True, exist_ok=True)
         return RunLog(self.folder, rewind_to)
 
     def keep_log(self, folder: Path) -> None:
-        """Copy the training log to `folder`, a part of the finished artifact."""
-        folder.mkdir()
-        for file in (self.folder / LOG, *self.folder.glob("events.*")):
-            shutil.copy(file, folder)
+        """Copy the training log, and those of parts, to `folder`, a part of the finished artifact."""
+        for log in sorted(self.folder.rglob(LOG)):
+            kept = folder / log.parent.relative_to(self.folder)
+            kept.mkdir(parents=True, exist_ok=True)
+            for file in (log, *log.parent.glob("events.*")):
+                shutil.copy(file, kept)
 
     def finish(self) -> None:
         """Remove the folder: the artifact stands."""
@@ -142,6 +155,14 @@ def read_log(path: Path) -> list[dict[str, Any]]:
         except ValueError:
             break
     return entries
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except (OSError, KeyError, TypeError, ValueError, AttributeError, safetensors.SafetensorError) as error:
+        raise ArtifactError(f"{path}: damaged ({error}); start anew with --overwrite") from None
 
 
 def _differences(before: dict[str, Any], now: dict[str, Any]) -> str:

@@ -89,6 +89,9 @@ def _explain(cls: type[pydantic.BaseModel], error: pydantic.ValidationError) -> 
             model = field.annotation if field else None
         fields = dict.fromkeys(model.model_fields) if hasattr(model, "model_fields") else {}
         return f"unknown key {name!r}{_nearest(str(leaf), fields) if fields else ''}"
+    if first["type"] == "value_error" and isinstance(first["input"], Mapping):
+        # Of a whole model: its validator names what is wrong, and its input is everything.
+        return f"{name}: {first['ctx']['error']}" if name else str(first["ctx"]["error"])
     return f"{name or 'value'} = {first['input']!r}: {first['msg']}"
 
 

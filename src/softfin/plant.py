@@ -67,6 +67,9 @@ ACTION_TICKS = (33, 33, 34)
 
 ACTION_RATE_HZ = 3.0
 
+WINDOW = 2 * sum(ACTION_TICKS)
+"""Samples whose mean force controllers are judged by: 200, 2 s, six actions (paper, Sec. IV-B)."""
+
 
 def rest_command(limits: Limits) -> Command:
     """The command under which a fin at rest at angle 0 stays there: angle 0 at the least velocity."""

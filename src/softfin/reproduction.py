@@ -173,7 +173,7 @@ class _Reproduction:
         self.stage(
             "fit", self.surrogate,
             lambda: stages.fit(self.dataset, self.surrogate, self.config.fit, seed=self.seed, resume=True,
-                               progress=self.progress),
+                               accept=True, progress=self.progress),
         )  # fmt: skip
         scores: dict[str, Any] | None = artifacts.load_description(self.surrogate, "surrogate")["scores"]
         return scores
@@ -240,7 +240,11 @@ def _together(each: list[Evaluation]) -> Evaluation:
     means = [[field.mean(axis=1) for field in e.scores] for e in each]
     scores = Scores(*(np.stack(fields, axis=1) for fields in zip(*means, strict=True)))
     doubts = [e.doubt for e in each if e.doubt is not None]
-    doubt = Doubt(*(np.mean(fields, axis=0) for fields in zip(*doubts, strict=True))) if doubts else None
+    doubt = Doubt(
+        beyond=np.mean([each.beyond for each in doubts], axis=0),
+        furthest=np.max([each.furthest for each in doubts], axis=0),
+        half_width=np.mean([each.half_width for each in doubts], axis=0),
+    ) if doubts else None  # fmt: skip
     return Evaluation(each[0].config, scores, len(each), each[0].recording, doubt)
 
 

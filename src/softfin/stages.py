@@ -31,7 +31,7 @@ from softfin.logs.extension import extended
 from softfin.logs.findings import check_accepted
 from softfin.logs.importing import ImportConfig
 from softfin.logs.inspection import Inspection
-from softfin.logs.recordings import Opened, open_logs
+from softfin.logs.recordings import Opened, check_train, open_logs
 from softfin.plant import Plant
 from softfin.plants import find_plant, identity
 from softfin.quantities import Limits
@@ -41,7 +41,7 @@ from softfin.surrogate import import_keras as _import_keras
 from softfin.surrogate.active import ActiveCollectConfig, chooser
 from softfin.surrogate.choice import fit_any
 from softfin.surrogate.fit import check_lengths
-from softfin.surrogate.metrics import SKIPPED, table_one
+from softfin.surrogate.metrics import SKIPPED, measured_scaling, table_one
 from softfin.tank import Tank, randomised
 from softfin.training.train import GRID, TrainConfig
 from softfin.training.train import train as _train
@@ -139,6 +139,7 @@ def import_logs(
     """Recordings of any kind become a dataset; raises LogError where they have errors, unless they are accepted."""
     artifacts.check_vacant(out, overwrite)
     opened = open_logs(path, config or ImportConfig(), progress)
+    check_train(opened, str(path))
     check_accepted(opened.findings, str(path), accept)
     facts = {**opened.facts, "accepted": accept, "provenance": artifacts.provenance()}
     return write_dataset(out, opened.train, opened.test, facts), opened.inspection
@@ -156,11 +157,11 @@ def fit(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Fit a surrogate to logs, score it on their test logs, write it; returns Table I.
+    """Fit a surrogate to logs, score it on their test logs, write it; returns Table I and the findings' counts.
 
     The kind of configuration says which model: the paper's nets, streaming nets, or what is best on held-out logs.
     `dataset` is a dataset's folder, or recordings of any other kind, read as `logs` says; raises LogError where these
-    have errors, unless they are accepted.
+    have errors, unless they are accepted, now or when the dataset was imported.
     """
     config = config or StreamingConfig()
     opened = _opened(dataset, logs, accept, progress)
@@ -168,6 +169,8 @@ def fit(
     workspace = Workspace(out, facts, resume, overwrite)
     test = opened.test
     check_lengths(test, SKIPPED, "test")
+    if test:
+        measured_scaling(test)
     surrogate, evidence = fit_any(opened.train, config, seed, workspace, progress)
     scores = table_one(surrogate, test) if test else None
     provenance = artifacts.provenance(seed=seed, data_hash=opened.data_hash, dataset=str(dataset), **opened.facts)
@@ -177,15 +180,17 @@ def fit(
         **({} if evidence is None else {"candidates": evidence}),
     )  # fmt: skip
     workspace.finish()
-    return {"model": surrogate.model, "table_i": scores, "candidates": evidence}
+    counts = opened.inspection.summary()["counts"]
+    return {"model": surrogate.model, "table_i": scores, "candidates": evidence, "findings": counts}
 
 
 def _opened(dataset: Path, config: ImportConfig | None, accept: bool, progress: Progress | None) -> Opened:
     opened = open_logs(dataset, config, progress)
-    check_accepted(opened.findings, str(dataset), accept)
+    check_train(opened, str(dataset))
+    known = artifacts.load_description(dataset, "dataset") if artifacts.is_kind(dataset, "dataset") else None
+    check_accepted(opened.findings, str(dataset), accept or (known is not None and known.get("accepted") is True))
     # Of a dataset its folder tells what is known of it.
-    facts = {} if artifacts.is_kind(dataset, "dataset") else {"logs": opened.facts}
-    return dataclasses.replace(opened, facts=facts)
+    return dataclasses.replace(opened, facts={"logs": opened.facts} if known is None else {})
 
 
 def calibrate(
@@ -227,7 +232,8 @@ def compare(
 ) -> dict[str, Any]:
     """Score surrogates on a dataset's test logs, left alone for several horizons; writes JSON and a figure.
 
-    `floor` is a plant that runs beside them, such as the tank that was recorded: what noise and conditions leave.
+    `floor` is a plant that records the same commands once more, such as the tank: what noise and drift, twice over, and
+    other conditions leave.
     """
     config = config or CompareConfig()
     if out is not None:

@@ -1,9 +1,12 @@
 import json
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from softfin import artifacts
 from softfin.cli import main
+from softfin.cli.fit import warning
 from softfin.logs.dataset import write_dataset
 from softfin.surrogate import FitConfig, StreamingConfig
 from softfin.surrogate.choice import AutoConfig
@@ -22,8 +25,9 @@ def dataset(tmp_path_factory):
 def asked(monkeypatch):
     """What is asked of the fit, which is not done; out come a surrogate with random weights and evidence."""
     configs = []
-    evidence = {"chosen": "paper", "held_out": {name: {"force_rmse_n": 0.5, "angle_rmse_rad": 0.1, "seconds": 3.0}
-                                                for name in ("streaming", "paper")}}  # fmt: skip
+    evidence = {"chosen": "paper", "held_out": {name: {"force_rmse_n": 0.5, "angle_rmse_rad": 0.1, "seconds": 13.0}
+                                                for name in ("streaming", "paper")},
+                "left_out": {"streaming, no symmetry": "too few rows"}}  # fmt: skip
 
     def fit_any(logs, config, seed, workspace, progress):
         workspace.log().close()
@@ -79,6 +83,8 @@ def test_people_are_told_table_i_and_why_a_candidate_was_chosen(capsys, tmp_path
     (chosen,) = [line for line in text.splitlines() if "<- chosen" in line]
     assert chosen.startswith("paper ")
     assert "0.5000" in chosen
+    assert "13.0" in chosen
+    assert "streaming, no symmetry" + 10 * " " + "not fitted: too few rows" in text
 
 
 @pytest.mark.parametrize(
@@ -86,6 +92,8 @@ def test_people_are_told_table_i_and_why_a_candidate_was_chosen(capsys, tmp_path
     [
         (["--epochs", "3"], "--epochs with --model streaming: only --model paper counts in epochs; see --set force_up"),
         (["--model", "oracle"], "oracle"),
+        (["--seed", "-1"], "--seed -1: a seed is a whole number from 0 to 2147483647"),
+        (["--seed", "2147483648"], "--seed 2147483648: a seed is a whole number from 0"),
         (["--set", "epochs=3"], "--set epochs=3: there is no 'epochs'"),
         (["--set", "force.wakes=3"], "there is no 'wakes'; did you mean 'wake'?"),
         (["--model", "auto", "--set", "streaming.burn_in=900"], "burn_in must be less than ticks = 400"),
@@ -95,6 +103,35 @@ def test_people_are_told_table_i_and_why_a_candidate_was_chosen(capsys, tmp_path
 def test_what_cannot_be_fitted_is_one_line_and_leaves_nothing(capsys, tmp_path, dataset, words, expected):
     assert expected in fails(capsys, "fit", dataset, *words, "--out", str(tmp_path / "s"))
     assert not (tmp_path / "s").exists()
+
+
+def faulty(index):
+    log = small.recorded(300, index)
+    return log._replace(command=log.command._replace(angle=np.degrees(log.command.angle)))
+
+
+def test_errors_that_an_import_accepted_do_not_stop_the_fit(capsys, tmp_path, asked):
+    for accepted in (False, True):
+        write_dataset(tmp_path / "d", [faulty(1), faulty(2)], [], {"accepted": accepted})
+        words = ["fit", str(tmp_path / "d"), "--out", str(tmp_path / "s")]
+        if accepted:
+            main(words)
+        else:
+            assert "--accept takes these logs in spite of it" in fails(capsys, *words)
+    assert len(asked) == 1
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "softfin inspect" in line]
+    assert line.startswith(f"{tmp_path / 'd'}: 1 error")
+
+
+@pytest.mark.parametrize(
+    ("counts", "line"),
+    [
+        ({"error": 0, "warning": 2, "note": 1}, "d: 2 warnings, 1 note; softfin inspect d says which\n"),
+        ({"error": 0, "warning": 0, "note": 3}, ""),
+    ],
+)
+def test_warnings_are_told_in_one_line_and_notes_alone_are_not(counts, line):
+    assert warning(counts, Path("d")) == line
 
 
 def test_one_log_is_too_few(capsys, tmp_path):

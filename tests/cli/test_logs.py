@@ -108,6 +108,25 @@ def test_import_writes_a_dataset_that_says_what_was_done(authors, tmp_path, caps
     assert "exists already" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("name", ["test_1.csv", "."])
+def test_logs_to_score_on_alone_are_inspected_but_not_learnt_from(authors, tmp_path, capsys, name):
+    (tmp_path / "test_1.csv").write_bytes((authors / "test_1.csv").read_bytes())
+    logs = tmp_path / name
+    right = options("--angles", "deg", "--force", "y,x")
+    assert softfin("inspect", logs, *right, "--out", tmp_path / ".inspection") == 0
+    assert "0 + 1 logs, 6,000 rows" in capsys.readouterr().out
+    for command in ("import-logs", "fit"):
+        assert softfin(command, logs, *right, "--out", tmp_path / ".out") == 2
+        assert "no logs to learn from: all of its 1 are to score on; see --test" in capsys.readouterr().err
+
+
+def test_an_unknown_unit_of_angles_is_told_the_known_ones(authors, capsys):
+    assert softfin("inspect", authors, *options("--angles", "degrees")) == 2
+    assert "'degrees' is no unit of angles; say rad or deg" in capsys.readouterr().err
+    assert softfin("inspect", authors, *options("--angles", "angle=degrees")) == 2
+    assert "'rad' or 'deg'" in capsys.readouterr().err
+
+
 def test_a_frame_that_begins_with_a_minus_is_taken_as_it_is_printed(authors, capsys):
     assert softfin("inspect", authors, *options("--angles", "deg", "--force=-x,y")) == 0
     assert "-> --force=y,x" in capsys.readouterr().out

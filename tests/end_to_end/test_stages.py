@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from softfin.cli import main
+from softfin.errors import LogError
 from softfin.stages import TRAINING_LOG
 from softfin.surrogate.streaming import identify
 from tests.surrogate import small
@@ -127,6 +128,19 @@ def test_reproduce_writes_results_and_a_report_that_needs_no_network(capsys, tmp
     assert "src=" not in page
     assert "@import" not in page
     assert results["surrogate"]["scores"]["forcenet_free_running"]["physical"]["rmse"] > 0
+
+
+def test_reproduce_takes_the_logs_that_it_recorded_as_they_are(capsys, tmp_path, monkeypatch):
+    asked = {}
+
+    def fit(dataset, out, config, **options):
+        asked.update(options)
+        raise LogError("enough")
+
+    monkeypatch.setattr("softfin.stages.fit", fit)
+    with pytest.raises(SystemExit):
+        main(["reproduce", "--plant", PLANT, "--config", reproduction(tmp_path), "--out", str(tmp_path / "run")])
+    assert asked["accept"] is True
 
 
 def test_a_run_that_was_killed_goes_on_where_it_was(tmp_path):

@@ -31,7 +31,7 @@ class Attentive(Surrogate):
 
     @property
     def interval(self):
-        return Interval(coverage=0.9, factor=3.0, floor_n=0.5, windows=1)
+        return Interval(coverage=0.9, factor=3.0, floor_n=0.5, windows=1, logs=10)
 
     def advance_members(self, state, command, ticks):
         state, reading = self.advance(state, command, ticks)
@@ -148,14 +148,16 @@ def test_the_floor_runs_from_rest_and_is_scored_on_the_same_stretches():
     logs = [Log(log.command, Reading(*map(np.asarray, reading))) for log, reading in zip(LOGS, own, strict=True)]
     comparison = compare([candidate(0)], logs, CONFIG, floor=("fin", fin))
     floor = comparison.summary()["floor"]
-    assert floor["name"] == "floor (fin)"
+    assert floor["name"] == "second recording (fin)"
     assert [row["force_x_rmse_n"]["mean"] for row in floor["horizons"]] == [0.0, 0.0]
     assert [row["angle_rmse_rad"]["mean"] for row in floor["horizons"]] == [0.0, 0.0]
     assert compare([candidate(0)], logs, CONFIG).summary()["floor"] is None
 
 
 def test_few_seeds_and_commands_beyond_training_are_noted():
-    assert compared().notes() == ["attentive: 1 seed; fit at least 3 before a difference is believed"]
+    few, floor = compared().notes()
+    assert few == "attentive: 1 seed; fit at least 3 before a difference is believed"
+    assert floor.startswith("second recording (fin): its own noise and drift count too")
     angle = LOGS[0].command.angle.copy()
     angle[:28] = 2.1
     beyond = [LOGS[0]._replace(command=LOGS[0].command._replace(angle=angle)), LOGS[1]]
@@ -194,5 +196,5 @@ def test_horizons_are_put_in_order():
 def test_progress_ends_at_the_whole():
     seen = []
     compare([candidate(0)], LOGS, CONFIG, ("fin", AnalyticFin()), lambda done, note: seen.append((done, note)))
-    assert [note for _, note in seen] == ["a-0, 1 s", "a-0, 2.5 s", "floor (fin)"]
+    assert [note for _, note in seen] == ["a-0, 1 s", "a-0, 2.5 s", "second recording (fin)"]
     assert [done for done, _ in seen] == pytest.approx([1 / 3, 2 / 3, 1])

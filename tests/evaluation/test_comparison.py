@@ -48,7 +48,7 @@ def test_errors_stand_over_their_horizons_with_intervals_and_the_floor():
     assert not bars["attentive, y"].has_yerr
     floor = summary["floor"]["horizons"][0]
     mean = (floor["force_x_rmse_n"]["mean"] + floor["force_y_rmse_n"]["mean"]) / 2
-    assert lines(axes)["floor (fin), mean of x and y"].get_ydata()[0] == pytest.approx(mean)
+    assert lines(axes)["second recording (fin), mean of x and y"].get_ydata()[0] == pytest.approx(mean)
     assert [text.get_text() for text in axes.get_xticklabels()] == ["1", "2.5"]
 
 
@@ -59,7 +59,7 @@ def test_the_distribution_of_the_mean_forces_error_reaches_its_worst():
     worst = max(run.judgements[-1].scores["mean_force_worst_n"] for run in comparison.groups[0].runs)
     assert line.get_xdata()[-1] == pytest.approx(worst)
     assert line.get_ydata()[-1] == 1
-    assert "floor (fin)" in lines(axes)
+    assert "second recording (fin)" in lines(axes)
 
 
 def test_intervals_are_drawn_where_they_are_stated():

@@ -29,13 +29,45 @@ def kinds(findings) -> list[str]:
     return [one.name for one in findings]
 
 
-def test_a_steady_100_hz_passes_bit_by_bit():
+def test_a_steady_100_hz_passes_bit_by_bit_but_for_where_its_time_begins():
     (one,), findings = logs(track(3000))
     original = tank_logs()[0]
     assert not findings
     np.testing.assert_array_equal(one.log.command.angle, original.command.angle[:3000])
     np.testing.assert_array_equal(one.log.reading.force, original.reading.force[:3000])
-    np.testing.assert_array_equal(one.log.reading.time, original.reading.time[:3000])
+    np.testing.assert_allclose(one.log.reading.time, np.arange(3000) / 100, atol=1e-9)
+    assert one.start_s == original.reading.time[0]
+
+
+@pytest.mark.parametrize("hz", [100, 1000])
+def test_a_unix_clock_loses_no_row_and_begins_at_0(hz):
+    time = 1.7e9 + np.arange(0, 10, 1 / hz)
+    (unix,), _ = logs(Track(time, {name: np.sin(time - 1.7e9 + i) for i, name in enumerate(NAMES)}))
+    np.testing.assert_allclose(unix.log.reading.time, np.arange(1000) / 100, atol=1e-6)
+    assert unix.start_s == 1.7e9
+
+
+def test_a_unix_clock_that_starts_anew_begins_at_0_both_times():
+    one = track(1200)
+    one.time[:] += 1.7e9
+    one.time[500:] -= 3600
+    pieces, _ = logs(one)
+    assert [len(piece.log.reading.time) for piece in pieces] == [500, 700]
+    assert [piece.log.reading.time[0] for piece in pieces] == [0, 0]
+    assert pieces[0].start_s - pieces[1].start_s == pytest.approx(3595)
+
+
+@pytest.mark.parametrize("gap_s", [0.3, 1e9])
+def test_nothing_of_a_fast_source_gets_across_a_gap_however_long(gap_s):
+    """A clock that was set in between, as by NTP, would be 8 TB of samples."""
+    time = np.arange(0, 6, 0.001)
+    time[3000:] += gap_s
+    level = np.repeat([1.0, 5.0], 3000)
+    before, after = logs(Track(time, dict.fromkeys(NAMES, level)))[0]
+    assert [len(piece.log.reading.time) for piece in (before, after)] == [300, 300]
+    for piece, value in ((before, 1), (after, 5)):
+        np.testing.assert_allclose(piece.log.reading.force, value, rtol=1e-6)
+        np.testing.assert_array_equal(piece.log.command.angle, value)
 
 
 def test_jitter_of_less_than_half_a_sample_passes_too():
@@ -51,10 +83,10 @@ def test_a_long_gap_splits_and_is_never_bridged():
     pieces, findings = logs(rows_of(track(), keep))
     assert [len(piece.log.reading.time) for piece in pieces] == [400, 570]
     assert [piece.name for piece in pieces] == ["run, piece 1 of 2", "run, piece 2 of 2"]
-    assert pieces[1].log.reading.time[0] == pytest.approx(4.31)
+    assert pieces[1].log.reading.time[0] == pytest.approx(4.30)
     (gap,) = findings
     assert (gap.severity, gap.name, gap.place.row) == ("warning", "gap", 399)
-    assert "0.310 s after 4.00 s" in gap.sentence
+    assert "0.310 s after 3.99 s" in gap.sentence
     for piece in pieces:
         encode_log(piece.log, "a piece is a whole log")
 
@@ -152,11 +184,12 @@ def test_three_clocks_meet_where_all_have_begun_and_commands_hold():
         np.array([1.0, 2.0, 5.004]), {"command_angle": np.array([1.0, 2, 3]), "command_velocity": np.ones(3)}
     )
     (log,), _ = logs(joint, wrench, command)
-    reading = log.log.reading
-    assert reading.time[0] == pytest.approx(1.0)
-    assert reading.time[-1] == pytest.approx(9.0, abs=0.011)
-    np.testing.assert_allclose(reading.angle, reading.time - 0.003, atol=1e-5)
-    np.testing.assert_allclose(reading.force[20:-20, 0], reading.time[20:-20], atol=1e-4)
+    reading, time = log.log.reading, log.start_s + log.log.reading.time
+    assert log.start_s == 0.003
+    assert time[0] == pytest.approx(1.0)
+    assert time[-1] == pytest.approx(9.0, abs=0.011)
+    np.testing.assert_allclose(reading.angle, time - 0.003, atol=1e-5)
+    np.testing.assert_allclose(reading.force[20:-20, 0], time[20:-20], atol=1e-4)
     assert set(log.log.command.angle) == {1, 2, 3}
     # Issued at 5.004 s: the row of 5.00 s is over, that of 5.01 s has it.
     assert log.log.command.angle[400] == 2

@@ -67,7 +67,7 @@ def test_without_a_column_of_time_the_rate_must_be_told():
         ({"columns": "angel=position"}, "did you mean 'angle'"),
         ({"columns": "angle"}, "write NAME=VALUE"),
         ({"topics": "wrnch=/w"}, "did you mean 'wrench'"),
-        ({"angles": "grad"}, "write NAME=VALUE"),
+        ({"angles": "grad"}, "'grad' is no unit of angles; say rad or deg"),
         ({"angles": "angle=grad"}, "'rad' or 'deg'"),
         ({"negate": "force_x"}, "force_x"),
         ({"force": "x,x"}, "force"),

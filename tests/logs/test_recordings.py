@@ -1,13 +1,14 @@
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
+import pyarrow.parquet as pq
 import pytest
 
 from softfin.errors import ArtifactError, ConfigurationError, LogError
 from softfin.logs.dataset import Dataset, write_dataset
 from softfin.logs.findings import Finding, Place, check_accepted
 from softfin.logs.importing import ImportConfig
-from softfin.logs.recordings import open_logs
+from softfin.logs.recordings import check_train, open_logs
 from tests.logs.bags import topics_of, write_bag
 from tests.logs.faulty import columns_of, cut, tank_logs, write_parquet
 
@@ -71,7 +72,7 @@ def test_a_folder_of_all_kinds_opens_as_one_set_of_logs(tmp_path, logs):
     assert "1 file not read" in next(one.sentence for one in opened.findings if one.name == "other files")
     np.testing.assert_allclose(opened.train[0].reading.angle, logs[0].reading.angle, atol=1e-6)
     assert opened.facts["imported_from"]["files"] == ["Test_a.parquet", "run0.csv", "run1.csv", "test/bag"]
-    assert opened.facts["logs"][0] == {"log": "Test_a.parquet", "part": "test", "rows": 2000}
+    assert opened.facts["logs"][0] == {"log": "Test_a.parquet", "part": "test", "rows": 2000, "start_s": 0.01}
 
 
 def test_one_file_is_enough(tmp_path, logs):
@@ -85,8 +86,10 @@ def test_test_logs_are_chosen_by_a_pattern(tmp_path, logs):
     assert [one.name for one in opened.logs if one.part == "test"] == ["run1.csv"]
     with pytest.raises(ConfigurationError, match="--test walk: matches none of the files"):
         open_logs(path, ImportConfig(test="walk"))
-    with pytest.raises(LogError, match="no logs to learn from"):
-        open_logs(path, ImportConfig(test="*"))
+    opened = open_logs(path, ImportConfig(test="*"))
+    assert opened.train == []
+    with pytest.raises(LogError, match="runs: no logs to learn from: all of its 4 are to score on; see --test"):
+        check_train(opened, "runs")
 
 
 def test_the_hash_tells_files_and_options_apart(tmp_path, logs):
@@ -96,6 +99,21 @@ def test_the_hash_tells_files_and_options_apart(tmp_path, logs):
     assert plain != open_logs(path, ImportConfig(force="x,-y")).data_hash
     (path / "run1.csv").rename(path / "run2.csv")
     assert plain != open_logs(path).data_hash
+
+
+def test_pieces_that_are_all_too_short_are_refused(tmp_path, logs):
+    columns = {name: values[np.r_[0:100, 150:250]] for name, values in columns_of(logs[0]).items()}
+    write_parquet(tmp_path / "a.parquet", columns)
+    with pytest.raises(LogError, match="no logs: all pieces between gaps are shorter than 2 s; --shortest 1"):
+        open_logs(tmp_path)
+
+
+def test_nanoseconds_since_1970_are_a_clock_too(tmp_path, logs):
+    columns = columns_of(logs[0])
+    columns["time_s"] = 1_700_000_000_123_456_789 + 10_000_000 * np.arange(2000)
+    pq.write_table(pa.table(columns), tmp_path / "a.parquet")
+    (one,) = open_logs(tmp_path, ImportConfig(time_unit="ns")).logs
+    np.testing.assert_allclose(one.log.reading.time, np.arange(2000) / 100, atol=1e-6)
 
 
 def test_nothing_to_read_is_refused(tmp_path):

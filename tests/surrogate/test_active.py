@@ -33,7 +33,7 @@ def streaming(members: int = 2, limits: Limits = PAPER_LIMITS) -> StreamingSurro
     drag = jnp.arange(members, dtype=jnp.float32)
     nets = eqx.tree_at(lambda nets: nets.force.thrust, nets, jnp.stack([drag, 0 * drag], axis=1))
     size = remembered(single(nets.force).start(Motion(jnp.zeros(()), jnp.zeros(())))).size
-    interval = Interval(coverage=0.9, factor=1.6, floor_n=0.05, windows=1)
+    interval = Interval(coverage=0.9, factor=1.6, floor_n=0.05, windows=1, logs=10)
     return StreamingSurrogate(nets, limits, interval, Familiarity(jnp.zeros(size), jnp.eye(size)))
 
 

@@ -1,13 +1,14 @@
 import json
 
+import jax
 import numpy as np
 import pytest
 
 from softfin.checkpoint import LOG, Workspace, read_log
-from softfin.errors import LogError
-from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig, StreamingSurrogate, Surrogate
+from softfin.errors import ArtifactError, LogError
+from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig, StreamingSurrogate, Surrogate, choice
 from softfin.surrogate.choice import fit_any
-from softfin.surrogate.horizons import free_running, places, take
+from softfin.surrogate.horizons import Freed, free_running, places, take
 from softfin.surrogate.streaming import fit as module
 from tests.surrogate import small as paper
 from tests.surrogate.streaming import small
@@ -81,6 +82,81 @@ def test_logs_on_which_nothing_can_be_compared_are_refused_before_anything_is_fi
     short = [small.rows_of(log, 0, 300) for log in logs(False)]
     with pytest.raises(LogError, match="held-out log 0: 300 rows; more than a window of 300 are needed"):
         fit_any(short, CONFIG, 0, Workspace(tmp_path / "s", {}))
+
+
+def test_a_candidate_that_cannot_be_fitted_is_left_out_with_its_reason(tmp_path, monkeypatch):
+    monkeypatch.setattr("softfin.surrogate.choice.fit_streaming", lambda *words: small.surrogate())
+    steady = [log._replace(command=log.command._replace(velocity=np.full(600, 2, np.float32))) for log in logs(False)]
+    for data, config, reason in (
+        (steady, CONFIG, "column command_velocity_rad_s is 2 in every training row"),
+        (logs(False), CONFIG.changed(["paper.batch=5000"]), "1764 training windows are fewer than one batch of 5000"),
+    ):
+        _, evidence = fit_any(data, config, 0, Workspace(tmp_path / "s", {}))
+        assert list(evidence["held_out"]) == ["streaming", "streaming, no symmetry"]
+        assert list(evidence["left_out"]) == ["paper"]
+        assert (evidence["logs_held_out"], evidence["logs_scored"]) == (1, 1)
+        assert reason in evidence["left_out"]["paper"]
+
+
+def test_logs_that_fit_no_candidate_are_refused_in_the_words_of_the_first(tmp_path):
+    with pytest.raises(LogError, match="1 training log: at least 2 are needed"):
+        fit_any(logs(False)[:1], CONFIG, 0, Workspace(tmp_path / "s", {}))
+
+
+@pytest.fixture
+def silent(monkeypatch):
+    """A surrogate that says zero: its error is what was measured."""
+
+    def free_running(surrogate, logs, where, ticks):
+        measured = take(logs, where, ticks).reading
+        return Freed(jax.tree.map(np.zeros_like, measured), None)
+
+    monkeypatch.setattr("softfin.surrogate.choice.free_running", free_running)
+
+
+@pytest.mark.usefixtures("silent")
+def test_each_log_counts_over_its_own_length():
+    """Of 40 s a stretch of 30 s, of 15 s and 12 s all that is behind the first 2 s; of 5 s nothing."""
+    data = [small.recorded(rows, seed) for seed, rows in enumerate((4000, 1500, 1200, 500))]
+    enough = choice._long_enough(data, 200)
+    assert [len(log.reading.time) for log in enough] == [4000, 1500, 1200]
+    scores = choice._scores(small.surrogate(), enough, 200)
+    used = [data[0].reading.force[200:3200], data[1].reading.force[200:], data[2].reading.force[200:]]
+    assert scores["seconds"] == 30 + 13 + 10
+    assert scores["force_rmse_n"] == pytest.approx(np.sqrt(np.mean(np.concatenate(used) ** 2)), rel=1e-5)
+
+
+def test_short_logs_count_where_all_are_short():
+    data = [small.recorded(rows) for rows in (250, 600, 300, 301)]
+    assert [len(log.reading.time) for log in choice._long_enough(data, 300)] == [600, 301]
+
+
+def test_a_killed_choice_is_neither_lost_nor_begun_anew(tmp_path, monkeypatch):
+    """As long as it had not come to the end its checkpoints lie in parts alone."""
+    begun, data = [], logs(False)
+
+    def killed_midway(logs, config, seed, workspace, progress=None):
+        begun.append(workspace.load({"x": np.zeros(1)}))
+        workspace.save({"x": np.ones(1)}, {"step": 1})
+        if len(begun) == 2:
+            raise KeyboardInterrupt
+        return small.surrogate()
+
+    monkeypatch.setattr("softfin.surrogate.choice.fit_streaming", killed_midway)
+    with pytest.raises(KeyboardInterrupt):
+        fit_any(data, CONFIG, 0, Workspace(tmp_path / "s", {"seed": 0}))
+    with pytest.raises(ArtifactError, match="holds an unfinished run; go on with --resume"):
+        Workspace(tmp_path / "s", {"seed": 0})
+    with pytest.raises(ArtifactError, match=r"is of another run .seed was 0 and is 1"):
+        Workspace(tmp_path / "s", {"seed": 1}, resume=True)
+    fit_any(data, CONFIG, 0, Workspace(tmp_path / "s", {"seed": 0}, resume=True))
+    assert [before is not None for before in begun] == [False, False, True, True]
+
+
+def test_a_candidate_that_is_equal_to_another_is_no_candidate():
+    free = ["streaming.drive.mirror=false", "streaming.force.mirror=false", "streaming.force.turning=false"]
+    assert list(AutoConfig().changed(free).candidates()) == ["streaming", "paper"]
+    assert len(AutoConfig().changed(free[1:]).candidates()) == 3
 
 
 def test_candidates_differ_in_their_symmetry_alone():

@@ -83,10 +83,40 @@ def test_unfinished_work_is_neither_lost_nor_mixed_up(tmp_path):
     workspace.save({"x": np.zeros(2)}, {"epoch": 1})
     with pytest.raises(ArtifactError, match=r"go on with --resume, or drop it with --overwrite"):
         Workspace(tmp_path / "s", {"seed": 0})
-    other = Workspace(tmp_path / "s", {"seed": 1}, resume=True)
     with pytest.raises(ArtifactError, match=r"of another run .seed was 0 and is 1"):
-        other.load({"x": np.zeros(2)})
+        Workspace(tmp_path / "s", {"seed": 1}, resume=True)
     assert Workspace(tmp_path / "s", {"seed": 1}, overwrite=True).load({"x": np.zeros(2)}) is None
+
+
+def test_unfinished_work_of_a_part_is_neither_lost_nor_mixed_up(tmp_path):
+    Workspace(tmp_path / "s", {"seed": 0}).part("1").save({"x": np.arange(2)}, {"epoch": 1})
+    with pytest.raises(ArtifactError, match=r"go on with --resume, or drop it with --overwrite"):
+        Workspace(tmp_path / "s", {"seed": 0})
+    with pytest.raises(ArtifactError, match=r"1/checkpoint\.safetensors: is of another run .seed was 0 and is 1"):
+        Workspace(tmp_path / "s", {"seed": 1}, resume=True)
+    tree, facts = Workspace(tmp_path / "s", {"seed": 0}, resume=True).part("1").load({"x": np.zeros(2)})
+    assert (tree["x"].tolist(), facts) == ([0, 1], {"epoch": 1})
+    assert Workspace(tmp_path / "s", {"seed": 1}, overwrite=True).part("1").load({"x": np.zeros(2)}) is None
+
+
+def test_the_training_logs_of_parts_are_kept(tmp_path):
+    workspace = Workspace(tmp_path / "s", {})
+    for part in (workspace, workspace.part("0"), workspace.part("1")):
+        record = part.log()
+        record.write(1, loss=0.5)
+        record.close()
+    workspace.keep_log(tmp_path / "kept")
+    for name in (".", "0", "1"):
+        assert read_log(tmp_path / "kept" / name / LOG) == [{"step": 1, "loss": 0.5}]
+        assert list((tmp_path / "kept" / name).glob("events.*"))
+
+
+def test_damaged_work_is_refused_by_name(tmp_path):
+    workspace = Workspace(tmp_path / "s", {})
+    workspace.save({"x": np.zeros(2)}, {})
+    (workspace.folder / "checkpoint.safetensors").write_bytes(b"short")
+    with pytest.raises(ArtifactError, match=r"checkpoint\.safetensors: damaged .*; start anew with --overwrite"):
+        Workspace(tmp_path / "s", {}, resume=True)
 
 
 def test_one_log_is_too_few(tmp_path):
@@ -106,7 +136,7 @@ def test_a_column_that_never_changes_is_named(tmp_path):
 
 
 def test_a_loss_that_explodes_stops_the_fit(tmp_path):
-    with pytest.raises(RunError, match=r"lower fit\.learning_rate and start anew"):
+    with pytest.raises(RunError, match=r"lower learning_rate \(--set\), start anew"):
         fit(LOGS, CONFIG.changed(["learning_rate=1e30"]), 0, Workspace(tmp_path / "s", {}))
 
 

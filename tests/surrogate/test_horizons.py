@@ -36,6 +36,13 @@ def test_warm_counts_on_from_the_time_of_the_last_row():
     assert float(reading.time[0]) == pytest.approx(float(log.reading.time[50]))
 
 
+def test_warm_takes_a_unix_clock_and_counts_within_its_day():
+    plant, log = small.surrogate(), small.log(rows=60)
+    unix = log._replace(reading=log.reading._replace(time=1.7e9 + np.arange(60) / 100))
+    _, reading = plant.advance(plant.warm(unix), jax.tree.map(lambda x: jnp.asarray(x[-1]), log.command), 1)
+    assert float(reading.time[0]) == pytest.approx(1.7e9 % 86400 + 0.60, abs=0.01)
+
+
 def test_only_the_last_rows_of_a_history_matter():
     plant, log = small.surrogate(), small.log(rows=100)
     long, short = plant.warm(log), plant.warm(rows_of(log, 100 - plant.memory, 100))

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from softfin.errors import LogError
 from softfin.surrogate.metrics import DTW_BAND, SKIPPED, dtw_scores, series_scores, table_one
 from softfin.surrogate.streaming.follow import follow
 from softfin.surrogate.streaming.member import parameters, single
@@ -65,3 +66,16 @@ def test_table_one_of_a_streaming_surrogate_scores_both_nets_over_all_members():
     # One range for both logs: its width is what scales.
     width = np.ptp(np.concatenate([log.reading.angle for log in logs]))
     assert table["drive"]["scaled"]["rmse"] == pytest.approx(table["drive"]["physical"]["rmse"] / width, rel=1e-3)
+
+
+def test_test_logs_whose_command_never_changes_are_scored():
+    log = streaming.recorded(250)
+    steady = log._replace(command=log.command._replace(velocity=np.full(250, 2, np.float32)))
+    assert np.isfinite(table_one(streaming.surrogate(), [steady])["drive"]["scaled"]["rmse"])
+
+
+def test_test_logs_in_which_nothing_is_measured_are_refused():
+    log = streaming.recorded(250)
+    still = log._replace(reading=log.reading._replace(force=abs(log.reading.force) * np.float32([1, 0])))
+    with pytest.raises(LogError, match="column force_y_n is 0 in every row of the test logs: nothing can be scored"):
+        table_one(streaming.surrogate(), [still])

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from softfin.errors import PlantError
-from softfin.evaluation.scores import WINDOW
-from softfin.plant import roll
+from softfin.plant import WINDOW, roll
 from softfin.quantities import Command
 from softfin.randomness import key_of
 from softfin.tank import Tank, TankConfig

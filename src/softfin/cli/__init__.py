@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from typing import Any
 
 COMMANDS = {
-    "collect": "record random motions of a fin and its force as a dataset",
+    "collect": "record motions of a fin, random or chosen by a surrogate, and its force as a dataset",
     "inspect": "say what is wrong with logs, before anyone trains on them",
     "import-logs": "turn CSV, Parquet or ROS 2 bags into a dataset",
-    "fit": "learn a surrogate, PosNet and ForceNet, from a dataset",
+    "fit": "learn a surrogate from logs: streaming nets, the paper's nets, or the better ones",
     "calibrate": "fit the virtual tank to logs or to a plant",
     "import-keras": "turn published .keras nets and their scalers into a surrogate",
     "compare": "score surrogates on unseen logs, left alone for several horizons",
@@ -23,6 +23,9 @@ COMMANDS = {
     "view": "show a fin in motion, as a film or as a page that plays it",
     "reproduce": "all of it in one run, with the paper's tables and figures",
 }
+
+SEEDS = 2**31
+"""How many there are: what every generator of random numbers takes."""
 
 STOPPED = 1
 """Exit code after Ctrl-C: a failure midway."""
@@ -65,6 +68,9 @@ def _run(name: str, words: list[str]) -> None:
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
     try:
         command = _parse(name, importlib.import_module(f"softfin.cli.{name.replace('-', '_')}").Arguments, words)
+        seed = getattr(command, "seed", None)
+        if seed is not None and not 0 <= seed < SEEDS:
+            _exit(f"softfin {name}: --seed {seed}: a seed is a whole number from 0 to {SEEDS - 1}", 2)
         command.run()
     except KeyboardInterrupt:
         if debug:

@@ -26,9 +26,10 @@ class Arguments(Configured):
     horizons: str | None = None
     """How long they are left alone, as 1,5,30 in seconds (1,5,30)."""
     floor: str | None = None
-    """A plant that runs beside them, as the tank that was recorded: what noise and conditions leave of any model."""
+    """A plant that records the same commands once more, as the tank that was recorded: what noise and drift, twice
+    over, and other conditions leave."""
     seed: int | None = None
-    """Of the floor's noise (0)."""
+    """Of the second recording's noise (0)."""
 
     def run(self) -> None:
         """Compare."""

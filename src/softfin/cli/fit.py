@@ -1,5 +1,7 @@
 """``softfin fit``: logs in, a surrogate and Table I out."""
 
+import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -11,6 +13,7 @@ from softfin.cli.common import Configured, Out, progress
 from softfin.cli.log_options import LogOptions
 from softfin.cli.tables import choice, table_one
 from softfin.errors import ConfigurationError
+from softfin.logs.findings import counted
 from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig
 
 MODELS: dict[str, StreamingConfig | FitConfig | AutoConfig] = {
@@ -51,5 +54,14 @@ class Arguments(Configured, LogOptions):
                 self.dataset, Path(self.out), config, logs=self.import_config(), accept=self.accept,
                 seed=self.seed, resume=self.resume, overwrite=self.overwrite, progress=report,
             )  # fmt: skip
+        sys.stderr.write(warning(result["findings"], self.dataset))
         parts = [table_one(result["table_i"]), *([choice(result["candidates"])] if result["candidates"] else [])]
         self.tell({"surrogate": str(self.out), **result}, "\n\n".join(parts))
+
+
+def warning(counts: Mapping[str, int], dataset: Path) -> str:
+    """A line that says how much is wrong with the logs that were learnt from; none where nothing is."""
+    if not counts["error"] + counts["warning"]:
+        return ""
+    found = ", ".join(counted(count, kind) for kind, count in counts.items() if count)
+    return f"{dataset}: {found}; softfin inspect {dataset} says which\n"

@@ -72,8 +72,12 @@ def _still(row: Mapping[str, Any]) -> str:
 
 def choice(candidates: Mapping[str, Any]) -> str:
     """What the candidates leave on held-out logs."""
-    lines = [f"{'free-running on held-out logs':32}{'force RMSE [N]':>18}{'angle RMSE [rad]':>18}"]
+    head = f"{'free-running on held-out logs':32}{'force RMSE [N]':>18}{'angle RMSE [rad]':>18}{'scored [s]':>12}"
+    lines = [head]
     for name, row in candidates["held_out"].items():
         chosen = "  <- chosen" if name == candidates["chosen"] else ""
-        lines.append(f"{name:32}{row['force_rmse_n']:>18.4f}{row['angle_rmse_rad']:>18.4f}{chosen}")
+        lines.append(
+            f"{name:32}{row['force_rmse_n']:>18.4f}{row['angle_rmse_rad']:>18.4f}{row['seconds']:>12.1f}{chosen}"
+        )
+    lines += [f"{name:32}not fitted: {why}" for name, why in candidates["left_out"].items()]
     return "\n".join(lines)

@@ -12,7 +12,7 @@ import numpy as np
 from softfin import artifacts
 from softfin.errors import ConfigurationError
 from softfin.plants import identity
-from softfin.quantities import Limits, Log
+from softfin.quantities import PAPER_LIMITS, Limits, Log
 from softfin.surrogate import load_surrogate
 from softfin.surrogate.horizons import FreeRunner
 
@@ -74,12 +74,14 @@ def beyond_limits(members: Sequence[Candidate], logs: Sequence[Log]) -> tuple[fl
 
 def _beyond(limits: Limits, logs: Sequence[Log]) -> tuple[float, float]:
     excess = []
-    for field, low, high in (
-        ("angle", limits.angle_min, limits.angle_max),
-        ("velocity", limits.velocity_min, limits.velocity_max),
+    # Where the training commands never changed, over the range of the paper's.
+    paper = PAPER_LIMITS
+    for field, low, high, usual in (
+        ("angle", limits.angle_min, limits.angle_max, paper.angle_max - paper.angle_min),
+        ("velocity", limits.velocity_min, limits.velocity_max, paper.velocity_max - paper.velocity_min),
     ):
         values = np.concatenate([np.asarray(getattr(log.command, field), np.float64) for log in logs])
-        excess.append(np.maximum(np.maximum(low - values, values - high) / (high - low), 0))
+        excess.append(np.maximum(np.maximum(low - values, values - high) / (high - low or usual), 0))
     most = np.max(excess, axis=0)
     return float(np.mean(most > 0)), float(most.max())
 
@@ -90,4 +92,6 @@ def _group(folder: Path, surrogate: FreeRunner) -> str:
     if description.get("configuration") is None or data is None:
         # Imported: nothing says that two such are seeds of one another.
         return str(folder.resolve())
-    return json.dumps([surrogate.model, description["configuration"], data], sort_keys=True)
+    # The networks too: of several candidates one seed may have chosen another than the next.
+    facts = [surrogate.model, description["configuration"], description.get("networks"), data]
+    return json.dumps(facts, sort_keys=True)

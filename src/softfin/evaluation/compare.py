@@ -13,12 +13,13 @@ from jaxtyping import Float
 
 from softfin.configuration import Configuration
 from softfin.evaluation.candidates import Candidate, beyond_limits, names_of
-from softfin.evaluation.prediction_scores import STATED, HalfWidth, Judgement, judge, ranges
+from softfin.evaluation.prediction_scores import HalfWidth, Judgement, judge, ranges
 from softfin.evaluation.statistics import interval
 from softfin.plant import Plant
 from softfin.quantities import RATE_HZ, Log, Reading
 from softfin.randomness import key_of
 from softfin.surrogate.horizons import BATCH, FreeRunner, free_running, from_rest, places, take
+from softfin.surrogate.streaming.uncertainty import COVERAGE, ENOUGH_LOGS
 
 ENOUGH_SEEDS = 3
 """Below, a difference between two groups may be the luck of a seed."""
@@ -95,6 +96,17 @@ class Comparison(NamedTuple):
                     f"{group.name}: {share:.1%} of the test commands lie beyond those it was trained on, the furthest "
                     f"by {furthest:.0%} of their range: there it extrapolates"
                 )
+            stated = getattr(group.members[0].surrogate, "interval", None)
+            if stated is not None and stated.logs < ENOUGH_LOGS:
+                notes.append(
+                    f"{group.name}: its intervals come from {stated.logs} held-out logs; with less than {ENOUGH_LOGS} "
+                    "they know little of what differs from log to log, as the sensor's drift"
+                )
+        if self.floor is not None:
+            notes.append(
+                f"{self.floor.name}: its own noise and drift count too, so that it is off by up to sqrt(2) times what "
+                "these leave of a model that has none"
+            )
         return notes
 
     def summary(self) -> dict[str, Any]:
@@ -122,7 +134,7 @@ class Comparison(NamedTuple):
             "horizons_s": list(self.horizons_s),
             "scored": self.scored,
             "ranges": {f"{name}_{'rad' if name == 'angle' else 'n'}": span for name, span in self.spans.items()},
-            "stated_confidence": STATED,
+            "stated_confidence": COVERAGE,
             "flops_ratio_to": yardstick.name,
             "groups": rows,
             "floor": floor,
@@ -199,8 +211,8 @@ def compare(
         whole = from_rest(plant, logs, key_of(config.seed, "compare/floor"))
         readings = [take(whole, where, each) for where, each in zip(stretches, ticks, strict=True)]
         judged = [judge(actual, reading, spans) for actual, reading in zip(measured, readings, strict=True)]
-        bottom = Group(f"floor ({name})", name, [], [Run(judged, readings[-1])])
-        report(f"floor ({name})")
+        bottom = Group(f"second recording ({name})", name, [], [Run(judged, readings[-1])])
+        report(f"second recording ({name})")
     scored = [
         {"stretches": len(where), "rows": len(where) * each, "rows_left": sum(counts) - len(where) * each}
         for where, each in zip(stretches, ticks, strict=True)

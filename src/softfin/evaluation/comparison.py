@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 
 from softfin import artifacts
 from softfin.evaluation.compare import Comparison, Group
-from softfin.evaluation.prediction_scores import STATED
 from softfin.evaluation.style import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, render, styled
 from softfin.quantities import AXES, RATE_HZ
+from softfin.surrogate.streaming.uncertainty import COVERAGE
 
 TRACE_S = 8
 """Of measured and predicted force, as it is shown."""
@@ -169,9 +169,9 @@ def _draw_reliability(axes: Axes, comparison: Comparison, stated: list[Group]) -
         within = float(np.mean(ratios <= 1))
         axes.plot(*_distribution(ratios), line, color=colour, label=f"{group.name}: {within:.1%} inside")
         axes.plot([1], [within], marker, color=colour)
-    axes.plot([1, 1], [STATED - 0.05, STATED + 0.05], color=GREY, linewidth=4, alpha=0.5, label="85% to 95%")
+    axes.plot([1, 1], [COVERAGE - 0.05, COVERAGE + 0.05], color=GREY, linewidth=4, alpha=0.5, label="85% to 95%")
     axes.set(xlabel="error over the stated half-width", ylabel="share within", xlim=(0, 3), ylim=(0, 1.02))
-    axes.set_title(f"Intervals stated at {STATED:.0%}")
+    axes.set_title(f"Intervals stated at {COVERAGE:.0%}")
     axes.legend(fontsize=7, loc="lower right")
 
 

@@ -14,8 +14,9 @@ from jaxtyping import Array, Float
 
 from softfin.evaluation.experiment import Recording
 from softfin.evaluation.scores import moving_average
-from softfin.plant import Plant, State
+from softfin.plant import Plant
 from softfin.quantities import AXES, Command
+from softfin.surrogate.streaming.streaming import StreamingState, StreamingSurrogate
 
 
 class Doubt(NamedTuple):
@@ -52,23 +53,22 @@ RARELY = 0.01
 
 def doubt(plant: Plant, recording: Recording) -> Doubt | None:
     """From the first repetition of every reference; None of a plant that knows nothing of its errors."""
-    if not hasattr(plant, "distance"):
+    if not isinstance(plant, StreamingSurrogate):
         return None
     commands = Command(*(jnp.asarray(part[:, 0]) for part in recording.command))
     distance, force = (np.asarray(part) for part in _again(plant, commands))
     means = np.stack([moving_average(member) for member in np.moveaxis(force, 2, 0)])
-    stated: Any = plant
-    half_width = np.asarray(stated.interval.half_width(means))
+    half_width = np.asarray(plant.interval.half_width(means))
     return Doubt((distance > 1).mean(axis=1), distance.max(axis=1), half_width.mean(axis=1))
 
 
 @eqx.filter_jit
-def _again(plant: Any, commands: Command) -> tuple[Array, Array]:
+def _again(plant: StreamingSurrogate, commands: Command) -> tuple[Array, Array]:
     """Distances ``(references, ticks)`` and the members' forces ``(references, ticks, members, 2)``."""
 
-    def tick(state: State, command: Command) -> tuple[State, tuple[Array, Array]]:
+    def tick(state: StreamingState, command: Command) -> tuple[StreamingState, tuple[Array, Array]]:
         state, each = plant.advance_members(state, command, 1)
-        return state, (plant.distance(state), each.force[:, 0])
+        return state, (plant.distance(state), jnp.asarray(each.force[:, 0]))
 
     start = plant.init(jax.random.key(0))
     return jax.vmap(lambda issued: jax.lax.scan(tick, start, issued)[1])(commands)

@@ -19,10 +19,10 @@ from softfin.evaluation.doubt import Doubt, doubt
 from softfin.evaluation.experiment import Recording, run
 from softfin.evaluation.figures import experiments_figure
 from softfin.evaluation.paper import REFERENCES
-from softfin.evaluation.scores import STILL_RAD_S, WINDOW, Scores, score
+from softfin.evaluation.scores import STILL_RAD_S, Scores, score
 from softfin.evaluation.statistics import CONFIDENCE, interval
 from softfin.evaluation.style import render
-from softfin.plant import ACTION_RATE_HZ, Plant
+from softfin.plant import ACTION_RATE_HZ, WINDOW, Plant
 from softfin.quantities import AXES, RATE_HZ
 from softfin.randomness import key_of
 

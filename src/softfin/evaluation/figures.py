@@ -11,8 +11,9 @@ from matplotlib.projections.polar import PolarAxes
 
 from softfin.evaluation.experiment import Recording
 from softfin.evaluation.paper import PAPER_TABLE_II
-from softfin.evaluation.scores import WINDOW, moving_average
+from softfin.evaluation.scores import moving_average
 from softfin.evaluation.style import BLACK, BLUE, GREY, ORANGE, new_figure, styled
+from softfin.plant import WINDOW
 from softfin.quantities import AXES, RATE_HZ
 
 TRAJECTORY_SECONDS = 5

@@ -11,16 +11,14 @@ import numpy as np
 from jaxtyping import Float
 
 from softfin.errors import LogError
-from softfin.evaluation.scores import WINDOW, moving_average
+from softfin.evaluation.scores import moving_average
+from softfin.plant import WINDOW
 from softfin.quantities import AXES, AnyArray, Log, Reading
 from softfin.surrogate.metrics import dtw_scores
 
-STATED = 0.90
-"""Confidence of the intervals that a surrogate may state."""
-
 UNITS = {"angle": "rad", "force_x": "n", "force_y": "n"}
 
-Means = Float[np.ndarray, "stretches windows 2"]
+Means = Float[np.ndarray, "stretches windows *axes"]
 """Of the force over 200 samples, (x, y) [N]."""
 
 
@@ -68,7 +66,8 @@ def judge(
     ``..._dtw_KIND_scaled``        of the series divided by `spans`
     ``mean_force_x_mae_n``, ``y``  mean absolute error of the mean force; ``mean_force_mae_n`` of both axes
     ``mean_force_p95_n``           95th percentile of that absolute error, both axes; ``worst``: the greatest
-    ``coverage``, ``half_width_n`` share of these errors inside the stated 90% interval, its mean half-width
+    ``coverage``, ``half_width_n`` share of these errors inside the stated 90% interval, its mean half-width;
+                                   ``coverage_x``, ``y``
     ============================== ==================================================================================
     """
     actual = _channels(measured.reading.angle, measured.reading.force)
@@ -89,6 +88,7 @@ def judge(
         return Judgement(scores, errors, None)
     half_widths = np.asarray(half_width(np.stack([moving_average(force) for force in members])))
     scores |= {"coverage": coverage(half_widths, errors), "half_width_n": float(np.mean(half_widths))}
+    scores |= {f"coverage_{axis}": coverage(half_widths[..., i], errors[..., i]) for i, axis in enumerate(AXES)}
     return Judgement(scores, errors, half_widths)
 
 

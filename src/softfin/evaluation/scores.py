@@ -12,11 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from softfin.evaluation.experiment import Recording
-from softfin.plant import ACTION_TICKS
+from softfin.plant import ACTION_TICKS, WINDOW
 from softfin.quantities import RATE_HZ
-
-WINDOW = 200
-"""Samples of the moving average: 2 s, six actions (the caption of the paper's evaluation figure)."""
 
 STILL_RAD_S = 0.1
 """A shaft that travels less than this in the second half of the experiment stands still; a fin that works does > 1."""

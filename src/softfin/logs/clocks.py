@@ -1,6 +1,7 @@
 """A recording's clocks: rows that cannot stand are left out and counted, gaps split it, the pieces come at 100 Hz.
 
-Recording -> logs and findings. A piece on a steady 100 Hz clock passes as it is; any other is resampled.
+Recording -> logs and findings. Time begins at 0. A piece on a steady 100 Hz clock passes as it is else; any other is
+resampled.
 """
 
 import itertools
@@ -14,7 +15,7 @@ from softfin.logs.findings import Finding, Place, counted
 from softfin.logs.importing import ImportConfig
 from softfin.logs.parquet import RATE_TOLERANCE
 from softfin.logs.recording import Channels, NamedLog, Recording, Track
-from softfin.logs.resample import held, interpolated
+from softfin.logs.resample import EARLY_S, held, interpolated
 from softfin.quantities import RATE_HZ, TICK_S, Command, Log, Reading
 
 COMMANDS = ("command_angle", "command_velocity")
@@ -37,7 +38,7 @@ def logs_of(recording: Recording, config: ImportConfig) -> tuple[list[NamedLog],
     """The logs at 100 Hz that a recording holds; raises LogError where it has no clock that can be followed."""
     logs: list[NamedLog] = []
     findings = list(recording.findings)
-    for run in _runs(recording):
+    for run, start in map(_from_zero, _runs(recording)):
         tracks = []
         for track in run.tracks:
             whole, found = _sound(track, run.name, config)
@@ -48,7 +49,7 @@ def logs_of(recording: Recording, config: ImportConfig) -> tuple[list[NamedLog],
         several = len(pieces) > 1
         for number, piece in enumerate(pieces):
             name = f"{run.name}, piece {number + 1} of {len(pieces)}" if several else run.name
-            logs.append(NamedLog(name, run.part, _at_100_hz(tracks, piece)))
+            logs.append(NamedLog(name, run.part, _at_100_hz(tracks, piece), start))
     return logs, findings
 
 
@@ -65,6 +66,16 @@ def _runs(recording: Recording) -> list[Recording]:
         Recording(f"{recording.name} rows {a}..{b - 1}", recording.part, (_rows(track, slice(a, b)),))
         for a, b in itertools.pairwise(edges)
     ]
+
+
+def _from_zero(recording: Recording) -> tuple[Recording, float]:
+    """With time from its first row on, of whichever track; and when that was. On a Unix clock doubles are coarse."""
+    times = np.concatenate([track.time[np.isfinite(track.time)][:1] for track in recording.tracks])
+    start = float(times.min(initial=np.inf))
+    if not times.size:
+        return recording, 0.0
+    tracks = tuple(track._replace(time=track.time - start) for track in recording.tracks)
+    return recording._replace(tracks=tracks), start
 
 
 def _rows(track: Track, rows: slice | Bool[np.ndarray, "rows"]) -> Track:
@@ -207,7 +218,7 @@ def _as_it_is(tracks: list[Track], piece: Piece) -> dict[str, Float[np.ndarray, 
     if len(tracks) > 1:
         return None
     track = tracks[0]
-    rows = slice(*np.searchsorted(track.time, [piece.start, piece.end + 1e-9]).tolist())
+    rows = slice(int(np.searchsorted(track.time, piece.start)), int(np.searchsorted(track.time, piece.end, "right")))
     time = track.time[rows]
     steps = np.diff(time)
     even = len(steps) > 0 and bool((np.abs(steps - TICK_S) <= 0.5 * TICK_S).all())
@@ -219,10 +230,22 @@ def _as_it_is(tracks: list[Track], piece: Piece) -> dict[str, Float[np.ndarray, 
 
 
 def _resampled(tracks: list[Track], piece: Piece) -> dict[str, Float[np.ndarray, "ticks"]]:
-    count = int((piece.end - piece.start) * RATE_HZ + 1e-6) + 1
+    count = int((piece.end - piece.start + EARLY_S) * RATE_HZ) + 1
     grid = piece.start + np.arange(count) / RATE_HZ
     columns = {"time": grid}
     for track in tracks:
+        # The low-pass must see nothing from beyond a gap. A command holds, however long ago it was issued.
+        within = _rows(track, _around(track, piece))
         for name, values in track.channels.items():
-            columns[name] = (held if name in COMMANDS else interpolated)(track.time, values, grid)
+            columns[name] = (
+                held(track.time, values, grid)
+                if name in COMMANDS
+                else interpolated(within.time, within.channels[name], grid)
+            )
     return columns
+
+
+def _around(track: Track, piece: Piece) -> slice:
+    """From the last row by the piece's start to the first from its end on: no wide gap lies between these."""
+    first = int(np.searchsorted(track.time, piece.start, "right")) - 1
+    return slice(max(0, first), int(np.searchsorted(track.time, piece.end)) + 1)

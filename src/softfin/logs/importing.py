@@ -65,6 +65,8 @@ class ImportConfig(Configuration):
     def _units(cls, value: Any) -> Any:
         if value in ("rad", "deg"):
             return dict.fromkeys(ANGLES, value)
+        if isinstance(value, str) and "=" not in value:
+            raise ValueError(f"{value!r} is no unit of angles; say rad or deg, or of each, as angle=deg,velocity=deg")
         return _mapping(value) if isinstance(value, str) else value
 
     @pydantic.field_validator("negate", mode="before")

@@ -39,3 +39,5 @@ class NamedLog(NamedTuple):
     name: str
     part: Part
     log: Log
+    start_s: float = 0.0
+    """What the recording's clock said at the log's time 0 [s]."""

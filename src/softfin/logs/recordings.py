@@ -27,7 +27,7 @@ Progress = Callable[[str, float, str], None]
 
 @dataclasses.dataclass(frozen=True)
 class Opened:
-    """Logs that can be learnt from, once their findings are accepted."""
+    """Logs that can be learnt from, once `check_train` and their findings allow it."""
 
     logs: tuple[NamedLog, ...]
     inspection: Inspection
@@ -68,8 +68,11 @@ def open_logs(path: Path, config: ImportConfig | None = None, progress: Progress
             findings += found
         if progress is not None:
             progress("read", (index + 1) / len(files), f"{len(logs):,} logs")
-    if not any(log.part == "train" for log in logs):
-        raise LogError(f"{path}: no logs to learn from: all of its {len(logs)} are to score on; see --test")
+    if not logs:
+        raise LogError(
+            f"{path}: no logs: all pieces between gaps are shorter than {config.shortest_s:g} s; "
+            "--shortest 1 would keep more, --gap bridges longer gaps"
+        )
     ignored = 0 if dataset else _ignored(path, files)
     if ignored:
         text = f"{counted(ignored, 'file')} not read: no CSV, Parquet or ROS 2 bag"
@@ -85,10 +88,19 @@ def open_logs(path: Path, config: ImportConfig | None = None, progress: Progress
     facts = {
         "imported_from": {"path": path.name, "files": [_name(file, path) for file in files], "data_hash": data_hash},
         "options": config.model_dump(mode="json"),
-        "logs": [{"log": one.name, "part": one.part, "rows": len(one.log.reading.time)} for one in logs],
+        "logs": [
+            {"log": one.name, "part": one.part, "rows": len(one.log.reading.time), "start_s": one.start_s}
+            for one in logs
+        ],
         "findings": [finding.described() for finding in inspection.findings],
     }
     return Opened(tuple(logs), inspection, data_hash, facts)
+
+
+def check_train(opened: Opened, source: str) -> None:
+    """Raise LogError where all logs are to score on."""
+    if not opened.train:
+        raise LogError(f"{source}: no logs to learn from: all of its {len(opened.logs)} are to score on; see --test")
 
 
 def find_recordings(path: Path) -> list[Path]:

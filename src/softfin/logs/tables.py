@@ -138,7 +138,8 @@ def _read_parquet(path: Path, names: list[str], columns: list[str]) -> pa.Table:
 
 def _numbers(column: pa.ChunkedArray, name: str, path: Path) -> Float[np.ndarray, "rows"]:
     try:
-        return np.asarray(column.cast(pa.float64()).to_numpy())
+        # Unsafe, since nanoseconds since 1970 have more digits than a double: that leaves a quarter of a microsecond.
+        return np.asarray(column.cast(pa.float64(), safe=False).to_numpy())
     except pa.ArrowException:
         raise LogError(
             f"{path}: column {name!r} is {column.type}, must hold numbers; map another, or cast it"

@@ -4,19 +4,24 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from softfin.checkpoint import Workspace
 from softfin.configuration import Configuration
+from softfin.errors import LogError
 from softfin.quantities import RATE_HZ, Log
-from softfin.surrogate.fit import FitConfig, Progress, check_lengths, fit, held_out
+from softfin.surrogate.fit import FitConfig, Progress, check_fit, check_lengths, fit, held_out
 from softfin.surrogate.horizons import free_running, places, take
 from softfin.surrogate.store import AnySurrogate
 from softfin.surrogate.streaming.config import StreamingConfig
-from softfin.surrogate.streaming.fit import fit_streaming
+from softfin.surrogate.streaming.fit import check_streaming, fit_streaming
 from softfin.surrogate.streaming.streaming import MEMORY
 
 HORIZON_S = 30
-"""That candidates are left alone for, where the held-out logs are as long."""
+"""That candidates are left alone for, where a held-out log is as long [s]."""
+
+SHORTEST_S = 10
+"""Of a held-out log, behind what warms a candidate, that is not passed over for longer ones [s]."""
 
 
 class AutoConfig(Configuration):
@@ -28,11 +33,12 @@ class AutoConfig(Configuration):
     """Streaming nets; the third candidate is the same without `mirror` and `turning`."""
 
     def candidates(self) -> dict[str, FitConfig | StreamingConfig]:
-        """By name, in order of preference where two are equally good."""
+        """By name, in order of preference where two are equally good; of equal ones the first."""
         free = {"drive": {"mirror": False}, "force": {"mirror": False, "turning": False}}
+        without = self.streaming.merged(free, "streaming")
         return {
             "streaming": self.streaming,
-            "streaming, no symmetry": self.streaming.merged(free, "streaming"),
+            **({} if without == self.streaming else {"streaming, no symmetry": without}),
             "paper": self.paper,
         }
 
@@ -44,43 +50,86 @@ def fit_any(
     workspace: Workspace,
     progress: Progress | None = None,
 ) -> tuple[AnySurrogate, dict[str, Any] | None]:
-    """Fit what the configuration says; of several candidates the best, with the evidence for it (else None)."""
+    """Fit what the configuration says; of several candidates the best, with the evidence for it (else None).
+
+    The evidence: which was ``chosen``, what each left on ``held_out`` logs, on how many of them, and why others were
+    ``left_out``.
+    """
     if isinstance(config, FitConfig):
         return fit(logs, config, seed, workspace, progress), None
     if isinstance(config, StreamingConfig):
         return fit_streaming(logs, config, seed, workspace, progress), None
-    candidates = config.candidates()
+    candidates, left_out = _possible(logs, config.candidates(), workspace)
     # The shares may differ: what none was fitted to is what the least share holds out.
     holding = list(logs[-min(held_out(len(logs), one.held_out) for one in candidates.values()) :])
-    # Before hours of fitting, not behind them.
-    first = max(MEMORY, config.paper.posnet.window)
-    check_lengths(holding, first, "held-out")
+    first = max([MEMORY, *(one.posnet.window for one in candidates.values() if isinstance(one, FitConfig))])
+    scored = _long_enough(holding, first)
     fitted, scores = dict[str, AnySurrogate](), dict[str, dict[str, float]]()
     for number, (name, one) in enumerate(candidates.items()):
         report = None if progress is None else _part(progress, name, number, len(candidates))
         fitted[name], _ = fit_any(logs, one, seed, workspace.part(str(number)), report)
     for name, surrogate in fitted.items():
-        scores[name] = _scores(surrogate, holding, first)
+        scores[name] = _scores(surrogate, scored, first)
     record = workspace.log()
     for number, each in enumerate(scores.values()):
         record.write(number, **each)
     record.close()
     best = min(scores, key=lambda name: scores[name]["force_rmse_n"])
-    return fitted[best], {"chosen": best, "held_out": scores}
+    counts = {"logs_held_out": len(holding), "logs_scored": len(scored)}
+    return fitted[best], {"chosen": best, "held_out": scores, **counts, "left_out": left_out}
+
+
+def _possible(
+    logs: Sequence[Log], candidates: dict[str, FitConfig | StreamingConfig], workspace: Workspace
+) -> tuple[dict[str, FitConfig | StreamingConfig], dict[str, str]]:
+    """Candidates that can be fitted to the logs, and why others cannot: before hours of fitting, not behind them.
+
+    Raises:
+        LogError: none can; the words are the first one's.
+    """
+    reasons = dict[str, LogError]()
+    for name, one in candidates.items():
+        try:
+            if isinstance(one, FitConfig):
+                check_fit(logs, one)
+            else:
+                check_streaming(logs, one, workspace)
+        except LogError as error:
+            reasons[name] = error
+    if len(reasons) == len(candidates):
+        raise next(iter(reasons.values()))
+    possible = {name: one for name, one in candidates.items() if name not in reasons}
+    return possible, {name: str(error) for name, error in reasons.items()}
+
+
+def _long_enough(logs: Sequence[Log], first: int) -> list[Log]:
+    """Those that leave `SHORTEST_S` behind row `first`; where none does, those that leave a row, of which one must."""
+    for least in (first + SHORTEST_S * RATE_HZ, first + 1):
+        if enough := [log for log in logs if len(log.reading.time) >= least]:
+            return enough
+    check_lengths(logs, first, "held-out")
+    raise AssertionError
 
 
 def _scores(surrogate: AnySurrogate, logs: Sequence[Log], first: int) -> dict[str, float]:
-    """Free-running from row `first` on, over all rows and both axes."""
-    rows = [len(log.reading.time) for log in logs]
-    ticks = min(HORIZON_S * RATE_HZ, min(rows) - first)
-    where = places(rows, ticks, first)
-    said, measured = free_running(surrogate, logs, where, ticks).reading, take(logs, where, ticks).reading
-    force, angle = said.force - measured.force, said.angle - measured.angle
+    """Free-running from row `first` on, each log in stretches as long as it allows; over both axes."""
+    lengths = [min(HORIZON_S * RATE_HZ, len(log.reading.time) - first) for log in logs]
+    force, angle = [], []
+    for ticks in sorted(set(lengths)):
+        alike = [log for log, length in zip(logs, lengths, strict=True) if length == ticks]
+        where = places([len(log.reading.time) for log in alike], ticks, first)
+        said, measured = free_running(surrogate, alike, where, ticks).reading, take(alike, where, ticks).reading
+        force.append(np.ravel(said.force - measured.force))
+        angle.append(np.ravel(said.angle - measured.angle))
     return {
-        "force_rmse_n": float(np.sqrt(np.mean(np.square(force, dtype=np.float64)))),
-        "angle_rmse_rad": float(np.sqrt(np.mean(np.square(angle, dtype=np.float64)))),
-        "seconds": ticks / RATE_HZ,
+        "force_rmse_n": _rms(np.concatenate(force)),
+        "angle_rmse_rad": _rms(np.concatenate(angle)),
+        "seconds": sum(map(len, angle)) / RATE_HZ,
     }
+
+
+def _rms(error: Float[np.ndarray, "samples"]) -> float:
+    return float(np.sqrt(np.mean(np.square(error, dtype=np.float64))))
 
 
 def _part(progress: Progress, name: str, number: int, of: int) -> Progress:

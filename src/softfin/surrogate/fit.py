@@ -80,18 +80,10 @@ def fit(
         LogError: too few logs, or logs too short for one window.
         RunError: the loss is no longer finite.
     """
-    check_lengths(logs, config.posnet.window, "training")
-    held = held_out(len(logs), config.held_out)
-    training, holding = logs[:-held], logs[-held:]
-    names = {name: np.concatenate([channels_of(log)[name] for log in training]) for name in COLUMNS}
-    scaling = Scaling.fit(names)
-    del names
+    training, holding, scaling, starts = _split(logs, config)
     table = jnp.asarray(np.concatenate([scaled_table(scaling, COLUMNS, log) for log in training]))
-    starts = window_starts([len(log.reading.time) for log in training], config.posnet.window)
     call, calls = _calls(len(starts) // config.batch)
     updates = call * calls
-    if updates == 0:
-        raise LogError(f"{len(starts)} training windows are fewer than one batch of {config.batch}; record more rows")
 
     learner = Learner(config, updates)
     state, done = learner.start(key_of(seed, "fit/weights")), {"epoch": 0, "stale": 0}
@@ -106,7 +98,7 @@ def fit(
         state, losses = _epoch(learner, state, table, batches, key_of(seed, f"fit/dropout/{epoch}"), epoch, progress)
         validation = Nets(*(_held_out_loss(net, scaling, holding) for net in state.nets))
         if not np.isfinite([*losses, *validation]).all():
-            raise RunError(f"fit: the loss is not finite in epoch {epoch + 1}; lower fit.learning_rate and start anew")
+            raise RunError(f"fit: the loss is not finite in epoch {epoch + 1}; lower learning_rate (--set), start anew")
         better = Nets(*(now < float(best) for now, best in zip(validation, state.best_loss, strict=True)))
         state = _keep_best(state, validation, better)
         done = {"epoch": epoch + 1, "stale": 0 if any(better) else done["stale"] + 1}
@@ -114,6 +106,26 @@ def fit(
         workspace.save(state, done)
     record.close()
     return Surrogate(*state.best, scaling)
+
+
+def check_fit(logs: Sequence[Log], config: FitConfig) -> None:
+    """Raise LogError where `fit` would before it begins."""
+    _split(logs, config)
+
+
+def _split(
+    logs: Sequence[Log], config: FitConfig
+) -> tuple[Sequence[Log], Sequence[Log], Scaling, Int[np.ndarray, "windows"]]:
+    """Logs to learn from, logs held out, and of the former the scaling and where windows begin."""
+    check_lengths(logs, config.posnet.window, "training")
+    held = held_out(len(logs), config.held_out)
+    training, holding = logs[:-held], logs[-held:]
+    columns = [channels_of(log) for log in training]
+    scaling = Scaling.fit({name: np.concatenate([each[name] for each in columns]) for name in COLUMNS})
+    starts = window_starts([len(log.reading.time) for log in training], config.posnet.window)
+    if len(starts) < config.batch:
+        raise LogError(f"{len(starts)} training windows are fewer than one batch of {config.batch}; record more rows")
+    return training, holding, scaling, starts
 
 
 class Learner:

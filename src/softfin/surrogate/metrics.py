@@ -13,6 +13,7 @@ import numpy as np
 from dtaidistance import dtw
 from jaxtyping import Float
 
+from softfin.errors import LogError
 from softfin.quantities import Log
 from softfin.surrogate.forcenet import FORCES
 from softfin.surrogate.predict import channels_of, predict
@@ -67,7 +68,7 @@ def table_one(surrogate: AnySurrogate, logs: Sequence[Log]) -> dict[str, Any]:
     """
     if isinstance(surrogate, StreamingSurrogate):
         # It has no scaling of its own; so, as in `softfin compare`, the range of what was measured.
-        said, scaling = _streaming_said(surrogate, logs), Scaling.fit(_joined([channels_of(log) for log in logs]))
+        said, scaling = _streaming_said(surrogate, logs), measured_scaling(logs)
     else:
         said, scaling = [_paper_said(surrogate, log) for log in logs], surrogate.scaling
     rows: dict[str, list[dict[str, Scores]]] = {name: [] for name in said[0]}
@@ -83,6 +84,17 @@ def table_one(surrogate: AnySurrogate, logs: Sequence[Log]) -> dict[str, Any]:
         }
         for name, each in rows.items()
     }
+
+
+def measured_scaling(logs: Sequence[Log]) -> Scaling:
+    """Of angle and forces in test logs; raises LogError where one of them never changes."""
+    columns = [channels_of(log) for log in logs]
+    joined = {name: np.concatenate([each[name] for each in columns]) for name in (ANGLE, *FORCES)}
+    for name, values in joined.items():
+        if not values.max() > values.min():
+            raise LogError(f"column {name} is {values[0]:g} in every row of the test logs: nothing can be scored on "
+                           "it; give test logs in which it changes, or none")  # fmt: skip
+    return Scaling.fit(joined)
 
 
 Said = dict[str, tuple[tuple[str, ...], Series]]
@@ -118,10 +130,6 @@ def _facts(surrogate: AnySurrogate, name: str) -> dict[str, Any]:
         return {"window": None, "parameters": parameters(net)}
     network = surrogate.posnet if name == "posnet" else surrogate.forcenet
     return {"window": surrogate.window, "parameters": network.config.parameters()}
-
-
-def _joined(columns: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    return {name: np.concatenate([each[name] for each in columns]) for name in columns[0]}
 
 
 def _both(scaling: Scaling, names: Sequence[str], predicted: Series, measured: Series) -> dict[str, Scores]:

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from softfin.errors import ArtifactError, LogError
+from softfin.logs.ticks import tick_at
 from softfin.plant import rest_command
 from softfin.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading
 from softfin.surrogate.forcenet import FORCES
@@ -85,7 +86,7 @@ class Surrogate(eqx.Module):
         # The last row's command is yet to be given; the oldest of the state's leaves before it is looked at.
         commands = np.concatenate([table[:, :1], table[:, :-1]], axis=1)
         angles = self.scaling.scaled(ANGLE, history.reading.angle[seen])
-        tick = round(float(history.reading.time[-1]) * RATE_HZ)
+        tick = tick_at(float(history.reading.time[-1]))
         return SurrogateState(jnp.int32(tick), jnp.asarray(commands, jnp.float32), jnp.asarray(angles, jnp.float32))
 
     def advance(self, state: SurrogateState, command: Command, ticks: int) -> tuple[SurrogateState, Reading]:

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from softfin.plant import ACTION_TICKS
+from softfin.surrogate.streaming.streaming import StreamingSurrogate
 from softfin.tracking.references import References
 from softfin.tracking.reward import moving_average
 from softfin.tracking.task import ForceTracking
@@ -31,8 +32,7 @@ def score(task: ForceTracking, policy: Policy, references: Float[Array, "referen
     states = jax.vmap(task.reset)(jax.random.split(key, count), References(references, references))
     memories = jax.tree.map(lambda x: jnp.tile(x, (count, 1)), policy.init())
 
-    plant: Any = task.plant
-    knows = hasattr(plant, "distance")
+    plant = task.plant if isinstance(task.plant, StreamingSurrogate) else None
 
     def cycle(carry: tuple[Any, Any], _: None) -> tuple[tuple[Any, Any], tuple[Array, Array]]:
         states, memories = carry
@@ -41,12 +41,12 @@ def score(task: ForceTracking, policy: Policy, references: Float[Array, "referen
             memories, actions = jax.vmap(policy.act)(memories, jax.vmap(task.observe)(states))
             states, outcome = jax.vmap(partial(task.step, ticks=ticks))(states, actions)
             forces.append(outcome.forces)
-            distances.append(jax.vmap(plant.distance)(states.plant) if knows else jnp.zeros(count))
+            distances.append(jnp.zeros(count) if plant is None else jax.vmap(plant.distance)(states.plant))
         return (states, memories), (jnp.concatenate(forces, axis=1), jnp.stack(distances))
 
     cycles = task.config.episode_actions // len(ACTION_TICKS)
     _, (forces, distances) = jax.lax.scan(cycle, (states, memories), None, cycles)
     series = jnp.swapaxes(forces, 0, 1).reshape(count, -1, 2)
     average = jax.vmap(partial(moving_average, window=window))(series)
-    beyond = (distances > 1).mean(axis=(0, 1)) if knows else None
+    beyond = None if plant is None else (distances > 1).mean(axis=(0, 1))
     return Score(jnp.abs(average - references[:, None]).mean(axis=1), average.std(axis=1), beyond)

@@ -21,6 +21,7 @@ from softfin.errors import ConfigurationError, RunError
 from softfin.plant import Plant
 from softfin.quantities import AXES, Limits
 from softfin.randomness import key_of
+from softfin.surrogate.streaming.streaming import StreamingSurrogate
 from softfin.tracking.references import PAPER_CELLS, PAPER_RANGE, Cell, References, stack_references
 from softfin.tracking.task import ForceTracking, TaskConfig
 from softfin.training.policy import Policy, PolicyConfig
@@ -169,7 +170,7 @@ class _Run:
 
     def __init__(self, plant: Plant, config: TrainConfig, seeds: tuple[int, ...]) -> None:
         self.config, self.seeds, self.limits = config, seeds, Limits(*map(float, plant.limits))
-        self.knows = hasattr(plant, "distance")
+        self.knows = isinstance(plant, StreamingSurrogate)
         self.lanes = [(seed, index) for seed in seeds for index in range(len(config.cells))]
         self.arrays, static = eqx.partition(plant, eqx.is_array)
         try:

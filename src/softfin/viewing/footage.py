@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from softfin.errors import PlantError
-from softfin.evaluation.scores import WINDOW, moving_average
-from softfin.plant import Plant, State
+from softfin.evaluation.scores import moving_average
+from softfin.plant import WINDOW, Plant, State
 from softfin.quantities import Command, Reading
 from softfin.tank import Tank, TankConfig, TankState
 

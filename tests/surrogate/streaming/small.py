@@ -55,7 +55,7 @@ def force_net(seed=0, on_mount=True, **options):
 
 
 def interval():
-    return Interval(coverage=0.9, factor=1.6, floor_n=0.05, windows=10)
+    return Interval(coverage=0.9, factor=1.6, floor_n=0.05, windows=10, logs=10)
 
 
 @functools.cache

@@ -11,7 +11,6 @@ from softfin.surrogate import StreamingConfig
         ("free_running=[0.8, 0.2]", r"two parts of the training in order, such as 0\.2, 0\.8"),
         ("free_running=[0.5, 1.2]", r"two parts of the training in order"),
         ("members=0", r"members = 0: Input should be greater than 0"),
-        ("coverage=1", r"coverage = 1: Input should be less than 1"),
         ("force.mirors=true", r"did you mean 'mirror'"),
     ],
 )

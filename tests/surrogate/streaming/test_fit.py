@@ -133,7 +133,7 @@ def test_nets_that_are_told_nothing_of_the_fin_learn_too(tmp_path):
         (
             LOGS,
             ["ticks=390"],
-            "the longest of 3 training logs has 400 rows; 411 are needed in one piece; record longer",
+            "the longest of 3 training logs has 400 rows; 411 are needed in one piece; .* shorter .--set ticks=N",
         ),
         (
             [*LOGS[:2], small.rows_of(LOGS[2], 0, 209)],
@@ -153,7 +153,7 @@ def test_logs_that_are_too_few_or_too_short_are_refused(tmp_path, logs, changes,
 
 
 def test_a_loss_that_explodes_stops_the_fit(tmp_path):
-    with pytest.raises(RunError, match=r"the drive nets' loss is not finite; lower streaming\.learning_rate"):
+    with pytest.raises(RunError, match=r"drive nets' loss is not finite; lower learning_rate \(--set\), start anew"):
         fit_streaming(LOGS, CONFIG.changed(["learning_rate=1e38"]), 0, Workspace(tmp_path / "s", {}))
 
 
@@ -161,3 +161,11 @@ def test_progress_never_goes_back_and_ends_at_1(whole):
     _, _, seen = whole
     assert [done for done, _ in seen] == pytest.approx(np.arange(21) / 20)
     assert [note.split(" nets")[0] for _, note in seen[1:]] == ["drive"] * 10 + ["force"] * 10
+
+
+@pytest.mark.parametrize("updates", [1, 10, 25, 600, 601, 610, 1000, 2000, 5003])
+def test_all_calls_but_the_very_last_are_equal(updates):
+    call, round_of = module._calls(updates)
+    assert 1 <= call <= module.UPDATES_A_CALL
+    assert round_of % call == 0
+    assert -(-updates // round_of) <= module.ROUNDS

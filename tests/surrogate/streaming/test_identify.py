@@ -32,3 +32,10 @@ def test_short_logs_are_read_in_shorter_pieces(monkeypatch):
     monkeypatch.setattr(module, "GENERATIONS", 2)
     found, _ = identify([small.recorded(80, seed) for seed in range(2)], seed=0)
     assert found.gain == pytest.approx(1.0, abs=0.2)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2**30, 2**31 - 1, 2**40])
+def test_the_search_has_a_seed_that_it_can_take(seed):
+    """CMA-ES takes the clock for 0, and NumPy nothing from 2^32 on."""
+    for start in range(module.STARTS):
+        assert 0 < module._seed_of(seed, start) < 2**31

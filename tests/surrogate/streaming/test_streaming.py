@@ -3,9 +3,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.errors import LogError
+from softfin.errors import ArtifactError, LogError
 from softfin.plant import rest_command, roll
-from softfin.quantities import Command
+from softfin.quantities import PAPER_LIMITS, Command
 from softfin.surrogate import StreamingSurrogate
 from softfin.surrogate.streaming.follow import follow
 from softfin.surrogate.streaming.member import parameters, single
@@ -89,6 +89,12 @@ def test_warm_counts_on_from_the_time_of_the_last_row_and_sees_only_its_memory()
     assert float(reading.time[0]) == pytest.approx(float(LOG.reading.time[-1]) + 0.01)
 
 
+def test_warm_takes_a_unix_clock_and_counts_within_its_day():
+    unix = LOG._replace(reading=LOG.reading._replace(time=1.7e9 + np.arange(400) / 100))
+    _, reading = PLANT.advance(PLANT.warm(unix), STROKE, 1)
+    assert float(reading.time[0]) == pytest.approx(1.7e9 % 86400 + 4, abs=0.01)
+
+
 def test_a_short_history_is_refused():
     with pytest.raises(LogError, match="history: 299 rows; 300 are needed"):
         PLANT.warm(small.rows_of(LOG, 101, None))
@@ -115,3 +121,20 @@ def test_the_distance_is_that_of_the_first_members_force_net():
     state, _ = PLANT.advance(START, STROKE, 20)
     memory = np.concatenate([np.ravel(leaf[0]) for leaf in jax.tree.leaves(state.members.force[:2])])
     assert float(PLANT.distance(state)) == pytest.approx(np.linalg.norm(memory), rel=1e-4)
+
+
+def test_deviations_are_said_by_nets_that_learnt_them_and_by_no_others():
+    nets = small.members(force=small.FORCE.merged({"heteroscedastic": True}, "test"))
+    plant = StreamingSurrogate(nets, PAPER_LIMITS, small.interval(), small.surrogate().familiarity)
+    state, command = plant.init(jax.random.key(0)), Command(jnp.float32(1.0), jnp.float32(2.0))
+    said = plant.deviation(state, command, 5)
+    each = [single(nets, member) for member in range(2)]
+    logs = []
+    for member, own in zip(each, [single(state.members, index) for index in range(2)], strict=True):
+        logs.append([])
+        for _ in range(5):
+            own, (_, spoken) = member.step(own, command)
+            logs[-1].append(float(spoken.log_deviation))
+    np.testing.assert_allclose(said, 2.0 * np.sqrt(np.exp(2 * np.array(logs)).mean(axis=0)), rtol=1e-4)
+    with pytest.raises(ArtifactError, match=r"learnt no deviations; fit it with --set force\.heteroscedastic=true"):
+        small.surrogate().deviation(small.surrogate().init(jax.random.key(0)), command, 5)

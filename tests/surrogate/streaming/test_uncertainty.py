@@ -3,9 +3,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from softfin.plant import WINDOW
 from softfin.quantities import Command, Log, Reading
 from softfin.surrogate.streaming.member import single
-from softfin.surrogate.streaming.uncertainty import WINDOW, Interval, calibrated, familiar, remembered, window_means
+from softfin.surrogate.streaming.uncertainty import Interval, calibrated, familiar, remembered, window_means
 from tests.surrogate.streaming import small
 
 CONFIG = small.CONFIG.changed(["burn_in=7"])
@@ -45,7 +46,7 @@ def test_the_interval_holds_its_share_of_errors_that_it_was_not_calibrated_with(
 
 
 def test_the_half_width_grows_with_the_spread_of_the_members():
-    found = Interval(coverage=0.9, factor=2.0, floor_n=0.3, windows=10)
+    found = Interval(coverage=0.9, factor=2.0, floor_n=0.3, windows=10, logs=10)
     spreads = np.array([0.0, 0.4, 4.0])
     widths = found.half_width(np.stack([1 + spreads, 1 - spreads]))
     np.testing.assert_allclose(widths, 2 * np.sqrt(spreads**2 + 0.09))

@@ -20,7 +20,7 @@ class StreamingConfig(Configuration):
     """Of the drive nets; the learning rate falls to a hundredth over them (cosine)."""
     force_updates: PositiveInt = 2000
     """Of the force nets, likewise."""
-    batch: PositiveInt = 64
+    batch: PositiveInt = 32
     """Stretches of the logs an update and member."""
     ticks: int = Field(default=400, ge=2)
     """Length of a stretch [10 ms]; gradients go back through all of it."""
@@ -32,8 +32,6 @@ class StreamingConfig(Configuration):
     """Parts of the force nets' training between which they change from the measured to the predicted motion."""
     held_out: float = Field(default=0.1, gt=0, lt=1)
     """Share of the training logs kept for choosing weights and calibrating intervals; at least one log."""
-    coverage: float = Field(default=0.9, gt=0, lt=1)
-    """Of the intervals on the mean force."""
 
     @model_validator(mode="after")
     def _in_order(self) -> "StreamingConfig":

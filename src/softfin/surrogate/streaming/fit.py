@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 
 from softfin.checkpoint import Workspace
 from softfin.errors import LogError, RunError
+from softfin.plant import WINDOW
 from softfin.quantities import Limits, Log
 from softfin.randomness import key_of
 from softfin.surrogate.fit import Progress, check_lengths, held_out
@@ -37,7 +38,7 @@ from softfin.surrogate.streaming.member import Member, ensemble
 from softfin.surrogate.streaming.profile import LONGEST_DELAY, Profile, ProfileConfig
 from softfin.surrogate.streaming.sequences import Table, scales_of
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
-from softfin.surrogate.streaming.uncertainty import WINDOW, calibrated, familiar
+from softfin.surrogate.streaming.uncertainty import calibrated, familiar
 
 ROUNDS = 10
 """Times that a net is scored on the held-out logs while it is trained."""
@@ -60,6 +61,11 @@ def fit_streaming(
         RunError: the loss is no longer finite.
     """
     return _Fit(logs, config, seed, workspace, progress).run()
+
+
+def check_streaming(logs: Sequence[Log], config: StreamingConfig, workspace: Workspace) -> None:
+    """Raise LogError where `fit_streaming` would before it begins."""
+    _Fit(logs, config, 0, workspace, None)
 
 
 class _Fit:
@@ -138,9 +144,7 @@ class _Fit:
         """The updates of one kind of net, in rounds; yields the state after each."""
         key = key_of(self.seed, f"fit/{name}")
         updates = self.updates[name]
-        round_of = -(-updates // ROUNDS)
-        # Equal calls, so that one compiled program does them all.
-        call = -(-round_of // -(-round_of // UPDATES_A_CALL))
+        call, round_of = _calls(updates)
         before = sum(self.updates[other] for other in list(self.updates)[: list(self.updates).index(name)])
         while done[name] < updates:
             until = min(done[name] + round_of, updates)
@@ -155,7 +159,7 @@ class _Fit:
             with np.errstate(over="ignore", invalid="ignore"):
                 errors = error(state.nets)
             if not np.isfinite([*np.asarray(loss), *errors]).all():
-                raise RunError(f"fit: the {name} nets' loss is not finite; lower streaming.learning_rate, start anew")
+                raise RunError(f"fit: the {name} nets' loss is not finite; lower learning_rate (--set), start anew")
             state = keep_best(state, jnp.asarray(errors, jnp.float32))
             scalars = {f"train/{name}_loss": float(loss.mean()), f"held_out/{name}_mse": float(errors.mean())}
             self.record.write(before + done[name], **scalars)
@@ -188,6 +192,14 @@ class _Fit:
             calibrated([said.force for said in held], self.holding, self.config),
             familiar(members, self.training, self.config.burn_in),
         )
+
+
+def _calls(updates: int) -> tuple[int, int]:
+    """Updates a call and a round: rounds of equal calls, so that one compiled program does all but the very last."""
+    round_of = -(-updates // ROUNDS)
+    calls = -(-round_of // UPDATES_A_CALL)
+    call = -(-round_of // calls)
+    return call, call * calls
 
 
 def _end_to_end(motion: Sequence[Motion]) -> Motion:

@@ -48,7 +48,7 @@ class Table(NamedTuple):
         if not choices.size:
             raise LogError(
                 f"the longest of {len(logs)} training logs has {max(rows)} rows; {ticks + LONGEST_DELAY + 1} are "
-                "needed in one piece; record longer, or make the stretches shorter (streaming.ticks)"
+                "needed in one piece; record longer, or make the stretches shorter (--set ticks=N)"
             )
 
         def joined(parts: list[AnyArray]) -> Array:

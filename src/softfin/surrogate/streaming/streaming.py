@@ -8,10 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from softfin.errors import LogError
+from softfin.errors import ArtifactError, LogError
+from softfin.logs.ticks import tick_at
 from softfin.plant import rest_command
-from softfin.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading
-from softfin.surrogate.streaming.force import Motion
+from softfin.quantities import TICK_S, Command, Limits, Log, Reading
+from softfin.surrogate.streaming.force import Motion, Said
 from softfin.surrogate.streaming.member import Member, MemberState, parameters, single
 from softfin.surrogate.streaming.profile import LONGEST_DELAY
 from softfin.surrogate.streaming.uncertainty import Familiarity, Interval, remembered
@@ -76,7 +77,7 @@ class StreamingSurrogate(eqx.Module):
         waiting = Command(*(jnp.asarray(part[:LONGEST_DELAY][::-1]) for part in command))
         # The last row's command shows in the row that comes next.
         passed = Command(*(jnp.asarray(part[LONGEST_DELAY:-1]) for part in command))
-        tick = round(float(history.reading.time[-1]) * RATE_HZ)
+        tick = tick_at(float(history.reading.time[-1]))
         return StreamingState(jnp.int32(tick), _after(self.members, motion, waiting, passed))
 
     def advance(self, state: StreamingState, command: Command, ticks: int) -> tuple[StreamingState, Reading]:
@@ -88,17 +89,34 @@ class StreamingSurrogate(eqx.Module):
 
     def advance_members(self, state: StreamingState, command: Command, ticks: int) -> tuple[StreamingState, Reading]:
         """The same with every member's own reading: fields ``(members, ticks)``."""
+        state, (motion, said) = self._held(state, command, ticks)
+        time = (state.tick - ticks + 1 + jnp.arange(ticks)) * jnp.float32(TICK_S)
+        reading = Reading(jnp.tile(time, (self.size, 1)), motion.angle, motion.velocity, said.force)
+        return state, reading
+
+    def deviation(self, state: StreamingState, command: Command, ticks: int) -> Float[Array, "ticks"]:
+        """Standard deviation of each axis' reading about the mean [N], as the nets learnt it while a command is held.
+
+        Raises ArtifactError where they learnt none.
+        """
+        net = self.members.force
+        if not net.config.heteroscedastic:
+            raise ArtifactError("this surrogate learnt no deviations; fit it with --set force.heteroscedastic=true")
+        _, (_, said) = self._held(state, command, ticks)
+        return net.scales.force_n * jnp.sqrt(jnp.exp(2 * jnp.asarray(said.log_deviation)).mean(axis=0))
+
+    def _held(self, state: StreamingState, command: Command, ticks: int) -> tuple[StreamingState, tuple[Motion, Said]]:
+        """What every member says while a command is held: fields ``(members, ticks)``."""
         held = Command(*(jnp.asarray(part, jnp.float32) for part in command))
 
-        def tick(each: MemberState, _: None) -> tuple[MemberState, Any]:
-            each, (motion, said) = jax.vmap(lambda member, state: member.step(state, held))(self.members, each)
-            return each, (motion.angle, motion.velocity, said.force)
+        def tick(each: MemberState, _: None) -> tuple[MemberState, tuple[Motion, Said]]:
+            stepped: tuple[MemberState, tuple[Motion, Said]]
+            stepped = jax.vmap(lambda member, state: member.step(state, held))(self.members, each)
+            return stepped
 
         members, said = jax.lax.scan(tick, state.members, length=ticks)
-        angle, velocity, force = (jnp.swapaxes(part, 0, 1) for part in said)
-        time = (state.tick + 1 + jnp.arange(ticks)) * jnp.float32(TICK_S)
-        reading = Reading(jnp.tile(time, (self.size, 1)), angle, velocity, force)
-        return StreamingState(state.tick + ticks, members), reading
+        each: tuple[Motion, Said] = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), said)
+        return StreamingState(state.tick + ticks, members), each
 
     def distance(self, state: StreamingState) -> Float[Array, ""]:
         """Of what the fin has been doing to the training data: 1 is as far as one in a thousand moments of them."""

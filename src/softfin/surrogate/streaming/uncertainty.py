@@ -1,8 +1,10 @@
 """What an ensemble knows of its own errors: an interval on the mean force, and how far a motion is from its data.
 
 The interval is split conformal (Lei et al. 2018, J. Am. Stat. Assoc. 113:1094): errors on logs that no weight was
-trained on, divided by what the members' disagreement expects of them, and their quantile. The distance is Mahalanobis's
-in the memory of a net (Lee et al. 2018, NeurIPS): what the fin has been doing, as the force net sees it.
+trained on, divided by what the members' disagreement expects of them, and their quantile. The same logs chose among the
+ten sets of weights of each member, and windows of one log share its drift: so it is calibrated, not guaranteed. The
+distance is Mahalanobis's in the memory of a net (Lee et al. 2018, NeurIPS): what the fin has been doing, as the force
+net sees it.
 """
 
 from collections.abc import Sequence
@@ -15,14 +17,18 @@ from jaxtyping import Array, Float
 from pydantic import Field
 
 from softfin.configuration import Configuration
+from softfin.plant import WINDOW
 from softfin.quantities import AnyArray, Log
 from softfin.surrogate.streaming.config import StreamingConfig
 from softfin.surrogate.streaming.follow import follow_motion
 from softfin.surrogate.streaming.force import ForceNet, ForceState, Motion
 from softfin.surrogate.streaming.member import Member, single
 
-WINDOW = 200
-"""Samples whose mean force controllers are judged by (paper, Sec. IV-B)."""
+COVERAGE = 0.9
+"""Share of the mean forces that an interval should hold."""
+
+ENOUGH_LOGS = 10
+"""Held-out logs below which an interval knows little of what differs from log to log, such as the sensor's drift."""
 
 RARE = 0.999
 """Share of the training data that is nearer than distance 1."""
@@ -32,7 +38,7 @@ LOGS, EVERY = 50, 7
 
 
 class Interval(Configuration):
-    """Of the mean force over `WINDOW` samples, each axis by itself: half width = factor * sqrt(spread^2 + floor^2)."""
+    """Of the mean force over `WINDOW` samples, on either axis: half width = factor * sqrt(spread^2 + floor^2)."""
 
     coverage: float = Field(gt=0, lt=1)
     """Share of the means that it should hold [-]."""
@@ -41,7 +47,9 @@ class Interval(Configuration):
     floor_n: float = Field(gt=0)
     """Root mean square error of the ensemble's mean there [N]: noise, drift, and what all members have wrong."""
     windows: int = Field(ge=1)
-    """Means that it was calibrated with."""
+    """Means that it was calibrated with, those of both axes."""
+    logs: int = Field(ge=1)
+    """Logs that they came from."""
 
     def half_width(self, means: Float[AnyArray, "members *shape"]) -> Float[AnyArray, "*shape"]:
         """From the members' own means [N]."""
@@ -59,9 +67,9 @@ def calibrated(
     floor = float(np.sqrt(np.mean(error**2)))
     ratio = error / (means.var(axis=0) + floor**2) ** 0.5
     # One more than there are, so that the next error is covered and not only these.
-    level = min(1.0, config.coverage * (1 + 1 / ratio.size))
+    level = min(1.0, COVERAGE * (1 + 1 / ratio.size))
     factor = float(np.quantile(ratio, level, method="inverted_cdf"))
-    return Interval(coverage=config.coverage, factor=factor, floor_n=floor, windows=ratio.size)
+    return Interval(coverage=COVERAGE, factor=factor, floor_n=floor, windows=ratio.size, logs=len(logs))
 
 
 def window_means(force: Float[np.ndarray, "members rows 2"]) -> Float[np.ndarray, "members windows 2"]:
