@@ -1,6 +1,6 @@
 """What each part of the streaming surrogates is worth: the same fit with one thing changed at a time.
 
-    python docs/ablation.py OUT [--dataset DATASET] [--test DATASET] [--minutes 10] [--updates 600]
+    python docs/ablation.py OUT [--dataset DATASET] [--minutes 10] [--updates 600] [--members 2] [--batch 64]
 
 Prints a table of free-running errors over 30 s, on the test logs of a dataset, as Markdown. Each variant keeps its
 folder in OUT, so a stopped run goes on where it was. Without --dataset one is recorded first.
@@ -54,6 +54,7 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=10)
     parser.add_argument("--updates", type=int, default=600)
     parser.add_argument("--members", type=int, default=2)
+    parser.add_argument("--batch", type=int, default=64)
     parser.add_argument("--only", nargs="*", default=list(VARIANTS))
     words = parser.parse_args()
     if words.dataset is None:
@@ -61,11 +62,12 @@ def main() -> None:
         if not (words.dataset / "dataset.json").exists():
             stages.collect("tank", words.dataset, CollectConfig(logs=max(2, round(words.minutes / 3)), rows=18_000))
     data = shortened(words.dataset, words.minutes, words.out / f"{words.minutes:g}min")
-    base = (f"members={words.members}", f"drive_updates={words.updates // 2}", f"force_updates={words.updates}")
+    updates = (f"drive_updates={words.updates // 2}", f"force_updates={words.updates}")
+    base = (f"members={words.members}", f"batch={words.batch}", *updates)
     print("| variant | angle RMSE [rad] | force RMSE x, y [N] | mean force, mean error, 95% [N] | FLOPs a tick |")
     print("| --- | --- | --- | --- | --- |")
     for name in words.only:
-        size = f"{words.minutes:g}min-{words.members}x{words.updates}"
+        size = f"{words.minutes:g}min-{words.members}x{words.batch}x{words.updates}"
         folder = words.out / f"{size}-{name.replace(' ', '-')}"
         if not (folder / "surrogate.json").exists():
             try:

@@ -104,11 +104,12 @@ def _possible(
 
 def _long_enough(logs: Sequence[Log], first: int) -> list[Log]:
     """Those that leave `SHORTEST_S` behind row `first`; where none does, those that leave a row, of which one must."""
-    for least in (first + SHORTEST_S * RATE_HZ, first + 1):
-        if enough := [log for log in logs if len(log.reading.time) >= least]:
-            return enough
-    check_lengths(logs, first, "held-out")
-    raise AssertionError
+    rows = [len(log.reading.time) for log in logs]
+    long = first + SHORTEST_S * RATE_HZ
+    least = long if max(rows) >= long else first + 1
+    if max(rows) < least:
+        check_lengths(logs, first, "held-out")
+    return [log for log, count in zip(logs, rows, strict=True) if count >= least]
 
 
 def _scores(surrogate: AnySurrogate, logs: Sequence[Log], first: int) -> dict[str, float]:
