@@ -49,6 +49,7 @@ if TYPE_CHECKING:
         Surrogate,
         load_surrogate,
     )
+    from softfin.surrogate.active import ActiveCollectConfig
     from softfin.tank import Tank, TankConfig
     from softfin.training.train import GRID, SINGLE, TrainConfig
     from softfin.viewing import ViewConfig
@@ -57,6 +58,7 @@ __all__ = [
     "GRID",
     "PRESETS",
     "SINGLE",
+    "ActiveCollectConfig",
     "AutoConfig",
     "CalibrateConfig",
     "CollectConfig",
@@ -125,6 +127,7 @@ _HOMES = {
         "Surrogate",
         "load_surrogate",
     ),
+    "softfin.surrogate.active": ("ActiveCollectConfig",),
     "softfin.tank": ("Tank", "TankConfig"),
     "softfin.training.train": ("GRID", "SINGLE", "TrainConfig"),
     "softfin.viewing": ("ViewConfig",),

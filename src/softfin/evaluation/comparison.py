@@ -132,7 +132,9 @@ def _draw_horizons(axes: Axes, comparison: Comparison) -> None:
     axes.set(xlabel="horizon [s]", ylabel="RMSE of the force [N]", ylim=(0, None))
     axes.set_title("Error by the time left alone")
     axes.margins(x=0.12)
-    axes.legend(fontsize=7, loc="best")
+    # Room for the legend, clear of the bars.
+    axes.set_ylim(0, 1.6 * axes.get_ylim()[1])
+    axes.legend(fontsize=7, loc="upper right")
 
 
 def _half_widths(cells: list[dict[str, Any]]) -> list[float] | None:
