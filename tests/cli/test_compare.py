@@ -57,7 +57,7 @@ def test_surrogates_are_compared_and_the_result_is_a_table_a_json_and_a_folder(c
     assert result["horizons_s"] == [1, 2.5]
     assert [group["seeds"] for group in result["groups"]] == [3]
     assert result["test_logs"] == 2
-    assert result["floor"]["name"] == "floor (tank)"
+    assert result["floor"]["name"] == "second recording (tank)"
     written = json.loads((tmp_path / "x" / "comparison.json").read_text())
     assert written == {name: value for name, value in result.items() if name != "comparison"}
     # A comparison is a folder of softfin's, so it may be replaced.
@@ -93,7 +93,7 @@ SUMMARY = {
             "horizons": [horizon(1, 0.011), horizon(30, 0.011, **MEANS, coverage=0.912, half_width_n=0.07)],
         },
     ],
-    "floor": {"name": "floor (tank)", "horizons": [horizon(1), horizon(30, **MEANS)]},
+    "floor": {"name": "second recording (tank)", "horizons": [horizon(1), horizon(30, **MEANS)]},
     "notes": ["paper: 1 seed; fit at least 3 before a difference is believed"],
 }  # fmt: skip
 
