@@ -164,6 +164,7 @@ def fit(
     have errors, unless they are accepted, now or when the dataset was imported.
     """
     config = config or StreamingConfig()
+    artifacts.check_vacant(out, overwrite)
     opened = _opened(dataset, logs, accept, progress)
     facts = {"configuration": config.model_dump(mode="json"), "seed": seed, "data_hash": opened.data_hash}
     workspace = Workspace(out, facts, resume, overwrite)
