@@ -114,7 +114,7 @@ def test_the_tables_say_seeds_cost_coverage_floor_and_notes():
     assert "paper: 1 seed, 12,345 parameters, 1,000 FLOPs a tick\n" in text
     assert "Mean force over 200 samples, and the intervals stated for it at 90%" in text
     assert "91.20 ±1.10" in text
-    assert "floor (tank)\n" in text
+    assert "second recording (tank)\n" in text
     assert text.endswith("note: paper: 1 seed; fit at least 3 before a difference is believed")
 
 
