@@ -28,7 +28,8 @@ PUBLISHED_FORCENET = NetworkConfig(
 RANGES = {ANGLE: 1.6, COMMANDS[0]: 1.6, COMMANDS[1]: 1.6, FORCES[0]: 18.0, FORCES[1]: 18.0}
 
 
-def published_layout() -> Surrogate:
+def paper_layout(forcenet: NetworkConfig) -> Surrogate:
+    """PosNet and a ForceNet: Table I's, as `softfin fit --model paper` makes it, or the published one."""
     scaling = Scaling(
         channels={
             name: ChannelScaling(scale=0.5 / reach, offset=0.5, data_min=-reach, data_max=reach)
@@ -36,4 +37,8 @@ def published_layout() -> Surrogate:
         }
     )
     first, second = jax.random.split(jax.random.key(0))
-    return Surrogate(Network.create(POSNET, first), Network.create(PUBLISHED_FORCENET, second), scaling)
+    return Surrogate(Network.create(POSNET, first), Network.create(forcenet, second), scaling)
+
+
+def published_layout() -> Surrogate:
+    return paper_layout(PUBLISHED_FORCENET)

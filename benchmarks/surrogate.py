@@ -9,14 +9,11 @@ import jax
 import jax.numpy as jnp
 
 from benchmarks.measure import entry, interleaved, matmul
-from benchmarks.nets import RANGES
+from benchmarks.nets import paper_layout
 from benchmarks.task import TICKS, steps
 from softfin.quantities import PAPER_LIMITS
-from softfin.surrogate import StreamingConfig, StreamingSurrogate, Surrogate
+from softfin.surrogate import StreamingConfig, StreamingSurrogate
 from softfin.surrogate.forcenet import FORCENET
-from softfin.surrogate.network import Network
-from softfin.surrogate.posnet import POSNET
-from softfin.surrogate.scaling import ChannelScaling, Scaling
 from softfin.surrogate.streaming.force import Motion, Scales
 from softfin.surrogate.streaming.member import ensemble, single
 from softfin.surrogate.streaming.profile import ProfileConfig
@@ -24,18 +21,6 @@ from softfin.surrogate.streaming.uncertainty import Familiarity, Interval, remem
 from softfin.tracking.task import ForceTracking, TaskConfig
 
 BATCH, CYCLES = 256, 8
-
-
-def paper_layout() -> Surrogate:
-    """Table I's nets, as `softfin fit --model paper` makes them."""
-    scaling = Scaling(
-        channels={
-            name: ChannelScaling(scale=0.5 / reach, offset=0.5, data_min=-reach, data_max=reach)
-            for name, reach in RANGES.items()
-        }
-    )
-    first, second = jax.random.split(jax.random.key(0))
-    return Surrogate(Network.create(POSNET, first), Network.create(FORCENET, second), scaling)
 
 
 def streaming_layout() -> StreamingSurrogate:
@@ -49,7 +34,7 @@ def streaming_layout() -> StreamingSurrogate:
 
 
 def main() -> list[dict[str, Any]]:
-    paper, streaming = paper_layout(), streaming_layout()
+    paper, streaming = paper_layout(FORCENET), streaming_layout()
     product, flops = matmul()
     calls = [steps(ForceTracking(plant, TaskConfig()), BATCH, CYCLES) for plant in (paper, streaming)]
     old, new, square = interleaved([*calls, product])

@@ -26,15 +26,7 @@ class Parity(NamedTuple):
 
 
 class Core(eqx.Module):
-    """A recurrent net without a clock: `step` takes what was remembered and the inputs of one tick."""
-
-    def blank(self) -> Parity:
-        """Nothing remembered."""
-        raise NotImplementedError
-
-    def step(self, memory: Parity, inputs: Parity) -> tuple[Parity, Parity]:
-        """One tick: (memory, inputs) -> (memory, outputs)."""
-        raise NotImplementedError
+    """A recurrent net without a clock: has `blank() -> memory` and `step(memory, inputs) -> (memory, outputs)`."""
 
     def products(self) -> int:
         """Multiplications of the matrix products of one tick."""
