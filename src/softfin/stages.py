@@ -36,7 +36,7 @@ from softfin.plant import Plant
 from softfin.plants import find_plant, identity
 from softfin.quantities import Limits
 from softfin.randomness import key_of
-from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig, Surrogate, save_surrogate
+from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig, StreamingSurrogate, Surrogate, save_surrogate
 from softfin.surrogate import import_keras as _import_keras
 from softfin.surrogate.active import ActiveCollectConfig, chooser
 from softfin.surrogate.choice import fit_any
@@ -157,7 +157,7 @@ def fit(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Fit a surrogate to logs, score it on their test logs, write it; returns Table I and the findings' counts.
+    """Fit a surrogate to logs, score it on their test logs, write it; returns Table I, the findings' counts, a caveat.
 
     The kind of configuration says which model: the paper's nets, streaming nets, or what is best on held-out logs.
     `dataset` is a dataset's folder, or recordings of any other kind, read as `logs` says; raises LogError where these
@@ -182,7 +182,10 @@ def fit(
     )  # fmt: skip
     workspace.finish()
     counts = opened.inspection.summary()["counts"]
-    return {"model": surrogate.model, "table_i": scores, "candidates": evidence, "findings": counts}
+    caveat = surrogate.interval.caveat() if isinstance(surrogate, StreamingSurrogate) else None
+    return {
+        "model": surrogate.model, "table_i": scores, "candidates": evidence, "findings": counts, "caveat": caveat
+    }  # fmt: skip
 
 
 def _opened(dataset: Path, config: ImportConfig | None, accept: bool, progress: Progress | None) -> Opened:

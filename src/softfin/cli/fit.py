@@ -56,6 +56,8 @@ class Arguments(Configured, LogOptions):
             )  # fmt: skip
         sys.stderr.write(warning(result["findings"], self.dataset))
         parts = [table_one(result["table_i"]), *([choice(result["candidates"])] if result["candidates"] else [])]
+        if result["caveat"] is not None:
+            parts.append(f"note: {result['caveat']}")
         self.tell({"surrogate": str(self.out), **result}, "\n\n".join(parts))
 
 

@@ -19,7 +19,7 @@ from softfin.plant import Plant
 from softfin.quantities import RATE_HZ, Log, Reading
 from softfin.randomness import key_of
 from softfin.surrogate.horizons import BATCH, FreeRunner, free_running, from_rest, places, take
-from softfin.surrogate.streaming.uncertainty import COVERAGE, ENOUGH_LOGS
+from softfin.surrogate.streaming.uncertainty import COVERAGE
 
 ENOUGH_SEEDS = 3
 """Below, a difference between two groups may be the luck of a seed."""
@@ -97,11 +97,8 @@ class Comparison(NamedTuple):
                     f"by {furthest:.0%} of their range: there it extrapolates"
                 )
             stated = getattr(group.members[0].surrogate, "interval", None)
-            if stated is not None and stated.logs < ENOUGH_LOGS:
-                notes.append(
-                    f"{group.name}: its intervals come from {stated.logs} held-out logs; with less than {ENOUGH_LOGS} "
-                    "they know little of what differs from log to log, as the sensor's drift"
-                )
+            if stated is not None and (caveat := stated.caveat()) is not None:
+                notes.append(f"{group.name}: {caveat}")
         if self.floor is not None:
             notes.append(
                 f"{self.floor.name}: its own noise and drift count too, so that it is off by up to sqrt(2) times what "

@@ -88,3 +88,9 @@ def test_commands_that_were_never_trained_are_far(known):
     assert np.median(fast) > 1.5 * np.median(usual)
     assert np.mean(fast > 1) > 0.2
     assert np.mean(usual > 1) < 0.02
+
+
+@pytest.mark.parametrize(("logs", "said"), [(10, None), (9, "9 held-out logs;"), (1, "1 held-out log;")])
+def test_an_interval_from_few_logs_says_that_it_knows_little(logs, said):
+    caveat = small.interval().model_copy(update={"logs": logs}).caveat()
+    assert (caveat is None) if said is None else said in caveat

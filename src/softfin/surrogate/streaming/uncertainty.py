@@ -55,6 +55,15 @@ class Interval(Configuration):
         """From the members' own means [N]."""
         return self.factor * (means.var(axis=0) + self.floor_n**2) ** 0.5
 
+    def caveat(self) -> str | None:
+        """Why it is not to be relied on, in words; None where there is no such reason."""
+        if self.logs >= ENOUGH_LOGS:
+            return None
+        return (
+            f"intervals come from {self.logs} held-out log{'s' * (self.logs != 1)}; with less than {ENOUGH_LOGS} they "
+            "know little of what differs from log to log, as the sensor's drift"
+        )
+
 
 def calibrated(
     said: Sequence[Float[np.ndarray, "members rows 2"]], logs: Sequence[Log], config: StreamingConfig
