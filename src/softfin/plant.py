@@ -67,6 +67,9 @@ ACTION_TICKS = (33, 33, 34)
 
 ACTION_RATE_HZ = 3.0
 
+CYCLE_ACTIONS = 2 * len(ACTION_TICKS)
+"""Actions that fill the evaluation window: what repeats every six, three or two leaves no ripple in its mean."""
+
 WINDOW = 2 * sum(ACTION_TICKS)
 """Samples whose mean force controllers are judged by: 200, 2 s, six actions (paper, Sec. IV-B)."""
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.control.controller import Controller
+from softfin.control.controller import Controller, Measured
 from softfin.control.grid import GridController
 from softfin.control.single import SingleController
 from softfin.control.store import controller_of, load_controller, save_controller
@@ -49,7 +49,8 @@ def run(request: pytest.FixtureRequest) -> Trained:
 
 def commands(controller: Controller, references: Any, angles: Any) -> np.ndarray:
     def act(state: Any, now: Any) -> Any:
-        state, command = controller.act(state, *now)
+        angle, reference = now
+        state, command = controller.act(state, Measured(angle, jnp.zeros(2)), reference)
         return state, jnp.stack(command)
 
     return np.asarray(jax.jit(lambda a, r: jax.lax.scan(act, controller.init(), (a, r)))(angles, references)[1])
@@ -70,7 +71,7 @@ def test_a_controller_acts_as_its_policy_does_in_the_task() -> None:
         fin, state, memory = task.reset(jax.random.key(0), at), controller.init(), policy.init()
         for i in range(4):
             memory, action = policy.act(memory, task.observe(fin))
-            state, command = act(state, fin.angle, fin.reference)
+            state, command = act(state, Measured(fin.angle, jnp.zeros(2)), fin.reference)
             np.testing.assert_allclose(command, command_of(PAPER_LIMITS, action), rtol=1e-4, atol=1e-5)
             fin, _ = step(fin, action, ACTION_TICKS[i % 3])
 
@@ -87,12 +88,14 @@ def test_on_a_switch_the_memory_starts_anew_and_the_last_actions_stay() -> None:
     controller = controller_of(GRID_RUN, 3)
     assert isinstance(controller, GridController)
     first, second = jnp.array([1.0, -1.0]), jnp.array([2.0, 0.0])
-    state, _ = controller.act(controller.init(), jnp.float32(0.1), first)
-    after, command = controller.act(state, jnp.float32(0.1), second)
+    state, _ = controller.act(controller.init(), Measured(jnp.float32(0.1), jnp.zeros(2)), first)
+    after, command = controller.act(state, Measured(jnp.float32(0.1), jnp.zeros(2)), second)
 
     other = controller.of_cell(jnp.int32(2))
     fresh = state.inner._replace(memory=other.policy.init())
-    np.testing.assert_allclose(command, other.act(fresh, jnp.float32(0.1), second)[1], rtol=1e-5)
+    np.testing.assert_allclose(
+        command, other.act(fresh, Measured(jnp.float32(0.1), jnp.zeros(2)), second)[1], rtol=1e-5
+    )
     np.testing.assert_array_equal(after.inner.actions[1:], state.inner.actions[:-1])
 
 

@@ -1,12 +1,21 @@
 """The Controller contract: reference force in, command out, three times a second; pure and traceable like a plant."""
 
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 from jaxtyping import Array, Float, PyTree
 
 from softfin.quantities import Command
 
 ControllerState: TypeAlias = PyTree[Any]
+
+
+class Measured(NamedTuple):
+    """What a controller may know of the fin when it acts."""
+
+    angle: Float[Array, ""]
+    """Of the shaft, the last reading [rad]; 0 before the first."""
+    force: Float[Array, "2"]
+    """(x, y), mean of the readings since the last action [N]; 0 before the first."""
 
 
 @runtime_checkable
@@ -18,9 +27,9 @@ class Controller(Protocol):
         ...
 
     def act(
-        self, state: ControllerState, angle: Float[Array, ""], reference: Float[Array, "2"]
+        self, state: ControllerState, measured: Measured, reference: Float[Array, "2"]
     ) -> tuple[ControllerState, Command]:
-        """The next action, from the fin's last measured angle [rad] and the reference force (x, y) [N]."""
+        """The next action, from what was measured and the reference force (x, y) [N]."""
         ...
 
     def check(self, reference: tuple[float, float]) -> None:

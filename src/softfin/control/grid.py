@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from softfin.control.controller import Measured
 from softfin.control.single import SingleController, SingleState
 from softfin.errors import CoverageError
 from softfin.quantities import Command, Limits
@@ -41,7 +42,7 @@ class GridController(eqx.Module):
         """The fin at rest, nothing remembered."""
         return GridState(self.of_cell(jnp.int32(0)).init(), jnp.int32(0))
 
-    def act(self, state: GridState, angle: Float[Array, ""], reference: Float[Array, "2"]) -> tuple[GridState, Command]:
+    def act(self, state: GridState, measured: Measured, reference: Float[Array, "2"]) -> tuple[GridState, Command]:
         """The mean action of the policy for the reference's cell, the nearest one outside all cells.
 
         On a switch the memory starts anew, because what one policy remembers means nothing to another; the last
@@ -49,7 +50,7 @@ class GridController(eqx.Module):
         """
         index = self.nearest(jnp.asarray(reference))
         memory = cleared(state.inner.memory, index != state.cell)
-        inner, command = self.of_cell(index).act(state.inner._replace(memory=memory), angle, reference)
+        inner, command = self.of_cell(index).act(state.inner._replace(memory=memory), measured, reference)
         return GridState(inner, index), command
 
     def check(self, reference: Force) -> None:

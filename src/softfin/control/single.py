@@ -4,8 +4,9 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
+from softfin.control.controller import Measured
 from softfin.errors import CoverageError
 from softfin.quantities import Command, Limits
 from softfin.tracking.references import Cell, Force
@@ -20,6 +21,8 @@ class SingleState(NamedTuple):
     memory: Memory
     actions: Float[Array, "remembered 2"]
     """The last one first, normalised."""
+    age: Int[Array, ""]
+    """Actions since the start."""
 
 
 class SingleController(eqx.Module):
@@ -34,15 +37,13 @@ class SingleController(eqx.Module):
 
     def init(self) -> SingleState:
         """The fin at rest, nothing remembered."""
-        return SingleState(self.policy.init(), rest_actions(self.task, self.limits))
+        return SingleState(self.policy.init(), rest_actions(self.task, self.limits), jnp.int32(0))
 
-    def act(
-        self, state: SingleState, angle: Float[Array, ""], reference: Float[Array, "2"]
-    ) -> tuple[SingleState, Command]:
+    def act(self, state: SingleState, measured: Measured, reference: Float[Array, "2"]) -> tuple[SingleState, Command]:
         """The policy's mean action."""
-        seen = observation(self.task, jnp.asarray(angle), jnp.asarray(reference), state.actions)
+        seen = observation(self.task, jnp.asarray(measured.angle), jnp.asarray(reference), state.actions, state.age)
         memory, action = self.policy.act(state.memory, seen)
-        return SingleState(memory, remember(state.actions, action)), command_of(self.limits, action)
+        return SingleState(memory, remember(state.actions, action), state.age + 1), command_of(self.limits, action)
 
     def check(self, reference: Force) -> None:
         """Raise CoverageError outside the range."""

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key, PRNGKeyArray
 
-from softfin.control.controller import Controller, ControllerState
+from softfin.control.controller import Controller, ControllerState, Measured
 from softfin.plant import ACTION_TICKS, Plant, State
 from softfin.quantities import AnyArray, Command, Reading
 
@@ -77,7 +77,7 @@ def _program(
     controller, plant = parties[0], parties[1].plant()
 
     def one(reference: Float[Array, "2"], key: PRNGKeyArray) -> tuple[Command, Reading]:
-        carry = (controller.init(), plant.init(key), jnp.float32(0.0))
+        carry = (controller.init(), plant.init(key), Measured(jnp.float32(0.0), jnp.zeros(2)))
         kept: tuple[Command, Reading]
         _, kept = jax.lax.scan(lambda carry, _: _second(controller, plant, reference, carry), carry, None, seconds)
         command, reading = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), kept)
@@ -88,14 +88,14 @@ def _program(
 
 
 def _second(
-    controller: Controller, plant: Plant, reference: Float[Array, "2"], carry: tuple[ControllerState, State, Any]
-) -> tuple[tuple[ControllerState, State, Any], tuple[Command, Reading]]:
-    """Three actions of 33, 33 and 34 ticks, each on the angle that was read last (0, at rest, before the first)."""
-    memory, state, angle = carry
+    controller: Controller, plant: Plant, reference: Float[Array, "2"], carry: tuple[ControllerState, State, Measured]
+) -> tuple[tuple[ControllerState, State, Measured], tuple[Command, Reading]]:
+    """Three actions of 33, 33 and 34 ticks, each on what was read while the one before it was held."""
+    memory, state, measured = carry
     kept = []
     for ticks in ACTION_TICKS:
-        memory, command = controller.act(memory, angle, reference)
+        memory, command = controller.act(memory, measured, reference)
         state, reading = plant.advance(state, command, ticks)
-        angle = reading.angle[-1]
+        measured = Measured(reading.angle[-1], reading.force.mean(axis=0))
         kept.append((jax.tree.map(lambda x, n=ticks: jnp.full(n, x, jnp.float32), command), reading))
-    return (memory, state, angle), jax.tree.map(lambda *parts: jnp.concatenate(parts), *kept)
+    return (memory, state, measured), jax.tree.map(lambda *parts: jnp.concatenate(parts), *kept)

@@ -1,7 +1,7 @@
 """Force tracking as pure functions over any plant (paper Sec. III-C2): action in, plant moved, reward and state out.
 
     action in [-1, 1]^2 ──> command, held 33 or 34 ticks ──> plant ──> angle, forces
-    observation = [angle, reference x, reference y, A_t, A_t-1, .. A_t-k], each about unit size
+    observation = [angle, reference x, reference y, A_t, A_t-1, .. A_t-k, and on demand sin, cos of the clock's phase]
 
 Actions follow one another on the 33/33/34 clock, so whatever plays the task goes in cycles of three actions.
 """
@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from softfin.configuration import Configuration
-from softfin.plant import Plant, State, rest_command
+from softfin.plant import CYCLE_ACTIONS, Plant, State, rest_command
 from softfin.quantities import Command, Limits
 from softfin.tracking.references import References
 from softfin.tracking.reward import SMOOTHNESS, reward, window_error
@@ -54,12 +54,15 @@ class TaskConfig(Configuration):
     """Actions until another reference is drawn."""
     force_scale_n: PositiveFloat = 3.0
     """References are observed in this unit [N], so that they are of about unit size."""
+    phase: bool = False
+    """Whether the phase of the six actions that fill the window is observed, as a sine and a cosine; the paper's state
+    has none, and a policy then has to find a beat of its own."""
     reward: RewardConfig = RewardConfig()
 
     @property
     def observations(self) -> int:
         """How many numbers are observed."""
-        return 3 + 2 * (1 + self.past_actions)
+        return 3 + 2 * (1 + self.past_actions) + 2 * self.phase
 
 
 class TaskState(NamedTuple):
@@ -117,7 +120,7 @@ class ForceTracking:
 
     def observe(self, state: TaskState) -> Float[Array, "observations"]:
         """The paper's state."""
-        return observation(self.config, state.angle, state.reference, state.actions)
+        return observation(self.config, state.angle, state.reference, state.actions, state.age)
 
     def inspect(self, state: TaskState) -> Float[Array, "seen"]:
         """The observation, and what only a simulator knows: the window's forces, how many count, the clock."""
@@ -168,9 +171,17 @@ def observation(
     angle: Float[Array, ""],
     reference: Float[Array, "2"],
     actions: Float[Array, "remembered 2"],
+    age: Int[Array, ""],
 ) -> Float[Array, "observations"]:
-    """[angle, reference x, reference y, A_t, A_t-1, .. A_t-k], in units of `ANGLE_SCALE_RAD` and `force_scale_n`."""
-    return jnp.concatenate([angle[None] / ANGLE_SCALE_RAD, reference / config.force_scale_n, actions.reshape(-1)])
+    """[angle, reference x, reference y, A_t, A_t-1, .. A_t-k], in units of `ANGLE_SCALE_RAD` and `force_scale_n`.
+
+    With `config.phase`, sine and cosine of the phase follow, which is 0 at every sixth action, `age` counted from 0.
+    """
+    parts = [angle[None] / ANGLE_SCALE_RAD, reference / config.force_scale_n, actions.reshape(-1)]
+    if config.phase:
+        turn = 2 * jnp.pi * (age % CYCLE_ACTIONS) / CYCLE_ACTIONS
+        parts.append(jnp.stack([jnp.sin(turn), jnp.cos(turn)]))
+    return jnp.concatenate(parts)
 
 
 def command_of(limits: Limits, action: Action) -> Command:

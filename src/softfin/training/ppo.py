@@ -4,7 +4,7 @@ A lane is one policy with its own key and its own box of references.
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,11 +17,10 @@ from softfin.plant import ACTION_TICKS
 from softfin.tracking.references import References
 from softfin.tracking.task import ForceTracking
 from softfin.training.advantage import advantages
+from softfin.training.learner import Metrics
 from softfin.training.lstm import Memory
-from softfin.training.policy import ActorCritic, Critic, PolicyConfig
+from softfin.training.policy import ActorCritic, Critic, Policy, PolicyConfig
 from softfin.training.rollout import Batch, Rollout, begin, collect
-
-Metrics: TypeAlias = dict[str, Float[Array, "*lanes"]]
 
 
 class PPOConfig(Configuration):
@@ -74,6 +73,11 @@ class Lane(NamedTuple):
     optimiser: Any
     batch: Batch
     key: PRNGKeyArray
+
+    @property
+    def policy(self) -> Policy:
+        """The actor."""
+        return self.networks.policy
 
 
 class Lesson(NamedTuple):

@@ -65,7 +65,7 @@ def collect(task: ForceTracking, policy: Policy, batch: Batch, key: PRNGKeyArray
         for ticks, now in zip(ACTION_TICKS, noise, strict=True):
             batch, step = _act(task, policy, batch, now, ticks)
             steps.append(step)
-        batch = _restart(task, batch)
+        batch = restart(task, batch)
         steps[-1] = steps[-1]._replace(cut=batch.fresh)
         return batch, jax.tree.map(lambda *parts: jnp.stack(parts), *steps)
 
@@ -97,7 +97,7 @@ def _act(
     return Batch(states, memories, never), step
 
 
-def _restart(task: ForceTracking, batch: Batch) -> Batch:
+def restart(task: ForceTracking, batch: Batch) -> Batch:
     """Where episodes are over, the fins at rest again."""
     cut = jax.vmap(task.finished)(batch.states)
     again = jax.vmap(task.reset)(batch.states.key, batch.states.references)

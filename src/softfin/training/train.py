@@ -24,8 +24,10 @@ from softfin.randomness import key_of
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 from softfin.tracking.references import PAPER_CELLS, PAPER_RANGE, Cell, References, stack_references
 from softfin.tracking.task import ForceTracking, TaskConfig
+from softfin.training.gradient import Gradient, GradientConfig
+from softfin.training.learner import Learner, Metrics
 from softfin.training.policy import Policy, PolicyConfig
-from softfin.training.ppo import PPO, Lane, Metrics, PPOConfig
+from softfin.training.ppo import PPO, PPOConfig
 from softfin.training.score import Score, score
 
 Tree = TypeVar("Tree")
@@ -44,8 +46,12 @@ class TrainConfig(Configuration):
     """The force-tracking task."""
     policy: PolicyConfig = PolicyConfig()
     """Size and start of the networks."""
+    algorithm: Literal["ppo", "gradient"] = "ppo"
+    """LSTM-PPO, as the paper has it, or gradients through the plant."""
     ppo: PPOConfig = PPOConfig()
-    """The learner."""
+    """Of LSTM-PPO."""
+    gradient: GradientConfig = GradientConfig()
+    """Of gradient training."""
     scorings: PositiveInt = 10
     """How often the deterministic policies are scored, evenly over the run; a checkpoint is written each time."""
     lattice: PositiveInt = 1
@@ -62,7 +68,12 @@ class TrainConfig(Configuration):
     @property
     def updates(self) -> int:
         """Of each policy: as many whole rollouts as `steps` hold."""
-        return self.steps // self.ppo.steps_per_update
+        return self.steps // self.learning.steps_per_update
+
+    @property
+    def learning(self) -> PPOConfig | GradientConfig:
+        """Of the algorithm."""
+        return self.ppo if self.algorithm == "ppo" else self.gradient
 
 
 GRID = TrainConfig()
@@ -82,7 +93,8 @@ SINGLE = TrainConfig(
 class TrainState(NamedTuple):
     """All that a resumed run needs; every leaf has a leading axis of lanes."""
 
-    lanes: Lane
+    lanes: Any
+    """Of the algorithm."""
     best: Policy
     best_score: Score
     """Errors and deviations ``(lanes, references, 2)``, of `best`."""
@@ -118,15 +130,15 @@ def train(
     state, done = run.start(), 0
     if (resumed := workspace.load(_unkeyed(state))) is not None:
         state, done = _rekeyed(resumed[0], state), resumed[1]["updates"]
-    record = workspace.log(rewind_to=done * config.ppo.steps_per_update)
+    record = workspace.log(rewind_to=done * config.learning.steps_per_update)
     due = _scorings(config)
     while done < config.updates:
         lanes, metrics = run.update(state.lanes)
         state, done = state._replace(lanes=lanes), done + 1
-        steps = done * config.ppo.steps_per_update
+        steps = done * config.learning.steps_per_update
         scalars = run.by_seed(run.finite(metrics, done))
         if done in due:
-            scores = run.score(state.lanes.networks.policy)
+            scores = run.score(state.lanes.policy)
             state = _keep_best(state, scores)
             scalars |= run.by_seed(_summary(scores))
             workspace.save(_unkeyed(state), {"updates": done})
@@ -140,20 +152,24 @@ def train(
 class _Programs(NamedTuple):
     """Compiled for all lanes at once; the plant's arrays are arguments, not constants in the programs."""
 
-    init: Callable[[Any, PRNGKeyArray, References], Lane]
-    update: Callable[[Any, Lane], tuple[Lane, Metrics]]
+    init: Callable[[Any, PRNGKeyArray, References], Any]
+    update: Callable[[Any, Any], tuple[Any, Metrics]]
     score: Callable[[Any, Policy, Array], Score]
 
 
 def _compile(static: Any, config: TrainConfig) -> _Programs:
     """For a plant without its arrays."""
 
-    def learner(arrays: Any) -> PPO:
-        task = ForceTracking(eqx.combine(arrays, static), config.task)
-        return PPO(task, config.ppo, config.policy, config.updates)
+    def task(arrays: Any) -> ForceTracking:
+        return ForceTracking(eqx.combine(arrays, static), config.task)
+
+    def learner(arrays: Any) -> Learner:
+        if config.algorithm == "ppo":
+            return PPO(task(arrays), config.ppo, config.policy, config.updates)
+        return Gradient(task(arrays), config.gradient, config.policy, config.updates)
 
     def judge(arrays: Any, policy: Policy, references: Array) -> Score:
-        return score(learner(arrays).task, policy, references, key_of(0, "score"))
+        return score(task(arrays), policy, references, key_of(0, "score"))
 
     return _Programs(
         jax.jit(jax.vmap(lambda arrays, key, box: learner(arrays).init(key, box), (None, 0, 0))),
@@ -187,9 +203,9 @@ class _Run:
         lanes = self.programs.init(self.arrays, keys, boxes)
         worst = jnp.full(self.references.shape, jnp.inf)
         beyond = worst[..., 0] if self.knows else None
-        return TrainState(lanes, lanes.networks.policy, Score(worst, worst, beyond))
+        return TrainState(lanes, lanes.policy, Score(worst, worst, beyond))
 
-    def update(self, lanes: Lane) -> tuple[Lane, Metrics]:
+    def update(self, lanes: Any) -> tuple[Any, Metrics]:
         """One update of every lane."""
         return self.programs.update(self.arrays, lanes)
 
@@ -204,7 +220,8 @@ class _Run:
             seed, index = self.lanes[bad[0]]
             raise RunError(
                 f"train: the loss is not finite in update {update} of {self.config.updates}, seed {seed}, cell "
-                f"{self.config.cells[index]}; lower ppo.learning_rate (the last good checkpoint is kept)"
+                f"{self.config.cells[index]}; lower {self.config.algorithm}.learning_rate "
+                "(the last good checkpoint is kept)"
             )
         return metrics
 
@@ -231,10 +248,11 @@ class _Run:
 def _check(config: TrainConfig, seeds: Sequence[int]) -> None:
     if not seeds or len(set(seeds)) != len(seeds):
         raise ConfigurationError(f"seeds {list(seeds)}: give at least one, and each once")
+    learning = config.learning
     if config.updates == 0:
         raise ConfigurationError(
-            f"steps = {config.steps}: fewer than one rollout of {config.ppo.steps_per_update} "
-            f"({config.ppo.environments} environments x {config.ppo.rollout_actions} actions); give more steps"
+            f"steps = {config.steps}: fewer than one rollout of {learning.steps_per_update} "
+            f"({learning.environments} environments x {learning.rollout_actions} actions); give more steps"
         )
 
 
@@ -257,7 +275,7 @@ def _keep_best(state: TrainState, scores: Score) -> TrainState:
     def pick(new: Array, old: Array) -> Array:
         return jnp.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old)
 
-    best = jax.tree.map(pick, state.lanes.networks.policy, state.best)
+    best = jax.tree.map(pick, state.lanes.policy, state.best)
     best_score = jax.tree.map(pick, scores, state.best_score)
     return state._replace(best=best, best_score=best_score)
 

@@ -1,0 +1,109 @@
+"""Gradient training: the force error of whole rollouts is differentiated through the plant into the policy.
+
+Truncated backpropagation through time, the short horizon of Xu et al. 2022 (SHAC) without its critic: the fin forgets
+within two or three seconds, and the window of the reward holds two, so a rollout of six seconds sees nearly all that an
+action does. Pure; one lane, `vmap` adds lanes.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float, PRNGKeyArray
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
+
+from softfin.configuration import Configuration
+from softfin.plant import ACTION_TICKS
+from softfin.tracking.references import References
+from softfin.tracking.task import ForceTracking, Outcome
+from softfin.training.learner import Metrics
+from softfin.training.lstm import cleared
+from softfin.training.policy import Policy, PolicyConfig
+from softfin.training.rollout import Batch, begin, restart
+
+
+class GradientConfig(Configuration):
+    """The learner."""
+
+    environments: PositiveInt = 32
+    """Fins that each policy beats side by side."""
+    rollout_actions: int = Field(default=18, ge=3, multiple_of=3)
+    """Actions between updates, whole cycles of three; gradients reach back as far."""
+    learning_rate: PositiveFloat = 3e-3
+    """Of Adam, at its greatest."""
+    final_learning_rate: float = Field(default=0.01, ge=0, le=1)
+    """At the end, as a part of the greatest; it falls as a cosine."""
+    gradient_norm: PositiveFloat = 1.0
+    """Longer gradients are scaled down to this."""
+    smoothness: NonNegativeFloat = 0.003
+    """Weight of the Sobolev term beside the force error, in the form `sum`."""
+
+    @property
+    def steps_per_update(self) -> int:
+        """Actions over all environments."""
+        return self.environments * self.rollout_actions
+
+
+class GradientLane(NamedTuple):
+    """Everything that one policy's training carries from update to update."""
+
+    policy: Policy
+    optimiser: Any
+    batch: Batch
+    key: PRNGKeyArray
+
+
+@dataclass(frozen=True)
+class Gradient:
+    """The learner for a task, over a number of updates."""
+
+    task: ForceTracking
+    config: GradientConfig
+    policy: PolicyConfig
+    updates: int
+
+    def init(self, key: PRNGKeyArray, references: References) -> GradientLane:
+        """A new policy, fins at rest."""
+        network_key, batch_key, key = jax.random.split(key, 3)
+        policy = Policy.create(network_key, self.policy, self.task.config.observations)
+        batch = begin(self.task, policy, references, batch_key, self.config.environments)
+        return GradientLane(policy, self._optimiser().init(policy), batch, key)
+
+    def update(self, lane: GradientLane) -> tuple[GradientLane, Metrics]:
+        """A rollout without noise, and one step down the gradient of its loss."""
+        gradient, (batch, metrics) = jax.grad(self.loss, has_aux=True)(lane.policy, lane.batch)
+        change, optimiser = self._optimiser().update(gradient, lane.optimiser, lane.policy)
+        policy = optax.apply_updates(lane.policy, change)
+        metrics["gradient_norm"] = optax.tree.norm(gradient)
+        return GradientLane(policy, optimiser, restart(self.task, batch), lane.key), metrics
+
+    def loss(self, policy: Policy, batch: Batch) -> tuple[Float[Array, ""], tuple[Batch, Metrics]]:
+        """Mean over the rollout of the window's force error and its Sobolev term [N]."""
+        task = self.task
+
+        def act(batch: Batch, ticks: int) -> tuple[Batch, Outcome]:
+            memories = jax.vmap(cleared)(batch.memories, batch.fresh)
+            memories, action = jax.vmap(policy.act)(memories, jax.vmap(task.observe)(batch.states))
+            states, outcome = jax.vmap(partial(task.step, ticks=ticks))(batch.states, action)
+            return Batch(states, memories, jnp.zeros_like(batch.fresh)), outcome
+
+        def cycle(batch: Batch, _: None) -> tuple[Batch, Any]:
+            rewards, errors = [], []
+            for ticks in ACTION_TICKS:
+                batch, outcome = act(batch, ticks)
+                rewards.append(outcome.reward)
+                errors.append(outcome.error)
+            return batch, (jnp.stack(rewards), jnp.stack(errors))
+
+        batch, (reward, error) = jax.lax.scan(cycle, batch, None, self.config.rollout_actions // len(ACTION_TICKS))
+        loss = -reward.mean()
+        x, y = error.mean(axis=(0, 1, 2))
+        return loss, (batch, {"loss": loss, "reward": reward.mean(), "error_x_n": x, "error_y_n": y})
+
+    def _optimiser(self) -> optax.GradientTransformation:
+        config = self.config
+        rate = optax.cosine_decay_schedule(config.learning_rate, self.updates, config.final_learning_rate)
+        return optax.chain(optax.clip_by_global_norm(config.gradient_norm), optax.adam(rate, eps=1e-5))
