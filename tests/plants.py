@@ -75,3 +75,34 @@ class Flapper(eqx.Module):
 
     def check(self, reference: tuple[float, float]) -> None:
         """Covers everything."""
+
+
+class StrokeFin(eqx.Module):
+    """No dynamics but the shaft's place: a stroke to a target pushes steadily, the more the longer and faster it is.
+
+    F = gain velocity (1 - cos(stroke)) (cos m, -sin m) + bias, m the middle of the stroke: a smooth function of the
+    commands, and of 3 x 2 numbers alone for a gait of three strokes. About 3 N at most in +x, none in -x.
+    """
+
+    gain: Float[Array, ""] = eqx.field(default=0.5, converter=lambda x: jnp.asarray(x, jnp.float32))
+    bias: Float[Array, "2"] = eqx.field(default=(0.0, 0.0), converter=lambda x: jnp.asarray(x, jnp.float32))
+    """[N], whatever the fin does."""
+
+    @property
+    def limits(self) -> Limits:
+        return PAPER_LIMITS
+
+    def init(self, key: PRNGKeyArray) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        return jnp.float32(0.0), jnp.float32(0.0)
+
+    def advance(
+        self, state: tuple[Float[Array, ""], Float[Array, ""]], command: Command, ticks: int
+    ) -> tuple[tuple[Float[Array, ""], Float[Array, ""]], Reading]:
+        time, angle = state
+        stroke, middle = command.angle - angle, (command.angle + angle) / 2
+        push = self.gain * command.velocity * (1 - jnp.cos(stroke))
+        force = push * jnp.stack([jnp.cos(middle), -jnp.sin(middle)]) + self.bias
+        ones = jnp.ones(ticks)
+        times = time + TICK_S * (jnp.arange(ticks) + 1)
+        reading = Reading(times, ones * command.angle, ones * stroke, ones[:, None] * force)
+        return (times[-1], jnp.asarray(command.angle, jnp.float32)), reading

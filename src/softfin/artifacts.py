@@ -28,7 +28,7 @@ WEIGHTS = "weights.safetensors"
 
 KINDS = (
     "dataset", "surrogate", "controller", "controllers", "evaluation", "reproduction", "calibration", "comparison",
-    "inspection",
+    "inspection", "map", "baselines",
 )  # fmt: skip
 """Of folders, each told by its ``KIND.json``."""
 

@@ -5,6 +5,7 @@ They are the Python API that ``import softfin`` offers, and the command line is 
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from softfin.calibration.calibrate import calibrate as _calibrate
 from softfin.calibration.config import CalibrateConfig
 from softfin.calibration.material import material
 from softfin.checkpoint import Workspace
-from softfin.control.store import load_controller, save_controller
+from softfin.control.store import load_controller, save_controller, save_gaits
 from softfin.errors import ArtifactError, ConfigurationError, PlantError
 from softfin.evaluation.calibration import write_calibration
 from softfin.evaluation.candidates import candidates
@@ -23,6 +24,7 @@ from softfin.evaluation.comparison import write_comparison
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, write_evaluation
 from softfin.evaluation.evaluate import evaluate as _evaluate
 from softfin.evaluation.inspection import write_inspection
+from softfin.evaluation.map_figure import write_map
 from softfin.logs.collect import CollectConfig
 from softfin.logs.collect import collect as _collect
 from softfin.logs.dataset import Dataset, write_dataset
@@ -42,9 +44,13 @@ from softfin.surrogate.active import ActiveCollectConfig, chooser
 from softfin.surrogate.choice import fit_any
 from softfin.surrogate.fit import check_lengths
 from softfin.surrogate.metrics import SKIPPED, measured_scaling, table_one
-from softfin.tank import Tank, randomised
+from softfin.tank import DrawnTanks, Spread, Tank, randomised
+from softfin.tracking.references import PAPER_RANGE, PAPER_REFERENCES
+from softfin.training.engine import EngineName, find_engine
+from softfin.training.force_map import MapConfig
+from softfin.training.force_map import map_forces as _map_forces
+from softfin.training.jobs import Split, default_split, train_jobs
 from softfin.training.train import GRID, TrainConfig
-from softfin.training.train import train as _train
 from softfin.viewing import ViewConfig
 from softfin.viewing.video import ticks_of
 from softfin.viewing.view import check_out, draw, footage_of, title_of
@@ -274,33 +280,84 @@ def import_keras(posnet: Path, forcenet: Path, scalers: Path, out: Path, *, over
     return surrogate
 
 
+def map_forces(
+    plant: str | Plant,
+    out: Path,
+    config: MapConfig | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Which mean forces a fin can make, at what Sobolev cost, and the gaits that make them; writes the folder `out`."""
+    config = config or MapConfig()
+    artifacts.check_vacant(out, overwrite)
+    moving = find_plant(plant) if isinstance(plant, str) else plant
+    known = _map_forces(moving, config, None if progress is None else partial(progress, "map"))
+    write_map(out, known, config, Limits(*map(float, moving.limits)), _origin(plant, moving))
+    missed = known.found.missed()
+    return {
+        "map": str(out),
+        "box_n": known.reachable.box(),
+        "area_n2": known.reachable.area(),
+        "nodes": missed.size,
+        "held": int((missed <= config.tolerance_n).sum()),
+        "beyond": [list(force) for force in PAPER_REFERENCES if not known.reachable.contains(force)],
+    }
+
+
+def gaits(
+    plant: str | Plant,
+    out: Path,
+    config: MapConfig | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> None:
+    """Find the gaits of a lattice of reference forces and write them as a controller, the folder `out`."""
+    config = config or MapConfig(box=PAPER_RANGE)
+    artifacts.check_vacant(out, overwrite)
+    moving = find_plant(plant) if isinstance(plant, str) else plant
+    known = _map_forces(moving, config, None if progress is None else partial(progress, "gaits"))
+    save_gaits(out, known, config, Limits(*map(float, moving.limits)), _origin(plant, moving))
+
+
+def _origin(plant: str | Plant, moving: Plant, **facts: Any) -> dict[str, Any]:
+    named = plant if isinstance(plant, str) else type(plant).__name__
+    return artifacts.provenance(plant=named, plant_identity=identity(moving), **facts)
+
+
 def train(
     plant: str | Plant,
     out: Path,
     config: TrainConfig = GRID,
     *,
     seeds: Sequence[int] = (0,),
+    engine: EngineName = "local",
+    split: Split | None = None,
+    cluster: str | None = None,
     resume: bool = False,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> None:
-    """Train controllers inside a plant, as a rule a surrogate, with LSTM-PPO (paper Sec. III-C).
+    """Train controllers inside a plant, as a rule a surrogate: by LSTM-PPO (paper Sec. III-C) or by gradients.
 
-    One seed writes the controller's folder `out`; several are trained in one program and written as ``out/seed-N``.
+    One seed writes the controller's folder `out`; several are written as ``out/seed-N``. All is one program, unless
+    it is `split` into jobs; the `engine` does these one after the other, or all at once on a Ray `cluster`.
     """
+    working, split = find_engine(engine, cluster), split or default_split(engine, seeds)
     moving = find_plant(plant) if isinstance(plant, str) else plant
+    origin = _origin(plant, moving)
     facts = {
         "configuration": config.model_dump(mode="json"),
         "seeds": list(seeds),
-        "plant": identity(moving),
+        "plant": origin["plant_identity"],
+        "split": split,
     }
     workspace = Workspace(out, facts, resume, overwrite)
-    trained = _train(moving, config, seeds, workspace, progress)
+    trained = train_jobs(moving, config, seeds, workspace, progress, engine=working, split=split)
 
     def save(folder: Path, seed: int, also: Callable[[Path], None] | None = None) -> None:
-        named = plant if isinstance(plant, str) else type(plant).__name__
-        origin = artifacts.provenance(seed=seed, plant=named, plant_identity=facts["plant"])
-        save_controller(folder, trained, seed, origin, also)
+        save_controller(folder, trained, seed, origin | {"seed": seed}, also)
 
     def keep_log(folder: Path) -> None:
         workspace.keep_log(folder / TRAINING_LOG)
@@ -324,15 +381,26 @@ def evaluate(
     out: Path | None = None,
     config: EvaluateConfig | None = None,
     *,
+    spread: float | Spread | None = None,
     overwrite: bool = False,
 ) -> dict[str, Any]:
-    """Judge a controller on a plant (paper Sec. IV-B, Table II); writes ``evaluation.json`` and figures to `out`."""
+    """Judge a controller on a plant (paper Sec. IV-B, Table II); writes ``evaluation.json`` and figures to `out`.
+
+    With `spread` the plant must be a tank, and every repetition is run in another one, drawn about it.
+    """
     if out is not None:
         artifacts.check_vacant(out, overwrite)
-    evaluation = judged(controller, plant, config or EvaluateConfig())
+    moving = find_plant(plant) if isinstance(plant, str) else plant
+    widths = Spread.of(spread) if isinstance(spread, float) else spread
+    if widths is not None:
+        if not isinstance(moving, Tank):
+            raise ConfigurationError(f"spread {spread}: {plant} is no tank, so there are no others like it to draw")
+        moving = DrawnTanks(moving, widths)
+    evaluation = judged(controller, moving, config or EvaluateConfig(), str(plant))
     if out is None:
         return evaluation.summary()
-    facts = {"controller": str(controller), "kind": kind_of(controller), "plant": str(plant)}
+    facts = {"controller": str(controller), "kind": kind_of(controller), "plant": str(plant),
+             "spread": None if widths is None else widths.model_dump(mode="json")}  # fmt: skip
     return write_evaluation(evaluation, out, facts)
 
 
@@ -381,16 +449,16 @@ def view(
 
 
 def kind_of(controller: Path) -> str:
-    """``single`` or ``grid``."""
+    """``single``, ``grid`` or ``gaits``."""
     kind: str = artifacts.load_description(controller, "controller")["controller"]
     return kind
 
 
-def judged(controller: Path, plant: str | Plant, config: EvaluateConfig) -> Evaluation:
+def judged(controller: Path, plant: str | Plant, config: EvaluateConfig, named: str | None = None) -> Evaluation:
     """A controller's experiments on a plant, not yet written."""
     moving = find_plant(plant) if isinstance(plant, str) else plant
     holding = load_controller(controller)
-    _check_limits(holding.limits, Limits(*moving.limits), controller, plant)
+    _check_limits(holding.limits, Limits(*moving.limits), controller, named or plant)
     return _evaluate(holding, moving, config)
 
 

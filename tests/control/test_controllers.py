@@ -84,21 +84,6 @@ def test_each_reference_is_served_by_its_cell_and_the_nearest_beyond_the_grid() 
     assert int(controller.nearest(jnp.array([9.0, 0.0]))) == 3
 
 
-def test_on_a_switch_the_memory_starts_anew_and_the_last_actions_stay() -> None:
-    controller = controller_of(GRID_RUN, 3)
-    assert isinstance(controller, GridController)
-    first, second = jnp.array([1.0, -1.0]), jnp.array([2.0, 0.0])
-    state, _ = controller.act(controller.init(), Measured(jnp.float32(0.1), jnp.zeros(2)), first)
-    after, command = controller.act(state, Measured(jnp.float32(0.1), jnp.zeros(2)), second)
-
-    other = controller.of_cell(jnp.int32(2))
-    fresh = state.inner._replace(memory=other.policy.init())
-    np.testing.assert_allclose(
-        command, other.act(fresh, Measured(jnp.float32(0.1), jnp.zeros(2)), second)[1], rtol=1e-5
-    )
-    np.testing.assert_array_equal(after.inner.actions[1:], state.inner.actions[:-1])
-
-
 def test_without_a_switch_the_memory_goes_on() -> None:
     controller = controller_of(GRID_RUN, 3)
     reference = jnp.tile(jnp.array([2.0, 0.0]), (6, 1))

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from softfin.errors import ConfigurationError
 from softfin.evaluation.experiment import Recording, run
 from softfin.plant import Plant
 from softfin.quantities import Command
@@ -22,8 +23,8 @@ class Echo(eqx.Module):
     def init(self):
         return ()
 
-    def act(self, state, angle, reference):
-        return state, Command(angle + self.gain * reference[0], 2 + self.gain * reference[1])
+    def act(self, state, measured, reference):
+        return state, Command(measured.angle + self.gain * reference[0], 2 + self.gain * reference[1])
 
     def check(self, reference):
         """Covers everything."""
@@ -85,3 +86,24 @@ def test_a_plant_may_be_any_object():
     plain = run(Flapper(), plant, REFERENCES[:1], 1, KEYS[:1])
     module = run(Flapper(), AnalyticFin(), REFERENCES[:1], 1, KEYS[:1])
     np.testing.assert_allclose(plain.reading.force, module.reading.force, atol=1e-5)
+
+
+def test_a_reference_that_moves_is_seen_as_it_is_when_the_controller_acts():
+    moving = np.cumsum(np.ones((1, 200, 2)), axis=1).astype(np.float32) / 1000
+    recording = run(Echo(), AnalyticFin(), moving, 2, KEYS[:1])
+    starts = np.r_[0, ENDS[:-1]]
+    wanted = np.repeat(2 + 0.1 * moving[0, starts, 1], np.diff(np.r_[0, ENDS]))
+    np.testing.assert_allclose(recording.command.velocity[0, 0], wanted, rtol=1e-6)
+    np.testing.assert_array_equal(recording.reference, moving)
+
+
+def test_a_moving_reference_that_stays_does_as_a_constant_one(recording):
+    stays = np.repeat(REFERENCES[:, None], 200, axis=1)
+    np.testing.assert_allclose(
+        run(Echo(), AnalyticFin(), stays, 2, KEYS).reading.force, recording.reading.force, atol=1e-6
+    )
+
+
+def test_references_of_another_length_than_the_experiment_are_refused():
+    with pytest.raises(ConfigurationError, match="references of 150 ticks for an experiment of 2 s; give 200 ticks"):
+        run(Echo(), AnalyticFin(), np.zeros((1, 150, 2), np.float32), 2, KEYS)

@@ -33,6 +33,23 @@ class Direct:
         return state._replace(actions=state.actions + 1), _reading(ticks, jnp.float32(0), force)
 
 
+class Delayed(Direct):
+    """The force is what was commanded the action before: what is good to do shows only later."""
+
+    def init(self, key: Any) -> Any:
+        return jnp.zeros(2)
+
+    def advance(self, state: Any, command: Command, ticks: int) -> tuple[Any, Reading]:
+        return jnp.stack([GAIN * command.angle, command.velocity]), _reading(ticks, jnp.float32(0), state)
+
+
+class Still(Direct):
+    """No force whatever is done, so the reward is always the same."""
+
+    def advance(self, state: ProbeState, command: Command, ticks: int) -> tuple[ProbeState, Reading]:
+        return state._replace(actions=state.actions + 1), _reading(ticks, jnp.float32(0), jnp.zeros(2))
+
+
 class Recall:
     """A hidden sign, drawn at the start, shows once: as the angle after the first action.
 

@@ -33,14 +33,14 @@ def test_a_policy_steps_as_its_sequence_runs(policy: Policy) -> None:
     x = jax.random.normal(jax.random.key(1), (9, 11))
     memory, means = policy.init(), []
     for observation in x:
-        memory, mean = policy.net.step(memory, observation)
+        memory, mean = policy.step(memory, observation)
         means.append(mean)
-    np.testing.assert_allclose(policy.net.sequence(policy.init(), x, jnp.zeros(9, bool)), jnp.stack(means), atol=1e-6)
+    np.testing.assert_allclose(policy.sequence(policy.init(), x, jnp.zeros(9, bool)), jnp.stack(means), atol=1e-6)
 
 
 def test_the_density_is_that_of_a_normal_distribution(policy: Policy) -> None:
     deviation = np.array([0.5, 2.0])
-    policy = Policy(policy.net, jnp.log(jnp.float32(deviation)))
+    policy = Policy(policy.net, jnp.log(jnp.float32(deviation)), policy.normalisation)
     mean, raw = np.array([0.3, -1.0]), np.array([0.1, 0.7])
     density = np.exp(-0.5 * ((raw - mean) / deviation) ** 2) / (deviation * np.sqrt(2 * np.pi))
     np.testing.assert_allclose(
@@ -50,9 +50,10 @@ def test_the_density_is_that_of_a_normal_distribution(policy: Policy) -> None:
     np.testing.assert_allclose(policy.entropy(), entropy, rtol=1e-5)
 
 
-def test_weights_go_by_name_and_come_back(policy: Policy) -> None:
+def test_weights_and_normalisation_go_by_name_and_come_back(policy: Policy) -> None:
+    policy = policy.having_seen(jax.random.normal(jax.random.key(2), (5, 11)))
     arrays = weights(policy)
-    assert {"net.lstm.kernel", "net.output.bias", "log_deviation"} <= set(arrays)
+    assert {"net.lstm.kernel", "net.output.bias", "log_deviation", "normalisation.mean"} <= set(arrays)
     again = Policy.of(CONFIG, 11, arrays, "here")
     jax.tree.map(np.testing.assert_array_equal, again, policy)
 

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from softfin.training.policy import ActorCritic
 from softfin.training.ppo import PPO, Lane
 from softfin.training.rollout import Rollout, collect
 from tests.plants import AnalyticFin
@@ -19,7 +20,9 @@ def lived() -> tuple[PPO, Lane, Lane, Rollout]:
     ppo = learner(AnalyticFin(), 3, environments=4, episode=12)
     start = jax.jit(ppo.init)(jax.random.key(0), BOX)
     play = jax.jit(lambda lane, key: collect(ppo.task, lane.networks.policy, lane.batch, key, 4))
-    before = start._replace(batch=play(start, jax.random.key(1))[0])
+    batch, first = play(start, jax.random.key(1))
+    networks = ActorCritic(start.networks.policy.having_seen(first.observation), start.networks.critic)
+    before = start._replace(batch=batch, networks=networks)
     batch, rollout = play(before, jax.random.key(2))
     return ppo, before, before._replace(batch=batch), rollout
 
@@ -32,7 +35,7 @@ def test_the_replay_of_a_rollout_gives_the_densities_it_was_lived_with(
     policy = before.networks.policy
     for env in range(4):
         memories = jax.tree.map(lambda x, i=env: x[i], before.batch.memories)
-        mean = policy.net.sequence(memories, rollout.observation[:, env], rollout.fresh[:, env])
+        mean = policy.sequence(memories, rollout.observation[:, env], rollout.fresh[:, env])
         density = policy.log_density(mean, rollout.raw[:, env])
         np.testing.assert_allclose(density, rollout.log_density[:, env], atol=1e-4)
 
@@ -58,7 +61,7 @@ def test_a_reset_clears_what_the_networks_remember(lived: tuple[PPO, Lane, Lane,
     _, before, _, rollout = lived
     policy = before.networks.policy
     time, env = np.argwhere(np.asarray(rollout.fresh))[0]
-    _, mean = policy.net.step(policy.init(), rollout.observation[time, env])
+    _, mean = policy.step(policy.init(), rollout.observation[time, env])
     density = policy.log_density(mean, rollout.raw[time, env])
     np.testing.assert_allclose(density, rollout.log_density[time, env], atol=1e-4)
 

@@ -41,7 +41,8 @@ def test_the_page_holds_what_was_read(html, footage):
     np.testing.assert_allclose(data["mean_x"], footage.average[:, 0], atol=1e-3)
     shape = np.array(data["shape"]).reshape(230, 9, 2) * SHAPE_UNIT_M
     np.testing.assert_allclose(shape, footage.shape, atol=SHAPE_UNIT_M)
-    assert data["reference"] == [2.0, -1.0]
+    assert data["reference_x"] == [2.0] * 230
+    assert data["reference_y"] == [-1.0] * 230
     assert "stream_x" not in data
 
 
@@ -73,7 +74,7 @@ def test_the_page_says_whether_the_shape_is_known(html, tmp_path):
     write_page(tmp_path / "fin.html", beating(AnalyticFin(), 40), "straight")
     page = (tmp_path / "fin.html").read_text()
     assert "Shape not known: the fin is drawn straight" in page
-    assert data_of(page)["reference"] is None
+    assert "reference_x" not in data_of(page)
     assert data_of(page)["mean_x"] == []
 
 

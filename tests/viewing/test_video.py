@@ -65,9 +65,32 @@ def test_the_arrow_of_the_force_is_as_long_as_its_scale_says(picture):
     np.testing.assert_allclose(drawn[3], force[tick] * scale.metres_per_newton, rtol=1e-5)
 
 
+def test_reference_and_mean_share_a_longer_scale_and_the_reference_moves_with_its_step():
+    footage = beating(BendingFin(), 220, reference=(2.0, -1.0))
+    footage.reference[100:] = (1.0, 1.0)
+    # Peaks far above the mean, as a fin with much added mass makes them.
+    footage = footage._replace(reading=footage.reading._replace(force=10 * footage.reading.force))
+    picture = Picture(footage, "a fin", DPI)
+    scale = picture.scale
+    greatest = max(np.hypot(2, 1), np.hypot(*footage.average.T).max())
+    assert scale.metres_per_mean_newton * greatest == pytest.approx(0.4 * scale.length_m, rel=1e-3)
+    for tick, asked in ((99, (2.0, -1.0)), (100, (1.0, 1.0))):
+        picture.frame(tick)
+        drawn = picture._asked.get_xy()
+        np.testing.assert_allclose(drawn[3], np.multiply(asked, scale.metres_per_mean_newton), rtol=1e-5)
+    picture.frame(219)
+    np.testing.assert_allclose(picture._mean.get_xy()[3], footage.average[-1] * scale.metres_per_mean_newton, rtol=1e-5)
+
+
+def test_without_a_reference_force_and_mean_have_one_scale():
+    scale = scale_of(beating(BendingFin(), 220))
+    assert scale.metres_per_mean_newton == scale.metres_per_newton
+
+
 def test_every_shape_and_arrow_is_within_what_is_seen(picture):
     scale, footage = scale_of(picture.footage), picture.footage
-    for points in (footage.shape.reshape(-1, 2), footage.reading.force * scale.metres_per_newton):
+    arrows = [footage.reading.force * scale.metres_per_newton, footage.average * scale.metres_per_mean_newton]
+    for points in (footage.shape.reshape(-1, 2), *arrows, footage.reference * scale.metres_per_mean_newton):
         assert scale.x[0] < points[:, 0].min()
         assert points[:, 0].max() < scale.x[1]
         assert scale.y[0] < points[:, 1].min()

@@ -6,11 +6,12 @@ import pytest
 
 import softfin
 from softfin.cli import main
-from softfin.errors import ConfigurationError
+from softfin.errors import ConfigurationError, CoverageError
 from softfin.evaluation import experiment
+from softfin.quantities import Command
 from softfin.randomness import key_of
 from softfin.viewing import ViewConfig
-from softfin.viewing.view import footage_of
+from softfin.viewing.view import footage_of, title_of
 from tests.plants import Flapper
 from tests.viewing.fins import BendingFin
 
@@ -32,7 +33,32 @@ def test_under_a_controller_the_fin_moves_as_in_the_experiment_and_the_reference
     recording = experiment.run(Flapper(), fin, jnp.asarray([[1.0, -1.0]]), 2, key)
     np.testing.assert_array_equal(footage.command.angle, recording.command.angle[0, 0, :150])
     np.testing.assert_allclose(footage.reading.force, recording.reading.force[0, 0, :150], atol=1e-4)
-    assert footage.reference == (1.0, -1.0)
+    np.testing.assert_array_equal(footage.reference, np.tile([1.0, -1.0], (150, 1)))
+
+
+class Pointer(Flapper):
+    """Turns to the angle that is the reference in x, so that its commands tell what it was asked for."""
+
+    def act(self, state, measured, reference):
+        return state, Command(0.1 * reference[0], jnp.float32(3.0))
+
+    def check(self, reference):
+        if reference[0] > 5:
+            raise CoverageError(f"reference {reference}: not covered")
+
+
+def test_references_follow_one_another_for_equal_parts_of_the_time():
+    config = ViewConfig(seconds=6, then=((2.0, 0.0), (3.0, 1.0)))
+    footage = footage_of(BendingFin(), config, Pointer(), (1.0, -1.0))
+    np.testing.assert_array_equal(footage.reference[[0, 199, 200, 399, 400, 599], 0], [1, 1, 2, 2, 3, 3])
+    np.testing.assert_allclose(footage.command.angle, 0.1 * footage.reference[:, 0], rtol=1e-6)
+    title = title_of("tank", config, (1.0, -1.0))
+    assert title == "A soft fin in the virtual tank, asked for (1, \u22121), then (2, 0), then (3, 1) N"
+
+
+def test_a_later_reference_that_the_controller_does_not_cover_is_refused():
+    with pytest.raises(CoverageError, match="not covered"):
+        footage_of(BendingFin(), ViewConfig(then=((6.0, 0.0),)), Pointer(), (1.0, -1.0))
 
 
 def test_random_commands_depend_on_the_seed_and_stay_within_the_limits():
@@ -79,6 +105,8 @@ def test_the_stage_writes_a_gif_with_the_frames_that_it_tells(tmp_path):
         (["--out", "fin.gif", "--set", "dots_per_inch=75"], "it must be a multiple of 10"),
         (["--out", "fin.gif", "--centre", "1.4"], "reaches 0.9 .. 1.9 rad; the plant takes -1.57 .. 1.57"),
         (["--out", "fin.gif", "--reference=1,1"], "a controller and a reference belong together"),
+        (["--out", "fin.gif", "--then=1,1"], "no first one; give a controller and a reference"),
+        (["--out", "fin.gif", "--then=1"], "--then=1: not a force; write --then=X,Y in newton"),
         (["--out", "fin.gif", "--reference=1;1"], "--reference=1;1: not a force"),
         (["--out", "fin.gif", "--controller", "none"], "none: no such folder; it should be a controller"),
     ],

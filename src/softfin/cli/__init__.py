@@ -18,8 +18,10 @@ COMMANDS = {
     "calibrate": "fit the virtual tank to logs or to a plant",
     "import-keras": "turn published .keras nets and their scalers into a surrogate",
     "compare": "score surrogates on unseen logs, left alone for several horizons",
+    "map": "which mean forces can this fin make, and at what cost?",
     "train": "train LSTM-PPO force controllers inside a surrogate",
     "evaluate": "judge a controller on a fin over reference forces",
+    "baselines": "judge what needs no learnt controller: best sine, analytic inverse model, random search",
     "view": "show a fin in motion, as a film or as a page that plays it",
     "reproduce": "all of it in one run, with the paper's tables and figures",
 }

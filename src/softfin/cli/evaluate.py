@@ -1,7 +1,9 @@
 """``softfin evaluate``: a controller and a plant in, Table II and figures out."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import tyro
 
@@ -10,6 +12,10 @@ from softfin.cli.common import Configured, Out
 from softfin.cli.tables import table_two
 from softfin.errors import ConfigurationError
 from softfin.evaluation.evaluate import EvaluateConfig
+from softfin.evaluation.forceplane import POINTS
+from softfin.evaluation.moving import Kind
+from softfin.quantities import AXES
+from softfin.tracking.reference_file import read_reference_file
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,22 +36,69 @@ class Arguments(Configured):
     """Repetitions (5)."""
     seed: int | None = None
     """Of the plant's noise (0)."""
+    strict: bool = False
+    """Refuse a reference that the fin cannot make; else the nearest one that it can make is held, with a warning."""
+    trim: bool = False
+    """Take off, slowly, what the fin makes besides what it is asked for, from the measured mean force."""
+    spread: float | None = None
+    """With the tank: each repetition in another one, material, water and servo within this part of theirs (0.15)."""
+    moving: tyro.conf.UseAppendAction[tuple[Kind, ...]] = ()
+    """References that move too, within the controller's range: --moving step, --moving ramp, --moving sine."""
+    reference_file: Path | None = None
+    """Another that moves: .csv or .parquet with time_s, force_x_n, force_y_n, each row held until the next one."""
+    error_map: bool = False
+    """Draw the error over the whole range of the controller, 7 x 7 references; --set error_map=N for N x N."""
 
     def run(self) -> None:
         """Evaluate."""
         references = [force(text) for text in self.reference] or None
+        recorded = None if self.reference_file is None else read_reference_file(self.reference_file).model_dump()
         config = self.configured(
-            EvaluateConfig(), references=references, seconds=self.seconds, seeds=self.seeds, seed=self.seed
+            EvaluateConfig(), references=references, seconds=self.seconds, seeds=self.seeds, seed=self.seed,
+            moving=list(self.moving) or None, recorded=recorded, strict=self.strict or None,
+        )  # fmt: skip
+        if self.error_map and config.error_map is None:
+            config = config.merged({"error_map": POINTS}, "options")
+        if self.trim and config.trim is None:
+            config = config.merged({"trim": {}}, "options")
+        summary = stages.evaluate(
+            self.controller, self.plant, Path(self.out), config, spread=self.spread, overwrite=self.overwrite
         )
-        summary = stages.evaluate(self.controller, self.plant, Path(self.out), config, overwrite=self.overwrite)
-        table = table_two({stages.kind_of(self.controller): summary})
-        self.tell(summary, table if summary["warning"] is None else f"{table}\nwarning: {summary['warning']}")
+        lines = [table_two({stages.kind_of(self.controller): summary})]
+        if "moving" in summary:
+            lines.append(moving_table(summary["moving"]))
+        if "error_map" in summary:
+            lines.append(map_line(summary["error_map"]))
+        if summary["warning"] is not None:
+            lines.append(f"warning: {summary['warning']}")
+        self.tell(summary, "\n".join(lines))
 
 
-def force(text: str) -> tuple[float, float]:
+def moving_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Of every signal: errors, and how its steps are answered, the slowest of all seeds."""
+    lines = [f"{'references that move':64}{'x error':>9}{'y error':>9}{'settles in':>14}"]
+    for row in rows:
+        settling = {None: "-", True: f"{row['longest_settling_s']} s", False: "never"}[row["settles"]]
+        errors = "".join(f"{row[axis]['error_n']:9.3f}" for axis in AXES)
+        lines.append(f"  {row['described']:62}{errors}{settling:>14}")
+    return "\n".join(lines)
+
+
+def map_line(errors: Mapping[str, Any]) -> str:
+    """The error map in one line."""
+    (x0, y0), (x1, y1) = errors["low_n"], errors["high_n"]
+    gaps = f", {errors['not_covered']} not covered" if errors["not_covered"] else ""
+    return (
+        f"error map, {errors['points']} x {errors['points']} references over x {x0:g} .. {x1:g}, y {y0:g} .. {y1:g} N"
+        f"{gaps}: mean {errors['mean_x_n']:.3f}, {errors['mean_y_n']:.3f}, worst {errors['worst_x_n']:.3f}, "
+        f"{errors['worst_y_n']:.3f} N"
+    )
+
+
+def force(text: str, option: str = "--reference") -> tuple[float, float]:
     """A reference force as it stands on the command line."""
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError:
-        raise ConfigurationError(f"--reference={text}: not a force; write --reference=X,Y in newton, as 1,-1") from None
+        raise ConfigurationError(f"{option}={text}: not a force; write {option}=X,Y in newton, as 1,-1") from None
     return x, y

@@ -30,6 +30,8 @@ class Arguments(Configured):
     """Folder of a controller that moves the fin in place of the beat."""
     reference: str | None = None
     """Reference force that the controller is asked for, as --reference=X,Y in newton."""
+    then: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """The next one, as --then=X,Y; each is asked for an equal part of the time."""
     seed: int | None = None
     """Of the plant's noise and the random commands (0)."""
 
@@ -37,8 +39,9 @@ class Arguments(Configured):
         """View."""
         beat = None if self.centre is None else {"centre_rad": self.centre}
         config = self.configured(
-            ViewConfig(), seconds=self.seconds, seed=self.seed, beat=beat, random=self.excitation or None
-        )
+            ViewConfig(), seconds=self.seconds, seed=self.seed, beat=beat, random=self.excitation or None,
+            then=[force(text, "--then") for text in self.then] or None,
+        )  # fmt: skip
         reference = None if self.reference is None else force(self.reference)
         with progress() as report:
             facts = stages.view(

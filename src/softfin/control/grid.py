@@ -1,6 +1,11 @@
 """Grid-switching (paper Sec. III-C3, second design): a policy for each cell of reference forces, switched on demand.
 
 The weights of all cells are stacked; an action looks up those of one cell, so it costs the same for any number of them.
+
+A switch is to be felt in the force that was asked for and in nothing else. So the policy in charge stays a little
+beyond its cell (hysteresis); the one that takes over remembers what it would have seen during the last six actions, one
+cycle of the clock; and its actions are faded in over the beat that it finds, which is those six actions, again and
+again (what control engineers call bumpless transfer).
 """
 
 from typing import NamedTuple
@@ -8,23 +13,53 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
+from pydantic import Field, NonNegativeFloat, PositiveFloat
 
+from softfin.configuration import Configuration
 from softfin.control.controller import Measured
-from softfin.control.single import SingleController, SingleState
-from softfin.errors import CoverageError
+from softfin.control.range import check_within
+from softfin.control.single import SingleController
+from softfin.plant import CYCLE_ACTIONS
 from softfin.quantities import Command, Limits
+from softfin.tracking.reachable import Reachable
 from softfin.tracking.references import Cell, Force, stack_references
-from softfin.tracking.task import TaskConfig
-from softfin.training.lstm import cleared
+from softfin.tracking.task import TaskConfig, command_of, observation, remember, rest_actions
+from softfin.training.lstm import Memory, cleared
 from softfin.training.policy import Policy
 
 
-class GridState(NamedTuple):
-    """What the policy in charge remembers, and whose it is."""
+class SwitchingConfig(Configuration):
+    """How one policy takes over from another."""
 
-    inner: SingleState
+    margin_n: NonNegativeFloat = 0.1
+    """The policy in charge stays until another cell is nearer to the reference by more than this [N], so that a
+    reference on the border does not switch for ever; the policies still hold a reference that little beyond theirs."""
+    fade_actions: int = Field(default=6, ge=0, le=CYCLE_ACTIONS)
+    """Actions over which the new policy's are faded in; 0 switches at once."""
+    step_n: PositiveFloat = 0.5
+    """A reference that moves by this or more from one action to the next [N] is a step: the beat must change, and
+    nothing is faded. Smaller moves fade in part."""
+    replay: bool = True
+    """Whether the new policy remembers the last six actions as if it had been in charge, or nothing at all."""
+
+
+class GridState(NamedTuple):
+    """What the policy in charge remembers, and what any other would need to take over."""
+
+    memory: Memory
+    actions: Float[Array, "remembered 2"]
+    """The last one first, normalised: those of a cycle, and those that its first action was chosen by."""
+    angles: Float[Array, "6"]
+    """Of the shaft, at each action of the last cycle, the last one first [rad]."""
+    reference: Float[Array, "2"]
+    """At the last action [N]."""
+    age: Int[Array, ""]
+    """Actions since the start."""
     cell: Int[Array, ""]
+    """Whose policy is in charge."""
+    share: Float[Array, ""]
+    """Of the beat before the switch in the next action; 0 where none is being faded out."""
 
 
 class GridController(eqx.Module):
@@ -37,39 +72,95 @@ class GridController(eqx.Module):
     """Of the plant that it was trained in: its commands stay within them."""
     cells: tuple[Cell, ...] = eqx.field(static=True)
     """References that the policies were trained for [N], in their order."""
+    reachable: Reachable | None = None
+    """Mean forces that the fin can make, where that is known."""
+    switching: SwitchingConfig = eqx.field(static=True, default=SwitchingConfig())
 
     def init(self) -> GridState:
         """The fin at rest, nothing remembered."""
-        return GridState(self.of_cell(jnp.int32(0)).init(), jnp.int32(0))
+        rest = rest_actions(self.task, self.limits)
+        actions = jnp.concatenate([jnp.tile(rest[:1], (CYCLE_ACTIONS, 1)), rest])
+        return GridState(
+            memory=self._policy(jnp.int32(0)).init(),
+            actions=actions,
+            angles=jnp.zeros(CYCLE_ACTIONS),
+            reference=jnp.zeros(2),
+            age=jnp.int32(0),
+            cell=jnp.int32(0),
+            share=jnp.float32(0),
+        )
 
     def act(self, state: GridState, measured: Measured, reference: Float[Array, "2"]) -> tuple[GridState, Command]:
-        """The mean action of the policy for the reference's cell, the nearest one outside all cells.
-
-        On a switch the memory starts anew, because what one policy remembers means nothing to another; the last
-        actions are facts and stay.
-        """
-        index = self.nearest(jnp.asarray(reference))
-        memory = cleared(state.inner.memory, index != state.cell)
-        inner, command = self.of_cell(index).act(state.inner._replace(memory=memory), measured, reference)
-        return GridState(inner, index), command
+        """The mean action of the policy in charge, faded in where it has just taken over."""
+        reference, angle = jnp.asarray(reference), jnp.asarray(measured.angle)
+        cell = self.in_charge(state, reference)
+        switched = (cell != state.cell) & (state.age > 0)
+        policy = self._policy(cell)
+        memory = jax.lax.cond(switched, lambda: self._taken_over(policy, state, reference), lambda: state.memory)
+        memory, own = policy.act(memory, self._seen(angle, reference, state.actions, state.age))
+        share = self._share(state, switched, reference)
+        action = (1 - share) * own + share * state.actions[CYCLE_ACTIONS - 1]
+        after = GridState(
+            memory=memory,
+            actions=remember(state.actions, action),
+            angles=jnp.concatenate([angle[None], state.angles[:-1]]),
+            reference=reference,
+            age=state.age + 1,
+            cell=cell,
+            share=jnp.maximum(share - 1 / max(1, self.switching.fade_actions), 0),
+        )
+        return after, command_of(self.limits, action)
 
     def check(self, reference: Force) -> None:
         """Raise CoverageError outside every cell."""
-        nearest = min(self.cells, key=lambda cell: cell.distance(reference))
-        beyond = nearest.distance(reference)
-        if beyond > 0:
-            raise CoverageError(
-                f"reference ({reference[0]:g}, {reference[1]:g}) N: {beyond:.2g} N outside the nearest of "
-                f"{len(self.cells)} cells ({nearest}); ask within a cell, or train with a cell there"
-            )
+        check_within(self.cells, reference)
+
+    def in_charge(self, state: GridState, reference: Float[Array, "2"]) -> Int[Array, ""]:
+        """Index of the cell whose policy acts: the last one, unless another is nearer by more than the margin."""
+        distance = self._distances(reference)
+        nearest = jnp.argmin(distance)
+        stays = (state.age > 0) & (distance[state.cell] <= distance[nearest] + self.switching.margin_n)
+        return jnp.where(stays, state.cell, nearest)
 
     def nearest(self, reference: Float[Array, "2"]) -> Int[Array, ""]:
         """Index of the cell that holds the reference, or that is nearest to it; the first of several."""
-        low, high = stack_references(self.cells)
-        beyond = jnp.maximum(jnp.maximum(low - reference, reference - high), 0)
-        return jnp.argmin(jnp.sum(beyond**2, axis=1))
+        return jnp.argmin(self._distances(reference))
 
     def of_cell(self, index: Int[Array, ""]) -> SingleController:
         """The controller of one cell."""
-        policy = jax.tree.map(lambda leaf: leaf[index], self.policies)
-        return SingleController(policy, self.task, self.limits, self.cells[0])
+        return SingleController(self._policy(index), self.task, self.limits, self.cells[0])
+
+    def _policy(self, index: Int[Array, ""]) -> Policy:
+        policy: Policy = jax.tree.map(lambda leaf: leaf[index], self.policies)
+        return policy
+
+    def _distances(self, reference: Float[Array, "2"]) -> Float[Array, "cells"]:
+        low, high, _ = stack_references(self.cells)
+        beyond = jnp.maximum(jnp.maximum(low - reference, reference - high), 0)
+        return jnp.sqrt(jnp.sum(beyond**2, axis=1))
+
+    def _seen(
+        self, angle: Float[Array, ""], reference: Float[Array, "2"], actions: Array, age: Int[Array, ""]
+    ) -> Float[Array, "observations"]:
+        return observation(self.task, angle, reference, actions[: self.task.past_actions + 1], age)
+
+    def _taken_over(self, policy: Policy, state: GridState, reference: Float[Array, "2"]) -> Memory:
+        """What the policy remembers of the last cycle, or of as much of it as there was.
+
+        As if the reference had been this one for long, which is what it knows from its training.
+        """
+        memory = policy.init()
+        if self.switching.replay:
+            for ago in range(CYCLE_ACTIONS, 0, -1):
+                seen = self._seen(state.angles[ago - 1], reference, state.actions[ago:], state.age - ago)
+                memory = policy.act(cleared(memory, state.age <= ago), seen)[0]
+        return memory
+
+    def _share(self, state: GridState, switched: Bool[Array, ""], reference: Float[Array, "2"]) -> Float[Array, ""]:
+        """Of the beat in this action. At first the beat alone, once there is a whole cycle of it."""
+        if not self.switching.fade_actions:
+            return jnp.float32(0)
+        whole = jnp.where(state.age >= CYCLE_ACTIONS, 1.0, 0.0)
+        moved = jnp.sqrt(jnp.sum((reference - state.reference) ** 2))
+        share = jnp.where(switched, whole, state.share)
+        return share * jnp.clip(1 - moved / self.switching.step_n, 0, 1)

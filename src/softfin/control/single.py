@@ -7,8 +7,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from softfin.control.controller import Measured
-from softfin.errors import CoverageError
+from softfin.control.range import check_within
 from softfin.quantities import Command, Limits
+from softfin.tracking.reachable import Reachable
 from softfin.tracking.references import Cell, Force
 from softfin.tracking.task import TaskConfig, command_of, observation, remember, rest_actions
 from softfin.training.lstm import Memory
@@ -34,6 +35,8 @@ class SingleController(eqx.Module):
     """Of the plant that it was trained in: its commands stay within them."""
     cell: Cell = eqx.field(static=True)
     """References that it was trained for [N]."""
+    reachable: Reachable | None = None
+    """Mean forces that the fin can make, where that is known."""
 
     def init(self) -> SingleState:
         """The fin at rest, nothing remembered."""
@@ -47,9 +50,4 @@ class SingleController(eqx.Module):
 
     def check(self, reference: Force) -> None:
         """Raise CoverageError outside the range."""
-        beyond = self.cell.distance(reference)
-        if beyond > 0:
-            raise CoverageError(
-                f"reference ({reference[0]:g}, {reference[1]:g}) N: {beyond:.2g} N outside what this controller was "
-                f"trained for ({self.cell}); ask within it, or train with a wider cell"
-            )
+        check_within((self.cell,), reference)

@@ -2,36 +2,40 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
 import numpy as np
 import pydantic
 
 from softfin import artifacts
+from softfin.control.gait import GaitController
 from softfin.control.grid import GridController
+from softfin.control.map_store import arrays, described, found_of
 from softfin.control.single import SingleController
 from softfin.errors import ArtifactError
 from softfin.plant import ACTION_RATE_HZ
 from softfin.quantities import Limits
+from softfin.tracking.reachable import Reachable
 from softfin.tracking.references import Cell
 from softfin.tracking.task import TaskConfig
+from softfin.training.force_map import ForceMap, MapConfig
 from softfin.training.policy import Policy, PolicyConfig, named
 from softfin.training.train import Trained
 
 KIND = "controller"
-FORMAT = 1
+FORMAT = 2
 
 
 def controller_of(trained: Trained, seed: int) -> SingleController | GridController:
     """The controller that a run trained from one of its seeds."""
     index = trained.seeds.index(seed)
     policies = jax.tree.map(lambda leaf: leaf[index], trained.policies)
-    config = trained.config
+    config, reachable = trained.config, None if trained.known is None else trained.known.reachable
     if config.controller == "single":
         policy = jax.tree.map(lambda leaf: leaf[0], policies)
-        return SingleController(policy, config.task, trained.limits, config.cells[0])
-    return GridController(policies, config.task, trained.limits, config.cells)
+        return SingleController(policy, config.task, trained.limits, config.cells[0], reachable)
+    return GridController(policies, config.task, trained.limits, config.cells, reachable)
 
 
 def save_controller(
@@ -55,6 +59,7 @@ def save_controller(
         "cells": [cell.model_dump(mode="json") for cell in config.cells],
         "task": config.task.model_dump(mode="json"),
         "policy": config.policy.model_dump(mode="json"),
+        "reachable": None if controller.reachable is None else controller.reachable.described(),
         "scores": _scores(trained, index),
         "configuration": config.model_dump(mode="json"),
         "provenance": provenance,
@@ -62,32 +67,73 @@ def save_controller(
     artifacts.save(path, KIND, description, {name: np.asarray(leaf) for name, leaf in named(policy).items()}, also)
 
 
-def load_controller(path: Path) -> SingleController | GridController:
+def save_gaits(
+    path: Path,
+    known: ForceMap,
+    config: MapConfig,
+    limits: Limits,
+    provenance: dict[str, Any],
+    also: Callable[[Path], None] | None = None,
+) -> None:
+    """Write a map's gaits as a controller; likewise."""
+    table = known.found.table
+    missed, nodes = known.found.missed(), table.references()
+    description = {
+        "kind": KIND,
+        "format": FORMAT,
+        "controller": "gaits",
+        "action_rate_hz": ACTION_RATE_HZ,
+        "limits": limits.described(),
+        **described(known),
+        "scores": [
+            {"reference_n": nodes[place].tolist(), "missed_n": round(float(missed[place]), 4),
+             "smoothness_n": known.found.smoothness[place].round(4).tolist()}
+            for place in np.ndindex(missed.shape)
+        ],
+        "configuration": config.model_dump(mode="json"),
+        "provenance": provenance,
+    }  # fmt: skip
+    artifacts.save(path, KIND, description, arrays(known.found), also)
+
+
+AnyController: TypeAlias = SingleController | GridController | GaitController
+
+
+def load_controller(path: Path) -> AnyController:
     """The controller in a folder; raises ArtifactError where it is none, or no longer a whole one."""
     description, weights = artifacts.load(path, KIND)
     source = str(path / f"{KIND}.json")
     if description.get("format", FORMAT) != FORMAT:
         raise ArtifactError(f"{source}: format {description['format']}; this softfin reads {FORMAT}; update it")
+    if description.get("action_rate_hz", ACTION_RATE_HZ) != ACTION_RATE_HZ:
+        raise ArtifactError(
+            f"{source}: acts at {description['action_rate_hz']} Hz; softfin acts at {ACTION_RATE_HZ} Hz; train it again"
+        )
+    if description.get("controller") == "gaits":
+        try:
+            found, within = found_of(description, weights), Reachable.of(description["reachable"])
+            return GaitController(found.table, Limits.of(description["limits"]), within)
+        except (KeyError, TypeError, ValueError) as error:
+            raise ArtifactError(f"{source}: not a controller's description ({' '.join(str(error).split())})") from None
     try:
         kind = description["controller"]
         cells = tuple(Cell.model_validate(cell) for cell in description["cells"])
         task = TaskConfig.model_validate(description["task"])
         config = PolicyConfig.model_validate(description["policy"])
         limits = Limits.of(description["limits"])
-        rate = description["action_rate_hz"]
-    except (KeyError, TypeError, pydantic.ValidationError) as error:
+        region = description.get("reachable")
+        reachable = None if region is None else Reachable.of(region)
+    except (KeyError, TypeError, ValueError, pydantic.ValidationError) as error:
         raise ArtifactError(f"{source}: not a controller's description ({' '.join(str(error).split())})") from None
-    if rate != ACTION_RATE_HZ:
-        raise ArtifactError(f"{source}: acts at {rate} Hz; softfin acts at {ACTION_RATE_HZ} Hz")
     policy = Policy.of(config, task.observations, weights, str(path / artifacts.WEIGHTS))
     stacked = policy.log_deviation.shape[:-1]
     if kind == "single" and len(cells) == 1 and stacked == ():
-        return SingleController(policy, task, limits, cells[0])
+        return SingleController(policy, task, limits, cells[0], reachable)
     if kind == "grid" and stacked == (len(cells),):
-        return GridController(policy, task, limits, cells)
+        return GridController(policy, task, limits, cells, reachable)
     raise ArtifactError(
         f"{source}: controller {kind!r} with {len(cells)} cells does not fit weights of {stacked or 1} policies; "
-        "there are single (one) and grid (one a cell); copy the folder again"
+        "there are single (one), grid (one a cell) and gaits; copy the folder again"
     )
 
 

@@ -8,28 +8,43 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
+from softfin.evaluation.statistics import CONFIDENCE, interval
 from softfin.evaluation.style import BLACK, BLUE, GREEN, ORANGE, new_figure, styled
 from softfin.quantities import AXES, RATE_HZ
 
 Numbers = Sequence[int | float] | np.ndarray
 
+Series = Float[np.ndarray, " points"]
+
 Curve = tuple[Numbers, Numbers]
 """(steps, values) of one run, steps increasing."""
 
+FEW = 2
+"""So few runs show their range: the 95% interval of the mean of two is 13 times as wide."""
+
 
 def learning_figure(runs: Mapping[str, Sequence[Curve]], quantity: str = "mean reward a step") -> Figure:
-    """One line a group of runs, their mean, in a band from the least to the greatest of them."""
+    """One line a group of runs, such as seeds: their mean, in the band of its 95% interval, over each run in faint."""
     with styled():
         figure = new_figure(7, 3.4)
         axes = figure.subplots()
+        bands = []
         for (name, curves), colour, line in zip(
             runs.items(), cycle((BLUE, ORANGE, GREEN, BLACK)), cycle(("-", "--", "-.", ":")), strict=False
         ):
             steps, values = _together(curves)
-            label = name if len(curves) == 1 else f"{name}, mean and range of {len(curves)}"
-            axes.plot(steps, values.mean(axis=0), line, color=colour, label=label)
+            label = name
             if len(curves) > 1:
-                axes.fill_between(steps, values.min(axis=0), values.max(axis=0), color=colour, alpha=0.2, linewidth=0)
+                low, high, what = _band(values)
+                label = f"{name}, mean and {what} of {len(curves)}"
+                axes.plot(steps, values.T, color=colour, linewidth=0.5, alpha=0.5)
+                bands.append((steps, low, high, colour))
+            axes.plot(steps, values.mean(axis=0), line, color=colour, label=label)
+        # The runs alone set the range of the axis: an interval of few is wide.
+        limits = axes.get_ylim()
+        for steps, low, high, colour in bands:
+            axes.fill_between(steps, low, high, color=colour, alpha=0.2, linewidth=0)
+        axes.set_ylim(limits)
         axes.set(xlabel="environment steps (actions at 3 Hz)", ylabel=quantity)
         axes.xaxis.set_major_formatter("{x:,.0f}")
         axes.legend()
@@ -41,6 +56,14 @@ def _together(curves: Sequence[Curve]) -> tuple[Float[np.ndarray, "points"], Flo
     reach = min(steps[-1] for steps, _ in curves)
     steps = np.array([step for step in curves[0][0] if step <= reach], np.float64)
     return steps, np.stack([np.interp(steps, np.asarray(x, float), np.asarray(y, float)) for x, y in curves])
+
+
+def _band(values: Float[np.ndarray, "runs points"]) -> tuple[Series, Series, str]:
+    """Its lower and upper edge, and what it is."""
+    if len(values) <= FEW:
+        return values.min(axis=0), values.max(axis=0), "range"
+    low, high = np.array([interval(column) for column in values.T]).T
+    return low, high, f"{CONFIDENCE:.0%} interval"
 
 
 def prediction_figure(

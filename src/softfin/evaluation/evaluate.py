@@ -5,19 +5,22 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pydantic
 from jaxtyping import Float
+from matplotlib.figure import Figure
 
 from softfin import artifacts
 from softfin.configuration import Configuration
 from softfin.control.controller import Controller
-from softfin.errors import PlantError
+from softfin.control.range import admitted
+from softfin.control.trim import TrimConfig, TrimmedController
 from softfin.evaluation.doubt import Doubt, doubt
-from softfin.evaluation.experiment import Recording, run
-from softfin.evaluation.figures import experiments_figure
+from softfin.evaluation.experiment import MIN_SECONDS, Recording, alike, check_finite, first_of, run
+from softfin.evaluation.figures import experiments_figure, moving_figure
+from softfin.evaluation.forceplane import ErrorMap, error_map_figure, map_range
+from softfin.evaluation.moving import Kind, Moving, follow, planned
 from softfin.evaluation.paper import REFERENCES
 from softfin.evaluation.scores import STILL_RAD_S, Scores, score
 from softfin.evaluation.statistics import CONFIDENCE, interval
@@ -25,6 +28,7 @@ from softfin.evaluation.style import render
 from softfin.plant import ACTION_RATE_HZ, WINDOW, Plant
 from softfin.quantities import AXES, RATE_HZ
 from softfin.randomness import key_of
+from softfin.tracking.signals import Recorded
 
 Reference = tuple[pydantic.FiniteFloat, pydantic.FiniteFloat]
 
@@ -34,12 +38,22 @@ class EvaluateConfig(Configuration):
 
     references: tuple[Reference, ...] = pydantic.Field(default=REFERENCES, min_length=1)
     """Reference forces (x, y) [N]; the paper's six."""
-    seconds: int = pydantic.Field(default=30, ge=3)
+    seconds: int = pydantic.Field(default=30, ge=MIN_SECONDS)
     """Length of each experiment [s], whole, from rest; the paper's 30. The first 2 s only fill the first window."""
     seeds: int = pydantic.Field(default=5, ge=1)
     """Repetitions, each with its own randomness of the plant; intervals need at least 2."""
     seed: int = pydantic.Field(default=0, ge=0)
     """The run's seed, from which those of the repetitions are drawn."""
+    moving: tuple[Kind, ...] = ()
+    """References that move, too: `softfin.evaluation.moving.SIGNALS`, laid out in the controller's range."""
+    recorded: Recorded | None = None
+    """Another that moves, as read from a file; its last force is held as long as the one before."""
+    strict: bool = False
+    """Whether a reference that the fin cannot make is refused; else the nearest one that it can make is held."""
+    trim: TrimConfig | None = None
+    """An outer loop about the controller, which takes off what the fin makes besides what it is asked for."""
+    error_map: int | None = pydantic.Field(default=None, ge=2, le=50)
+    """References along each side of a lattice over the controller's range, for a map of the error; None draws none."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,6 +68,12 @@ class Evaluation:
     """Of the first seed alone: fields ``(references, 1, ticks)``, as NumPy arrays."""
     doubt: Doubt | None = None
     """What a surrogate knows of its own errors; None of a plant that is none, or knows nothing."""
+    warnings: tuple[str, ...] = ()
+    """References that were replaced by the nearest that the fin can make."""
+    moving: tuple[Moving, ...] = ()
+    """Experiments whose reference moves, those of one length together."""
+    error_map: ErrorMap | None = None
+    """Errors over the controller's range."""
 
     def summary(self) -> dict[str, Any]:
         """Conditions, scores by reference and their mean; the first part of what `write_evaluation` writes."""
@@ -74,6 +94,7 @@ class Evaluation:
             "references": [
                 {
                     "reference_n": list(reference),
+                    "held_n": [round(float(x), 4) for x in self.recording.reference[i]],
                     **_row(Scores(*(field[i] for field in self.scores))),
                     "still": still[i],
                     **({} if self.doubt is None else {"surrogate": self.doubt.described(i)}),
@@ -81,38 +102,56 @@ class Evaluation:
                 for i, reference in enumerate(self.config.references)
             ],
             "mean": _row(Scores(*(field.mean(axis=0) for field in self.scores))),
-            "warning": None if self.doubt is None else self.doubt.warning(),
+            "warning": "; ".join(self._warnings()) or None,
+            **({"moving": [row for moving in self.moving for row in moving.described()]} if self.moving else {}),
+            **({} if self.error_map is None else {"error_map": self.error_map.described()}),
         }
+
+    def _warnings(self) -> list[str]:
+        doubted = None if self.doubt is None else self.doubt.warning()
+        return [*self.warnings, *([] if doubted is None else [doubted])]
 
 
 def evaluate(controller: Controller, plant: Plant, config: EvaluateConfig) -> Evaluation:
-    """Run and score all experiments; raises CoverageError for a reference that the controller was not trained for."""
-    for reference in config.references:
-        controller.check(reference)
+    """Run and score all experiments; errors are those against the reference that is held.
+
+    Raises CoverageError for a reference that the controller was not trained for, or with `config.strict` for one that
+    the fin cannot make.
+    """
+    admissions = [admitted(controller, reference, config.strict) for reference in config.references]
+    held = np.array([reference for reference, _ in admissions], np.float32)
+    warnings = tuple(said for _, said in admissions if said is not None)
+    if config.trim is not None:
+        controller = TrimmedController(controller, config.trim)
+    plans = planned(controller, config.moving, config.recorded)
     keys = jnp.stack([key_of(config.seed, f"evaluate/{repetition}") for repetition in range(config.seeds)])
-    recording = run(controller, plant, np.asarray(config.references, np.float32), config.seconds, keys)
-    _check_finite(recording)
-    first = jax.tree.map(lambda x: np.asarray(x[:, :1]), (recording.command, recording.reading))
+    recording = run(controller, plant, held, config.seconds, keys)
+    check_finite(recording)
+    kept = first_of(recording)
     scores, repetitions = score(recording), config.seeds
-    if _alike(recording):
+    if alike(recording):
         scores, repetitions = Scores(*(field[:, :1] for field in scores)), 1
-    kept = Recording(np.asarray(recording.reference), *first)
-    return Evaluation(config, scores, repetitions, kept, doubt(plant, kept))
-
-
-def _alike(recording: Recording) -> bool:
-    """Whether all seeds did the same."""
-    force = np.asarray(recording.reading.force)
-    return bool((force == force[:, :1]).all())
+    points = config.error_map
+    return Evaluation(
+        config,
+        scores,
+        repetitions,
+        kept,
+        doubt(plant, kept),
+        warnings,
+        moving=tuple(follow(controller, plant, plan, keys) for plan in plans),
+        error_map=None if points is None else map_range(controller, plant, points, config.seconds, keys[0]),
+    )
 
 
 def write_evaluation(evaluation: Evaluation, out: Path, facts: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """Write ``evaluation.json`` and ``experiments.svg``, ``.png`` as one folder; returns the content of the JSON.
+    """Write ``evaluation.json`` and figures, each as ``.svg`` and ``.png``, as one folder; returns the JSON.
 
     ======================== ========================================================================================
     ``conditions``           duration_s, seeds, seed, window_samples, rate_hz, action_rate_hz, start, confidence, ...;
                              and the caller's `facts`, such as the controller and the plant
-    ``references``           a list, one entry a reference force: ``reference_n`` [x, y] [N]; ``x`` and ``y``, each with
+    ``references``           a list, one entry a reference force: ``reference_n`` [x, y] [N]; ``held_n``, the nearest to
+                             it that the fin can make, which the scores are against; ``x`` and ``y``, each with
                              ``error_n``, ``std_n``, ``raw_std_n`` [N], which are means over the seeds, and the 95%
                              intervals of these means, ``error_interval_n``, ... as [low, high], null for a single seed;
                              ``command_travel_rad_s``, ``shaft_travel_rad_s``: path of target angle and shaft a second;
@@ -121,6 +160,11 @@ def write_evaluation(evaluation: Evaluation, out: Path, facts: Mapping[str, Any]
                              the share of samples beyond its data, ``furthest``, the greatest distance (1: their edge),
                              ``half_width_x_n``, ``y``: of the 90% interval of its mean force [N]; ``warning`` in words
     ``mean``                 the same over all references, the intervals again over the seeds
+    ``moving``               where asked for, a list, one entry a signal: ``kind``, ``signal``; ``x`` and ``y`` with
+                             ``error_n`` against the reference's mean over the same window and ``instantaneous_error_n``
+                             against the reference itself; ``steps``, of each step the responses of all seeds: rise,
+                             overshoot, settling, null where it never comes there; ``longest_settling_s``
+    ``error_map``            where asked for: ``low_n``, ``high_n``, ``points`` and the error of every reference
     ``provenance``           versions, git commit, time
     ======================== ========================================================================================
     """
@@ -130,13 +174,22 @@ def write_evaluation(evaluation: Evaluation, out: Path, facts: Mapping[str, Any]
 
     def write(folder: Path) -> None:
         (folder / "evaluation.json").write_text(artifacts.dump_json(summary))
-        figure = experiments_figure(evaluation.recording)
-        for kind in ("svg", "png"):
-            (folder / f"experiments.{kind}").write_bytes(render(figure, kind))
+        for name, figure in _figures(evaluation).items():
+            for kind in ("svg", "png"):
+                (folder / f"{name}.{kind}").write_bytes(render(figure, kind))
 
     artifacts.check_vacant(out, overwrite=True)
     artifacts.write_folder(out, write)
     return summary
+
+
+def _figures(evaluation: Evaluation) -> dict[str, Figure]:
+    figures = {"experiments": experiments_figure(evaluation.recording)}
+    if evaluation.moving:
+        figures["moving"] = moving_figure(evaluation.moving)
+    if evaluation.error_map is not None:
+        figures["error_map"] = error_map_figure(evaluation.error_map)
+    return figures
 
 
 def _row(scores: Scores) -> dict[str, Any]:
@@ -158,16 +211,3 @@ def _row(scores: Scores) -> dict[str, Any]:
 
 def _mean(name: str, values: Float[np.ndarray, "seeds"]) -> dict[str, Any]:
     return {f"{name}_n": float(values.mean()), f"{name}_interval_n": interval(values)}
-
-
-def _check_finite(recording: Recording) -> None:
-    """Raise PlantError where a reading is no number; the scores of such an experiment would mean nothing."""
-    bad = np.argwhere(~np.isfinite(recording.reading.force).all(axis=-1) | ~np.isfinite(recording.reading.angle))
-    if bad.size:
-        index, seed, tick = bad[0]
-        command = [float(part[index, seed, tick]) for part in recording.command]
-        raise PlantError(
-            f"reference ({recording.reference[index][0]:g}, {recording.reference[index][1]:g}) N, seed {seed}, "
-            f"{(tick + 1) / RATE_HZ:.2f} s: force or angle is no finite number after the command (angle "
-            f"{command[0]:.3f} rad, velocity {command[1]:.3f} rad/s); every reading of a plant must be finite"
-        )

@@ -1,7 +1,7 @@
 """Figures of experiments and scores: recordings and summaries in, Matplotlib figures out; `style` writes them."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,9 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.projections.polar import PolarAxes
 
 from softfin.evaluation.experiment import Recording
+from softfin.evaluation.moving import Moving
 from softfin.evaluation.paper import PAPER_TABLE_II
+from softfin.evaluation.response import SETTLED_N
 from softfin.evaluation.scores import moving_average
 from softfin.evaluation.style import BLACK, BLUE, GREY, ORANGE, new_figure, styled
 from softfin.plant import WINDOW
@@ -79,6 +81,55 @@ def _draw_force(axes: Axes, force: Any, reference: float) -> None:
     average = moving_average(shown[:, None])[:, 0]
     axes.plot(time[WINDOW - 1 :], average, color=BLACK, linestyle="--", linewidth=1.6, label="moving average over 2 s")
     axes.axhline(reference, color=ORANGE, linewidth=1.6, label="reference", zorder=1.9)
+
+
+def moving_figure(experiments: Sequence[Moving]) -> Figure:
+    """Every reference that moves, at its first seed: the moving average beside it, the force, the fin's angle."""
+    each = [(moving, index) for moving in experiments for index in range(len(moving.signals))]
+    columns = min(len(each), 2)
+    rows = math.ceil(len(each) / columns)
+    with styled():
+        figure = new_figure(6.6 * columns, 0.5 + 5.2 * rows)
+        for panel, (moving, index) in zip(figure.subfigures(rows, columns, squeeze=False).flat, each, strict=False):
+            _draw_moving(panel, moving, index)
+        labelled = {label: handle for axes in figure.get_axes()[:3]
+                    for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}  # fmt: skip
+        figure.legend(labelled.values(), labelled.keys(), loc="outside lower center", ncols=len(labelled))
+    return figure
+
+
+def _draw_moving(panel: SubFigure, moving: Moving, index: int) -> None:
+    reading, reference = moving.recording.reading, np.asarray(moving.recording.reference[index])
+    force = np.asarray(reading.force[index, 0])
+    *averages, forces, angles = panel.subplots(4, 1, sharex=True, height_ratios=(1.3, 1.3, 1, 0.8))
+    time = np.arange(1, len(force) + 1) / RATE_HZ
+    for axis, axes in enumerate(averages):
+        _draw_following(axes, time, moving_average(force)[:, axis], reference[:, axis])
+        axes.set(ylabel=f"mean {AXES[axis]} [N]")
+    for axis, colour in enumerate((BLUE, GREY)):
+        forces.plot(time, force[:, axis], color=colour, linewidth=0.6, label=f"force {AXES[axis]}")
+    forces.set(ylabel="force [N]")
+    angles.plot(time, np.degrees(reading.angle[index, 0]), color=BLACK, linewidth=0.8)
+    angles.set(ylabel="angle [°]", xlabel="time [s]", xlim=(0, time[-1]))
+    panel.align_ylabels([*averages, forces, angles])
+    settling = moving.settling(index)
+    x, y = moving.error[index].mean(axis=0)
+    errors = f"error {x:.2f}, {y:.2f} N"
+    if settling is not None:
+        errors += f"; settles in {settling:.2f} s" if math.isfinite(settling) else "; never settles"
+    averages[0].set_title(f"{moving.signals[index]}\n{errors}".replace("-", "\N{MINUS SIGN}"), weight="bold")
+
+
+def _draw_following(axes: Axes, time: Any, average: Any, reference: Any) -> None:
+    """Without the force, whose peaks are several times the reference."""
+    late = time[WINDOW - 1 :]
+    axes.fill_between(
+        time, reference - SETTLED_N, reference + SETTLED_N, step="pre", color=ORANGE, alpha=0.2, linewidth=0,
+        label=f"reference ± {SETTLED_N:g} N",
+    )  # fmt: skip
+    axes.plot(time, reference, color=ORANGE, linewidth=1.6, drawstyle="steps-pre", label="reference")
+    axes.plot(late, moving_average(reference[:, None])[:, 0], ":", color=ORANGE, label="its moving average")
+    axes.plot(late, average, "--", color=BLACK, linewidth=1.6, label="moving average of the force over 2 s")
 
 
 def table_two_figure(summaries: Mapping[str, Mapping[str, Any]]) -> Figure:

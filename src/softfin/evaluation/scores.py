@@ -4,6 +4,8 @@ A Recording goes in; per reference, seed and axis come out, with m the moving av
 samples up to each instant, where those 200 are all recorded, and r the reference:
 
     error = mean |m - r|        std = standard deviation of m        raw std = standard deviation of f
+
+Of a reference that moves, r is its mean over the same 200 samples: the delay of the window is not the controller's.
 """
 
 from typing import NamedTuple
@@ -40,7 +42,8 @@ def score(recording: Recording) -> Scores:
     """Score every experiment of a recording, of at least one window."""
     force = np.asarray(recording.reading.force, np.float64)
     average = moving_average(force)
-    reference = np.asarray(recording.reference, np.float64)[:, None, None]
+    asked = np.asarray(recording.reference, np.float64)
+    reference = (asked[:, None] if asked.ndim == 2 else moving_average(asked))[:, None]
     shaft = np.asarray(recording.reading.angle, np.float64)
     return Scores(
         error=np.abs(average - reference).mean(axis=2),

@@ -38,6 +38,13 @@ class Spread(Configuration):
     misalignment_rad: float = Field(0.02, ge=0, le=0.5)
     """Of the force sensor, either side of the tank's [rad]; a mount screwed down by hand."""
 
+    @classmethod
+    def of(cls, part: float) -> "Spread":
+        """Material, water and servo within the same part of their values either side; temperature, drift and mount as
+        ever, and the fin's size, which is that of one fin."""
+        same = dict.fromkeys(("stiffness", "drag", "added_mass", "lag"), part)
+        return cls().merged(same, "spread")
+
 
 class Conditions(NamedTuple):
     """How a tank differs from the one it was drawn from: offsets where a unit stands in the name, factors elsewhere."""

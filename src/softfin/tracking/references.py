@@ -9,6 +9,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from pydantic import model_validator
 
 from softfin.configuration import Configuration
+from softfin.tracking.reachable import Reachable
 
 Force: TypeAlias = tuple[float | int, float | int]
 """(x, y) [N]."""
@@ -22,10 +23,13 @@ class References(NamedTuple):
 
     low: Float[Array, "2"]
     high: Float[Array, "2"]
+    reachable: Reachable | None = None
+    """Mean forces that the fin can make, where that is known."""
 
     def draw(self, key: PRNGKeyArray) -> Float[Array, "2"]:
-        """One reference, uniform over the box."""
-        return jax.random.uniform(key, (2,), minval=self.low, maxval=self.high)
+        """One reference, uniform over the box; what lies beyond the fin's reach is brought to its edge."""
+        drawn = jax.random.uniform(key, (2,), minval=self.low, maxval=self.high)
+        return drawn if self.reachable is None else self.reachable.pulled(drawn)
 
 
 class Cell(Configuration):
@@ -79,7 +83,20 @@ PAPER_RANGE = Cell(low=(0.5, -1.5), high=(3.5, 1.5))
 """What one controller is trained for: the least box round the grid."""
 
 
-def stack_references(cells: Sequence[Cell]) -> References:
-    """The boxes of many lanes, along a leading axis."""
+def least_box(cells: Sequence[Cell]) -> Cell:
+    """Round all cells."""
+    (x0, y0), (x1, y1) = (
+        tuple(choose(getattr(cell, corner)[i] for cell in cells) for i in range(2))
+        for corner, choose in (("low", min), ("high", max))
+    )
+    return Cell(low=(x0, y0), high=(x1, y1))
+
+
+def stack_references(cells: Sequence[Cell], reachable: Reachable | None = None) -> References:
+    """The boxes of many lanes, along a leading axis; all of one fin."""
     boxes = [cell.references() for cell in cells]
-    return References(jnp.stack([box.low for box in boxes]), jnp.stack([box.high for box in boxes]))
+    low, high = jnp.stack([box.low for box in boxes]), jnp.stack([box.high for box in boxes])
+    same = (
+        None if reachable is None else Reachable(*(jnp.tile(x, (len(boxes), 1)) for x in map(jnp.asarray, reachable)))
+    )
+    return References(low, high, same)

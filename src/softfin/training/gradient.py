@@ -13,16 +13,35 @@ import jax
 import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, PRNGKeyArray
-from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
+from pydantic import Field, PositiveFloat, PositiveInt
 
 from softfin.configuration import Configuration
-from softfin.plant import ACTION_TICKS
+from softfin.plant import ACTION_TICKS, Plant
 from softfin.tracking.references import References
 from softfin.tracking.task import ForceTracking, Outcome
+from softfin.training.beat import AMPLITUDES, CENTRES, Gait, families, made
+from softfin.training.force_map import MapConfig
+from softfin.training.gaits import GaitTable
+from softfin.training.imitation import ImitationConfig, imitate
 from softfin.training.learner import Metrics
 from softfin.training.lstm import cleared
 from softfin.training.policy import Policy, PolicyConfig
 from softfin.training.rollout import Batch, begin, restart
+
+
+def differentiable(plant: Plant) -> bool:
+    """Whether the mean force has a slope against the commands; one's own simulator may have none, or fail."""
+
+    def force(gait: Gait) -> Float[Array, ""]:
+        return made(plant, gait, 2, jax.random.key(0)).force.sum()
+
+    gait = jnp.asarray(families()[0].gaits[len(CENTRES) * len(AMPLITUDES) // 2])
+    try:
+        slope = jax.jit(jax.grad(force))(gait)
+    except Exception:
+        # It is the user's code that is differentiated here, and it may fail in any way.
+        return False
+    return bool(jnp.isfinite(slope).all() and (slope != 0).any())
 
 
 class GradientConfig(Configuration):
@@ -38,8 +57,14 @@ class GradientConfig(Configuration):
     """At the end, as a part of the greatest; it falls as a cosine."""
     gradient_norm: PositiveFloat = 1.0
     """Longer gradients are scaled down to this."""
-    smoothness: NonNegativeFloat = 0.003
-    """Weight of the Sobolev term beside the force error, in the form `sum`."""
+    rounding_n: PositiveFloat = 0.05
+    """Force errors below this weigh as their squares [N]: near 0 the sign of an error tells too little."""
+    teacher: bool = True
+    """Whether the policy begins as a copy of a table of gaits."""
+    map: MapConfig = MapConfig()
+    """How the table is found; its box is the least one round all cells."""
+    imitation: ImitationConfig = ImitationConfig()
+    """How it is copied."""
 
     @property
     def steps_per_update(self) -> int:
@@ -64,11 +89,14 @@ class Gradient:
     config: GradientConfig
     policy: PolicyConfig
     updates: int
+    teacher: GaitTable | None = None
 
     def init(self, key: PRNGKeyArray, references: References) -> GradientLane:
         """A new policy, fins at rest."""
-        network_key, batch_key, key = jax.random.split(key, 3)
+        network_key, batch_key, teach_key, key = jax.random.split(key, 4)
         policy = Policy.create(network_key, self.policy, self.task.config.observations)
+        if self.teacher is not None:
+            policy = imitate(self.task, policy, self.teacher, references, teach_key, self.config.imitation)
         batch = begin(self.task, policy, references, batch_key, self.config.environments)
         return GradientLane(policy, self._optimiser().init(policy), batch, key)
 
@@ -91,17 +119,19 @@ class Gradient:
             return Batch(states, memories, jnp.zeros_like(batch.fresh)), outcome
 
         def cycle(batch: Batch, _: None) -> tuple[Batch, Any]:
-            rewards, errors = [], []
+            outcomes = []
             for ticks in ACTION_TICKS:
                 batch, outcome = act(batch, ticks)
-                rewards.append(outcome.reward)
-                errors.append(outcome.error)
-            return batch, (jnp.stack(rewards), jnp.stack(errors))
+                outcomes.append(outcome._replace(forces=jnp.zeros(())))
+            return batch, jax.tree.map(lambda *parts: jnp.stack(parts), *outcomes)
 
-        batch, (reward, error) = jax.lax.scan(cycle, batch, None, self.config.rollout_actions // len(ACTION_TICKS))
-        loss = -reward.mean()
-        x, y = error.mean(axis=(0, 1, 2))
-        return loss, (batch, {"loss": loss, "reward": reward.mean(), "error_x_n": x, "error_y_n": y})
+        batch, outcome = jax.lax.scan(cycle, batch, None, self.config.rollout_actions // len(ACTION_TICKS))
+        weights, rounding = task.config.reward, self.config.rounding_n
+        rounded = jnp.sqrt(outcome.error**2 + rounding**2) - rounding
+        cost = jnp.array(weights.weight) * (rounded + jnp.array(weights.smoothness) * outcome.smoothness)
+        loss = cost.sum(axis=-1).mean()
+        x, y = outcome.error.mean(axis=(0, 1, 2))
+        return loss, (batch, {"loss": loss, "reward": outcome.reward.mean(), "error_x_n": x, "error_y_n": y})
 
     def _optimiser(self) -> optax.GradientTransformation:
         config = self.config

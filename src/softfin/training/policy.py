@@ -1,4 +1,4 @@
-"""The policy, an LSTM (paper Sec. III-C2: LSTM-PPO), and the critic that only training needs.
+"""The policy, an LSTM (paper Sec. III-C2: LSTM-PPO), and the critic that only training needs; both normalise.
 
 Actions are squashed Gaussians: a = tanh(u), u ~ N(mean(observations so far), deviation). The deterministic action is
 tanh(mean). So every action is within the limits, and none is clipped.
@@ -17,6 +17,7 @@ from pydantic import Field, PositiveInt
 from softfin.configuration import Configuration
 from softfin.errors import ArtifactError
 from softfin.training.lstm import LSTM, Memory, weights
+from softfin.training.normalisation import Normalisation
 
 
 class PolicyConfig(Configuration):
@@ -89,12 +90,15 @@ class Policy(eqx.Module):
 
     net: Recurrent
     log_deviation: Float[Array, "actions"]
+    normalisation: Normalisation
+    """Of the observations."""
 
     @classmethod
     def create(cls, key: PRNGKeyArray, config: PolicyConfig, observations: int, actions: int = 2) -> "Policy":
         """New weights; at the start the mean action is near the middle whatever is observed."""
         deviation = jnp.full(actions, jnp.log(config.deviation))
-        return cls(Recurrent.create(key, config, observations, actions, 0.01), deviation)
+        net = Recurrent.create(key, config, observations, actions, 0.01)
+        return cls(net, deviation, Normalisation.create(observations))
 
     def init(self) -> Memory:
         """Nothing remembered."""
@@ -102,8 +106,26 @@ class Policy(eqx.Module):
 
     def act(self, memory: Memory, observation: Float[Array, "observations"]) -> tuple[Memory, Float[Array, "actions"]]:
         """The deterministic action, in (-1, 1)."""
-        memory, mean = self.net.step(memory, observation)
+        memory, mean = self.step(memory, observation)
         return memory, jnp.tanh(mean)
+
+    def step(self, memory: Memory, observation: Float[Array, "observations"]) -> tuple[Memory, Float[Array, "actions"]]:
+        """The mean before the squashing."""
+        return self.net.step(memory, self.normalisation(observation))
+
+    def sequence(
+        self, memory: Memory, observation: Float[Array, "time observations"], fresh: Bool[Array, "time"]
+    ) -> Float[Array, "time actions"]:
+        """What `step` says over a sequence, the memory cleared before every step that is `fresh`."""
+        return self.net.sequence(memory, self.normalisation(observation), fresh)
+
+    def having_seen(self, observation: Float[Array, "*batch observations"]) -> "Policy":
+        """With observations counted in the normalisation."""
+        return self.normalised(self.normalisation.updated(observation))
+
+    def normalised(self, normalisation: Normalisation) -> "Policy":
+        """The same weights with another normalisation."""
+        return cast(Policy, eqx.tree_at(lambda policy: policy.normalisation, self, normalisation))
 
     def log_density(self, mean: Float[Array, "*t actions"], raw: Float[Array, "*t actions"]) -> Float[Array, "*t"]:
         """Of the action before the squashing; the squashing cancels in every ratio of densities."""
@@ -120,7 +142,7 @@ class Policy(eqx.Module):
             raise ArtifactError(f"{source}: weights {', '.join(odd)} are missing or unknown; copy the folder again")
         stacks = {arrays[name].shape[: arrays[name].ndim - leaf.ndim] for name, leaf in shapes.items()}
         for name, leaf in shapes.items():
-            if arrays[name].shape[-leaf.ndim :] != leaf.shape or len(stacks) > 1:
+            if arrays[name].shape[arrays[name].ndim - leaf.ndim :] != leaf.shape or len(stacks) > 1:
                 raise ArtifactError(
                     f"{source}: {name} has shape {arrays[name].shape}; its configuration needs {leaf.shape} for each "
                     "policy; copy the folder again"
@@ -137,6 +159,10 @@ class Critic(eqx.Module):
     """What reward is to come, from all that a simulator knows: it needs no memory, and no robot needs it."""
 
     layers: tuple[Dense, Dense, Dense]
+    reads: Normalisation
+    """Of what it sees."""
+    says: Normalisation
+    """Of values: the layers' unit."""
 
     @classmethod
     def create(cls, key: PRNGKeyArray, seen: int, width: int) -> "Critic":
@@ -145,12 +171,31 @@ class Critic(eqx.Module):
         first, second, last = (
             Dense.create(k, *size, 1.0) for k, size in zip(jax.random.split(key, 3), sizes, strict=True)
         )
-        return cls((first, second, last))
+        return cls((first, second, last), Normalisation.create(seen), Normalisation.create(1))
 
     def __call__(self, seen: Float[Array, "*batch seen"]) -> Float[Array, "*batch"]:
         """Value."""
+        return self.says.undone(self._unscaled(seen)[..., None])[..., 0]
+
+    def loss(self, seen: Float[Array, "*batch seen"], target: Float[Array, "*batch"]) -> Float[Array, ""]:
+        """Mean squared error, in the layers' unit."""
+        return jnp.mean((self._unscaled(seen) - self.says(target[..., None])[..., 0]) ** 2)
+
+    def having_seen(
+        self, seen: Float[Array, "*batch seen"], target: Float[Array, "*batch"], longest: float | int
+    ) -> "Critic":
+        """With inputs and values counted, values as at most `longest`.
+
+        The last layer takes the new unit over, so that the same inputs mean the same value (van Hasselt et al. 2016).
+        """
+        old, new = self.says, self.says.updated(target[..., None], longest)
         first, second, last = self.layers
-        return last(jnp.tanh(second(jnp.tanh(first(seen)))))[..., 0]
+        last = Dense(last.kernel * old.scale / new.scale, new(old.undone(last.bias)))
+        return Critic((first, second, last), self.reads.updated(seen), new)
+
+    def _unscaled(self, seen: Float[Array, "*batch seen"]) -> Float[Array, "*batch"]:
+        first, second, last = self.layers
+        return last(jnp.tanh(second(jnp.tanh(first(self.reads(seen))))))[..., 0]
 
 
 class ActorCritic(eqx.Module):

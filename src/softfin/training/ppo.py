@@ -1,6 +1,7 @@
 """LSTM-PPO (Schulman et al. 2017) on one lane: collect, advantages, epochs of clipped updates. Pure; `vmap` adds lanes.
 
-A lane is one policy with its own key and its own box of references.
+A lane is one policy with its own key and its own box of references. Its networks read and say numbers in units of
+their own running mean and deviation, and the policy that counts is an average over the last updates.
 """
 
 from dataclasses import dataclass
@@ -21,6 +22,9 @@ from softfin.training.learner import Metrics
 from softfin.training.lstm import Memory
 from softfin.training.policy import ActorCritic, Critic, Policy, PolicyConfig
 from softfin.training.rollout import Batch, Rollout, begin, collect
+
+RECENT_UPDATES = 4
+"""Values are scaled by those of about as many rollouts: they rise as the policy learns."""
 
 
 class PPOConfig(Configuration):
@@ -45,7 +49,13 @@ class PPOConfig(Configuration):
     clip: PositiveFloat = 0.2
     """Of the ratio of densities."""
     entropy: NonNegativeFloat = 0.0
-    """Weight of the entropy [1/nat]."""
+    """Weight of the entropy [1/nat], at the start."""
+    final_entropy: float = Field(default=0.0, ge=0, le=1)
+    """At the end, as a part of that at the start; in between it falls linearly."""
+    averaging: NonNegativeFloat = 2.0
+    """About so many updates is the policy averaged over that is scored and kept; 0 is the newest."""
+    normalise: bool = True
+    """Whether observations and values are learnt in units of their own running mean and deviation."""
     value_weight: PositiveFloat = 0.5
     """Weight of the critic's loss."""
     gradient_norm: PositiveFloat = 0.5
@@ -65,19 +75,32 @@ class PPOConfig(Configuration):
         """Actions over all environments."""
         return self.environments * self.rollout_actions
 
+    @property
+    def gradients_per_update(self) -> int:
+        """Steps of the optimiser."""
+        return self.epochs * self.minibatches
+
+    def learning_rates(self, updates: int) -> optax.Schedule:
+        """Of a run, by the optimiser's steps."""
+        end = self.learning_rate * self.final_learning_rate
+        return optax.linear_schedule(self.learning_rate, end, updates * self.gradients_per_update)
+
+    def entropies(self, updates: int) -> optax.Schedule:
+        """Weights of a run, by its updates."""
+        return optax.linear_schedule(self.entropy, self.entropy * self.final_entropy, updates)
+
 
 class Lane(NamedTuple):
     """Everything that one policy's training carries from update to update."""
 
     networks: ActorCritic
+    policy: Policy
+    """The actor, averaged over the last updates: it is scored and kept, and never acts in training."""
     optimiser: Any
     batch: Batch
     key: PRNGKeyArray
-
-    @property
-    def policy(self) -> Policy:
-        """The actor."""
-        return self.networks.policy
+    updates: Int[Array, ""]
+    """Done so far."""
 
 
 class Lesson(NamedTuple):
@@ -106,33 +129,41 @@ class PPO:
         seen = jax.eval_shape(self.task.inspect, state)
         networks = ActorCritic.create(network_key, self.policy, self.task.config.observations, len(seen))
         batch = begin(self.task, networks.policy, references, batch_key, self.config.environments)
-        return Lane(networks, self._optimiser().init(networks), batch, key)
+        return Lane(networks, networks.policy, self._optimiser().init(networks), batch, key, jnp.int32(0))
 
     def update(self, lane: Lane) -> tuple[Lane, Metrics]:
         """Collect a rollout and learn from it."""
         collect_key, learn_key, key = jax.random.split(lane.key, 3)
         cycles = self.config.rollout_actions // len(ACTION_TICKS)
         batch, rollout = collect(self.task, lane.networks.policy, lane.batch, collect_key, cycles)
-        lesson, metrics = self._lesson(lane.networks.critic, rollout)
-        networks, optimiser, learning = self._learn(lane, lesson, learn_key)
-        return Lane(networks, optimiser, batch, key), metrics | learning
+        lesson, metrics = self.lesson(lane.networks.critic, rollout)
+        if self.config.normalise:
+            lane = lane._replace(networks=self._values_scaled(lane.networks, lesson))
+        networks, averaged, optimiser, learning = self._learn(lane, lesson, learn_key)
+        if self.config.normalise:  # behind the learning, so that densities there are as they were lived with
+            policy = networks.policy.having_seen(rollout.observation)
+            networks = ActorCritic(policy, networks.critic)
+            averaged = averaged.normalised(policy.normalisation)
+        return Lane(networks, averaged, optimiser, batch, key, lane.updates + 1), metrics | learning
 
-    def loss(self, networks: ActorCritic, lesson: Lesson, start: Memory) -> tuple[Float[Array, ""], Metrics]:
-        """Clipped surrogate objective, squared error of the critic, entropy; over whole sequences from `start`."""
+    def loss(
+        self, networks: ActorCritic, lesson: Lesson, start: Memory, entropy: Float[Array, ""]
+    ) -> tuple[Float[Array, ""], Metrics]:
+        """Clipped surrogate objective, squared error of the critic, weighed entropy; whole sequences from `start`."""
         config, rollout = self.config, lesson.rollout
-        replay = jax.vmap(networks.policy.net.sequence, in_axes=(0, 1, 1), out_axes=1)
+        replay = jax.vmap(networks.policy.sequence, in_axes=(0, 1, 1), out_axes=1)
         mean = replay(start, rollout.observation, rollout.fresh)
         log_ratio = networks.policy.log_density(mean, rollout.raw) - rollout.log_density
         ratio = jnp.exp(log_ratio)
         clipped = jnp.clip(ratio, 1 - config.clip, 1 + config.clip)
         objective = jnp.minimum(ratio * lesson.advantage, clipped * lesson.advantage).mean()
-        value_loss = jnp.mean((networks.critic(rollout.seen) - lesson.target) ** 2)
-        loss = -objective + config.value_weight * value_loss - config.entropy * networks.policy.entropy()
+        value_loss = networks.critic.loss(rollout.seen, lesson.target)
+        loss = -objective + config.value_weight * value_loss - entropy * networks.policy.entropy()
         beyond_clip = jnp.mean(jnp.abs(ratio - 1) > config.clip)
         kl = jnp.mean(ratio - 1 - log_ratio)
         return loss, {"loss": loss, "value_loss": value_loss, "kl": kl, "clipped": beyond_clip}
 
-    def _lesson(self, critic: Critic, rollout: Rollout) -> tuple[Lesson, Metrics]:
+    def lesson(self, critic: Critic, rollout: Rollout) -> tuple[Lesson, Metrics]:
         """With rewards in units of 1 - discount, values are means of the reward ahead [N], whatever the discount."""
         discount = self.config.discount
         value, value_after = critic(rollout.seen), critic(rollout.seen_after)
@@ -147,27 +178,33 @@ class PPO:
             "explained": 1 - jnp.var(advantage) / (jnp.var(target) + 1e-8),
         }
 
-    def _learn(self, lane: Lane, lesson: Lesson, key: PRNGKeyArray) -> tuple[ActorCritic, Any, Metrics]:
-        config, optimiser = self.config, self._optimiser()
+    def _values_scaled(self, networks: ActorCritic, lesson: Lesson) -> ActorCritic:
+        recent = RECENT_UPDATES * self.config.steps_per_update
+        return ActorCritic(networks.policy, networks.critic.having_seen(lesson.rollout.seen, lesson.target, recent))
 
-        def minibatch(carry: tuple[ActorCritic, Any], chosen: Int[Array, "some"]) -> tuple[Any, Metrics]:
-            networks, state = carry
+    def _learn(self, lane: Lane, lesson: Lesson, key: PRNGKeyArray) -> tuple[ActorCritic, Policy, Any, Metrics]:
+        config, optimiser = self.config, self._optimiser()
+        entropy = jnp.asarray(config.entropies(self.updates)(lane.updates))
+        share = 1 / max(1.0, config.averaging * config.gradients_per_update)
+
+        def minibatch(carry: tuple[ActorCritic, Policy, Any], chosen: Int[Array, "some"]) -> tuple[Any, Metrics]:
+            networks, averaged, state = carry
             part = jax.tree.map(lambda x: x[:, chosen], lesson)
             start = jax.tree.map(lambda x: x[chosen], lane.batch.memories)
-            gradient, metrics = jax.grad(self.loss, has_aux=True)(networks, part, start)
+            gradient, metrics = jax.grad(self.loss, has_aux=True)(networks, part, start, entropy)
             change, state = optimiser.update(gradient, state, networks)
             metrics["gradient_norm"] = optax.tree.norm(gradient)
-            return (optax.apply_updates(networks, change), state), metrics
+            networks = optax.apply_updates(networks, change)
+            return (networks, optax.incremental_update(networks.policy, averaged, share), state), metrics
 
         fins = jnp.tile(jnp.arange(config.environments), (config.epochs, 1))
         order = jax.random.permutation(key, fins, axis=1, independent=True)
-        batches = order.reshape(config.epochs * config.minibatches, -1)
-        (networks, state), metrics = jax.lax.scan(minibatch, (lane.networks, lane.optimiser), batches)
+        batches = order.reshape(config.gradients_per_update, -1)
+        start = (lane.networks, lane.policy, lane.optimiser)
+        (networks, averaged, state), metrics = jax.lax.scan(minibatch, start, batches)
         metrics["deviation"] = jnp.exp(networks.policy.log_deviation)
-        return networks, state, jax.tree.map(jnp.mean, metrics)
+        return networks, averaged, state, jax.tree.map(jnp.mean, metrics)
 
     def _optimiser(self) -> optax.GradientTransformation:
-        config = self.config
-        steps = self.updates * config.epochs * config.minibatches
-        rate = optax.linear_schedule(config.learning_rate, config.learning_rate * config.final_learning_rate, steps)
-        return optax.chain(optax.clip_by_global_norm(config.gradient_norm), optax.adam(rate, eps=1e-5))
+        rate = self.config.learning_rates(self.updates)
+        return optax.chain(optax.clip_by_global_norm(self.config.gradient_norm), optax.adam(rate, eps=1e-5))

@@ -79,7 +79,7 @@ def _act(
 ) -> tuple[Batch, Rollout]:
     memories = jax.vmap(cleared)(batch.memories, batch.fresh)
     observation = jax.vmap(task.observe)(batch.states)
-    memories, mean = jax.vmap(policy.net.step)(memories, observation)
+    memories, mean = jax.vmap(policy.step)(memories, observation)
     raw = mean + jnp.exp(policy.log_deviation) * noise
     states, outcome = jax.vmap(partial(task.step, ticks=ticks))(batch.states, jnp.tanh(raw))
     never = jnp.zeros_like(batch.fresh)

@@ -29,7 +29,7 @@ class Score(NamedTuple):
 def score(task: ForceTracking, policy: Policy, references: Float[Array, "references 2"], key: PRNGKeyArray) -> Score:
     """One episode from rest for each reference, all side by side; the reference stays."""
     count, window = len(references), task.config.window_samples
-    states = jax.vmap(task.reset)(jax.random.split(key, count), References(references, references))
+    states = jax.vmap(task.reset)(jax.random.split(key, count), References(references, references, None))
     memories = jax.tree.map(lambda x: jnp.tile(x, (count, 1)), policy.init())
 
     plant = task.plant if isinstance(task.plant, StreamingSurrogate) else None

@@ -4,8 +4,9 @@ Seeds x cells are lanes of one program. Every few updates the policies are score
 far kept, and a checkpoint written; a resumed run ends with the same weights as one that was never stopped.
 """
 
-from collections.abc import Callable, Sequence
-from functools import cache
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache, partial
+from types import MappingProxyType
 from typing import Any, Literal, NamedTuple, TypeVar, cast
 
 import equinox as eqx
@@ -22,13 +23,17 @@ from softfin.plant import Plant
 from softfin.quantities import AXES, Limits
 from softfin.randomness import key_of
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
-from softfin.tracking.references import PAPER_CELLS, PAPER_RANGE, Cell, References, stack_references
+from softfin.tracking.reachable import Reachable
+from softfin.tracking.references import PAPER_CELLS, PAPER_RANGE, Cell, References, least_box, stack_references
 from softfin.tracking.task import ForceTracking, TaskConfig
+from softfin.training.force_map import ForceMap, empty_map, map_forces
+from softfin.training.gaits import GaitTable
 from softfin.training.gradient import Gradient, GradientConfig
 from softfin.training.learner import Learner, Metrics
 from softfin.training.policy import Policy, PolicyConfig
 from softfin.training.ppo import PPO, PPOConfig
 from softfin.training.score import Score, score
+from softfin.training.sharding import over_devices
 
 Tree = TypeVar("Tree")
 
@@ -89,6 +94,21 @@ SINGLE = TrainConfig(
 )
 """The paper's single controller on its budget."""
 
+GRADIENT_SINGLE = SINGLE.changed(("algorithm=gradient", "steps=115200", "task.phase=true"))
+"""One controller by gradients through the plant: 200 updates."""
+
+GRADIENT_GRID = GRID.changed(
+    ("algorithm=gradient", "steps=14400", "task.phase=true", "task.reference_actions=45", "lattice=3",
+     "gradient.environments=8")
+)  # fmt: skip
+"""A policy a cell by gradients through the plant: 100 updates."""
+
+STARTS: Mapping[tuple[str, str], TrainConfig] = MappingProxyType({
+    ("ppo", "single"): SINGLE, ("ppo", "grid"): GRID,
+    ("gradient", "single"): GRADIENT_SINGLE, ("gradient", "grid"): GRADIENT_GRID,
+})  # fmt: skip
+"""By algorithm and kind of controller."""
+
 
 class TrainState(NamedTuple):
     """All that a resumed run needs; every leaf has a leading axis of lanes."""
@@ -110,6 +130,8 @@ class Trained(NamedTuple):
     """Leaves ``(seeds, cells, ...)``: of each lane the policy with the best deterministic score."""
     score: Score
     """Of these policies, ``(seeds, cells, references, 2)``."""
+    known: ForceMap | None = None
+    """What the fin can do, where it was mapped."""
 
 
 Progress = Callable[[str, float, str], None]
@@ -117,19 +139,28 @@ Progress = Callable[[str, float, str], None]
 
 
 def train(
-    plant: Plant, config: TrainConfig, seeds: Sequence[int], workspace: Workspace, progress: Progress | None = None
+    plant: Plant,
+    config: TrainConfig,
+    seeds: Sequence[int],
+    workspace: Workspace,
+    progress: Progress | None = None,
+    known: ForceMap | None = None,
 ) -> Trained:
     """Train a policy for every seed and cell; goes on from the workspace's checkpoint where there is one.
+
+    What the fin can do is looked for where it is not `known`.
 
     Raises:
         ConfigurationError: the budget is smaller than one rollout, or a seed comes twice.
         RunError: a loss is no longer finite; the last good checkpoint is left in the workspace.
     """
-    _check(config, seeds)
-    run = _Run(plant, config, tuple(seeds))
+    check(config, seeds)
+    known = mapped(plant, config, workspace, progress) if known is None else known
+    run = _Run(plant, config, tuple(seeds), known)
     state, done = run.start(), 0
     if (resumed := workspace.load(_unkeyed(state))) is not None:
         state, done = _rekeyed(resumed[0], state), resumed[1]["updates"]
+    state = state._replace(lanes=run.over_devices(state.lanes))
     record = workspace.log(rewind_to=done * config.learning.steps_per_update)
     due = _scorings(config)
     while done < config.updates:
@@ -149,6 +180,29 @@ def train(
     return run.end(state)
 
 
+def mapped(plant: Plant, config: TrainConfig, workspace: Workspace, progress: Progress | None) -> ForceMap | None:
+    """The gaits that the policies begin as and what the fin can do; of a stopped run, where it had found them."""
+    if config.algorithm != "gradient" or not config.gradient.teacher:
+        return None
+    asked = config.gradient.map.merged({"box": least_box(config.cells).model_dump()}, "cells")
+    part = workspace.part("map")
+    lattice = asked.lattice(Reachable(np.zeros(2), np.ones(asked.survey.directions)))
+    if (resumed := part.load(empty_map(lattice, asked.survey.directions))) is not None:
+        known: ForceMap = jax.tree.map(np.asarray, resumed[0])
+        return known
+    found = map_forces(plant, asked, None if progress is None else partial(progress, "map"))
+    part.save(found, {})
+    return found
+
+
+class Given(NamedTuple):
+    """Arguments of the programs: arrays, not constants in them."""
+
+    plant: Any
+    """Its arrays."""
+    teacher: GaitTable | None
+
+
 class _Programs(NamedTuple):
     """Compiled for all lanes at once; the plant's arrays are arguments, not constants in the programs."""
 
@@ -160,20 +214,20 @@ class _Programs(NamedTuple):
 def _compile(static: Any, config: TrainConfig) -> _Programs:
     """For a plant without its arrays."""
 
-    def task(arrays: Any) -> ForceTracking:
-        return ForceTracking(eqx.combine(arrays, static), config.task)
+    def task(given: Given) -> ForceTracking:
+        return ForceTracking(eqx.combine(given.plant, static), config.task)
 
-    def learner(arrays: Any) -> Learner:
+    def learner(given: Given) -> Learner:
         if config.algorithm == "ppo":
-            return PPO(task(arrays), config.ppo, config.policy, config.updates)
-        return Gradient(task(arrays), config.gradient, config.policy, config.updates)
+            return PPO(task(given), config.ppo, config.policy, config.updates)
+        return Gradient(task(given), config.gradient, config.policy, config.updates, given.teacher)
 
-    def judge(arrays: Any, policy: Policy, references: Array) -> Score:
-        return score(task(arrays), policy, references, key_of(0, "score"))
+    def judge(given: Given, policy: Policy, references: Array) -> Score:
+        return score(task(given), policy, references, key_of(0, "score"))
 
     return _Programs(
-        jax.jit(jax.vmap(lambda arrays, key, box: learner(arrays).init(key, box), (None, 0, 0))),
-        jax.jit(jax.vmap(lambda arrays, lane: learner(arrays).update(lane), (None, 0))),
+        jax.jit(jax.vmap(lambda given, key, box: learner(given).init(key, box), (None, 0, 0))),
+        jax.jit(jax.vmap(lambda given, lane: learner(given).update(lane), (None, 0))),
         jax.jit(jax.vmap(judge, (None, 0, 0))),
     )
 
@@ -184,34 +238,44 @@ _compile_once = cache(_compile)
 class _Run:
     """One run over its lanes."""
 
-    def __init__(self, plant: Plant, config: TrainConfig, seeds: tuple[int, ...]) -> None:
+    def __init__(self, plant: Plant, config: TrainConfig, seeds: tuple[int, ...], known: ForceMap | None) -> None:
         self.config, self.seeds, self.limits = config, seeds, Limits(*map(float, plant.limits))
         self.knows = isinstance(plant, StreamingSurrogate)
         self.lanes = [(seed, index) for seed in seeds for index in range(len(config.cells))]
-        self.arrays, static = eqx.partition(plant, eqx.is_array)
+        arrays, static = eqx.partition(plant, eqx.is_array)
+        self.known = known
+        self.reachable = None if known is None else known.reachable
+        self.given = Given(arrays, None if known is None else known.found.table)
+        # The programs do not depend on the cells, so jobs of one run share them.
+        alike = config.model_copy(update={"cells": ()})
         try:
-            self.programs = _compile_once(static, config)
+            self.programs = _compile_once(static, alike)
         except TypeError:  # a plant that cannot be hashed is compiled for again
-            self.programs = _compile(static, config)
+            self.programs = _compile(static, alike)
         lattices = [config.cells[index].lattice(config.lattice) for _, index in self.lanes]
-        self.references = jnp.asarray(lattices, jnp.float32)
+        wanted = jnp.asarray(lattices, jnp.float32)
+        self.references = wanted if self.reachable is None else jax.vmap(jax.vmap(self.reachable.pulled))(wanted)
 
     def start(self) -> TrainState:
         """Fresh lanes; the key of a lane depends on its seed and cell alone, not on the lanes beside it."""
         keys = jnp.stack([key_of(seed, f"train/{self.config.cells[index]}") for seed, index in self.lanes])
-        boxes = stack_references([self.config.cells[index] for _, index in self.lanes])
-        lanes = self.programs.init(self.arrays, keys, boxes)
+        boxes = stack_references([self.config.cells[index] for _, index in self.lanes], self.reachable)
+        lanes = self.programs.init(self.given, *self.over_devices((keys, boxes)))
         worst = jnp.full(self.references.shape, jnp.inf)
         beyond = worst[..., 0] if self.knows else None
         return TrainState(lanes, lanes.policy, Score(worst, worst, beyond))
 
+    def over_devices(self, lanes: Tree) -> Tree:
+        """Dealt out over the machine's devices, where there are several."""
+        return over_devices(lanes, len(self.lanes), self.config.learning.environments)
+
     def update(self, lanes: Any) -> tuple[Any, Metrics]:
         """One update of every lane."""
-        return self.programs.update(self.arrays, lanes)
+        return self.programs.update(self.given, lanes)
 
     def score(self, policies: Policy) -> Score:
         """Of every lane's policy without its noise."""
-        return self.programs.score(self.arrays, policies, self.references)
+        return self.programs.score(self.given, policies, self.references)
 
     def finite(self, metrics: Metrics, update: int) -> Metrics:
         """The metrics; raises RunError where a lane's loss is not finite."""
@@ -242,10 +306,11 @@ class _Run:
         """The best policies, by seed and cell."""
         shape = (len(self.seeds), len(self.config.cells))
         policies, scores = jax.tree.map(lambda x: x.reshape(*shape, *x.shape[1:]), (state.best, state.best_score))
-        return Trained(self.config, self.limits, self.seeds, policies, scores)
+        return Trained(self.config, self.limits, self.seeds, policies, scores, self.known)
 
 
-def _check(config: TrainConfig, seeds: Sequence[int]) -> None:
+def check(config: TrainConfig, seeds: Sequence[int]) -> None:
+    """Raise ConfigurationError where the budget is smaller than one rollout, or a seed comes twice."""
     if not seeds or len(set(seeds)) != len(seeds):
         raise ConfigurationError(f"seeds {list(seeds)}: give at least one, and each once")
     learning = config.learning

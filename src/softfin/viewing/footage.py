@@ -42,12 +42,14 @@ class Footage(NamedTuple):
     """At the same points [m]; that of the default fin, in proportion, where the plant is no tank."""
     stream: Float[np.ndarray, "ticks 2"] | None
     """Velocity of the water that the fin has set moving [m/s], where the plant has it."""
-    reference: tuple[float, float] | None
+    reference: Float[np.ndarray, "ticks 2"] | None
     """The force that a controller was asked for [N]."""
 
 
-def film(plant: Plant, key: PRNGKeyArray, commands: Command, reference: tuple[float, float] | None = None) -> Footage:
-    """Roll the plant from rest, one command a tick, ``(ticks,)``."""
+def film(
+    plant: Plant, key: PRNGKeyArray, commands: Command, reference: Float[np.ndarray, "ticks 2"] | None = None
+) -> Footage:
+    """Roll the plant from rest, one command a tick, ``(ticks,)``, that follow a reference where there is one."""
     shape_of = cast(Shaped, plant).shape if callable(getattr(plant, "shape", None)) else None
 
     def tick(state: State, command: Command) -> tuple[State, Any]:

@@ -6,14 +6,13 @@ const element = (id) => document.getElementById(id);
 const tank = element("tank"), traces = element("traces"), slider = element("time"), play = element("play");
 const panels = [
   { name: "angle", unit: "rad", measured: footage.angle, asked: footage.command, mean: null, range: scale.angle },
-  { name: "force x", unit: "N", measured: footage.force_x, asked: footage.reference && footage.reference[0], mean: footage.mean_x, range: scale.force },
-  { name: "force y", unit: "N", measured: footage.force_y, asked: footage.reference && footage.reference[1], mean: footage.mean_y, range: scale.force },
+  { name: "force x", unit: "N", measured: footage.force_x, asked: footage.reference_x || null, mean: footage.mean_x, range: scale.force },
+  { name: "force y", unit: "N", measured: footage.force_y, asked: footage.reference_y || null, mean: footage.mean_y, range: scale.force },
 ];
 
 let now = 0, playing = false, hovered = null, colours = {}, last = null, waiting = false, coming = null;
 
 const numeral = (value, digits) => (value < 0 && Number(value.toFixed(digits)) !== 0 ? "\u2212" : "") + Math.abs(value).toFixed(digits);
-const valueAt = (series, tick) => (Array.isArray(series) ? series[tick] : series);
 const meanAt = (panel, tick) => (panel.mean && tick >= span - 1 ? panel.mean[tick - span + 1] : null);
 const secondsAt = (tick) => ((tick + 1) / footage.rate_hz).toFixed(2) + " s";
 const shapeAt = (tick) => Array.from({ length: points }, (_, i) => [
@@ -84,7 +83,7 @@ function drawArrow(pen, from, vector, width) {
 
 function drawTank(tick) {
   const { pen, width, height } = prepare(tank);
-  const margin = { left: 12, right: 12, top: 34, bottom: 30 };
+  const margin = { left: 12, right: 12, top: footage.reference_x ? 56 : 34, bottom: 30 };
   const metres = [scale.x[1] - scale.x[0], scale.y[1] - scale.y[0]];
   const pixels = Math.min((width - margin.left - margin.right) / metres[0], (height - margin.top - margin.bottom) / metres[1]);
   const origin = [
@@ -92,7 +91,7 @@ function drawTank(tick) {
     margin.top + (height - margin.top - margin.bottom) / 2 + (pixels * (scale.y[0] + scale.y[1])) / 2,
   ];
   const place = ([x, y]) => [origin[0] + pixels * x, origin[1] - pixels * y];
-  const forceVector = (x, y) => [x * scale.metres_per_newton * pixels, -y * scale.metres_per_newton * pixels];
+  const vector = (x, y, metres) => [x * metres * pixels, -y * metres * pixels];
   const thick = 0.035 * scale.length_m * pixels;
 
   pen.strokeStyle = colours.grid;
@@ -116,15 +115,15 @@ function drawTank(tick) {
   });
   pen.globalAlpha = 1;
   drawFin(pen, place, tick, pixels);
-  if (footage.reference) {
+  if (footage.reference_x) {
     pen.fillStyle = colours.asked;
-    drawArrow(pen, origin, forceVector(...footage.reference), thick);
+    drawArrow(pen, origin, vector(footage.reference_x[tick], footage.reference_y[tick], scale.metres_per_mean_newton), thick);
   }
   pen.fillStyle = colours.measured;
-  drawArrow(pen, origin, forceVector(footage.force_x[tick], footage.force_y[tick]), thick);
+  drawArrow(pen, origin, vector(footage.force_x[tick], footage.force_y[tick], scale.metres_per_newton), thick);
   if (meanAt(panels[1], tick) !== null) {
     pen.fillStyle = colours.mean;
-    drawArrow(pen, origin, forceVector(meanAt(panels[1], tick), meanAt(panels[2], tick)), thick / 2);
+    drawArrow(pen, origin, vector(meanAt(panels[1], tick), meanAt(panels[2], tick), scale.metres_per_mean_newton), thick / 2);
   }
   pen.beginPath();
   pen.arc(...origin, 0.025 * scale.length_m * pixels, 0, 2 * Math.PI);
@@ -151,6 +150,9 @@ function drawKeys(pen, width, height, pixels, tick, thick) {
     pen.fillRect(end - length, y - 6, length, 3);
   };
   key(scale.key_n * scale.metres_per_newton * pixels, `${scale.key_n} N`, 22, colours.measured);
+  if (footage.reference_x) {
+    key(scale.mean_key_n * scale.metres_per_mean_newton * pixels, `asked for, mean ${scale.mean_key_n} N`, 44, colours.mean);
+  }
   key(0.05 * pixels, "5 cm", height - 12, colours.soft);
   if (footage.stream_x) {
     const [x, y] = [footage.stream_x[tick], footage.stream_y[tick]];
@@ -198,7 +200,7 @@ function drawTraces(tick, pointed) {
       pen.lineWidth = thickness;
       pen.beginPath();
       for (let i = Math.max(from, first); i <= to; i++) {
-        const value = y(valueAt(series, i - first));
+        const value = y(series[i - first]);
         if (i > Math.max(from, first) && steps) pen.lineTo(layout.x(i - 1), value);
         pen.lineTo(layout.x(i), value);
       }
@@ -273,7 +275,7 @@ const rows = panels.map((panel) => {
 function tell(tick) {
   element("now").textContent = secondsAt(tick);
   panels.forEach((panel, k) => {
-    const values = [panel.measured[tick], panel.asked === null ? null : valueAt(panel.asked, tick), meanAt(panel, tick)];
+    const values = [panel.measured[tick], panel.asked === null ? null : panel.asked[tick], meanAt(panel, tick)];
     values.forEach((value, i) => { rows[k][i].textContent = value === null ? "\u2013" : numeral(value, 2); });
   });
 }

@@ -48,11 +48,12 @@ def described(footage: Footage) -> dict[str, Any]:
         "angle": _rounded(footage.reading.angle, 4),
         **{f"force_{axis}": _rounded(footage.reading.force[:, i], 3) for i, axis in enumerate(AXES)},
         **{f"mean_{axis}": _rounded(footage.average[:, i], 3) for i, axis in enumerate(AXES)},
-        "reference": footage.reference,
         "shape_unit_m": SHAPE_UNIT_M,
         "shape": np.rint(footage.shape / SHAPE_UNIT_M).astype(int).ravel().tolist(),
         "thickness": _rounded(footage.thickness, 5),
     }
+    if footage.reference is not None:
+        described |= {f"reference_{axis}": _rounded(footage.reference[:, i], 3) for i, axis in enumerate(AXES)}
     if footage.stream is not None:
         described |= {f"stream_{axis}": _rounded(footage.stream[:, i], 4) for i, axis in enumerate(AXES)}
     return described

@@ -74,11 +74,11 @@ class Picture:
         for ghost, ago in zip(self._ghosts, TRAIL_TICKS, strict=True):
             ghost.set_xy(fin_outline(footage.shape[max(tick - ago, 0)], self.footage.thickness))
         self._fin.set_xy(fin_outline(footage.shape[tick], self.footage.thickness))
-        self._set_arrow(self._force, footage.reading.force[tick])
-        if tick + 1 >= WINDOW:
-            self._set_arrow(self._mean, footage.average[tick + 1 - WINDOW], 0.5)
-        else:
-            self._set_arrow(self._mean, np.zeros(2))
+        if footage.reference is not None:
+            self._set_arrow(self._asked, footage.reference[tick] * self.scale.metres_per_mean_newton)
+        self._set_arrow(self._force, footage.reading.force[tick] * self.scale.metres_per_newton)
+        mean = footage.average[tick + 1 - WINDOW] if tick + 1 >= WINDOW else np.zeros(2)
+        self._set_arrow(self._mean, mean * self.scale.metres_per_mean_newton, 0.5)
         self._clock.set_text(f"{self._time[tick]:.2f} s")
         if footage.stream is not None:
             self._set_stream(footage.stream[tick])
@@ -88,9 +88,8 @@ class Picture:
         for cursor in self._cursors:
             cursor.set_xdata([self._time[tick]])
 
-    def _set_arrow(self, arrow: Polygon, force: Any, width: float = 1.0) -> None:
-        vector = np.asarray(force, float) * self.scale.metres_per_newton
-        arrow.set_xy(arrow_outline(vector, width * ARROW * self.scale.length_m))
+    def _set_arrow(self, arrow: Polygon, vector: Any, width: float = 1.0) -> None:
+        arrow.set_xy(arrow_outline(np.asarray(vector, float), width * ARROW * self.scale.length_m))
 
     def _set_stream(self, stream: Any) -> None:
         speed = float(np.hypot(*stream))
@@ -102,9 +101,10 @@ class Picture:
 
     def _draw_tank(self, axes: Axes, title: str) -> None:
         scale = self.scale
-        # A band above for clock and key, and one below where there is a note.
+        # A band above for clock and keys, and one below where there is a note.
+        above = 0.16 * scale.length_m if self.footage.reference is None else 0.27 * scale.length_m
         below = 0.0 if self.footage.shape_known and self.footage.stream is None else 0.16 * scale.length_m
-        xlim, ylim = _filling(scale.x, (scale.y[0] - below, scale.y[1] + 0.16 * scale.length_m))
+        xlim, ylim = _filling(scale.x, (scale.y[0] - below, scale.y[1] + above))
         axes.set(xlim=xlim, ylim=ylim, aspect="equal", xlabel="x [m], thrust is +x", ylabel="y [m]")
         axes.set_facecolor(WATER)
         axes.grid(color="white", linewidth=1.0)
@@ -114,10 +114,7 @@ class Picture:
         ]
         self._fin = self._add(axes, _polygon(FIN))
         if self.footage.reference is not None:
-            vector = np.array(self.footage.reference) * scale.metres_per_newton
-            asked = _polygon(ORANGE)
-            asked.set_xy(arrow_outline(vector, ARROW * scale.length_m))
-            self._add(axes, asked)
+            self._asked = self._add(axes, _polygon(ORANGE))
         self._force = self._add(axes, _polygon(BLUE, 0.9))
         self._mean = self._add(axes, _polygon(BLACK))
         shaft = Circle((0, 0), 0.025 * scale.length_m, facecolor="white", edgecolor=BLACK, linewidth=1.4)
@@ -135,13 +132,17 @@ class Picture:
             self._moving.append(self._stream_text)
 
     def _draw_key(self, axes: Axes, right: float, top: float) -> None:
-        """A round force, to measure the arrows by."""
+        """Round forces, to measure the arrows by."""
         scale = self.scale
-        length = scale.key_n * scale.metres_per_newton
-        right, middle = right - 0.06 * scale.length_m, top - 0.1 * scale.length_m
-        axes.plot([right - length, right], [middle, middle], color=BLUE, linewidth=2.5, solid_capstyle="butt")
-        axes.text(right - length - 0.03 * scale.length_m, middle, f"force {scale.key_n:g} N", ha="right", va="center",
-                  color=BLUE)  # fmt: skip
+        keys = [(f"force {scale.key_n:g} N", scale.key_n * scale.metres_per_newton, BLUE)]
+        if self.footage.reference is not None:
+            text = f"asked for, mean {scale.mean_key_n:g} N"
+            keys.append((text, scale.mean_key_n * scale.metres_per_mean_newton, BLACK))
+        right = right - 0.06 * scale.length_m
+        for row, (text, length, colour) in enumerate(keys):
+            middle = top - (0.1 + 0.11 * row) * scale.length_m
+            axes.plot([right - length, right], [middle, middle], color=colour, linewidth=2.5, solid_capstyle="butt")
+            axes.text(right - length - 0.03 * scale.length_m, middle, text, ha="right", va="center", color=colour)
 
     def _draw_traces(self, panels: Sequence[Axes]) -> None:
         footage, time = self.footage, self._time
@@ -152,10 +153,10 @@ class Picture:
         angle.set(ylabel="angle [rad]", ylim=self.scale.angle)
         windows = time[WINDOW - 1 :]
         for index, axes in enumerate(forces):
+            if footage.reference is not None:
+                self._trace(axes, time, footage.reference[:, index], ORANGE, 1.6, "steps-pre")
             self._trace(axes, time, footage.reading.force[:, index], BLUE, 0.9)
             self._trace(axes, windows, footage.average[:, index], BLACK, 1.8)
-            if footage.reference is not None:
-                axes.axhline(footage.reference[index], color=ORANGE, linewidth=1.6, zorder=1.9)
             axes.set(ylabel=f"force {AXES[index]} [N]", ylim=self.scale.force)
         for axes in panels:
             axes.set_xlim(0, time[-1])

@@ -9,6 +9,9 @@ from softfin.viewing.footage import Footage
 LONGEST = 0.65
 """Length of the arrow of the greatest force, over that of the fin."""
 
+MEAN_LONGEST = 0.4
+"""The same of the greatest reference or mean force, which would be too short to see beside the peaks of a stroke."""
+
 TRAIL_TICKS = (5, 10, 15, 20, 25)
 """How long ago the faint shapes behind the fin were [10 ms]."""
 
@@ -21,6 +24,10 @@ class Scale(NamedTuple):
     metres_per_newton: float
     key_n: float
     """A round force for the key."""
+    metres_per_mean_newton: float
+    """Of the reference and the mean force."""
+    mean_key_n: float
+    """A round force for their key."""
     x: tuple[float, float]
     """Seen part of the tank [m]."""
     y: tuple[float, float]
@@ -36,12 +43,18 @@ def scale_of(footage: Footage) -> Scale:
     """So that fin and arrow stay in the picture at every tick."""
     length = float(np.linalg.norm(np.diff(footage.shape[0], axis=0), axis=1).sum())
     force = np.asarray(footage.reading.force, float)
-    asked = np.zeros((0, 2)) if footage.reference is None else np.array([footage.reference])
+    asked = np.zeros((0, 2)) if footage.reference is None else np.unique(footage.reference, axis=0)
+    means = np.concatenate([footage.average, asked])
     shown = np.concatenate([force, asked])
     # Half a newton at least, so that the noise of a fin at rest is not blown up.
     greatest = max(float(np.linalg.norm(shown, axis=1).max()), 0.5)
     metres_per_newton = LONGEST * length / greatest
-    seen = np.concatenate([footage.shape.reshape(-1, 2), shown * metres_per_newton, np.zeros((1, 2))])
+    metres_per_mean, greatest_mean = metres_per_newton, greatest
+    if footage.reference is not None:
+        greatest_mean = max(float(np.linalg.norm(means, axis=1).max()), 0.25)
+        metres_per_mean = max(MEAN_LONGEST * length / greatest_mean, metres_per_newton)
+    arrows = [force * metres_per_newton, means * metres_per_mean]
+    seen = np.concatenate([footage.shape.reshape(-1, 2), *arrows, np.zeros((1, 2))])
     margin = 0.12 * length
     low, high = seen.min(axis=0) - margin, seen.max(axis=0) + margin
     angles = np.concatenate([footage.reading.angle, footage.command.angle])
@@ -49,6 +62,8 @@ def scale_of(footage: Footage) -> Scale:
         length_m=length,
         metres_per_newton=metres_per_newton,
         key_n=_round_down(greatest / 2),
+        metres_per_mean_newton=metres_per_mean,
+        mean_key_n=_round_down(greatest_mean / 2),
         x=(float(low[0]), float(high[0])),
         y=(float(low[1]), float(high[1])),
         force=_padded(min(float(shown.min()), 0.0), max(float(shown.max()), 0.0)),

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 from pydantic import Field, field_validator
 
 from softfin.configuration import Configuration
@@ -16,6 +15,7 @@ from softfin.logs.excitation import ExcitationConfig, excite
 from softfin.plant import Plant
 from softfin.quantities import RATE_HZ, Command, Limits
 from softfin.randomness import key_of
+from softfin.tracking.signals import Recorded
 from softfin.viewing.beating import BeatConfig, beat
 from softfin.viewing.footage import Footage, film
 from softfin.viewing.page import write_page
@@ -46,6 +46,8 @@ class ViewConfig(Configuration):
     """Random commands, such as datasets are recorded under, in place of the beat."""
     excitation: ExcitationConfig = ExcitationConfig()
     """The random commands."""
+    then: tuple[Reference, ...] = ()
+    """References (x, y) [N] that a controller is asked for after its first, each for an equal part of the time."""
 
     @field_validator("frames_per_second")
     @classmethod
@@ -77,20 +79,35 @@ def check_out(path: Path, overwrite: bool) -> None:
 def footage_of(
     plant: Plant, config: ViewConfig, controller: Controller | None = None, reference: Reference | None = None
 ) -> Footage:
-    """The plant under the configuration's commands, or under those of a controller that holds a reference [N]."""
+    """The plant under the configuration's commands, or under those of a controller that holds a reference [N].
+
+    Raises CoverageError where the controller was not trained for one of those that follow.
+    """
     ticks = round(config.seconds * RATE_HZ)
     key = key_of(config.seed, "view/plant")
     limits = Limits(*plant.limits)
     if controller is not None and reference is not None:
+        for following in config.then:
+            controller.check(following)
         seconds = -(-ticks // RATE_HZ)
-        recording = experiment.run(controller, plant, jnp.asarray([reference], jnp.float32), seconds, key[None])
+        asked = _one_after_the_other((reference, *config.then), config.seconds).sample(seconds * RATE_HZ)
+        recording = experiment.run(controller, plant, asked[None], seconds, key[None])
         # The plant is pure: under the same commands and key it moves again as it did for the controller.
-        commands: Command = jax.tree.map(lambda x: x[0, 0, :ticks], recording.command)
-    elif config.random:
-        commands = excite(key_of(config.seed, "view/commands"), ticks, limits, config.excitation)
-    else:
-        commands = beat(config.beat, limits, ticks)
-    return film(plant, key, commands, reference)
+        held: Command = jax.tree.map(lambda x: x[0, 0, :ticks], recording.command)
+        return film(plant, key, held, asked[:ticks])
+    if config.then:
+        raise ConfigurationError("references one after the other, and no first one; give a controller and a reference")
+    commands = (
+        excite(key_of(config.seed, "view/commands"), ticks, limits, config.excitation)
+        if config.random
+        else beat(config.beat, limits, ticks)
+    )
+    return film(plant, key, commands)
+
+
+def _one_after_the_other(references: tuple[Reference, ...], seconds: float) -> Recorded:
+    parts = len(references)
+    return Recorded(time_s=tuple(seconds * part / parts for part in range(parts)), force_n=references)
 
 
 def draw(footage: Footage, out: Path, title: str, config: ViewConfig, report: Report) -> None:
@@ -111,7 +128,8 @@ def title_of(plant: str, config: ViewConfig, reference: Reference | None) -> str
     """In words: which fin, and what moves it."""
     where = "in the virtual tank" if plant == "tank" else f"in {Path(plant).name}"
     if reference is not None:
-        return f"A soft fin {where}, asked for ({reference[0]:g}, {reference[1]:g}) N".replace("-", "\N{MINUS SIGN}")
+        asked = ", then ".join(f"({x:g}, {y:g})" for x, y in (reference, *config.then))
+        return f"A soft fin {where}, asked for {asked} N".replace("-", "\N{MINUS SIGN}")
     if config.random:
         return f"A soft fin {where}, random commands"
     return f"A soft fin {where}, beating about {config.beat.centre_rad:g} rad".replace("-", "\N{MINUS SIGN}")

@@ -1,0 +1,36 @@
+"""``softfin map``: a plant in, the mean forces that its fin can make out."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from softfin import stages
+from softfin.cli.common import Configured, Out, progress
+from softfin.training.force_map import MapConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments(Configured):
+    """Find out which mean forces a fin can make in a plant, and the gaits that make them."""
+
+    plant: tyro.conf.Positional[str]
+    """Folder of a surrogate; any other plant serves too (tank, package.module:plant)."""
+    out: Out
+    """Folder to write map.json, the gaits and the figure to."""
+
+    def run(self) -> None:
+        """Map."""
+        config = self.configured(MapConfig())
+        with progress() as report:
+            summary = stages.map_forces(self.plant, Path(self.out), config, overwrite=self.overwrite, progress=report)
+        # Adding 0 turns -0.0 into 0.
+        (x0, y0), (x1, y1) = (tuple(round(x, 2) + 0.0 for x in corner) for corner in summary["box_n"])
+        lines = [
+            f"{self.out}: mean forces of x {x0:.2f} .. {x1:.2f} N and y {y0:.2f} .. {y1:.2f} N, "
+            f"{summary['area_n2']:.1f} N2 in all; {summary['held']} of the lattice's {summary['nodes']} forces have a "
+            f"gait that makes them to within {config.tolerance_n:g} N",
+            "the paper's references that this fin cannot make: "
+            + (", ".join(f"({x:g}, {y:g})" for x, y in summary["beyond"]) or "none"),
+        ]
+        self.tell(summary, "\n".join(lines))

@@ -1,0 +1,126 @@
+"""Reference forces from a file: a CSV or Parquet table with ``time_s``, ``force_x_n`` and ``force_y_n``; others unread.
+
+Each row is asked from its time on until the next one. Logs of softfin have these columns too.
+"""
+
+import csv
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from softfin.errors import ConfigurationError
+from softfin.tracking.signals import CLOCK_S, Recorded
+
+COLUMNS = {"time_s": ("s", "seconds"), "force_x_n": ("n", "newton"), "force_y_n": ("n", "newton")}
+"""What is read: the unit that the name ends in, and its word."""
+
+FACTORS = {"ms": "0.001", "us": "0.000001", "ns": "0.000000001", "min": "60", "kn": "1000", "mn": "0.001",
+           "lbf": "4.448222", "kgf": "9.80665", "gf": "0.00980665"}  # fmt: skip
+"""By the units that are met instead, in lower case: what makes seconds or newton of them."""
+
+Rows = list[tuple[str, tuple[float, ...]]]
+"""Where each row stands, in words, and its values in the order of `COLUMNS`."""
+
+
+def read_reference_file(path: Path) -> Recorded:
+    """The reference over time; raises ConfigurationError naming the line, what is wrong with it and the way out."""
+    if path.suffix not in (".csv", ".parquet"):
+        raise ConfigurationError(f"--reference-file {path}: neither .csv nor .parquet; write it as one of them")
+    rows = _read_csv(path) if path.suffix == ".csv" else _read_parquet(path)
+    if not rows:
+        raise ConfigurationError(f"--reference-file {path}: empty: no rows; give at least one, at time_s = 0")
+    _check(path, rows)
+    return Recorded(
+        time_s=tuple(values[0] for _, values in rows), force_n=tuple((values[1], values[2]) for _, values in rows)
+    )
+
+
+def _read_csv(path: Path) -> Rows:
+    rows: Rows = []
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            table = csv.reader(file)
+            header = [name.strip() for name in next(table, [])]
+            places = _places(path, header)
+            for fields in table:
+                if any(field.strip() for field in fields):
+                    where = f"line {table.line_num}"
+                    rows.append((where, tuple(_number(path, where, header, fields, place) for place in places)))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ConfigurationError(f"--reference-file {path}: cannot be read ({error}); give a CSV file") from None
+    return rows
+
+
+def _number(path: Path, where: str, header: list[str], fields: list[str], place: int) -> float:
+    text = fields[place].strip() if place < len(fields) else ""
+    try:
+        return float(text)
+    except ValueError:
+        raise ConfigurationError(
+            f"--reference-file {path}: {where}, column {header[place]}: {text!r} is no number; write one, or leave "
+            "the whole line out"
+        ) from None
+
+
+def _read_parquet(path: Path) -> Rows:
+    try:
+        header: list[str] = pq.read_schema(path).names
+        names = [header[place] for place in _places(path, header)]
+        table = pq.read_table(path, columns=names)
+        columns = [table.column(name).cast(pa.float64()).to_numpy() for name in names]
+    except (OSError, pa.ArrowException) as error:
+        reason = " ".join(str(error).split())
+        raise ConfigurationError(
+            f"--reference-file {path}: no Parquet table of numbers ({reason}); write it again"
+        ) from None
+    return [(f"row {k}", values) for k, values in enumerate(zip(*(c.tolist() for c in columns), strict=True))]
+
+
+def _places(path: Path, header: list[str]) -> list[int]:
+    """Where the columns stand; raises ConfigurationError for one that is missing, or given in another unit."""
+    if not any(header):
+        raise ConfigurationError(
+            f"--reference-file {path}: empty: no header; the first line must be {','.join(COLUMNS)}"
+        )
+    for name, (unit, word) in COLUMNS.items():
+        if header.count(name) == 1:
+            continue
+        if name in header:
+            raise ConfigurationError(f"--reference-file {path}: column {name} is there twice; take one of them out")
+        quantity = name.removesuffix(f"_{unit}")
+        other = next((met for met in header if met.lower() == quantity or met.lower().startswith(f"{quantity}_")), None)
+        if other is None:
+            raise ConfigurationError(
+                f"--reference-file {path}: no column {name} among {', '.join(header)}; it needs {','.join(COLUMNS)}"
+            )
+        factor = FACTORS.get(other.lower().removeprefix(f"{quantity}_"))
+        change = f"multiply it by {factor} and name it {name}" if factor else f"give it in {word} and name it {name}"
+        raise ConfigurationError(
+            f"--reference-file {path}: column {other} is not said to be in {word}, which is needed; {change}"
+        )
+    return [header.index(name) for name in COLUMNS]
+
+
+def _check(path: Path, rows: Rows) -> None:
+    for where, values in rows:
+        for name, value in zip(COLUMNS, values, strict=True):
+            if not np.isfinite(value):
+                raise ConfigurationError(
+                    f"--reference-file {path}: {where}, column {name}: {value:g} is no finite number; leave that row "
+                    "out, and the force before it is held"
+                )
+    first = rows[0][1][0]
+    if abs(first) > CLOCK_S:
+        raise ConfigurationError(
+            f"--reference-file {path}: {rows[0][0]}: time_s begins at {first:g}; begin at 0: subtract {first:g} from "
+            "all times, or add a row at 0"
+        )
+    for (_, before), (where, after) in pairwise(rows):
+        if after[0] <= before[0]:
+            raise ConfigurationError(
+                f"--reference-file {path}: {where}: time_s = {after[0]:g} after {before[0]:g}; times must grow: sort "
+                "the rows, one for each time"
+            )

@@ -1,0 +1,96 @@
+"""Gaits: six actions, again and again. What one does to a plant, and the families that a search begins with.
+
+Six actions on the 33/33/34 clock fill the window of the moving average exactly, so in the steady state a gait leaves no
+ripple in it. A gait here is actions ``(6, 2)`` in [-1, 1], (angle, velocity) over the plant's limits.
+"""
+
+from collections.abc import Sequence
+from itertools import product
+from typing import NamedTuple, TypeAlias
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from softfin.plant import CYCLE_ACTIONS, WINDOW, Plant, hold
+from softfin.quantities import AnyArray
+from softfin.tracking.reward import sobolev_mean
+from softfin.tracking.task import command_of
+
+Gait: TypeAlias = Float[AnyArray, "6 2"]
+
+WAVES: dict[str, Sequence[float]] = {
+    "two": (1, -1, 1, -1, 1, -1),
+    "three": (1, -1, -1, 1, -1, -1),
+    "six": (1, 0.5, -0.5, -1, -0.5, 0.5),
+}
+"""Angles of one gait about its centre, in units of its amplitude: strokes of 0.67 s, 1 s and 2 s."""
+
+CENTRES = np.linspace(-1, 1, 11)
+AMPLITUDES = np.linspace(0.05, 0.9, 7)
+VELOCITIES = (1.0, 0.3, -0.3)
+
+
+class Made(NamedTuple):
+    """What a gait does when it has gone on for a while."""
+
+    force: Float[Array, "2"]
+    """Mean over the last window [N]."""
+    smoothness: Float[Array, "2"]
+    """Its Sobolev term in the form `mean` [N]."""
+
+
+def made(plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray) -> Made:
+    """Of a gait that is repeated from rest; the last of `cycles` counts."""
+    return measured(steady(plant, gait, cycles, key))
+
+
+def steady(plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray) -> Float[Array, "ticks 2"]:
+    """Forces [N] of a gait that is repeated from rest."""
+    actions = jnp.tile(jnp.asarray(gait), (cycles, 1))
+    commands = jax.vmap(lambda action: command_of(plant.limits, action))(actions)
+    return jnp.asarray(hold(plant, plant.init(key), commands)[1].force)
+
+
+def measured(force: Float[Array, "ticks 2"]) -> Made:
+    """Of the last window of a force."""
+    last = force[-WINDOW:]
+    return Made(last.mean(axis=0), sobolev_mean(last, jnp.int32(WINDOW)))
+
+
+def compilable(plant: Plant) -> Plant:
+    """The plant as an argument of compiled programs, which are looked up by the hash of what is no array in it."""
+    try:
+        hash(eqx.filter(plant, eqx.is_array, inverse=True))
+    except TypeError:
+        return _Itself(plant)
+    return plant
+
+
+class _Itself:
+    """A plant that cannot be hashed, such as a dataclass of one's own: compared by being the same object."""
+
+    def __init__(self, plant: Plant) -> None:
+        self.limits, self.init, self.advance = plant.limits, plant.init, plant.advance
+
+
+class Family(NamedTuple):
+    """Gaits of one wave and one velocity, over all centres and amplitudes."""
+
+    wave: str
+    velocity: float
+    gaits: Float[np.ndarray, "members 6 2"]
+
+
+def families() -> list[Family]:
+    """All that a survey tries: within one family, neighbouring forces come from neighbouring gaits."""
+    found = []
+    for (name, wave), velocity in product(WAVES.items(), VELOCITIES):
+        angles = np.array([c + a * np.array(wave) for c, a in product(CENTRES, AMPLITUDES)])
+        angles = np.clip(angles, -1, 1)
+        gaits = np.stack([angles, np.full_like(angles, velocity)], axis=-1)
+        assert gaits.shape[1] == CYCLE_ACTIONS
+        found.append(Family(name, velocity, gaits.astype(np.float32)))
+    return found

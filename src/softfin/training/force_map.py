@@ -1,0 +1,98 @@
+"""The map of a fin: which mean forces it can make, at what Sobolev cost, and the gaits that make them."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import Field, PositiveFloat
+
+from softfin.configuration import Configuration
+from softfin.plant import Plant
+from softfin.tracking.reachable import Reachable
+from softfin.tracking.references import Cell
+from softfin.training.gaits import Found, GaitConfig, Lattice, find_gaits
+from softfin.training.survey import SurveyConfig, survey
+
+PARTS = 24
+"""Places along the ray to each corner at which the map is read."""
+
+
+class MapConfig(Configuration):
+    """How a map is made."""
+
+    box: Cell | None = None
+    """Forces that are mapped [N]; none: all that the survey made, rounded outwards to whole spacings."""
+    spacing_n: PositiveFloat = 0.5
+    """Between the nodes of the lattice [N], at most."""
+    tolerance_n: float = Field(default=0.1, gt=0)
+    """A force counts as reachable where gaits come this near to it [N]."""
+    survey: SurveyConfig = SurveyConfig()
+    """What is tried first."""
+    gaits: GaitConfig = GaitConfig()
+    """How the gaits of the lattice are found."""
+
+    def lattice(self, seen: Reachable) -> Lattice:
+        """Over the box, or over what was seen."""
+        if self.box is not None:
+            return Lattice.over(self.box, self.spacing_n)
+        low, high = (np.asarray(corner) / self.spacing_n for corner in seen.box())
+        low, high = np.floor(low) * self.spacing_n, np.ceil(high) * self.spacing_n
+        return Lattice.over(Cell(low=(float(low[0]), float(low[1])), high=(float(high[0]), float(high[1]))),
+                            self.spacing_n)  # fmt: skip
+
+
+class ForceMap(NamedTuple):
+    """What a fin can do."""
+
+    found: Found
+    reachable: Reachable
+
+
+def empty_map(lattice: Lattice, directions: int) -> ForceMap:
+    """Of the shape of a map, to read one into."""
+    nothing = np.zeros((*lattice.nodes, 2), np.float32)
+    return ForceMap(Found(lattice.table(), nothing, nothing), Reachable(np.zeros(2), np.zeros(directions)))
+
+
+def map_forces(plant: Plant, config: MapConfig, report: Callable[[float, str], None] | None = None) -> ForceMap:
+    """Survey a plant, find a gait for every node, and see how far they reach."""
+
+    def part(begin: float, end: float) -> Callable[[float, str], None] | None:
+        return None if report is None else lambda done, note: report(begin + (end - begin) * done, note)
+
+    seen = survey(plant, config.survey, part(0, 0.3))
+    found = find_gaits(plant, seen, config.lattice(seen.reachable), config.gaits, part(0.3, 1))
+    return ForceMap(found, reached(seen.reachable, found, config.tolerance_n))
+
+
+def reached(seen: Reachable, found: Found, tolerance_n: float) -> Reachable:
+    """What was seen, less what the gaits do not hold: each ray ends where the nodes round it miss by the tolerance.
+
+    A node beyond the fin's reach makes the nearest force that the fin can make, so what it misses by grows with the
+    distance to the edge, and between the nodes it may be interpolated. Beyond the lattice the survey's word is taken.
+    """
+    parts = np.linspace(0, 1, PARTS + 1)[1:, None, None]
+    forces = np.asarray(seen.centre) + parts * (seen.corners() - np.asarray(seen.centre))
+    missed = _interpolated(found, forces)
+    good = np.cumprod(missed <= tolerance_n, axis=0).sum(axis=0)
+    radius = np.asarray(seen.radius) * np.maximum(good, 1) / PARTS
+    return Reachable(np.asarray(seen.centre), np.asarray(radius, np.float32))
+
+
+def _interpolated(
+    found: Found, force: Float[np.ndarray, "parts directions 2"]
+) -> Float[np.ndarray, "parts directions"]:
+    """What the nodes miss by, bilinear; 0 beyond the lattice."""
+    missed, table = found.missed(), found.table
+    low, high = np.asarray(table.low), np.asarray(table.high)
+    last = np.array(missed.shape) - 1
+    place = (force - low) / np.where(high > low, high - low, 1) * last
+    beyond = ((force < low) | (force > high)).any(axis=-1)
+    corner = np.clip(np.floor(place).astype(int), 0, last - 1)
+    x, y = np.moveaxis(place - corner, -1, 0)
+    i, j = np.moveaxis(corner, -1, 0)
+    value = (missed[i, j] * (1 - x) * (1 - y) + missed[i + 1, j] * x * (1 - y)
+             + missed[i, j + 1] * (1 - x) * y + missed[i + 1, j + 1] * x * y)  # fmt: skip
+    within: Float[np.ndarray, "parts directions"] = np.where(beyond, 0, value)
+    return within

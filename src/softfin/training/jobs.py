@@ -1,0 +1,160 @@
+"""A training run as jobs that need not know of each other: a part of its seeds and cells each, on any engine.
+
+A job is a run of its own with its own checkpoints. What it ends with depends on its seeds and cells alone, so with the
+same split all engines give the same bits. Another split gives lanes of the same keys in programs of another width,
+which round differently.
+"""
+
+import copy
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, TypeAlias
+from uuid import uuid4
+
+import jax
+import jax.numpy as jnp
+
+from softfin.artifacts import write_file
+from softfin.checkpoint import Workspace
+from softfin.plant import Plant
+from softfin.quantities import Limits
+from softfin.training.engine import Engine, EngineName, LocalEngine, Progress
+from softfin.training.force_map import ForceMap
+from softfin.training.policy import Policy
+from softfin.training.score import Score
+from softfin.training.train import TrainConfig, Trained, check, mapped, train
+
+Split: TypeAlias = Literal["none", "seed", "cell"]
+"""All lanes in one job; one for every seed; one for every cell of every seed."""
+
+TOKEN = "here"
+"""File by which a worker tells whether it sees the folder that it was told of, and not one of the same name."""
+
+
+class Job(NamedTuple):
+    """A part of a run."""
+
+    config: TrainConfig
+    """Of the whole run, less the cells that are not the job's."""
+    seeds: tuple[int, ...]
+
+
+class Finished(NamedTuple):
+    """What a job sends back."""
+
+    policies: Policy
+    """As in `Trained`, of the job's lanes."""
+    score: Score
+    files: Mapping[str, bytes]
+    """Of a workspace that is not the driver's own: its checkpoint and logs."""
+
+
+def default_split(engine: EngineName, seeds: Sequence[int]) -> Split:
+    """One program is fastest on one machine; on many, the whole of a seed goes to one as long as there are several."""
+    if engine == "local":
+        return "none"
+    return "seed" if len(seeds) > 1 else "cell"
+
+
+def jobs_of(config: TrainConfig, seeds: Sequence[int], split: Split) -> dict[str, Job]:
+    """By name, seeds before cells."""
+    if split == "none":
+        return {"all": Job(config, tuple(seeds))}
+    if split == "seed":
+        return {f"seed-{seed}": Job(config, (seed,)) for seed in seeds}
+    return {
+        f"seed-{seed}-cell-{i}": Job(config.model_copy(update={"cells": (cell,)}), (seed,))
+        for seed in seeds
+        for i, cell in enumerate(config.cells)
+    }
+
+
+def train_jobs(
+    plant: Plant,
+    config: TrainConfig,
+    seeds: Sequence[int],
+    workspace: Workspace,
+    progress: Progress | None = None,
+    *,
+    engine: Engine | None = None,
+    split: Split = "none",
+) -> Trained:
+    """As `train`, in jobs on an engine; the fin is mapped once for all of them.
+
+    Raises:
+        ConfigurationError: the budget is smaller than one rollout, or a seed comes twice.
+        RunError: a job failed; the last good checkpoints of all are left in the workspace.
+    """
+    check(config, seeds)
+    known = mapped(plant, config, workspace, progress)
+    jobs, token = jobs_of(config, seeds, split), uuid4().hex
+    placed = {}
+    for name, job in jobs.items():
+        folder = workspace if split == "none" else workspace.part(name)
+        write_file(folder.folder / TOKEN, token)
+        placed[name] = _Placed(job, folder, token)
+    stage = f"train {config.controller}"
+    done = (engine or LocalEngine()).map(stage, _Training(plant, known), placed, progress)
+    for place, finished in zip(placed.values(), done, strict=True):
+        for file, data in finished.files.items():
+            write_file(place.workspace.folder / file, data)
+    policies, score = _together([(part.policies, part.score) for part in done], len(seeds) if split != "none" else 1)
+    return Trained(config, Limits(*map(float, plant.limits)), tuple(seeds), policies, score, known)
+
+
+class _Placed(NamedTuple):
+    """A job, and where its unfinished work lies."""
+
+    job: Job
+    workspace: Workspace
+    token: str
+
+
+@dataclass(frozen=True)
+class _Training:
+    """What is done to a job; the plant travels as arrays and the name of its class."""
+
+    plant: Plant
+    known: ForceMap | None
+
+    def __call__(self, placed: _Placed, progress: Progress | None) -> Finished:
+        """Train, from the last checkpoint where this machine sees it."""
+
+        def trained(workspace: Workspace) -> Trained:
+            return train(self.plant, placed.job.config, placed.job.seeds, workspace, progress, known=self.known)
+
+        if _sees(placed.workspace.folder, placed.token):
+            ended = trained(placed.workspace)
+            return Finished(ended.policies, ended.score, {})
+        return _elsewhere(placed.workspace, trained)
+
+
+def _sees(folder: Path, token: str) -> bool:
+    try:
+        return (folder / TOKEN).read_text() == token
+    except OSError:
+        return False
+
+
+def _elsewhere(workspace: Workspace, trained: Callable[[Workspace], Trained]) -> Finished:
+    """In a folder that is this machine's own; what it holds in the end goes home with the result."""
+    folder = Path(tempfile.mkdtemp(prefix="softfin-"))
+    own = copy.copy(workspace)
+    own.folder = folder
+    try:
+        ended = trained(own)
+        files = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+        return Finished(ended.policies, ended.score, files)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _together(parts: Sequence[Any], rows: int) -> Any:
+    """Trees of leaves ``(seeds, cells, ...)``, put together by `rows` of seeds."""
+    cells = len(parts) // rows
+    across = [jax.tree.map(lambda *x: jnp.concatenate(x, axis=1), *parts[i * cells : (i + 1) * cells])
+              for i in range(rows)]  # fmt: skip
+    return jax.tree.map(lambda *x: jnp.concatenate(x, axis=0), *across)

@@ -1,0 +1,131 @@
+"""What can this fin do? Many gaits are tried in a plant, and the edge of what they make is pushed outwards.
+
+A plant goes in, a Survey of gaits and their mean forces and the region of reachable mean forces come out.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from pydantic import Field, PositiveInt
+
+from softfin.configuration import Configuration
+from softfin.plant import Plant
+from softfin.randomness import key_of
+from softfin.tracking.reachable import Reachable, directions
+from softfin.training.beat import Family, Gait, Made, compilable, families, made
+
+LEAST_ACTION = 0.97
+"""Actions are moved through atanh, which has no value at 1."""
+
+
+class SurveyConfig(Configuration):
+    """How the reachable forces are searched for."""
+
+    cycles: int = Field(default=3, ge=2)
+    """Windows that a gait is repeated for from rest; the last one counts."""
+    batch: PositiveInt = 128
+    """Gaits that are tried side by side."""
+    directions: int = Field(default=32, ge=8)
+    """Corners of the region."""
+    pushes: int = Field(default=12, ge=0)
+    """Gradient steps by which each corner is pushed outwards; 0 keeps the farthest of the tried ones."""
+
+
+class Survey(NamedTuple):
+    """What was tried and what it made."""
+
+    families: list[Family]
+    force: Float[np.ndarray, "families members 2"]
+    """Mean over a window [N]."""
+    smoothness: Float[np.ndarray, "families members 2"]
+    """Sobolev term in the form `mean` [N]."""
+    reachable: Reachable
+    edge: Float[np.ndarray, "directions 6 2"]
+    """Gaits that make the corners."""
+
+
+def survey(
+    plant: Plant, config: SurveyConfig | None = None, report: Callable[[float, str], None] | None = None
+) -> Survey:
+    """Try all families on a plant and find the edge of what it can do."""
+    config, plant = config or SurveyConfig(), compilable(plant)
+    tried = families()
+    gaits = np.concatenate([family.gaits for family in tried])
+    forces, smoothness = [], []
+    for start in range(0, len(gaits), config.batch):
+        part = gaits[start : start + config.batch]
+        padded = np.concatenate([part, np.repeat(part[-1:], config.batch - len(part), axis=0)])
+        got = _made(plant, jnp.asarray(padded), config.cycles)
+        forces.append(np.asarray(got.force)[: len(part)])
+        smoothness.append(np.asarray(got.smoothness)[: len(part)])
+        if report is not None:
+            report(0.8 * (start + len(part)) / len(gaits), f"{start + len(part)} of {len(gaits)} gaits")
+    force = np.concatenate(forces)
+    reachable, edge = _pushed(plant, gaits, force, config)
+    shape = len(tried), len(tried[0].gaits), 2
+    if report is not None:
+        report(1.0, "")
+    return Survey(tried, force.reshape(shape), np.concatenate(smoothness).reshape(shape), reachable, edge)
+
+
+def _pushed(
+    plant: Plant, gaits: Float[np.ndarray, "n 6 2"], force: Float[np.ndarray, "n 2"], config: SurveyConfig
+) -> tuple[Reachable, Float[np.ndarray, "directions 6 2"]]:
+    """The farthest gait in each direction, pushed on; directions are seen from the middle of what was made."""
+    centre = (force.min(axis=0) + force.max(axis=0)) / 2
+    outward = directions(config.directions)
+    offset = force - centre
+    along = offset @ outward.T
+    aside = np.abs(offset[:, :1] * outward[:, 1] - offset[:, 1:] * outward[:, 0])
+    start = gaits[np.argmax(along - ASIDE * aside, axis=0)]
+    pushed, made_there = _push(plant, jnp.asarray(start), jnp.asarray(centre), config)
+    everything = np.concatenate([force, np.asarray(made_there).reshape(-1, 2)])
+    return Reachable(centre.astype(np.float32), _radius(everything - centre, outward)), np.asarray(pushed)
+
+
+ASIDE = 2.0
+"""A newton beside the direction costs as much as this many along it."""
+
+
+def _radius(offset: Float[np.ndarray, "n 2"], outward: Float[np.ndarray, "directions 2"]) -> Float[np.ndarray, "d"]:
+    """How far the made forces go in each direction: the greatest circle-free estimate, a sector wide."""
+    half = np.cos(np.pi / len(outward))
+    length = np.linalg.norm(offset, axis=1)
+    inside = (offset @ outward.T) >= half * length[:, None]
+    along = np.where(inside, offset @ outward.T, 0)
+    return np.asarray(along.max(axis=0), np.float32)
+
+
+@eqx.filter_jit
+def _made(plant: Plant, gaits: Float[Array, "n 6 2"], cycles: int) -> Made:
+    return jax.vmap(lambda gait: made(plant, gait, cycles, key_of(0, "survey")))(gaits)
+
+
+@eqx.filter_jit
+def _push(
+    plant: Plant, gaits: Float[Array, "d 6 2"], centre: Float[Array, "2"], config: SurveyConfig
+) -> tuple[Float[Array, "d 6 2"], Float[Array, "pushes d 2"]]:
+    """Gradient ascent of the distance along each direction, in the atanh of the actions, by steps of a fixed length."""
+    outward = jnp.asarray(directions(config.directions))
+
+    def reach(raw: Gait, way: Float[Array, "2"]) -> tuple[Float[Array, ""], Float[Array, "2"]]:
+        force = made(plant, jnp.tanh(raw), config.cycles, key_of(0, "survey")).force
+        offset = force - centre
+        aside = jnp.abs(offset[0] * way[1] - offset[1] * way[0])
+        return offset @ way - ASIDE * aside, force
+
+    def step(raw: Float[Array, "d 6 2"], part: Float[Array, ""]) -> tuple[Array, Array]:
+        slope, force = jax.vmap(jax.grad(reach, has_aux=True))(raw, outward)
+        length = jnp.sqrt((slope**2).sum(axis=(1, 2), keepdims=True))
+        return raw + 0.5 * part * slope / (length + 1e-6), force
+
+    raw = jnp.arctanh(jnp.clip(gaits, -LEAST_ACTION, LEAST_ACTION))
+    raw, force = jax.lax.scan(step, raw, jnp.linspace(1.0, 0.2, config.pushes))
+    last = jax.vmap(partial(made, plant, cycles=config.cycles, key=key_of(0, "survey")))(jnp.tanh(raw)).force
+    return jnp.tanh(raw), jnp.concatenate([force, last[None]])

@@ -1,0 +1,59 @@
+import json
+
+import pytest
+
+from softfin.cli import main
+from softfin.quantities import PAPER_LIMITS
+from tests.evaluation.test_moving import Covering
+
+QUICK = ("--plant", "tests.plants:AnalyticFin", "--seconds", "3", "--seeds", "1", "--reference=1,1")
+
+
+class Loaded(Covering):
+    limits = PAPER_LIMITS
+
+
+@pytest.fixture
+def controller(monkeypatch):
+    monkeypatch.setattr("softfin.stages.load_controller", lambda path: Loaded())
+    monkeypatch.setattr("softfin.stages.kind_of", lambda path: "single")
+    return "controller"
+
+
+def test_a_reference_file_and_a_map_go_into_table_and_folder(controller, capsys, tmp_path):
+    file = tmp_path / "reference.csv"
+    file.write_text("time_s,force_x_n,force_y_n\n0,1,-1\n3,2,0\n")
+    out = tmp_path / "out"
+    options = ("--reference-file", str(file), "--error-map", "--set", "error_map=3", "--moving", "sine")
+    main(["evaluate", controller, *QUICK, "--out", str(out), *options])
+    text = capsys.readouterr().out
+    assert "references that move" in text
+    assert [line.split()[-1] for line in text.splitlines() if " recorded, 2 rows over 3 s " in line] == ["never"]
+    assert sum("sine about" in line for line in text.splitlines()) == 2
+    assert "error map, 3 x 3 references over x 0.5 .. 3.5, y -1.5 .. 1.5 N, 3 not covered: mean " in text
+    written = json.loads((out / "evaluation.json").read_text())
+    assert [row["kind"] for row in written["moving"]] == ["sine", "sine", "recorded"]
+
+
+def test_seven_by_seven_references_make_the_map_where_nothing_else_is_asked(controller, capsys, tmp_path):
+    main(["evaluate", controller, *QUICK, "--out", str(tmp_path / "out"), "--error-map", "--json"])
+    assert json.loads(capsys.readouterr().out)["error_map"]["points"] == 7
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        ("time_s,force_x_n,force_y_n\n0,1,nan\n", "line 2, column force_y_n: nan is no finite number"),
+        ("time_s,force_x_kn,force_y_n\n0,1,1\n", "column force_x_kn is not said to be in newton"),
+        ("time_s,force_x_n,force_y_n\n0,9,1\n", "reference (9.0, 1.0): not covered"),
+    ],
+)
+def test_a_wrong_reference_file_is_one_line_and_leaves_nothing(controller, capsys, tmp_path, rows, words):
+    file = tmp_path / "reference.csv"
+    file.write_text(rows)
+    with pytest.raises(SystemExit) as stop:
+        main(["evaluate", controller, *QUICK, "--out", str(tmp_path / "out"), "--reference-file", str(file)])
+    (line,) = capsys.readouterr().err.splitlines()
+    assert words in line
+    assert stop.value.code == 2
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,184 @@
+"""Switching between the policies of a grid: when it happens, and that it is not felt where little has changed."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from softfin.control.controller import Controller, Measured
+from softfin.control.grid import GridController, GridState, SwitchingConfig
+from softfin.plant import CYCLE_ACTIONS
+from softfin.quantities import PAPER_LIMITS
+from softfin.tracking.cells import lattice
+from softfin.tracking.references import Cell
+from softfin.tracking.task import TaskConfig
+from softfin.training.policy import Policy, PolicyConfig
+
+TASK = TaskConfig(phase=True)
+SIZE = PolicyConfig(units=8, width=8)
+TWO = lattice(2, 1, Cell(low=(0, -1), high=(2, 1)))
+"""The border is at x = 1 N."""
+HAIR = 0.005
+COLD = SwitchingConfig(margin_n=0, fade_actions=0, replay=False)
+AT_ONCE = SwitchingConfig(margin_n=0)
+FADELESS = SwitchingConfig(margin_n=0, fade_actions=0)
+SETTLED = 36
+
+
+def policies(cells: int, apart: float) -> Policy:
+    """Random policies that beat with the clock and forget within a cycle; `apart` is how much neighbours differ."""
+
+    def random(key: Any) -> Policy:
+        policy: Policy = Policy.create(key, SIZE, TASK.observations)
+        return policy
+
+    mean, *own = (random(key) for key in jax.random.split(jax.random.key(2), cells + 1))
+    mixed: Policy = jax.tree.map(lambda m, *x: m + apart * jnp.stack(x), mean, *own)
+    net = mixed.net
+    forgetful: Policy = eqx.tree_at(
+        lambda policy: (policy.net.lstm.recurrent, policy.net.lstm.bias, policy.net.output.kernel),
+        mixed,
+        (0.5 * net.lstm.recurrent, 0 * net.lstm.bias, 150 * net.output.kernel),
+    )
+    return forgetful
+
+
+def grid(switching: SwitchingConfig, apart: float = 0.1, cells: tuple[Cell, ...] = TWO) -> GridController:
+    return GridController(policies(len(cells), apart), TASK, PAPER_LIMITS, cells, None, switching)
+
+
+@eqx.filter_jit
+def act(controller: GridController, state: Any, angle: Array, reference: Array) -> Any:
+    state, command = controller.act(state, Measured(angle, jnp.zeros(2)), reference)
+    return state, jnp.stack(command)
+
+
+def play(controller: GridController, x: list[float]) -> tuple[Float[np.ndarray, "actions 2"], list[GridState]]:
+    """Commands for references (x, 0) N, the shaft where the last command sent it; and the states behind them."""
+    state, angle, commands, states = controller.init(), jnp.float32(0), [], []
+    for asked in x:
+        state, command = act(controller, state, angle, jnp.array([asked, 0], jnp.float32))
+        angle = command[0]
+        commands.append(np.asarray(command))
+        states.append(state)
+    return np.stack(commands), states
+
+
+def cells_of(states: list[GridState]) -> list[int]:
+    return [int(state.cell) for state in states]
+
+
+def crossing(switching: SwitchingConfig, apart: float) -> Float[np.ndarray, "actions"]:
+    """How far the commanded angle is from what it is without a switch, from the crossing of the border on [rad]."""
+    stay, cross = [1 - HAIR] * (SETTLED + 12), [1 - HAIR] * SETTLED + [1 + HAIR] * 12
+    (quiet, _), (crossed, states) = play(grid(switching, apart), stay), play(grid(switching, apart), cross)
+    assert cells_of(states[SETTLED - 1 : SETTLED + 1]) == [0, 1]
+    return np.asarray(np.abs(crossed - quiet)[SETTLED:, 0])
+
+
+def test_the_state_is_arrays_alone() -> None:
+    controller = grid(SwitchingConfig())
+    assert isinstance(controller, Controller)
+    assert all(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(controller.init()))
+
+
+def test_the_policies_here_beat_with_the_clock() -> None:
+    angle = play(grid(COLD), [1 - HAIR] * (SETTLED + 12))[0][-12:, 0]
+    assert np.ptp(angle) > 0.3
+    np.testing.assert_allclose(angle[:6], angle[6:], atol=0.02)
+
+
+def test_crossing_a_border_by_a_hair_is_not_felt_in_the_command_though_the_policies_differ() -> None:
+    assert crossing(COLD, 0.1)[0] > 0.2
+    assert crossing(AT_ONCE, 0.1)[0] < 0.02
+
+
+def test_the_new_policy_comes_in_by_a_sixth_an_action() -> None:
+    faded, gap = crossing(AT_ONCE, 0.1), crossing(FADELESS, 0.1).max()
+    assert gap > 0.1
+    assert (faded[:CYCLE_ACTIONS] < 0.01 + gap * np.arange(CYCLE_ACTIONS) / CYCLE_ACTIONS).all()
+    assert faded[CYCLE_ACTIONS:].max() > 0.1
+
+
+def test_between_policies_that_are_the_same_a_switch_does_nothing() -> None:
+    assert crossing(COLD, 0.0)[0] > 0.1
+    assert crossing(FADELESS, 0.0).max() < 0.02
+
+
+def test_in_the_first_cycle_the_new_policy_remembers_all_as_if_it_had_been_in_charge() -> None:
+    near, far = 1 - 1e-5, 1 + 1e-5
+    for before in (1, 3, CYCLE_ACTIONS):
+        switched, stayed = (play(grid(FADELESS, 0.0), [near] * before + [last])[1][-1] for last in (far, near))
+        assert (int(switched.cell), int(stayed.cell)) == (1, 0)
+        np.testing.assert_allclose(switched.memory.cell, stayed.memory.cell, atol=1e-4)
+        np.testing.assert_allclose(switched.actions, stayed.actions, atol=1e-3)
+
+
+def test_the_policy_in_charge_stays_a_little_beyond_its_cell() -> None:
+    wander = [0.95, 1.05, 1.09, 0.99, 1.08]
+    assert cells_of(play(grid(SwitchingConfig()), wander)[1]) == [0] * 5
+    assert cells_of(play(grid(AT_ONCE), wander)[1]) == [0, 1, 1, 0, 1]
+    assert cells_of(play(grid(SwitchingConfig()), [0.95, 1.11, 0.95, 0.91, 0.89])[1]) == [0, 1, 1, 1, 0]
+
+
+def test_the_first_action_is_that_of_the_references_own_cell() -> None:
+    assert cells_of(play(grid(SwitchingConfig()), [1.05])[1]) == [1]
+
+
+def test_in_a_gap_the_cell_that_is_nearer_by_more_than_the_margin_is_in_charge() -> None:
+    apart = (Cell(low=(0, -1), high=(1, 1)), Cell(low=(2, -1), high=(3, 1)))
+    states = play(grid(SwitchingConfig(), cells=apart), [0.5, 1.5, 1.54, 1.56, 1.5, 9.0])[1]
+    assert cells_of(states) == [0, 0, 0, 1, 1, 1]
+
+
+def test_after_a_step_the_new_policy_is_alone_at_once() -> None:
+    x = [0.5] * SETTLED + [1.5] * 3
+    stepped, states = play(grid(SwitchingConfig()), x)
+    alone = play(grid(SwitchingConfig(fade_actions=0)), x)[0]
+    np.testing.assert_allclose(stepped, alone, atol=1e-5)
+    assert cells_of(states[-3:]) == [1, 1, 1]
+
+
+def test_a_step_ends_a_fade_that_has_begun() -> None:
+    states = play(grid(AT_ONCE), [1 - HAIR] * SETTLED + [1 + HAIR] * 2 + [1.9] * 2)[1]
+    np.testing.assert_allclose([state.share for state in states[-4:]], [5 / 6, 4 / 6, 0, 0], atol=0.03)
+
+
+def test_commands_stay_within_the_limits_during_a_fade() -> None:
+    controller = grid(AT_ONCE, 0.5)
+    commands = play(controller, ([1 - HAIR] * 7 + [1 + HAIR] * 7) * 2)[0]
+    low, high = PAPER_LIMITS[::2], PAPER_LIMITS[1::2]
+    assert (commands >= np.asarray(low)).all()
+    assert (commands <= np.asarray(high)).all()
+
+
+def test_many_references_at_once_are_as_each_alone() -> None:
+    controller = grid(AT_ONCE)
+    rows = [[1 - HAIR] * 7 + [1 + HAIR, 1 + HAIR], [0.5] * 9]
+    states = jax.tree.map(lambda x: jnp.stack([x, x]), controller.init())
+    side_by_side = jax.jit(lambda *now: jax.vmap(lambda *one: controller.act(*one))(*now))
+    together = []
+    for now in zip(*rows, strict=True):
+        references = jnp.array([[x, 0] for x in now], jnp.float32)
+        states, command = side_by_side(states, Measured(jnp.zeros(2), jnp.zeros((2, 2))), references)
+        together.append(np.stack(command, axis=-1))
+    for index, row in enumerate(rows):
+        state = controller.init()
+        for x, expected in zip(row, together, strict=True):
+            state, command = act(controller, state, jnp.float32(0), jnp.array([x, 0], jnp.float32))
+            np.testing.assert_allclose(command, expected[index], atol=1e-5)
+
+
+def test_an_action_costs_the_same_for_any_number_of_cells() -> None:
+    def operations(columns: int) -> float:
+        cells = lattice(columns, columns, Cell(low=(0, -1), high=(2, 1)))
+        controller = grid(SwitchingConfig(), cells=cells)
+        measured = Measured(jnp.float32(0), jnp.zeros(2))
+        asked = jax.jit(lambda *now: controller.act(*now)).lower(controller.init(), measured, jnp.zeros(2))
+        cost: Any = asked.compile().cost_analysis()
+        return float(cost["flops"])
+
+    assert operations(8) < 1.3 * operations(2)

@@ -1,0 +1,71 @@
+import jax
+import numpy as np
+import pytest
+
+from softfin.errors import CoverageError
+from softfin.evaluation.evaluate import EvaluateConfig, evaluate
+from softfin.evaluation.forceplane import error_map, error_map_figure, map_range
+from softfin.tracking.reachable import Reachable
+from softfin.tracking.references import PAPER_CELLS, Cell
+from tests.evaluation.test_moving import Covering
+from tests.plants import AnalyticFin
+
+KEY = jax.random.key(0)
+
+
+@pytest.fixture(scope="module")
+def errors():
+    return map_range(Covering(), AnalyticFin(), 6, 3, KEY)
+
+
+def test_the_lattice_is_laid_over_the_range_and_leaves_out_what_is_not_covered(errors):
+    # Six of the nine squares of 1 N are covered, each with four of the 36 references.
+    assert errors.references.shape == errors.error.shape == (24, 2)
+    assert errors.described()["not_covered"] == 12
+    np.testing.assert_allclose(errors.references[0], [0.75, -1.25])
+    assert errors.described()["low_n"] == [0.5, -1.5]
+
+
+def test_each_error_is_that_of_its_reference_alone(errors):
+    config = EvaluateConfig(references=(tuple(errors.references[7].tolist()),), seconds=3)
+    alone = evaluate(Covering(), AnalyticFin(noise_n=0), config)
+    quiet = error_map(Covering(), AnalyticFin(noise_n=0), errors.references, 3, KEY)
+    np.testing.assert_allclose(quiet[7], alone.scores.error[0, 0], atol=1e-5)
+
+
+def test_tiles_and_numbers_stand_at_their_references(errors):
+    left, right = error_map_figure(errors).get_axes()[:2]
+    for index, axes in enumerate((left, right)):
+        (image,) = axes.get_images()
+        x0, x1, y0, y1 = image.get_extent()
+        for text, error in zip(axes.texts, errors.error[:, index], strict=True):
+            x, y = text.get_position()
+            column, row = int((x - x0) / (x1 - x0) * 6), int((y - y0) / (y1 - y0) * 6)
+            assert image.get_array()[row, column] == pytest.approx(error)
+            assert text.get_text() == f"{error:.2f}"
+        assert np.ma.count_masked(np.ma.masked_invalid(image.get_array())) == 12
+    assert left.get_images()[0].get_clim() == right.get_images()[0].get_clim()
+
+
+def test_the_papers_references_are_marked_and_reachable_forces_outlined(errors):
+    corners = np.array([[0.0, -1.0], [3.0, -1.0], [3.0, 1.0]])
+    marks, outline = error_map_figure(errors._replace(reachable=corners)).get_axes()[0].get_lines()
+    assert set(zip(*marks.get_data(), strict=True)) == {cell.centre for cell in PAPER_CELLS}
+    np.testing.assert_array_equal(outline.get_xydata(), [*corners, corners[0]])
+    assert len(error_map_figure(errors).get_axes()[0].get_lines()) == 1
+
+
+def test_the_map_takes_the_reachable_forces_from_the_controller():
+    class Knowing(Covering):
+        reachable: Reachable = Reachable(np.float32([2, 0]), np.full(8, 1.2, np.float32))
+
+    errors = map_range(Knowing(), AnalyticFin(), 2, 3, KEY)
+    np.testing.assert_allclose(errors.reachable[[0, 2]], [[3.2, 0], [2, 1.2]], atol=1e-6)
+
+
+def test_a_range_without_area_has_no_map():
+    class Single(Covering):
+        cells: tuple[Cell, ...] = (Cell(low=(1, 0), high=(2, 0)),)
+
+    with pytest.raises(CoverageError, match="range has no area; train it for a wider cell"):
+        map_range(Single(), AnalyticFin(), 6, 3, KEY)

@@ -1,0 +1,133 @@
+import json
+
+import jax
+import numpy as np
+import pytest
+
+from softfin.control.controller import Controller
+from softfin.errors import CoverageError, PlantError
+from softfin.evaluation.coverage import bounds, covers
+from softfin.evaluation.evaluate import EvaluateConfig, evaluate, write_evaluation
+from softfin.evaluation.figures import moving_figure
+from softfin.evaluation.moving import SIGNALS, Plan, follow, planned, signals_of
+from softfin.quantities import Command
+from softfin.tracking.reachable import Reachable
+from softfin.tracking.references import PAPER_CELLS, PAPER_RANGE, Cell
+from softfin.tracking.signals import Hold, Recorded, Step
+from tests.evaluation.test_evaluate import Exploding, Untouched
+from tests.plants import AnalyticFin, Flapper
+
+KEYS = jax.random.split(jax.random.key(0), 2)
+STEP = Step(start_n=(1, 0), to_n=(2, 0), at_s=3)
+
+
+class Covering(Flapper):
+    """Covers some cells, and turns to an angle that tells the reference."""
+
+    cells: tuple[Cell, ...] = PAPER_CELLS
+
+    def act(self, state, measured, reference):
+        return state, Command(0.1 * reference[0], 3.0 + 0.1 * reference[1])
+
+    def check(self, reference):
+        if min(cell.distance(reference) for cell in self.cells) > 0:
+            raise CoverageError(f"reference {reference}: not covered")
+
+
+@pytest.fixture(scope="module")
+def moving():
+    return follow(Covering(), AnalyticFin(), Plan((STEP, Hold(force_n=(2, 1))), 6), KEYS)
+
+
+def test_the_controller_sees_the_reference_when_it_acts(moving):
+    np.testing.assert_allclose(moving.recording.command.angle[0, 0], 0.1 * STEP.sample(600)[:, 0], rtol=1e-6)
+
+
+def test_a_step_between_two_actions_is_seen_at_the_second():
+    between = STEP.model_copy(update={"at_s": 3.1})
+    recording = follow(Covering(), AnalyticFin(), Plan((between,), 6), KEYS).recording
+    np.testing.assert_allclose(recording.command.angle[0, 0, [310, 332, 333, 599]], [0.1, 0.1, 0.2, 0.2], rtol=1e-6)
+
+
+def test_every_signal_has_errors_and_the_answers_to_its_steps(moving):
+    step, hold = moving.described()
+    assert (step["kind"], step["signal"]["at_s"], step["duration_s"]) == ("step", 3.0, 6.0)
+    assert len(step["steps"]) == 1
+    assert len(step["steps"][0]) == 2
+    assert (step["settles"], step["longest_settling_s"]) == (False, None)
+    assert step["x"]["error_n"] == pytest.approx(moving.error[0, :, 0].mean())
+    assert (hold["steps"], hold["settles"]) == ([], None)
+    # A reference that stays is tracked alike by both measures.
+    assert hold["y"]["error_n"] == pytest.approx(hold["y"]["instantaneous_error_n"])
+    json.dumps(moving.described(), allow_nan=False)
+
+
+def test_the_default_signals_lie_within_the_papers_range_and_its_cells():
+    for kind in SIGNALS:
+        assert planned(Covering(), [kind], None)[0].signals == signals_of(kind, PAPER_RANGE)
+    assert signals_of("step", PAPER_RANGE)[0] == Step(start_n=(2, 0), to_n=(3, 0))
+
+
+def test_the_default_signals_keep_to_another_range():
+    class Weak(Covering):
+        cells: tuple[Cell, ...] = (Cell(low=(0.1, -0.2), high=(0.5, 0.3)),)
+
+    for plan in planned(Weak(), SIGNALS, None):
+        series = np.concatenate([signal.sample(plan.seconds * 100) for signal in plan.signals])
+        assert series.min(axis=0).tolist() > [0.1, -0.2]
+        assert series.max(axis=0).tolist() < [0.5, 0.3]
+
+
+def test_default_signals_beyond_the_fins_reach_are_brought_to_its_edge():
+    reachable = Reachable(np.float32([2, 0]), np.full(64, 0.5, np.float32))
+    small, both, *_ = signals_of("step", PAPER_RANGE, reachable)
+    np.testing.assert_allclose([small.start_n, small.to_n], [[2, 0], [2.5, 0]], atol=1e-3)
+    np.testing.assert_allclose(both.start_n, [2 - 0.5**1.5, -(0.5**1.5)], atol=2e-3)
+
+
+def test_a_controller_without_cells_has_the_papers_range():
+    assert isinstance(Flapper(), Controller)
+    assert bounds(Flapper()) == bounds(Covering()) == PAPER_RANGE
+    assert covers(Covering(), (2, 1))
+    assert not covers(Covering(), (1, 0))
+
+
+def test_a_recorded_reference_outside_the_range_is_refused_before_anything_runs():
+    recorded = Recorded(time_s=(0, 4), force_n=((1, 1), (1, 0)))
+    with pytest.raises(CoverageError, match=r"\(1\.0, 0\.0\): not covered"):
+        evaluate(Covering(), Untouched(), EvaluateConfig(recorded=recorded))
+
+
+def test_a_plant_that_gives_no_finite_force_is_named_with_the_reference_of_the_moment():
+    early = STEP.model_copy(update={"at_s": 1})
+    with pytest.raises(PlantError, match=r"reference \(2, 0\) N, seed 0, 2\.01 s: force or angle is no finite number"):
+        follow(Covering(), Exploding(), Plan((early,), 3), KEYS)
+
+
+def test_the_evaluation_holds_what_moves_and_the_map_and_their_figures(tmp_path):
+    recorded = Recorded(time_s=(0, 3), force_n=((1, 1), (2, 0)))
+    config = EvaluateConfig(references=((1, 1),), seconds=3, seeds=2, moving=("step",), recorded=recorded, error_map=4)
+    summary = write_evaluation(evaluate(Covering(), AnalyticFin(), config), tmp_path / "out")
+    assert json.loads((tmp_path / "out" / "evaluation.json").read_text()) == summary
+    assert [row["kind"] for row in summary["moving"]] == ["step"] * 4 + ["recorded"]
+    assert summary["moving"][-1]["duration_s"] == 6
+    assert summary["error_map"]["not_covered"] == 4
+    names = {f"{name}.{kind}" for name in ("experiments", "moving", "error_map") for kind in ("svg", "png")}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {*names, "evaluation.json"}
+
+
+def test_without_being_asked_for_nothing_moves():
+    assert not {"moving", "error_map"} & evaluate(Covering(), AnalyticFin(), EvaluateConfig(seconds=3)).summary().keys()
+
+
+def test_the_figure_shows_the_reference_beside_the_moving_average(moving):
+    axes = moving_figure([moving]).get_axes()
+    assert len(axes) == 8
+    shown = {line.get_label(): line for line in axes[0].get_lines()}
+    np.testing.assert_array_equal(shown["reference"].get_ydata(), STEP.sample(600)[:, 0])
+    average = shown["moving average of the force over 2 s"]
+    np.testing.assert_allclose(average.get_xdata()[[0, -1]], [2, 6])
+    assert average.get_ydata()[0] == pytest.approx(moving.recording.reading.force[0, 0, :200, 0].mean(), abs=1e-6)
+    assert axes[0].get_title(loc="left").startswith("step (1, 0) to (2, 0) N at 3 s\nerror ")
+    assert axes[0].get_title(loc="left").endswith("never settles")
+    assert axes[3].get_ylabel() == "angle [°]"

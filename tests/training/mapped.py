@@ -1,0 +1,25 @@
+"""What a fin of strokes can do, found once for all tests that need it."""
+
+from functools import cache
+
+from softfin.tracking.references import Cell
+from softfin.training.force_map import ForceMap, MapConfig, map_forces
+from softfin.training.gaits import GaitConfig
+from softfin.training.survey import Survey, SurveyConfig, survey
+from tests.plants import StrokeFin
+
+FIN = StrokeFin()
+SURVEY = SurveyConfig(cycles=2, batch=256, directions=16, pushes=6)
+GAITS = GaitConfig(cycles=2, steps=16)
+WITHIN = MapConfig(box=Cell(low=(0.5, -0.5), high=(1.5, 0.5)), survey=SURVEY, gaits=GAITS)
+"""Three by three forces that the fin can make, each with ease."""
+
+
+@cache
+def seen() -> Survey:
+    return survey(FIN, SURVEY)
+
+
+@cache
+def known() -> ForceMap:
+    return map_forces(FIN, WITHIN)

@@ -1,0 +1,74 @@
+"""Lanes over two devices; in a process of its own, because JAX counts its devices when it starts."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softfin.training.sharding import over_devices, shared_by
+from softfin.training.train import _Run, train
+from tests.plants import AnalyticFin
+from tests.training.ray_cluster import SEEDS, SMALL, workspace
+
+FORCED = "--xla_force_host_platform_device_count=2"
+
+
+@pytest.mark.parametrize(("count", "devices", "used"), [(6, 4, 3), (8, 4, 4), (5, 4, 1), (1, 8, 1), (49, 8, 7)])
+def test_as_many_devices_share_the_lanes_as_get_equal_parts(count, devices, used):
+    assert shared_by(count, devices) == used
+
+
+def test_on_one_device_nothing_is_moved():
+    lanes = (jnp.zeros(4), jnp.ones((4, 2)))
+    assert over_devices(lanes, 4, 8, jax.devices()[:1]) is lanes
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["lanes", "environments"])
+def test_two_devices_learn_what_one_learns(case: str, tmp_path: Path):
+    folder = str(tmp_path)
+    environment = os.environ | {"XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} {FORCED}", "JAX_PLATFORMS": "cpu"}
+    command = [sys.executable, "-m", "tests.training.test_sharding", case, folder]
+    run = subprocess.run(command, cwd=Path(__file__).parents[2], env=environment, capture_output=True, text=True,
+                         timeout=300)  # fmt: skip
+    assert run.returncode == 0, run.stderr[-4000:]
+    told = json.loads((tmp_path / "told.json").read_text())
+    assert told["devices"] == 2
+    assert told["kept"] == {"lanes": [[2, 4], [2, 4]], "environments": [[1, 2], [1, 2]]}[case]
+    assert told["apart"] < 1e-3
+    assert told["moved"] > 0.1
+
+
+def _trained(case: str, folder: Path) -> None:
+    """Of the fins' angles, the part that each device keeps after a few updates; and how far the runs are apart."""
+    config = SMALL if case == "lanes" else SMALL.model_copy(update={"cells": SMALL.cells[:1]})
+    seeds = SEEDS if case == "lanes" else SEEDS[:1]
+    both = train(AnalyticFin(), config, seeds, workspace(folder / "both", seeds=seeds))
+    run = _Run(AnalyticFin(), config, seeds, None)
+    lanes = run.over_devices(run.start().lanes)
+    for _ in range(2):
+        lanes, _ = run.update(lanes)
+    angle = lanes.batch.states.angle
+    kept = [list(shard.data.shape) for shard in angle.addressable_shards]
+    all_devices = jax.devices
+    jax.devices = lambda: all_devices()[:1]
+    one = train(AnalyticFin(), config, seeds, workspace(folder / "one", seeds=seeds))
+    fresh = _Run(AnalyticFin(), config, seeds, None).start().lanes.policy
+
+    def apart(a: object, b: object) -> float:
+        pairs = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
+        return max(float(np.abs(np.asarray(x) - np.asarray(y).reshape(x.shape)).max()) for x, y in pairs)
+
+    told = {"devices": len({shard.device for shard in angle.addressable_shards}), "kept": kept,
+            "apart": apart(both.policies, one.policies), "moved": apart(one.policies, fresh)}  # fmt: skip
+    (folder / "told.json").write_text(json.dumps(told))
+
+
+if __name__ == "__main__":
+    _trained(sys.argv[1], Path(sys.argv[2]))
