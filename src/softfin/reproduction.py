@@ -32,7 +32,7 @@ from softfin.stages import Progress
 from softfin.surrogate import FitConfig, StreamingConfig, Surrogate, load_surrogate
 from softfin.surrogate.horizons import Place, free_running
 from softfin.surrogate.predict import predict
-from softfin.training.train import GRID, SINGLE, TrainConfig
+from softfin.training.train import GRADIENT_GRID, GRADIENT_SINGLE, GRID, SINGLE, TrainConfig
 
 KIND = "reproduction"
 CONTROLLERS = ("single", "grid")
@@ -267,6 +267,7 @@ def _shrunk(train: TrainConfig, steps: int) -> TrainConfig:
 PRESETS = {
     "paper": ReproduceConfig(),
     "streaming": ReproduceConfig(fit=StreamingConfig()),
+    "best": ReproduceConfig(fit=StreamingConfig(), single=GRADIENT_SINGLE, grid=GRADIENT_GRID),
     "demo": ReproduceConfig(
         collect=CollectConfig(logs=20, rows=12_000),
         fit=FitConfig(epochs=4),
@@ -284,6 +285,7 @@ PRESETS = {
     ),
 }
 """``paper``: the paper's full data and budgets. ``streaming``: the same with a streaming surrogate.
+``best``: that surrogate, and controllers by gradients through it.
 ``demo``: a few minutes, with two thirds of the paper's steps or more.
 ``tiny``: does every stage work at all?"""
 

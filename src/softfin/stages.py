@@ -50,6 +50,7 @@ from softfin.training.engine import EngineName, find_engine
 from softfin.training.force_map import MapConfig
 from softfin.training.force_map import map_forces as _map_forces
 from softfin.training.jobs import Split, default_split, train_jobs
+from softfin.training.refinement import check_refinable, refined
 from softfin.training.train import GRID, TrainConfig
 from softfin.viewing import ViewConfig
 from softfin.viewing.video import ticks_of
@@ -332,6 +333,7 @@ def train(
     config: TrainConfig = GRID,
     *,
     seeds: Sequence[int] = (0,),
+    refine: int = 0,
     engine: EngineName = "local",
     split: Split | None = None,
     cluster: str | None = None,
@@ -342,8 +344,10 @@ def train(
     """Train controllers inside a plant, as a rule a surrogate: by LSTM-PPO (paper Sec. III-C) or by gradients.
 
     One seed writes the controller's folder `out`; several are written as ``out/seed-N``. All is one program, unless
-    it is `split` into jobs; the `engine` does these one after the other, or all at once on a Ray `cluster`.
+    it is `split` into jobs; the `engine` does these one after the other, or all at once on a Ray `cluster`. A grid's
+    worst cells are split until there are `refine` more, whose policies go on from their cell's.
     """
+    check_refinable(config, refine)
     working, split = find_engine(engine, cluster), split or default_split(engine, seeds)
     moving = find_plant(plant) if isinstance(plant, str) else plant
     origin = _origin(plant, moving)
@@ -352,9 +356,12 @@ def train(
         "seeds": list(seeds),
         "plant": origin["plant_identity"],
         "split": split,
+        "refine": refine,
     }
     workspace = Workspace(out, facts, resume, overwrite)
     trained = train_jobs(moving, config, seeds, workspace, progress, engine=working, split=split)
+    if refine:
+        trained = refined(moving, trained, refine, workspace.part("refined"), progress)
 
     def save(folder: Path, seed: int, also: Callable[[Path], None] | None = None) -> None:
         save_controller(folder, trained, seed, origin | {"seed": seed}, also)

@@ -35,8 +35,10 @@ def policies(cells: int, apart: float) -> Policy:
         policy: Policy = Policy.create(key, SIZE, TASK.observations)
         return policy
 
-    mean, *own = (random(key) for key in jax.random.split(jax.random.key(2), cells + 1))
-    mixed: Policy = jax.tree.map(lambda m, *x: m + apart * jnp.stack(x), mean, *own)
+    first, *others = jax.random.split(jax.random.key(2), cells + 1)
+    mixed: Policy = jax.tree.map(
+        lambda mean, own: mean + apart * own, random(first), jax.vmap(random)(jnp.stack(others))
+    )
     net = mixed.net
     forgetful: Policy = eqx.tree_at(
         lambda policy: (policy.net.lstm.recurrent, policy.net.lstm.bias, policy.net.output.kernel),

@@ -50,11 +50,23 @@ class Still(Direct):
         return state._replace(actions=state.actions + 1), _reading(ticks, jnp.float32(0), jnp.zeros(2))
 
 
-class Recall:
-    """A hidden sign, drawn at the start, shows once: as the angle after the first action.
+class Late(Direct):
+    """No force in the first three actions, (1, 0) N in all others, whatever is done; the angle counts the actions.
 
-    Every second action the force turns with the sign, the others it does not. So the last action tells nothing of the
-    sign either, and only memory can hold the reference.
+    From the fifth action on its states repeat on the clock, so an episode longer than that never bootstraps with one
+    that no action is taken in.
+    """
+
+    def advance(self, state: ProbeState, command: Command, ticks: int) -> tuple[ProbeState, Reading]:
+        count = state.actions + 1
+        force = jnp.where(count > 3, 1.0, 0.0) * jnp.array([1.0, 0.0])
+        return state._replace(actions=count), _reading(ticks, jnp.minimum(count, 4) / 2, force)
+
+
+class Recall:
+    """A hidden sign, drawn at the start, turns the force; it shows once, as the angle after the first action.
+
+    Where past actions are hidden, only memory can hold the reference.
     """
 
     limits = PAPER_LIMITS
@@ -63,9 +75,8 @@ class Recall:
         return ProbeState(jnp.int32(0), jax.random.rademacher(key, (), jnp.float32))
 
     def advance(self, state: ProbeState, command: Command, ticks: int) -> tuple[ProbeState, Reading]:
-        turns = jnp.where(state.actions % 2 == 0, state.sign, 1.0)
         angle = jnp.where(state.actions == 0, state.sign, 0.0)
-        force = jnp.stack([GAIN * turns * command.angle, jnp.float32(0)])
+        force = jnp.stack([GAIN * state.sign * command.angle, jnp.float32(0)])
         return state._replace(actions=state.actions + 1), _reading(ticks, angle, force)
 
 

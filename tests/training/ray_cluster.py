@@ -56,7 +56,7 @@ def alike(one: Trained, other: Trained) -> None:
     jax.tree.map(np.testing.assert_array_equal, (one.policies, one.score), (other.policies, other.score))
 
 
-def within(case: str, folder: Path, seconds: int = 240) -> dict[str, Any]:
+def within(case: str, folder: Path, seconds: int = 900) -> dict[str, Any]:
     """What a case tells; skips the test where there is no Ray, or no network of one's own to be had."""
     pytest.importorskip("ray", reason="the extra ray is not installed")
     if shutil.which("unshare") is None or subprocess.run([*ALONE, "true"], capture_output=True).returncode:

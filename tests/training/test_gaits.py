@@ -10,10 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from softfin.surrogate import import_keras
+from softfin.tracking.reachable import Reachable
 from softfin.tracking.references import Cell
-from softfin.training.beat import made, measured, steady
+from softfin.training.beat import families, made, measured, steady
 from softfin.training.gaits import GaitConfig, GaitTable, Lattice, find_gaits
-from softfin.training.survey import SurveyConfig, survey
+from softfin.training.survey import Survey, SurveyConfig, survey
 from tests.plants import StrokeFin
 from tests.training.mapped import FIN, GAITS, known, seen
 from tests.training.test_survey import OwnFin
@@ -43,8 +44,8 @@ def test_what_a_node_is_said_to_make_is_what_its_gait_makes() -> None:
 
 
 def test_beyond_reach_a_node_makes_the_nearest_force_that_the_fin_can_make() -> None:
-    """-x is beyond any fin that only pushes; at (2, 0) the same lattice is within reach."""
-    found = find_gaits(FIN, seen(), Lattice((-1, 0), (2, 0.5), (2, 2)), GAITS)
+    """-x is beyond any fin that only pushes; the other end of the lattice is within reach."""
+    found = find_gaits(FIN, seen(), Lattice((-1, 0), (1.5, 0.25), (2, 2)), GAITS)
     np.testing.assert_allclose(found.force[0, 0], (0, 0), atol=0.1)
     assert found.missed()[0, 0] == pytest.approx(1, abs=0.1)
     assert found.missed()[1].max() < 0.01
@@ -61,9 +62,22 @@ def test_a_fin_without_any_choice_leaves_its_nodes_where_they_are() -> None:
 
 def test_smoothness_lowers_the_sobolev_term_of_gaits_that_make_the_same_forces() -> None:
     lattice = Lattice((0.5, -0.5), (1.5, 0.5), (3, 3))
-    smooth = find_gaits(FIN, seen(), lattice, GAITS.model_copy(update={"smoothness": 1.0}))
-    assert smooth.missed().max() < 0.02
-    assert smooth.smoothness.sum() < 0.97 * known().found.smoothness.sum()
+    rough, smooth = (
+        find_gaits(FIN, seen(), lattice, GaitConfig(cycles=2, steps=16, likeness=0.05, smoothness=weight))
+        for weight in (0.0, 3.0)
+    )
+    assert max(rough.missed().max(), smooth.missed().max()) < 0.01
+    assert smooth.smoothness.sum() < 0.95 * rough.smoothness.sum()
+
+
+def test_likeness_brings_the_gaits_of_neighbours_together() -> None:
+    lattice = Lattice((0.5, -0.5), (1.5, 0.5), (3, 3))
+    apart, alike = (
+        np.abs(np.diff(find_gaits(FIN, seen(), lattice, GAITS.model_copy(update={"likeness": weight})).table.actions,
+                       axis=0)).mean()
+        for weight in (0.0, 0.6)
+    )  # fmt: skip
+    assert alike < 0.95 * apart
 
 
 def test_a_plant_that_cannot_be_hashed_gets_the_same_gaits() -> None:
@@ -118,9 +132,11 @@ def test_a_lattice_for_a_single_force_has_its_gait() -> None:
 
 @pytest.mark.slow
 def test_a_gait_of_the_published_fin_holds_its_force_in_the_steady_state(published: Path) -> None:
-    fin = import_keras(published / "cnn_pos_net.keras", published / "cnn_force_net.keras", published / "scalers.json")
-    few = survey(fin, SurveyConfig(cycles=2, batch=99, directions=8, pushes=0))
-    lattice = Lattice((1.5, -0.25), (2, 0), (2, 2))
-    found = find_gaits(fin, few, lattice, GaitConfig(cycles=3, steps=10))
-    force = jax.jit(lambda gait: steady(fin, gait, 6, KEY))(found.table.gait(jnp.array([2.0, 0.0])))
+    fin = import_keras(published / "cnn_pos_net.keras", published / "lstm_force_net.keras", published / "scalers.json")
+    strokes = families()[0]
+    got = jax.jit(jax.vmap(lambda gait: made(fin, gait, 2, KEY)))(jnp.asarray(strokes.gaits))
+    region = Reachable(np.array([2, 0], np.float32), np.ones(8, np.float32))
+    one = Survey([strokes], np.asarray(got.force)[None], np.asarray(got.smoothness)[None], region, strokes.gaits[:8])
+    found = find_gaits(fin, one, Lattice((1.5, -0.25), (2, 0), (2, 2)), GaitConfig(cycles=2, steps=8))
+    force = jax.jit(lambda gait: steady(fin, gait, 4, KEY))(found.table.gait(jnp.array([2.0, 0.0])))
     np.testing.assert_allclose(measured(force).force, (2, 0), atol=0.02)

@@ -10,9 +10,12 @@ from softfin import stages
 from softfin.artifacts import load_description
 from softfin.cli.common import Configured, Out, progress
 from softfin.control.store import KIND
+from softfin.errors import ConfigurationError
 from softfin.plants import find_plant
-from softfin.tracking.references import PAPER_RANGE
+from softfin.tracking.cells import cells_of, range_of
+from softfin.tracking.references import PAPER_RANGE, Cell, least_box
 from softfin.training.engine import EngineName
+from softfin.training.footprint import Footprint
 from softfin.training.force_map import MapConfig
 from softfin.training.gradient import differentiable
 from softfin.training.jobs import Split
@@ -31,6 +34,12 @@ class Arguments(Configured):
     """One policy for all references, one a cell of a grid, or a table of gaits without any net."""
     algorithm: Literal["auto", "gradient", "ppo"] = "auto"
     """Gradients through the plant, or LSTM-PPO as in the paper; auto: gradients wherever the plant has them."""
+    cells: str | None = None
+    """Of a grid: paper (the default), a lattice over --range such as 3x3, or a .yaml file of boxes."""
+    range: str | None = None
+    """References X0,Y0,X1,Y1 [N] to train for (default 0.5,-1.5,3.5,1.5); write --range=-1,... below 0."""
+    refine: int = 0
+    """Of a grid: split its worst cells until there are so many more, and train these on."""
     steps: int | None = None
     """Actions a policy (by LSTM-PPO the paper's 30,000 single, 10,000 a cell)."""
     seed: int = 0
@@ -38,7 +47,7 @@ class Arguments(Configured):
     engine: EngineName = "local"
     """Where: in this process, or as tasks of Ray (extra ray), for many machines."""
     split: Split | None = None
-    """Into jobs: none, one a seed, or one a cell of each seed (local: none; Ray: seed where there are several, or cell)."""
+    """Into jobs: none, one a seed, or one a cell of each seed (local: none; Ray: seed of several, cell of one)."""
     cluster: str | None = None
     """Address HOST:PORT of the Ray cluster; by default one is started on this machine for the run."""
     resume: bool = False
@@ -46,25 +55,27 @@ class Arguments(Configured):
 
     def run(self) -> None:
         """Train."""
+        cells = asked_cells(self.controller, self.cells, self.range)
         if self.controller == "gaits":
-            lattice = self.configured(MapConfig(box=PAPER_RANGE))
+            lattice = self.configured(MapConfig(box=PAPER_RANGE), box=None if cells is None else cells[0].model_dump())
             with progress() as report:
                 stages.gaits(self.surrogate, Path(self.out), lattice, overwrite=self.overwrite, progress=report)
             return self._tell()
         algorithm = self.algorithm
         if algorithm == "auto":
             algorithm = "gradient" if differentiable(find_plant(self.surrogate)) else "ppo"
-        config = self.configured(STARTS[algorithm, self.controller], steps=self.steps)
+        config = self.configured(STARTS[algorithm, self.controller], steps=self.steps, cells=cells)
         with progress() as report:
             stages.train(
                 self.surrogate, Path(self.out), config,
-                seeds=[self.seed], engine=self.engine, split=self.split, cluster=self.cluster,
+                seeds=[self.seed], refine=self.refine, engine=self.engine, split=self.split, cluster=self.cluster,
                 resume=self.resume, overwrite=self.overwrite, progress=report,
             )  # fmt: skip
         return self._tell()
 
     def _tell(self) -> None:
-        scores: list[dict[str, Any]] = load_description(Path(self.out), KIND)["scores"]
+        description = load_description(Path(self.out), KIND)
+        scores: list[dict[str, Any]] = description["scores"]
         lines = [f"{self.out}: scored in {self.surrogate}, without exploration noise"]
         if self.controller == "gaits":
             lines.append("reference [N]   mean force misses it by [N]")
@@ -74,4 +85,23 @@ class Arguments(Configured):
             lines.append("reference [N]   error x, y [N]")
             lines += [f"({x:5.2f}, {y:5.2f})   {row['error_n'][0]:.3f}, {row['error_n'][1]:.3f}"
                       for row in scores for x, y in [row["reference_n"]]]  # fmt: skip
+            lines.append(str(Footprint.of(description["memory"])))
         self.tell({"controller": str(self.out), "scores": scores}, "\n".join(lines))
+
+
+def asked_cells(controller: str, cells: str | None, span: str | None) -> tuple[Cell, ...] | None:
+    """What ``--cells`` and ``--range`` ask for, one cell for what is no grid; None where neither is given."""
+    within = PAPER_RANGE if span is None else range_of(span)
+    if controller != "grid":
+        if cells is not None:
+            raise ConfigurationError(f"--cells {cells}: {controller} has no cells; give --range, or --controller grid")
+        return None if span is None else (within,)
+    if cells is None and span is None:
+        return None
+    found = cells_of(cells or "paper", within)
+    if span is not None and least_box(found) != within:
+        raise ConfigurationError(
+            f"--range {span}: the cells ({cells or 'paper'}) have places of their own ({least_box(found)}); leave it "
+            "out, or give a lattice such as --cells 3x3, which fills it"
+        )
+    return found

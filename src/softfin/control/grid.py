@@ -159,8 +159,8 @@ class GridController(eqx.Module):
     def _share(self, state: GridState, switched: Bool[Array, ""], reference: Float[Array, "2"]) -> Float[Array, ""]:
         """Of the beat in this action. At first the beat alone, once there is a whole cycle of it."""
         if not self.switching.fade_actions:
-            return jnp.float32(0)
+            return jnp.zeros(())
         whole = jnp.where(state.age >= CYCLE_ACTIONS, 1.0, 0.0)
         moved = jnp.sqrt(jnp.sum((reference - state.reference) ** 2))
         share = jnp.where(switched, whole, state.share)
-        return share * jnp.clip(1 - moved / self.switching.step_n, 0, 1)
+        return jnp.asarray(share * jnp.clip(1 - moved / self.switching.step_n, 0, 1))

@@ -10,7 +10,7 @@ import pydantic
 
 from softfin import artifacts
 from softfin.control.gait import GaitController
-from softfin.control.grid import GridController
+from softfin.control.grid import GridController, SwitchingConfig
 from softfin.control.map_store import arrays, described, found_of
 from softfin.control.single import SingleController
 from softfin.errors import ArtifactError
@@ -19,6 +19,7 @@ from softfin.quantities import Limits
 from softfin.tracking.reachable import Reachable
 from softfin.tracking.references import Cell
 from softfin.tracking.task import TaskConfig
+from softfin.training.footprint import memory_of
 from softfin.training.force_map import ForceMap, MapConfig
 from softfin.training.policy import Policy, PolicyConfig, named
 from softfin.training.train import Trained
@@ -60,6 +61,8 @@ def save_controller(
         "task": config.task.model_dump(mode="json"),
         "policy": config.policy.model_dump(mode="json"),
         "reachable": None if controller.reachable is None else controller.reachable.described(),
+        "switching": controller.switching.model_dump(mode="json") if isinstance(controller, GridController) else None,
+        "memory": memory_of(policy).described(),
         "scores": _scores(trained, index),
         "configuration": config.model_dump(mode="json"),
         "provenance": provenance,
@@ -121,6 +124,7 @@ def load_controller(path: Path) -> AnyController:
         task = TaskConfig.model_validate(description["task"])
         config = PolicyConfig.model_validate(description["policy"])
         limits = Limits.of(description["limits"])
+        switching = SwitchingConfig.model_validate(description["switching"] or {})
         region = description.get("reachable")
         reachable = None if region is None else Reachable.of(region)
     except (KeyError, TypeError, ValueError, pydantic.ValidationError) as error:
@@ -130,7 +134,7 @@ def load_controller(path: Path) -> AnyController:
     if kind == "single" and len(cells) == 1 and stacked == ():
         return SingleController(policy, task, limits, cells[0], reachable)
     if kind == "grid" and stacked == (len(cells),):
-        return GridController(policy, task, limits, cells, reachable)
+        return GridController(policy, task, limits, cells, reachable, switching)
     raise ArtifactError(
         f"{source}: controller {kind!r} with {len(cells)} cells does not fit weights of {stacked or 1} policies; "
         "there are single (one), grid (one a cell) and gaits; copy the folder again"

@@ -86,18 +86,23 @@ def check_width(cell: Cell, named: str) -> None:
             raise ConfigurationError(f"{named} has no width in {axis}; let it reach from a lesser to a greater force")
 
 
-def check_cells(cells: Sequence[Cell], allow_gaps: bool, source: str) -> None:
-    """Raise ConfigurationError where there are none, one has no width, two overlap, or gaps are left unasked."""
-    if not cells:
-        raise ConfigurationError(f"{source}: no cells; give at least one {{low: [x, y], high: [x, y]}}")
-    for number, cell in enumerate(cells, 1):
-        check_width(cell, f"{source}: cell {number} ({cell})")
+def check_apart(cells: Sequence[Cell], source: str) -> None:
+    """Raise ConfigurationError where two overlap."""
     for (i, one), (j, other) in combinations(enumerate(cells, 1), 2):
         if (shared := overlap(one, other)) is not None:
             raise ConfigurationError(
                 f"{source}: cells {i} ({one}) and {j} ({other}) overlap in {shared}; move an edge, so that each "
                 "reference has one cell"
             )
+
+
+def check_cells(cells: Sequence[Cell], allow_gaps: bool, source: str) -> None:
+    """Raise ConfigurationError where there are none, one has no width, two overlap, or gaps are left unasked."""
+    if not cells:
+        raise ConfigurationError(f"{source}: no cells; give at least one {{low: [x, y], high: [x, y]}}")
+    for number, cell in enumerate(cells, 1):
+        check_width(cell, f"{source}: cell {number} ({cell})")
+    check_apart(cells, source)
     if not allow_gaps and (found := gap(cells)) is not None:
         hole, area = found
         raise ConfigurationError(

@@ -52,6 +52,11 @@ class Cell(Configuration):
         half = width_n / 2
         return cls(low=(centre[0] - half, centre[1] - half), high=(centre[0] + half, centre[1] + half))
 
+    def grown(self, margin_n: float) -> "Cell":
+        """Wider by as much on every side."""
+        (x0, y0), (x1, y1) = self.low, self.high
+        return Cell(low=(x0 - margin_n, y0 - margin_n), high=(x1 + margin_n, y1 + margin_n))
+
     @property
     def centre(self) -> Force:
         """The middle [N]."""

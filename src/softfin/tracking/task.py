@@ -17,9 +17,10 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from softfin.configuration import Configuration
 from softfin.plant import CYCLE_ACTIONS, Plant, State, rest_command
-from softfin.quantities import Command, Limits
+from softfin.quantities import Command, Limits, Reading
+from softfin.surrogate.streaming.streaming import StreamingSurrogate
 from softfin.tracking.references import References
-from softfin.tracking.reward import SMOOTHNESS, reward, window_error
+from softfin.tracking.reward import SMOOTHNESS, reward, window_error, window_mean
 
 Action = Float[Array, "2"]
 """(angle, velocity) normalised to [-1, 1], the plant's limits."""
@@ -39,6 +40,20 @@ class RewardConfig(Configuration):
     """lambda of x and y; for a full window 0.01 in the form `sum` weighs as much as 0.14 in the form `mean`."""
     sobolev: Literal["sum", "mean"] = "sum"
     """Form of the Sobolev term: the paper's sum of squared steps or the published code's mean."""
+    target: Literal["now", "window"] = "now"
+    """What the window's mean force should be: the reference of this moment, as in the paper, or the mean of what was
+    asked for over the window, which does not reward making up for what was asked before."""
+    disagreement: NonNegativeFloat = 0.0
+    """Weight of the deviation between the members of an ensemble, in their mean force while the action is held."""
+
+
+class SensingConfig(Configuration):
+    """What stands between the shaft's angle and the policy; a simulator has neither."""
+
+    noise_rad: NonNegativeFloat = 0.0
+    """Standard deviation of the angle's noise [rad]."""
+    delay_ticks: int = Field(default=0, ge=0, le=30)
+    """Age of the angle when it is acted on [10 ms]."""
 
 
 class TaskConfig(Configuration):
@@ -58,6 +73,7 @@ class TaskConfig(Configuration):
     """Whether the phase of the six actions that fill the window is observed, as a sine and a cosine; the paper's state
     has none, and a policy then has to find a beat of its own."""
     reward: RewardConfig = RewardConfig()
+    sensing: SensingConfig = SensingConfig()
 
     @property
     def observations(self) -> int:
@@ -78,6 +94,8 @@ class TaskState(NamedTuple):
     """The last one first."""
     forces: Float[Array, "window 2"]
     """The newest last; only the last `samples` of them were made since the reset."""
+    asked: Float[Array, "window 2"]
+    """The reference of each of these [N]."""
     samples: Int[Array, ""]
     age: Int[Array, ""]
     """Actions since the reset."""
@@ -94,6 +112,8 @@ class Outcome(NamedTuple):
     """Sobolev term of the window [N]."""
     forces: Float[Array, "ticks 2"]
     """While the action was held [N]."""
+    disagreement: Float[Array, "2"]
+    """Standard deviation of the members' mean forces meanwhile [N]; 0 of a plant that is no ensemble or not asked."""
 
 
 @dataclass(frozen=True)
@@ -113,6 +133,7 @@ class ForceTracking:
             references=references,
             actions=rest_actions(self.config, self.plant.limits),
             forces=jnp.zeros((self.config.window_samples, 2)),
+            asked=jnp.zeros((self.config.window_samples, 2)),
             samples=jnp.int32(0),
             age=jnp.int32(0),
             key=key,
@@ -133,20 +154,25 @@ class ForceTracking:
 
     def step(self, state: TaskState, action: Action, ticks: int) -> tuple[TaskState, Outcome]:
         """Hold an action for `ticks` (static)."""
-        plant, reading = self.plant.advance(state.plant, command_of(self.plant.limits, action), ticks)
+        plant, reading, disagreement = self._advance(state.plant, command_of(self.plant.limits, action), ticks)
+        asked = jnp.concatenate([state.asked, jnp.tile(state.reference, (ticks, 1))])[-self.config.window_samples :]
         forces = jnp.concatenate([state.forces, reading.force])[-self.config.window_samples :]
         samples = jnp.minimum(state.samples + ticks, self.config.window_samples)
         age = state.age + 1
-        outcome = self._judge(forces, samples, state.reference, jnp.asarray(reading.force))
+        target = state.reference if self.config.reward.target == "now" else window_mean(asked, samples)
+        outcome = self._judge(forces, samples, target, jnp.asarray(reading.force), disagreement)
+        sensing = self.config.sensing
+        noise = sensing.noise_rad * jax.random.normal(jax.random.fold_in(jax.random.fold_in(state.key, age), 1))
         drawn = state.references.draw(jax.random.fold_in(state.key, age))
         due = age % self.config.reference_actions == 0
         return TaskState(
             plant=plant,
-            angle=reading.angle[-1],
+            angle=reading.angle[-1 - sensing.delay_ticks] + noise,
             reference=jnp.where(due, drawn, state.reference),
             references=state.references,
             actions=remember(state.actions, action),
             forces=forces,
+            asked=asked,
             samples=samples,
             age=age,
             key=state.key,
@@ -156,14 +182,27 @@ class ForceTracking:
         """Whether the episode is over: cut, not ended, since the fin could beat on."""
         return state.age >= self.config.episode_actions
 
+    def _advance(self, state: State, command: Command, ticks: int) -> tuple[State, Reading, Float[Array, "2"]]:
+        """The plant, and how much the members of an ensemble disagree, where that is asked for."""
+        if self.config.reward.disagreement == 0 or not isinstance(self.plant, StreamingSurrogate):
+            return *self.plant.advance(state, command, ticks), jnp.zeros(2)
+        state, each = self.plant.advance_members(state, command, ticks)
+        return state, jax.tree.map(lambda x: x.mean(axis=0), each), each.force.mean(axis=1).std(axis=0)
+
     def _judge(
-        self, forces: Float[Array, "window 2"], samples: Int[Array, ""], reference: Array, fresh: Array
+        self,
+        forces: Float[Array, "window 2"],
+        samples: Int[Array, ""],
+        reference: Float[Array, "2"],
+        fresh: Float[Array, "ticks 2"],
+        disagreement: Float[Array, "2"],
     ) -> Outcome:
         config = self.config.reward
         error = window_error(forces, samples, reference)
         smoothness = SMOOTHNESS[config.sobolev](forces, samples)
         value = reward(error, smoothness, jnp.asarray(config.weight), jnp.asarray(config.smoothness))
-        return Outcome(value, error, smoothness, fresh)
+        value -= config.disagreement * (jnp.asarray(config.weight) * disagreement).sum()
+        return Outcome(value, error, smoothness, fresh, disagreement)
 
 
 def observation(

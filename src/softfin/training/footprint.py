@@ -27,6 +27,11 @@ class Footprint(NamedTuple):
         """Of all policies, weights and optimiser."""
         return self.policies * (self.weights_bytes + self.optimiser_bytes)
 
+    @classmethod
+    def of(cls, description: dict[str, int]) -> "Footprint":
+        """From what `described` gave."""
+        return cls(*(description[name] for name in cls._fields))
+
     def described(self) -> dict[str, int]:
         """For JSON."""
         return {**self._asdict(), "total_weights_bytes": self.policies * self.weights_bytes,

@@ -61,8 +61,8 @@ def map_forces(plant: Plant, config: MapConfig, report: Callable[[float, str], N
     def part(begin: float, end: float) -> Callable[[float, str], None] | None:
         return None if report is None else lambda done, note: report(begin + (end - begin) * done, note)
 
-    seen = survey(plant, config.survey, part(0, 0.3))
-    found = find_gaits(plant, seen, config.lattice(seen.reachable), config.gaits, part(0.3, 1))
+    seen = survey(plant, config.survey, part(0.0, 0.3))
+    found = find_gaits(plant, seen, config.lattice(seen.reachable), config.gaits, part(0.3, 1.0))
     return ForceMap(found, reached(seen.reachable, found, config.tolerance_n))
 
 

@@ -51,7 +51,7 @@ class GradientConfig(Configuration):
     """Fins that each policy beats side by side."""
     rollout_actions: int = Field(default=18, ge=3, multiple_of=3)
     """Actions between updates, whole cycles of three; gradients reach back as far."""
-    learning_rate: PositiveFloat = 3e-3
+    learning_rate: PositiveFloat = 1e-3
     """Of Adam, at its greatest."""
     final_learning_rate: float = Field(default=0.01, ge=0, le=1)
     """At the end, as a part of the greatest; it falls as a cosine."""
@@ -128,7 +128,8 @@ class Gradient:
         batch, outcome = jax.lax.scan(cycle, batch, None, self.config.rollout_actions // len(ACTION_TICKS))
         weights, rounding = task.config.reward, self.config.rounding_n
         rounded = jnp.sqrt(outcome.error**2 + rounding**2) - rounding
-        cost = jnp.array(weights.weight) * (rounded + jnp.array(weights.smoothness) * outcome.smoothness)
+        smooth = jnp.array(weights.smoothness) * outcome.smoothness
+        cost = jnp.array(weights.weight) * (rounded + smooth + weights.disagreement * outcome.disagreement)
         loss = cost.sum(axis=-1).mean()
         x, y = outcome.error.mean(axis=(0, 1, 2))
         return loss, (batch, {"loss": loss, "reward": outcome.reward.mean(), "error_x_n": x, "error_y_n": y})

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PRNGKeyArray
-from pydantic import PositiveInt, model_validator
+from pydantic import NonNegativeFloat, PositiveInt, model_validator
 
 from softfin.checkpoint import Workspace
 from softfin.configuration import Configuration
@@ -23,15 +23,18 @@ from softfin.plant import Plant
 from softfin.quantities import AXES, Limits
 from softfin.randomness import key_of
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
+from softfin.tracking.cells import check_apart
 from softfin.tracking.reachable import Reachable
 from softfin.tracking.references import PAPER_CELLS, PAPER_RANGE, Cell, References, least_box, stack_references
 from softfin.tracking.task import ForceTracking, TaskConfig
+from softfin.training.ensemble import trained_in
 from softfin.training.force_map import ForceMap, empty_map, map_forces
 from softfin.training.gaits import GaitTable
 from softfin.training.gradient import Gradient, GradientConfig
 from softfin.training.learner import Learner, Metrics
 from softfin.training.policy import Policy, PolicyConfig
 from softfin.training.ppo import PPO, PPOConfig
+from softfin.training.refine import begun_from
 from softfin.training.score import Score, score
 from softfin.training.sharding import over_devices
 
@@ -47,10 +50,14 @@ class TrainConfig(Configuration):
     """Actions in the plant for each policy, over all its environments: the paper's 10,000 a cell, 30,000 single."""
     cells: tuple[Cell, ...] = PAPER_CELLS
     """References [N] that each policy is trained for; one cell for `single`."""
+    margin_n: NonNegativeFloat = 0.0
+    """Policies are trained for references this far beyond their cells, too [N]: a grid switches with a hysteresis."""
     task: TaskConfig = TaskConfig()
     """The force-tracking task."""
     policy: PolicyConfig = PolicyConfig()
     """Size and start of the networks."""
+    ensemble: Literal["mean", "each"] = "mean"
+    """Of an ensemble, fins are the mean of all members or each is another member; scored is the mean."""
     algorithm: Literal["ppo", "gradient"] = "ppo"
     """LSTM-PPO, as the paper has it, or gradients through the plant."""
     ppo: PPOConfig = PPOConfig()
@@ -68,6 +75,7 @@ class TrainConfig(Configuration):
             raise ValueError(f"a single controller has one cell, not {len(self.cells)}; give one, or controller=grid")
         if not self.cells:
             raise ValueError("no cells; give at least one")
+        check_apart(self.cells, "cells")
         return self
 
     @property
@@ -94,13 +102,21 @@ SINGLE = TrainConfig(
 )
 """The paper's single controller on its budget."""
 
-GRADIENT_SINGLE = SINGLE.changed(("algorithm=gradient", "steps=115200", "task.phase=true"))
+GRADIENT_SINGLE = SINGLE.changed(
+    ("algorithm=gradient", "steps=115200", "task.phase=true", "task.reward.target=window", "task.reference_actions=24")
+)
 """One controller by gradients through the plant: 200 updates."""
 
-GRADIENT_GRID = GRID.changed(
-    ("algorithm=gradient", "steps=14400", "task.phase=true", "task.reference_actions=45", "lattice=3",
-     "gradient.environments=8")
-)  # fmt: skip
+GRADIENT_GRID = GRADIENT_SINGLE.merged(
+    {
+        "controller": "grid",
+        "cells": GRID.model_dump()["cells"],
+        "steps": 14_400,
+        "margin_n": 0.1,
+        "gradient": {"environments": 8},
+    },
+    "grid",
+)
 """A policy a cell by gradients through the plant: 100 updates."""
 
 STARTS: Mapping[tuple[str, str], TrainConfig] = MappingProxyType({
@@ -145,10 +161,12 @@ def train(
     workspace: Workspace,
     progress: Progress | None = None,
     known: ForceMap | None = None,
+    start: Policy | None = None,
 ) -> Trained:
     """Train a policy for every seed and cell; goes on from the workspace's checkpoint where there is one.
 
-    What the fin can do is looked for where it is not `known`.
+    What the fin can do is looked for where it is not `known`. Policies that are given to `start` from, leaves
+    ``(seeds, cells, ...)``, go on being learnt, and a lane never ends with a worse one.
 
     Raises:
         ConfigurationError: the budget is smaller than one rollout, or a seed comes twice.
@@ -156,8 +174,12 @@ def train(
     """
     check(config, seeds)
     known = mapped(plant, config, workspace, progress) if known is None else known
+    if start is not None:
+        config = config.merged({"gradient": {"teacher": False}}, "start")
     run = _Run(plant, config, tuple(seeds), known)
     state, done = run.start(), 0
+    if start is not None:
+        state = _begun(run, state, start)
     if (resumed := workspace.load(_unkeyed(state))) is not None:
         state, done = _rekeyed(resumed[0], state), resumed[1]["updates"]
     state = state._replace(lanes=run.over_devices(state.lanes))
@@ -172,12 +194,20 @@ def train(
             scores = run.score(state.lanes.policy)
             state = _keep_best(state, scores)
             scalars |= run.by_seed(_summary(scores))
-            workspace.save(_unkeyed(state), {"updates": done})
+        # Before the checkpoint: a resumed run drops entries that are too many, but cannot make up for one.
         record.write(steps, **scalars)
+        if done in due:
+            workspace.save(_unkeyed(state), {"updates": done})
         if progress is not None:
             progress(f"train {config.controller}", done / config.updates, run.note(metrics, state))
     record.close()
     return run.end(state)
+
+
+def _begun(run: "_Run", state: TrainState, start: Policy) -> TrainState:
+    """Lanes that go on from given policies, which count as the best ones so far."""
+    lanes = begun_from(state.lanes, start)
+    return TrainState(lanes, lanes.policy, run.score(lanes.policy))
 
 
 def mapped(plant: Plant, config: TrainConfig, workspace: Workspace, progress: Progress | None) -> ForceMap | None:
@@ -214,8 +244,12 @@ class _Programs(NamedTuple):
 def _compile(static: Any, config: TrainConfig) -> _Programs:
     """For a plant without its arrays."""
 
+    def whole(given: Given) -> Plant:
+        plant: Plant = eqx.combine(given.plant, static)
+        return plant
+
     def task(given: Given) -> ForceTracking:
-        return ForceTracking(eqx.combine(given.plant, static), config.task)
+        return ForceTracking(trained_in(whole(given), config.ensemble), config.task)
 
     def learner(given: Given) -> Learner:
         if config.algorithm == "ppo":
@@ -223,7 +257,7 @@ def _compile(static: Any, config: TrainConfig) -> _Programs:
         return Gradient(task(given), config.gradient, config.policy, config.updates, given.teacher)
 
     def judge(given: Given, policy: Policy, references: Array) -> Score:
-        return score(task(given), policy, references, key_of(0, "score"))
+        return score(ForceTracking(whole(given), config.task), policy, references, key_of(0, "score"))
 
     return _Programs(
         jax.jit(jax.vmap(lambda given, key, box: learner(given).init(key, box), (None, 0, 0))),
@@ -245,7 +279,8 @@ class _Run:
         arrays, static = eqx.partition(plant, eqx.is_array)
         self.known = known
         self.reachable = None if known is None else known.reachable
-        self.given = Given(arrays, None if known is None else known.found.table)
+        taught = config.algorithm == "gradient" and config.gradient.teacher
+        self.given = Given(arrays, known.found.table if known is not None and taught else None)
         # The programs do not depend on the cells, so jobs of one run share them.
         alike = config.model_copy(update={"cells": ()})
         try:
@@ -259,7 +294,8 @@ class _Run:
     def start(self) -> TrainState:
         """Fresh lanes; the key of a lane depends on its seed and cell alone, not on the lanes beside it."""
         keys = jnp.stack([key_of(seed, f"train/{self.config.cells[index]}") for seed, index in self.lanes])
-        boxes = stack_references([self.config.cells[index] for _, index in self.lanes], self.reachable)
+        wider = [self.config.cells[index].grown(self.config.margin_n) for _, index in self.lanes]
+        boxes = stack_references(wider, self.reachable)
         lanes = self.programs.init(self.given, *self.over_devices((keys, boxes)))
         worst = jnp.full(self.references.shape, jnp.inf)
         beyond = worst[..., 0] if self.knows else None

@@ -1,0 +1,63 @@
+"""Training time and memory against the number of cells: all are lanes of one program, so many cost little each.
+
+Two updates of each grid with the default LSTM-PPO, after compilation and without scoring; a cell's share of the time
+of the largest grid is held against the time of a grid of one.
+"""
+
+import time
+from typing import Any
+
+import jax
+
+from benchmarks.measure import entry, seconds
+from benchmarks.nets import published_layout
+from softfin.plant import Plant
+from softfin.randomness import key_of
+from softfin.tracking.cells import lattice
+from softfin.tracking.references import PAPER_RANGE, stack_references
+from softfin.tracking.task import ForceTracking
+from softfin.training.footprint import memory_of
+from softfin.training.ppo import PPO
+from softfin.training.train import GRID
+
+SIDES = (1, 2, 3, 5, 7)
+"""Cells along x and along y."""
+
+UPDATES = 2
+
+
+def measured(plant: Plant, side: int) -> dict[str, Any]:
+    """Of a grid of side x side cells."""
+    learner = PPO(ForceTracking(plant, GRID.task), GRID.ppo, GRID.policy, UPDATES)
+    cells = lattice(side, side, PAPER_RANGE)
+    keys = jax.numpy.stack([key_of(0, f"cells/{cell}") for cell in cells])
+    begin = time.perf_counter()
+    lanes = jax.jit(jax.vmap(learner.init))(keys, stack_references(cells))
+    update = jax.jit(jax.vmap(learner.update))
+    lanes, _ = jax.block_until_ready(update(lanes))
+    compiled = time.perf_counter() - begin
+
+    def updates() -> Any:
+        now = lanes
+        for _ in range(UPDATES):
+            now, _ = update(now)
+        return now
+
+    taken = memory_of(lanes.policy)
+    return {"cells": len(cells), "update_s": seconds(updates) / UPDATES, "compile_s": compiled, **taken.described()}
+
+
+def main() -> list[dict[str, Any]]:
+    plant = published_layout()
+    rows = [measured(plant, side) for side in SIDES]
+    one, most = rows[0], rows[-1]
+    details: dict[str, Any] = {}
+    for row in rows:
+        details[f"update_s_{row['cells']}_cells"] = row["update_s"]
+    details |= {"compile_s": most["compile_s"], "weights_kb_a_cell": most["weights_bytes"] / 1e3,
+                "training_kb_a_cell": (most["weights_bytes"] + most["optimiser_bytes"]) / 1e3}  # fmt: skip
+    share = most["update_s"] / most["cells"] / one["update_s"]
+    return [
+        entry(f"a cell of {most['cells']} / a cell alone, time of an update", share, "ratio", 1.0, False, **details),
+        entry("weights of a cell", most["weights_bytes"] / 1e3, "kB", 200, False),
+    ]

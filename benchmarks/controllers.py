@@ -1,0 +1,94 @@
+"""Every way to a controller, side by side: training steps a second, and the time until the mean error is under 0.3 N.
+
+The time needs a real fin's surrogate: with SOFTFIN_PUBLISHED the folder of the authors' published nets, else it is left
+out. Speeds are of surrogates with their layout. RecurrentPPO is in benchmarks/ppo.py, against the same actions.
+"""
+
+import os
+import tempfile
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from benchmarks.measure import entry
+from benchmarks.nets import published_layout
+from softfin import stages
+from softfin.checkpoint import LOG, Workspace, read_log
+from softfin.plant import Plant
+from softfin.surrogate import Surrogate
+from softfin.tracking.references import PAPER_RANGE
+from softfin.training.force_map import MapConfig, map_forces
+from softfin.training.train import STARTS, TrainConfig, train
+
+GOOD_N = 0.3
+ENVIRONMENTS = (1, 4, 16, 64, 256, 1024)
+
+
+def run(plant: Plant, config: TrainConfig) -> dict[str, Any]:
+    """Seconds to the first update, actions a second from then on, and seconds until the scored error is good."""
+    start, moments = time.perf_counter(), list[tuple[float, float]]()
+
+    def note(stage: str, done: float, _: str) -> None:
+        if stage.startswith("train"):
+            moments.append((time.perf_counter() - start, done))
+
+    with tempfile.TemporaryDirectory() as folder:
+        workspace = Workspace(Path(folder) / "controller", {})
+        train(plant, config, (0,), workspace, note)
+        log = read_log(workspace.folder / LOG)
+    whole = config.updates * config.learning.steps_per_update
+    when = {round(done * whole): seconds for seconds, done in moments}
+    good = [e["step"] for e in log if max(e.get(f"seed0/score_{axis}_n", 9.0) for axis in "xy") < GOOD_N]
+    # The first scoring compiles too, so the clock starts behind it.
+    first = min(len(moments) - 2, max(1, round(len(moments) / config.scorings)))
+    (begin, before), (end, after) = moments[first], moments[-1]
+    return {
+        "before_first_s": moments[0][0],
+        "steps_per_s": (after - before) * whole * len(config.cells) / (end - begin),
+        "good_after_s": when[min(good)] if good else None,
+        "trained_in_s": end,
+    }
+
+
+def scaling(plant: Plant) -> dict[str, float]:
+    """Actions a second of LSTM-PPO with more and more fins side by side."""
+    found = {}
+    for count in ENVIRONMENTS:
+        settings = (f"ppo.environments={count}", f"ppo.minibatches={min(count, 8)}", "scorings=1",
+                    f"steps={4 * count * STARTS['ppo', 'single'].ppo.rollout_actions}")  # fmt: skip
+        found[str(count)] = run(plant, STARTS["ppo", "single"].changed(settings))["steps_per_s"]
+    return found
+
+
+def published() -> Surrogate | None:
+    """The authors' nets, where they are at hand."""
+    folder = os.environ.get("SOFTFIN_PUBLISHED")
+    if folder is None:
+        return None
+    nets = Path(folder)
+    with tempfile.TemporaryDirectory() as out:
+        return stages.import_keras(
+            nets / "cnn_pos_net.keras", nets / "lstm_force_net.keras", nets / "scalers.json", Path(out) / "published"
+        )
+
+
+def main() -> list[dict[str, Any]]:
+    fin = published()
+    plant = fin or published_layout()
+    rows = []
+    for (algorithm, kind), config in STARTS.items():
+        got = run(plant, config)
+        rows.append(_row(f"{algorithm} {kind}", got, 30 if algorithm == "ppo" else 240, known=fin is not None))
+    start = time.perf_counter()
+    map_forces(plant, MapConfig(box=PAPER_RANGE))
+    rows.append(entry("gaits, 7 x 7: found in", time.perf_counter() - start, "s", 120, at_least=False))
+    rows.append({"figure": "LSTM-PPO against environments", "value": None, "unit": "actions/s", **scaling(plant)})
+    return rows
+
+
+def _row(name: str, got: Mapping[str, Any], bar: float, known: bool) -> dict[str, Any]:
+    facts: dict[str, Any] = {key: value for key, value in got.items() if key != "trained_in_s"}
+    if not known:
+        facts.pop("good_after_s")
+    return entry(f"{name}: trained in", got["trained_in_s"], "s", bar, at_least=False, **facts)

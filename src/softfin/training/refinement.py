@@ -1,0 +1,32 @@
+"""A second run over a finer grid: a trained one's worst cells are split, and the parts go on from its policies."""
+
+from softfin.checkpoint import Workspace
+from softfin.errors import ConfigurationError
+from softfin.plant import Plant
+from softfin.training.refine import cell_errors, inherited, refine
+from softfin.training.train import Progress, TrainConfig, Trained, train
+
+
+def check_refinable(config: TrainConfig, more: int) -> None:
+    """Raise ConfigurationError unless `more` cells can be made of the run's."""
+    if more < 0:
+        raise ConfigurationError(f"--refine {more}: give the number of cells to add, 0 or more")
+    if more and (config.controller != "grid" or config.algorithm != "gradient"):
+        raise ConfigurationError(
+            f"--refine {more}: only a grid that is trained by gradients is refined, not {config.controller} by "
+            f"{config.algorithm}; leave it out, or give --controller grid --algorithm gradient"
+        )
+
+
+def refined(plant: Plant, trained: Trained, more: int, workspace: Workspace, progress: Progress | None) -> Trained:
+    """The same budget a policy once more; no cell ends worse than it was."""
+    finer = refine(trained.config.cells, cell_errors(trained.score.error), more)
+    return train(
+        plant,
+        trained.config.model_copy(update={"cells": finer.cells}),
+        trained.seeds,
+        workspace,
+        progress,
+        known=trained.known,
+        start=inherited(trained.policies, finer.parents),
+    )

@@ -1,0 +1,46 @@
+import json
+
+import pytest
+
+from softfin.cli import main
+from tests.cli.test_cli import fails
+
+QUICK = [
+    word
+    for change in ("survey.cycles=2", "survey.batch=256", "survey.directions=8", "survey.pushes=1", "gaits.cycles=2",
+                   "gaits.steps=6", "box={low: [0.5, -0.5], high: [1.5, 0.5]}")
+    for word in ("--set", change)
+]  # fmt: skip
+
+
+def test_a_map_is_a_folder_and_a_summary(capsys, tmp_path):
+    main(["map", "tests.plants:StrokeFin", *QUICK, "--out", str(tmp_path / "x"), "--json"])
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["nodes"] == 9
+    assert summary["held"] >= 8
+    assert summary["area_n2"] > 2
+    assert (tmp_path / "x" / "map.png").is_file()
+    assert json.loads((tmp_path / "x" / "map.json").read_text())["configuration"]["gaits"]["steps"] == 6
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["pool"], "plant pool: unknown (is no folder)"),
+        (["tank", "--set", "spacing_n=0"], "spacing_n = 0: Input should be greater than 0"),
+        (["tank", "--set", "survey.direction=8"], "did you mean 'directions'?"),
+        (["tank", "--set", "box={low: [1, 0], high: [0, 1]}"], "is above high"),
+    ],
+)
+def test_wrong_input_is_one_line_and_exit_code_2(capsys, tmp_path, words, expected):
+    line, code = fails(capsys, "map", *words, "--out", str(tmp_path / "x"))
+    assert expected in line
+    assert code == 2
+    assert not (tmp_path / "x").exists()
+
+
+def test_what_is_there_is_refused_before_anything_is_tried(capsys, tmp_path):
+    (tmp_path / "notes.txt").write_text("keep")
+    line, code = fails(capsys, "map", "tank", "--out", str(tmp_path))
+    assert "exists already; give another --out" in line
+    assert code == 2

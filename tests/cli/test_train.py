@@ -1,0 +1,39 @@
+"""``softfin train``: which references its options ask for."""
+
+import pytest
+
+from softfin.cli.train import asked_cells
+from softfin.errors import ConfigurationError
+from softfin.tracking.references import PAPER_CELLS, Cell, least_box
+
+
+def test_a_lattice_fills_the_range() -> None:
+    cells = asked_cells("grid", "3x2", "-1,-2,2,2")
+    assert cells is not None
+    assert len(cells) == 6
+    assert least_box(cells) == Cell(low=(-1, -2), high=(2, 2))
+
+
+def test_a_single_controller_and_gaits_take_the_range_as_their_one_cell() -> None:
+    for controller in ("single", "gaits"):
+        assert asked_cells(controller, None, "0,0,1,2") == (Cell(low=(0, 0), high=(1, 2)),)
+        assert asked_cells(controller, None, None) is None
+
+
+def test_without_options_the_configuration_stands_and_paper_is_its_default() -> None:
+    assert asked_cells("grid", None, None) is None
+    assert asked_cells("grid", "paper", None) == PAPER_CELLS
+
+
+@pytest.mark.parametrize(
+    ("controller", "cells", "span", "message"),
+    [
+        ("single", "3x3", None, "--cells 3x3: single has no cells; give --range, or --controller grid"),
+        ("grid", None, "0,0,1,1", r"--range 0,0,1,1: the cells \(paper\) have places of their own \(x 0.5 .. 3.5"),
+        ("grid", "0x3", None, "--cells 0x3: 0 cells"),
+        ("grid", "3x3", "0,0,nan,1", "--range 0,0,nan,1: high.0"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(controller: str, cells: str, span: str, message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        asked_cells(controller, cells, span)

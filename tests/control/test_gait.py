@@ -1,0 +1,54 @@
+"""Gaits as a controller."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softfin.control.controller import Controller, Measured
+from softfin.control.gait import GaitController
+from softfin.errors import CoverageError
+from softfin.quantities import PAPER_LIMITS
+from softfin.tracking.task import command_of
+from tests.control.test_map_store import KNOWN, TABLE
+
+CONTROLLER = GaitController(TABLE, PAPER_LIMITS, KNOWN.reachable)
+
+
+def commands(references: Any) -> np.ndarray:
+    def act(state: Any, reference: Any) -> Any:
+        state, command = CONTROLLER.act(state, Measured(jnp.float32(0), jnp.ones(2)), reference)
+        return state, jnp.stack(command)
+
+    return np.asarray(jax.jit(lambda r: jax.lax.scan(act, CONTROLLER.init(), r)[1])(references))
+
+
+def expected(actions: Any) -> np.ndarray:
+    return np.stack([jnp.stack(command_of(PAPER_LIMITS, action)) for action in jnp.asarray(actions)])
+
+
+def test_it_meets_the_contract() -> None:
+    assert isinstance(CONTROLLER, Controller)
+
+
+def test_at_a_node_it_plays_the_six_actions_again_and_again() -> None:
+    found = commands(jnp.tile(jnp.array([1.5, 0.0]), (12, 1)))
+    np.testing.assert_allclose(found[:6], expected(TABLE.actions[1, 1]), atol=1e-4)
+    np.testing.assert_array_equal(found[6:], found[:6])
+
+
+def test_the_phase_goes_on_when_the_reference_moves() -> None:
+    references = jnp.array([[0.5, -1.0]] * 4 + [[2.5, 2.0]] * 5)
+    found = commands(references)
+    np.testing.assert_allclose(found[:4], expected(TABLE.actions[0, 0, :4]), atol=1e-4)
+    np.testing.assert_allclose(found[4:6], expected(TABLE.actions[-1, -1, 4:]), atol=1e-4)
+    np.testing.assert_allclose(found[6:], expected(TABLE.actions[-1, -1, :3]), atol=1e-4)
+
+
+def test_it_covers_its_lattice_and_no_more() -> None:
+    CONTROLLER.check((0.5, 2.0))
+    assert CONTROLLER.cell.high == (2.5, 2.0)
+    with pytest.raises(CoverageError, match=r"\(3, 0\) N: 0.5 N outside what this controller was trained for"):
+        CONTROLLER.check((3.0, 0.0))

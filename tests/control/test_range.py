@@ -1,0 +1,66 @@
+"""What a controller admits: its cells, and within them what the fin can make."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from softfin.control.range import admitted, check_within
+from softfin.errors import CoverageError
+from softfin.tracking.reachable import Reachable
+from softfin.tracking.references import PAPER_CELLS, Cell
+
+BOX = Cell(low=(0, -2), high=(3, 2))
+DISC = Reachable(np.array([1, 0], np.float32), np.full(360, 1.5, np.float32))
+
+
+@dataclasses.dataclass
+class Holder:
+    """Of a controller, what is looked at here."""
+
+    reachable: Reachable | None
+
+    def init(self):
+        raise AssertionError("it is not moved")
+
+    def act(self, state, measured, reference):
+        raise AssertionError("it is not moved")
+
+    def check(self, reference):
+        check_within((BOX,), reference)
+
+
+def test_a_reference_within_reach_is_held_as_it_is():
+    for strict in (False, True):
+        assert admitted(Holder(DISC), (2, 1), strict) == ((2, 1), None)
+
+
+def test_beyond_reach_the_nearest_force_is_held_and_both_are_named():
+    (x, y), warning = admitted(Holder(DISC), (3, 0), False)
+    assert (x, y) == pytest.approx((2.5, 0), abs=1e-3)
+    assert warning is not None
+    assert warning.startswith("reference (3, 0) N: this fin cannot make it; the nearest that it can make is (2.500, ")
+    assert warning.endswith("which is held instead")
+    assert "\n" not in warning
+
+
+def test_strictly_it_is_refused_with_the_way_out():
+    with pytest.raises(CoverageError, match=r"\(3, 0\) N: this fin cannot .* \(2\.500, .*ask for that, or leave out"):
+        admitted(Holder(DISC), (3, 0), True)
+
+
+def test_what_a_controller_was_not_trained_for_is_refused_whatever_the_fin_can_do():
+    with pytest.raises(CoverageError, match=r"reference \(-0\.3, 0\) N: 0\.3 N outside what this controller was"):
+        admitted(Holder(DISC), (-0.3, 0), False)
+    with pytest.raises(CoverageError, match="outside what this controller was trained for"):
+        admitted(Holder(None), (5, 0), False)
+
+
+def test_where_the_reach_is_not_known_all_that_was_trained_for_is_admitted():
+    assert admitted(Holder(None), (3, 2), True) == ((3, 2), None)
+
+
+def test_a_force_on_a_cells_edge_is_within_and_the_nearest_of_many_is_named():
+    check_within(PAPER_CELLS, (0.5, 1.5))
+    with pytest.raises(CoverageError, match=r"0\.5 N outside the nearest of 6 cells \(x 2.5 .. 3.5, y -0.5 .. 0.5 N\)"):
+        check_within(PAPER_CELLS, (4, 0))

@@ -1,0 +1,47 @@
+"""Memory of policies: what is counted is what lies on disk, and a policy of the default size fits in 200 kB."""
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+
+from softfin import artifacts
+from softfin.tracking.task import TaskConfig
+from softfin.training.footprint import memory_of
+from softfin.training.policy import Policy, PolicyConfig, named
+
+OBSERVATIONS = TaskConfig(phase=True).observations
+
+
+def test_a_policy_of_the_default_size_and_its_normalisation_fit_in_200_kb_on_disk(tmp_path: Path) -> None:
+    policy = Policy.create(jax.random.key(0), PolicyConfig(), OBSERVATIONS)
+    arrays = {name: np.asarray(leaf) for name, leaf in named(policy).items()}
+    artifacts.save(tmp_path / "c", "controller", {"kind": "controller"}, arrays)
+    written = (tmp_path / "c" / artifacts.WEIGHTS).stat().st_size
+    assert any("normalisation" in name for name in arrays)
+    assert written < 200_000
+    assert memory_of(policy).weights_bytes <= written
+
+
+def test_the_optimisers_part_is_what_adam_holds() -> None:
+    policy = Policy.create(jax.random.key(0), PolicyConfig(units=4, width=4), OBSERVATIONS)
+    held = sum(leaf.nbytes for leaf in jax.tree.leaves(optax.adam(1e-3).init(policy)))
+    assert memory_of(policy).optimiser_bytes == pytest.approx(held, abs=8)
+
+
+def test_stacked_policies_are_counted_each_alike() -> None:
+    alone = Policy.create(jax.random.key(0), PolicyConfig(units=4, width=4), OBSERVATIONS)
+    six = jax.tree.map(lambda x: jnp.stack([x] * 6), alone)
+    assert memory_of(six) == memory_of(alone)._replace(policies=6)
+    assert memory_of(six).total_bytes == 6 * memory_of(alone).total_bytes
+    assert memory_of(six).described()["total_weights_bytes"] == 6 * memory_of(alone).weights_bytes
+
+
+def test_what_is_told_names_each_and_all() -> None:
+    policy = Policy.create(jax.random.key(0), PolicyConfig(), OBSERVATIONS)
+    told = str(memory_of(jax.tree.map(lambda x: jnp.stack([x] * 6), policy)))
+    assert told.startswith("memory: 6 policies of 24,")
+    assert "1 policy of" in str(memory_of(policy))

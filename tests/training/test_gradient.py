@@ -1,0 +1,170 @@
+"""Gradient training: its slope is the true one, it lowers its loss, and it goes on as if it had never stopped."""
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softfin.checkpoint import Workspace
+from softfin.plant import Plant
+from softfin.quantities import Command
+from softfin.tracking.references import Cell
+from softfin.tracking.task import ForceTracking, TaskConfig
+from softfin.training.gradient import Gradient, GradientConfig, GradientLane, differentiable
+from softfin.training.imitation import ImitationConfig
+from softfin.training.learner import Learner
+from softfin.training.policy import Policy, PolicyConfig
+from softfin.training.train import GRADIENT_SINGLE, Trained, train
+from tests.plants import AnalyticFin, PlainFin, StrokeFin
+from tests.training.mapped import GAITS, SURVEY, WITHIN
+
+SIZE = PolicyConfig(units=8, width=8)
+TASK = ForceTracking(StrokeFin(), TaskConfig(phase=True, reference_actions=45))
+LEARNER = Gradient(
+    TASK, GradientConfig(environments=4, rollout_actions=6, learning_rate=1e-2, teacher=False), SIZE, updates=40
+)
+REFERENCES = Cell(low=(1, -0.25), high=(1.5, 0.25)).references()
+update = jax.jit(LEARNER.update)
+
+
+@cache
+def start() -> GradientLane:
+    """With a policy that beats: where a fin rests, its force has no slope."""
+    lane = jax.jit(LEARNER.init)(jax.random.key(0), REFERENCES)
+    return lane._replace(policy=eqx.tree_at(lambda policy: policy.net.output.kernel, lane.policy, replace_fn=louder))
+
+
+def louder(kernel: Any) -> Any:
+    return 60 * kernel
+
+
+def test_it_meets_the_contract_of_learners() -> None:
+    assert isinstance(LEARNER, Learner)
+
+
+def test_its_slope_is_that_of_finite_differences() -> None:
+    """For the weight that the loss depends on most, and its neighbours."""
+    lane = start()
+    loss = jax.jit(lambda policy: LEARNER.loss(policy, lane.batch)[0])
+    slope = jax.jit(jax.grad(lambda policy: LEARNER.loss(policy, lane.batch)[0]))(lane.policy).net.hidden.kernel
+    place, step = np.unravel_index(np.argmax(np.abs(slope)), slope.shape), 3e-2
+
+    def moved(by: float) -> float:
+        kernel = lane.policy.net.hidden.kernel.at[place].add(by)
+        return float(loss(eqx.tree_at(lambda policy: policy.net.hidden.kernel, lane.policy, kernel)))
+
+    assert float(slope[place]) != 0
+    np.testing.assert_allclose(float(slope[place]), (moved(step) - moved(-step)) / (2 * step), rtol=0.05)
+
+
+def test_no_slope_reaches_the_normalisation_and_the_noise() -> None:
+    lane = start()
+    slope = jax.jit(jax.grad(lambda policy: LEARNER.loss(policy, lane.batch)[0]))(lane.policy)
+    assert all((leaf == 0).all() for leaf in jax.tree.leaves((slope.normalisation, slope.log_deviation)))
+
+
+def test_updates_lower_the_loss() -> None:
+    lane, losses = start(), []
+    for _ in range(LEARNER.updates):
+        lane, metrics = update(lane)
+        losses.append(float(metrics["loss"]))
+    assert np.mean(losses[-5:]) < 0.6 * np.mean(losses[:5])
+    assert {"loss", "error_x_n", "error_y_n", "reward", "gradient_norm"} <= set(metrics)
+
+
+def test_a_loss_of_rounded_errors_is_the_plain_one_less_at_most_the_rounding() -> None:
+    """sqrt(e^2 + r^2) - r lies between e - r and e."""
+    lane = start()
+    sharp = GradientConfig(environments=4, rollout_actions=6, rounding_n=1e-6, teacher=False)
+    plain = float(Gradient(TASK, sharp, SIZE, 40).loss(lane.policy, lane.batch)[0])
+    rounded = float(LEARNER.loss(lane.policy, lane.batch)[0])
+    assert plain - 2 * LEARNER.config.rounding_n <= rounded < plain
+
+
+class Numb(StrokeFin):
+    """A fin whose force knows nothing of its commands, as far as slopes go."""
+
+    def advance(self, state: Any, command: Command, ticks: int) -> Any:
+        return super().advance(state, jax.lax.stop_gradient(command), ticks)
+
+
+class Foreign(StrokeFin):
+    """A fin that computes beyond JAX."""
+
+    def advance(self, state: Any, command: Command, ticks: int) -> Any:
+        angle = jax.pure_callback(np.asarray, jax.ShapeDtypeStruct((), jnp.float32), command.angle)
+        return super().advance(state, Command(angle, command.velocity), ticks)
+
+
+@pytest.mark.parametrize(
+    ("plant", "answer"),
+    [(StrokeFin(), True), (AnalyticFin(), True), (PlainFin(), True), (Numb(), False), (Foreign(), False)],
+    ids=["strokes", "analytic", "plain", "numb", "foreign"],
+)
+def test_a_plant_is_differentiable_where_its_force_has_a_slope(plant: Plant, answer: bool) -> None:
+    assert differentiable(plant) is answer
+
+
+QUICK = GRADIENT_SINGLE.model_copy(
+    update={
+        "cells": (WITHIN.box,),
+        "policy": SIZE,
+        "steps": 4 * 24,
+        "scorings": 4,
+        "lattice": 1,
+        "task": TaskConfig(phase=True, episode_actions=12, reference_actions=6),
+        "gradient": GradientConfig(
+            environments=4, rollout_actions=6, imitation=ImitationConfig(fins=4, actions=12, steps=5, batch=4),
+            map=WITHIN.model_copy(update={"survey": SURVEY, "gaits": GAITS.model_copy(update={"steps": 2})}),
+        ),
+    }
+)  # fmt: skip
+
+
+def trained(folder: Path, resume: bool = False, progress: Any = None) -> Trained:
+    workspace = Workspace(folder / "out", {"of": "this"}, resume=resume)
+    return train(StrokeFin(), QUICK, (0,), workspace, progress)
+
+
+class Cut(Exception):
+    """The power goes."""
+
+
+def test_a_run_that_was_stopped_twice_ends_with_the_weights_of_one_that_never_was(tmp_path: Path) -> None:
+    """Once between the map and the first update, once later."""
+    whole = trained(tmp_path / "whole")
+
+    def cut(at: float) -> Any:
+        def progress(stage: str, done: float, note: str) -> None:
+            if stage.startswith("train") and done >= at:
+                raise Cut
+
+        return progress
+
+    stages = []
+    for resume, at in ((False, 0.2), (True, 0.7)):
+        with pytest.raises(Cut):
+            trained(tmp_path / "cut", resume, cut(at))
+    resumed = trained(tmp_path / "cut", True, lambda stage, done, note: stages.append(stage))
+
+    jax.tree.map(np.testing.assert_array_equal, resumed.policies, whole.policies)
+    jax.tree.map(np.testing.assert_array_equal, resumed.score, whole.score)
+    assert "map" not in stages
+    assert resumed.known is not None
+    assert whole.known is not None
+    jax.tree.map(np.testing.assert_array_equal, resumed.known, whole.known)
+
+
+def test_a_run_knows_what_the_fin_can_do_over_its_cells(tmp_path: Path) -> None:
+    found = trained(tmp_path)
+    assert found.known is not None
+    assert WITHIN.box is not None
+    table = found.known.found.table
+    assert (np.asarray(table.low) <= np.array(WITHIN.box.low) + 1e-6).all()
+    assert (np.asarray(table.high) >= np.array(WITHIN.box.high) - 1e-6).all()
+    assert isinstance(found.policies, Policy)

@@ -1,0 +1,92 @@
+"""A policy is taught a table of gaits."""
+
+from functools import cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softfin.plant import ACTION_TICKS, CYCLE_ACTIONS
+from softfin.tracking.references import Cell
+from softfin.tracking.task import ForceTracking, TaskConfig
+from softfin.training.imitation import ImitationConfig, Shown, imitate, show
+from softfin.training.policy import Policy, PolicyConfig
+from tests.plants import StrokeFin
+from tests.training.mapped import WITHIN, known
+
+TASK = ForceTracking(StrokeFin(), TaskConfig(phase=True))
+CONFIG = ImitationConfig(fins=24, actions=24, steps=250, batch=12, learning_rate=1e-2)
+assert WITHIN.box is not None
+REFERENCES = WITHIN.box.references()
+KEY = jax.random.key(3)
+POLICY = Policy.create(jax.random.key(0), PolicyConfig(units=16, width=16), TASK.config.observations)
+
+
+@cache
+def shown() -> Shown:
+    table = known().found.table
+    return jax.jit(lambda key: show(TASK, table, REFERENCES, key, CONFIG))(jax.random.key(9))
+
+
+@cache
+def taught() -> Policy:
+    table = known().found.table
+    return jax.jit(lambda key: imitate(TASK, POLICY, table, REFERENCES, key, CONFIG))(KEY)
+
+
+def said(policy: Policy, observation: Any) -> np.ndarray:
+    """Actions along one fin's time."""
+    return np.asarray(jax.jit(lambda x: jax.lax.scan(lambda *now: policy.act(*now), policy.init(), x)[1])(observation))
+
+
+def unlike(policy: Policy) -> float:
+    """Root of the mean square over fins that it was not taught with."""
+    squares = [(said(policy, shown().observation[:, fin]) - shown().action[:, fin]) ** 2 for fin in range(8)]
+    return float(np.sqrt(np.mean(squares)))
+
+
+def test_what_is_shown_is_the_gait_of_the_observed_reference_in_its_phase() -> None:
+    observation, action = shown()
+    scale, table = TASK.config.force_scale_n, known().found.table
+    assert observation.shape == (24, 24, 13)
+    for time in (0, 5, 13, 23):
+        reference = observation[time, 4, 1:3] * scale
+        np.testing.assert_allclose(action[time, 4], table.gait(reference)[time % CYCLE_ACTIONS], atol=1e-4)
+
+
+def test_what_is_observed_is_what_the_actions_before_led_to() -> None:
+    observation, action = shown()
+    np.testing.assert_allclose(observation[1:, :, 3:5], action[:-1], atol=1e-6)
+    np.testing.assert_allclose(observation[1:, :, 0], action[:-1, :, 0], atol=1e-5)
+
+
+def test_each_fin_is_shown_two_references_and_the_box_is_filled_with_them() -> None:
+    references = shown().observation[..., 1:3] * TASK.config.force_scale_n
+    np.testing.assert_array_equal(references[:12], np.broadcast_to(references[0], (12, 24, 2)))
+    np.testing.assert_array_equal(references[12:], np.broadcast_to(references[12], (12, 24, 2)))
+    assert (np.abs(references[0] - references[12]).max(axis=1) > 1e-3).all()
+    assert np.ptp(references, axis=(0, 1)).min() > 0.7
+
+
+def test_the_taught_policy_acts_as_the_table() -> None:
+    assert unlike(POLICY) > 0.4
+    assert unlike(taught()) < 0.12
+
+
+def test_the_taught_policy_holds_forces_by_itself() -> None:
+    """In the loop with its own actions, where nobody leads it back."""
+    cell = Cell(low=(1, 0.25), high=(1, 0.25))
+
+    def drive(policy: Policy) -> Any:
+        state, memory = TASK.reset(KEY, cell.references()), policy.init()
+        forces = []
+        for i in range(18):
+            memory, action = policy.act(memory, TASK.observe(state))
+            state, outcome = TASK.step(state, action, ACTION_TICKS[i % 3])
+            forces.append(outcome.forces)
+        return jnp.concatenate(forces)[-200:].mean(axis=0)
+
+    run = jax.jit(drive)
+    np.testing.assert_allclose(run(taught()), (1, 0.25), atol=0.2)
+    assert np.abs(run(POLICY) - np.array([1, 0.25])).max() > 0.5
