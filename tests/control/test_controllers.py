@@ -138,7 +138,7 @@ def test_the_folder_describes_itself(run: Trained, tmp_path: Path) -> None:
         (lambda f: _edit(f, task={"past_actions": -1}), "controller.json: not a controller's description"),
         (lambda f: _edit(f, task={"past_actions": 5}), r"net.lstm.kernel has shape .*; its configuration needs \(15"),
         (lambda f: _edit(f, cells=[]), "with 0 cells does not fit"),
-        (lambda f: _edit(f, controller="neither"), r"controller 'neither' .*; there are single .* and grid"),
+        (lambda f: _edit(f, controller="neither"), r"controller 'neither' .*; there are single .* and gaits"),
         (lambda f: _edit(f, action_rate_hz=5.0), "acts at 5.0 Hz; softfin acts at 3.0 Hz"),
     ],
 )

@@ -66,7 +66,7 @@ def values(ppo: PPO, lane: Lane) -> np.ndarray:
 def test_values_ahead_of_a_change_are_discounted() -> None:
     ppo = learner(Late(), updates=40, episode=12, learning_rate=1e-2, discount=0.5)
     lane = trained(ppo, box((1, 0), (1, 0)))
-    np.testing.assert_allclose(values(ppo, lane), [-(1 - 0.5**3), -(1 - 0.5**2), -0.5, 0, 0, 0], atol=0.1)
+    np.testing.assert_allclose(values(ppo, lane), [-(1 - 0.5**3), -(1 - 0.5**2), -0.5, 0, 0, 0], atol=0.05)
 
 
 class Blind(Policy):

@@ -7,17 +7,17 @@ from typing import Any, Literal
 import tyro
 
 from softfin import stages
-from softfin.artifacts import load_description
+from softfin.artifacts import check_vacant, load_description
 from softfin.cli.common import Configured, Out, progress
 from softfin.control.store import KIND
 from softfin.errors import ConfigurationError
 from softfin.plants import find_plant
 from softfin.tracking.cells import cells_of, range_of
 from softfin.tracking.references import PAPER_RANGE, Cell, least_box
+from softfin.training.beat import differentiable
 from softfin.training.engine import EngineName
 from softfin.training.footprint import Footprint
 from softfin.training.force_map import MapConfig
-from softfin.training.gradient import differentiable
 from softfin.training.jobs import Split
 from softfin.training.train import STARTS
 
@@ -56,7 +56,9 @@ class Arguments(Configured):
     def run(self) -> None:
         """Train."""
         cells = asked_cells(self.controller, self.cells, self.range)
+        check_vacant(Path(self.out), self.overwrite)
         if self.controller == "gaits":
+            self._check_gaits()
             lattice = self.configured(MapConfig(box=PAPER_RANGE), box=None if cells is None else cells[0].model_dump())
             with progress() as report:
                 stages.gaits(self.surrogate, Path(self.out), lattice, overwrite=self.overwrite, progress=report)
@@ -65,6 +67,11 @@ class Arguments(Configured):
         if algorithm == "auto":
             algorithm = "gradient" if differentiable(find_plant(self.surrogate)) else "ppo"
         config = self.configured(STARTS[algorithm, self.controller], steps=self.steps, cells=cells)
+        if config.algorithm != algorithm:
+            raise ConfigurationError(
+                f"algorithm = {config.algorithm}: its steps and the rest of its settings go with it; give --algorithm "
+                f"{config.algorithm}"
+            )
         with progress() as report:
             stages.train(
                 self.surrogate, Path(self.out), config,
@@ -72,6 +79,14 @@ class Arguments(Configured):
                 resume=self.resume, overwrite=self.overwrite, progress=report,
             )  # fmt: skip
         return self._tell()
+
+    def _check_gaits(self) -> None:
+        given = {"--algorithm": self.algorithm != "auto", "--steps": self.steps is not None, "--resume": self.resume,
+                 "--refine": self.refine != 0, "--engine": self.engine != "local", "--split": self.split is not None,
+                 "--cluster": self.cluster is not None}  # fmt: skip
+        useless = [name for name, is_given in given.items() if is_given]
+        if useless:
+            raise ConfigurationError(f"{', '.join(useless)}: gaits are found, not trained; leave it out")
 
     def _tell(self) -> None:
         description = load_description(Path(self.out), KIND)

@@ -94,3 +94,18 @@ def families() -> list[Family]:
         assert gaits.shape[1] == CYCLE_ACTIONS
         found.append(Family(name, velocity, gaits.astype(np.float32)))
     return found
+
+
+def differentiable(plant: Plant) -> bool:
+    """Whether the mean force has a slope against the commands; one's own simulator may have none, or fail."""
+
+    def force(gait: Gait) -> Float[Array, ""]:
+        return made(plant, gait, 2, jax.random.key(0)).force.sum()
+
+    gait = jnp.asarray(families()[0].gaits[len(CENTRES) * len(AMPLITUDES) // 2])
+    try:
+        slope = jax.jit(jax.grad(force))(gait)
+    except Exception:
+        # It is the user's code that is differentiated here, and it may fail in any way.
+        return False
+    return bool(jnp.isfinite(slope).all() and (slope != 0).any())

@@ -8,9 +8,11 @@ from jaxtyping import Float
 from pydantic import Field, PositiveFloat
 
 from softfin.configuration import Configuration
+from softfin.errors import PlantError
 from softfin.plant import Plant
 from softfin.tracking.reachable import Reachable
 from softfin.tracking.references import Cell
+from softfin.training.beat import differentiable
 from softfin.training.gaits import Found, GaitConfig, Lattice, find_gaits
 from softfin.training.survey import SurveyConfig, survey
 
@@ -57,6 +59,12 @@ def empty_map(lattice: Lattice, directions: int) -> ForceMap:
 
 def map_forces(plant: Plant, config: MapConfig, report: Callable[[float, str], None] | None = None) -> ForceMap:
     """Survey a plant, find a gait for every node, and see how far they reach."""
+
+    if not differentiable(plant):
+        raise PlantError(
+            "map: the mean force of this plant has no slope against its commands, which the search for gaits follows; "
+            "record it (softfin collect), fit a surrogate (softfin fit) and map that"
+        )
 
     def part(begin: float, end: float) -> Callable[[float, str], None] | None:
         return None if report is None else lambda done, note: report(begin + (end - begin) * done, note)

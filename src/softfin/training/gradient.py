@@ -16,10 +16,9 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from pydantic import Field, PositiveFloat, PositiveInt
 
 from softfin.configuration import Configuration
-from softfin.plant import ACTION_TICKS, Plant
+from softfin.plant import ACTION_TICKS
 from softfin.tracking.references import References
 from softfin.tracking.task import ForceTracking, Outcome
-from softfin.training.beat import AMPLITUDES, CENTRES, Gait, families, made
 from softfin.training.force_map import MapConfig
 from softfin.training.gaits import GaitTable
 from softfin.training.imitation import ImitationConfig, imitate
@@ -27,21 +26,6 @@ from softfin.training.learner import Metrics
 from softfin.training.lstm import cleared
 from softfin.training.policy import Policy, PolicyConfig
 from softfin.training.rollout import Batch, begin, restart
-
-
-def differentiable(plant: Plant) -> bool:
-    """Whether the mean force has a slope against the commands; one's own simulator may have none, or fail."""
-
-    def force(gait: Gait) -> Float[Array, ""]:
-        return made(plant, gait, 2, jax.random.key(0)).force.sum()
-
-    gait = jnp.asarray(families()[0].gaits[len(CENTRES) * len(AMPLITUDES) // 2])
-    try:
-        slope = jax.jit(jax.grad(force))(gait)
-    except Exception:
-        # It is the user's code that is differentiated here, and it may fail in any way.
-        return False
-    return bool(jnp.isfinite(slope).all() and (slope != 0).any())
 
 
 class GradientConfig(Configuration):

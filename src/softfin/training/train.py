@@ -314,8 +314,8 @@ class _Run:
         return self.programs.score(self.given, policies, self.references)
 
     def finite(self, metrics: Metrics, update: int) -> Metrics:
-        """The metrics; raises RunError where a lane's loss is not finite."""
-        bad = np.flatnonzero(~np.isfinite(np.asarray(metrics["loss"])))
+        """The metrics; raises RunError where a lane's loss or its gradient is not finite."""
+        bad = np.flatnonzero(~np.isfinite(np.asarray(metrics["loss"] + metrics["gradient_norm"])))
         if bad.size:
             seed, index = self.lanes[bad[0]]
             raise RunError(
