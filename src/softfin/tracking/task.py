@@ -67,6 +67,8 @@ class TaskConfig(Configuration):
     """Actions until the fin starts again from rest, whole cycles of three; 90 are the paper's 30 s."""
     reference_actions: PositiveInt = 90
     """Actions until another reference is drawn."""
+    ramps: float = Field(default=0.0, ge=0, le=1)
+    """Share of the drawn references that are gone to in a straight line, until the next is due; others are steps."""
     force_scale_n: PositiveFloat = 3.0
     """References are observed in this unit [N], so that they are of about unit size."""
     phase: bool = False
@@ -88,6 +90,8 @@ class TaskState(NamedTuple):
     angle: Float[Array, ""]
     """Of the shaft, last read [rad]."""
     reference: Float[Array, "2"]
+    drift: Float[Array, "2"]
+    """Of the reference, an action [N]."""
     references: References
     """Where references are drawn from."""
     actions: Float[Array, "remembered 2"]
@@ -130,6 +134,7 @@ class ForceTracking:
             plant=self.plant.init(plant_key),
             angle=jnp.float32(0),
             reference=references.draw(reference_key),
+            drift=jnp.zeros(2),
             references=references,
             actions=rest_actions(self.config, self.plant.limits),
             forces=jnp.zeros((self.config.window_samples, 2)),
@@ -164,11 +169,12 @@ class ForceTracking:
         sensing = self.config.sensing
         noise = sensing.noise_rad * jax.random.normal(jax.random.fold_in(jax.random.fold_in(state.key, age), 1))
         drawn = state.references.draw(jax.random.fold_in(state.key, age))
-        due = age % self.config.reference_actions == 0
+        reference, drift = self._moved(state, drawn, age % self.config.reference_actions == 0)
         return TaskState(
             plant=plant,
             angle=reading.angle[-1 - sensing.delay_ticks] + noise,
-            reference=jnp.where(due, drawn, state.reference),
+            reference=reference,
+            drift=drift,
             references=state.references,
             actions=remember(state.actions, action),
             forces=forces,
@@ -177,6 +183,16 @@ class ForceTracking:
             age=age,
             key=state.key,
         ), outcome
+
+    def _moved(
+        self, state: TaskState, drawn: Float[Array, "2"], due: Bool[Array, ""]
+    ) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
+        """The reference of the next action and its drift; `drawn` is the one to go to where another is `due`."""
+        draw = jax.random.fold_in(jax.random.fold_in(state.key, state.age), 2)
+        ramp = jax.random.bernoulli(draw, self.config.ramps)
+        towards = (drawn - state.reference) / self.config.reference_actions
+        drift = jnp.where(due, jnp.where(ramp, towards, 0), state.drift)
+        return jnp.where(due & ~ramp, drawn, state.reference + drift), drift
 
     def finished(self, state: TaskState) -> Bool[Array, ""]:
         """Whether the episode is over: cut, not ended, since the fin could beat on."""

@@ -97,13 +97,20 @@ SINGLE = TrainConfig(
     steps=30_000,
     cells=(PAPER_RANGE,),
     task=TaskConfig(reference_actions=45),
-    ppo=PPOConfig(environments=32, rollout_actions=15, minibatches=8),
+    ppo=PPOConfig(environments=32, rollout_actions=15, minibatches=8, epochs=8, final_learning_rate=0.03),
     lattice=3,
 )
 """The paper's single controller on its budget."""
 
 GRADIENT_SINGLE = SINGLE.changed(
-    ("algorithm=gradient", "steps=115200", "task.phase=true", "task.reward.target=window", "task.reference_actions=24")
+    (
+        "algorithm=gradient",
+        "steps=115200",
+        "task.phase=true",
+        "task.reward.target=window",
+        "task.reference_actions=15",
+        "task.ramps=0.25",
+    )
 )
 """One controller by gradients through the plant: 200 updates."""
 
