@@ -1,20 +1,22 @@
 import numpy as np
+import pytest
 
+from softfin.errors import ConfigurationError
 from softfin.evaluation.doubt import Doubt
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation
 from softfin.evaluation.experiment import Recording
 from softfin.evaluation.scores import Scores
 from softfin.quantities import Command, Reading
-from softfin.reproduction import _together
+from softfin.reproduction import ReproduceConfig, _together
 
 ROWS = np.zeros((1, 1, 3))
 RECORDING = Recording(np.zeros((1, 2)), Command(ROWS, ROWS), Reading(ROWS, ROWS, ROWS, np.zeros((1, 1, 3, 2))))
 
 
-def judged(distance, share):
+def judged(distance, share, *warnings):
     scores = Scores(*(np.full((1, 2, 2), share) for _ in Scores._fields))
     doubt = Doubt(np.array([share]), np.array([distance]), np.array([[share, 3 * share]]))
-    return Evaluation(EvaluateConfig(), scores, 2, RECORDING, doubt)
+    return Evaluation(EvaluateConfig(), scores, 2, RECORDING, doubt, warnings)
 
 
 def test_of_several_controllers_the_furthest_distance_is_that_of_the_one_that_went_furthest():
@@ -23,3 +25,15 @@ def test_of_several_controllers_the_furthest_distance_is_that_of_the_one_that_we
     np.testing.assert_allclose(both.doubt.beyond, [0.2])
     np.testing.assert_allclose(both.doubt.half_width, [[0.2, 0.6]])
     assert both.repetitions == 2
+
+
+def test_what_several_controllers_warn_of_is_said_once():
+    each = [judged(1.0, 0.1, "one"), judged(1.0, 0.1, "one", "another")]
+    assert _together(each).warnings == ("one", "another")
+
+
+@pytest.mark.parametrize("asked", [{"moving": ["step"]}, {"error_map": 3}, {"random": 9}])
+def test_experiments_that_a_reproduction_does_not_do_are_refused(asked):
+    (name,) = asked
+    with pytest.raises(ConfigurationError, match=rf"evaluate\.{name} is .* leave it out, .* softfin evaluate"):
+        ReproduceConfig.build({"evaluate": asked})

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from softfin import testing
     from softfin.calibration.config import CalibrateConfig
     from softfin.control.store import load_controller
+    from softfin.evaluation.baselines import BaselinesConfig
     from softfin.evaluation.compare import CompareConfig
     from softfin.evaluation.evaluate import EvaluateConfig
     from softfin.logs.collect import CollectConfig
@@ -35,12 +36,15 @@ if TYPE_CHECKING:
         compare,
         evaluate,
         fit,
+        gaits,
         import_keras,
         import_logs,
         inspect_logs,
+        map_forces,
         train,
         view,
     )
+    from softfin.stages_baselines import baselines
     from softfin.surrogate import (
         AutoConfig,
         FitConfig,
@@ -51,6 +55,7 @@ if TYPE_CHECKING:
     )
     from softfin.surrogate.active import ActiveCollectConfig
     from softfin.tank import Tank, TankConfig
+    from softfin.training.force_map import MapConfig
     from softfin.training.train import GRID, SINGLE, TrainConfig
     from softfin.viewing import ViewConfig
 
@@ -60,6 +65,7 @@ __all__ = [
     "SINGLE",
     "ActiveCollectConfig",
     "AutoConfig",
+    "BaselinesConfig",
     "CalibrateConfig",
     "CollectConfig",
     "Command",
@@ -70,6 +76,7 @@ __all__ = [
     "ImportConfig",
     "Limits",
     "Log",
+    "MapConfig",
     "Reading",
     "ReproduceConfig",
     "StreamingConfig",
@@ -79,17 +86,20 @@ __all__ = [
     "TankConfig",
     "TrainConfig",
     "ViewConfig",
+    "baselines",
     "calibrate",
     "collect",
     "compare",
     "evaluate",
     "find_plant",
     "fit",
+    "gaits",
     "import_keras",
     "import_logs",
     "inspect_logs",
     "load_controller",
     "load_surrogate",
+    "map_forces",
     "reproduce",
     "testing",
     "train",
@@ -99,6 +109,7 @@ __all__ = [
 _HOMES = {
     "softfin.calibration.config": ("CalibrateConfig",),
     "softfin.control.store": ("load_controller",),
+    "softfin.evaluation.baselines": ("BaselinesConfig",),
     "softfin.evaluation.compare": ("CompareConfig",),
     "softfin.evaluation.evaluate": ("EvaluateConfig",),
     "softfin.logs.collect": ("CollectConfig",),
@@ -113,12 +124,15 @@ _HOMES = {
         "compare",
         "evaluate",
         "fit",
+        "gaits",
         "import_keras",
         "import_logs",
         "inspect_logs",
+        "map_forces",
         "train",
         "view",
     ),
+    "softfin.stages_baselines": ("baselines",),
     "softfin.surrogate": (
         "AutoConfig",
         "FitConfig",
@@ -129,6 +143,7 @@ _HOMES = {
     ),
     "softfin.surrogate.active": ("ActiveCollectConfig",),
     "softfin.tank": ("Tank", "TankConfig"),
+    "softfin.training.force_map": ("MapConfig",),
     "softfin.training.train": ("GRID", "SINGLE", "TrainConfig"),
     "softfin.viewing": ("ViewConfig",),
 }

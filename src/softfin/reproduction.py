@@ -58,6 +58,13 @@ class ReproduceConfig(Configuration):
 
     @model_validator(mode="after")
     def _covered(self) -> "ReproduceConfig":
+        for name in ("moving", "recorded", "error_map", "random"):
+            if value := getattr(self.evaluate, name):
+                said = "a signal" if name == "recorded" else repr(value)
+                raise ValueError(
+                    f"evaluate.{name} is {said}; a reproduction judges references that stay: leave it out, and give it "
+                    "to softfin evaluate with a controller of the reproduction"
+                )
         for reference in self.evaluate.references:
             for kind in CONTROLLERS:
                 if all(cell.distance(reference) > 0 for cell in getattr(self, kind).cells):
@@ -245,7 +252,8 @@ def _together(each: list[Evaluation]) -> Evaluation:
         furthest=np.max([each.furthest for each in doubts], axis=0),
         half_width=np.mean([each.half_width for each in doubts], axis=0),
     ) if doubts else None  # fmt: skip
-    return Evaluation(each[0].config, scores, len(each), each[0].recording, doubt)
+    warnings = tuple(dict.fromkeys(said for e in each for said in e.warnings))
+    return Evaluation(each[0].config, scores, len(each), each[0].recording, doubt, warnings)
 
 
 def _curve(log: list[dict[str, Any]], seed: int, names: tuple[str, ...]) -> tuple[list[int], list[float]]:

@@ -14,6 +14,9 @@ from softfin.calibration.calibrate import calibrate as _calibrate
 from softfin.calibration.config import CalibrateConfig
 from softfin.calibration.material import material
 from softfin.checkpoint import Workspace
+from softfin.control.known import known_of
+from softfin.control.map_store import described
+from softfin.control.range import admitted
 from softfin.control.store import load_controller, save_controller, save_gaits
 from softfin.errors import ArtifactError, ConfigurationError, PlantError
 from softfin.evaluation.calibration import write_calibration
@@ -24,6 +27,7 @@ from softfin.evaluation.comparison import write_comparison
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, write_evaluation
 from softfin.evaluation.evaluate import evaluate as _evaluate
 from softfin.evaluation.inspection import write_inspection
+from softfin.evaluation.learning import REFINED, write_learning
 from softfin.evaluation.map_figure import write_map
 from softfin.logs.collect import CollectConfig
 from softfin.logs.collect import collect as _collect
@@ -51,7 +55,7 @@ from softfin.training.force_map import MapConfig
 from softfin.training.force_map import map_forces as _map_forces
 from softfin.training.jobs import Split, default_split, train_jobs
 from softfin.training.refinement import check_refinable, refined
-from softfin.training.train import GRID, TrainConfig
+from softfin.training.train import TrainConfig, starting
 from softfin.viewing import ViewConfig
 from softfin.viewing.video import ticks_of
 from softfin.viewing.view import check_out, draw, footage_of, title_of
@@ -311,27 +315,41 @@ def gaits(
     out: Path,
     config: MapConfig | None = None,
     *,
+    known: Path | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> None:
-    """Find the gaits of a lattice of reference forces and write them as a controller, the folder `out`."""
-    config = config or MapConfig(box=PAPER_RANGE)
+    """Find the gaits of a lattice of reference forces and write them as a controller, the folder `out`.
+
+    The folder of a map, `known`, has them already, over its own lattice.
+    """
     artifacts.check_vacant(out, overwrite)
     moving = find_plant(plant) if isinstance(plant, str) else plant
-    known = _map_forces(moving, config, None if progress is None else partial(progress, "gaits"))
-    save_gaits(out, known, config, Limits(*map(float, moving.limits)), _origin(plant, moving))
+    if known is None:
+        config = config or MapConfig(box=PAPER_RANGE)
+        found = _map_forces(moving, config, None if progress is None else partial(progress, "gaits"))
+    elif config is None:
+        found, config = known_of(known, moving, _named(plant))
+    else:
+        raise ConfigurationError(f"map {known}: its lattice is made; give no configuration or range beside it")
+    origin = _origin(plant, moving, **({} if known is None else {"map": str(known)}))
+    save_gaits(out, found, config, Limits(*map(float, moving.limits)), origin)
 
 
 def _origin(plant: str | Plant, moving: Plant, **facts: Any) -> dict[str, Any]:
-    named = plant if isinstance(plant, str) else type(plant).__name__
-    return artifacts.provenance(plant=named, plant_identity=identity(moving), **facts)
+    return artifacts.provenance(plant=_named(plant), plant_identity=identity(moving), **facts)
+
+
+def _named(plant: str | Plant) -> str:
+    return plant if isinstance(plant, str) else type(plant).__name__
 
 
 def train(
     plant: str | Plant,
     out: Path,
-    config: TrainConfig = GRID,
+    config: TrainConfig | None = None,
     *,
+    known: Path | None = None,
     seeds: Sequence[int] = (0,),
     refine: int = 0,
     engine: EngineName = "local",
@@ -343,31 +361,39 @@ def train(
 ) -> None:
     """Train controllers inside a plant, as a rule a surrogate: by LSTM-PPO (paper Sec. III-C) or by gradients.
 
+    Without a configuration it is a grid over the paper's cells, by gradients wherever the plant has them. The folder of
+    a map of the plant, `known`, says what the fin can do and saves the search for gaits; without, only training by
+    gradients with a teacher looks for it, and references beyond reach are trained for as they are.
     One seed writes the controller's folder `out`; several are written as ``out/seed-N``. All is one program, unless
     it is `split` into jobs; the `engine` does these one after the other, or all at once on a Ray `cluster`. A grid's
-    worst cells are split until there are `refine` more, whose policies go on from their cell's.
+    worst cells are split until there are `refine` more, whose policies go on from their cell's, in this process.
     """
-    check_refinable(config, refine)
     working, split = find_engine(engine, cluster), split or default_split(engine, seeds)
     moving = find_plant(plant) if isinstance(plant, str) else plant
-    origin = _origin(plant, moving)
+    config = config or starting(moving)
+    check_refinable(config, refine)
+    can = None if known is None else known_of(known, moving, _named(plant)).found
+    origin = _origin(plant, moving, **({} if known is None else {"map": str(known)}))
     facts = {
         "configuration": config.model_dump(mode="json"),
         "seeds": list(seeds),
         "plant": origin["plant_identity"],
         "split": split,
         "refine": refine,
+        "map": None if can is None else described(can),
     }
     workspace = Workspace(out, facts, resume, overwrite)
-    trained = train_jobs(moving, config, seeds, workspace, progress, engine=working, split=split)
+    trained = train_jobs(moving, config, seeds, workspace, progress, engine=working, split=split, known=can)
     if refine:
-        trained = refined(moving, trained, refine, workspace.part("refined"), progress)
+        trained, parents = refined(moving, trained, refine, workspace.part(REFINED), progress)
+        origin |= {"refined_from": [cell.model_dump(mode="json") for cell in config.cells], "parents": list(parents)}
 
     def save(folder: Path, seed: int, also: Callable[[Path], None] | None = None) -> None:
         save_controller(folder, trained, seed, origin | {"seed": seed}, also)
 
     def keep_log(folder: Path) -> None:
         workspace.keep_log(folder / TRAINING_LOG)
+        write_learning(folder / TRAINING_LOG)
 
     def save_all(folder: Path) -> None:
         for seed in seeds:
@@ -388,7 +414,7 @@ def evaluate(
     out: Path | None = None,
     config: EvaluateConfig | None = None,
     *,
-    spread: float | Spread | None = None,
+    spread: float | int | Spread | None = None,
     overwrite: bool = False,
 ) -> dict[str, Any]:
     """Judge a controller on a plant (paper Sec. IV-B, Table II); writes ``evaluation.json`` and figures to `out`.
@@ -398,7 +424,7 @@ def evaluate(
     if out is not None:
         artifacts.check_vacant(out, overwrite)
     moving = find_plant(plant) if isinstance(plant, str) else plant
-    widths = Spread.of(spread) if isinstance(spread, float) else spread
+    widths = Spread.of(float(spread)) if isinstance(spread, int | float) else spread
     if widths is not None:
         if not isinstance(moving, Tank):
             raise ConfigurationError(f"spread {spread}: {plant} is no tank, so there are no others like it to draw")
@@ -430,8 +456,12 @@ def view(
         raise ConfigurationError("a controller and a reference belong together; give both or none")
     if holding is not None and config.random:
         raise ConfigurationError("random commands and a controller at once; give one of them")
+    warnings: list[str] = []
     if controller is not None and holding is not None and reference is not None:
-        holding.check(reference)
+        pairs = [admitted(holding, asked, strict=False) for asked in (reference, *config.then)]
+        reference, *following = (force for force, _ in pairs)
+        config = config.merged({"then": following}, "view")
+        warnings = [said for _, said in pairs if said is not None]
         _check_limits(holding.limits, Limits(*moving.limits), controller, plant)
     named = plant if isinstance(plant, str) else type(plant).__name__
     title = title_of(named, config, reference)
@@ -452,6 +482,7 @@ def view(
         "frames": len(ticks_of(ticks, config.frames_per_second)) if films else None,
         "mean_force_n": [round(float(force), 4) for force in footage.reading.force.mean(axis=0)],
         "shape_known": footage.shape_known,
+        "warning": "; ".join(warnings) or None,
     }
 
 

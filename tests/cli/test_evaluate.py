@@ -1,9 +1,14 @@
 import json
+from pathlib import Path
 
 import pytest
 
+import softfin
 from softfin.cli import main
+from softfin.errors import ConfigurationError
+from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.quantities import PAPER_LIMITS
+from softfin.tank import Tank
 from tests.evaluation.test_moving import Covering
 
 QUICK = ("--plant", "tests.plants:AnalyticFin", "--seconds", "3", "--seeds", "1", "--reference=1,1")
@@ -40,6 +45,18 @@ def test_seven_by_seven_references_make_the_map_where_nothing_else_is_asked(cont
     assert json.loads(capsys.readouterr().out)["error_map"]["points"] == 7
 
 
+def test_random_references_are_one_line_and_the_configuration_is_kept(controller, capsys, tmp_path):
+    file = tmp_path / "reference.csv"
+    file.write_text("time_s,force_x_n,force_y_n\n0,1,-1\n3,2,0\n")
+    options = ("--random", "4", "--trim", "--reference-file", str(file))
+    main(["evaluate", controller, *QUICK, "--out", str(tmp_path / "out"), *options])
+    assert "4 random references: error x, y mean " in capsys.readouterr().out
+    written = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    assert written["random"]["count"] == written["configuration"]["random"] == 4
+    assert written["configuration"]["trim"]["gain"] == 0.15
+    assert written["configuration"]["recorded"] == {"rows": 2, "seconds": 6}
+
+
 @pytest.mark.parametrize(
     ("rows", "words"),
     [
@@ -57,3 +74,10 @@ def test_a_wrong_reference_file_is_one_line_and_leaves_nothing(controller, capsy
     assert words in line
     assert stop.value.code == 2
     assert not (tmp_path / "out").exists()
+
+
+def test_a_spread_that_is_a_whole_number_is_one(controller):
+    with pytest.raises(ConfigurationError, match=r"spread 0: .* is no tank"):
+        softfin.evaluate(Path("controller"), "tests.plants:AnalyticFin", spread=0)
+    summary = softfin.evaluate(Path("controller"), Tank(), config=EvaluateConfig(seconds=3, seeds=1), spread=0)
+    assert summary["conditions"]["seeds"] == 1

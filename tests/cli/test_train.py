@@ -2,7 +2,7 @@
 
 import pytest
 
-from softfin.cli.train import asked_cells
+from softfin.cli.train import asked_cells, asked_seeds
 from softfin.errors import ConfigurationError
 from softfin.tracking.references import PAPER_CELLS, Cell, least_box
 
@@ -37,3 +37,23 @@ def test_without_options_the_configuration_stands_and_paper_is_its_default() -> 
 def test_what_does_not_go_together_is_refused(controller: str, cells: str, span: str, message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
         asked_cells(controller, cells, span)
+
+
+def test_seeds_are_a_number_or_a_list() -> None:
+    assert asked_seeds(4, None) == (4,)
+    assert asked_seeds(4, "3") == (4, 5, 6)
+    assert asked_seeds(0, "0,7,2") == (0, 7, 2)
+
+
+@pytest.mark.parametrize(
+    ("first", "text", "message"),
+    [
+        (0, "few", "--seeds few: neither a number nor a list; write --seeds 3"),
+        (0, "0", "--seeds 0: no seeds"),
+        (1, "0,1", "--seed 1: --seeds=0,1 names them all"),
+        (0, "1,-1", "--seeds 1,-1: -1: a seed is a whole number from 0"),
+    ],
+)
+def test_seeds_that_are_none_are_refused(first: int, text: str, message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        asked_seeds(first, text)

@@ -79,15 +79,17 @@ def test_a_controller_acts_as_its_policy_does_in_the_task() -> None:
 def test_each_reference_is_served_by_its_cell_and_the_nearest_beyond_the_grid() -> None:
     controller = controller_of(GRID_RUN, 3)
     assert isinstance(controller, GridController)
-    nearest = [int(controller.nearest(jnp.asarray(r, jnp.float32))) for r in PAPER_REFERENCES]
-    assert nearest == [0, 1, 2, 3, 4, 5]
-    assert int(controller.nearest(jnp.array([9.0, 0.0]))) == 3
+    first = [int(controller.in_charge(controller.init(), jnp.asarray(r, jnp.float32))) for r in PAPER_REFERENCES]
+    assert first == [0, 1, 2, 3, 4, 5]
+    assert int(controller.in_charge(controller.init(), jnp.array([9.0, 0.0]))) == 3
 
 
 def test_without_a_switch_the_memory_goes_on() -> None:
     controller = controller_of(GRID_RUN, 3)
     reference = jnp.tile(jnp.array([2.0, 0.0]), (6, 1))
-    alone = controller.of_cell(jnp.int32(2)) if isinstance(controller, GridController) else controller
+    assert isinstance(controller, GridController)
+    policy = jax.tree.map(lambda leaf: leaf[2], controller.policies)
+    alone = SingleController(policy, controller.task, controller.limits, controller.cells[2])
     angles = jnp.linspace(-0.5, 0.5, 6)
     np.testing.assert_allclose(commands(controller, reference, angles), commands(alone, reference, angles), rtol=1e-5)
 
@@ -125,6 +127,7 @@ def test_the_folder_describes_itself(run: Trained, tmp_path: Path) -> None:
     assert (tmp_path / "c" / "note.txt").read_text() == "hello"
     assert len(description["scores"]) == len(run.config.cells) * run.config.lattice**2
     assert description["scores"][0]["error_n"] == [0.25, 0.25]
+    assert description["scores"][0]["held_n"] == pytest.approx(description["scores"][0]["reference_n"])
     assert description["configuration"]["steps"] == run.config.steps
 
 
@@ -139,6 +142,10 @@ def test_the_folder_describes_itself(run: Trained, tmp_path: Path) -> None:
         (lambda f: _edit(f, task={"past_actions": 5}), r"net.lstm.kernel has shape .*; its configuration needs \(15"),
         (lambda f: _edit(f, cells=[]), "with 0 cells does not fit"),
         (lambda f: _edit(f, controller="neither"), r"controller 'neither' .*; there are single .* and gaits"),
+        (lambda f: _edit(f, format=None), "format None; this softfin reads 2; update it, or train it again"),
+        (lambda f: _drop(f, "format"), "says no format; copy the folder again, or train it again"),
+        (lambda f: _drop(f, "action_rate_hz"), "says no action_rate_hz; copy the folder again"),
+        (lambda f: _drop(f, "cells"), r"description \('cells'\); copy the folder again, or train it again"),
         (lambda f: _edit(f, action_rate_hz=5.0), "acts at 5.0 Hz; softfin acts at 3.0 Hz"),
     ],
 )
@@ -156,6 +163,13 @@ def _note(folder: Path) -> None:
 def _edit(folder: Path, **changes: Any) -> None:
     file = folder / "controller.json"
     file.write_text(json.dumps(json.loads(file.read_text()) | changes))
+
+
+def _drop(folder: Path, name: str) -> None:
+    file = folder / "controller.json"
+    description = json.loads(file.read_text())
+    del description[name]
+    file.write_text(json.dumps(description))
 
 
 def test_another_folder_is_no_controller(tmp_path: Path) -> None:

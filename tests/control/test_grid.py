@@ -9,11 +9,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from softfin.control.controller import Controller, Measured
-from softfin.control.grid import GridController, GridState, SwitchingConfig
+from softfin.control.grid import GridController, GridState
 from softfin.plant import CYCLE_ACTIONS
 from softfin.quantities import PAPER_LIMITS
 from softfin.tracking.cells import lattice
 from softfin.tracking.references import Cell
+from softfin.tracking.switching import SwitchingConfig
 from softfin.tracking.task import TaskConfig
 from softfin.training.policy import Policy, PolicyConfig
 

@@ -12,13 +12,16 @@ import pytest
 import safetensors.numpy
 
 from softfin.control.gait import GaitController
+from softfin.control.known import known_of
 from softfin.control.map_store import load_map, save_map
 from softfin.control.store import load_controller, save_gaits
 from softfin.errors import ArtifactError
+from softfin.plants import identity
 from softfin.quantities import PAPER_LIMITS
 from softfin.tracking.reachable import Reachable
 from softfin.training.force_map import ForceMap, MapConfig
 from softfin.training.gaits import Found, GaitTable
+from tests.plants import AnalyticFin, StrokeFin
 
 NUMBERS = np.random.default_rng(0)
 TABLE = GaitTable(
@@ -112,3 +115,13 @@ def test_a_damaged_folder_is_refused_in_one_line(harm: Any, message: str, tmp_pa
 def test_a_controllers_folder_is_no_map(tmp_path: Path) -> None:
     with pytest.raises(ArtifactError, match=r"not a map: it holds no map\.json"):
         load_map(save_controller(tmp_path))
+
+
+def test_a_map_is_known_of_the_very_plant_that_it_was_made_of(tmp_path: Path) -> None:
+    fin, config = StrokeFin(), MapConfig(spacing_n=0.25)
+    save_map(tmp_path / "map", KNOWN, config, PAPER_LIMITS, {"plant_identity": identity(fin)})
+    known = known_of(tmp_path / "map", fin, "mine")
+    jax.tree.map(np.testing.assert_array_equal, known.found.found, KNOWN.found)
+    assert known.config == config
+    with pytest.raises(ArtifactError, match=r"a map of another plant .* than other .*: softfin map other --out DIR"):
+        known_of(tmp_path / "map", AnalyticFin(), "other")

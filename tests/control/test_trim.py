@@ -188,3 +188,18 @@ def test_a_loop_that_learns_before_its_window_is_full_is_refused() -> None:
     with pytest.raises(ConfigurationError, match=r"settle_actions = 8 with lag_actions = 4: .*give settle_actions 10"):
         TrimConfig.build({"lag_actions": 4})
     assert TrimConfig.build({"lag_actions": 4, "settle_actions": 10}).lag_actions == 4
+
+
+def test_at_the_edge_of_the_range_it_does_not_wind_up() -> None:
+    controller = TrimmedController(Carrier(), TrimConfig(lag_actions=0))
+    _, states = forces(controller, still(180, (3.0, 1.0)), bias=(-0.3, 0.0))
+    assert np.asarray(states.asked)[:, 0, 0].max() == 3.0
+    np.testing.assert_allclose(states.bias[-1], [-0.3, 0.0], atol=5e-3)
+
+
+def test_a_great_bias_is_learnt_as_fast_as_a_small_one() -> None:
+    def actions(bias: float) -> int:
+        _, states = forces(TRIMMED, still(120, (1.0, 1.0)), bias=(bias, 0.0))
+        return int(np.argmax(np.asarray(states.bias)[:, 0] > 0.9 * bias))
+
+    assert actions(0.8) <= actions(0.05) + 1

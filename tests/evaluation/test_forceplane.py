@@ -63,6 +63,16 @@ def test_the_map_takes_the_reachable_forces_from_the_controller():
     np.testing.assert_allclose(errors.reachable[[0, 2]], [[3.2, 0], [2, 1.2]], atol=1e-6)
 
 
+def test_what_the_fin_cannot_make_is_counted_and_not_scored():
+    class Weak(Covering):
+        cells: tuple[Cell, ...] = (Cell(low=(0, 0), high=(2, 2)),)
+        reachable: Reachable = Reachable(np.float32([0, 0]), np.full(64, 1.0, np.float32))
+
+    described = map_range(Weak(), AnalyticFin(), 2, 3, KEY).described()
+    assert [row["reference_n"] for row in described["references"]] == [[0.5, 0.5]]
+    assert (described["not_covered"], described["not_reachable"], described["seeds"]) == (0, 3, 1)
+
+
 def test_a_range_without_area_has_no_map():
     class Single(Covering):
         cells: tuple[Cell, ...] = (Cell(low=(1, 0), high=(2, 0)),)

@@ -85,6 +85,29 @@ def test_default_signals_beyond_the_fins_reach_are_brought_to_its_edge():
     np.testing.assert_allclose(both.start_n, [2 - 0.5**1.5, -(0.5**1.5)], atol=2e-3)
 
 
+class Weak(Covering):
+    """Covers the paper's range, in a fin that reaches x = 2 N."""
+
+    cells: tuple[Cell, ...] = (PAPER_RANGE,)
+    reachable: Reachable = Reachable(np.float32([1, 0]), np.full(64, 1.0, np.float32))
+
+
+def test_a_moving_reference_beyond_reach_is_brought_to_it_and_told():
+    recorded = Recorded(time_s=(0, 3), force_n=((1, 0), (3, 0)))
+    config = EvaluateConfig(references=((1, 0),), seconds=3, seeds=1, recorded=recorded)
+    summary = evaluate(Weak(), AnalyticFin(), config).summary()
+    assert summary["moving"][0]["replaced_s"] == 3.0
+    assert "recorded, 2 rows over 3 s: this fin cannot make what is asked in 3 of 6 s, from 3 s" in summary["warning"]
+    (plan,) = planned(Weak(), [], recorded)
+    np.testing.assert_allclose(plan.held[0, [0, 299, 300, 599], 0], [1, 1, 2, 2], atol=2e-3)
+
+
+def test_strictly_it_is_refused_with_time_and_force():
+    recorded = Recorded(time_s=(0, 3), force_n=((1, 0), (3, 0)))
+    with pytest.raises(CoverageError, match=r"rows over 3 s, at 3 s: reference \(3, 0\) N: this fin cannot .*--strict"):
+        evaluate(Weak(), Untouched(), EvaluateConfig(references=((1, 0),), recorded=recorded, strict=True))
+
+
 def test_a_controller_without_cells_has_the_papers_range():
     assert isinstance(Flapper(), Controller)
     assert bounds(Flapper()) == bounds(Covering()) == PAPER_RANGE

@@ -11,6 +11,7 @@ from softfin.evaluation.experiment import run
 from softfin.evaluation.open_loop import evaluation_keys
 from softfin.evaluation.recurrent import run_recurrent, trained
 from softfin.quantities import PAPER_LIMITS
+from softfin.tracking.references import PAPER_RANGE
 from softfin.tracking.task import TaskConfig, command_of, observation, remember, rest_actions
 from tests.plants import AnalyticFin
 
@@ -57,12 +58,12 @@ def test_a_model_outside_jax_meets_the_experiment_that_a_controller_meets():
 @pytest.mark.skipif(importlib.util.find_spec("sb3_contrib") is not None, reason="the extra sb3 is installed")
 def test_without_the_extra_it_says_how_to_install_it():
     with pytest.raises(ConfigurationError, match=r"sb3-contrib is not installed; pip install 'softfin\[sb3\]'"):
-        trained(AnalyticFin(), 128, 0, TASK)
+        trained(AnalyticFin(), 128, 0, TASK, PAPER_RANGE)
 
 
 @pytest.mark.slow
 def test_recurrent_ppo_is_trained_and_judged():
     pytest.importorskip("sb3_contrib", reason="the extra sb3 is not installed")
-    model = trained(AnalyticFin(), 128, 0, TASK)
+    model = trained(AnalyticFin(), 128, 0, TASK, PAPER_RANGE)
     recording = run_recurrent(model, TASK, PAPER_LIMITS, AnalyticFin(), CONFIG)
     assert np.isfinite(recording.reading.force).all()

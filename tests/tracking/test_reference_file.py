@@ -98,3 +98,13 @@ def test_a_file_that_is_not_there_or_of_another_kind_is_named(tmp_path):
         read_reference_file(tmp_path / "none.csv")
     with pytest.raises(ConfigurationError, match=r"reference\.txt: neither \.csv nor \.parquet"):
         read_reference_file(tmp_path / "reference.txt")
+
+
+def test_a_log_of_softfin_begins_a_tick_late_and_is_read(tmp_path):
+    recorded = read_reference_file(written(tmp_path, HEAD + "0.01,1,0\n0.02,2,0\n"))
+    assert recorded == Recorded(time_s=(0, 0.02), force_n=((1, 0), (2, 0)))
+
+
+def test_milliseconds_are_not_taken_for_seconds(tmp_path):
+    with pytest.raises(ConfigurationError, match=r"line 3: time_s = 2000 makes 4000 s; .* are these milliseconds\?"):
+        read_reference_file(written(tmp_path, HEAD + "0,1,0\n2000,2,0\n"))

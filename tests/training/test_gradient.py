@@ -11,18 +11,33 @@ import numpy as np
 import pytest
 
 from softfin.checkpoint import Workspace
+from softfin.errors import ConfigurationError
 from softfin.plant import Plant
 from softfin.quantities import Command
-from softfin.tracking.references import Cell
-from softfin.tracking.task import ForceTracking, TaskConfig
+from softfin.tracking.reachable import Reachable
+from softfin.tracking.references import PAPER_RANGE, PAPER_REFERENCES, Cell
+from softfin.tracking.task import ForceTracking, RewardConfig, TaskConfig
 from softfin.training.beat import differentiable
+from softfin.training.force_map import MapConfig
 from softfin.training.gradient import Gradient, GradientConfig, GradientLane
 from softfin.training.imitation import ImitationConfig
 from softfin.training.learner import Learner
 from softfin.training.policy import Policy, PolicyConfig
-from softfin.training.train import GRADIENT_SINGLE, Trained, train
+from softfin.training.train import (
+    GRADIENT_SINGLE,
+    GRID,
+    STARTS,
+    TrainConfig,
+    Trained,
+    check,
+    held,
+    starting,
+    taught_box,
+    train,
+)
 from tests.plants import AnalyticFin, PlainFin, StrokeFin
-from tests.training.mapped import GAITS, SURVEY, WITHIN
+from tests.surrogate.streaming import small as streaming
+from tests.training.mapped import GAITS, SURVEY, WITHIN, known
 
 SIZE = PolicyConfig(units=8, width=8)
 TASK = ForceTracking(StrokeFin(), TaskConfig(phase=True, reference_actions=45))
@@ -121,7 +136,7 @@ QUICK = GRADIENT_SINGLE.model_copy(
         "task": TaskConfig(phase=True, episode_actions=12, reference_actions=6),
         "gradient": GradientConfig(
             environments=4, rollout_actions=6, imitation=ImitationConfig(fins=4, actions=12, steps=5, batch=4),
-            map=WITHIN.model_copy(update={"survey": SURVEY, "gaits": GAITS.model_copy(update={"steps": 2})}),
+            map=MapConfig(survey=SURVEY, gaits=GAITS.model_copy(update={"steps": 2})),
         ),
     }
 )  # fmt: skip
@@ -169,3 +184,60 @@ def test_a_run_knows_what_the_fin_can_do_over_its_cells(tmp_path: Path) -> None:
     assert (np.asarray(table.low) <= np.array(WITHIN.box.low) + 1e-6).all()
     assert (np.asarray(table.high) >= np.array(WITHIN.box.high) - 1e-6).all()
     assert isinstance(found.policies, Policy)
+
+
+def test_the_table_reaches_over_all_that_is_taught() -> None:
+    """Also over what lies beyond the cells by the margin."""
+    wide = QUICK.changed(("margin_n=0.25",))
+    assert WITHIN.box is not None
+    assert taught_box(wide) == WITHIN.box.grown(0.25)
+    check(StrokeFin(), QUICK, (0,), known())
+    with pytest.raises(ConfigurationError, match=r"map of x 0.5 .. 1.5, y -0.5 .. 0.5 N: its gaits do not reach over"):
+        check(StrokeFin(), wide, (0,), known())
+
+
+def test_a_box_of_ones_own_for_the_table_is_refused() -> None:
+    config = QUICK.merged({"gradient": {"map": {"box": PAPER_RANGE.model_dump()}}}, "mine")
+    with pytest.raises(ConfigurationError, match=r"gradient.map.box = x 0.5 .. 3.5.*leave it out, and give --range"):
+        check(StrokeFin(), config, (0,))
+
+
+def test_a_run_begins_from_gradients_where_the_plant_has_them() -> None:
+    assert starting(StrokeFin(), "single") is GRADIENT_SINGLE
+    assert starting(Numb()) is GRID
+    assert starting(StrokeFin(), "grid", "ppo") is GRID
+
+
+def test_policies_of_a_grid_are_trained_for_all_that_they_hold() -> None:
+    for config in STARTS.values():
+        assert config.controller == "single" or config.switching.margin_n <= config.margin_n
+
+
+SEVERAL = TrainConfig(task=TaskConfig(reward=RewardConfig(disagreement=0.5)))
+
+
+@pytest.mark.parametrize(
+    ("config", "plant", "message"),
+    [
+        (SEVERAL, StrokeFin(), "task.reward.disagreement = 0.5: the plant is no ensemble of two members or more"),
+        (TrainConfig(ensemble="each"), StrokeFin(), "ensemble = each: the plant is no ensemble of two members or more"),
+        (SEVERAL.changed(("ensemble=each",)), streaming.surrogate(), "a fin that is one member .* disagrees with none"),
+    ],
+)
+def test_what_only_an_ensemble_can_do_is_refused_without_one(config: TrainConfig, plant: Plant, message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        check(plant, config, (0,))
+
+
+def test_an_ensemble_takes_what_only_it_can_do() -> None:
+    for config in (SEVERAL, TrainConfig(ensemble="each")):
+        check(streaming.surrogate(), config, (0,))
+
+
+def test_references_are_scored_at_the_nearest_force_that_the_fin_can_make() -> None:
+    round_the_origin = Reachable(np.zeros(2, np.float32), np.ones(64, np.float32))
+    at = held(GRID, round_the_origin)
+    assert at.shape == (6, 1, 2)
+    for place, (x, y) in zip(at[:, 0], PAPER_REFERENCES, strict=True):
+        np.testing.assert_allclose(place, round_the_origin.nearest((x, y)), atol=1e-5)
+        assert np.hypot(*place) == pytest.approx(1, abs=3e-3)

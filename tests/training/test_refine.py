@@ -14,6 +14,8 @@ from softfin.tracking.cells import check_cells, lattice
 from softfin.tracking.references import PAPER_RANGE, Cell
 from softfin.training.policy import Policy, PolicyConfig
 from softfin.training.refine import begun_from, cell_errors, inherited, refine, split
+from softfin.training.refinement import check_refinable
+from softfin.training.train import GRADIENT_GRID
 
 FOUR = lattice(2, 2, PAPER_RANGE)
 ERROR = np.array([[0.1, 0.1], [0.5, 0.2], [0.2, 0.1], [0.1, 0.4]])
@@ -107,3 +109,11 @@ def test_lanes_of_any_algorithm_go_on_from_the_policies_that_they_are_given() ->
     begun = begun_from(lanes, handed)
     np.testing.assert_array_equal(begun.policy.net.lstm.kernel[7], handed.net.lstm.kernel[1, 2])
     np.testing.assert_array_equal(begun.steps, lanes.steps)
+
+
+def test_more_cells_than_splitting_each_once_gives_are_refused() -> None:
+    check_refinable(GRADIENT_GRID, 18)
+    with pytest.raises(
+        ConfigurationError, match=r"--refine 19: 6 cells are split once, into four each, so 1 .. 18 can"
+    ):
+        check_refinable(GRADIENT_GRID, 19)

@@ -8,8 +8,10 @@ import softfin
 from softfin.cli import main
 from softfin.errors import ConfigurationError, CoverageError
 from softfin.evaluation import experiment
-from softfin.quantities import Command
+from softfin.quantities import PAPER_LIMITS, Command
 from softfin.randomness import key_of
+from softfin.tracking.reachable import Reachable
+from softfin.tracking.references import Cell
 from softfin.viewing import ViewConfig
 from softfin.viewing.view import footage_of, title_of
 from tests.plants import Flapper
@@ -136,3 +138,18 @@ def test_a_controller_and_random_commands_at_once_are_refused(tmp_path, monkeypa
         softfin.view(
             BendingFin(), tmp_path / "f.gif", ViewConfig(random=True), controller=tmp_path, reference=(1.0, 0.0)
         )
+
+
+def test_a_reference_beyond_reach_is_brought_to_it_and_told(tmp_path, monkeypatch):
+    class Weak(Pointer):
+        limits = PAPER_LIMITS
+        cell = Cell(low=(-3, -3), high=(3, 3))
+        reachable = Reachable(np.float32([0, 0]), np.full(64, 1.0, np.float32))
+
+    monkeypatch.setattr("softfin.stages.load_controller", lambda path: Weak())
+    config = ViewConfig(seconds=0.2, then=((0.5, 0.0),))
+    facts = softfin.view(
+        "tests.viewing.fins:BendingFin", tmp_path / "f.html", config, controller=tmp_path, reference=(2.0, 0.0)
+    )
+    assert facts["warning"].startswith("reference (2, 0) N: this fin cannot make it")
+    assert facts["title"].endswith("asked for (1, 0), then (0.5, 0) N")

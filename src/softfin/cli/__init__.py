@@ -19,7 +19,7 @@ COMMANDS = {
     "import-keras": "turn published .keras nets and their scalers into a surrogate",
     "compare": "score surrogates on unseen logs, left alone for several horizons",
     "map": "which mean forces can this fin make, and at what cost?",
-    "train": "train LSTM-PPO force controllers inside a surrogate",
+    "train": "train force controllers inside a surrogate: by gradients, by LSTM-PPO, or gaits",
     "evaluate": "judge a controller on a fin over reference forces",
     "baselines": "judge what needs no learnt controller: best sine, analytic inverse model, random search",
     "view": "show a fin in motion, as a film or as a page that plays it",

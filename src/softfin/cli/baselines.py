@@ -2,15 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from softfin import artifacts
 from softfin.cli.common import Configured, Out, progress
 from softfin.cli.tables import table_two
-from softfin.evaluation.baselines import BaselinesConfig, evaluate_baselines, write_baselines
-from softfin.plants import find_plant
+from softfin.evaluation.baselines import BaselinesConfig
+from softfin.stages_baselines import baselines
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,21 +32,15 @@ class Arguments(Configured):
 
     def run(self) -> None:
         """Find and judge."""
-        artifacts.check_vacant(Path(self.out), self.overwrite)
         config = self.configured(
             BaselinesConfig(), seconds=self.seconds, seeds=self.seeds, seed=self.seed, recurrent_steps=self.recurrent
         )
-        plant = find_plant(self.plant)
-        search_in = plant if self.surrogate is None else find_plant(self.surrogate)
         with progress() as report:
-            found = evaluate_baselines(plant, search_in, config, partial(report, "baselines"))
-        facts = {
-            "plant": self.plant,
-            "searched_in": self.surrogate or self.plant,
-            "configuration": config.model_dump(mode="json"),
-            "provenance": artifacts.provenance(seed=config.seed),
-        }
-        self.tell(write_baselines(found, Path(self.out), facts), table(found.summaries, found.left_out))
+            result = baselines(
+                self.plant, Path(self.out), config,
+                surrogate=self.surrogate, overwrite=self.overwrite, progress=report,
+            )  # fmt: skip
+        self.tell(result, table(result["baselines"], result["left_out"]))
 
 
 def table(summaries: Mapping[str, Any], left_out: Mapping[str, str]) -> str:

@@ -48,6 +48,8 @@ class Arguments(Configured):
     """Another that moves: .csv or .parquet with time_s, force_x_n, force_y_n, each row held until the next one."""
     error_map: bool = False
     """Draw the error over the whole range of the controller, 7 x 7 references; --set error_map=N for N x N."""
+    random: int | None = None
+    """Judge it, too, on so many references drawn over all that it was trained for and the fin can make."""
 
     def run(self) -> None:
         """Evaluate."""
@@ -55,7 +57,7 @@ class Arguments(Configured):
         recorded = None if self.reference_file is None else read_reference_file(self.reference_file).model_dump()
         config = self.configured(
             EvaluateConfig(), references=references, seconds=self.seconds, seeds=self.seeds, seed=self.seed,
-            moving=list(self.moving) or None, recorded=recorded, strict=self.strict or None,
+            moving=list(self.moving) or None, recorded=recorded, strict=self.strict or None, random=self.random,
         )  # fmt: skip
         if self.error_map and config.error_map is None:
             config = config.merged({"error_map": POINTS}, "options")
@@ -69,6 +71,8 @@ class Arguments(Configured):
             lines.append(moving_table(summary["moving"]))
         if "error_map" in summary:
             lines.append(map_line(summary["error_map"]))
+        if "random" in summary:
+            lines.append(random_line(summary["random"]))
         if summary["warning"] is not None:
             lines.append(f"warning: {summary['warning']}")
         self.tell(summary, "\n".join(lines))
@@ -87,12 +91,20 @@ def moving_table(rows: Sequence[Mapping[str, Any]]) -> str:
 def map_line(errors: Mapping[str, Any]) -> str:
     """The error map in one line."""
     (x0, y0), (x1, y1) = errors["low_n"], errors["high_n"]
-    gaps = f", {errors['not_covered']} not covered" if errors["not_covered"] else ""
+    counts = {"not covered": errors["not_covered"], "beyond the fin's reach": errors["not_reachable"]}
+    gaps = "".join(f", {count} {what}" for what, count in counts.items() if count)
     return (
         f"error map, {errors['points']} x {errors['points']} references over x {x0:g} .. {x1:g}, y {y0:g} .. {y1:g} N"
         f"{gaps}: mean {errors['mean_x_n']:.3f}, {errors['mean_y_n']:.3f}, worst {errors['worst_x_n']:.3f}, "
         f"{errors['worst_y_n']:.3f} N"
     )
+
+
+def random_line(errors: Mapping[str, Any]) -> str:
+    """The errors over random references in one line."""
+    words = (f"{name} " + ", ".join(f"{errors[axis][key]:.3f}" for axis in AXES)
+             for name, key in (("mean", "mean_n"), ("95% within", "p95_n"), ("worst", "worst_n")))  # fmt: skip
+    return f"{errors['count']} random references: error x, y {', '.join(words)} N"
 
 
 def force(text: str, option: str = "--reference") -> tuple[float, float]:

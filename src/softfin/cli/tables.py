@@ -46,7 +46,7 @@ def table_two(controllers: Mapping[str, Any]) -> str:
         for row in summary["references"]:
             x, y = row["reference_n"]
             printed = paper.get((x, y))
-            lines.append(f"  ({x:5.2f}, {y:5.2f}) N{'':13}{_scores(row)}{_published(printed)}{_still(row)}{_held(row)}")
+            lines.append(f"  ({x:5.2f}, {y:5.2f}) N{'':13}{_scores(row)}{_published(printed)}{_still(row)}{held(row)}")
         complete = {tuple(row["reference_n"]) for row in summary["references"]} == set(paper)
         means = PAPER_PRINTED_MEANS[name] if paper and complete else None
         lines.append(f"  {'mean':29}{_scores(summary['mean'])}{_published(means)}")
@@ -66,7 +66,7 @@ def _published(scores: PaperScores | None) -> str:
     return "" if scores is None else "    " + "".join(f"{value:8.3f}" for value in scores)
 
 
-def _held(row: Mapping[str, Any]) -> str:
+def held(row: Mapping[str, Any]) -> str:
     """Where another force is held than was asked for."""
     held = row.get("held_n")
     if held is None or max(abs(a - b) for a, b in zip(held, row["reference_n"], strict=True)) < 1e-3:

@@ -1,5 +1,6 @@
 """``softfin train``: a surrogate in, a controller out."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -8,18 +9,19 @@ import tyro
 
 from softfin import stages
 from softfin.artifacts import check_vacant, load_description
+from softfin.cli import SEEDS
 from softfin.cli.common import Configured, Out, progress
+from softfin.cli.tables import held
 from softfin.control.store import KIND
 from softfin.errors import ConfigurationError
 from softfin.plants import find_plant
 from softfin.tracking.cells import cells_of, range_of
 from softfin.tracking.references import PAPER_RANGE, Cell, least_box
-from softfin.training.beat import differentiable
 from softfin.training.engine import EngineName
 from softfin.training.footprint import Footprint
 from softfin.training.force_map import MapConfig
 from softfin.training.jobs import Split
-from softfin.training.train import STARTS
+from softfin.training.train import starting
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,12 +40,16 @@ class Arguments(Configured):
     """Of a grid: paper (the default), a lattice over --range such as 3x3, or a .yaml file of boxes."""
     range: str | None = None
     """References X0,Y0,X1,Y1 [N] to train for (default 0.5,-1.5,3.5,1.5); write --range=-1,... below 0."""
+    map: Path | None = None
+    """Folder of a map of this surrogate (softfin map): what its fin can do, and gaits to begin from."""
     refine: int = 0
-    """Of a grid: split its worst cells until there are so many more, and train these on."""
+    """Of a grid: split its worst cells until there are so many more, and train these on, always in this process."""
     steps: int | None = None
     """Actions a policy (by LSTM-PPO the paper's 30,000 single, 10,000 a cell)."""
     seed: int = 0
     """Of weights, exploration and references."""
+    seeds: str | None = None
+    """Several controllers in one program, as OUT/seed-N: how many, from --seed on, or which, such as --seeds=0,1,2."""
     engine: EngineName = "local"
     """Where: in this process, or as tasks of Ray (extra ray), for many machines."""
     split: Split | None = None
@@ -55,19 +61,21 @@ class Arguments(Configured):
 
     def run(self) -> None:
         """Train."""
-        cells = asked_cells(self.controller, self.cells, self.range)
+        cells, seeds = asked_cells(self.controller, self.cells, self.range), asked_seeds(self.seed, self.seeds)
         check_vacant(Path(self.out), self.overwrite)
         if self.controller == "gaits":
             self._check_gaits()
-            lattice = self.configured(MapConfig(box=PAPER_RANGE), box=None if cells is None else cells[0].model_dump())
+            box = None if cells is None else cells[0].model_dump()
+            # Beside a map only what was asked for is handed on, to be refused.
+            lattice = self.configured(MapConfig(box=PAPER_RANGE), box=box)
+            given = None if self.map is not None and lattice == MapConfig(box=PAPER_RANGE) else lattice
             with progress() as report:
-                stages.gaits(self.surrogate, Path(self.out), lattice, overwrite=self.overwrite, progress=report)
-            return self._tell()
-        algorithm = self.algorithm
-        if algorithm == "auto":
-            algorithm = "gradient" if differentiable(find_plant(self.surrogate)) else "ppo"
-        config = self.configured(STARTS[algorithm, self.controller], steps=self.steps, cells=cells)
-        if config.algorithm != algorithm:
+                stages.gaits(self.surrogate, Path(self.out), given, known=self.map, overwrite=self.overwrite,
+                             progress=report)  # fmt: skip
+            return self._tell((0,))
+        begin = starting(find_plant(self.surrogate), self.controller, self.algorithm)
+        config = self.configured(begin, steps=self.steps, cells=cells)
+        if config.algorithm != begin.algorithm:
             raise ConfigurationError(
                 f"algorithm = {config.algorithm}: its steps and the rest of its settings go with it; give --algorithm "
                 f"{config.algorithm}"
@@ -75,33 +83,67 @@ class Arguments(Configured):
         with progress() as report:
             stages.train(
                 self.surrogate, Path(self.out), config,
-                seeds=[self.seed], refine=self.refine, engine=self.engine, split=self.split, cluster=self.cluster,
-                resume=self.resume, overwrite=self.overwrite, progress=report,
+                known=self.map, seeds=seeds, refine=self.refine, engine=self.engine, split=self.split,
+                cluster=self.cluster, resume=self.resume, overwrite=self.overwrite, progress=report,
             )  # fmt: skip
-        return self._tell()
+        return self._tell(seeds)
 
     def _check_gaits(self) -> None:
-        given = {"--algorithm": self.algorithm != "auto", "--steps": self.steps is not None, "--resume": self.resume,
+        given = {"--algorithm": self.algorithm != "auto", "--seeds": self.seeds is not None,
+                 "--steps": self.steps is not None, "--resume": self.resume,
                  "--refine": self.refine != 0, "--engine": self.engine != "local", "--split": self.split is not None,
                  "--cluster": self.cluster is not None}  # fmt: skip
         useless = [name for name, is_given in given.items() if is_given]
         if useless:
             raise ConfigurationError(f"{', '.join(useless)}: gaits are found, not trained; leave it out")
 
-    def _tell(self) -> None:
-        description = load_description(Path(self.out), KIND)
+    def _tell(self, seeds: Sequence[int]) -> None:
+        if len(seeds) == 1:
+            scores, lines = self._told(Path(self.out))
+            self.tell({"controller": str(self.out), "scores": scores}, "\n".join(lines))
+            return
+        each = {seed: self._told(Path(self.out) / f"seed-{seed}") for seed in seeds}
+        found = [{"seed": seed, "controller": str(Path(self.out) / f"seed-{seed}"), "scores": scores}
+                 for seed, (scores, _) in each.items()]  # fmt: skip
+        text = "\n\n".join("\n".join(lines) for _, lines in each.values())
+        self.tell({"controllers": found}, text)
+
+    def _told(self, folder: Path) -> tuple[list[dict[str, Any]], list[str]]:
+        """The scores of one controller, and as lines for people."""
+        description = load_description(folder, KIND)
         scores: list[dict[str, Any]] = description["scores"]
-        lines = [f"{self.out}: scored in {self.surrogate}, without exploration noise"]
+        lines = [f"{folder}: scored in {self.surrogate}, without exploration noise"]
         if self.controller == "gaits":
             lines.append("reference [N]   mean force misses it by [N]")
             lines += [f"({x:5.2f}, {y:5.2f})   {row['missed_n']:.3f}"
                       for row in scores for x, y in [row["reference_n"]]]  # fmt: skip
         else:
             lines.append("reference [N]   error x, y [N]")
-            lines += [f"({x:5.2f}, {y:5.2f})   {row['error_n'][0]:.3f}, {row['error_n'][1]:.3f}"
+            lines += [f"({x:5.2f}, {y:5.2f})   {row['error_n'][0]:.3f}, {row['error_n'][1]:.3f}{held(row)}"
                       for row in scores for x, y in [row["reference_n"]]]  # fmt: skip
             lines.append(str(Footprint.of(description["memory"])))
-        self.tell({"controller": str(self.out), "scores": scores}, "\n".join(lines))
+        return scores, lines
+
+
+def asked_seeds(first: int, text: str | None) -> tuple[int, ...]:
+    """What ``--seed`` and ``--seeds`` ask for; whether one comes twice is seen where they are used."""
+    if text is None:
+        return (first,)
+    try:
+        numbers = tuple(int(part) for part in text.split(","))
+    except ValueError:
+        raise ConfigurationError(
+            f"--seeds {text}: neither a number nor a list; write --seeds 3 or --seeds=0,1,2"
+        ) from None
+    if len(numbers) == 1:
+        if numbers[0] < 1:
+            raise ConfigurationError(f"--seeds {text}: no seeds; give 1 or more, or a list such as 0,1,2")
+        numbers = tuple(range(first, first + numbers[0]))
+    elif first != 0:
+        raise ConfigurationError(f"--seed {first}: --seeds={text} names them all; give one of the two")
+    if beyond := [seed for seed in numbers if not 0 <= seed < SEEDS]:
+        raise ConfigurationError(f"--seeds {text}: {beyond[0]}: a seed is a whole number from 0 to {SEEDS - 1}")
+    return numbers
 
 
 def asked_cells(controller: str, cells: str | None, span: str | None) -> tuple[Cell, ...] | None:

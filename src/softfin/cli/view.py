@@ -50,6 +50,8 @@ class Arguments(Configured):
             )  # fmt: skip
         x, y = facts["mean_force_n"]
         frames = "" if facts["frames"] is None else f", {facts['frames']} frames"
+        warning = "" if facts["warning"] is None else f"\nwarning: {facts['warning']}"
         self.tell(
-            facts, f"{self.out}: {facts['title']}; {facts['seconds']:g} s{frames}, mean force ({x:.2f}, {y:.2f}) N"
+            facts,
+            f"{self.out}: {facts['title']}; {facts['seconds']:g} s{frames}, mean force ({x:.2f}, {y:.2f}) N{warning}",
         )

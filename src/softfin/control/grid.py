@@ -14,34 +14,17 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
-from pydantic import Field, NonNegativeFloat, PositiveFloat
 
-from softfin.configuration import Configuration
 from softfin.control.controller import Measured
 from softfin.control.range import check_within
-from softfin.control.single import SingleController
 from softfin.plant import CYCLE_ACTIONS
 from softfin.quantities import Command, Limits
 from softfin.tracking.reachable import Reachable
 from softfin.tracking.references import Cell, Force, stack_references
+from softfin.tracking.switching import SwitchingConfig
 from softfin.tracking.task import TaskConfig, command_of, observation, remember, rest_actions
 from softfin.training.lstm import Memory, cleared
 from softfin.training.policy import Policy
-
-
-class SwitchingConfig(Configuration):
-    """How one policy takes over from another."""
-
-    margin_n: NonNegativeFloat = 0.1
-    """The policy in charge stays until another cell is nearer to the reference by more than this [N], so that a
-    reference on the border does not switch for ever; the policies still hold a reference that little beyond theirs."""
-    fade_actions: int = Field(default=6, ge=0, le=CYCLE_ACTIONS)
-    """Actions over which the new policy's are faded in; 0 switches at once."""
-    step_n: PositiveFloat = 0.5
-    """A reference that moves by this or more from one action to the next [N] is a step: the beat must change, and
-    nothing is faded. Smaller moves fade in part."""
-    replay: bool = True
-    """Whether the new policy remembers the last six actions as if it had been in charge, or nothing at all."""
 
 
 class GridState(NamedTuple):
@@ -121,14 +104,6 @@ class GridController(eqx.Module):
         nearest = jnp.argmin(distance)
         stays = (state.age > 0) & (distance[state.cell] <= distance[nearest] + self.switching.margin_n)
         return jnp.where(stays, state.cell, nearest)
-
-    def nearest(self, reference: Float[Array, "2"]) -> Int[Array, ""]:
-        """Index of the cell that holds the reference, or that is nearest to it; the first of several."""
-        return jnp.argmin(self._distances(reference))
-
-    def of_cell(self, index: Int[Array, ""]) -> SingleController:
-        """The controller of one cell."""
-        return SingleController(self._policy(index), self.task, self.limits, self.cells[0])
 
     def _policy(self, index: Int[Array, ""]) -> Policy:
         policy: Policy = jax.tree.map(lambda leaf: leaf[index], self.policies)

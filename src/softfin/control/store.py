@@ -10,7 +10,7 @@ import pydantic
 
 from softfin import artifacts
 from softfin.control.gait import GaitController
-from softfin.control.grid import GridController, SwitchingConfig
+from softfin.control.grid import GridController
 from softfin.control.map_store import arrays, described, found_of
 from softfin.control.single import SingleController
 from softfin.errors import ArtifactError
@@ -18,6 +18,7 @@ from softfin.plant import ACTION_RATE_HZ
 from softfin.quantities import Limits
 from softfin.tracking.reachable import Reachable
 from softfin.tracking.references import Cell
+from softfin.tracking.switching import SwitchingConfig
 from softfin.tracking.task import TaskConfig
 from softfin.training.footprint import memory_of
 from softfin.training.force_map import ForceMap, MapConfig
@@ -26,6 +27,8 @@ from softfin.training.train import Trained
 
 KIND = "controller"
 FORMAT = 2
+AGAIN = "copy the folder again, or train it again"
+"""What helps where a folder is no longer what was written."""
 
 
 def controller_of(trained: Trained, seed: int) -> SingleController | GridController:
@@ -36,7 +39,7 @@ def controller_of(trained: Trained, seed: int) -> SingleController | GridControl
     if config.controller == "single":
         policy = jax.tree.map(lambda leaf: leaf[0], policies)
         return SingleController(policy, config.task, trained.limits, config.cells[0], reachable)
-    return GridController(policies, config.task, trained.limits, config.cells, reachable)
+    return GridController(policies, config.task, trained.limits, config.cells, reachable, config.switching)
 
 
 def save_controller(
@@ -106,18 +109,13 @@ def load_controller(path: Path) -> AnyController:
     """The controller in a folder; raises ArtifactError where it is none, or no longer a whole one."""
     description, weights = artifacts.load(path, KIND)
     source = str(path / f"{KIND}.json")
-    if description.get("format", FORMAT) != FORMAT:
-        raise ArtifactError(f"{source}: format {description['format']}; this softfin reads {FORMAT}; update it")
-    if description.get("action_rate_hz", ACTION_RATE_HZ) != ACTION_RATE_HZ:
-        raise ArtifactError(
-            f"{source}: acts at {description['action_rate_hz']} Hz; softfin acts at {ACTION_RATE_HZ} Hz; train it again"
-        )
+    _check_current(description, source)
     if description.get("controller") == "gaits":
         try:
             found, within = found_of(description, weights), Reachable.of(description["reachable"])
             return GaitController(found.table, Limits.of(description["limits"]), within)
         except (KeyError, TypeError, ValueError) as error:
-            raise ArtifactError(f"{source}: not a controller's description ({' '.join(str(error).split())})") from None
+            raise ArtifactError(_harmed(source, error)) from None
     try:
         kind = description["controller"]
         cells = tuple(Cell.model_validate(cell) for cell in description["cells"])
@@ -128,7 +126,7 @@ def load_controller(path: Path) -> AnyController:
         region = description.get("reachable")
         reachable = None if region is None else Reachable.of(region)
     except (KeyError, TypeError, ValueError, pydantic.ValidationError) as error:
-        raise ArtifactError(f"{source}: not a controller's description ({' '.join(str(error).split())})") from None
+        raise ArtifactError(_harmed(source, error)) from None
     policy = Policy.of(config, task.observations, weights, str(path / artifacts.WEIGHTS))
     stacked = policy.log_deviation.shape[:-1]
     if kind == "single" and len(cells) == 1 and stacked == ():
@@ -141,12 +139,28 @@ def load_controller(path: Path) -> AnyController:
     )
 
 
-def _scores(trained: Trained, index: int) -> list[dict[str, Any]]:
-    """Of each cell: the references that it was scored at, in the plant that it was trained in.
+def _check_current(description: dict[str, Any], source: str) -> None:
+    for name in ("format", "action_rate_hz"):
+        if name not in description:
+            raise ArtifactError(f"{source}: says no {name}; {AGAIN}")
+    written, rate = description["format"], description["action_rate_hz"]
+    if written != FORMAT:
+        raise ArtifactError(f"{source}: format {written}; this softfin reads {FORMAT}; update it, or train it again")
+    if rate != ACTION_RATE_HZ:
+        raise ArtifactError(f"{source}: acts at {rate} Hz; softfin acts at {ACTION_RATE_HZ} Hz; train it again")
 
+
+def _harmed(source: str, error: Exception) -> str:
+    return f"{source}: not a controller's description ({' '.join(str(error).split())}); {AGAIN}"
+
+
+def _scores(trained: Trained, index: int) -> list[dict[str, Any]]:
+    """Of each cell: its references and the forces that were held for them, in the plant that it was trained in.
+
+    Errors are against ``held_n``, the nearest force that the fin can make, where what it can do is known.
     With ``beyond_data``, the share of actions that led beyond its data, where that plant is a surrogate that knows.
     """
-    score, rows = trained.score, []
+    score, held, rows = trained.score, trained.held(), []
     for i, cell in enumerate(trained.config.cells):
         for j, reference in enumerate(cell.lattice(trained.config.lattice)):
             error, deviation = (np.asarray(part)[index, i, j] for part in (score.error, score.deviation))
@@ -155,6 +169,7 @@ def _scores(trained: Trained, index: int) -> list[dict[str, Any]]:
                 {
                     "cell": i,
                     "reference_n": list(reference),
+                    "held_n": [round(float(x), 4) for x in held[i, j]],
                     "error_n": [round(float(x), 4) for x in error],
                     "std_n": [round(float(x), 4) for x in deviation],
                     **known,

@@ -3,8 +3,8 @@
 A bias of the surrogate, a softer fin or colder water shows as a difference between the mean force over the window and
 the mean of what the inner controller was asked for over the same window. That difference, smoothed, is taken off the
 reference: a disturbance observer (Ohnishi 1987; Sariyildiz, Oboe and Ohnishi 2020), which is integral action whose
-integrator knows what was really asked. So the window's delay does not destabilise it, and it cannot wind up where the
-trimmed reference is held back at the edge of what the fin can do.
+integrator knows what was really asked. So the window's delay does not destabilise it. What is asked stays within the
+inner controller's range and, where it is known, the fin's reach: held back at their edge, the trim does not wind up.
 """
 
 from typing import Any, NamedTuple
@@ -16,10 +16,11 @@ from pydantic import Field, PositiveFloat, model_validator
 
 from softfin.configuration import Configuration
 from softfin.control.controller import Controller, ControllerState, Measured
+from softfin.control.range import cells_of, reachable_of
 from softfin.plant import ACTION_TICKS, CYCLE_ACTIONS, WINDOW
 from softfin.quantities import Command
 from softfin.tracking.reachable import Reachable
-from softfin.tracking.references import Cell, Force
+from softfin.tracking.references import Cell, Force, least_box
 
 
 class TrimConfig(Configuration):
@@ -32,7 +33,7 @@ class TrimConfig(Configuration):
     settle_actions: int = Field(default=8, ge=6)
     """Actions from rest during which nothing is learnt: the fin is still starting."""
     still_n: PositiveFloat = 0.1
-    """What is asked counts as at rest while it moves by less than this within the window [N]; beyond, the gain falls
+    """The reference counts as at rest while it moves by less than this within the window [N]; beyond, the gain falls
     with the square."""
     limit_n: PositiveFloat = 1.0
     """The trim of each axis stays within this [N]."""
@@ -58,6 +59,8 @@ class TrimState(NamedTuple):
     """Mean force while each of the last six actions was held, the newest first [N]."""
     asked: Float[Array, "remembered 2"]
     """What the inner controller was asked for then, the newest first [N]."""
+    wanted: Float[Array, "remembered 2"]
+    """The references then, untrimmed [N]."""
     age: Int[Array, ""]
     """Actions since the start."""
 
@@ -73,7 +76,7 @@ class TrimmedController(eqx.Module):
         """Nothing known of any bias."""
         inner: Controller = self.inner
         asked = jnp.zeros((CYCLE_ACTIONS + self.config.lag_actions, 2))
-        return TrimState(inner.init(), jnp.zeros(2), jnp.zeros((CYCLE_ACTIONS, 2)), asked, jnp.int32(0))
+        return TrimState(inner.init(), jnp.zeros(2), jnp.zeros((CYCLE_ACTIONS, 2)), asked, asked, jnp.int32(0))
 
     def act(self, state: TrimState, measured: Measured, reference: Float[Array, "2"]) -> tuple[TrimState, Command]:
         """The inner controller's action for the reference less the bias."""
@@ -82,31 +85,35 @@ class TrimmedController(eqx.Module):
         held = jnp.array(ACTION_TICKS)[(state.age - 1 - jnp.arange(CYCLE_ACTIONS)) % len(ACTION_TICKS)]
         weight = (held / WINDOW)[:, None]
         surplus = (weight * (forces - state.asked[-CYCLE_ACTIONS:])).sum(axis=0)
-        # While what is asked moves, the fin's own lag looks like a bias: then little is learnt.
-        moved = jnp.ptp(state.asked, axis=0).max()
+        # While the reference moves, the fin's own lag looks like a bias: then little is learnt. The trim's own motion,
+        # which is slow, does not count: it would hold itself up.
+        moved = jnp.ptp(state.wanted, axis=0).max()
         trusted = jnp.minimum(1, self.config.still_n / jnp.maximum(moved, 1e-6))
         gain = jnp.where(state.age >= self.config.settle_actions, self.config.gain * trusted**2, 0.0)
         limit = self.config.limit_n
         bias = jnp.clip(state.bias + gain * (surplus - state.bias), -limit, limit)
-        asked = self.within(jnp.asarray(reference) - bias)
+        reference = jnp.asarray(reference)
+        asked = self.within(reference - bias)
         inner, command = self.inner.act(state.inner, measured, asked)
         remembered = jnp.concatenate([asked[None], state.asked[:-1]])
-        return TrimState(inner, bias, forces, remembered, state.age + 1), command
+        wanted = jnp.concatenate([reference[None], state.wanted[:-1]])
+        return TrimState(inner, bias, forces, remembered, wanted, state.age + 1), command
 
     @property
     def cells(self) -> tuple[Cell, ...]:
         """Those of the inner controller."""
-        cells: tuple[Cell, ...] = getattr(self.inner, "cells", None) or (self.inner.cell,)
-        return cells
+        return cells_of(self.inner)
 
     @property
     def reachable(self) -> Reachable | None:
         """That of the inner controller."""
-        reachable: Reachable | None = getattr(self.inner, "reachable", None)
-        return reachable
+        return reachable_of(self.inner)
 
     def within(self, reference: Float[Array, "2"]) -> Float[Array, "2"]:
-        """The trimmed reference, brought back to what the fin can do where that is known."""
+        """The trimmed reference, brought back to the inner controller's range and the fin's reach, where known."""
+        if self.cells:
+            box = least_box(self.cells)
+            reference = jnp.clip(reference, jnp.asarray(box.low), jnp.asarray(box.high))
         return reference if self.reachable is None else self.reachable.pulled(reference)
 
     def check(self, reference: Force) -> None:

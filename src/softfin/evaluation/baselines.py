@@ -33,6 +33,7 @@ from softfin.evaluation.paper import REFERENCES
 from softfin.evaluation.recurrent import run_recurrent, trained
 from softfin.plant import Plant, rest_command
 from softfin.quantities import RATE_HZ, AnyArray, Command, Limits
+from softfin.tracking.references import Cell, least_box
 from softfin.tracking.task import TaskConfig
 
 KIND = "baselines"
@@ -152,7 +153,8 @@ class _Judged:
                 f"it would learn commands that the plant does not take, {limits.described()}; let it learn in a "
                 "surrogate of the fin itself"
             )
-        model = trained(learns_in, steps, self.config.seed, task)
+        box = least_box([Cell.around(reference, 0.0) for reference in self.config.references])
+        model = trained(learns_in, steps, self.config.seed, task, box)
         recording = run_recurrent(model, task, limits, plant, self.config)
         self._keep(name, score_all(recording, plant, self.config), [{}] * len(self.config.references))
 

@@ -4,21 +4,15 @@ import numpy as np
 from jaxtyping import Float
 
 from softfin.control.controller import Controller
+from softfin.control.range import beyond_reach, cells_of, held
 from softfin.errors import CoverageError
-from softfin.tracking.reachable import Reachable
+from softfin.quantities import RATE_HZ
 from softfin.tracking.references import PAPER_RANGE, Cell, Force, least_box
 
 
 def bounds(controller: Controller) -> Cell:
     """The least box round all cells of a controller; of one that has none, and covers everything, the paper's range."""
-    cells: tuple[Cell, ...] = getattr(controller, "cells", None) or (getattr(controller, "cell", PAPER_RANGE),)
-    return least_box(cells)
-
-
-def reachable_of(controller: Controller) -> Reachable | None:
-    """The mean forces that the fin can make, where the controller knows them."""
-    reachable: Reachable | None = getattr(controller, "reachable", None)
-    return reachable
+    return least_box(cells_of(controller) or (PAPER_RANGE,))
 
 
 def covers(controller: Controller, reference: Force) -> bool:
@@ -30,7 +24,26 @@ def covers(controller: Controller, reference: Force) -> bool:
     return True
 
 
-def check_series(controller: Controller, references: Float[np.ndarray, "ticks 2"]) -> None:
-    """Raise CoverageError unless the controller covers every reference of a series."""
-    for x, y in np.unique(references, axis=0).tolist():
-        controller.check((x, y))
+def admitted_series(
+    controller: Controller, references: Float[np.ndarray, "ticks 2"], strict: bool, named: str
+) -> tuple[Float[np.ndarray, "ticks 2"], str | None]:
+    """The forces to hold, one a tick, and a warning where some are others: the nearest that the fin can make.
+
+    Raises CoverageError unless the controller covers every force, or with `strict` for the first one beyond its reach.
+    """
+    distinct, places = np.unique(references, axis=0, return_inverse=True)
+    near = held(controller, distinct).astype(np.float32)[places.reshape(-1)]
+    distance = np.hypot(*(near - references).T)
+    if not distance.any():
+        return references, None
+    first = int(np.argmax(distance > 0))
+    if strict:
+        (x, y), (a, b) = references[first].tolist(), near[first].tolist()
+        raise CoverageError(
+            f"{named}, at {first / RATE_HZ:g} s: {beyond_reach((x, y), (a, b))}; ask for that, or leave out --strict"
+        )
+    return near, (
+        f"{named}: this fin cannot make what is asked in {np.count_nonzero(distance) / RATE_HZ:g} of "
+        f"{len(references) / RATE_HZ:g} s, from {first / RATE_HZ:g} s on, by up to {distance.max():.3f} N; the nearest "
+        "forces that it can make in this controller's range are held instead"
+    )

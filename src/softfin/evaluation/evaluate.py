@@ -17,6 +17,7 @@ from softfin.control.controller import Controller
 from softfin.control.range import admitted
 from softfin.control.trim import TrimConfig, TrimmedController
 from softfin.evaluation.doubt import Doubt, doubt
+from softfin.evaluation.drawn import MOST, Drawn, hold_drawn
 from softfin.evaluation.experiment import MIN_SECONDS, Recording, alike, check_finite, first_of, run
 from softfin.evaluation.figures import experiments_figure, moving_figure
 from softfin.evaluation.forceplane import ErrorMap, error_map_figure, map_range
@@ -54,6 +55,8 @@ class EvaluateConfig(Configuration):
     """An outer loop about the controller, which takes off what the fin makes besides what it is asked for."""
     error_map: int | None = pydantic.Field(default=None, ge=2, le=50)
     """References along each side of a lattice over the controller's range, for a map of the error; None draws none."""
+    random: int | None = pydantic.Field(default=None, ge=1, le=MOST)
+    """References drawn at random over all that the controller was trained for and the fin can make; None: none."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,11 +72,13 @@ class Evaluation:
     doubt: Doubt | None = None
     """What a surrogate knows of its own errors; None of a plant that is none, or knows nothing."""
     warnings: tuple[str, ...] = ()
-    """References that were replaced by the nearest that the fin can make."""
+    """References that were replaced by the nearest that the fin can make, for a time or altogether."""
     moving: tuple[Moving, ...] = ()
     """Experiments whose reference moves, those of one length together."""
     error_map: ErrorMap | None = None
     """Errors over the controller's range."""
+    drawn: Drawn | None = None
+    """Errors over random references."""
 
     def summary(self) -> dict[str, Any]:
         """Conditions, scores by reference and their mean; the first part of what `write_evaluation` writes."""
@@ -105,6 +110,7 @@ class Evaluation:
             "warning": "; ".join(self._warnings()) or None,
             **({"moving": [row for moving in self.moving for row in moving.described()]} if self.moving else {}),
             **({} if self.error_map is None else {"error_map": self.error_map.described()}),
+            **({} if self.drawn is None else {"random": self.drawn.described()}),
         }
 
     def _warnings(self) -> list[str]:
@@ -123,7 +129,8 @@ def evaluate(controller: Controller, plant: Plant, config: EvaluateConfig) -> Ev
     warnings = tuple(said for _, said in admissions if said is not None)
     if config.trim is not None:
         controller = TrimmedController(controller, config.trim)
-    plans = planned(controller, config.moving, config.recorded)
+    plans = planned(controller, config.moving, config.recorded, config.strict)
+    warnings += tuple(said for plan in plans for said in plan.warnings)
     keys = jnp.stack([key_of(config.seed, f"evaluate/{repetition}") for repetition in range(config.seeds)])
     recording = run(controller, plant, held, config.seconds, keys)
     check_finite(recording)
@@ -131,7 +138,7 @@ def evaluate(controller: Controller, plant: Plant, config: EvaluateConfig) -> Ev
     scores, repetitions = score(recording), config.seeds
     if alike(recording):
         scores, repetitions = Scores(*(field[:, :1] for field in scores)), 1
-    points = config.error_map
+    points, count = config.error_map, config.random
     return Evaluation(
         config,
         scores,
@@ -141,6 +148,7 @@ def evaluate(controller: Controller, plant: Plant, config: EvaluateConfig) -> Ev
         warnings,
         moving=tuple(follow(controller, plant, plan, keys) for plan in plans),
         error_map=None if points is None else map_range(controller, plant, points, config.seconds, keys[0]),
+        drawn=None if count is None else hold_drawn(controller, plant, count, config.seed, config.seconds, keys[0]),
     )
 
 
@@ -163,13 +171,18 @@ def write_evaluation(evaluation: Evaluation, out: Path, facts: Mapping[str, Any]
     ``moving``               where asked for, a list, one entry a signal: ``kind``, ``signal``; ``x`` and ``y`` with
                              ``error_n`` against the reference's mean over the same window and ``instantaneous_error_n``
                              against the reference itself; ``steps``, of each step the responses of all seeds: rise,
-                             overshoot, settling, null where it never comes there; ``longest_settling_s``
+                             overshoot, settling, null where it never comes there; ``longest_settling_s``;
+                             ``replaced_s``: for how long another force is held, as the fin cannot make what is asked
     ``error_map``            where asked for: ``low_n``, ``high_n``, ``points`` and the error of every reference
+    ``random``               where asked for: ``count`` references drawn over cells and reach, at one seed; of each axis
+                             ``mean_n``, ``p95_n``, ``worst_n`` of their errors, and ``worst_reference_n``
+    ``configuration``        of this evaluation; of a recorded reference its ``rows`` and ``seconds``
     ``provenance``           versions, git commit, time
     ======================== ========================================================================================
     """
     summary = evaluation.summary()
     summary["conditions"] |= dict(facts or {})
+    summary["configuration"] = _described(evaluation.config)
     summary["provenance"] = artifacts.provenance(seed=evaluation.config.seed)
 
     def write(folder: Path) -> None:
@@ -181,6 +194,12 @@ def write_evaluation(evaluation: Evaluation, out: Path, facts: Mapping[str, Any]
     artifacts.check_vacant(out, overwrite=True)
     artifacts.write_folder(out, write)
     return summary
+
+
+def _described(config: EvaluateConfig) -> dict[str, Any]:
+    recorded = config.recorded
+    known = None if recorded is None else {"rows": len(recorded.time_s), "seconds": recorded.seconds}
+    return {**config.model_dump(mode="json", exclude={"recorded"}), "recorded": known}
 
 
 def _figures(evaluation: Evaluation) -> dict[str, Figure]:

@@ -14,8 +14,10 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from softfin.control.controller import Controller
+from softfin.control.nearest import reached
+from softfin.control.range import reachable_of
 from softfin.errors import CoverageError
-from softfin.evaluation.coverage import bounds, covers, reachable_of
+from softfin.evaluation.coverage import bounds, covers
 from softfin.evaluation.experiment import check_finite, run
 from softfin.evaluation.paper import REFERENCES
 from softfin.evaluation.scores import score
@@ -42,11 +44,13 @@ class ErrorMap(NamedTuple):
     points: int
     """References along each side."""
     references: Float[np.ndarray, "references 2"]
-    """Those that the controller covers [N]; of a grid with gaps fewer than ``points ** 2``."""
+    """Those that the controller covers and the fin can make [N]; fewer than ``points ** 2`` where some are not."""
     error: Float[np.ndarray, "references 2"]
     """Mean |moving average - reference| [N]."""
     reachable: Float[np.ndarray, "corners 2"] | None = None
     """Outline of the mean forces that the fin can make [N], where it is known."""
+    not_reachable: int = 0
+    """References of the lattice that the controller covers and the fin cannot make."""
 
     def described(self) -> dict[str, Any]:
         """For JSON."""
@@ -58,7 +62,9 @@ class ErrorMap(NamedTuple):
             "points": self.points,
             "low_n": list(self.cell.low),
             "high_n": list(self.cell.high),
-            "not_covered": self.points**2 - len(rows),
+            "seeds": 1,
+            "not_covered": self.points**2 - len(rows) - self.not_reachable,
+            "not_reachable": self.not_reachable,
             "references": rows,
             **{f"mean_{axis}_n": float(self.error[:, i].mean()) for i, axis in enumerate(AXES)},
             **{f"worst_{axis}_n": float(self.error[:, i].max()) for i, axis in enumerate(AXES)},
@@ -79,7 +85,7 @@ def error_map(
 
 
 def map_range(controller: Controller, plant: Plant, points: int, seconds: int, key: PRNGKeyArray) -> ErrorMap:
-    """The errors over a lattice of the controller's range; raises CoverageError where it covers none of it."""
+    """The errors over a lattice of the controller's range; raises CoverageError where none can be held."""
     cell = bounds(controller)
     if cell.low[0] == cell.high[0] or cell.low[1] == cell.high[1]:
         raise CoverageError(f"an error map over {cell}: the controller's range has no area; train it for a wider cell")
@@ -89,9 +95,17 @@ def map_range(controller: Controller, plant: Plant, points: int, seconds: int, k
             f"an error map of {points} x {points} references over {cell}: the controller covers none of them; ask for "
             "more points"
         )
-    references = np.array(covered)
-    error, reachable = error_map(controller, plant, references, seconds, key), reachable_of(controller)
-    return ErrorMap(cell, points, references, error, None if reachable is None else reachable.corners())
+    references, reachable = np.array(covered), reachable_of(controller)
+    if reachable is not None:
+        references = references[reached(reachable, references)]
+    if not len(references):
+        raise CoverageError(
+            f"an error map of {points} x {points} references over {cell}: this fin can make none of them; ask for more "
+            "points, or train the controller within the fin's reach (softfin map shows it)"
+        )
+    error = error_map(controller, plant, references, seconds, key)
+    outline = None if reachable is None else reachable.corners()
+    return ErrorMap(cell, points, references, error, outline, len(covered) - len(references))
 
 
 def error_map_figure(errors: ErrorMap) -> Figure:
@@ -117,7 +131,7 @@ def error_map_figure(errors: ErrorMap) -> Figure:
 
 
 def _on_lattice(errors: ErrorMap) -> Float[np.ndarray, "points points 2"]:
-    """By row of y and column of x; NaN where the controller covers nothing."""
+    """By row of y and column of x; NaN where no reference is held."""
     lattice = np.full((errors.points, errors.points, 2), np.nan)
     low, high = np.array(errors.cell.low), np.array(errors.cell.high)
     column, row = np.floor((errors.references - low) / (high - low) * errors.points).astype(int).T
@@ -128,7 +142,7 @@ def _on_lattice(errors: ErrorMap) -> Float[np.ndarray, "points points 2"]:
 def _draw_errors(axes: Axes, errors: ErrorMap, values: Float[np.ndarray, "points points"], greatest: float) -> Any:
     (left, bottom), (right, top) = errors.cell.low, errors.cell.high
     axes.grid(visible=False)
-    # What the controller does not cover: no colour of the map.
+    # What the controller does not cover or the fin cannot make: no colour of the map.
     axes.patch.set(facecolor="white", hatch="////", edgecolor="#CCCCCC")
     drawn = axes.imshow(
         values, origin="lower", extent=(left, right, bottom, top), vmin=0, vmax=greatest, cmap=COLOURS,

@@ -12,7 +12,10 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from softfin.control.controller import Controller
-from softfin.evaluation.coverage import bounds, check_series, reachable_of
+from softfin.control.nearest import nearest_within, reached
+from softfin.control.range import reachable_of
+from softfin.errors import CoverageError
+from softfin.evaluation.coverage import admitted_series, bounds
 from softfin.evaluation.experiment import MIN_SECONDS, Recording, alike, check_finite, first_of, run
 from softfin.evaluation.response import Response, responses, tracking_error
 from softfin.evaluation.scores import score
@@ -73,13 +76,19 @@ SIGNALS: Mapping[Kind, tuple[Callable[[At], tuple[Signal, ...]], int]] = Mapping
 
 
 def signals_of(kind: Kind, cell: Cell, reachable: Reachable | None = None) -> tuple[Signal, ...]:
-    """The default signals of a kind within a range; forces that the fin cannot make are brought to its edge."""
+    """The default signals of a kind within a range; what the fin cannot make is brought to its reach."""
     (x0, y0), (x1, y1) = cell.low, cell.high
 
     def at(x: float, y: float) -> Force:
         place = (x0 + x * (x1 - x0), y0 + y * (y1 - y0))
-        near = place if reachable is None else reachable.nearest(place)
-        return round(near[0], 6), round(near[1], 6)
+        if reachable is not None and not reached(reachable, np.array([place])).all():
+            place = nearest_within(reachable, (cell,), np.array([place]))[0].tolist()
+        if not np.isfinite(place).all():
+            raise CoverageError(
+                f"references that move within {cell}: this fin can make none of these forces; train the controller "
+                "within its reach (softfin map shows it)"
+            )
+        return round(place[0], 6), round(place[1], 6)
 
     return SIGNALS[kind][0](at)
 
@@ -97,6 +106,8 @@ class Moving:
     """Mean |moving average - the reference at that instant| [N]."""
     responses: tuple[tuple[tuple[Response, ...], ...], ...]
     """Of each signal, of each seed, to each step."""
+    replaced: tuple[int, ...] = ()
+    """Of each signal, ticks at which another force was held than it asks for, as the fin cannot make that one."""
 
     def described(self) -> list[dict[str, Any]]:
         """One row a signal, for JSON."""
@@ -116,6 +127,7 @@ class Moving:
             "described": str(signal),
             "signal": signal.model_dump(mode="json", exclude=kept),
             "duration_s": self.recording.reading.angle.shape[-1] / RATE_HZ,
+            "replaced_s": (self.replaced[index] if self.replaced else 0) / RATE_HZ,
             **{
                 axis: {
                     "error_n": float(self.error[index, :, i].mean()),
@@ -136,23 +148,43 @@ class Plan:
 
     signals: tuple[Signal, ...]
     seconds: int
+    held: Float[np.ndarray, "signals ticks 2"] | None = None
+    """What is held, one force a tick [N]: the signals, but for forces that the fin cannot make; None: the signals."""
+    warnings: tuple[str, ...] = ()
+    """Of such forces."""
+
+    def sampled(self) -> Float[np.ndarray, "signals ticks 2"]:
+        """What the signals ask for, one force a tick [N]."""
+        return np.stack([signal.sample(self.seconds * RATE_HZ) for signal in self.signals])
+
+    def admitted(self, controller: Controller, strict: bool) -> "Plan":
+        """With what a controller can hold on its fin; raises CoverageError where a signal leaves its range."""
+        pairs = [
+            admitted_series(controller, asked, strict, str(signal))
+            for signal, asked in zip(self.signals, self.sampled(), strict=True)
+        ]
+        held = np.stack([series for series, _ in pairs])
+        return dataclasses.replace(self, held=held, warnings=tuple(said for _, said in pairs if said is not None))
 
 
-def planned(controller: Controller, kinds: Iterable[Kind], recorded: Recorded | None) -> list[Plan]:
-    """The default signals of each kind, and a recorded one; raises CoverageError where one leaves the controller's."""
+def planned(
+    controller: Controller, kinds: Iterable[Kind], recorded: Recorded | None, strict: bool = False
+) -> list[Plan]:
+    """The default signals of each kind, and a recorded one, as the fin can make them.
+
+    Raises CoverageError where one leaves the controller's range, or with `strict` what the fin can make.
+    """
     cell, reachable = bounds(controller), reachable_of(controller)
     plans = [Plan(signals_of(kind, cell, reachable), SIGNALS[kind][1]) for kind in dict.fromkeys(kinds)]
     if recorded is not None:
         plans.append(Plan((recorded,), max(recorded.seconds, MIN_SECONDS)))
-    for plan in plans:
-        for signal in plan.signals:
-            check_series(controller, signal.sample(plan.seconds * RATE_HZ))
-    return plans
+    return [plan.admitted(controller, strict) for plan in plans]
 
 
 def follow(controller: Controller, plant: Plant, plan: Plan, keys: Key[Array, "seeds"]) -> Moving:
-    """Run and score the signals of a plan, each with every key."""
-    asked = np.stack([signal.sample(plan.seconds * RATE_HZ) for signal in plan.signals])
+    """Run and score the signals of a plan, each with every key; errors are against what is held."""
+    wanted = plan.sampled()
+    asked = wanted if plan.held is None else plan.held
     recording = run(controller, plant, asked, plan.seconds, keys)
     check_finite(recording)
     if alike(recording):
@@ -165,4 +197,5 @@ def follow(controller: Controller, plant: Plant, plan: Plan, keys: Key[Array, "s
         error=score(recording).error,
         instantaneous=np.stack([tracking_error(seeds, reference) for seeds, reference in each]),
         responses=tuple(tuple(tuple(responses(seed, reference)) for seed in seeds) for seeds, reference in each),
+        replaced=tuple(np.any(asked != wanted, axis=2).sum(axis=1).tolist()),
     )

@@ -19,7 +19,7 @@ from softfin.randomness import key_of
 Forces = Float[np.ndarray, "cases ticks 2"]
 
 CHUNK = 256
-"""Cases that run side by side: one compiled program serves any number of them."""
+"""Cases that run side by side at most: one compiled program serves any greater number of them."""
 
 
 class OpenLoop:
@@ -42,10 +42,11 @@ class OpenLoop:
     def forces(self, commands: Command, key: PRNGKeyArray) -> Forces:
         """Of many series, all with one key."""
         count = len(commands.angle)
+        size = min(CHUNK, count)
         # Filled up with repetitions of the last case, whose forces are dropped again.
-        padded = Command(*(jnp.pad(part, ((0, -count % CHUNK), (0, 0)), mode="edge") for part in commands))
-        starts = range(0, count, CHUNK)
-        parts = [self._force(Command(*(part[i : i + CHUNK] for part in padded)), key) for i in starts]
+        padded = Command(*(jnp.pad(part, ((0, -count % size), (0, 0)), mode="edge") for part in commands))
+        starts = range(0, count, size)
+        parts = [self._force(Command(*(part[i : i + size] for part in padded)), key) for i in starts]
         return np.concatenate([np.asarray(part) for part in parts])[:count]
 
 

@@ -18,14 +18,14 @@ from softfin.evaluation.experiment import Recording
 from softfin.evaluation.open_loop import evaluation_keys
 from softfin.plant import ACTION_TICKS, Plant, State
 from softfin.quantities import Command, Limits, Reading
-from softfin.tracking.references import PAPER_RANGE, Cell
+from softfin.tracking.references import Cell
 from softfin.tracking.registration import ID, register
 from softfin.tracking.task import TaskConfig, command_of, observation, remember, rest_actions
 
 INSTALL = "sb3-contrib is not installed; pip install 'softfin[sb3]'"
 
 
-def trained(plant: Plant, steps: int, seed: int, task: TaskConfig, references: Cell = PAPER_RANGE) -> Any:
+def trained(plant: Plant, steps: int, seed: int, task: TaskConfig, references: Cell) -> Any:
     """A RecurrentPPO that has acted `steps` times in a plant, or a little more: its rollouts are whole.
 
     Raises ConfigurationError where sb3-contrib is not installed.

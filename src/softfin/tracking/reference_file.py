@@ -1,6 +1,7 @@
 """Reference forces from a file: a CSV or Parquet table with ``time_s``, ``force_x_n`` and ``force_y_n``; others unread.
 
-Each row is asked from its time on until the next one. Logs of softfin have these columns too.
+Each row is asked from its time on until the next one. Logs of softfin have these columns too; their times begin one
+tick after the start, at 0.01 s: a first row up to one tick late is asked from 0 on.
 """
 
 import csv
@@ -12,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from softfin.errors import ConfigurationError
+from softfin.quantities import TICK_S
 from softfin.tracking.signals import CLOCK_S, Recorded
 
 COLUMNS = {"time_s": ("s", "seconds"), "force_x_n": ("n", "newton"), "force_y_n": ("n", "newton")}
@@ -20,6 +22,9 @@ COLUMNS = {"time_s": ("s", "seconds"), "force_x_n": ("n", "newton"), "force_y_n"
 FACTORS = {"ms": "0.001", "us": "0.000001", "ns": "0.000000001", "min": "60", "kn": "1000", "mn": "0.001",
            "lbf": "4.448222", "kgf": "9.80665", "gf": "0.00980665"}  # fmt: skip
 """By the units that are met instead, in lower case: what makes seconds or newton of them."""
+
+LONGEST_S = 3600.0
+"""Longer references are a slip of the unit [s]."""
 
 Rows = list[tuple[str, tuple[float, ...]]]
 """Where each row stands, in words, and its values in the order of `COLUMNS`."""
@@ -33,9 +38,14 @@ def read_reference_file(path: Path) -> Recorded:
     if not rows:
         raise ConfigurationError(f"--reference-file {path}: empty: no rows; give at least one, at time_s = 0")
     _check(path, rows)
-    return Recorded(
-        time_s=tuple(values[0] for _, values in rows), force_n=tuple((values[1], values[2]) for _, values in rows)
-    )
+    times = (0.0, *(values[0] for _, values in rows[1:]))
+    recorded = Recorded(time_s=times, force_n=tuple((values[1], values[2]) for _, values in rows))
+    if recorded.seconds > LONGEST_S:
+        raise ConfigurationError(
+            f"--reference-file {path}: {rows[-1][0]}: time_s = {times[-1]:g} makes {recorded.seconds} s; at most "
+            f"{LONGEST_S:g} s are followed: are these milliseconds? Then divide them by 1000; else cut the file"
+        )
+    return recorded
 
 
 def _read_csv(path: Path) -> Rows:
@@ -113,7 +123,7 @@ def _check(path: Path, rows: Rows) -> None:
                     "out, and the force before it is held"
                 )
     first = rows[0][1][0]
-    if abs(first) > CLOCK_S:
+    if not -CLOCK_S <= first <= TICK_S + CLOCK_S:
         raise ConfigurationError(
             f"--reference-file {path}: {rows[0][0]}: time_s begins at {first:g}; begin at 0: subtract {first:g} from "
             "all times, or add a row at 0"

@@ -96,6 +96,11 @@ class _Map:
         errors = self.ray.exceptions
         # A task without a graphics card is shown none, and would compute on the processor what others compute on cards.
         cards = 1 if jax.default_backend() == "gpu" else 0
+        if cards and not self.ray.cluster_resources().get("GPU"):
+            raise ConfigurationError(
+                "cluster: has no graphics card, which this machine computes on, so its tasks would wait for one for "
+                "ever; give a --cluster with cards, or set JAX_PLATFORMS=cpu"
+            )
         # Ray's own retries would say nothing of it.
         task = self.ray.remote(num_cpus=1, num_gpus=cards, max_retries=0)(_worked)
         shared = self.ray.put(work)

@@ -1,4 +1,7 @@
-"""Memory that policies take: their weights, and what training holds of them besides (paper Sec. IV: 7.2 MB a model)."""
+"""Memory that policies take: their weights, and what training holds of them besides (paper Sec. IV: 7.2 MB a model).
+
+What only training needs is left out: the critic of LSTM-PPO with its optimiser, and the rollouts.
+"""
 
 import math
 from typing import NamedTuple

@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PRNGKeyArray
 from pydantic import Field, NonNegativeFloat, PositiveInt
 
 from softfin.configuration import Configuration
@@ -22,7 +22,7 @@ from softfin.plant import CYCLE_ACTIONS, Plant
 from softfin.randomness import key_of
 from softfin.tracking.references import Cell, Force
 from softfin.training.beat import compilable, measured, steady
-from softfin.training.survey import LEAST_ACTION, Survey
+from softfin.training.survey import GREATEST_ACTION, Survey
 
 
 class GaitConfig(Configuration):
@@ -148,13 +148,15 @@ def find_gaits(
             report((step + 1) / config.steps, f"error {np.median(missed):.3f} N median, {missed.max():.2f} N greatest")
     shaped = (*lattice.nodes, -1)
     actions = jnp.tanh(nodes.raw).reshape(*lattice.nodes, CYCLE_ACTIONS, 2)
-    made = jax.vmap(lambda raw: measured(steady(plant, jnp.tanh(raw).reshape(CYCLE_ACTIONS, 2), config.cycles, KEY)))
+    made = jax.vmap(lambda raw: measured(steady(plant, jnp.tanh(raw).reshape(CYCLE_ACTIONS, 2), config.cycles, _key())))
     got = eqx.filter_jit(made)(nodes.raw)
     return Found(table._replace(actions=actions), np.asarray(got.force).reshape(shaped),
                  np.asarray(got.smoothness).reshape(shaped))  # fmt: skip
 
 
-KEY = key_of(0, "gaits")
+def _key() -> PRNGKeyArray:
+    """Not a constant: making it starts JAX, which an import must not."""
+    return key_of(0, "gaits")
 
 
 def _start(seen: Survey, target: Float[Array, "nodes 2"], shape: tuple[int, int]) -> Float[Array, "nodes 12"]:
@@ -165,7 +167,7 @@ def _start(seen: Survey, target: Float[Array, "nodes 2"], shape: tuple[int, int]
         chosen = [i for i, family in enumerate(seen.families) if family.wave == wave]
         force = np.concatenate([seen.force[i] for i in chosen])
         gaits = np.concatenate([seen.families[i].gaits for i in chosen])
-        raw = np.arctanh(np.clip(gaits, -LEAST_ACTION, LEAST_ACTION)).reshape(len(gaits), -1)
+        raw = np.arctanh(np.clip(gaits, -GREATEST_ACTION, GREATEST_ACTION)).reshape(len(gaits), -1)
         apart = np.linalg.norm(force[None] - wanted[:, None], axis=-1)
         nearest = np.argmin(apart, axis=1)
         for _ in range(SWEEPS):
@@ -189,7 +191,7 @@ def _look(plant: Plant, raw: Float[Array, "nodes 12"], cycles: int) -> _Nodes:
     """What gaits make, and its slopes."""
 
     def out(raw: Float[Array, "12"]) -> Float[Array, "3"]:
-        got = measured(steady(plant, jnp.tanh(raw).reshape(CYCLE_ACTIONS, 2), cycles, KEY))
+        got = measured(steady(plant, jnp.tanh(raw).reshape(CYCLE_ACTIONS, 2), cycles, _key()))
         return jnp.concatenate([got.force, got.smoothness.sum()[None]])
 
     def both(raw: Float[Array, "12"]) -> tuple[Float[Array, "3"], Float[Array, "3 12"]]:

@@ -28,6 +28,19 @@ from softfin.training.policy import Policy, PolicyConfig
 from softfin.training.rollout import Batch, begin, restart
 
 
+class CommonConfig(Configuration):
+    """One policy for all cells of a grid, from which theirs begin."""
+
+    updates: PositiveInt = 120
+    """Of its own."""
+    environments: PositiveInt = 32
+    """Fins that it beats side by side."""
+    learning_rate: PositiveFloat = 1e-3
+    """Of Adam, at its greatest."""
+    lattice: PositiveInt = 3
+    """Scored are lattice x lattice references over all cells."""
+
+
 class GradientConfig(Configuration):
     """The learner."""
 
@@ -49,6 +62,8 @@ class GradientConfig(Configuration):
     """How the table is found; its box is the least one round all cells."""
     imitation: ImitationConfig = ImitationConfig()
     """How it is copied."""
+    common: CommonConfig | None = None
+    """Of a grid: train one policy for all cells first, and begin from it; none: each cell from the gaits."""
 
     @property
     def steps_per_update(self) -> int:

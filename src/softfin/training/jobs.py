@@ -25,7 +25,7 @@ from softfin.training.engine import Engine, EngineName, LocalEngine, Progress
 from softfin.training.force_map import ForceMap
 from softfin.training.policy import Policy
 from softfin.training.score import Score
-from softfin.training.train import TrainConfig, Trained, check, mapped, train
+from softfin.training.train import TrainConfig, Trained, check, common_start, mapped, train
 
 Split: TypeAlias = Literal["none", "seed", "cell"]
 """All lanes in one job; one for every seed; one for every cell of every seed."""
@@ -81,21 +81,24 @@ def train_jobs(
     *,
     engine: Engine | None = None,
     split: Split = "none",
+    known: ForceMap | None = None,
 ) -> Trained:
-    """As `train`, in jobs on an engine; the fin is mapped once for all of them.
+    """As `train`, in jobs on an engine; the fin is mapped once for all of them, where what it can do is not `known`.
 
     Raises:
-        ConfigurationError: the budget is smaller than one rollout, or a seed comes twice.
+        ConfigurationError: as `train`.
         RunError: a job failed; the last good checkpoints of all are left in the workspace.
     """
-    check(config, seeds)
-    known = mapped(plant, config, workspace, progress)
+    check(plant, config, seeds, known)
+    known = mapped(plant, config, workspace, progress) if known is None else known
+    start = common_start(plant, config, seeds, workspace, progress, known)
     jobs, token = jobs_of(config, seeds, split), uuid4().hex
+    starts = _starts(start, split, list(jobs.values()))
     placed = {}
-    for name, job in jobs.items():
+    for (name, job), begun in zip(jobs.items(), starts, strict=True):
         folder = workspace if split == "none" else workspace.part(name)
         write_file(folder.folder / TOKEN, token)
-        placed[name] = _Placed(job, folder, token)
+        placed[name] = _Placed(job, folder, token, begun)
     stage = f"train {config.controller}"
     done = (engine or LocalEngine()).map(stage, _Training(plant, known), placed, progress)
     for place, finished in zip(placed.values(), done, strict=True):
@@ -105,12 +108,30 @@ def train_jobs(
     return Trained(config, Limits(*map(float, plant.limits)), tuple(seeds), policies, score, known)
 
 
+def _starts(start: Policy | None, split: Split, jobs: Sequence[Job]) -> list[Policy | None]:
+    """What each job begins from, of policies with leaves ``(seeds, cells, ...)``."""
+    if start is None or split == "none":
+        return [start] * len(jobs)
+    rows = len(start.log_deviation)
+    across = len(jobs) // rows
+
+    def part(index: int) -> Policy:
+        seed, cell = divmod(index, across)
+        cells = slice(None) if split == "seed" else slice(cell, cell + 1)
+        chosen: Policy = jax.tree.map(lambda leaf: leaf[seed : seed + 1, cells], start)
+        return chosen
+
+    return [part(index) for index in range(len(jobs))]
+
+
 class _Placed(NamedTuple):
     """A job, and where its unfinished work lies."""
 
     job: Job
     workspace: Workspace
     token: str
+    start: Policy | None
+    """What it begins from, where another run was before."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +145,8 @@ class _Training:
         """Train, from the last checkpoint where this machine sees it."""
 
         def trained(workspace: Workspace) -> Trained:
-            return train(self.plant, placed.job.config, placed.job.seeds, workspace, progress, known=self.known)
+            job = placed.job
+            return train(self.plant, job.config, job.seeds, workspace, progress, known=self.known, start=placed.start)
 
         if _sees(placed.workspace.folder, placed.token):
             ended = trained(placed.workspace)

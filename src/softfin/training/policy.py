@@ -186,7 +186,8 @@ class Critic(eqx.Module):
     ) -> "Critic":
         """With inputs and values counted, values as at most `longest`.
 
-        The last layer takes the new unit over, so that the same inputs mean the same value (van Hasselt et al. 2016).
+        The last layer takes the values' new unit over (van Hasselt et al. 2016); the inputs' new normalisation still
+        moves what the same inputs are said to be worth, a little.
         """
         old, new = self.says, self.says.updated(target[..., None], longest)
         first, second, last = self.layers

@@ -16,12 +16,19 @@ def check_refinable(config: TrainConfig, more: int) -> None:
             f"--refine {more}: only a grid that is trained by gradients is refined, not {config.controller} by "
             f"{config.algorithm}; leave it out, or give --controller grid --algorithm gradient"
         )
+    if more > 3 * len(config.cells):
+        raise ConfigurationError(
+            f"--refine {more}: {len(config.cells)} cells are split once, into four each, so 1 .. "
+            f"{3 * len(config.cells)} can be added; give fewer, or more --cells"
+        )
 
 
-def refined(plant: Plant, trained: Trained, more: int, workspace: Workspace, progress: Progress | None) -> Trained:
-    """The same budget a policy once more; no cell ends worse than it was."""
+def refined(
+    plant: Plant, trained: Trained, more: int, workspace: Workspace, progress: Progress | None
+) -> tuple[Trained, tuple[int, ...]]:
+    """The same budget a policy once more, in this process; no cell ends worse than it was. And each cell's parent."""
     finer = refine(trained.config.cells, cell_errors(trained.score.error), more)
-    return train(
+    ended = train(
         plant,
         trained.config.model_copy(update={"cells": finer.cells}),
         trained.seeds,
@@ -30,3 +37,4 @@ def refined(plant: Plant, trained: Trained, more: int, workspace: Workspace, pro
         known=trained.known,
         start=inherited(trained.policies, finer.parents),
     )
+    return ended, finer.parents

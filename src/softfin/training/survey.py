@@ -20,7 +20,7 @@ from softfin.randomness import key_of
 from softfin.tracking.reachable import Reachable, directions
 from softfin.training.beat import Family, Gait, Made, compilable, families, made
 
-LEAST_ACTION = 0.97
+GREATEST_ACTION = 0.97
 """Actions are moved through atanh, which has no value at 1."""
 
 
@@ -94,7 +94,7 @@ ASIDE = 2.0
 
 
 def _radius(offset: Float[np.ndarray, "n 2"], outward: Float[np.ndarray, "directions 2"]) -> Float[np.ndarray, "d"]:
-    """How far the made forces go in each direction: the greatest circle-free estimate, a sector wide."""
+    """How far the made forces go in each direction: the farthest along it of those in the sector about it."""
     half = np.cos(np.pi / len(outward))
     length = np.linalg.norm(offset, axis=1)
     inside = (offset @ outward.T) >= half * length[:, None]
@@ -125,7 +125,7 @@ def _push(
         length = jnp.sqrt((slope**2).sum(axis=(1, 2), keepdims=True))
         return raw + 0.5 * part * slope / (length + 1e-6), force
 
-    raw = jnp.arctanh(jnp.clip(gaits, -LEAST_ACTION, LEAST_ACTION))
+    raw = jnp.arctanh(jnp.clip(gaits, -GREATEST_ACTION, GREATEST_ACTION))
     raw, force = jax.lax.scan(step, raw, jnp.linspace(1.0, 0.2, config.pushes))
     last = jax.vmap(partial(made, plant, cycles=config.cycles, key=key_of(0, "survey")))(jnp.tanh(raw)).force
     return jnp.tanh(raw), jnp.concatenate([force, last[None]])

@@ -13,7 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 from pydantic import NonNegativeFloat, PositiveInt, model_validator
 
 from softfin.checkpoint import Workspace
@@ -26,7 +26,9 @@ from softfin.surrogate.streaming.streaming import StreamingSurrogate
 from softfin.tracking.cells import check_apart
 from softfin.tracking.reachable import Reachable
 from softfin.tracking.references import PAPER_CELLS, PAPER_RANGE, Cell, References, least_box, stack_references
+from softfin.tracking.switching import SwitchingConfig
 from softfin.tracking.task import ForceTracking, TaskConfig
+from softfin.training.beat import differentiable
 from softfin.training.ensemble import trained_in
 from softfin.training.force_map import ForceMap, empty_map, map_forces
 from softfin.training.gaits import GaitTable
@@ -52,12 +54,16 @@ class TrainConfig(Configuration):
     """References [N] that each policy is trained for; one cell for `single`."""
     margin_n: NonNegativeFloat = 0.0
     """Policies are trained for references this far beyond their cells, too [N]: a grid switches with a hysteresis."""
+    switching: SwitchingConfig = SwitchingConfig(margin_n=0.0)
+    """How a grid's policies take over from one another; beyond `margin_n`, its own margin leaves the policy in charge
+    references that it was not trained for, so the paper's grid has none of either."""
     task: TaskConfig = TaskConfig()
     """The force-tracking task."""
     policy: PolicyConfig = PolicyConfig()
     """Size and start of the networks."""
     ensemble: Literal["mean", "each"] = "mean"
-    """Of an ensemble, fins are the mean of all members or each is another member; scored is the mean."""
+    """Of an ensemble, fins are the mean of all members or each is another member; scored is the mean. Only streaming
+    surrogates of two members or more take `each`, which leaves nothing to disagree (`task.reward.disagreement`)."""
     algorithm: Literal["ppo", "gradient"] = "ppo"
     """LSTM-PPO, as the paper has it, or gradients through the plant."""
     ppo: PPOConfig = PPOConfig()
@@ -103,34 +109,34 @@ SINGLE = TrainConfig(
 """The paper's single controller on its budget."""
 
 GRADIENT_SINGLE = SINGLE.changed(
-    (
-        "algorithm=gradient",
-        "steps=115200",
-        "task.phase=true",
-        "task.reward.target=window",
-        "task.reference_actions=15",
-        "task.ramps=0.25",
-    )
+    ("algorithm=gradient", "steps=115200", "task.phase=true", "task.reward.target=window", "task.reference_actions=24")
 )
 """One controller by gradients through the plant: 200 updates."""
 
 GRADIENT_GRID = GRADIENT_SINGLE.merged(
     {
-        "controller": "grid",
-        "cells": GRID.model_dump()["cells"],
-        "steps": 14_400,
-        "margin_n": 0.1,
-        "gradient": {"environments": 8},
+        "controller": "grid", "cells": GRID.model_dump()["cells"], "steps": 5_760, "scorings": 5, "margin_n": 0.1,
+        "switching": {"margin_n": 0.1},
+        "gradient": {"environments": 8, "learning_rate": 3e-4, "common": {}},
     },
     "grid",
-)
-"""A policy a cell by gradients through the plant: 100 updates."""
+)  # fmt: skip
+"""A policy a cell by gradients through the plant: 120 updates together, then 40 of each cell's own."""
 
 STARTS: Mapping[tuple[str, str], TrainConfig] = MappingProxyType({
     ("ppo", "single"): SINGLE, ("ppo", "grid"): GRID,
     ("gradient", "single"): GRADIENT_SINGLE, ("gradient", "grid"): GRADIENT_GRID,
 })  # fmt: skip
 """By algorithm and kind of controller."""
+
+
+def starting(
+    plant: Plant, controller: Literal["single", "grid"] = "grid", algorithm: Literal["auto", "gradient", "ppo"] = "auto"
+) -> TrainConfig:
+    """What a run begins from where nothing else is asked for; auto: gradients wherever the plant has them."""
+    if algorithm == "auto":
+        algorithm = "gradient" if differentiable(plant) else "ppo"
+    return STARTS[algorithm, controller]
 
 
 class TrainState(NamedTuple):
@@ -156,6 +162,18 @@ class Trained(NamedTuple):
     known: ForceMap | None = None
     """What the fin can do, where it was mapped."""
 
+    def held(self) -> Float[np.ndarray, "cells references 2"]:
+        """The forces that the policies were scored at [N]."""
+        return held(self.config, None if self.known is None else self.known.reachable)
+
+
+def held(config: TrainConfig, reachable: Reachable | None) -> Float[np.ndarray, "cells references 2"]:
+    """Of each cell the lattice of references that are scored, each as the nearest force that the fin can make [N]."""
+    lattices = [cell.lattice(config.lattice) for cell in config.cells]
+    if reachable is not None:
+        lattices = [tuple(map(reachable.nearest, lattice)) for lattice in lattices]
+    return np.asarray(lattices, np.float32)
+
 
 Progress = Callable[[str, float, str], None]
 """Called with what is going on, how much of it is done (0 .. 1), and the newest figures."""
@@ -176,11 +194,15 @@ def train(
     ``(seeds, cells, ...)``, go on being learnt, and a lane never ends with a worse one.
 
     Raises:
-        ConfigurationError: the budget is smaller than one rollout, or a seed comes twice.
+        ConfigurationError: the budget is smaller than one rollout, a seed comes twice, or the plant or what is `known`
+            of it does not fit the configuration.
         RunError: a loss is no longer finite; the last good checkpoint is left in the workspace.
     """
-    check(config, seeds)
+    check(plant, config, seeds, known)
     known = mapped(plant, config, workspace, progress) if known is None else known
+    asked = config
+    if start is None:
+        start = common_start(plant, config, seeds, workspace, progress, known)
     if start is not None:
         config = config.merged({"gradient": {"teacher": False}}, "start")
     run = _Run(plant, config, tuple(seeds), known)
@@ -208,7 +230,35 @@ def train(
         if progress is not None:
             progress(f"train {config.controller}", done / config.updates, run.note(metrics, state))
     record.close()
-    return run.end(state)
+    return run.end(state)._replace(config=asked)
+
+
+def common_start(
+    plant: Plant,
+    config: TrainConfig,
+    seeds: Sequence[int],
+    workspace: Workspace,
+    progress: Progress | None,
+    known: ForceMap | None,
+) -> Policy | None:
+    """What a grid's policies begin as: one policy for all its cells, trained first; leaves ``(seeds, cells, ...)``.
+
+    They specialise from there, so neighbours beat in step, and nothing is learnt once a cell that holds for all. None
+    where that is not asked for.
+    """
+    settings = config.gradient.common
+    if config.algorithm != "gradient" or config.controller != "grid" or settings is None:
+        return None
+    box = least_box(config.cells)
+    gradient = {"environments": settings.environments, "learning_rate": settings.learning_rate, "common": None}
+    whole = config.merged(
+        {"controller": "single", "cells": [box.model_dump()], "gradient": gradient, "lattice": settings.lattice},
+        "common",
+    )
+    whole = whole.merged({"steps": settings.updates * whole.learning.steps_per_update}, "common")
+    found = train(plant, whole, seeds, workspace.part("common"), progress, known=known)
+    policies: Policy = jax.tree.map(lambda leaf: jnp.repeat(leaf, len(config.cells), axis=1), found.policies)
+    return policies
 
 
 def _begun(run: "_Run", state: TrainState, start: Policy) -> TrainState:
@@ -221,7 +271,7 @@ def mapped(plant: Plant, config: TrainConfig, workspace: Workspace, progress: Pr
     """The gaits that the policies begin as and what the fin can do; of a stopped run, where it had found them."""
     if config.algorithm != "gradient" or not config.gradient.teacher:
         return None
-    asked = config.gradient.map.merged({"box": least_box(config.cells).model_dump()}, "cells")
+    asked = config.gradient.map.merged({"box": taught_box(config).model_dump()}, "cells")
     part = workspace.part("map")
     lattice = asked.lattice(Reachable(np.zeros(2), np.ones(asked.survey.directions)))
     if (resumed := part.load(empty_map(lattice, asked.survey.directions))) is not None:
@@ -230,6 +280,11 @@ def mapped(plant: Plant, config: TrainConfig, workspace: Workspace, progress: Pr
     found = map_forces(plant, asked, None if progress is None else partial(progress, "map"))
     part.save(found, {})
     return found
+
+
+def taught_box(config: TrainConfig) -> Cell:
+    """Round all references that policies are trained for."""
+    return least_box(config.cells).grown(config.margin_n)
 
 
 class Given(NamedTuple):
@@ -294,9 +349,7 @@ class _Run:
             self.programs = _compile_once(static, alike)
         except TypeError:  # a plant that cannot be hashed is compiled for again
             self.programs = _compile(static, alike)
-        lattices = [config.cells[index].lattice(config.lattice) for _, index in self.lanes]
-        wanted = jnp.asarray(lattices, jnp.float32)
-        self.references = wanted if self.reachable is None else jax.vmap(jax.vmap(self.reachable.pulled))(wanted)
+        self.references = jnp.asarray(np.tile(held(config, self.reachable), (len(seeds), 1, 1)))
 
     def start(self) -> TrainState:
         """Fresh lanes; the key of a lane depends on its seed and cell alone, not on the lanes beside it."""
@@ -352,8 +405,8 @@ class _Run:
         return Trained(self.config, self.limits, self.seeds, policies, scores, self.known)
 
 
-def check(config: TrainConfig, seeds: Sequence[int]) -> None:
-    """Raise ConfigurationError where the budget is smaller than one rollout, or a seed comes twice."""
+def check(plant: Plant, config: TrainConfig, seeds: Sequence[int], known: ForceMap | None = None) -> None:
+    """Raise ConfigurationError where the budget is smaller than one rollout, or anything else does not fit."""
     if not seeds or len(set(seeds)) != len(seeds):
         raise ConfigurationError(f"seeds {list(seeds)}: give at least one, and each once")
     learning = config.learning
@@ -362,6 +415,49 @@ def check(config: TrainConfig, seeds: Sequence[int]) -> None:
             f"steps = {config.steps}: fewer than one rollout of {learning.steps_per_update} "
             f"({learning.environments} environments x {learning.rollout_actions} actions); give more steps"
         )
+    _check_ensemble(plant, config)
+    if config.algorithm == "gradient" and config.gradient.teacher:
+        _check_taught(config, known)
+
+
+def _check_ensemble(plant: Plant, config: TrainConfig) -> None:
+    disagreement = config.task.reward.disagreement
+    if config.ensemble == "each" and disagreement > 0:
+        raise ConfigurationError(
+            f"task.reward.disagreement = {disagreement:g}: a fin that is one member (ensemble = each) disagrees with "
+            "none; give one of the two"
+        )
+    members = plant.size if isinstance(plant, StreamingSurrogate) else 1
+    for given, asked in (("ensemble = each", config.ensemble == "each"),
+                         (f"task.reward.disagreement = {disagreement:g}", disagreement > 0)):  # fmt: skip
+        if asked and members < 2:
+            raise ConfigurationError(
+                f"{given}: the plant is no ensemble of two members or more; leave it out, or fit a streaming surrogate "
+                "with --set members=5"
+            )
+
+
+def _check_taught(config: TrainConfig, known: ForceMap | None) -> None:
+    if config.gradient.map.box is not None:
+        raise ConfigurationError(
+            f"gradient.map.box = {config.gradient.map.box}: gaits are found for all cells ({taught_box(config)}); "
+            "leave it out, and give --range or --cells"
+        )
+    if known is None:
+        return
+    box, table = taught_box(config), known.found.table
+    (x0, y0), (x1, y1) = known.reachable.box()
+    low, high = np.maximum(box.low, (x0, y0)), np.minimum(box.high, (x1, y1))
+    if (np.asarray(table.low) > low + EDGE_N).any() or (np.asarray(table.high) < high - EDGE_N).any():
+        between = Cell(low=tuple(map(float, table.low)), high=tuple(map(float, table.high)))
+        raise ConfigurationError(
+            f"map of {between}: its gaits do not reach over the references to train for ({box}); map these too, or "
+            "all that the fin can make (softfin map without a box)"
+        )
+
+
+EDGE_N = 1e-3
+"""Edges of lattices and regions are rounded in their files."""
 
 
 def _scorings(config: TrainConfig) -> set[int]:

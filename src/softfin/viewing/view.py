@@ -128,7 +128,7 @@ def title_of(plant: str, config: ViewConfig, reference: Reference | None) -> str
     """In words: which fin, and what moves it."""
     where = "in the virtual tank" if plant == "tank" else f"in {Path(plant).name}"
     if reference is not None:
-        asked = ", then ".join(f"({x:g}, {y:g})" for x, y in (reference, *config.then))
+        asked = ", then ".join(f"({x:.3g}, {y:.3g})" for x, y in (reference, *config.then))
         return f"A soft fin {where}, asked for {asked} N".replace("-", "\N{MINUS SIGN}")
     if config.random:
         return f"A soft fin {where}, random commands"
