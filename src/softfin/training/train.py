@@ -109,8 +109,9 @@ SINGLE = TrainConfig(
 """The paper's single controller on its budget."""
 
 GRADIENT_SINGLE = SINGLE.changed(
-    ("algorithm=gradient", "steps=115200", "task.phase=true", "task.reward.target=window", "task.reference_actions=24")
-)
+    ("algorithm=gradient", "steps=115200", "task.phase=true", "task.reward.target=window", "task.reference_actions=24",
+     "margin_n=0.1", "gradient.map.spacing_n=0.55")
+)  # fmt: skip
 """One controller by gradients through the plant: 200 updates."""
 
 GRADIENT_GRID = GRADIENT_SINGLE.merged(
