@@ -1,6 +1,7 @@
 """Every shape and type in softfin's annotations is checked at run time in the tests."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 # Most of the tests' time is compilation, and many compile the same programs; JAX reads these when it is imported.
@@ -11,12 +12,26 @@ os.environ.setdefault(
 )
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
 
+import jax
 import jaxtyping
 import pytest
 
 jaxtyping.install_import_hook("softfin", "beartype.beartype")
 
 PUBLISHED = Path(os.environ.get("SOFTFIN_PUBLISHED", Path(__file__).parents[2] / "shared" / "published"))
+
+
+MAPPINGS = 30_000
+"""Stretches of memory after which compiled programs are dropped: Linux gives a process 65,530, and ends it beyond."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_programs() -> Iterator[None]:
+    """What a module has compiled is kept for the next ones as long as there is room."""
+    yield
+    maps = Path("/proc/self/maps")
+    if maps.exists() and len(maps.read_bytes().splitlines()) > MAPPINGS:
+        jax.clear_caches()
 
 
 @pytest.fixture(scope="session")

@@ -58,7 +58,8 @@ def test_each_command_reads_what_the_one_before_wrote(capsys, tmp_path, monkeypa
     for kind, cells in (("single", CELLS[:1]), ("grid", CELLS)):
         controller, judged = str(tmp_path / kind), str(tmp_path / f"{kind}-judged")
         config = write(tmp_path / f"{kind}.yaml", {**TRAIN, "cells": cells})
-        trained = run(capsys, "train", surrogate, "--controller", kind, "--config", config, "--out", controller)
+        trained = run(capsys, "train", surrogate, "--controller", kind, "--algorithm", "ppo",
+                      "--config", config, "--out", controller)  # fmt: skip
         assert {row["cell"] for row in trained["scores"]} == set(range(len(cells)))
         scored = run(
             capsys, "evaluate", controller, "--plant", PLANT, "--reference=1,0", "--seconds", "3", "--seeds", "2",

@@ -113,7 +113,7 @@ def test_the_fin_is_mapped_once_over_all_cells_for_all_jobs(monkeypatch: pytest.
     asked, given = [], []
     found = empty_map(MapConfig(box=PAPER_RANGE).lattice(Reachable(np.zeros(2), np.ones(8))), 8)
 
-    def remembered(*arguments, known):
+    def remembered(*arguments, known, start):
         given.append(known)
         return train(*arguments)
 
