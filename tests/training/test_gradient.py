@@ -129,6 +129,7 @@ def test_a_plant_is_differentiable_where_its_force_has_a_slope(plant: Plant, ans
 QUICK = GRADIENT_SINGLE.model_copy(
     update={
         "cells": (WITHIN.box,),
+        "margin_n": 0.0,
         "policy": SIZE,
         "steps": 4 * 24,
         "scorings": 4,
