@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from benchmarks.measure import entry, interleaved, matmul
 from benchmarks.nets import published_layout
-from softfin.plant import ACTION_TICKS
+from softfin.action_clock import ACTION_TICKS
 from softfin.tracking.references import PAPER_RANGE
 from softfin.tracking.task import ForceTracking, TaskConfig
 

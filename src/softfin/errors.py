@@ -7,8 +7,11 @@ SoftfinError
 │   ├── ArtifactError       a folder that is not, or no longer, a dataset, surrogate or controller
 │   ├── PlantError          something that does not meet the Plant contract
 │   ├── CommandError        a command that a plant does not take
-│   └── CoverageError       a reference force that a controller was not trained for
+│   ├── CoverageError       a reference force that a controller was not trained for
+│   └── RigError            a rig's file, or a device that is not as the file says
 └── RunError                a run that started well and failed midway   exit code 1
+    ├── DeviceError         a drive or a sensor that does not answer, or answers with an error
+    └── SafetyStop          the fin was stopped and the motor disabled  exit code 3
 """
 
 
@@ -48,5 +51,19 @@ class CoverageError(InputError):
     """A reference force outside what a controller covers."""
 
 
+class RigError(InputError):
+    """A rig's file that cannot be used, or a device that is not as the file says."""
+
+
 class RunError(SoftfinError):
     """A run that started well and failed midway."""
+
+
+class DeviceError(RunError):
+    """A drive or a sensor that does not answer, or answers with an error."""
+
+
+class SafetyStop(RunError):
+    """Something was wrong or somebody said stop: the fin was stopped and the motor disabled."""
+
+    exit_code = 3

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PRNGKeyArray, PyTree
 
+from softfin.action_clock import ACTION_TICKS
 from softfin.errors import CommandError
 from softfin.quantities import Command, Limits, Reading
 
@@ -60,18 +61,6 @@ def roll(plant: Plant, state: State, commands: Command) -> tuple[State, Reading]
         return state, jax.tree.map(lambda x: x[0], reading)
 
     return jax.lax.scan(tick, state, commands)
-
-
-ACTION_TICKS = (33, 33, 34)
-"""Ticks that each action is held, again and again: 3.0 Hz over 100 Hz exactly, so six actions are 200 samples."""
-
-ACTION_RATE_HZ = 3.0
-
-CYCLE_ACTIONS = 2 * len(ACTION_TICKS)
-"""Actions that fill the evaluation window: what repeats every six, three or two leaves no ripple in its mean."""
-
-WINDOW = 2 * sum(ACTION_TICKS)
-"""Samples whose mean force controllers are judged by: 200, 2 s, six actions (paper, Sec. IV-B)."""
 
 
 def rest_command(limits: Limits) -> Command:

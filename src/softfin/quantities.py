@@ -4,10 +4,19 @@ Axes: thrust that pushes the robot forward is +x. At angle theta the fin points 
 shaft. Forces are those of the fin on its mount.
 """
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
+
+if TYPE_CHECKING:
+    from jax import Array
+else:
+    try:
+        from jax import Array
+    except ImportError:
+        # A robot's computer runs controllers without JAX.
+        Array = np.ndarray
 
 RATE_HZ = 100
 """Readings a second: the rate of the paper's logs (Sec. III-A) and of every plant."""

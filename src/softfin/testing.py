@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softfin.action_clock import ACTION_TICKS
 from softfin.errors import PlantError
-from softfin.plant import ACTION_TICKS, Plant, State, roll
+from softfin.plant import Plant, State, roll
 from softfin.quantities import TICK_S, Command, Limits, Reading
 
 STROKE_TICKS = ACTION_TICKS[0]

@@ -10,12 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from softfin.action_clock import ACTION_TICKS
 from softfin.control.controller import Controller, Measured
 from softfin.control.grid import GridController
 from softfin.control.single import SingleController
 from softfin.control.store import controller_of, load_controller, save_controller
 from softfin.errors import ArtifactError, CoverageError
-from softfin.plant import ACTION_TICKS
 from softfin.quantities import PAPER_LIMITS
 from softfin.tracking.references import PAPER_REFERENCES, Cell
 from softfin.tracking.task import ForceTracking, command_of

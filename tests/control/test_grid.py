@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from softfin.action_clock import CYCLE_ACTIONS
 from softfin.control.controller import Controller, Measured
 from softfin.control.grid import GridController, GridState
-from softfin.plant import CYCLE_ACTIONS
 from softfin.quantities import PAPER_LIMITS
 from softfin.tracking.cells import lattice
 from softfin.tracking.references import Cell

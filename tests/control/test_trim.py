@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from jaxtyping import Array, Float
 
+from softfin.action_clock import ACTION_TICKS, WINDOW
 from softfin.control.controller import Controller, Measured
 from softfin.control.trim import TrimConfig, TrimmedController
 from softfin.errors import ConfigurationError, CoverageError
-from softfin.plant import ACTION_TICKS, WINDOW
 from softfin.quantities import Command
 from softfin.tracking.reachable import Reachable
 from softfin.tracking.references import Cell

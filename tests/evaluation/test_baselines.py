@@ -3,12 +3,12 @@ import json
 import numpy as np
 import pytest
 
+from softfin.action_clock import ACTION_TICKS
 from softfin.control.sine import commanded
 from softfin.errors import ConfigurationError, PlantError
 from softfin.evaluation.baselines import BaselinesConfig, evaluate_baselines, shared_limits, write_baselines
 from softfin.evaluation.open_loop import OpenLoop, missed
 from softfin.evaluation.open_loop_search import Gait, SearchConfig, best_gaits, best_sines, fitted_constant
-from softfin.plant import ACTION_TICKS
 from softfin.quantities import PAPER_LIMITS, Command, Limits
 from softfin.randomness import key_of
 from tests.plants import AnalyticFin

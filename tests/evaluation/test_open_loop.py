@@ -2,11 +2,11 @@ import jax
 import numpy as np
 import pytest
 
+from softfin.action_clock import ACTION_TICKS
 from softfin.control.sine import Sine, commanded
 from softfin.errors import PlantError
 from softfin.evaluation.evaluate import EvaluateConfig, evaluate
 from softfin.evaluation.open_loop import CHUNK, OpenLoop, judge, missed
-from softfin.plant import ACTION_TICKS
 from softfin.quantities import PAPER_LIMITS, Command
 from softfin.tank import Tank
 from tests.plants import AnalyticFin, Flapper, PlainFin

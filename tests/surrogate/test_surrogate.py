@@ -3,7 +3,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.plant import ACTION_TICKS, hold, roll
+from softfin.action_clock import ACTION_TICKS
+from softfin.plant import hold, roll
 from softfin.quantities import Command
 from softfin.surrogate.predict import predict
 from softfin.surrogate.surrogate import windows

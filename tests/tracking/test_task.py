@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.plant import ACTION_TICKS
+from softfin.action_clock import ACTION_TICKS
 from softfin.quantities import PAPER_LIMITS, Command, Reading
 from softfin.tracking.references import Cell
 from softfin.tracking.task import ForceTracking, Outcome, RewardConfig, TaskConfig, TaskState, action_of, command_of

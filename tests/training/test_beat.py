@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softfin.plant import ACTION_TICKS, WINDOW
+from softfin.action_clock import ACTION_TICKS, WINDOW
 from softfin.training.beat import AMPLITUDES, CENTRES, WAVES, families, made, steady
 from tests.plants import AnalyticFin, StrokeFin
 

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softfin.plant import ACTION_TICKS, CYCLE_ACTIONS
+from softfin.action_clock import ACTION_TICKS, CYCLE_ACTIONS
 from softfin.tracking.references import Cell
 from softfin.tracking.task import ForceTracking, TaskConfig
 from softfin.training.imitation import ImitationConfig, Shown, imitate, show

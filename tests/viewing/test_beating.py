@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from softfin.action_clock import ACTION_TICKS
 from softfin.errors import ConfigurationError
-from softfin.plant import ACTION_TICKS
 from softfin.quantities import PAPER_LIMITS, Limits
 from softfin.viewing.beating import BeatConfig, beat
 

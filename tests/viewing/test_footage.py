@@ -3,8 +3,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from softfin.action_clock import WINDOW
 from softfin.errors import PlantError
-from softfin.plant import WINDOW, roll
+from softfin.plant import roll
 from softfin.quantities import Command
 from softfin.randomness import key_of
 from softfin.tank import Tank, TankConfig

@@ -8,11 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from softfin import artifacts
+from softfin.action_clock import ACTION_TICKS
 from softfin.calibration.config import CalibrateConfig
 from softfin.calibration.pieces import Pieces, channels, excited
 from softfin.errors import ArtifactError, ConfigurationError
 from softfin.logs.dataset import Dataset
-from softfin.plant import ACTION_TICKS, Plant, State, hold
+from softfin.plant import Plant, State, hold
 from softfin.plants import find_plant, identity
 from softfin.quantities import RATE_HZ, Command, Limits, Log, Reading
 from softfin.randomness import key_of

@@ -23,6 +23,12 @@ COMMANDS = {
     "evaluate": "judge a controller on a fin over reference forces",
     "baselines": "judge what needs no learnt controller: best sine, analytic inverse model, random search",
     "view": "show a fin in motion, as a film or as a page that plays it",
+    "rig": "the real fin: check it, zero it, or emulate its drive and sensor",
+    "run": "hold reference forces on the real fin",
+    "bag": "mend a recording that was cut off; turn recordings into logs and back",
+    "monitor": "watch a recording while it is made, in the terminal or as a page",
+    "ros2": "run as a ROS 2 node: readings out, references in",
+    "export": "write a controller as ONNX, for hosts without Python",
     "reproduce": "all of it in one run, with the paper's tables and figures",
 }
 

@@ -15,9 +15,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from softfin.action_clock import CYCLE_ACTIONS
 from softfin.control.controller import Measured
 from softfin.control.range import check_within
-from softfin.plant import CYCLE_ACTIONS
 from softfin.quantities import Command, Limits
 from softfin.tracking.reachable import Reachable
 from softfin.tracking.references import Cell, Force, stack_references

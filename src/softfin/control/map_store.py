@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from softfin import artifacts
+from softfin.action_clock import CYCLE_ACTIONS
 from softfin.errors import ArtifactError
-from softfin.plant import CYCLE_ACTIONS
 from softfin.quantities import Limits
 from softfin.tracking.reachable import Reachable
 from softfin.training.force_map import ForceMap, MapConfig

@@ -9,12 +9,12 @@ import numpy as np
 import pydantic
 
 from softfin import artifacts
+from softfin.action_clock import ACTION_RATE_HZ
 from softfin.control.gait import GaitController
 from softfin.control.grid import GridController
 from softfin.control.map_store import arrays, described, found_of
 from softfin.control.single import SingleController
 from softfin.errors import ArtifactError
-from softfin.plant import ACTION_RATE_HZ
 from softfin.quantities import Limits
 from softfin.tracking.reachable import Reachable
 from softfin.tracking.references import Cell

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from softfin import artifacts
+from softfin.action_clock import ACTION_RATE_HZ, WINDOW
 from softfin.configuration import Configuration
 from softfin.control.controller import Controller
 from softfin.control.range import admitted
@@ -26,7 +27,7 @@ from softfin.evaluation.paper import REFERENCES
 from softfin.evaluation.scores import STILL_RAD_S, Scores, score
 from softfin.evaluation.statistics import CONFIDENCE, interval
 from softfin.evaluation.style import render
-from softfin.plant import ACTION_RATE_HZ, WINDOW, Plant
+from softfin.plant import Plant
 from softfin.quantities import AXES, RATE_HZ
 from softfin.randomness import key_of
 from softfin.tracking.signals import Recorded

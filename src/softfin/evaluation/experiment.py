@@ -14,9 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key, PRNGKeyArray
 
+from softfin.action_clock import ACTION_TICKS
 from softfin.control.controller import Controller, ControllerState, Measured
 from softfin.errors import ConfigurationError, PlantError
-from softfin.plant import ACTION_TICKS, Plant, State
+from softfin.plant import Plant, State
 from softfin.quantities import RATE_HZ, AnyArray, Command, Reading
 
 ACTION_STARTS = (0, *accumulate(ACTION_TICKS[:-1]))

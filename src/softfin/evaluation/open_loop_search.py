@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import Field, PositiveFloat, PositiveInt
 
+from softfin.action_clock import ACTION_TICKS, CYCLE_ACTIONS
 from softfin.configuration import Configuration
 from softfin.control.inverse import recalibrated
 from softfin.control.sine import Sine, commanded
 from softfin.evaluation.open_loop import OpenLoop, missed
-from softfin.plant import ACTION_TICKS, CYCLE_ACTIONS
 from softfin.quantities import RATE_HZ, Command
 from softfin.randomness import generator_of, key_of
 

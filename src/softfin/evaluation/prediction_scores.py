@@ -10,9 +10,9 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
+from softfin.action_clock import WINDOW
 from softfin.errors import LogError
 from softfin.evaluation.scores import moving_average
-from softfin.plant import WINDOW
 from softfin.quantities import AXES, AnyArray, Log, Reading
 from softfin.surrogate.metrics import dtw_scores
 

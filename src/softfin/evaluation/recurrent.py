@@ -12,11 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from softfin.action_clock import ACTION_TICKS
 from softfin.errors import ConfigurationError
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.evaluation.experiment import Recording
 from softfin.evaluation.open_loop import evaluation_keys
-from softfin.plant import ACTION_TICKS, Plant, State
+from softfin.plant import Plant, State
 from softfin.quantities import Command, Limits, Reading
 from softfin.tracking.references import Cell
 from softfin.tracking.registration import ID, register

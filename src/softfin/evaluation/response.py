@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from softfin.action_clock import WINDOW
 from softfin.evaluation.scores import moving_average
-from softfin.plant import WINDOW
 from softfin.quantities import AXES, RATE_HZ
 
 SETTLED_N = 0.2

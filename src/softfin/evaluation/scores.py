@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from softfin.action_clock import ACTION_TICKS, WINDOW
 from softfin.evaluation.experiment import Recording
-from softfin.plant import ACTION_TICKS, WINDOW
 from softfin.quantities import RATE_HZ
 
 STILL_RAD_S = 0.1

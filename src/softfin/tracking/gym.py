@@ -12,8 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from softfin.action_clock import ACTION_TICKS
 from softfin.errors import InputError
-from softfin.plant import ACTION_TICKS, Plant
+from softfin.plant import Plant
 from softfin.quantities import AXES
 from softfin.tracking.references import PAPER_RANGE, Cell, References
 from softfin.tracking.registration import ID

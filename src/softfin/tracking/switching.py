@@ -2,8 +2,8 @@
 
 from pydantic import Field, NonNegativeFloat, PositiveFloat
 
+from softfin.action_clock import CYCLE_ACTIONS
 from softfin.configuration import Configuration
-from softfin.plant import CYCLE_ACTIONS
 
 
 class SwitchingConfig(Configuration):

@@ -15,8 +15,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
+from softfin.action_clock import CYCLE_ACTIONS
 from softfin.configuration import Configuration
-from softfin.plant import CYCLE_ACTIONS, Plant, State, rest_command
+from softfin.plant import Plant, State, rest_command
 from softfin.quantities import Command, Limits, Reading
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 from softfin.tracking.references import References

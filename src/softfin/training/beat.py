@@ -14,7 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from softfin.plant import CYCLE_ACTIONS, WINDOW, Plant, hold
+from softfin.action_clock import CYCLE_ACTIONS, WINDOW
+from softfin.plant import Plant, hold
 from softfin.quantities import AnyArray
 from softfin.tracking.reward import sobolev_mean
 from softfin.tracking.task import command_of

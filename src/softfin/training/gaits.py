@@ -17,8 +17,9 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 from pydantic import Field, NonNegativeFloat, PositiveInt
 
+from softfin.action_clock import CYCLE_ACTIONS
 from softfin.configuration import Configuration
-from softfin.plant import CYCLE_ACTIONS, Plant
+from softfin.plant import Plant
 from softfin.randomness import key_of
 from softfin.tracking.references import Cell, Force
 from softfin.training.beat import compilable, measured, steady

@@ -15,8 +15,8 @@ import optax
 from jaxtyping import Array, Float, PRNGKeyArray
 from pydantic import Field, PositiveFloat, PositiveInt
 
+from softfin.action_clock import ACTION_TICKS
 from softfin.configuration import Configuration
-from softfin.plant import ACTION_TICKS
 from softfin.tracking.references import References
 from softfin.tracking.task import ForceTracking, Outcome
 from softfin.training.force_map import MapConfig

@@ -12,8 +12,8 @@ import optax
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from pydantic import Field, PositiveFloat, PositiveInt
 
+from softfin.action_clock import ACTION_TICKS, CYCLE_ACTIONS
 from softfin.configuration import Configuration
-from softfin.plant import ACTION_TICKS, CYCLE_ACTIONS
 from softfin.tracking.references import References
 from softfin.tracking.task import ForceTracking, TaskState
 from softfin.training.gaits import GaitTable

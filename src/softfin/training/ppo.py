@@ -13,8 +13,8 @@ import optax
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
 
+from softfin.action_clock import ACTION_TICKS
 from softfin.configuration import Configuration
-from softfin.plant import ACTION_TICKS
 from softfin.tracking.references import References
 from softfin.tracking.task import ForceTracking
 from softfin.training.advantage import advantages

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-from softfin.plant import ACTION_TICKS
+from softfin.action_clock import ACTION_TICKS
 from softfin.tracking.references import References
 from softfin.tracking.task import ForceTracking, TaskState
 from softfin.training.lstm import Memory, cleared

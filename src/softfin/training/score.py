@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from softfin.plant import ACTION_TICKS
+from softfin.action_clock import ACTION_TICKS
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 from softfin.tracking.references import References
 from softfin.tracking.reward import moving_average

@@ -6,9 +6,9 @@ A configuration and a plant's limits go in, one command a tick comes out.
 import numpy as np
 from pydantic import Field
 
+from softfin.action_clock import ACTION_RATE_HZ, ACTION_TICKS
 from softfin.configuration import Configuration
 from softfin.errors import ConfigurationError
-from softfin.plant import ACTION_RATE_HZ, ACTION_TICKS
 from softfin.quantities import Command, Limits
 
 

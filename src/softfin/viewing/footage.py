@@ -10,9 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from softfin.action_clock import WINDOW
 from softfin.errors import PlantError
 from softfin.evaluation.scores import moving_average
-from softfin.plant import WINDOW, Plant, State
+from softfin.plant import Plant, State
 from softfin.quantities import Command, Reading
 from softfin.tank import Tank, TankConfig, TankState
 

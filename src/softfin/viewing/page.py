@@ -10,7 +10,7 @@ import numpy as np
 from markupsafe import Markup
 
 from softfin import artifacts
-from softfin.plant import WINDOW
+from softfin.action_clock import WINDOW
 from softfin.quantities import AXES, RATE_HZ
 from softfin.viewing.footage import Footage
 from softfin.viewing.scale import TRAIL_TICKS, scale_of

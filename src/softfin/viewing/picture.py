@@ -13,8 +13,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Polygon
 
+from softfin.action_clock import WINDOW
 from softfin.evaluation.style import BLACK, BLUE, GREY, ORANGE, new_figure, styled
-from softfin.plant import WINDOW
 from softfin.quantities import AXES, TICK_S
 from softfin.viewing.footage import Footage
 from softfin.viewing.outline import arrow_outline, fin_outline

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.plant import WINDOW
+from softfin.action_clock import WINDOW
 from softfin.quantities import Command, Log, Reading
 from softfin.surrogate.streaming.member import single
 from softfin.surrogate.streaming.uncertainty import Interval, calibrated, familiar, remembered, window_means

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from softfin.action_clock import WINDOW
 from softfin.checkpoint import Workspace
 from softfin.errors import LogError, RunError
-from softfin.plant import WINDOW
 from softfin.quantities import Limits, Log
 from softfin.randomness import key_of
 from softfin.surrogate.fit import Progress, check_lengths, held_out

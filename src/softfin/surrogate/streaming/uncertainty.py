@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Array, Float
 from pydantic import Field
 
+from softfin.action_clock import WINDOW
 from softfin.configuration import Configuration
-from softfin.plant import WINDOW
 from softfin.quantities import AnyArray, Log
 from softfin.surrogate.streaming.config import StreamingConfig
 from softfin.surrogate.streaming.follow import follow_motion

@@ -1,0 +1,12 @@
+"""The action clock: 3.0 Hz over 100 Hz exactly, 33, 33 and 34 ticks of 10 ms, again and again; no JAX here."""
+
+ACTION_TICKS = (33, 33, 34)
+"""Ticks that each action is held, again and again: 3.0 Hz over 100 Hz exactly, so six actions are 200 samples."""
+
+ACTION_RATE_HZ = 3.0
+
+CYCLE_ACTIONS = 2 * len(ACTION_TICKS)
+"""Actions that fill the evaluation window: what repeats every six, three or two leaves no ripple in its mean."""
+
+WINDOW = 2 * sum(ACTION_TICKS)
+"""Samples whose mean force controllers are judged by: 200, 2 s, six actions (paper, Sec. IV-B)."""
