@@ -4,7 +4,7 @@ import importlib
 import json
 import sys
 
-NAMES = ("tank", "task", "surrogate", "fit", "ppo", "controllers", "cells", "memory")
+NAMES = ("tank", "task", "surrogate", "fit", "ppo", "controllers", "cells", "memory", "controller_step")
 
 
 def main() -> None:

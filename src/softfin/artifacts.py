@@ -137,9 +137,14 @@ def load_description(path: Path, kind: str) -> dict[str, Any]:
         raise ArtifactError(f"{path}: no such folder; it should be a {kind}, a folder with a {kind}.json")
     if not file.is_file():
         raise ArtifactError(f"{path}: not a {kind}: it holds no {kind}.json")
+    return read_json(file)
+
+
+def read_json(file: Path) -> dict[str, Any]:
+    """The object in a JSON file of softfin's."""
     try:
         description = json.loads(file.read_text())
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, RecursionError) as error:
         raise ArtifactError(f"{file}: not readable as JSON ({error}); copy it again") from None
     if not isinstance(description, dict):
         raise ArtifactError(f"{file}: holds no object; it was not written by softfin")

@@ -13,6 +13,7 @@ import numpy as np
 from softfin import artifacts
 from softfin.configuration import read_yaml
 from softfin.errors import PlantError
+from softfin.live import is_live
 from softfin.plant import Plant
 
 HELP = "tank, the YAML file of a tank, the folder of a surrogate, or package.module:plant (one's own simulator)"
@@ -21,6 +22,8 @@ HELP = "tank, the YAML file of a tank, the folder of a surrogate, or package.mod
 def find_plant(name: str) -> Plant:
     """The plant that `name` stands for; raises PlantError with what there is."""
     path = Path(name)
+    if is_live(name):
+        raise PlantError(f"plant {name}: moves in real time and cannot be simulated; collect, evaluate and run take it")
     if name == "tank":
         from softfin.tank import Tank
 

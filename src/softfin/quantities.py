@@ -4,6 +4,7 @@ Axes: thrust that pushes the robot forward is +x. At angle theta the fin points 
 shaft. Forces are those of the fin on its mount.
 """
 
+import sys
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -12,11 +13,9 @@ from jaxtyping import Float
 if TYPE_CHECKING:
     from jax import Array
 else:
-    try:
-        from jax import Array
-    except ImportError:
-        # A robot's computer runs controllers without JAX.
-        Array = np.ndarray
+    # What runs on a robot must not wait for JAX, which takes a second, nor need it; what computes with JAX arrays has
+    # imported it before.
+    Array = sys.modules["jax"].Array if "jax" in sys.modules else np.ndarray
 
 RATE_HZ = 100
 """Readings a second: the rate of the paper's logs (Sec. III-A) and of every plant."""

@@ -26,6 +26,7 @@ from softfin.evaluation.compare import compare as _compare
 from softfin.evaluation.comparison import write_comparison
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, write_evaluation
 from softfin.evaluation.evaluate import evaluate as _evaluate
+from softfin.evaluation.experiment import Subject
 from softfin.evaluation.inspection import write_inspection
 from softfin.evaluation.learning import REFINED, write_learning
 from softfin.evaluation.map_figure import write_map
@@ -48,6 +49,7 @@ from softfin.surrogate.active import ActiveCollectConfig, chooser
 from softfin.surrogate.choice import fit_any
 from softfin.surrogate.fit import check_lengths
 from softfin.surrogate.metrics import SKIPPED, measured_scaling, table_one
+from softfin.surrogate.range import learnt_from, training_range
 from softfin.tank import DrawnTanks, Spread, Tank, randomised
 from softfin.tracking.references import PAPER_RANGE, PAPER_REFERENCES
 from softfin.training.engine import EngineName, find_engine
@@ -189,6 +191,7 @@ def fit(
     save_surrogate(
         out, surrogate, scores, provenance,
         also=lambda folder: workspace.keep_log(folder / TRAINING_LOG), configuration=facts["configuration"],
+        training_range=training_range(opened.train), fin=_fin_of(dataset),
         **({} if evidence is None else {"candidates": evidence}),
     )  # fmt: skip
     workspace.finish()
@@ -206,6 +209,14 @@ def _opened(dataset: Path, config: ImportConfig | None, accept: bool, progress: 
     check_accepted(opened.findings, str(dataset), accept or (known is not None and known.get("accepted") is True))
     # Of a dataset its folder tells what is known of it.
     return dataclasses.replace(opened, facts={"logs": opened.facts} if known is None else {})
+
+
+def _fin_of(dataset: Path) -> str | None:
+    """The name that a rig gave to its fin, where a dataset was recorded on one."""
+    if not artifacts.is_kind(dataset, "dataset"):
+        return None
+    fin = artifacts.load_description(dataset, "dataset").get("fin")
+    return None if fin is None else str(fin)
 
 
 def calibrate(
@@ -333,7 +344,7 @@ def gaits(
     else:
         raise ConfigurationError(f"map {known}: its lattice is made; give no configuration or range beside it")
     origin = _origin(plant, moving, **({} if known is None else {"map": str(known)}))
-    save_gaits(out, found, config, Limits(*map(float, moving.limits)), origin)
+    save_gaits(out, found, config, Limits(*map(float, moving.limits)), origin, learnt=learnt_from(plant))
 
 
 def _origin(plant: str | Plant, moving: Plant, **facts: Any) -> dict[str, Any]:
@@ -389,7 +400,7 @@ def train(
         origin |= {"refined_from": [cell.model_dump(mode="json") for cell in config.cells], "parents": list(parents)}
 
     def save(folder: Path, seed: int, also: Callable[[Path], None] | None = None) -> None:
-        save_controller(folder, trained, seed, origin | {"seed": seed}, also)
+        save_controller(folder, trained, seed, origin | {"seed": seed}, also, learnt_from(plant))
 
     def keep_log(folder: Path) -> None:
         workspace.keep_log(folder / TRAINING_LOG)
@@ -410,7 +421,7 @@ def train(
 
 def evaluate(
     controller: Path,
-    plant: str | Plant,
+    plant: str | Subject,
     out: Path | None = None,
     config: EvaluateConfig | None = None,
     *,
@@ -492,7 +503,7 @@ def kind_of(controller: Path) -> str:
     return kind
 
 
-def judged(controller: Path, plant: str | Plant, config: EvaluateConfig, named: str | None = None) -> Evaluation:
+def judged(controller: Path, plant: str | Subject, config: EvaluateConfig, named: str | None = None) -> Evaluation:
     """A controller's experiments on a plant, not yet written."""
     moving = find_plant(plant) if isinstance(plant, str) else plant
     holding = load_controller(controller)
@@ -500,7 +511,7 @@ def judged(controller: Path, plant: str | Plant, config: EvaluateConfig, named: 
     return _evaluate(holding, moving, config)
 
 
-def _check_limits(asked: Limits, taken: Limits, controller: Path, plant: str | Plant) -> None:
+def _check_limits(asked: Limits, taken: Limits, controller: Path, plant: str | Subject) -> None:
     for low, high in (("angle_min", "angle_max"), ("velocity_min", "velocity_max")):
         ours, theirs = ((getattr(limits, low), getattr(limits, high)) for limits in (asked, taken))
         tolerance = 1e-3 * (theirs[1] - theirs[0])

@@ -118,12 +118,30 @@ def test_a_command_of_three_numbers_is_refused(tmp_path, columns):
         opened(tmp_path / "run")
 
 
+def test_what_a_bag_calls_its_topics_cannot_break_the_line(tmp_path, columns):
+    topics = topics_of(columns)
+    del topics["/fin/wrench"]
+    write_bag(tmp_path / "run", topics | {"/a\n\x1b[2J": [(0.0, wrench(0.0, 1, 1))]})
+    with pytest.raises(LogError, match="no topic /fin/wrench") as error:
+        opened(tmp_path / "run")
+    assert str(error.value).isprintable()
+
+
+def test_what_no_log_can_hold_is_found_as_no_value(tmp_path, columns):
+    topics = topics_of(columns)
+    topics["/fin/wrench"][10] = (topics["/fin/wrench"][10][0], wrench(topics["/fin/wrench"][10][0], 1e300, 0))
+    write_bag(tmp_path / "run", topics)
+    _, findings = opened(tmp_path / "run")
+    assert ("error", "not a number") in [(finding.severity, finding.name) for finding in findings]
+
+
 def test_a_damaged_bag_is_refused_in_one_line(tmp_path, bag):
     shutil.copytree(bag, tmp_path / "run")
     (file,) = (tmp_path / "run").glob("*.mcap")
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     with pytest.raises(LogError, match="truncated, or no ROS 2 bag") as error:
         opened(tmp_path / "run")
+    assert str(error.value).endswith(f"softfin bag recover {file}")
     assert "\n" not in str(error.value)
     (tmp_path / "run" / "metadata.yaml").write_text("{")
     with pytest.raises(LogError, match="truncated, or no ROS 2 bag"):

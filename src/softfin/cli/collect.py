@@ -6,18 +6,23 @@ from typing import Literal
 
 from softfin import stages
 from softfin.cli.common import Configured, Out, progress
+from softfin.cli.live import Armed
+from softfin.errors import ConfigurationError
+from softfin.live import is_live
 from softfin.logs.collect import CollectConfig
+from softfin.logs.dataset import Dataset
 from softfin.surrogate.active import ActiveCollectConfig
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments(Configured):
+class Arguments(Armed, Configured):
     """Record motions of a fin and its force as a dataset (paper Sec. III-A)."""
 
     out: Out
     """Folder of the dataset to write."""
     plant: str = "tank"
-    """The fin: tank, a tank's YAML, the folder of a surrogate, or package.module:plant."""
+    """The fin: tank, a tank's YAML, the folder of a surrogate, package.module:plant; or a real one: rig, ros2, or
+    one of these with :FILE."""
     excitation: Literal["random", "active"] = "random"
     """random: as the paper's; active: the motions whose force the ensemble in --surrogate is least sure of."""
     surrogate: Path | None = None
@@ -32,6 +37,8 @@ class Arguments(Configured):
     """Readings a log at 100 Hz (the paper's 20,000)."""
     seed: int | None = None
     """Of commands, noise and conditions (0)."""
+    resume: bool = False
+    """Of a real fin: go on after the logs that are finished."""
 
     def run(self) -> None:
         """Collect."""
@@ -40,12 +47,32 @@ class Arguments(Configured):
         config: CollectConfig = self.configured(
             base, logs=self.logs, test_logs=self.test_logs, rows=self.rows, seed=self.seed
         )
-        with progress() as report:
-            data = stages.collect(
-                self.plant, Path(self.out), config, surrogate=self.surrogate, extend=self.extend,
-                overwrite=self.overwrite, progress=report,
-            )  # fmt: skip
+        data = self._live(config) if is_live(self.plant) else self._simulated(config)
         counts = {"logs": len(data.train), "test_logs": len(data.test), "rows": config.rows}
         result = {"dataset": str(self.out), **counts, "data_hash": data.data_hash}
         of = f"{config.rows:,} rows" if self.extend is None else f"{config.rows:,} rows, and those of {self.extend}"
         self.tell(result, f"{self.out}: {config.logs} + {config.test_logs} logs of {of}")
+
+    def _simulated(self, config: CollectConfig) -> Dataset:
+        if self.arm or self.resume:
+            option = "--arm" if self.arm else "--resume"
+            raise ConfigurationError(f"{option}: {self.plant} is no real fin; leave it out, or give --plant rig")
+        with progress() as report:
+            return stages.collect(
+                self.plant, Path(self.out), config, surrogate=self.surrogate, extend=self.extend,
+                overwrite=self.overwrite, progress=report,
+            )  # fmt: skip
+
+    def _live(self, config: CollectConfig) -> Dataset:
+        # Imported here: of no use to who has no rig.
+        from softfin.rig.find import find_bench
+        from softfin.stages_live import collect_live
+
+        if self.extend is not None or isinstance(config, ActiveCollectConfig):
+            option = "--extend" if self.extend is not None else "--excitation active"
+            raise ConfigurationError(f"{option}: not on a real fin; record random motions there")
+        with progress() as report:
+            return collect_live(
+                find_bench(self.plant), Path(self.out), config, self.confirm,
+                resume=self.resume, overwrite=self.overwrite, progress=report,
+            )  # fmt: skip

@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,9 +14,12 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 
 from softfin import artifacts
 from softfin.configuration import Configuration, read_yaml
-from softfin.stages import Progress as Report
+from softfin.errors import ConfigurationError
 
 Config = TypeVar("Config", bound=Configuration)
+
+Report = Callable[[str, float, str], None]
+"""`softfin.stages.Progress`; that module needs JAX, which not every command does."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,6 +52,15 @@ class Configured(Common):
         config = base if self.config is None else base.merged(read_yaml(self.config), str(self.config))
         given = {name: value for name, value in options.items() if value is not None}
         return config.changed(self.set).merged(given, "options")
+
+
+def force(text: str, option: str = "--reference") -> tuple[float, float]:
+    """A reference force as it stands on the command line."""
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ConfigurationError(f"{option}={text}: not a force; write {option}=X,Y in newton, as 1,-1") from None
+    return x, y
 
 
 Out = Annotated[Path, tyro.conf.arg(metavar="DIR")]

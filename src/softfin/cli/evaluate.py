@@ -8,18 +8,20 @@ from typing import Any
 import tyro
 
 from softfin import stages
-from softfin.cli.common import Configured, Out
+from softfin.cli.common import Configured, Out, force, progress
+from softfin.cli.live import Armed
 from softfin.cli.tables import table_two
 from softfin.errors import ConfigurationError
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.evaluation.forceplane import POINTS
 from softfin.evaluation.moving import Kind
+from softfin.live import is_live
 from softfin.quantities import AXES
 from softfin.tracking.reference_file import read_reference_file
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments(Configured):
+class Arguments(Armed, Configured):
     """Judge a controller on a fin over reference forces (paper Sec. IV-B, Table II)."""
 
     controller: tyro.conf.Positional[Path]
@@ -27,7 +29,8 @@ class Arguments(Configured):
     out: Out
     """Folder to write evaluation.json and the figures to."""
     plant: str = "tank"
-    """The fin: tank, a tank's YAML, the folder of a surrogate, or package.module:plant."""
+    """The fin: tank, a tank's YAML, the folder of a surrogate, package.module:plant; or a real one: rig, ros2, or
+    one of these with :FILE."""
     reference: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """Reference force as --reference=X,Y in newton, once for each (the paper's six)."""
     seconds: int | None = None
@@ -63,9 +66,7 @@ class Arguments(Configured):
             config = config.merged({"error_map": POINTS}, "options")
         if self.trim and config.trim is None:
             config = config.merged({"trim": {}}, "options")
-        summary = stages.evaluate(
-            self.controller, self.plant, Path(self.out), config, spread=self.spread, overwrite=self.overwrite
-        )
+        summary = self._live(config) if is_live(self.plant) else self._simulated(config)
         lines = [table_two({stages.kind_of(self.controller): summary})]
         if "moving" in summary:
             lines.append(moving_table(summary["moving"]))
@@ -76,6 +77,26 @@ class Arguments(Configured):
         if summary["warning"] is not None:
             lines.append(f"warning: {summary['warning']}")
         self.tell(summary, "\n".join(lines))
+
+    def _simulated(self, config: EvaluateConfig) -> dict[str, Any]:
+        if self.arm:
+            raise ConfigurationError(f"--arm: {self.plant} is no real fin; leave it out, or give --plant rig")
+        return stages.evaluate(
+            self.controller, self.plant, Path(self.out), config, spread=self.spread, overwrite=self.overwrite
+        )
+
+    def _live(self, config: EvaluateConfig) -> dict[str, Any]:
+        # Imported here: of no use to who has no rig.
+        from softfin.rig.find import find_bench
+        from softfin.stages_live import evaluate_live
+
+        if self.spread is not None:
+            raise ConfigurationError(f"--spread {self.spread:g}: {self.plant} is no virtual tank; leave it out")
+        with progress() as report:
+            return evaluate_live(
+                self.controller, find_bench(self.plant), Path(self.out), config, self.confirm,
+                overwrite=self.overwrite, progress=report,
+            )  # fmt: skip
 
 
 def moving_table(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -105,12 +126,3 @@ def random_line(errors: Mapping[str, Any]) -> str:
     words = (f"{name} " + ", ".join(f"{errors[axis][key]:.3f}" for axis in AXES)
              for name, key in (("mean", "mean_n"), ("95% within", "p95_n"), ("worst", "worst_n")))  # fmt: skip
     return f"{errors['count']} random references: error x, y {', '.join(words)} N"
-
-
-def force(text: str, option: str = "--reference") -> tuple[float, float]:
-    """A reference force as it stands on the command line."""
-    try:
-        x, y = (float(part) for part in text.split(","))
-    except ValueError:
-        raise ConfigurationError(f"{option}={text}: not a force; write {option}=X,Y in newton, as 1,-1") from None
-    return x, y

@@ -7,8 +7,7 @@ from typing import Annotated
 import tyro
 
 from softfin import stages
-from softfin.cli.common import Configured, progress
-from softfin.cli.evaluate import force
+from softfin.cli.common import Configured, force, progress
 from softfin.viewing import ViewConfig
 
 

@@ -1,6 +1,6 @@
 """A controller's folder: ``controller.json`` (cells, task, limits, scores, provenance) and ``weights.safetensors``."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -16,6 +16,7 @@ from softfin.control.map_store import arrays, described, found_of
 from softfin.control.single import SingleController
 from softfin.errors import ArtifactError
 from softfin.quantities import Limits
+from softfin.surrogate.range import UNKNOWN
 from softfin.tracking.reachable import Reachable
 from softfin.tracking.references import Cell
 from softfin.tracking.switching import SwitchingConfig
@@ -48,8 +49,12 @@ def save_controller(
     seed: int,
     provenance: dict[str, Any],
     also: Callable[[Path], None] | None = None,
+    learnt: Mapping[str, Any] = UNKNOWN,
 ) -> None:
-    """Write the controller of one seed, whole or not at all; `also` adds files to the folder."""
+    """Write the controller of one seed, whole or not at all; `also` adds files to the folder.
+
+    `learnt` is what its plant learnt from (`softfin.surrogate.range.learnt_from`).
+    """
     config = trained.config
     index = trained.seeds.index(seed)
     controller = controller_of(trained, seed)
@@ -64,6 +69,7 @@ def save_controller(
         "task": config.task.model_dump(mode="json"),
         "policy": config.policy.model_dump(mode="json"),
         "reachable": None if controller.reachable is None else controller.reachable.described(),
+        **learnt,
         "switching": controller.switching.model_dump(mode="json") if isinstance(controller, GridController) else None,
         "memory": memory_of(policy).described(),
         "scores": _scores(trained, index),
@@ -80,6 +86,7 @@ def save_gaits(
     limits: Limits,
     provenance: dict[str, Any],
     also: Callable[[Path], None] | None = None,
+    learnt: Mapping[str, Any] = UNKNOWN,
 ) -> None:
     """Write a map's gaits as a controller; likewise."""
     table = known.found.table
@@ -91,6 +98,7 @@ def save_gaits(
         "action_rate_hz": ACTION_RATE_HZ,
         "limits": limits.described(),
         **described(known),
+        **learnt,
         "scores": [
             {"reference_n": nodes[place].tolist(), "missed_n": round(float(missed[place]), 4),
              "smoothness_n": known.found.smoothness[place].round(4).tolist()}

@@ -12,9 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from softfin.evaluation.experiment import Recording
+from softfin.evaluation.experiment import Recording, Subject
 from softfin.evaluation.scores import moving_average
-from softfin.plant import Plant
 from softfin.quantities import AXES, Command
 from softfin.surrogate.streaming.streaming import StreamingState, StreamingSurrogate
 
@@ -51,7 +50,7 @@ RARELY = 0.01
 """Share of samples beyond the data that is no reason for a warning: ten times that of the data themselves."""
 
 
-def doubt(plant: Plant, recording: Recording) -> Doubt | None:
+def doubt(plant: Subject, recording: Recording) -> Doubt | None:
     """From the first repetition of every reference; None of a plant that knows nothing of its errors."""
     if not isinstance(plant, StreamingSurrogate):
         return None

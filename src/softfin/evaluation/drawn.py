@@ -10,8 +10,8 @@ from softfin.control.controller import Controller
 from softfin.control.nearest import reached
 from softfin.control.range import cells_of, reachable_of
 from softfin.errors import CoverageError
+from softfin.evaluation.experiment import Subject
 from softfin.evaluation.forceplane import error_map
-from softfin.plant import Plant
 from softfin.quantities import AXES
 from softfin.randomness import generator_of
 from softfin.tracking.reachable import Reachable
@@ -49,7 +49,7 @@ class Drawn(NamedTuple):
         }
 
 
-def hold_drawn(controller: Controller, plant: Plant, count: int, seed: int, seconds: int, key: PRNGKeyArray) -> Drawn:
+def hold_drawn(controller: Controller, plant: Subject, count: int, seed: int, seconds: int, key: PRNGKeyArray) -> Drawn:
     """Hold `count` references drawn from `seed`, each from rest on one seed of the plant."""
     cells = cells_of(controller) or (PAPER_RANGE,)
     references = draw(cells, reachable_of(controller), count, generator_of(seed, "evaluate/random"))

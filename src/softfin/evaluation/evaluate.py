@@ -19,7 +19,7 @@ from softfin.control.range import admitted
 from softfin.control.trim import TrimConfig, TrimmedController
 from softfin.evaluation.doubt import Doubt, doubt
 from softfin.evaluation.drawn import MOST, Drawn, hold_drawn
-from softfin.evaluation.experiment import MIN_SECONDS, Recording, alike, check_finite, first_of, run
+from softfin.evaluation.experiment import MIN_SECONDS, Recording, Subject, alike, check_finite, first_of, run
 from softfin.evaluation.figures import experiments_figure, moving_figure
 from softfin.evaluation.forceplane import ErrorMap, error_map_figure, map_range
 from softfin.evaluation.moving import Kind, Moving, follow, planned
@@ -27,7 +27,6 @@ from softfin.evaluation.paper import REFERENCES
 from softfin.evaluation.scores import STILL_RAD_S, Scores, score
 from softfin.evaluation.statistics import CONFIDENCE, interval
 from softfin.evaluation.style import render
-from softfin.plant import Plant
 from softfin.quantities import AXES, RATE_HZ
 from softfin.randomness import key_of
 from softfin.tracking.signals import Recorded
@@ -119,7 +118,7 @@ class Evaluation:
         return [*self.warnings, *([] if doubted is None else [doubted])]
 
 
-def evaluate(controller: Controller, plant: Plant, config: EvaluateConfig) -> Evaluation:
+def evaluate(controller: Controller, plant: Subject, config: EvaluateConfig) -> Evaluation:
     """Run and score all experiments; errors are those against the reference that is held.
 
     Raises CoverageError for a reference that the controller was not trained for, or with `config.strict` for one that

@@ -6,7 +6,7 @@ and seeds run side by side in one compiled program.
 
 import dataclasses
 from itertools import accumulate
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -18,7 +18,7 @@ from softfin.action_clock import ACTION_TICKS
 from softfin.control.controller import Controller, ControllerState, Measured
 from softfin.errors import ConfigurationError, PlantError
 from softfin.plant import Plant, State
-from softfin.quantities import RATE_HZ, AnyArray, Command, Reading
+from softfin.quantities import RATE_HZ, AnyArray, Command, Limits, Reading
 
 ACTION_STARTS = (0, *accumulate(ACTION_TICKS[:-1]))
 """Ticks of each second at which a controller acts."""
@@ -39,9 +39,29 @@ class Recording(NamedTuple):
     """Fields ``(references, seeds, ticks)``, force ``(references, seeds, ticks, 2)``."""
 
 
+@runtime_checkable
+class RealTime(Protocol):
+    """A fin that no program can simulate, with the controller that it was given: experiments take their time."""
+
+    @property
+    def limits(self) -> Limits:
+        """The commands that it takes."""
+        ...
+
+    def experiments(
+        self, references: Float[np.ndarray, "references *ticks 2"], seconds: int, repetitions: int
+    ) -> Recording:
+        """Every reference so many times, one after the other, each from rest."""
+        ...
+
+
+Subject: TypeAlias = Plant | RealTime
+"""What a controller is judged on."""
+
+
 def run(
     controller: Controller,
-    plant: Plant,
+    plant: Subject,
     references: Float[AnyArray, "references *ticks 2"],
     seconds: int,
     keys: Key[Array, "seeds"],
@@ -50,6 +70,8 @@ def run(
 
     A reference is one force, or one a tick of which the controller sees that of the tick at which it acts.
     """
+    if isinstance(plant, RealTime):
+        return plant.experiments(np.asarray(references, np.float32), seconds, len(keys))
     asked = jnp.asarray(_at_actions(np.asarray(references, np.float32), seconds))
     command, reading = _program((controller, _Same(plant)), asked, keys)
     return Recording(references, command, reading)

@@ -18,11 +18,10 @@ from softfin.control.nearest import reached
 from softfin.control.range import reachable_of
 from softfin.errors import CoverageError
 from softfin.evaluation.coverage import bounds, covers
-from softfin.evaluation.experiment import check_finite, run
+from softfin.evaluation.experiment import Subject, check_finite, run
 from softfin.evaluation.paper import REFERENCES
 from softfin.evaluation.scores import score
 from softfin.evaluation.style import BLACK, new_figure, styled
-from softfin.plant import Plant
 from softfin.quantities import AXES
 from softfin.tracking.references import Cell
 
@@ -73,7 +72,7 @@ class ErrorMap(NamedTuple):
 
 def error_map(
     controller: Controller,
-    plant: Plant,
+    plant: Subject,
     references: Float[np.ndarray, "references 2"],
     seconds: int,
     key: PRNGKeyArray,
@@ -84,7 +83,7 @@ def error_map(
     return score(recording).error[:, 0]
 
 
-def map_range(controller: Controller, plant: Plant, points: int, seconds: int, key: PRNGKeyArray) -> ErrorMap:
+def map_range(controller: Controller, plant: Subject, points: int, seconds: int, key: PRNGKeyArray) -> ErrorMap:
     """The errors over a lattice of the controller's range; raises CoverageError where none can be held."""
     cell = bounds(controller)
     if cell.low[0] == cell.high[0] or cell.low[1] == cell.high[1]:

@@ -16,11 +16,10 @@ from softfin.control.nearest import nearest_within, reached
 from softfin.control.range import reachable_of
 from softfin.errors import CoverageError
 from softfin.evaluation.coverage import admitted_series, bounds
-from softfin.evaluation.experiment import MIN_SECONDS, Recording, alike, check_finite, first_of, run
+from softfin.evaluation.experiment import MIN_SECONDS, Recording, Subject, alike, check_finite, first_of, run
 from softfin.evaluation.response import Response, responses, tracking_error
 from softfin.evaluation.scores import score
 from softfin.evaluation.statistics import interval
-from softfin.plant import Plant
 from softfin.quantities import AXES, RATE_HZ
 from softfin.tracking.reachable import Reachable
 from softfin.tracking.references import Cell
@@ -181,7 +180,7 @@ def planned(
     return [plan.admitted(controller, strict) for plan in plans]
 
 
-def follow(controller: Controller, plant: Plant, plan: Plan, keys: Key[Array, "seeds"]) -> Moving:
+def follow(controller: Controller, plant: Subject, plan: Plan, keys: Key[Array, "seeds"]) -> Moving:
     """Run and score the signals of a plan, each with every key; errors are against what is held."""
     wanted = plan.sampled()
     asked = wanted if plan.held is None else plan.held

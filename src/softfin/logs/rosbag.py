@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from softfin.errors import LogError
+from softfin.logs.bag_scan import check_bag
 from softfin.logs.columns import converted
 from softfin.logs.findings import Finding, Place
 from softfin.logs.importing import TOPICS, ImportConfig
@@ -31,13 +32,21 @@ CHANNELS = {
     "wrench": ("force_x", "force_y"),
 }
 
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+"""ROS 2's own definitions, not the bag's: readers make code of definitions, and a bag is anybody's."""
+
+LISTED = 12
+"""Topics in a message, at most."""
+
 Values = Callable[[Any], tuple[float, float]]
 
 
 def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recording:
     """One bag; raises LogError where it is damaged, lacks a topic, or a topic has messages of another type."""
     try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        for file in [path] if path.is_file() else path.glob("*.mcap"):
+            check_bag(file)
+        with Reader(path) as reader:
             topics = _topics(reader, config, path)
             tracks, findings = [], []
             for role, (topic, joint) in topics.items():
@@ -49,41 +58,52 @@ def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recordi
     except Exception as error:
         # Damaged bags fail in the reader, its storage, its decompression or its messages, each in a way of its own.
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise LogError(f"{path}: truncated, or no ROS 2 bag ({reason}); copy it again, or: ros2 bag reindex") from None
+        way_out = "copy it again, or: ros2 bag reindex"
+        raise LogError(f"{path}: truncated, or no ROS 2 bag ({_plain(reason)}); {way_out}") from None
     if not any("velocity" in track.channels for track in tracks):
         text = "no velocity in the joint's messages: it is the central difference of the angle"
         findings.append(Finding("note", "velocity derived", Place(name, "velocity"), text))
-    return Recording(name, part, tuple(tracks), tuple(findings))
+    return Recording(name, part, _joined(tracks), tuple(findings))
 
 
-def _topics(reader: AnyReader, config: ImportConfig, path: Path) -> dict[str, tuple[str, str]]:
+def _joined(tracks: list[Track]) -> tuple[Track, ...]:
+    """One track of topics that are stamped alike: what needs no other clock is taken as it is."""
+    first, *others = tracks
+    if not all(np.array_equal(first.time, other.time) for other in others):
+        return tuple(tracks)
+    return (Track(first.time, {name: values for track in tracks for name, values in track.channels.items()}),)
+
+
+def _topics(reader: Reader, config: ImportConfig, path: Path) -> dict[str, tuple[str, str]]:
     """Of each role the topic, and the joint's name or ""."""
     there = {connection.topic: connection.msgtype for connection in reader.connections}
-    listed = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(there.items())) or "no topics"
+    listed = _plain(", ".join(f"{topic} ({kind})" for topic, kind in sorted(there.items())[:LISTED])) or "no topics"
     chosen = {}
     for role in TOPICS:
         topic, _, joint = config.topics.get(role, DEFAULT_TOPICS[role]).partition(":")
         if topic not in there:
             fitting = [name for name, kind in there.items() if kind in TYPES[role]]
-            hint = f"--topics {role}={fitting[0] if len(fitting) == 1 else 'TOPIC'}"
+            hint = f"--topics {role}={_plain(fitting[0]) if len(fitting) == 1 else 'TOPIC'}"
             raise LogError(f"{path}: no topic {topic} for the {role}; it has {listed}; say it: {hint}")
         if there[topic] not in TYPES[role]:
-            raise LogError(f"{path}: {topic} is {there[topic]}; a {role} must be {' or '.join(TYPES[role])}")
+            raise LogError(f"{path}: {topic} is {_plain(there[topic])}; a {role} must be {' or '.join(TYPES[role])}")
         chosen[role] = (topic, joint)
     return chosen
 
 
-def _track(reader: AnyReader, role: str, topic: str, joint: str, path: Path, name: str) -> tuple[Track, list[Finding]]:
+def _track(reader: Reader, role: str, topic: str, joint: str, path: Path, name: str) -> tuple[Track, list[Finding]]:
     connections = [connection for connection in reader.connections if connection.topic == topic]
     kind = connections[0].msgtype
     where = f"{path}: {topic}"
+    if any(connection.msgtype != kind for connection in connections):
+        raise LogError(f"{where}: messages of several types; record one type on each topic")
     values = _values(kind, joint, where)
     logged, stamped, rows = _rows(
-        ((stamp, reader.deserialize(raw, kind)) for _, stamp, raw in reader.messages(connections)), values
+        ((stamp, STORE.deserialize_cdr(raw, kind)) for _, stamp, raw in reader.messages(connections)), values
     )
     if not rows:
         raise LogError(f"{where}: no messages; record the {role} too")
-    own = all(stamped)
+    own = all(stamped) or stamped == logged
     findings = []
     if not own:
         text = f"{topic}: {stamped.count(0):,} of {len(stamped):,} messages bear no stamp: the time of logging counts"
@@ -93,6 +113,8 @@ def _track(reader: AnyReader, role: str, topic: str, joint: str, path: Path, nam
     # Nanoseconds since 1970 as integers first: in double precision they are exact to a quarter of a microsecond.
     time = np.array(stamped if own else logged, np.int64) / 1e9
     pairs = np.array(rows, np.float64)
+    # What a log cannot hold is no value: whoever reads on finds it and says where it is.
+    pairs[np.abs(pairs) > np.finfo(np.float32).max] = np.inf
     channels = {channel: pairs[:, i] for i, channel in enumerate(CHANNELS[role])}
     if role == "joint" and np.isnan(pairs[:, 1]).all():
         del channels["velocity"]
@@ -135,6 +157,12 @@ def _index(names: list[str], count: int, joint: str, where: str) -> int:
         return names.index(joint)
     if joint or count != 1:
         raise LogError(
-            f"{where}: which joint? It has {', '.join(names) or f'{count} without names'}; name it: TOPIC:JOINT"
+            f"{where}: which joint? It has {_plain(', '.join(names[:LISTED])) or f'{count} without names'}; "
+            "name it: TOPIC:JOINT"
         )
     return 0
+
+
+def _plain(text: str) -> str:
+    """What a bag says, in one line and without a terminal's commands."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text)[:500]

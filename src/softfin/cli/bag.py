@@ -1,0 +1,57 @@
+"""``softfin bag``: a recording that was cut off in, a whole one out; recordings in, logs or ROS 2 bags out."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from softfin.cli.common import Common
+from softfin.cli.log_options import LogOptions
+from softfin.errors import ConfigurationError
+from softfin.logs.findings import counted
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments(Common, LogOptions):
+    """Mend a bag that was cut off or damaged; turn recordings of any kind into Parquet logs or ROS 2 bags."""
+
+    action: tyro.conf.Positional[Literal["recover", "convert"]]
+    """recover: save what a damaged .mcap file holds. convert: write logs as .parquet or .mcap."""
+    path: tyro.conf.Positional[Path]
+    """What to recover, a .mcap file; what to convert, a recording or a folder of them."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """What to write: of recover NAME.recovered.mcap beside it; convert must be told, and its ending says the kind."""
+    accept: bool = False
+    """Convert in spite of errors that were found."""
+
+    def run(self) -> None:
+        """Recover or convert."""
+        if self.action == "recover":
+            self._recover()
+        else:
+            self._convert()
+
+    def _recover(self) -> None:
+        from softfin.logs.bag_recovery import recover, recovered_path
+
+        out = self.out or recovered_path(self.path)
+        recovery = recover(self.path, out, self.overwrite)
+        messages = counted(sum(recovery.messages.values()), "message")
+        span = f"{messages} over {recovery.seconds:.1f} s"
+        result = {"recovered": None if recovery.whole else str(out), **recovery.described()}
+        if recovery.whole:
+            self.tell(result, f"{self.path}: whole already, {span}; nothing written")
+            return
+        lost = sum(damage.length for damage in recovery.damages)
+        reasons = "; ".join(dict.fromkeys(damage.reason for damage in recovery.damages))
+        self.tell(result, f"{out}: {span} saved; {lost:,} bytes could not be read ({reasons[:300]})")
+
+    def _convert(self) -> None:
+        from softfin.logs.bag_convert import convert
+
+        if self.out is None:
+            raise ConfigurationError("convert needs --out: a .parquet or a .mcap file")
+        result = convert(self.path, self.out, self.import_config(), accept=self.accept, overwrite=self.overwrite)
+        counts = ", ".join(counted(count, kind) for kind, count in result["counts"].items())
+        self.tell(result, f"{', '.join(result['files'])}: {result['rows']:,} rows; {counts}")

@@ -1,0 +1,66 @@
+"""``softfin monitor``: a recording while it is made in, its state on the terminal or as a page out; it only reads."""
+
+import contextlib
+import ipaddress
+import json
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+from rich.console import Console
+
+from softfin.deployment.monitor.follow import Follower
+from softfin.deployment.monitor.terminal import watch
+from softfin.deployment.monitor.web import LOOPBACK, Feed, Server, serve
+
+
+# Not common.Options: they bring the stages, and with them JAX, which a robot's computer need not have.
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Watch a recording while it is made; Ctrl-C ends the watching, never the recording."""
+
+    run_folder: tyro.conf.Positional[Path]
+    """A bag (.mcap), or a folder that bags are written to: its newest is followed, and the next one when it comes."""
+    web: bool = False
+    """As a page in the browser, with live traces."""
+    port: int = 8080
+    """Of the page; 0 takes a free one."""
+    host: str = LOOPBACK
+    """Address that the page is served on; on another one than this, whoever reaches it sees the recording."""
+    json: bool = False
+    """Print the state of the recording as JSON, once."""
+    debug: bool = False
+    """Show the traceback of an error."""
+
+    def run(self) -> None:
+        """Monitor."""
+        follower = Follower(self.run_folder)
+        # Whoever watches has lost nothing by stopping: exit code 0.
+        with contextlib.suppress(KeyboardInterrupt):
+            if self.json:
+                _once(follower)
+            elif self.web:
+                server = Server(Feed(follower), self.host, self.port)
+                warning = (
+                    "" if _is_loopback(self.host) else f"warning: {self.host}: others can watch too; no password\n"
+                )
+                sys.stderr.write(warning + f"{server.address} shows the recording; Ctrl-C ends\n")
+                serve(server, sleep=time.sleep)
+            else:
+                watch(follower, Console(), sleep=time.sleep)
+
+
+def _once(follower: Follower) -> None:
+    follower.poll()
+    while (summary := follower.summary()).state == "reading" and summary.problem is None:
+        follower.poll()
+    sys.stdout.write(json.dumps(summary.described(), indent=2, allow_nan=False) + "\n")
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"

@@ -1,0 +1,103 @@
+"""``softfin rig``: check the real fin before an experiment, zero it, or emulate its drive and its sensor."""
+
+import contextlib
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import tyro
+
+from softfin.cli.common import Common
+from softfin.cli.live import Armed
+from softfin.deployment.bench import Bench
+from softfin.errors import ConfigurationError, DeviceError
+from softfin.rig.config import DEFAULT, RigConfig, load_rig
+
+MARKS = {"well": "ok", "note": "note", "wrong": "WRONG"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments(Armed, Common):
+    """Check the real fin, zero its angle and force, or emulate both devices with the virtual tank behind them."""
+
+    action: tyro.conf.Positional[Literal["check", "zero", "emulate"]]
+    """check: a table of what is well and what is not, nothing moves; zero: set angle and force to zero where they are;
+    emulate: a drive and a sensor on this computer, until Ctrl-C."""
+    rig: Path = DEFAULT
+    """The rig's file: read by check and zero, written by emulate."""
+    reset_fault: bool = False
+    """Of check: acknowledge the fault that the drive is in, and say which it was."""
+    angle: bool = False
+    """Of zero: the fin's angle only. The motor is powered for a moment: this needs --arm."""
+    force: bool = False
+    """Of zero: the force only."""
+    tank: Path | None = None
+    """Of emulate: the YAML of the tank behind it."""
+    seed: int = 0
+    """Of emulate: of the tank's noise."""
+
+    def run(self) -> None:
+        """Do it."""
+        {"check": self._check, "zero": self._zero, "emulate": self._emulate}[self.action]()
+
+    def _check(self) -> None:
+        from softfin.rig.check import check_rig
+
+        config = load_rig(self.rig)
+        if self.reset_fault:
+            self._reset(config)
+        findings = []
+        for finding in check_rig(config, self.rig.absolute().parent):
+            findings.append(finding)
+            if not self.json:
+                sys.stdout.write(f"{MARKS[finding.state]:>6}  {finding.what:14} {finding.text}\n")
+                sys.stdout.flush()
+        if self.json:
+            self.tell([finding._asdict() for finding in findings], "")
+        wrong = [finding.what for finding in findings if finding.state == "wrong"]
+        if wrong:
+            raise DeviceError(f"{self.rig}: not well: {', '.join(wrong)}")
+
+    def _reset(self, config: RigConfig) -> None:
+        from softfin.rig.rig import Rig
+
+        drive = Rig(config).drive
+        try:
+            drive.connect()
+            fault = drive.reset_fault()
+        finally:
+            drive.close()
+        sys.stderr.write(f"{'no fault to reset' if fault is None else f'reset: {fault}'}\n")
+
+    def _zero(self) -> None:
+        from softfin.rig.rig import Rig
+        from softfin.rig.zero import zero_angle, zero_force
+
+        config = load_rig(self.rig)
+        both = self.angle == self.force
+        result: dict[str, Any] = {}
+        if both or self.angle:
+            self.confirm(Bench(Rig(config), config.safety))
+            result |= zero_angle(config)
+        if both or self.force:
+            result |= zero_force(config)
+        self.tell(result, "\n".join(f"{name}: {value}" for name, value in result.items()))
+
+    def _emulate(self) -> None:
+        # Imported here: the tank needs JAX.
+        from softfin.configuration import read_yaml
+        from softfin.rig.emulation.rig import EmulatedRig
+        from softfin.tank import Tank, TankConfig
+
+        if self.rig.exists() and not self.overwrite:
+            raise ConfigurationError(f"{self.rig}: exists; give another --rig, or --overwrite to replace it")
+        tank = Tank() if self.tank is None else Tank(TankConfig.build(read_yaml(self.tank), str(self.tank)))
+        with EmulatedRig(tank, self.seed) as emulated:
+            emulated.write(self.rig)
+            sys.stdout.write(
+                f"{self.rig}: written; the emulated fin moves for it until Ctrl-C\n{emulated.described()}\n"
+            )
+            sys.stdout.flush()
+            with contextlib.suppress(KeyboardInterrupt):
+                emulated.wait()

@@ -1,0 +1,246 @@
+"""One session on a machine: unconfigured, inactive (reads, does not move), active (moves), stopped; 100 ticks a second.
+
+At each tick: wait, read, ask everybody whether all is well, record, show. Whatever is wrong, or goes wrong in here,
+stops the machine first and is told after.
+"""
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from types import TracebackType
+from typing import Literal, NoReturn, Protocol, runtime_checkable
+
+from softfin.deployment.machine import Machine, Sample, Target
+from softfin.deployment.pace import Pace
+from softfin.deployment.safety import Guard, SafetyConfig, Trip
+from softfin.deployment.stop import StopRequest
+from softfin.errors import DeviceError, SafetyStop
+from softfin.quantities import RATE_HZ
+
+State = Literal["unconfigured", "inactive", "active", "stopped"]
+
+Observer = Callable[[Sample, Target | None], None]
+"""Called at each tick with what was read and the command under which it came about; must return at once."""
+
+FRESH_S = 1.0
+"""Longest time before activation in which all must be well once [s]."""
+
+STILL_RAD = 0.03
+"""The shaft is at rest at angle 0 within this [rad]."""
+
+HOMING_S = 10.0
+"""Longest way to angle 0 [s]; at 1 rad/s it is 1.6 s."""
+
+
+@runtime_checkable
+class Recorder(Protocol):
+    """What keeps a session on disk; none of its methods blocks or raises (`softfin.logs.bag_writer`)."""
+
+    @property
+    def failure(self) -> str | None:
+        """Why nothing is recorded any more, in one line; None while all is well."""
+        ...
+
+    def command(self, time: float, angle: float, velocity: float) -> None:
+        """A command as it is issued."""
+        ...
+
+    def joint(self, time: float, angle: float, velocity: float, current: float | None) -> None:
+        """A reading of the drive."""
+        ...
+
+    def wrench(self, time: float, wrench: tuple[float, ...]) -> None:
+        """A reading of the force sensor."""
+        ...
+
+    def event(self, time: float, text: str) -> None:
+        """Something worth knowing."""
+        ...
+
+
+class Session:
+    """A context: whatever happens, the machine is stopped and closed at its end."""
+
+    def __init__(
+        self,
+        machine: Machine,
+        guard: Guard,
+        *,
+        stop: StopRequest | None = None,
+        observers: Sequence[Observer] = (),
+        pace: Pace | None = None,
+    ) -> None:
+        self.machine, self.guard, self.stop_request = machine, guard, stop or StopRequest()
+        self.observers, self.pace = observers, pace or Pace()
+        self.recorder: Recorder | None = None
+        self.state: State = "unconfigured"
+        self.target: Target | None = None
+        """The command in force."""
+        self.newest: Sample | None = None
+        self.trip: Trip | None = None
+        """Why it was stopped."""
+        self._watchdog: Watchdog | None = None
+
+    def __enter__(self) -> "Session":
+        self.machine.open()
+        self.state = "inactive"
+        self.pace.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.machine.stop()
+        self._unwatch()
+        if self.state != "stopped":
+            self._tell("the session ended" if error is None else f"ended by {kind.__name__ if kind else ''}: {error}")
+        self.state = "stopped"
+        self.machine.close()
+
+    def tick(self) -> Sample:
+        """Wait for the next tick, read and check; raises SafetyStop, the machine stopped already."""
+        late = self.pace.wait()
+        try:
+            sample = self.machine.read()
+        except DeviceError as error:
+            self.abort(Trip("device", str(error)))
+        now = self.pace.clock()
+        if self._watchdog is not None:
+            self._watchdog.feed(now)
+        moves = self.state == "active"
+        # A person's stop first: nothing else explains why the fin stopped.
+        trip = self.stop_request.trip or self.trip
+        if trip is None and self.recorder is not None and self.recorder.failure is not None:
+            trip = Trip("recording", self.recorder.failure)
+        if trip is None and moves:
+            trip = self.guard.check(sample, now, late)
+        if trip is not None:
+            self.abort(trip)
+        if self.recorder is not None:
+            self._record(self.recorder, sample)
+        for observe in self.observers:
+            observe(sample, self.target)
+        self.newest = sample
+        return sample
+
+    def activate(self) -> None:
+        """Enable the drive, which holds where it is: from now on it may move."""
+        sample = self._well()
+        limits = self.machine.limits
+        here = min(max(sample.angle, limits.angle_min), limits.angle_max)
+        self.machine.enable()
+        self.state = "active"
+        self._tell(f"active: {self.machine.name}")
+        self.pace.start()
+        self._watchdog = Watchdog(self.guard.config, self._bite, self.pace.clock)
+        self.command(Target(here, limits.velocity_min))
+
+    def _well(self) -> Sample:
+        """The first sample with which all is well; what was not read for a while needs a moment to be fresh again."""
+        self.pace.start()
+        trip: Trip | None = None
+        for _ in range(round(FRESH_S * RATE_HZ)):
+            sample = self.tick()
+            trip = self.guard.check(sample, self.pace.clock())
+            if trip is None:
+                return sample
+        assert trip is not None
+        self.abort(trip)
+
+    def deactivate(self) -> None:
+        """Stop and disable the motor: slow work may be done now, and `activate` goes on after it."""
+        self.machine.stop()
+        self._unwatch()
+        if self.state == "active":
+            self.state, self.target = "inactive", None
+            self._tell("inactive")
+
+    def command(self, target: Target) -> None:
+        """Issue a command now; raises SafetyStop where it is none that this fin takes."""
+        trip = self.guard.check_target(target) or self.stop_request.trip or self.trip
+        if trip is not None:
+            self.abort(trip)
+        if self.state != "active":
+            raise SafetyStop(f"commanded while {self.state}: nothing moves before activation")
+        self.machine.command(target)
+        self.target = target
+        if self.recorder is not None:
+            self.recorder.command(self.pace.clock(), target.angle, target.velocity)
+
+    def hold(self, target: Target, ticks: int) -> list[Sample]:
+        """Hold a command for so many ticks; what was read after each."""
+        self.command(target)
+        return [self.tick() for _ in range(ticks)]
+
+    def rest(self, seconds: float) -> None:
+        """Go to angle 0 slowly, and wait for so long with the fin at rest, for the water to come to rest too."""
+        slowest = self.machine.limits.velocity_min
+        self.command(Target(0.0, slowest))
+        for _ in range(round(HOMING_S * RATE_HZ)):
+            sample = self.tick()
+            if abs(sample.angle) < STILL_RAD and abs(sample.velocity) < STILL_RAD:
+                break
+        else:
+            angle = 0.0 if self.newest is None else self.newest.angle
+            self.abort(Trip("rest", f"the shaft did not come to rest at angle 0 within {HOMING_S:g} s (it is at "
+                            f"{angle:.3f} rad); is it blocked?"))  # fmt: skip
+        for _ in range(round(seconds * RATE_HZ)):
+            self.tick()
+
+    def abort(self, trip: Trip) -> NoReturn:
+        """Stop the machine, note why, and raise SafetyStop."""
+        self.machine.stop()
+        if self.state != "stopped":
+            self.state, self.trip = "stopped", trip
+            self._tell(f"stopped: {trip.cause}: {trip.reason}")
+        raise SafetyStop(f"stopped, motor disabled: {trip.reason}")
+
+    def _unwatch(self) -> None:
+        if self._watchdog is not None:
+            self._watchdog.end()
+            self._watchdog = None
+
+    def _bite(self, silence: float) -> None:
+        """Called by the watchdog, in its thread."""
+        self.trip = Trip("watchdog", f"the loop was silent for {silence * 1e3:.0f} ms: the computer is too busy, or "
+                         "the controller hung")  # fmt: skip
+        self.machine.stop()
+
+    def _record(self, recorder: Recorder, sample: Sample) -> None:
+        before = self.newest
+        if before is None or sample.time > before.time:
+            recorder.joint(sample.time, sample.angle, sample.velocity, sample.current)
+        if before is None or sample.force_time > before.force_time:
+            recorder.wrench(sample.force_time, sample.wrench)
+
+    def _tell(self, text: str) -> None:
+        if self.recorder is not None:
+            self.recorder.event(self.pace.clock(), text)
+
+
+class Watchdog:
+    """A thread that stops the machine when the loop is silent: a controller that hangs must not leave it moving."""
+
+    def __init__(
+        self, config: SafetyConfig, bite: Callable[[float], None], clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._silence, self._bite, self._clock = config.watchdog_s, bite, clock
+        self._fed = clock()
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name="watchdog", daemon=True)
+        self._thread.start()
+
+    def feed(self, now: float) -> None:
+        """The loop is alive."""
+        self._fed = now
+
+    def end(self) -> None:
+        """Watch no more."""
+        self._ended.set()
+
+    def _watch(self) -> None:
+        while not self._ended.wait(self._silence / 4):
+            silence = self._clock() - self._fed
+            if silence > self._silence:
+                self._bite(silence)
+                return

@@ -1,0 +1,121 @@
+"""A whole emulated rig on this computer: drive, sensor and the virtual tank behind both, and the rig's file for it.
+
+Within one process softfin reaches the drive over python-can's virtual bus; another one over socketcand on loopback.
+"""
+
+import threading
+import uuid
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from softfin import artifacts
+from softfin.rig.config import RigConfig
+from softfin.rig.emulation.bus import SocketcandServer
+from softfin.rig.emulation.drive import EmulatedDrive
+from softfin.rig.emulation.fin import EmulatedFin
+from softfin.rig.emulation.sensor import EmulatedAxia80
+from softfin.rig.emulation.tank import TankFin
+from softfin.rig.epos2_config import BusConfig, DriveConfig
+from softfin.tank import Tank
+
+HOST = "127.0.0.1"
+
+FRAME = "y,-x"
+"""How the emulated sensor is mounted; not as softfin's axes, so that nobody's frame is right by chance."""
+
+
+class EmulatedRig:
+    """Serves from `start` until `close`."""
+
+    def __init__(
+        self, tank: Tank | None = None, seed: int = 0, fin: EmulatedFin | None = None, channel: str | None = None
+    ) -> None:
+        """`fin` in place of a tank; `channel` of the virtual bus, a new one for each rig by default."""
+        tank = (tank or Tank()) if fin is None else None
+        self.fin = fin or TankFin(tank, seed)
+        channel = channel or f"emulated-{uuid.uuid4().hex[:8]}"
+        drive = _drive(tank)
+        self.drive = EmulatedDrive(BusConfig(interface="virtual", channel=channel), drive, self.fin)
+        self.server = SocketcandServer(channel)
+        self.sensor = EmulatedAxia80(self.fin, HOST, frame=FRAME)
+        self._channel, self._config = channel, drive
+        self._ended = threading.Event()
+
+    def start(self) -> None:
+        """Power-up."""
+        self.drive.start()
+        self.server.start()
+
+    def close(self) -> None:
+        """Power-down; any number of times."""
+        self._ended.set()
+        self.server.close()
+        self.drive.close()
+        self.sensor.close()
+
+    def __enter__(self) -> "EmulatedRig":
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def wait(self) -> None:
+        """Until `close`, or Ctrl-C."""
+        while not self._ended.wait(0.5):
+            pass
+
+    def described(self) -> str:
+        """Where it listens, in words."""
+        return (
+            f"drive: socketcand {HOST}:{self.server.port}, node {self._config.node}; sensor: {HOST}, RDT port "
+            f"{self.sensor.rdt_port}, pages at http://{HOST}:{self.sensor.http_port}"
+        )
+
+    def bus(self, same_process: bool) -> dict[str, Any]:
+        """Of the rig's file."""
+        if same_process:
+            return {"interface": "virtual", "channel": self._channel}
+        return {"interface": "socketcand", "channel": self._channel,
+                "options": {"host": HOST, "port": self.server.port, "tcp_tune": True}}  # fmt: skip
+
+    def values(self, same_process: bool = False, **changes: Any) -> dict[str, Any]:
+        """What the rig's file holds."""
+        values: dict[str, Any] = {
+            "fin": "emulated",
+            "bus": self.bus(same_process),
+            "drive": self._config.model_dump(mode="json", exclude_defaults=True),
+            "sensor": {"address": HOST, "http_port": self.sensor.http_port, "rdt_port": self.sensor.rdt_port,
+                       "frame": FRAME},
+            "safety": {"current_peak_a": 6.0, "current_sustained_a": 3.0},
+            "settle_s": 1.0,
+        }  # fmt: skip
+        return values | changes
+
+    def config(self, **changes: Any) -> RigConfig:
+        """For this process."""
+        return RigConfig.build(self.values(same_process=True, **changes), "emulated rig")
+
+    def write(self, path: Path) -> None:
+        """The rig's file, for other processes."""
+        text = "# An emulated rig, while `softfin rig emulate` runs; a real one is described in docs/rig.md.\n"
+        artifacts.write_file(path, text + yaml.safe_dump(self.values(), sort_keys=False))
+
+
+def _drive(tank: Tank | None) -> DriveConfig:
+    """As the tank's drive is: 500 lines at a reduction of 111:1 are its encoder's steps."""
+    changes: dict[str, float] = {}
+    if tank is not None:
+        limits = tank.limits
+        changes = {
+            "angle_min_rad": limits.angle_min, "angle_max_rad": limits.angle_max,
+            "slowest_rad_s": limits.velocity_min, "fastest_rad_s": limits.velocity_max,
+            "acceleration_rad_s2": float(tank.drive.acceleration),
+        }  # fmt: skip
+    return DriveConfig.build(
+        {"node": 1, "encoder_lines": 500, "gear_ratio": 111.0, "acceleration_rad_s2": 80.0, "quick_stop_rad_s2": 80.0,
+         "following_error_rad": 0.5, **changes},
+        "emulated drive",
+    )  # fmt: skip

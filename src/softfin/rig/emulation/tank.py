@@ -1,0 +1,86 @@
+"""The virtual tank as the fin behind emulated devices: it moves on in real time, whoever looks.
+
+Between two samples of 10 ms motion and force are interpolated, so all that is seen is one sample old.
+"""
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softfin.plant import rest_command
+from softfin.quantities import TICK_S, Command, Reading
+from softfin.rig.emulation.fin import Motion
+from softfin.tank import Tank
+
+AMPERE_PER_NM = 1 / (111 * 0.0259)
+"""Current of the emulated motor for a torque at the fin: a reduction of 111:1 and 25.9 mN m/A, both assumed."""
+
+LONGEST_S = 2.0
+"""After a longer pause of this process the fin goes on from where it was: the time in between did not happen."""
+
+
+class TankFin:
+    """Meets the EmulatedFin contract."""
+
+    def __init__(self, tank: Tank | None = None, seed: int = 0, clock: Callable[[], float] = time.monotonic) -> None:
+        self.tank = tank or Tank()
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._advance = jax.jit(self._tick)
+        self._state: Any = self.tank.init(jax.random.key(seed))
+        self._command = rest_command(self.tank.limits)
+        # Twice, so that everything is compiled before anybody looks.
+        self._before = self._after = self._step()
+        self._before, self._after = self._after, self._step()
+        self._time = clock()
+
+    def move(self, angle: float, velocity: float) -> None:
+        """Brought within what the tank's drive takes, as the drive's own limits would."""
+        limits = self.tank.limits
+        angle = min(max(angle, limits.angle_min), limits.angle_max)
+        velocity = min(max(velocity, limits.velocity_min), limits.velocity_max)
+        with self._lock:
+            self._catch_up()
+            self._command = Command(jnp.float32(angle), jnp.float32(velocity))
+
+    def halt(self) -> None:
+        """At the fastest ramp, to where it can stop."""
+        with self._lock:
+            self._catch_up()
+            angle, velocity = self._after[0], self._after[1]
+            ahead = velocity * abs(velocity) / (2 * float(self.tank.drive.acceleration))
+            limits = self.tank.limits
+            goal = min(max(angle + ahead, limits.angle_min), limits.angle_max)
+            self._command = Command(jnp.float32(goal), jnp.float32(limits.velocity_max))
+
+    def now(self) -> Motion:
+        """One sample ago."""
+        with self._lock:
+            self._catch_up()
+            part = min(max((self._clock() - self._time) / TICK_S, 0.0), 1.0)
+            angle, velocity, demand, torque, x, y = ((1 - part) * self._before + part * self._after).tolist()
+        return Motion(angle, velocity, demand, torque * AMPERE_PER_NM, (x, y, 0.0, 0.0, 0.0, 0.0))
+
+    def _catch_up(self) -> None:
+        now = self._clock()
+        if now - self._time > LONGEST_S:
+            self._time = now - TICK_S
+        while now - self._time > TICK_S:
+            self._before, self._after = self._after, self._step()
+            self._time += TICK_S
+
+    def _step(self) -> np.ndarray:
+        self._state, seen = self._advance(self._state, self._command)
+        return np.asarray(seen, float)
+
+    def _tick(self, state: Any, command: Command) -> tuple[Any, Any]:
+        state, reading = self.tank.advance(state, command, 1)
+        read: Reading = jax.tree.map(lambda x: x[0], reading)
+        drive = state.drive
+        seen = [read.angle, read.velocity, drive.profile_angle, drive.torque, read.force[0], read.force[1]]
+        return state, jnp.stack([jnp.asarray(value) for value in seen])

@@ -1,0 +1,222 @@
+"""The wire to the drive: a python-can bus with its receiving thread, and canopen's SDO client on it; bounded in time.
+
+Frames come in through one callback, in the receiver's thread. canopen's own `Network` is not used: a malformed frame or
+one receiving error ends its thread, and every later frame, a quick stop too, then raises.
+"""
+
+import contextlib
+import logging
+import socket
+import struct
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import can
+from canopen import ObjectDictionary, SdoAbortedError, SdoCommunicationError
+from canopen.sdo.client import SdoClient
+
+from softfin.errors import DeviceError, RigError
+from softfin.rig import epos2_objects as objects
+from softfin.rig.epos2_config import BusConfig
+from softfin.rig.epos2_faults import abort_line
+from softfin.rig.epos2_objects import Object
+
+SDO_TIMEOUT_S = 0.5
+SEND_TIMEOUT_S = 0.05
+RECEIVER_CYCLE_S = 0.2
+ERROR_PAUSE_S = 0.05
+"""After a receiving error, so that a bus that is gone does not take a whole core."""
+SCAN_PAUSE_S = 0.002
+"""Between two questions: the transmit queue of a SocketCAN interface holds ten frames."""
+
+for _library in ("can", "canopen"):
+    # What they would say on the terminal is said by our errors.
+    logging.getLogger(_library).addHandler(logging.NullHandler())
+
+
+class Wire:
+    """To one node; `take(cob_id, data)` and `trouble(line)` are called from the receiver's thread."""
+
+    def __init__(
+        self, config: BusConfig, node: int, take: Callable[[int, bytes], None], trouble: Callable[[str], None]
+    ) -> None:
+        self._config, self._node, self._take, self._trouble = config, node, take, trouble
+        self._bus: can.BusABC | None = None
+        self._notifier: can.Notifier | None = None
+        # Re-entrant, for a stop in a signal handler that interrupts a send.
+        self._sending, self._asking = threading.RLock(), threading.Lock()
+        client: Any = SdoClient
+        dictionary: Any = ObjectDictionary
+        self._sdo = client(objects.SDO_REQUEST + node, objects.SDO_ANSWER + node, dictionary())
+        self._sdo.RESPONSE_TIMEOUT = SDO_TIMEOUT_S
+        self._sdo.network = self
+        self._receiver: int | None = None
+        self.heard: set[int] = set()
+        """Nodes that sent anything."""
+        self.counters: Counter[str] = Counter()
+
+    @property
+    def name(self) -> str:
+        """Of the bus, for messages."""
+        return f"CAN bus {self._config.interface} {self._config.channel}"
+
+    @property
+    def in_receiver(self) -> bool:
+        """Whether this is the receiver's thread, which must not wait for an answer."""
+        return threading.get_ident() == self._receiver
+
+    def open(self) -> None:
+        """Raises RigError where there is no such bus."""
+        options: dict[str, Any] = {**self._config.options, "bitrate": self._config.bitrate}
+        try:
+            if self._config.interface == "socketcand":
+                # python-can would try for ten seconds, and fill the terminal.
+                address = (str(options.get("host", "127.0.0.1")), int(options.get("port", 29536)))
+                socket.create_connection(address, timeout=2).close()
+            self._bus = can.Bus(interface=self._config.interface, channel=self._config.channel, **options)
+            self._notifier = can.Notifier(self._bus, [_Listener(self)], RECEIVER_CYCLE_S)
+        except Exception as error:
+            # Every interface of python-can has errors of its own.
+            self.close()
+            raise RigError(
+                f"{self.name} cannot be opened ({_one_line(error)}); check bus.interface, bus.channel and bus.options "
+                "of the rig's file, and that the adapter is plugged in and up"
+            ) from None
+
+    def close(self) -> None:
+        """Any number of times; never raises."""
+        notifier, bus, self._notifier, self._bus = self._notifier, self._bus, None, None
+        for end in (notifier and (lambda: notifier.stop(2 * RECEIVER_CYCLE_S)), bus and bus.shutdown):
+            if end:
+                with contextlib.suppress(Exception):
+                    end()
+
+    def send(self, cob_id: int, data: bytes) -> None:
+        """One frame; raises DeviceError where the bus does not take it."""
+        bus = self._bus
+        if bus is None:
+            raise DeviceError(f"{self.name} is closed; open the drive first")
+        if not self._sending.acquire(timeout=2 * SEND_TIMEOUT_S):
+            raise DeviceError(f"{self.name} takes no frames; look at the adapter and its cable")
+        try:
+            bus.send(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False), SEND_TIMEOUT_S)
+        except Exception as error:
+            raise DeviceError(
+                f"{self.name} takes no frames ({_one_line(error)}); look at the adapter, cable, termination and bitrate"
+            ) from None
+        finally:
+            self._sending.release()
+
+    def send_message(self, cob_id: int, data: bytes | bytearray, remote: bool = False) -> None:
+        """What canopen's SDO client calls; it asks for no remote frames."""
+        self.send(cob_id, bytes(data))
+
+    def ask(self, entry: Object) -> int:
+        """The value of an object; raises DeviceError."""
+        data = self._exchange(entry, lambda: self._sdo.upload(entry.number, entry.sub))
+        try:
+            value: int = entry.layout.unpack(data or b"")[0]
+        except (struct.error, TypeError):
+            raise DeviceError(f"drive's {entry}: answered {data!r}, not {entry.layout.size} bytes") from None
+        return value
+
+    def tell(self, entry: Object, value: int) -> None:
+        """Write an object; raises DeviceError."""
+        self._exchange(entry, lambda: self._sdo.download(entry.number, entry.sub, entry.layout.pack(value)))
+
+    def shout(self, entry: Object, value: int) -> None:
+        """Write an object without waiting for the answer; raises DeviceError where the bus takes no frame."""
+        unused = 4 - entry.layout.size
+        head = struct.pack("<BHB", 0x23 | unused << 2, entry.number, entry.sub)
+        self.send(objects.SDO_REQUEST + self._node, head + entry.layout.pack(value) + bytes(unused))
+
+    def scan(self) -> list[int]:
+        """Ask every node for its device type, so that all that are on the bus are `heard`."""
+        for node in range(1, 128):
+            self.send(objects.SDO_REQUEST + node, struct.pack("<BHBI", 0x40, objects.DEVICE_TYPE.number, 0, 0))
+            time.sleep(SCAN_PAUSE_S)
+        time.sleep(50 * SCAN_PAUSE_S)
+        return sorted(self.heard)
+
+    def _exchange(self, entry: Object, action: Callable[[], bytes | None]) -> bytes | None:
+        if self.in_receiver or not self._asking.acquire(timeout=2 * SDO_TIMEOUT_S):
+            raise DeviceError(f"drive's {entry} cannot be asked for: another question is not answered yet; try again")
+        try:
+            return action()
+        except SdoAbortedError as error:
+            raise DeviceError(f"drive refuses {entry}: {abort_line(error.code)}") from None
+        except SdoCommunicationError:
+            raise DeviceError(
+                f"drive {self._node} does not answer for {entry} within {SDO_TIMEOUT_S:g} s; "
+                "look at its supply, the bus's cable and its bitrate"
+            ) from None
+        except (struct.error, ValueError, OSError, RuntimeError) as error:
+            raise DeviceError(f"drive's answer for {entry} makes no sense ({_one_line(error)}); try again") from None
+        finally:
+            self._asking.release()
+
+    def state(self) -> str | None:
+        """What the adapter says is wrong with the bus; None when nothing is."""
+        bus = self._bus
+        try:
+            state = bus.state if bus else can.BusState.ACTIVE
+        except Exception as error:
+            return f"{self.name} cannot be asked for its state ({_one_line(error)}); look at the adapter"
+        if state is can.BusState.ACTIVE:
+            return None
+        return f"{self.name} is {'off' if state is can.BusState.ERROR else 'passive'}; look at cable and termination"
+
+    def received(self, message: can.Message) -> None:
+        """One frame, in the receiver's thread."""
+        self._receiver = threading.get_ident()
+        if message.is_error_frame:
+            self.counters["error frames"] += 1
+            self._trouble(f"{self.name} reports an error frame; look at cable, termination and bitrate")
+        elif message.is_remote_frame or message.is_extended_id:
+            self.counters["foreign frames"] += 1
+        else:
+            self._sort(message.arbitration_id, bytes(message.data))
+
+    def failed(self, error: Exception) -> None:
+        """A receiving error, in the receiver's thread."""
+        self._receiver = threading.get_ident()
+        self.counters["receiving errors"] += 1
+        self._trouble(f"{self.name} cannot be read ({_one_line(error)}); look at the adapter and its cable")
+        time.sleep(ERROR_PAUSE_S)
+
+    def _sort(self, cob_id: int, data: bytes) -> None:
+        if cob_id & 0x780 in (objects.SDO_ANSWER, objects.HEARTBEAT) and cob_id & 0x7F:
+            self.heard.add(cob_id & 0x7F)
+        if cob_id == objects.SDO_ANSWER + self._node:
+            if len(data) != 8:
+                self.counters["malformed frames"] += 1
+            elif self._asking.locked():
+                self._sdo.on_response(cob_id, data, 0.0)
+        else:
+            self._take(cob_id, data)
+
+
+class _Listener(can.Listener):
+    """So that nothing that a frame brings can end the receiver's thread."""
+
+    def __init__(self, wire: Wire) -> None:
+        self._wire = wire
+
+    def on_message_received(self, msg: can.Message) -> None:
+        try:
+            self._wire.received(msg)
+        except Exception as error:
+            self._wire.failed(error)
+
+    def on_error(self, exc: Exception) -> None:
+        self._wire.failed(exc)
+
+    def stop(self) -> None:
+        """Nothing to end."""
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:200] or type(error).__name__

@@ -1,0 +1,36 @@
+"""Which machine a name stands for: ``rig`` (``rig.yaml``), ``ros2``, or one of these with ``:FILE``."""
+
+from pathlib import Path
+
+from softfin.deployment.bench import Bench
+from softfin.errors import RigError
+from softfin.live import LIVE
+
+
+def find_bench(name: str) -> Bench:
+    """The machine, not yet open, and how to treat it; raises RigError naming what is wrong with its file."""
+    kind, _, file = name.partition(":")
+    if kind == "rig":
+        return rig_bench(Path(file) if file else None)
+    if kind == "ros2":
+        return ros2_bench(Path(file) if file else None)
+    raise RigError(f"{name}: no machine; give {' or '.join(LIVE)}, or one of these with :FILE")
+
+
+def rig_bench(file: Path | None = None) -> Bench:
+    """The rig of a file."""
+    from softfin.rig.config import DEFAULT, load_rig
+    from softfin.rig.rig import Rig
+
+    config = load_rig(file or DEFAULT)
+    return Bench(Rig(config), config.safety, config.fin, config.settle_s, config.model_dump(mode="json"))
+
+
+def ros2_bench(file: Path | None = None) -> Bench:
+    """The fin made of topics that a file describes."""
+    from softfin.rig.config import ROS2_DEFAULT, load_ros2
+    from softfin.rig.ros2_plant import Ros2Machine
+
+    config = load_ros2(file or ROS2_DEFAULT)
+    machine = Ros2Machine(config.topics)
+    return Bench(machine, config.safety, config.fin, config.settle_s, config.model_dump(mode="json"))

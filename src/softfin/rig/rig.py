@@ -1,0 +1,80 @@
+"""The rig as a Machine: one EPOS2 and one Axia80, read together at each tick."""
+
+import time
+from collections.abc import Callable
+
+from softfin.deployment.machine import Sample, Target
+from softfin.errors import SoftfinError
+from softfin.quantities import Limits
+from softfin.rig.axia80 import Axia80
+from softfin.rig.config import RigConfig
+from softfin.rig.epos2 import Epos2
+
+BEAT_TICKS = 4
+"""Between two of our heartbeats: 40 ms, a fifth of what the drive waits for by default."""
+
+
+class Rig:
+    """Meets the Machine contract."""
+
+    def __init__(self, config: RigConfig, clock: Callable[[], float] = time.monotonic) -> None:
+        self.config = config
+        drive = config.drive
+        self.name = f"rig of {config.fin}"
+        self.limits = Limits(drive.angle_min_rad, drive.angle_max_rad, drive.slowest_rad_s, drive.fastest_rad_s)
+        # A fault of the drive does not wait for the next tick.
+        self.drive = Epos2(config.bus, drive, clock, on_fault=lambda _: self.stop())
+        self.sensor = Axia80(config.sensor, clock)
+        self._ticks = 0
+
+    def open(self) -> None:
+        """Connect to both and configure the drive, without power to the motor."""
+        self.sensor.open()
+        try:
+            self.drive.open()
+        except BaseException:
+            self.sensor.close()
+            raise
+
+    def read(self) -> Sample:
+        """Have the drive sample now; of the force, what came until now."""
+        if self._ticks % BEAT_TICKS == 0:
+            self.drive.beat()
+        self._ticks += 1
+        drive = self.drive.sync_and_read()
+        force = self.sensor.read()
+        return Sample(
+            time=drive.time,
+            angle=drive.angle,
+            velocity=drive.velocity,
+            current=drive.current,
+            following_error=drive.following_error,
+            force_time=force.force_time,
+            wrench=force.wrench,
+            complaints=(*self.drive.complaints(), *self.sensor.complaints()),
+        )
+
+    def enable(self) -> None:
+        """Power to the motor, which holds where it is."""
+        self.drive.enable()
+
+    def command(self, target: Target) -> None:
+        """A new set-point, which takes effect at once."""
+        self.drive.command(target)
+
+    def stop(self) -> None:
+        """Quick stop, then no voltage."""
+        self.drive.stop()
+
+    def close(self) -> None:
+        """Stop, let go of both."""
+        self.drive.close()
+        try:
+            self.sensor.close()
+        except (OSError, SoftfinError):
+            return
+
+    def counters(self) -> dict[str, int]:
+        """Of both."""
+        return {**{f"drive_{name.replace(' ', '_')}": n for name, n in self.drive.counters().items()},
+                **self.sensor.counters()}  # fmt: skip

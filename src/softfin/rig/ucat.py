@@ -1,0 +1,160 @@
+"""Commands in the U-CAT family's flipper messages: a flipper that does not beat, and whose zero direction moves.
+
+Amplitude 0, zero_direction = angle, 20 times a second. The drive takes no velocity, so the zero direction itself goes
+at the command's velocity. The messages differ between robots: their type and fields are configuration. No robot of the
+family has been met.
+"""
+
+import math
+import re
+import time
+from typing import Any
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from softfin.configuration import Configuration
+from softfin.deployment.machine import Target
+from softfin.errors import RigError
+from softfin.rig.ros2_messages import Messages, type_name
+from softfin.rig.ros2_transport import Transport
+
+Part = re.compile(r"[A-Za-z][A-Za-z0-9_]*|[0-9]{1,3}")
+
+EARLY_S = 1e-3
+"""A message may go out so much before its time [s]: ticks come a little early and late."""
+
+
+class FlipperConfig(Configuration):
+    """Which message moves the flipper. A field is named by its way: ``zero_direction``, ``flippers.2.amplitude``."""
+
+    type: str
+    """package/msg/Type of the message."""
+    definitions: dict[str, str] = Field(default_factory=dict)
+    """package/msg/Type to the text of its .msg file, for each type that ROS 2 itself does not have."""
+    zero_direction: str = "zero_direction"
+    """Field that takes the angle [rad]."""
+    amplitude: str = "amplitude"
+    """Field that takes 0: the flipper does not beat by itself."""
+    constants: dict[str, float | bool | str] = Field(default_factory=dict)
+    """Other fields that must not be 0 or empty, such as a frequency or the flipper's number."""
+    rate_hz: float = Field(default=20.0, gt=0, le=100)
+    """Messages a second [Hz]."""
+
+    @field_validator("type")
+    @classmethod
+    def _kind(cls, value: str) -> str:
+        return type_name(value)
+
+    @field_validator("definitions")
+    @classmethod
+    def _kinds(cls, value: dict[str, str]) -> dict[str, str]:
+        return {type_name(kind): text for kind, text in value.items()}
+
+
+class FlipperCommands:
+    """Meets the Commands contract: a set-point that goes to the target at its velocity."""
+
+    def __init__(self, transport: Transport, messages: Messages, topic: str, config: FlipperConfig) -> None:
+        self._messages, self._config = messages, config
+        if config.type not in messages.types.fielddefs:
+            raise RigError(f"flipper.type = {config.type}: ROS 2 has no such message; give the text of its .msg file "
+                           "in flipper.definitions")  # fmt: skip
+        self._encoded(0.0)
+        self._outlet = transport.publish(topic, config.type)
+        self._target: Target | None = None
+        self._setpoint, self._since, self._next = 0.0, 0.0, 0.0
+
+    def listeners(self) -> int:
+        """Matched readers."""
+        return self._outlet.listeners()
+
+    def send(self, target: Target, angle: float, now: float) -> None:
+        """From where the set-point is; from the measured angle where there is none yet."""
+        self._setpoint = angle if self._target is None else self._at(now)
+        self._target, self._since, self._next = target, now, now
+        self.tick(now)
+
+    def tick(self, now: float) -> None:
+        """The next message, where it is due."""
+        if self._target is None or now < self._next - EARLY_S:
+            return
+        # In step with the first one; what a late tick has missed is not made up for.
+        period = 1 / self._config.rate_hz
+        self._next += period * (max(math.floor((now - self._next) / period), 0) + 1)
+        self._outlet.send(self._encoded(self._at(now)))
+
+    def hold(self, angle: float) -> None:
+        """One message, then silence."""
+        self._target = None
+        self._outlet.send(self._encoded(angle))
+
+    def _at(self, now: float) -> float:
+        assert self._target is not None
+        way = self._target.angle - self._setpoint
+        return self._setpoint + math.copysign(min(abs(way), self._target.velocity * (now - self._since)), way)
+
+    def _encoded(self, angle: float) -> bytes:
+        config, messages = self._config, self._messages
+        message = messages.blank(config.type)
+        if hasattr(message, "header"):
+            message.header = messages.header(time.time_ns(), "")
+        for way, value in (config.constants | {config.amplitude: 0.0, config.zero_direction: angle}).items():
+            try:
+                put(messages, message, way, value)
+            except ValueError as error:
+                raise RigError(f"flipper field {way!r} of {config.type}: {error}") from None
+        try:
+            return messages.encode(message)
+        except Exception as error:
+            # A constant that a field cannot hold fails in the encoder, each type in a way of its own.
+            reason = " ".join(str(error).split())[:100]
+            raise RigError(f"{config.type}: its fields cannot hold these values ({reason}); correct the constants and "
+                           "the names of the fields") from None  # fmt: skip
+
+
+def put(messages: Messages, message: Any, way: str, value: float | bool | str) -> None:
+    """Set the field at the end of a way such as ``flippers.2.amplitude``; sequences grow as far as it goes."""
+    *parents, leaf = way.split(".")
+    if not all(Part.fullmatch(part) for part in (*parents, leaf)):
+        raise ValueError("a way is names and numbers with dots between, as flippers.2.amplitude")
+    kind, node, descriptor = message.__msgtype__, message, None
+    for part in (*parents, leaf):
+        if kind is not None:
+            fields = dict(messages.types.fielddefs[kind][1])
+            if part not in fields:
+                raise ValueError(f"{kind} has no field {part!r}; it has {', '.join(fields)}")
+            holder, key, descriptor = node, part, fields[part]
+            node = getattr(node, part)
+        else:
+            holder, key, node, descriptor = _element(messages, node, descriptor, part, (holder, key))
+        kind = descriptor[1] if descriptor[0].name == "NAME" else None
+    if descriptor is None or descriptor[0].name != "BASE":
+        raise ValueError("it is no number, but has parts of its own; name one of them")
+    if isinstance(value, str) != (descriptor[1][0] == "string"):
+        raise ValueError(f"it is of type {descriptor[1][0]}, which {value!r} is not")
+    _set(holder, key, value)
+
+
+def _element(messages: Messages, node: Any, descriptor: Any, part: str, place: tuple[Any, Any]) -> tuple[Any, ...]:
+    """The list or array, the index, the element there and its descriptor."""
+    if descriptor[0].name == "BASE" or not part.isdecimal():
+        raise ValueError(f"{part!r} is no element of it; a sequence's are numbers from 0 on")
+    index, (element, count) = int(part), descriptor[1]
+    fixed = descriptor[0].name == "ARRAY"
+    if count and index >= count:
+        raise ValueError(f"it has {count} elements, 0 to {count - 1}; there is no {index}")
+    if not fixed and index >= len(node):
+        if isinstance(node, np.ndarray):
+            node = np.concatenate([node, np.zeros(index + 1 - len(node), node.dtype)])
+        else:
+            node = [*node, *(messages.blank_value(element) for _ in range(index + 1 - len(node)))]
+        _set(*place, node)
+    return node, index, node[index], element
+
+
+def _set(holder: Any, key: Any, value: Any) -> None:
+    if isinstance(key, str):
+        setattr(holder, key, value)
+    else:
+        holder[key] = value

@@ -1,0 +1,152 @@
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from softfin import cli
+from softfin.cli import ros2
+from softfin.deployment.bench import Bench
+from softfin.deployment.machine import Machine, Sample, Target
+from softfin.deployment.safety import SafetyConfig
+from softfin.errors import CoverageError
+from softfin.quantities import Limits
+from softfin.rig.ros2_plant import Ros2Machine, Ros2PlantConfig
+from tests.rig.ros2_memory import MemoryTransport
+
+LIMITS = Limits(-1.5, 1.5, 1.0, 3.0)
+
+TOPICS = {
+    "joint_topic": "/joint",
+    "joint_name": "fin",
+    "wrench_topic": "/wrench",
+    "frame": "x,y",
+    "command_topic": "/fin/command",
+    "limits": LIMITS.described(),
+}
+
+
+class StillFin:
+    """A machine that stays at angle 0."""
+
+    name, limits = "still", LIMITS
+
+    def __init__(self):
+        self.commands, self.stops = [], 0
+
+    def open(self):
+        pass
+
+    def read(self):
+        now = time.monotonic()
+        return Sample(now, 0.0, 0.0, None, None, now, (0.5, 0.0, 0.0, 0.0, 0.0, 0.0), ())
+
+    def enable(self):
+        pass
+
+    def command(self, target):
+        self.commands.append(target)
+
+    def stop(self):
+        self.stops += 1
+
+    def close(self):
+        pass
+
+    def counters(self):
+        return {"lost": 0}
+
+
+class Controller:
+    """Notes what it is asked for; asks for nothing but angle 0."""
+
+    limits, fin, training_range, region = LIMITS, None, None, None
+
+    def __init__(self):
+        self.asked = []
+
+    def init(self):
+        return None
+
+    def act(self, state, angle, force, reference):
+        self.asked.append(reference)
+        return state, Target(0.0, 1.0)
+
+    def admit(self, reference, strict):
+        if abs(reference[0]) > 3:
+            raise CoverageError(f"reference {reference}: not trained for")
+        return reference, None
+
+
+@pytest.fixture
+def there(monkeypatch):
+    fin, controller, transport = StillFin(), Controller(), MemoryTransport(time.monotonic)
+    safety = SafetyConfig(stale_s=0.5, force_stale_s=0.5, overrun_s=1.0, watchdog_s=2.0)
+    assert isinstance(fin, Machine)
+    monkeypatch.setattr(ros2, "load_native", lambda folder: controller)
+    monkeypatch.setattr(ros2, "find_bench", lambda name: Bench(fin, safety, settle_s=0.0))
+    monkeypatch.setattr(ros2, "open_transport", lambda config, messages: transport)
+    return SimpleNamespace(fin=fin, controller=controller, transport=transport)
+
+
+def run(*words):
+    cli.main(["ros2", "controller", *words])
+
+
+def test_references_of_the_topic_are_held_and_every_sample_goes_out(there, tmp_path, capsys):
+    messages = there.transport.messages
+    for x in (2.0, np.nan, 5.0, 1.0):
+        there.transport.put("/ask", messages.wrench(0, "", (x, -1.0, 0.0, 0.0, 0.0, 0.0)))
+    run("--reference=0,0.5", "--arm", "--yes", "--seconds", "2", "--bag", str(tmp_path / "run.mcap"), "--json",
+        "--set", "reference_topic=/ask", "--set", "reference_timeout_s=0.5")  # fmt: skip
+    assert there.controller.asked[0] == (1.0, -1.0)
+    assert there.controller.asked[-1] == (0.0, 0.5), "too old: what was said beforehand"
+    assert len(there.transport.sent["/fin/joint_states"]) == len(there.transport.sent["/fin/wrench"]) >= 200
+    assert there.transport.sent["/fin/command"]
+    out, err = capsys.readouterr()
+    assert '"references_refused": 2' in out
+    assert '"unsent": 0' in out
+    assert "in memory" in err
+    assert "/ask: no reference for 0.5 s" in err
+    assert (tmp_path / "run.mcap").is_file()
+    assert there.fin.stops
+    assert there.transport.closed
+
+
+def test_a_stop_of_the_topic_ends_it_with_its_own_exit_code(there, tmp_path, capsys):
+    messages = there.transport.messages
+    there.transport.put("/fin/stop", messages.make("std_msgs/msg/Bool", True))
+    with pytest.raises(SystemExit) as stop:
+        run("--reference=0,0", "--arm", "--yes", "--seconds", "5", "--bag", str(tmp_path / "run.mcap"))
+    assert stop.value.code == 3
+    assert "emergency stop on /fin/stop" in capsys.readouterr().err
+    assert not there.controller.asked
+    assert there.transport.closed
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--plant", "tank"], "is simulated"),
+        ([], "nothing moves without --arm"),
+        (["--arm"], "in a script add --yes"),
+        (["--reference=4,0"], "not trained for"),
+        (["--set", "joint_topic=joint"], "joint_topic = 'joint'"),
+        (["--domain", "300"], "connection.domain = 300"),
+    ],
+)
+def test_what_cannot_be_is_told_in_one_line_before_anything_moves(there, words, said, capsys):
+    with pytest.raises(SystemExit) as stop:
+        run(*words, *([] if "--reference=4,0" in words else ["--reference=0,0"]))
+    assert stop.value.code == 2
+    err = capsys.readouterr().err
+    assert said in err.splitlines()[-1]
+    assert not there.fin.commands
+
+
+def test_a_topic_of_the_fins_own_is_not_spoken_on(there, monkeypatch, capsys):
+    machine = Ros2Machine(Ros2PlantConfig.build(TOPICS))
+    monkeypatch.setattr(ros2, "find_bench", lambda name: Bench(machine, SafetyConfig()))
+    with pytest.raises(SystemExit):
+        run("--plant", "ros2", "--reference=0,0")
+    assert "command_topic = /fin/command: is a topic of the fin's own" in capsys.readouterr().err

@@ -1,0 +1,107 @@
+"""What the tests of the drive share: a configuration, a drive with its emulator behind it, frames made by hand."""
+
+import struct
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+import can
+
+from softfin.rig.emulation.drive import EmulatedDrive
+from softfin.rig.emulation.simple import SimpleFin
+from softfin.rig.epos2 import Epos2
+from softfin.rig.epos2_config import BusConfig, DriveConfig
+
+NODE = 5
+LONG_S = 5.0
+
+
+def drive_config(**changes: Any) -> DriveConfig:
+    values = {
+        "node": NODE,
+        "encoder_lines": 500,
+        "gear_ratio": 66.0,
+        "acceleration_rad_s2": 30.0,
+        "quick_stop_rad_s2": 60.0,
+        "following_error_rad": 0.2,
+        # Generous: the machine that runs the tests is shared.
+        "heartbeat_s": 2.0,
+    }
+    return DriveConfig(**{**values, **changes})
+
+
+def bus_config() -> BusConfig:
+    return BusConfig(interface="virtual", channel=f"test {uuid.uuid4()}")
+
+
+class Bench(NamedTuple):
+    drive: Epos2
+    emulated: EmulatedDrive
+    fin: SimpleFin
+    bus: BusConfig
+    faults: list[str]
+
+    def until(self, true: Callable[[], bool]) -> bool:
+        """The loop, until something is true or the time is over."""
+        for _ in range(round(LONG_S / 0.005)):
+            self.drive.beat()
+            self.drive.sync_and_read(0.02)
+            if true():
+                return True
+            time.sleep(0.005)
+        return False
+
+
+@contextmanager
+def bench(emulated: DriveConfig | None = None, **changes: Any) -> Iterator[Bench]:
+    config, bus, fin, faults = drive_config(**changes), bus_config(), SimpleFin(), []
+    with EmulatedDrive(bus, emulated or config, fin) as behind:
+        drive = Epos2(bus, config, on_fault=faults.append)
+        try:
+            yield Bench(drive, behind, fin, bus, faults)
+        finally:
+            drive.close()
+
+
+@contextmanager
+def enabled(**changes: Any) -> Iterator[Bench]:
+    with bench(**changes) as made:
+        made.drive.open()
+        made.drive.home_here()
+        made.drive.enable()
+        yield made
+
+
+class Sniffer:
+    """All frames of a bus, each with the time that it came."""
+
+    def __init__(self, bus: BusConfig) -> None:
+        self.frames: list[tuple[float, int, bytes]] = []
+        self._bus = can.Bus(interface=bus.interface, channel=bus.channel)
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._listen, daemon=True)
+
+    def _listen(self) -> None:
+        while not self._ending.is_set():
+            message = self._bus.recv(0.05)
+            if message:
+                self.frames.append((time.monotonic(), message.arbitration_id, bytes(message.data)))
+
+    def send(self, cob_id: int, data: bytes) -> None:
+        self._bus.send(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False))
+
+    def controlwords(self) -> list[int]:
+        """By process data."""
+        return [struct.unpack("<Hi", data)[0] for _, cob_id, data in list(self.frames) if cob_id == 0x200 + NODE]
+
+    def __enter__(self) -> "Sniffer":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ending.set()
+        self._thread.join()
+        self._bus.shutdown()

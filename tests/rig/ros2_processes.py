@@ -1,0 +1,263 @@
+"""Two processes on DDS, alone on loopback: `python -m tests.rig.ros2_processes CASE FOLDER` and its child.
+
+The child knows nothing of softfin: its types are written by hand, and cyclonedds makes their bytes. Where it can be
+had, both are in a network namespace of their own; else Cyclone DDS is kept to loopback.
+"""
+
+import fcntl
+import itertools
+import json
+import os
+import shutil
+import socket
+import struct
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.idl import IdlStruct
+from cyclonedds.idl.types import float64, int32, sequence, uint32
+from cyclonedds.internal import InvalidSample
+from cyclonedds.pub import DataWriter
+from cyclonedds.qos import Policy, Qos
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+
+ALONE = ("unshare", "--map-root-user", "--net", "--pid", "--fork", "--kill-child", "--mount-proc")
+
+LOOPBACK = (
+    '<CycloneDDS><Domain Id="any"><General><Interfaces><NetworkInterface address="127.0.0.1" multicast="false"/>'
+    "</Interfaces><AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>"
+    '<Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>'
+)
+
+QUALITY = Qos(Policy.Reliability.Reliable(100_000_000), Policy.History.KeepLast(10), Policy.Durability.Volatile)
+
+
+@dataclass
+class Time(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):
+    sec: int32
+    nanosec: uint32
+
+
+@dataclass
+class Header(IdlStruct, typename="std_msgs::msg::dds_::Header_"):
+    stamp: Time
+    frame_id: str
+
+
+@dataclass
+class JointState(IdlStruct, typename="sensor_msgs::msg::dds_::JointState_"):
+    header: Header
+    name: sequence[str]
+    position: sequence[float64]
+    velocity: sequence[float64]
+    effort: sequence[float64]
+
+
+@dataclass
+class Vector3(IdlStruct, typename="geometry_msgs::msg::dds_::Vector3_"):
+    x: float64
+    y: float64
+    z: float64
+
+
+@dataclass
+class Wrench(IdlStruct, typename="geometry_msgs::msg::dds_::Wrench_"):
+    force: Vector3
+    torque: Vector3
+
+
+@dataclass
+class WrenchStamped(IdlStruct, typename="geometry_msgs::msg::dds_::WrenchStamped_"):
+    header: Header
+    wrench: Wrench
+
+
+@dataclass
+class Bool(IdlStruct, typename="std_msgs::msg::dds_::Bool_"):
+    data: bool
+
+
+def within(case: str, folder: Path, seconds: float = 60.0) -> dict[str, Any]:
+    """What a case tells."""
+    there = shutil.which("unshare") is not None
+    alone = ALONE if there and not subprocess.run([*ALONE, "true"], capture_output=True).returncode else ()
+    environment = {name: value for name, value in os.environ.items() if name != "CYCLONEDDS_URI"}
+    # Without a namespace of its own, a domain that no other test is in.
+    environment |= {"ROS_DOMAIN_ID": "0" if alone else str(1 + os.getpid() % 200), "ALONE": str(bool(alone))}
+    run = subprocess.run(
+        [*alone, sys.executable, "-m", "tests.rig.ros2_processes", case, str(folder)], env=environment,
+        cwd=Path(__file__).parents[2], capture_output=True, text=True, timeout=seconds,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr[-4000:]
+    told: dict[str, Any] = json.loads((folder / "told.json").read_text())
+    return told
+
+
+def plant(_: Path) -> dict[str, Any]:
+    """A machine of topics on the child's driver: open, read, move, stop."""
+    from softfin.deployment.machine import Target
+    from softfin.errors import DeviceError
+    from softfin.rig.ros2_plant import Ros2Machine, Ros2PlantConfig
+
+    limits = {"angle_min_rad": -1.5, "angle_max_rad": 1.5, "velocity_min_rad_s": 1.0, "velocity_max_rad_s": 3.0}
+    config = {"joint_topic": "/joint", "joint_name": "fin", "wrench_topic": "/wrench", "frame": "x,y",
+              "command_topic": "/command", "stop_topic": "/stop", "wait_s": 20.0, "limits": limits}  # fmt: skip
+    machine = Ros2Machine(Ros2PlantConfig.build(config))
+    machine.open()
+    there = machine._transport.topics()
+    at_rest = [_ticked(machine) for _ in range(30)]
+    machine.enable()
+    machine.command(Target(0.5, 2.0))
+    moved = [_ticked(machine) for _ in range(60)]
+    machine.command(Target(-1.0, 1.0))
+    for _ in range(20):
+        _ticked(machine)
+    machine.stop()
+    stopped = [_ticked(machine) for _ in range(40)]
+    counters = machine.counters()
+    machine.close()
+    silent = Ros2Machine(Ros2PlantConfig.build(config | {"wrench_topic": "/elsewhere", "wait_s": 1.0}))
+    try:
+        silent.open()
+        complaint = ""
+    except DeviceError as error:
+        complaint = str(error)
+    return {
+        "there": there,
+        "angles": [[sample.angle for sample in part] for part in (at_rest, moved, stopped)],
+        "ages": [sample.time for sample in at_rest],
+        "fresh": [sample.time > before.time for before, sample in itertools.pairwise(moved)],
+        "forces": [[sample.wrench[0], sample.velocity] for sample in moved],
+        "complaints": [sample.complaints for part in (at_rest, moved, stopped) for sample in part],
+        "counters": counters,
+        "silent": complaint,
+    }
+
+
+def node(_: Path) -> dict[str, Any]:
+    """A bridge: the child reads what it says, then asks for a force and a stop."""
+    from softfin.deployment.machine import Sample, Target
+    from softfin.rig.ros2_messages import Messages
+    from softfin.rig.ros2_node import NodeConfig, RosBridge
+    from softfin.rig.ros2_transport import TransportConfig, open_transport
+
+    transport = open_transport(TransportConfig(transport="dds"), Messages())
+    bridge = RosBridge(transport, NodeConfig(reference_timeout_s=None))
+    reference = stop = None
+    deadline = time.monotonic() + 20
+    tick = 0
+    while stop is None and time.monotonic() < deadline:
+        tick += 1
+        now = time.monotonic()
+        bridge.publish(Sample(now, 0.25, -0.5, None, None, now - 0.02, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0), ()),
+                       Target(0.001 * tick, 2.0))  # fmt: skip
+        reference, stop = bridge.reference() or reference, bridge.stop_asked()
+        time.sleep(0.01)
+    listening = bridge._joint.listeners()
+    bridge.close()
+    return {"reference": reference, "stop": stop, "unsent": bridge.unsent, "listening": listening}
+
+
+def _ticked(machine: Any) -> Any:
+    time.sleep(0.01)
+    return machine.read()
+
+
+class Child:
+    """Writers and readers of the other process."""
+
+    def __init__(self) -> None:
+        self.domain = Domain(int(os.environ["ROS_DOMAIN_ID"]), LOOPBACK)
+        self.participant = DomainParticipant(int(os.environ["ROS_DOMAIN_ID"]))
+
+    def topic(self, name: str, kind: Any) -> Any:
+        return Topic(self.participant, f"rt{name}", kind, qos=QUALITY)
+
+    def writer(self, name: str, kind: Any) -> Any:
+        return DataWriter(self.participant, self.topic(name, kind), qos=QUALITY)
+
+    def reader(self, name: str, kind: Any) -> Any:
+        return DataReader(self.participant, self.topic(name, kind), qos=QUALITY)
+
+
+def taken(reader: Any) -> list[Any]:
+    """Without the notes that a writer has left."""
+    return [sample for sample in reader.take(10) if not isinstance(sample, InvalidSample)]
+
+
+def header(frame: str = "driver") -> Header:
+    seconds, rest = divmod(time.time_ns(), 10**9)
+    return Header(Time(seconds, rest), frame)
+
+
+def plant_child(_: Path) -> None:
+    """A driver: a joint that goes to its command at the velocity asked for, and brakes for good when told to stop."""
+    child = Child()
+    joints, wrenches = child.writer("/joint", JointState), child.writer("/wrench", WrenchStamped)
+    commands, stops = child.reader("/command", JointState), child.reader("/stop", Bool)
+    angle, target, speed, stopped = 0.0, 0.0, 0.0, False
+    while True:
+        for command in taken(commands):
+            target, speed = command.position[command.name.index("fin")], command.velocity[0]
+        stopped = stopped or any(stop.data for stop in taken(stops))
+        rest = 0.0 if stopped else target - angle
+        step = max(-speed * 0.005, min(speed * 0.005, rest))
+        angle += step
+        velocity = step / 0.005
+        joints.write(JointState(header(), ["other", "fin"], [9.0, angle], [9.0, velocity], []))
+        force = Vector3(-0.5 * velocity, 0.1, 0.2)
+        wrenches.write(WrenchStamped(header(), Wrench(force, Vector3(0.01, 0.02, 0.03))))
+        time.sleep(0.005)
+
+
+def node_child(folder: Path) -> None:
+    """Reads a joint, a wrench and a command, then asks for a force and, after it, for a stop."""
+    child = Child()
+    readers = {name: child.reader(f"/fin/{name}", kind) for name, kind in
+               (("joint_states", JointState), ("wrench", WrenchStamped), ("command", JointState))}  # fmt: skip
+    references, stops = child.writer("/fin/reference", WrenchStamped), child.writer("/fin/stop", Bool)
+    seen: dict[str, str] = {}
+    while len(seen) < 3:
+        for name, reader in readers.items():
+            for sample in taken(reader):
+                seen[name] = sample.serialize(use_version_2=False).hex()
+        time.sleep(0.005)
+    (folder / "seen.json").write_text(json.dumps(seen))
+    while not all(writer.get_publication_matched_status().current_count for writer in (references, stops)):
+        time.sleep(0.005)
+    while True:
+        references.write(WrenchStamped(header("fin_mount"), Wrench(Vector3(1.5, -2.5, 0.0), Vector3(0.0, 0.0, 0.0))))
+        time.sleep(0.2)
+        stops.write(Bool(True))
+
+
+def _loopback() -> None:
+    """A new network's loopback is down; 0x8914 is SIOCSIFFLAGS, 0x41 up and running."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
+        fcntl.ioctl(any_socket, 0x8914, struct.pack("16sh14x", b"lo", 0x41))
+
+
+def main(case: str, folder: Path) -> None:
+    if case.endswith("_child"):
+        globals()[case](folder)
+        return
+    if os.environ["ALONE"] == "True":
+        _loopback()
+    other = subprocess.Popen([sys.executable, "-m", "tests.rig.ros2_processes", f"{case}_child", str(folder)])
+    try:
+        told = globals()[case](folder)
+        assert other.poll() is None, f"the other process ended with {other.returncode}"
+    finally:
+        other.kill()
+        other.wait()
+    (folder / "told.json").write_text(json.dumps(told))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], Path(sys.argv[2]))

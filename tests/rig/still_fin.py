@@ -1,0 +1,17 @@
+"""A fin whose wrench the test sets."""
+
+from softfin.rig.emulation.fin import Motion
+
+
+class StillFin:
+    def __init__(self, *wrench):
+        self.wrench = tuple(map(float, wrench)) or (0.0,) * 6
+
+    def move(self, angle, velocity):
+        pass
+
+    def halt(self):
+        pass
+
+    def now(self):
+        return Motion(0.0, 0.0, 0.0, 0.0, self.wrench)

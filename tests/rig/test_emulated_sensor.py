@@ -1,0 +1,159 @@
+import contextlib
+import socket
+import time
+
+import pynetft
+import pytest
+
+from softfin.errors import RigError
+from softfin.rig.axia80_status import OVER_RANGE
+from softfin.rig.emulation.sensor import EmulatedAxia80
+from softfin.rig.emulation.sensor_faults import Network
+from softfin.rig.rdt import Order, decode_records, encode_request
+from tests.rig.still_fin import StillFin
+
+
+@contextlib.contextmanager
+def emulated(*wrench, **options):
+    sensor = EmulatedAxia80(StillFin(*wrench), **options)
+    try:
+        yield sensor
+    finally:
+        sensor.close()
+
+
+@contextlib.contextmanager
+def client_of(sensor):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+        client.settimeout(5)
+        client.connect((sensor.host, sensor.rdt_port))
+        yield client
+
+
+def asked(client, order, wanted=0, datagrams=1):
+    client.send(encode_request(order, wanted))
+    return [decode_records(client.recv(4096)) for _ in range(datagrams)]
+
+
+def silent(client):
+    client.settimeout(0.1)
+    with contextlib.suppress(TimeoutError):
+        while True:
+            client.recv(4096)
+    with pytest.raises(TimeoutError):
+        client.recv(4096)
+    client.settimeout(5)
+    return True
+
+
+def test_so_many_records_come_as_were_asked_for():
+    with emulated(1, 2, 3, 0.4, 0.5, 0.6) as sensor, client_of(sensor) as client:
+        records = asked(client, Order.START, 5, 5)
+        assert [record.rdt_sequence for (record,) in records] == [1, 2, 3, 4, 5]
+        assert records[0][0].counts == (1_000_000, 2_000_000, 3_000_000, 400_000, 500_000, 600_000)
+        assert silent(client)
+
+
+def test_blocks_hold_several_records():
+    with emulated(block=7) as sensor, client_of(sensor) as client:
+        first, second = asked(client, Order.START_BLOCKS, 10, 2)
+        assert [record.rdt_sequence for record in (*first, *second)] == list(range(1, 11))
+        assert len(first) == 7
+
+
+def test_stop_ends_the_stream_and_a_new_request_begins_another():
+    with emulated() as sensor, client_of(sensor) as client:
+        ((before,),) = asked(client, Order.START)
+        client.send(encode_request(Order.STOP))
+        assert silent(client)
+        ((after,),) = asked(client, Order.START)
+        assert after.rdt_sequence == 1
+        assert after.ft_sequence > before.ft_sequence
+
+
+def test_the_stream_goes_to_whoever_asked_last():
+    with emulated() as sensor, client_of(sensor) as first, client_of(sensor) as second:
+        asked(first, Order.START)
+        asked(second, Order.START)
+        assert silent(first)
+        assert second.recv(4096)
+
+
+def test_nonsense_is_not_answered():
+    with emulated() as sensor, client_of(sensor) as client:
+        for nonsense in (b"", b"GET / HTTP/1.0", bytes(8), bytes.fromhex("1234004100000000")):
+            client.send(nonsense)
+        assert silent(client)
+        assert asked(client, Order.START)
+
+
+def test_what_was_asked_for_arrives_though_late():
+    with emulated() as sensor, client_of(sensor) as client:
+        sensor.delay(0.1)
+        assert len(asked(client, Order.START, 5, 5)) == 5
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [({"force_unit": "dyn"}, "no unit 'dyn'; take one of N"), ({"block": 41}, "block of 41 records; .* 1 to 40")],
+)
+def test_an_emulated_sensor_that_cannot_be_is_refused(options, words):
+    with pytest.raises(RigError, match=words):
+        EmulatedAxia80(StillFin(), **options)
+
+
+def test_a_force_beyond_its_range_is_cut_and_flagged():
+    with emulated(600, 0, 0, 0, 0, 0) as sensor, client_of(sensor) as client:
+        ((record,),) = asked(client, Order.START)
+        assert record.counts[0] == 500_000_000
+        assert record.status == OVER_RANGE
+
+
+def test_a_whole_pipe_of_datagrams_comes_out_as_the_faults_say():
+    network = Network()
+    network.drop(0.1)
+    network.duplicate(0.1)
+    network.reorder(0.1)
+    network.delay(0.5)
+    for number in range(1000):
+        network.send(number.to_bytes(2, "big"), now=number * 0.001)
+    assert network.arrived(0.4) == []
+    out = network.arrived(10.0)
+    assert len(out) == 1000 - network.dropped + network.doubled - (network._held is not None)
+    assert out != sorted(out)
+    assert min(network.dropped, network.doubled, network.swapped) > 30
+
+
+@pytest.mark.parametrize(("verb", "value"), [("drop", 1.5), ("duplicate", -0.1), ("delay", -1.0)])
+def test_a_fault_that_cannot_be_is_refused(verb, value):
+    with pytest.raises(ValueError, match="must be"):
+        getattr(Network(), verb)(value)
+
+
+@pytest.mark.parametrize(("force_unit", "torque_unit"), [("N", "N-m"), ("lbf", "N-mm")])
+def test_a_client_of_somebody_else_understands_it(force_unit, torque_unit):
+    units = {"force_unit": force_unit, "torque_unit": torque_unit}
+    with emulated(4.4482216152605, 0, -1, 0.25, 0, 0, counts=(1e4, 1e4), **units) as sensor:
+        client = pynetft.Client(
+            pynetft.Config(
+                sensor_host="127.0.0.1",
+                rdt_port=sensor.rdt_port,
+                http_port=sensor.http_port,
+                receive_timeout=5.0,
+                configuration_timeout=5.0,
+            )
+        )
+        client.start()
+        try:
+            assert client.wait_for_first_sample(10.0)
+            time.sleep(0.5)
+            sample, health = client.latest_sample(), client.health()
+        finally:
+            client.stop()
+    assert sample.force_unit.value == force_unit
+    assert sample.torque_unit.value == torque_unit
+    assert sample.force[0] == pytest.approx(4.4482216152605 if force_unit == "N" else 1.0, rel=1e-3)
+    assert sample.torque[0] == pytest.approx(0.25 if torque_unit == "N-m" else 250, rel=1e-3)
+    assert health.sensor_configuration.product_name == "Emulated Axia80-M20"
+    assert health.received_count > 100
+    assert (health.lost_count, health.malformed_count, health.duplicate_count, health.device_error_count) == (0,) * 4
