@@ -4,7 +4,19 @@ import importlib
 import json
 import sys
 
-NAMES = ("tank", "task", "surrogate", "fit", "ppo", "controllers", "cells", "memory", "controller_step")
+NAMES = (
+    "tank",
+    "task",
+    "surrogate",
+    "fit",
+    "ppo",
+    "controllers",
+    "cells",
+    "memory",
+    "controller_step",
+    "recording",
+    "rig",
+)
 
 
 def main() -> None:

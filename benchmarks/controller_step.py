@@ -7,7 +7,7 @@ anything around it: no step with these weights can be quicker. Weights are rando
 import os
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -109,7 +109,7 @@ def exported(controller: NativeController, file: Path) -> tuple[float, float]:
     session = onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
     start = {name: np.asarray(value) for name, value in controller.step.init()._asdict().items()}
 
-    def step(state: Mapping[str, Any]) -> Mapping[str, Any]:
+    def step(state: dict[str, Any]) -> dict[str, Any]:
         now = {"angle": ANGLE, "force": FORCE, "reference": REFERENCE}
         found = session.run(None, {name: np.array(value, np.float32) for name, value in now.items()} | state)
         return dict(zip(state, found[2:], strict=True))

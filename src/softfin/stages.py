@@ -384,7 +384,7 @@ def train(
     config = config or starting(moving)
     check_refinable(config, refine)
     can = None if known is None else known_of(known, moving, _named(plant)).found
-    origin = _origin(plant, moving, **({} if known is None else {"map": str(known)}))
+    origin, learnt = _origin(plant, moving, **({} if known is None else {"map": str(known)})), learnt_from(plant)
     facts = {
         "configuration": config.model_dump(mode="json"),
         "seeds": list(seeds),
@@ -400,7 +400,7 @@ def train(
         origin |= {"refined_from": [cell.model_dump(mode="json") for cell in config.cells], "parents": list(parents)}
 
     def save(folder: Path, seed: int, also: Callable[[Path], None] | None = None) -> None:
-        save_controller(folder, trained, seed, origin | {"seed": seed}, also, learnt_from(plant))
+        save_controller(folder, trained, seed, origin | {"seed": seed}, also, learnt)
 
     def keep_log(folder: Path) -> None:
         workspace.keep_log(folder / TRAINING_LOG)

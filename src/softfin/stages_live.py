@@ -18,7 +18,7 @@ from jaxtyping import Float
 from softfin import artifacts, stages
 from softfin.control.trim import TrimConfig
 from softfin.deployment.bench import Bench, check_fits
-from softfin.deployment.logged import log_of
+from softfin.deployment.logged import GAP_S, log_of
 from softfin.deployment.loop import Acting, hold, seconds_to_actions
 from softfin.deployment.machine import Sample, Target
 from softfin.deployment.native import NativeController, load_native, trimmed
@@ -82,12 +82,11 @@ def collect_live(
             for index, name in enumerate(missing):
                 told = _Told(progress, name, index, len(missing), config.rows, bench.settle_s)
                 with recording(session, bags / f"{name}.mcap"):
-                    log = _record(session, bench.settle_s, _commands(config, name, bench.machine.limits), told)
+                    log = _record(session, bench, _commands(config, name, bench.machine.limits), told)
                 write_log(bags / f"{name}.parquet", log)
             counters = bench.machine.counters() | {"skipped_ticks": session.pace.skipped}
             lateness = session.pace.described()
         facts |= {"counters": counters, "clock": lateness}
-    logs = {part: (read_log(bags / f"{name}.parquet") for name in names if name.startswith(part)) for part in PARTS}
     described = {
         "plant": bench.machine.name,
         "plant_identity": bench.machine.name,
@@ -96,7 +95,8 @@ def collect_live(
         "provenance": artifacts.provenance(seed=config.seed),
         **facts,
     }
-    return write_dataset(out, logs["train"], logs["test"], described)
+    train, test = ([bags / f"{name}.parquet" for name in names if name.startswith(part)] for part in PARTS)
+    return write_dataset(out, map(read_log, train), map(read_log, test), described)
 
 
 def evaluate_live(
@@ -166,7 +166,8 @@ class LiveFin:
         samples = [first, *(sample for held in acted for sample in held.samples)]
         tail = [session.tick() for _ in range(EXTRA_TICKS)]
         # A tick's reading is the one at its end: the rest before the first action is row 0, and left out.
-        log = log_of([*samples, *tail], [(first.time - HALF_TICK_S, acted[0].target)], len(samples))
+        issued = [(first.time - HALF_TICK_S, acted[0].target)]
+        log = log_of([*samples, *tail], issued, len(samples), gap_of(self._bench))
         ticks = [target for held in acted for target in [held.target] * len(held.samples)]
         command = Command(*(np.array([t[i] for t in ticks], np.float32) for i in range(2)))
         reading = Reading(*(field[1:] for field in log.reading))
@@ -182,6 +183,11 @@ def native_for(controller: Path, bench: Bench, trim: TrimConfig | None = None) -
     native = load_native(controller)
     check_fits(str(controller), native.limits, native.fin, bench)
     return native if trim is None else trimmed(native, trim)
+
+
+def gap_of(bench: Bench) -> float:
+    """Longest gap that a log may have [s]: what safety lets pass is bridged, too."""
+    return max(GAP_S, bench.safety.stale_s, bench.safety.force_stale_s)
 
 
 def bags_of(out: Path) -> Path:
@@ -221,10 +227,10 @@ def _commands(config: CollectConfig, name: str, limits: Limits) -> list[Target]:
     return [Target(angle, velocity) for angle, velocity in zip(angles, velocities, strict=True)]
 
 
-def _record(session: Session, settle_s: float, commands: list[Target], told: "_Told") -> Log:
+def _record(session: Session, bench: Bench, commands: list[Target], told: "_Told") -> Log:
     """Row k is what was read at tick k + 1 and the command that was issued right then."""
     session.activate()
-    session.rest(settle_s)
+    session.rest(bench.settle_s)
     samples: list[Sample] = []
     issued: list[tuple[float, Target]] = []
     for tick in range(len(commands) + EXTRA_TICKS):
@@ -236,7 +242,7 @@ def _record(session: Session, settle_s: float, commands: list[Target], told: "_T
                 issued.append((sample.time - HALF_TICK_S, commands[tick]))
             told(tick, sample)
     session.deactivate()
-    return log_of(samples[1:], issued, len(commands) - 1)
+    return log_of(samples[1:], issued, len(commands) - 1, gap_of(bench))
 
 
 class _Told:

@@ -32,7 +32,7 @@ class StillFin:
     name, limits = "still", LIMITS
 
     def __init__(self):
-        self.commands, self.stops = [], 0
+        self.commands, self.stops, self.on_enable = [], 0, lambda: None
 
     def open(self):
         pass
@@ -42,7 +42,7 @@ class StillFin:
         return Sample(now, 0.0, 0.0, None, None, now, (0.5, 0.0, 0.0, 0.0, 0.0, 0.0), ())
 
     def enable(self):
-        pass
+        self.on_enable()
 
     def command(self, target):
         self.commands.append(target)
@@ -95,10 +95,14 @@ def run(*words):
 
 def test_references_of_the_topic_are_held_and_every_sample_goes_out(there, tmp_path, capsys):
     messages = there.transport.messages
-    for x in (2.0, np.nan, 5.0, 1.0):
-        there.transport.put("/ask", messages.wrench(0, "", (x, -1.0, 0.0, 0.0, 0.0, 0.0)))
-    run("--reference=0,0.5", "--arm", "--yes", "--seconds", "2", "--bag", str(tmp_path / "run.mcap"), "--json",
-        "--set", "reference_topic=/ask", "--set", "reference_timeout_s=0.5")  # fmt: skip
+
+    def ask():
+        for x in (2.0, np.nan, 5.0, 1.0):
+            there.transport.put("/ask", messages.wrench(0, "", (x, -1.0, 0.0, 0.0, 0.0, 0.0)))
+
+    there.fin.on_enable = ask
+    run("--reference=0,0.5", "--arm", "--yes", "--seconds", "3", "--bag", str(tmp_path / "run.mcap"), "--json",
+        "--set", "reference_topic=/ask", "--set", "reference_timeout_s=1.5")  # fmt: skip
     assert there.controller.asked[0] == (1.0, -1.0)
     assert there.controller.asked[-1] == (0.0, 0.5), "too old: what was said beforehand"
     assert len(there.transport.sent["/fin/joint_states"]) == len(there.transport.sent["/fin/wrench"]) >= 200
@@ -107,7 +111,7 @@ def test_references_of_the_topic_are_held_and_every_sample_goes_out(there, tmp_p
     assert '"references_refused": 2' in out
     assert '"unsent": 0' in out
     assert "in memory" in err
-    assert "/ask: no reference for 0.5 s" in err
+    assert "/ask: no reference for 1.5 s" in err
     assert (tmp_path / "run.mcap").is_file()
     assert there.fin.stops
     assert there.transport.closed

@@ -1,7 +1,7 @@
 import os
 import random
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from softfin.rig.axia80_sequence import Arrival, SequenceCounter
@@ -83,6 +83,7 @@ def test_a_record_from_long_ago_changes_nothing():
     assert (counter.lost, counter.restarts) == (lost, 0)
 
 
+@settings(deadline=None)
 @given(
     st.integers(0, 2**32 - 1),
     st.lists(st.booleans(), min_size=2, max_size=300),

@@ -1,5 +1,5 @@
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from softfin.rig.axia80_status import BITS, BUSY, CHECKSUM, GAGE_OUT_OF_RANGE, OVER_RANGE, SIMULATED, decode_status
@@ -27,6 +27,7 @@ def test_a_status_of_the_manual_says_what_it_means(status, errors, notes):
     assert [bit.name for bit in found.notes] == notes
 
 
+@settings(deadline=None)
 @given(st.integers(1, 2**32 - 1))
 def test_no_bit_is_passed_over_in_silence(status):
     found = decode_status(status)

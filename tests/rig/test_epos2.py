@@ -424,3 +424,39 @@ def test_a_closed_drive_is_free_for_the_next_program_without_a_fault() -> None:
         made.drive.open()
         assert made.drive.referenced
         made.drive.enable()
+
+
+def test_a_send_that_hangs_does_not_hang_the_stop() -> None:
+    with enabled() as made:
+        made.drive.command(Target(1.5, 1.0))
+        hung, free = threading.Event(), threading.Event()
+
+        def hang() -> None:
+            with made.drive._exchange.news:
+                hung.set()
+                free.wait(20.0)
+
+        thread = threading.Thread(target=hang)
+        thread.start()
+        hung.wait(5.0)
+        began = time.monotonic()
+        made.drive.stop()
+        assert time.monotonic() - began < 5.0
+        # The quick stop went out all the same.
+        while made.fin.now().velocity:
+            assert time.monotonic() - began < 10.0
+            time.sleep(0.005)
+        free.set()
+        thread.join()
+        assert made.until(lambda: made.emulated.state is State.SWITCH_ON_DISABLED)
+
+
+def test_a_homing_that_failed_does_not_leave_its_mode_for_targets() -> None:
+    with bench() as made:
+        made.drive.open()
+        made.drive.home_here()
+        made.emulated._node.sdo.download(0x6060, 0, b"\x06")
+        made.drive.enable()
+        made.drive.command(Target(0.2, 3.0))
+        assert made.until(lambda: abs(made.fin.now().angle - 0.2) < 1e-3)
+        assert made.drive.sync_and_read(0.1).angle == pytest.approx(0.2, abs=1e-3)

@@ -2,7 +2,7 @@ import os
 import random
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from softfin.rig.rdt import (
@@ -45,11 +45,13 @@ def test_a_record_is_the_thirty_six_bytes_of_the_manual():
     assert decode_records(sent) == (record,)
 
 
+@settings(deadline=None)
 @given(st.lists(records, min_size=1, max_size=MOST_RECORDS))
 def test_what_was_encoded_is_decoded(sent):
     assert decode_records(b"".join(map(encode_record, sent))) == tuple(sent)
 
 
+@settings(deadline=None)
 @given(st.sampled_from(Order), unsigned)
 def test_what_was_asked_for_is_understood(order, wanted):
     assert decode_request(encode_request(order, wanted)) == Request(order, wanted)

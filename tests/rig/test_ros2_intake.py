@@ -1,10 +1,12 @@
+import os
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from softfin.rig.ros2_intake import CREEP, Intake, StampClock, Told
-from softfin.rig.ros2_messages import JOINT, Messages, joint_of
+from softfin.rig.ros2_messages import JOINT, WRENCH, Messages, joint_of, wrench_of
 from tests.rig.ros2_memory import MemoryTransport
 
 START = 1_700_000_000 * 10**9
@@ -60,3 +62,23 @@ def test_what_cannot_be_used_is_counted_and_told_until_the_next_that_can():
     transport.put("/joint", messages.joint(START + 2, "", "fin", 1.0, 2.0), 6.0)
     assert len(intake.take()) == 1
     assert intake.refusal is None
+
+
+def test_damaged_messages_are_told_or_refused_and_nothing_else():
+    cases = 100_000 if os.environ.get("SOFTFIN_LONG") == "1" else 2_000
+    generator, messages, transport = np.random.default_rng(7), Messages(), MemoryTransport()
+    kinds = {JOINT: lambda message: joint_of(message, "fin"), WRENCH: wrench_of}
+    whole = {JOINT: messages.joint(START, "fin_mount", "fin", 1.0, 2.0),
+             WRENCH: messages.wrench(START, "fin_mount", (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))}  # fmt: skip
+    intakes = [Intake(transport, messages, f"/{kind}", kind, value) for kind, value in kinds.items()]
+    for case in range(cases):
+        intake = intakes[case % 2]
+        data = bytearray(messages.encode(whole[intake.kind]))
+        for _ in range(generator.integers(1, 6)):
+            data[generator.integers(len(data))] = generator.choice([0, 1, 127, 128, 255, generator.integers(256)])
+        transport.put(intake.topic, bytes(data[: generator.integers(len(data) + 1)]), 1.0 + case)
+        for told in intake.take():
+            assert np.isfinite([number for number in told.value if number is not None]).all()
+            assert told.time <= told.received
+    assert sum(intake.received for intake in intakes) == cases
+    assert all(intake.refused > intake.received / 4 for intake in intakes)

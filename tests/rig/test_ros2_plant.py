@@ -199,6 +199,27 @@ def test_a_stop_from_another_thread_ends_the_commands(rig):
         rig.machine.command(Target(1.0, 2.0))
 
 
+def test_a_command_that_hangs_does_not_keep_a_stop_from_another_thread():
+    rig = Rig(stop_topic="/stop")
+    rig.machine.open()
+    rig.machine.enable()
+    outlet, hangs, goes_on = rig.machine._commands._outlet, threading.Event(), threading.Event()
+
+    def send(data):
+        hangs.set()
+        goes_on.wait(10)
+
+    outlet.send = send
+    thread = threading.Thread(target=rig.machine.command, args=(Target(1.0, 2.0),))
+    thread.start()
+    assert hangs.wait(10)
+    rig.machine.stop()
+    assert [message.data for message in rig.transport.sent["/stop"]] == [True]
+    goes_on.set()
+    thread.join(10)
+    assert len(rig.transport.sent["/stop"]) == 2, "and the stop has the last word"
+
+
 def test_a_reading_that_is_no_number_is_a_complaint(rig):
     rig.say(np.nan)
     sample = rig.machine.read()

@@ -5,10 +5,16 @@ import json
 import numpy as np
 import pytest
 
+from softfin import stages
+from softfin.deployment.native import load_native
+from softfin.logs.dataset import write_dataset
 from softfin.quantities import Command, Log, Reading
 from softfin.surrogate import save_surrogate
 from softfin.surrogate.range import CHANNELS, UNKNOWN, learnt_from, training_range
 from softfin.surrogate.store import load_surrogate
+from softfin.training.train import SINGLE
+from tests.control.test_controllers import untrained
+from tests.control.test_map_store import KNOWN
 from tests.surrogate import small as paper
 from tests.surrogate.streaming import small
 
@@ -49,3 +55,32 @@ def test_an_older_one_has_the_range_of_its_scaling_or_none(tmp_path):
 @pytest.mark.parametrize("plant", ["tank", "package.module:plant", object()])
 def test_of_any_other_plant_nothing_is_known(plant):
     assert learnt_from(plant) == UNKNOWN
+
+
+def test_the_stages_hand_it_on_from_the_dataset_to_the_controllers(tmp_path, monkeypatch):
+    """Nothing is learnt here: fit, training and map are stood in for."""
+    logs = [small.recorded(300, seed) for seed in range(4)]
+    write_dataset(tmp_path / "dataset", logs[:3], logs[3:], {"fin": "blue, 2 mm"})
+
+    def fit_any(logs, config, seed, workspace, progress):
+        workspace.log().close()
+        return small.surrogate(), None
+
+    def train_jobs(plant, config, seeds, workspace, progress, **options):
+        workspace.log().close()
+        return untrained(SINGLE)._replace(seeds=tuple(seeds))
+
+    monkeypatch.setattr("softfin.stages.fit_any", fit_any)
+    monkeypatch.setattr("softfin.stages.train_jobs", train_jobs)
+    monkeypatch.setattr("softfin.stages.write_learning", lambda folder: None)
+    monkeypatch.setattr("softfin.stages._map_forces", lambda *asked: KNOWN)
+    surrogate = str(tmp_path / "surrogate")
+    stages.fit(tmp_path / "dataset", tmp_path / "surrogate")
+    stages.train(surrogate, tmp_path / "policy", SINGLE, seeds=(3, 5))
+    stages.gaits(surrogate, tmp_path / "gaits")
+    expected = training_range(logs[:3])
+    for file in ("surrogate/surrogate.json", "policy/seed-5/controller.json", "gaits/controller.json"):
+        described = json.loads((tmp_path / file).read_text())
+        assert described["training_range"] == expected, file
+        assert described["fin"] == "blue, 2 mm"
+    assert load_native(tmp_path / "gaits").training_range[0] == tuple(expected["angle_rad"] or ())

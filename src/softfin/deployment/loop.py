@@ -56,11 +56,13 @@ def hold(session: Session, controller: Acting, references: References, actions: 
     angle, force = sample.angle, (0.0, 0.0)
     ticks = 0
     for index in count() if actions is None else range(actions):
-        reference = references(ticks / RATE_HZ)
         try:
+            reference = references(ticks / RATE_HZ)
             state, target = controller.act(state, angle, force, reference)
         except SoftfinError as error:
             session.abort(Trip("controller", str(error)))
+        except Exception as error:
+            session.abort(Trip("controller", f"the controller failed ({type(error).__name__}: {error}); see --debug"))
         length = ACTION_TICKS[index % len(ACTION_TICKS)]
         samples = session.hold(target, length)
         ticks += length

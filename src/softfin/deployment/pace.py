@@ -58,7 +58,7 @@ class Pace:
                 return min((index + 1) * BIN_S, self._worst)
         return self._worst
 
-    def described(self) -> dict[str, float]:
+    def described(self) -> dict[str, int | float]:
         """For JSON."""
         return {
             "ticks": self.ticks,

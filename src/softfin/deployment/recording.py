@@ -2,10 +2,11 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 
 from softfin.deployment.session import Session
-from softfin.errors import RunError
+from softfin.errors import RunError, SafetyStop
 from softfin.logs.bag_writer import BagRecorder
 
 
@@ -13,15 +14,16 @@ from softfin.logs.bag_writer import BagRecorder
 def recording(session: Session, path: Path) -> Iterator[BagRecorder]:
     """A bag of everything that the session does meanwhile; one there that was cut off is kept under another name."""
     if path.exists():
-        number = sum(1 for _ in path.parent.glob(f"{path.stem}.cut-*{path.suffix}")) + 1
-        path.rename(path.with_name(f"{path.stem}.cut-{number}{path.suffix}"))
+        names = (path.with_name(f"{path.stem}.cut-{number}{path.suffix}") for number in count(1))
+        path.rename(next(name for name in names if not name.exists()))
     recorder = BagRecorder(path)
     session.recorder = recorder
     try:
         yield recorder
-    except BaseException:
-        # What went wrong is told first; and it goes into the bag before that is closed.
+    except BaseException as error:
         session.machine.stop()
+        if not isinstance(error, SafetyStop):
+            recorder.event(session.pace.clock(), f"ended by {type(error).__name__}: {error}")
         raise
     finally:
         session.recorder = None

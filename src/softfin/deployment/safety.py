@@ -116,7 +116,8 @@ class Guard:
         config = self.config
         if sample.complaints:
             return Trip("device", sample.complaints[0])
-        numbers = (sample.time, sample.angle, sample.velocity, sample.force_time, *sample.wrench)
+        known = (value for value in (sample.current, sample.following_error) if value is not None)
+        numbers = (sample.time, sample.angle, sample.velocity, sample.force_time, *sample.wrench, *known)
         if not all(map(math.isfinite, numbers)):
             return Trip("reading", f"a reading is no finite number ({sample}); check cables and sensor")
         if late > config.overrun_s:
@@ -132,7 +133,8 @@ class Guard:
             ("angle", now - sample.time, self.config.stale_s, "check the drive's cable and supply"),
             ("force", now - sample.force_time, self.config.force_stale_s, "check the sensor's cable and network"),
         ):
-            if age > most:
+            # A time that lies ahead tells as little: what never grows old would never be missed.
+            if abs(age) > most:
                 return Trip(
                     f"{what}_stale", f"no new {what} for {age * 1e3:.0f} ms: at most {most * 1e3:.0f} ms; {way_out}"
                 )

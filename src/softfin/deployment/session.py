@@ -14,7 +14,7 @@ from softfin.deployment.machine import Machine, Sample, Target
 from softfin.deployment.pace import Pace
 from softfin.deployment.safety import Guard, SafetyConfig, Trip
 from softfin.deployment.stop import StopRequest
-from softfin.errors import DeviceError, SafetyStop
+from softfin.errors import SafetyStop, SoftfinError
 from softfin.quantities import RATE_HZ
 
 State = Literal["unconfigured", "inactive", "active", "stopped"]
@@ -102,8 +102,8 @@ class Session:
         late = self.pace.wait()
         try:
             sample = self.machine.read()
-        except DeviceError as error:
-            self.abort(Trip("device", str(error)))
+        except Exception as error:
+            self.abort(Trip("device", _line(error, "reading the machine failed")))
         now = self.pace.clock()
         if self._watchdog is not None:
             self._watchdog.feed(now)
@@ -118,13 +118,20 @@ class Session:
             self.abort(trip)
         if self.recorder is not None:
             self._record(self.recorder, sample)
-        for observe in self.observers:
-            observe(sample, self.target)
+        try:
+            for observe in self.observers:
+                observe(sample, self.target)
+        except SafetyStop:
+            raise
+        except Exception as error:
+            self.abort(Trip("observer", _line(error, "what watches the loop failed")))
         self.newest = sample
         return sample
 
     def activate(self) -> None:
         """Enable the drive, which holds where it is: from now on it may move."""
+        if self.state != "inactive":
+            raise SafetyStop(f"activated while {self.state}: only an inactive session can be; begin a new one")
         sample = self._well()
         limits = self.machine.limits
         here = min(max(sample.angle, limits.angle_min), limits.angle_max)
@@ -162,7 +169,10 @@ class Session:
             self.abort(trip)
         if self.state != "active":
             raise SafetyStop(f"commanded while {self.state}: nothing moves before activation")
-        self.machine.command(target)
+        try:
+            self.machine.command(target)
+        except Exception as error:
+            self._refused(error)
         self.target = target
         if self.recorder is not None:
             self.recorder.command(self.pace.clock(), target.angle, target.velocity)
@@ -188,12 +198,22 @@ class Session:
             self.tick()
 
     def abort(self, trip: Trip) -> NoReturn:
-        """Stop the machine, note why, and raise SafetyStop."""
+        """Stop the machine, note why, and raise SafetyStop; what stopped it first is the reason that is told."""
         self.machine.stop()
+        trip = self.trip or trip
         if self.state != "stopped":
             self.state, self.trip = "stopped", trip
             self._tell(f"stopped: {trip.cause}: {trip.reason}")
         raise SafetyStop(f"stopped, motor disabled: {trip.reason}")
+
+    def _refused(self, error: Exception) -> NoReturn:
+        """A drive in fault takes no command; its fault says more than that."""
+        self.machine.stop()
+        try:
+            complaints = self.machine.read().complaints
+        except Exception:
+            complaints = ()
+        self.abort(Trip("device", complaints[0] if complaints else _line(error, "the machine took no command")))
 
     def _unwatch(self) -> None:
         if self._watchdog is not None:
@@ -216,6 +236,13 @@ class Session:
     def _tell(self, text: str) -> None:
         if self.recorder is not None:
             self.recorder.event(self.pace.clock(), text)
+
+
+def _line(error: Exception, what: str) -> str:
+    """Our own errors say it all in one line; others need a word of what was going on."""
+    if isinstance(error, SoftfinError):
+        return str(error)
+    return f"{what} ({type(error).__name__}: {' '.join(str(error).split())[:300]}); see --debug"
 
 
 class Watchdog:

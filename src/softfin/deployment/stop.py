@@ -1,16 +1,21 @@
 """Who may say stop while the fin moves: signals, a key on the terminal, a topic, a device's own alarm."""
 
+import contextlib
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any, TextIO
+from typing import Any
 
 from softfin.deployment.safety import Trip
 
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
+
+PATIENCE_S = 2.0
+"""A second signal within this must not disturb the stop that the first one began: people press Ctrl-C twice [s]."""
 
 
 class StopRequest:
@@ -32,9 +37,12 @@ def stopped_by_signals(request: StopRequest) -> Iterator[None]:
         yield
         return
 
+    asked: list[float] = []
+
     def handle(number: int, _: FrameType | None) -> None:
         name = signal.Signals(number).name
-        if request.trip is not None:
+        asked.append(time.monotonic())
+        if asked[-1] - asked[0] > PATIENCE_S:
             # Once said and not obeyed, as while figures are drawn: now it ends as programs do.
             raise KeyboardInterrupt
         request.ask("emergency_stop", f"stopped by {'Ctrl-C' if name == 'SIGINT' else name}")
@@ -54,7 +62,7 @@ def stopped_by_signals(request: StopRequest) -> Iterator[None]:
 class Keyboard:
     """Lines from a terminal: Enter alone says stop, other lines are handed on; ends with the process."""
 
-    def __init__(self, request: StopRequest, line: Callable[[str], None], stream: TextIO | None = None) -> None:
+    def __init__(self, request: StopRequest, line: Callable[[str], None], stream: Iterable[str] | None = None) -> None:
         self._request, self._line, self._stream = request, line, stream or sys.stdin
         self._thread = threading.Thread(target=self._listen, name="keyboard", daemon=True)
 
@@ -68,6 +76,7 @@ class Keyboard:
                 if not line.strip():
                     self._request.ask("emergency_stop", "stopped by a key")
                 else:
-                    self._line(line.strip())
+                    with contextlib.suppress(Exception):
+                        self._line(line.strip())
         except (OSError, ValueError):
             return

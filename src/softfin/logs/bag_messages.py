@@ -57,8 +57,10 @@ _NAME = FRAME.encode() + b"\0"
 
 
 def cdr(row: Row) -> bytes:
-    """The bytes of a message, of OMG's CDR as ROS 2 uses it: packed at once, since general serialisers take five times
-    as long and the loop waits for Python meanwhile."""
+    """The bytes of a message, in OMG's CDR as ROS 2 uses it.
+
+    Packed at once: general serialisers take several times as long, and the loop waits for Python meanwhile.
+    """
     kind, values = TYPES[row.topic], row.values
     if isinstance(values, str):
         text = values.encode(errors="replace") + b"\0"

@@ -95,7 +95,7 @@ class BagRecorder:
 
     @property
     def dropped(self) -> int:
-        """Messages that were handed in after a failure, or after `close`, and are not in the file."""
+        """Messages that are not in the file: handed in after a failure, or after `close`."""
         return self._dropped
 
     def command(self, time: float, angle: float, velocity: float) -> None:
@@ -126,6 +126,7 @@ class BagRecorder:
             return
         self._closing.set()
         self._thread.join(CLOSE_S)
+        self._dropped += self._queue.qsize()
         if self._thread.is_alive():
             self._fail(f"the disk did not end the file within {CLOSE_S:g} s", f"softfin bag recover {self.path}")
 

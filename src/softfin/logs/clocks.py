@@ -148,7 +148,7 @@ def _pieces(tracks: list[Track], name: str, config: ImportConfig) -> tuple[list[
     reading = [track for track in tracks if track.channels.keys() - set(COMMANDS)]
     begin = max(float(track.time[0]) for track in tracks)
     end = min(float(track.time[-1]) for track in reading)
-    if begin >= end:
+    if end - begin < TICK_S:
         spans = "; ".join(
             f"{'/'.join(track.channels)} {track.time[0]:.2f} .. {track.time[-1]:.2f} s" for track in tracks
         )

@@ -31,6 +31,9 @@ SILENT_S = 0.25
 MEASURED_S = 0.5
 """Of the stream, to know its rate and fill the filter."""
 
+SECOND_LOOK_S = 3.0
+"""At a rate that does not fit; its mean since the stream began fits in the end where the computer was only busy."""
+
 RATE_TOLERANCE = 0.1
 """Of the rate that the rig's file says; the filter is built for that, and its delay is counted in records."""
 
@@ -112,7 +115,7 @@ class Axia80:
         """
         receiver, stream = self._opened()
         records = stream.take(receiver)
-        if self._clock() - max(stream.received, self._asked) >= ASKED_AGAIN_S:
+        if self._clock() - max(stream.heard, self._asked) >= ASKED_AGAIN_S:
             self._asked_again += 1
             self._ask()
         reading = stream.reading(at, records)
@@ -157,7 +160,7 @@ class Axia80:
         lines = [f"{self._name}: {bit}" for bit in decode_status(stream.status).errors]
         if stream.sequence.restarts > self._restarts_seen:
             lines.append(f"{self._name}: it was switched off and on, its zero is lost; set it with the fin at rest")
-        silent = self._clock() - stream.received
+        silent = self._clock() - stream.heard
         if silent > SILENT_S:
             lines.append(
                 f"{self._name}: nothing new for {silent:.1f} s, requests repeated so far: {self._asked_again}; "
@@ -222,16 +225,16 @@ class Axia80:
         )
 
     def _check_rate(self) -> None:
-        times = self._opened()[1].times
-        config = self.config
+        _, stream = self._opened()
+        config, times = self.config, stream.times
 
         def fits() -> bool:
             return abs(times.rate_hz / config.rate_hz - 1) <= RATE_TOLERANCE
 
-        self._wait(lambda: times.measured_s >= MEASURED_S, 4 * MEASURED_S)
+        self._wait(lambda: times.measured_s >= MEASURED_S and stream.full, 4 * MEASURED_S)
         if not fits():
             # A busy computer delivers in bursts; a longer look tells those from another rate.
-            self._wait(lambda: times.measured_s >= 3 * MEASURED_S, 4 * MEASURED_S)
+            self._wait(fits, SECOND_LOOK_S)
         if not fits():
             raise RigError(
                 f"{self._name}: sends {times.rate_hz:.0f} records a second, rate_hz is {config.rate_hz:g}; "

@@ -37,7 +37,8 @@ class RdtSocket:
         self.host, self.port = host, port
         self.foreign = self.refused = self.unsent = self.crowded = 0
         self._clock, self._wall = clock, wall
-        self._drained = self._before = clock()
+        self.drained = self._before = clock()
+        """When `drain` was last through [s]."""
         self._offset = 0.0
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -93,8 +94,8 @@ class RdtSocket:
             datagrams.append(Datagram(records, ancillary))
         else:
             self.crowded += 1
-        self._before, self._drained = self._drained, self._clock()
-        self._offset = self._wall() - self._drained
+        self._before, self.drained = self.drained, self._clock()
+        self._offset = self._wall() - self.drained
         return datagrams
 
     def received_at(self, datagram: Datagram) -> float:
@@ -104,7 +105,7 @@ class RdtSocket:
         drain before and the latest one, and no further.
         """
         stamp = wall_stamp(datagram.ancillary) if self._stamped else None
-        return self._drained if stamp is None else min(max(stamp - self._offset, self._before), self._drained)
+        return self.drained if stamp is None else min(max(stamp - self._offset, self._before), self.drained)
 
     def close(self) -> None:
         """Any number of times."""

@@ -40,6 +40,8 @@ class ForceStream:
         """Every bit that a record of the newest arrivals had set."""
         self.received = opened
         """When the newest record arrived [s]; until there is one, when the sensor was opened."""
+        self.heard = opened
+        """When it was taken [s]: later, where nobody came to take it. Silence counts from here."""
         self.collected: list[Float[np.ndarray, " 6"]] | None = None
         """Where records are kept as well, in the sensor's axes [N, N m], for whoever sets a list here."""
         self._force: tuple[float, Wrench] | None = None
@@ -71,6 +73,7 @@ class ForceStream:
             self.status = status
         if newest is not None:
             self.received = receiver.received_at(newest[1])
+            self.heard = receiver.drained
             self.times.stamp(newest[0], self.received)
         return sum(len(datagram.records) for datagram in datagrams)
 

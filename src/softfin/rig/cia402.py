@@ -69,6 +69,8 @@ POWERED = frozenset(
 )
 """States in which the motor carries current."""
 
+UNPOWERED = frozenset(State) - POWERED
+
 STATES = {state.value: state for state in State}
 
 _TO_ENABLED = {

@@ -62,6 +62,7 @@ class Epos2:
         self.connect()
         try:
             epos2_setup.refuse_busy(self._wire)
+            self._powered = False
             epos2_setup.check(self._wire, self.config)
             self._exchange.owned = True
             self._exchange.nmt(objects.NMT_PRE_OPERATIONAL)
@@ -177,6 +178,8 @@ class Epos2:
                 f"fin stands at {reading.angle:.3f} rad, outside {self.config.angle_min_rad:g} .. "
                 f"{self.config.angle_max_rad:g}; turn it inside by hand, or zero it anew"
             )
+        # A homing that failed must not have left its mode: there a target would be a new zero.
+        epos2_setup.set_mode(self._wire, objects.PROFILE_POSITION)
         self._power(then_arm=True)
 
     def home_here(self) -> None:
@@ -195,11 +198,11 @@ class Epos2:
     def stop(self) -> None:
         """Quick stop at once, then no voltage; from any thread, any number of times; never raises."""
         try:
-            self._exchange.brake()
+            free = self._exchange.brake()
             if not self._powered:
                 return
-            if self._wire.in_receiver:
-                # This thread brings the answers that the rest waits for.
+            if self._wire.in_receiver or not free:
+                # The receiver's thread brings the answers that the rest needs; and nobody waits for a bus that hangs.
                 threading.Thread(target=self._come_to_rest, name="softfin drive stop", daemon=True).start()
             else:
                 self._come_to_rest()
@@ -223,7 +226,7 @@ class Epos2:
     def _fresh_reading(self) -> DriveReading:
         if not self._exchange.owned:
             raise DeviceError("drive is not open; open it first")
-        readings = (self.sync_and_read(STEP_S) for _ in range(3))
+        readings = (self.sync_and_read(STEP_S) for _ in range(round(FIRST_ANSWER_S / STEP_S)))
         reading = next((each for each in readings if each.new), None)
         if lines := self.complaints():
             raise DeviceError(lines[0])

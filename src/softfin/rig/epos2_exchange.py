@@ -110,8 +110,8 @@ class Exchange:
         if self.halts != halts:
             raise DeviceError("drive was stopped while it was being enabled; enable it again")
 
-    def brake(self) -> None:
-        """Quick stop at once, from any thread; nothing is enabled or moved after it."""
+    def brake(self) -> bool:
+        """Quick stop at once, from any thread; nothing is enabled or moved after it. False where a send hangs."""
         locked = self.news.acquire(timeout=LOCK_TIMEOUT_S)
         try:
             self.armed = False
@@ -122,6 +122,7 @@ class Exchange:
         finally:
             if locked:
                 self.news.release()
+        return locked
 
     def insist(self, word: int) -> None:
         """By process data; where that fails or the node does not take them, by SDO without waiting."""

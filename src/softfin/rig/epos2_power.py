@@ -8,6 +8,7 @@ from softfin.rig import cia402
 from softfin.rig.cia402 import Bit, State
 from softfin.rig.epos2_config import DriveConfig
 from softfin.rig.epos2_exchange import Exchange
+from softfin.rig.epos2_objects import STATUSWORD
 from softfin.rig.epos2_seen import ALL
 
 ENABLE_TIMEOUT_S = 1.0
@@ -66,17 +67,18 @@ def rest(exchange: Exchange, config: DriveConfig) -> bool:
     """After a quick stop: wait for standstill, take the voltage off; whether the drive says that it is off."""
     seen = exchange.seen
 
+    def off() -> bool:
+        return bool(seen.fresh & 1) and seen.state in cia402.UNPOWERED
+
     def stands() -> bool:
         braked = seen.state is State.QUICK_STOP_ACTIVE and abs(seen.velocity) <= STANDSTILL_RPM
-        return seen.fresh == ALL and (braked or seen.state not in cia402.POWERED)
-
-    def off() -> bool:
-        return bool(seen.fresh & 1) and seen.state not in cia402.POWERED
+        return off() or (braked and seen.fresh == ALL)
 
     braking = BRAKING_MARGIN * config.fastest_rad_s / config.quick_stop_rad_s2 + BRAKING_TICKS * config.sync_s
     _until(exchange, stands, cia402.QUICK_STOP, braking, config.sync_s)
     _until(exchange, off, cia402.DISABLE_VOLTAGE, DISABLE_TIMEOUT_S, config.sync_s)
-    return off()
+    # Without process data, as of a node that is not operational, the drive can still be asked.
+    return off() or cia402.decode(exchange.wire.ask(STATUSWORD)) in cia402.UNPOWERED
 
 
 def _until(exchange: Exchange, done: Callable[[], bool], word: int, seconds: float, tick: float) -> None:

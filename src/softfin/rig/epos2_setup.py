@@ -12,7 +12,7 @@ from softfin.rig.epos2_objects import Object
 from softfin.rig.epos2_wire import Wire
 
 NO_REMOTE_REQUEST = 1 << 30
-HEARTBEATS = 4
+HEARTBEATS = 10
 """The drive's in the time after which silence means that it is gone."""
 HOME = {objects.HOMING_METHOD: objects.HOME_HERE, objects.HOME_OFFSET: 0, objects.HOME_POSITION: 0}
 """What makes the present position zero."""

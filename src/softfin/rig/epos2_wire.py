@@ -26,7 +26,8 @@ from softfin.rig.epos2_objects import Object
 
 SDO_TIMEOUT_S = 0.5
 SEND_TIMEOUT_S = 0.05
-RECEIVER_CYCLE_S = 0.2
+RECEIVER_CYCLE_S = 0.05
+CLOSE_TIMEOUT_S = 0.5
 ERROR_PAUSE_S = 0.05
 """After a receiving error, so that a bus that is gone does not take a whole core."""
 SCAN_PAUSE_S = 0.002
@@ -70,6 +71,7 @@ class Wire:
 
     def open(self) -> None:
         """Raises RigError where there is no such bus."""
+        self.heard.clear()
         options: dict[str, Any] = {**self._config.options, "bitrate": self._config.bitrate}
         try:
             if self._config.interface == "socketcand":
@@ -89,7 +91,7 @@ class Wire:
     def close(self) -> None:
         """Any number of times; never raises."""
         notifier, bus, self._notifier, self._bus = self._notifier, self._bus, None, None
-        for end in (notifier and (lambda: notifier.stop(2 * RECEIVER_CYCLE_S)), bus and bus.shutdown):
+        for end in (notifier and (lambda: notifier.stop(CLOSE_TIMEOUT_S)), bus and bus.shutdown):
             if end:
                 with contextlib.suppress(Exception):
                     end()

@@ -10,6 +10,9 @@ from softfin.rig.axia80 import Axia80
 from softfin.rig.config import RigConfig
 from softfin.rig.epos2 import Epos2
 
+ANSWER_S = 0.006
+"""Longest wait for the drive's answers at a tick; on a real bus they take 1 ms, on a busy computer more."""
+
 BEAT_TICKS = 4
 """Between two of our heartbeats: 40 ms, a fifth of what the drive waits for by default."""
 
@@ -41,7 +44,7 @@ class Rig:
         if self._ticks % BEAT_TICKS == 0:
             self.drive.beat()
         self._ticks += 1
-        drive = self.drive.sync_and_read()
+        drive = self.drive.sync_and_read(ANSWER_S)
         force = self.sensor.read()
         return Sample(
             time=drive.time,

@@ -27,6 +27,9 @@ from softfin.rig.ucat import FlipperCommands, FlipperConfig
 ROUNDING = 1e-3
 """How far beyond a limit a command may be by rounding [rad, rad/s]."""
 
+LOCK_S = 0.02
+"""Longest that a stop waits for a command that is going out [s]; over DDS that takes 5 ms at most."""
+
 
 class LimitsConfig(Configuration):
     """The commands that the fin takes."""
@@ -198,10 +201,15 @@ class Ros2Machine:
 
     def stop(self) -> None:
         """See the class for what it can do and cannot."""
-        with self._lock:
+        # A command that hangs in its transport must not keep the watchdog from its stop.
+        alone = self._lock.acquire(timeout=LOCK_S)
+        try:
             moving, self._enabled = self._enabled, False
             if moving or self._stop is not None:
                 self._brake(moving)
+        finally:
+            if alone:
+                self._lock.release()
 
     def close(self) -> None:
         """A machine that was not enabled sends nothing."""

@@ -199,11 +199,13 @@ def mutate_array(folder: Path, chance: random.Random) -> None:
         if change == 0:
             array.reshape(-1)[chance.randrange(array.size)] = chance.choice((np.nan, np.inf, 1e38, -1e4, 1e-40, 0))
         elif change == 1:
-            array = array.astype(chance.choice((np.float64, np.float16, np.int32, bool)))
+            with np.errstate(all="ignore"):
+                array = array.astype(chance.choice((np.float64, np.float16, np.int32, bool)))
         elif change == 2:
             array = array.reshape(array.shape[::-1])
         else:
-            array = array * chance.choice((0, -1, 1e3, 1e30))
+            with np.errstate(all="ignore"):
+                array = array * chance.choice((0, -1, 1e3, 1e30))
         file.write_bytes(safetensors.numpy.save({**arrays, name: np.asarray(array)}))
     except (safetensors.SafetensorError, KeyError, ValueError, IndexError):
         # What an earlier mutation has made of it has no such array.

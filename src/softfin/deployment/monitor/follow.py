@@ -3,12 +3,12 @@
 It opens the file to read and for no longer than one look, so it disturbs no recorder and holds up no unmounting.
 """
 
+import io
 import itertools
 import os
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import BinaryIO
 
 from softfin.deployment.monitor import choice, records
 from softfin.deployment.monitor.messages import TOPICS, TYPES, decoded, printable
@@ -124,7 +124,7 @@ class Follower:
                 self._broken = True
                 self._problem = f"{self._shown()}: {error}"
 
-    def _take_in(self, file: BinaryIO) -> None:
+    def _take_in(self, file: io.BufferedIOBase) -> None:
         if self._offset == 0:
             magic = file.read(len(records.MAGIC))
             if not records.MAGIC.startswith(magic):

@@ -8,7 +8,7 @@ import io
 import struct
 import zlib
 from collections.abc import Iterator
-from typing import BinaryIO, NamedTuple
+from typing import NamedTuple
 
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
@@ -60,7 +60,7 @@ class Message(NamedTuple):
     data: bytes
 
 
-def whole_records(file: BinaryIO, start: int, size: int) -> Iterator[Record]:
+def whole_records(file: io.BufferedIOBase, start: int, size: int) -> Iterator[Record]:
     """Those from byte `start` that are there in full; raises LogError where no record can be."""
     while start + _HEAD.size <= size:
         file.seek(start)

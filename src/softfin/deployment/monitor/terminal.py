@@ -83,7 +83,7 @@ def _over(follower: Follower, summary: Summary) -> bool:
 def line(summary: Summary) -> str:
     """The recording at one moment, in a line."""
     parts = [
-        summary.state,
+        summary.state if summary.state != "silent" or summary.age_s is None else f"silent ({_ago(summary.age_s)})",
         "" if summary.time_s is None else f"{summary.time_s:.1f} s",
         f"angle {_number(summary.angle_rad)} rad",
         f"force {_vector(summary.force_n)} N",
@@ -148,7 +148,7 @@ def _table(summary: Summary, traces: Mapping[str, Trace], levels: str) -> Table:
     for name, now, average, wanted, trace, column in rows:
         table_of = trace.array()
         least, drawn, most = sparkline(table_of[:, 0], table_of[:, column], levels)
-        table.add_row(name, _number(now), _number(average), _number(wanted), least, drawn, most)
+        table.add_row(Text(name), _number(now), _number(average), _number(wanted), least, drawn, most)
     return table
 
 

@@ -1,0 +1,94 @@
+"""A whole day at the rig in some minutes, on emulated devices: every command as one would type it, in one script.
+
+    python examples/rig_day.py --out runs/day            # about 15 minutes: logs enough to hold a force
+    python examples/rig_day.py --out runs/day --quick    # about 4: does every step work at all?
+
+At a real rig leave out `rig emulate`, write your own rig.yaml (docs/rig.md), and --yes.
+"""
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+SOFTFIN = (sys.executable, "-m", "softfin.cli")
+MOVES = ("--arm", "--yes")
+WIDE = {"overrun_s": 0.5, "stale_s": 0.5, "force_stale_s": 0.5, "watchdog_s": 1.0}
+"""Limits for a computer that does other things, too; a fin that can break something has the narrow ones."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=Path("runs/day"))
+    parser.add_argument("--quick", action="store_true")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True)
+    os.chdir(options.out)
+    emulator = subprocess.Popen([*SOFTFIN, "rig", "emulate"])
+    try:
+        wait_for(Path("rig.yaml"), emulator)
+        if options.quick:
+            widen(Path("rig.yaml"))
+        day(options.quick)
+    finally:
+        emulator.send_signal(signal.SIGINT)
+        emulator.wait(timeout=30)
+
+
+def day(quick: bool) -> None:
+    # Morning: is all well? Where is zero?
+    softfin("rig", "zero", *MOVES)
+    softfin("rig", "check", may_fail=quick)
+
+    # Record, look, learn.
+    amount = ("--logs=3", "--test-logs=1", "--rows=1500") if quick else ("--logs=8", "--test-logs=2", "--rows=6000")
+    softfin("collect", "--plant", "rig", "--out", "dataset", *amount, *MOVES)
+    softfin("inspect", "dataset-bags/train-0000.mcap")
+    small = ("members=1", "drive_updates=150", "force_updates=300") if quick else ("members=3",)
+    softfin("fit", "dataset", "--out", "surrogate", *settings(small))
+    lattice = ("box={low: [1, -1], high: [2, 0]}", "spacing_n=1") if quick else ("box={low: [0, -1], high: [2.5, 1]}",)
+    softfin("train", "surrogate", "--controller", "gaits", "--out", "controller", *settings(lattice))
+
+    # Afternoon: hold forces, judge, hand on.
+    amount = ("--seconds=5", "--seeds=1") if quick else ("--seconds=20", "--seeds=2")
+    judged = ("evaluate", "controller", "--plant", "rig", "--out", "evaluation", "--reference=1.5,-0.5", "--trim")
+    softfin(*judged, *amount, *MOVES)
+    softfin("run", "controller", "--reference=1.5,-0.5", "--seconds=5", "--bag", "run.mcap", *MOVES)
+    softfin("bag", "convert", "run.mcap", "--out", "run.parquet")
+    softfin("export", "controller", "--onnx", "controller.onnx")
+    mean = json.loads(Path("evaluation/evaluation.json").read_text())["mean"]
+    print(f"mean error on the emulated fin: {mean['x']['error_n']:.3f}, {mean['y']['error_n']:.3f} N")
+
+
+def softfin(*words: str, may_fail: bool = False) -> None:
+    print("+ softfin", *words, flush=True)
+    done = subprocess.run([*SOFTFIN, *words], check=False)
+    if done.returncode and not may_fail:
+        raise SystemExit(f"softfin {words[0]}: exit code {done.returncode}")
+
+
+def settings(changes: tuple[str, ...]) -> list[str]:
+    return [word for change in changes for word in ("--set", change)]
+
+
+def wait_for(path: Path, process: "subprocess.Popen[bytes]") -> None:
+    for _ in range(600):
+        if path.exists():
+            return
+        if process.poll() is not None:
+            raise SystemExit("the emulated rig did not start")
+        time.sleep(0.1)
+    raise SystemExit("the emulated rig takes longer than a minute to start")
+
+
+def widen(path: Path) -> None:
+    lines = "".join(f"  {name}: {value}\n" for name, value in WIDE.items())
+    path.write_text(path.read_text().replace("safety:\n", f"safety:\n{lines}"))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,138 @@
+"""The bus over TCP, by python-can's own client, in this process and in another."""
+
+import socket
+import subprocess
+import sys
+import time
+import uuid
+
+import can
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from softfin.rig.emulation.bus import HOST, SocketcandServer, line_of, parse
+from softfin.rig.emulation.drive import EmulatedDrive
+from softfin.rig.emulation.simple import SimpleFin
+from softfin.rig.epos2_config import BusConfig
+from tests.rig.epos2_bench import LONG_S, drive_config
+
+OTHER_PROCESS = """
+import json, sys, time
+from softfin.deployment.machine import Target
+from softfin.rig.epos2 import Epos2
+from softfin.rig.epos2_config import BusConfig, DriveConfig
+
+assert "jax" not in sys.modules
+given = json.loads(sys.argv[1])
+drive = Epos2(BusConfig(**given["bus"]), DriveConfig(**given["drive"]))
+drive.open()
+drive.home_here()
+drive.enable()
+drive.command(Target(0.4, 3.0))
+end = time.monotonic() + 5
+while abs(drive.sync_and_read(0.05).angle - 0.4) > 1e-3:
+    assert time.monotonic() < end
+    drive.beat()
+    time.sleep(0.01)
+assert drive.complaints() == (), drive.complaints()
+drive.close()
+print("moved and stopped")
+"""
+
+
+def test_another_process_drives_the_emulated_drive_over_tcp() -> None:
+    import json
+
+    channel, fin, config = f"test {uuid.uuid4()}", SimpleFin(), drive_config()
+    virtual = BusConfig(interface="virtual", channel=channel)
+    with EmulatedDrive(virtual, config, fin) as drive, SocketcandServer(channel) as server:
+        bus = BusConfig(interface="socketcand", channel=channel, options={"host": HOST, "port": server.port})
+        given = json.dumps({"bus": bus.model_dump(), "drive": config.model_dump()})
+        ran = subprocess.run([sys.executable, "-c", OTHER_PROCESS, given], capture_output=True, text=True, timeout=60)
+        assert ran.stdout.strip() == "moved and stopped", ran.stderr
+        assert ran.returncode == 0
+        assert ran.stderr == ""
+        assert fin.now().angle == pytest.approx(0.4, abs=1e-3)
+        assert drive.state.name == "SWITCH_ON_DISABLED"
+        assert server.counters["refused lines"] == 0
+
+
+def test_frames_go_both_ways_between_two_clients_and_the_virtual_bus() -> None:
+    channel = f"test {uuid.uuid4()}"
+    with SocketcandServer(channel) as server, can.Bus(interface="virtual", channel=channel) as inside:
+        options = {"host": HOST, "port": server.port}
+        with (
+            can.Bus(interface="socketcand", channel=channel, **options) as first,
+            can.Bus(interface="socketcand", channel=channel, **options) as second,
+        ):
+            time.sleep(0.1)
+            for data in (b"", b"\x00", bytes(range(8))):
+                first.send(can.Message(arbitration_id=0x123, data=data, is_extended_id=False))
+                for receiver in (inside, second):
+                    message = receiver.recv(LONG_S)
+                    assert message is not None
+                    assert (message.arbitration_id, bytes(message.data)) == (0x123, data)
+            inside.send(can.Message(arbitration_id=0x12345678, data=b"\xfe", is_extended_id=True))
+            message = first.recv(LONG_S)
+            assert message is not None
+            assert (message.arbitration_id, message.is_extended_id, bytes(message.data)) == (0x12345678, True, b"\xfe")
+
+
+@pytest.mark.parametrize(
+    "spoken",
+    [
+        b"GET / HTTP/1.1\r\n\r\n>",
+        b"< open other >",
+        b"< open CHANNEL >< rawmode >< send 123 9 00 >",
+        b"< open CHANNEL >< rawmode >< send 123 2 00 >",
+        b"< open CHANNEL >< rawmode >< send FFF 0 >",
+        b"< open CHANNEL >< rawmode >< shutdown >",
+        b"x" * 2000,
+        b"\xff\xfe\x00>",
+    ],
+)
+def test_a_client_that_does_not_speak_the_protocol_is_let_go(spoken: bytes) -> None:
+    channel = f"test{uuid.uuid4()}"
+    with SocketcandServer(channel) as server, can.Bus(interface="virtual", channel=channel) as inside:
+        with socket.create_connection((HOST, server.port), timeout=LONG_S) as client:
+            client.sendall(spoken.replace(b"CHANNEL", channel.encode()))
+            try:
+                while client.recv(4096):
+                    pass
+            except ConnectionResetError:
+                pass
+        assert inside.recv(0.02) is None
+        with can.Bus(interface="socketcand", channel=channel, host=HOST, port=server.port):
+            assert server.counters["clients"] == 2
+
+
+def test_it_listens_on_the_loopback_address_alone() -> None:
+    with SocketcandServer("x") as server:
+        assert server._listener.getsockname()[0] == "127.0.0.1"
+
+
+def test_closing_ends_every_thread_with_clients_still_there() -> None:
+    server = SocketcandServer("y")
+    server.start()
+    with socket.create_connection((HOST, server.port), timeout=LONG_S):
+        server.close()
+        server.close()
+        assert server._threads == []
+
+
+@given(st.integers(0, 0x7FF), st.binary(max_size=8))
+def test_a_frame_comes_back_from_the_line_that_pythoncan_makes_of_it(cob_id: int, data: bytes) -> None:
+    from can.interfaces.socketcand import socketcand
+
+    message = can.Message(arbitration_id=cob_id, data=data, is_extended_id=False, timestamp=1.5)
+    parsed = parse(" ".join(socketcand.convert_can_message_to_ascii_message(message).split()))
+    assert parsed is not None
+    assert (parsed.arbitration_id, bytes(parsed.data)) == (cob_id, data)
+    read = socketcand.convert_ascii_message_to_can_message(line_of(message))
+    assert (read.arbitration_id, bytes(read.data)) == (cob_id, data)
+
+
+@given(st.text(max_size=60))
+def test_any_line_is_a_frame_or_none(line: str) -> None:
+    assert parse(line) is None or line.startswith("< send ")

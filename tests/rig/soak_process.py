@@ -1,0 +1,42 @@
+"""A session in a process of its own, which a test pauses: ``python -m tests.rig.soak_process RIG BAG``."""
+
+import sys
+from pathlib import Path
+
+from softfin.deployment.loop import hold
+from softfin.deployment.recording import recording
+from softfin.deployment.safety import Guard, SafetyConfig
+from softfin.deployment.session import Session
+from softfin.errors import SoftfinError
+from softfin.rig.config import load_rig
+from softfin.rig.rig import Rig
+from tests.deployment.machines import Wagging
+
+SAFETY = SafetyConfig(
+    current_peak_a=20.0, current_sustained_a=10.0, overrun_s=0.25, stale_s=0.25, force_stale_s=0.3, watchdog_s=0.5,
+    acceleration_rad_s2=1e5, velocity_rad_s=100.0,
+)  # fmt: skip
+
+
+def main() -> None:
+    rig = Rig(load_rig(Path(sys.argv[1])))
+    told = False
+
+    def tell(sample: object, target: object) -> None:
+        nonlocal told
+        if target is not None and not told:
+            told = True
+            sys.stdout.write("moves\n")
+            sys.stdout.flush()
+
+    try:
+        with Session(rig, Guard(SAFETY, rig.limits), observers=[tell]) as session:
+            with recording(session, Path(sys.argv[2])):
+                session.activate()
+                list(hold(session, Wagging(), lambda _: (0.0, 0.0), actions=60))
+    except SoftfinError as error:
+        sys.stderr.write(f"{error}\n")
+        raise SystemExit(error.exit_code) from None
+
+
+main()

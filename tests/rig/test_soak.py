@@ -1,0 +1,287 @@
+"""Whatever goes wrong while the fin moves ends in a safe stop, or is counted and goes on; nothing moves afterwards.
+
+`SOFTFIN_LONG=1` injects faults for twenty minutes, or for as many as `SOFTFIN_SOAK_MINUTES` says.
+"""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+
+from softfin.deployment.loop import hold
+from softfin.deployment.machine import Target
+from softfin.deployment.recording import recording
+from softfin.deployment.safety import Guard
+from softfin.deployment.session import Session
+from softfin.errors import SafetyStop
+from softfin.rig.cia402 import State
+from softfin.rig.emulation.rig import EmulatedRig
+from softfin.rig.emulation.simple import SimpleFin
+from softfin.rig.rig import Rig
+from tests.deployment.bags import events_of
+from tests.deployment.machines import Wagging
+
+LONG = os.environ.get("SOFTFIN_LONG") == "1"
+LONG_S = 60 * float(os.environ.get("SOFTFIN_SOAK_MINUTES", "20"))
+
+WIDE = {"current_peak_a": 20.0, "current_sustained_a": 10.0, "overrun_s": 0.8, "stale_s": 0.8, "force_stale_s": 0.8,
+        "watchdog_s": 1.8, "acceleration_rad_s2": 1e5, "velocity_rad_s": 100.0, "following_s": 2.0}  # fmt: skip
+"""So that a busy machine alone does not stop the fin: only what is injected does."""
+
+HANG_S = 20.0
+"""Longest time from a fault to the end of its session, on a busy machine."""
+
+Inject = Callable[["Scene"], None]
+
+
+class Scene:
+    """An emulated rig, the session on it and its bag; what is injected finds all of it here."""
+
+    def __init__(self, emulated: EmulatedRig, rig: Rig, session: Session, bag: Path) -> None:
+        self.emulated, self.rig, self.session, self.bag = emulated, rig, session, bag
+        self.patches = pytest.MonkeyPatch()
+
+
+@contextmanager
+def scene(bag: Path, **drive: Any) -> Iterator[Scene]:
+    with EmulatedRig(fin=SimpleFin()) as emulated:
+        values = emulated.values(same_process=True, safety=WIDE)
+        values["drive"] |= {"heartbeat_s": 1.5, "sync_s": 0.02, **drive}
+        rig = Rig(emulated.config(**{name: values[name] for name in ("drive", "safety")}))
+        rig.drive.open()
+        rig.drive.home_here()
+        rig.drive.close()
+        made = Scene(emulated, rig, Session(rig, Guard(rig.config.safety, rig.limits)), bag)
+        try:
+            yield made
+        finally:
+            made.patches.undo()
+
+
+def bus_lost(at: Scene) -> None:
+    """The host's adapter takes no frames any more."""
+
+    def refuse(message: can.Message, timeout: float | None = None) -> None:
+        raise can.CanOperationError("Transmit buffer full")
+
+    at.patches.setattr(at.rig.drive._wire._bus, "send", refuse)
+
+
+def reordered(at: Scene) -> None:
+    at.emulated.sensor.reorder(0.2)
+
+
+def doubled(at: Scene) -> None:
+    at.emulated.sensor.duplicate(0.2)
+
+
+def late(at: Scene) -> None:
+    at.emulated.sensor.delay(0.03)
+
+
+def lost(at: Scene) -> None:
+    at.emulated.sensor.drop(0.1)
+
+
+def disk_full(at: Scene) -> None:
+    import softfin.logs.bag_writer as writer
+
+    def write(file: int, data: Any) -> int:
+        raise OSError(28, "No space left on device")
+
+    at.patches.setattr(writer.os, "write", write)
+
+
+def clock_jump(at: Scene) -> None:
+    ahead = time.time() + 86_400
+    at.patches.setattr(time, "time", lambda: ahead)
+    at.patches.setattr(at.rig.sensor._socket, "_wall", lambda: ahead)
+
+
+STOPS: dict[str, tuple[Inject, str]] = {
+    "bus off": (lambda at: at.emulated.drive.bus_off(), "angle|heartbeat|drive|bus"),
+    "bus takes no frames": (bus_lost, "takes no frames|angle"),
+    "cable of the drive cut": (lambda at: at.emulated.drive.go_silent(), "no new angle|heartbeat"),
+    "heartbeat lost": (lambda at: at.emulated.drive.drop_heartbeat(), "heartbeat is missing"),
+    "emergency frame": (lambda at: at.emulated.drive.fault(0x8611), "0x8611, following error"),
+    "over-current": (lambda at: at.emulated.drive.fault(0x2310), "0x2310, over-current"),
+    "drive starts anew": (lambda at: at.emulated.drive.reboot(), "started anew|state"),
+    "blocked fin": (lambda at: at.emulated.drive.stall(), "following|behind"),
+    "over-range": (lambda at: at.emulated.sensor.status(0xC0000000), "force sensor 127.0.0.1"),
+    "broken gage": (lambda at: at.emulated.sensor.status(0x88000000), "force sensor 127.0.0.1"),
+    "sensor silent": (lambda at: at.emulated.sensor.silence(), "nothing new|no new force"),
+    "sensor starts anew": (lambda at: at.emulated.sensor.reboot(0.1), "switched off and on|nothing new|no new force"),
+    "all packets lost": (lambda at: at.emulated.sensor.drop(1.0), "nothing new|no new force"),
+    "disk full": (disk_full, "No space left on device"),
+}
+"""Each ends in a safe stop whose reason matches."""
+
+GOES_ON: dict[str, tuple[Inject, tuple[str, ...]]] = {
+    "packets lost": (lost, ("sensor_lost",)),
+    "packets late": (late, ()),
+    "packets doubled": (doubled, ("sensor_duplicates",)),
+    "packets reordered": (reordered, ("sensor_late",)),
+    "wall clock jumps": (clock_jump, ()),
+    "targets not taken": (lambda at: at.emulated.drive.ignore_targets(1), ("drive_targets_repeated",)),
+}
+"""Each is counted, and the fin goes on."""
+
+
+def at_a_moment(inject: Callable[[], None], numbers: random.Random) -> Callable[[Any, Any], None]:
+    """An observer that does it some ticks after the fin has begun to move."""
+    moment = numbers.randint(5, 60)
+    ticks = 0
+
+    def observe(sample: Any, target: Target | None) -> None:
+        nonlocal ticks
+        if target is not None and abs(target.angle) > 0.1:
+            ticks += 1
+            if ticks == moment:
+                inject()
+
+    return observe
+
+
+def stopped(at: Scene, inject: Inject, words: str, numbers: random.Random) -> None:
+    """Move, inject, and see that all ends as it must."""
+    ended: list[BaseException | None] = []
+
+    def run() -> None:
+        try:
+            with at.session as session, recording(session, at.bag):
+                session.observers = [at_a_moment(lambda: inject(at), numbers)]
+                session.activate()
+                list(hold(session, Wagging(), lambda _: (0.0, 0.0)))
+            ended.append(None)
+        except BaseException as error:
+            ended.append(error)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    thread.join(HANG_S)
+    assert ended, "the session hangs"
+    error = ended[0]
+    assert isinstance(error, SafetyStop), repr(error)
+    assert "\n" not in str(error)
+    assert at.session.trip is not None
+    import re
+
+    assert re.search(words, str(error)), error
+    still(at)
+    at.patches.undo()
+    told = events_of(at.bag) if at.session.trip.cause != "recording" else []
+    assert not told or told[-1].startswith(f"stopped: {at.session.trip.cause}: "), told
+
+
+def still(at: Scene) -> None:
+    """The motor is disabled, by the host's word or by the drive's own watch, and the fin does not move."""
+    deadline = time.monotonic() + 5
+    off = {State.SWITCH_ON_DISABLED, State.READY, State.SWITCHED_ON, State.FAULT, State.START, State.NOT_READY}
+    while at.emulated.drive.state not in off and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert at.emulated.drive.state in off, at.emulated.drive.state
+    where = at.emulated.fin.now().angle
+    time.sleep(0.1)
+    assert at.emulated.fin.now().angle == where
+
+
+def went_on(at: Scene, inject: Inject, counters: tuple[str, ...], numbers: random.Random) -> None:
+    with at.session as session, recording(session, at.bag):
+        session.observers = [at_a_moment(lambda: inject(at), numbers)]
+        session.activate()
+        list(hold(session, Wagging(), lambda _: (0.0, 0.0), actions=6))
+        session.deactivate()
+        counted = session.machine.counters()
+    for name in counters:
+        assert counted[name] > 0, (name, counted)
+    at.patches.undo()
+    still(at)
+    assert events_of(at.bag)[-1] == "inactive"
+
+
+@pytest.mark.parametrize("name", STOPS)
+def test_a_fault_ends_in_a_safe_stop(name, tmp_path):
+    inject, words = STOPS[name]
+    with scene(tmp_path / "run.mcap") as at:
+        stopped(at, inject, words, random.Random(name))
+
+
+@pytest.mark.parametrize("name", GOES_ON)
+def test_a_disturbance_is_counted_and_the_fin_goes_on(name, tmp_path):
+    inject, counters = GOES_ON[name]
+    with scene(tmp_path / "run.mcap") as at:
+        went_on(at, inject, counters, random.Random(name))
+
+
+def test_sequences_roll_over_and_nobody_notices(tmp_path):
+    with scene(tmp_path / "run.mcap") as at:
+        at.emulated.sensor.rollover(1500)
+        went_on(at, lambda _: None, (), random.Random(1))
+
+
+def test_a_paused_process_finds_its_fin_stopped_when_it_goes_on(tmp_path):
+    with scene(tmp_path / "unused.mcap", heartbeat_s=0.3) as at:
+        pausing(at, tmp_path, random.Random(2))
+
+
+def pausing(at: Scene, folder: Path, numbers: random.Random) -> None:
+    """The session in another process, which is stopped as by Ctrl-Z, and goes on."""
+    at.emulated.write(folder / "rig.yaml")
+    text = (folder / "rig.yaml").read_text().replace("encoder_lines", "heartbeat_s: 0.3\n  encoder_lines")
+    (folder / "rig.yaml").write_text(text)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tests.rig.soak_process", str(folder / "rig.yaml"), str(folder / "run.mcap")],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2],
+    )  # fmt: skip
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "moves\n", process.communicate(timeout=HANG_S)
+        time.sleep(numbers.uniform(0.1, 0.6))
+        process.send_signal(signal.SIGSTOP)
+        # Nobody beats for it any more: the drive stops by itself.
+        still(at)
+        where = at.emulated.fin.now().angle
+        process.send_signal(signal.SIGCONT)
+        _, told = process.communicate(timeout=HANG_S)
+        assert process.returncode == 3, told
+        assert told.count("\n") == 1, told
+        assert "stopped, motor disabled: " in told
+        assert at.emulated.fin.now().angle == where
+        assert "stopped: " in events_of(folder / "run.mcap")[-1]
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not LONG, reason="takes twenty minutes; SOFTFIN_LONG=1 runs it")
+def test_soak(tmp_path):
+    numbers = random.Random(int(os.environ.get("SOFTFIN_SOAK_SEED", "0")))
+    end = time.monotonic() + LONG_S
+    rounds = 0
+    while time.monotonic() < end:
+        name = numbers.choice([*STOPS, *GOES_ON, "pause"])
+        folder = tmp_path / str(rounds)
+        folder.mkdir()
+        rounds += 1
+        with scene(folder / "run.mcap", **({"heartbeat_s": 0.3} if name == "pause" else {})) as at:
+            try:
+                if name == "pause":
+                    pausing(at, folder, numbers)
+                elif name in STOPS:
+                    stopped(at, *STOPS[name], numbers)
+                else:
+                    went_on(at, *GOES_ON[name], numbers)
+            except AssertionError as error:
+                raise AssertionError(f"round {rounds}, {name}: {error}") from error
+    assert rounds > 0
