@@ -1,0 +1,122 @@
+"""What ``softfin run`` and ``softfin ros2`` share: a controller's folder on a real fin, told once a second; no JAX."""
+
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+from softfin.action_clock import CYCLE_ACTIONS
+from softfin.cli.live import Armed
+from softfin.deployment.bench import Bench, check_fits
+from softfin.deployment.loop import Held, References, hold, seconds_to_actions
+from softfin.deployment.native import NativeController, load_native, trimmed
+from softfin.deployment.recording import recording
+from softfin.deployment.safety import Guard
+from softfin.deployment.session import Observer, Session
+from softfin.deployment.stop import Keyboard, StopRequest, stopped_by_signals
+from softfin.errors import ConfigurationError
+from softfin.live import is_live
+from softfin.quantities import RATE_HZ
+from softfin.rig.find import find_bench
+
+LINE_S = 1.0
+"""Between two lines of what goes on."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Driving(Armed):
+    """Options of every command that has a controller drive a real fin."""
+
+    controller: tyro.conf.Positional[Path]
+    """Folder of the controller."""
+    plant: str = "rig"
+    """The fin: rig (rig.yaml), ros2, or one of these with :FILE."""
+    seconds: int | None = None
+    """How long; without it until you stop it."""
+    bag: Path | None = None
+    """The recording, a ROS 2 bag (run-DATE.mcap)."""
+    strict: bool = False
+    """Refuse a reference that the fin cannot make; else the nearest one that it can make is held, with a warning."""
+    trim: bool = False
+    """Take off, slowly, what the fin makes besides what it is asked for, from the measured mean force."""
+
+    def parties(self) -> tuple[NativeController, Bench]:
+        """The controller and the machine, which must fit each other; nothing is opened yet."""
+        if not is_live(self.plant):
+            raise ConfigurationError(f"--plant {self.plant}: is simulated; softfin evaluate judges a controller there")
+        controller = load_native(self.controller)
+        bench = find_bench(self.plant)
+        check_fits(str(self.controller), controller.limits, controller.fin, bench)
+        return controller, bench
+
+    def drive(
+        self,
+        controller: NativeController,
+        bench: Bench,
+        references: References,
+        seconds: int | None,
+        *,
+        stop: StopRequest,
+        observers: Sequence[Observer] = (),
+        line: Callable[[str], None],
+    ) -> dict[str, Any]:
+        """Ask, move, record; `line` gets what is typed meanwhile. Where the recording is, and how well it went."""
+        bag = self.bag or Path(f"run-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
+        guard = Guard(bench.safety, bench.machine.limits, controller.training_range)
+        acting = trimmed(controller) if self.trim else controller
+        with Session(bench.machine, guard, stop=stop, observers=observers) as session:
+            self.confirm(bench)
+            if sys.stdin.isatty():
+                Keyboard(stop, line).start()
+            with stopped_by_signals(stop), recording(session, bag) as recorder:
+
+                def told(at: float) -> tuple[float, float]:
+                    reference = references(at)
+                    recorder.reference(time.monotonic(), reference)
+                    return reference
+
+                session.activate()
+                session.rest(bench.settle_s)
+                summary = _follow(session, acting, told, seconds)
+                session.deactivate()
+        return {"bag": str(bag), **summary, "clock": session.pace.described(), "counters": bench.machine.counters()}
+
+
+def sentence(result: dict[str, Any]) -> str:
+    """What `drive` gave, for people."""
+    return (
+        f"{result['bag']}: {result['seconds']:.1f} s, error over the last 2 s ({result['error_x_n']}, "
+        f"{result['error_y_n']}) N"
+    )
+
+
+def say(text: str) -> None:
+    """A line for whoever stands by."""
+    sys.stderr.write(text + "\n")
+
+
+def _follow(
+    session: Session, controller: NativeController, references: References, seconds: int | None
+) -> dict[str, Any]:
+    """Run it, tell once a second how it goes; the errors of the last window."""
+    window: list[Held] = []
+    ticks, told = 0, 0.0
+    for held in hold(session, controller, references, None if seconds is None else seconds_to_actions(seconds)):
+        window = [*window[-CYCLE_ACTIONS + 1 :], held]
+        ticks += len(held.samples)
+        if ticks / RATE_HZ - told >= LINE_S:
+            told = ticks / RATE_HZ
+            x, y = _mean(window)
+            say(f"{told:7.1f} s  reference ({held.reference[0]:+.2f}, {held.reference[1]:+.2f}) N  "
+                f"mean over 2 s ({x:+.3f}, {y:+.3f}) N  angle {held.samples[-1].angle:+.2f} rad")  # fmt: skip
+    errors = [abs(made - asked) for made, asked in zip(_mean(window), window[-1].reference, strict=True)]
+    return {"seconds": ticks / RATE_HZ, "error_x_n": round(errors[0], 4), "error_y_n": round(errors[1], 4)}
+
+
+def _mean(window: list[Held]) -> tuple[float, float]:
+    wrenches = [sample.wrench for held in window for sample in held.samples]
+    return sum(w[0] for w in wrenches) / len(wrenches), sum(w[1] for w in wrenches) / len(wrenches)
