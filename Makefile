@@ -10,7 +10,7 @@ RUN := $(UV) run --frozen
 OUT ?= runs/demo
 PRESET ?= demo
 
-.PHONY: setup demo test lint bench clean
+.PHONY: setup demo day test lint bench clean
 
 setup: .venv/.ready ## make the environment
 
@@ -24,6 +24,9 @@ setup: .venv/.ready ## make the environment
 
 demo: setup ## collect, fit, train, evaluate, report: at most 5 minutes on 2 cores
 	$(RUN) softfin reproduce --preset $(PRESET) --plant tank --out $(OUT) --overwrite
+
+day: setup ## a whole day at an emulated rig in some minutes: check, zero, collect, fit, train, evaluate, run
+	$(RUN) python examples/rig_day.py --quick --out $(OUT)
 
 test: setup ## all tests
 	$(RUN) pytest -n auto

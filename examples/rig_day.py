@@ -1,7 +1,7 @@
 """A whole day at the rig in some minutes, on emulated devices: every command as one would type it, in one script.
 
     python examples/rig_day.py --out runs/day            # about 15 minutes: logs enough to hold a force
-    python examples/rig_day.py --out runs/day --quick    # about 4: does every step work at all?
+    python examples/rig_day.py --out runs/day --quick    # 3 to 6: does every step work at all?
 
 At a real rig leave out `rig emulate`, write your own rig.yaml (docs/rig.md), and --yes.
 """
@@ -45,7 +45,7 @@ def day(quick: bool) -> None:
     softfin("rig", "check", may_fail=quick)
 
     # Record, look, learn.
-    amount = ("--logs=3", "--test-logs=1", "--rows=1500") if quick else ("--logs=8", "--test-logs=2", "--rows=6000")
+    amount = ("--logs=3", "--test-logs=1", "--rows=1000") if quick else ("--logs=8", "--test-logs=2", "--rows=6000")
     softfin("collect", "--plant", "rig", "--out", "dataset", *amount, *MOVES)
     softfin("inspect", "dataset-bags/train-0000.mcap")
     small = ("members=1", "drive_updates=150", "force_updates=300") if quick else ("members=3",)

@@ -164,12 +164,20 @@ def provenance(**facts: Any) -> dict[str, Any]:
     return {
         **facts,
         "softfin": importlib.metadata.version("softfin"),
-        "jax": importlib.metadata.version("jax"),
+        "jax": _version("jax"),
         "numpy": np.__version__,
         "python": platform.python_version(),
         "git_commit": _git_commit(),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }
+
+
+def _version(package: str) -> str | None:
+    """None on a computer that runs controllers without it."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
 
 
 def _git_commit() -> str | None:

@@ -1,4 +1,7 @@
-"""Conformance kits: `check_plant` holds a plant against the Plant contract, here and in the tests of its users."""
+"""Conformance kits: `check_plant` holds a plant against the Plant contract, here and in the tests of its users.
+
+`check_machine` does so with a Machine, on which it moves the fin.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -8,9 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from softfin.action_clock import ACTION_TICKS
+from softfin.deployment.conformance import check_machine
 from softfin.errors import PlantError
 from softfin.plant import Plant, State, roll
 from softfin.quantities import TICK_S, Command, Limits, Reading
+
+__all__ = ["check_machine", "check_plant"]
 
 STROKE_TICKS = ACTION_TICKS[0]
 

@@ -9,6 +9,7 @@ import pytest
 
 from softfin.control.controller import Controller, Measured
 from softfin.control.gait import GaitController
+from softfin.control.trim import TrimConfig, TrimmedController
 from softfin.errors import CoverageError
 from softfin.quantities import PAPER_LIMITS
 from softfin.tracking.task import command_of
@@ -52,3 +53,12 @@ def test_it_covers_its_lattice_and_no_more() -> None:
     assert CONTROLLER.cell.high == (2.5, 2.0)
     with pytest.raises(CoverageError, match=r"\(3, 0\) N: 0.5 N outside what this controller was trained for"):
         CONTROLLER.check((3.0, 0.0))
+
+
+def test_a_trimmed_gait_controller_acts_within_a_compiled_program() -> None:
+    trimmed = TrimmedController(CONTROLLER, TrimConfig())
+    measured, reference = Measured(jnp.float32(0), jnp.zeros(2)), jnp.asarray([1.0, 0.0])
+    act = jax.jit(lambda controller, state: controller.act(state, measured, reference)[1])
+    compiled, eager = act(trimmed, trimmed.init()), trimmed.act(trimmed.init(), measured, reference)[1]
+    np.testing.assert_allclose(compiled.angle, eager.angle, atol=1e-6)
+    np.testing.assert_allclose(compiled.velocity, eager.velocity, atol=1e-6)

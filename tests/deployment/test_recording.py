@@ -2,7 +2,7 @@ import pytest
 
 from softfin.deployment.machine import Target
 from softfin.deployment.recording import recording
-from softfin.errors import RunError, SafetyStop
+from softfin.errors import RunError, SafetyStop, SoftfinError
 from softfin.logs.bag_messages import CURRENT, EVENTS
 from softfin.logs.rosbag import DEFAULT_TOPICS
 from tests.deployment.bags import counts_of, events_of
@@ -66,6 +66,6 @@ def test_a_folder_that_cannot_be_written_is_told_before_anything_moves(tmp_path)
     (tmp_path / "file").write_text("")
     made = Made()
     with made.session as session:
-        with pytest.raises(RunError, match="cannot be written"), recording(session, tmp_path / "file" / "run.mcap"):
+        with pytest.raises(SoftfinError, match=r"run\.mcap"), recording(session, tmp_path / "file" / "run.mcap"):
             raise AssertionError("not reached")
         assert "enable" not in made.machine.calls

@@ -71,6 +71,11 @@ class TrimmedController(eqx.Module):
     inner: Any
     """A Controller."""
     config: TrimConfig = eqx.field(static=True)
+    cells: tuple[Cell, ...] = eqx.field(static=True)
+    """Those of the inner controller, looked up here: within a compiled program a gait's lattice has no numbers."""
+
+    def __init__(self, inner: Controller, config: TrimConfig) -> None:
+        self.inner, self.config, self.cells = inner, config, cells_of(inner)
 
     def init(self) -> TrimState:
         """Nothing known of any bias."""
@@ -98,11 +103,6 @@ class TrimmedController(eqx.Module):
         remembered = jnp.concatenate([asked[None], state.asked[:-1]])
         wanted = jnp.concatenate([reference[None], state.wanted[:-1]])
         return TrimState(inner, bias, forces, remembered, wanted, state.age + 1), command
-
-    @property
-    def cells(self) -> tuple[Cell, ...]:
-        """Those of the inner controller."""
-        return cells_of(self.inner)
 
     @property
     def reachable(self) -> Reachable | None:

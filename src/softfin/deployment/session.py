@@ -199,8 +199,9 @@ class Session:
 
     def abort(self, trip: Trip) -> NoReturn:
         """Stop the machine, note why, and raise SafetyStop; what stopped it first is the reason that is told."""
-        self.machine.stop()
         trip = self.trip or trip
+        self.machine.stop()
+        self._unwatch()
         if self.state != "stopped":
             self.state, self.trip = "stopped", trip
             self._tell(f"stopped: {trip.cause}: {trip.reason}")
@@ -222,8 +223,9 @@ class Session:
 
     def _bite(self, silence: float) -> None:
         """Called by the watchdog, in its thread."""
-        self.trip = Trip("watchdog", f"the loop was silent for {silence * 1e3:.0f} ms: the computer is too busy, or "
-                         "the controller hung")  # fmt: skip
+        if self.trip is None:
+            self.trip = Trip("watchdog", f"the loop was silent for {silence * 1e3:.0f} ms: the computer is too busy, "
+                             "or the controller hung; see the last event before")  # fmt: skip
         self.machine.stop()
 
     def _record(self, recorder: Recorder, sample: Sample) -> None:

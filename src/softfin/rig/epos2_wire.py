@@ -72,6 +72,8 @@ class Wire:
     def open(self) -> None:
         """Raises RigError where there is no such bus."""
         self.heard.clear()
+        # Of the bus before: another thread may have its number by now.
+        self._receiver = None
         options: dict[str, Any] = {**self._config.options, "bitrate": self._config.bitrate}
         try:
             if self._config.interface == "socketcand":

@@ -207,7 +207,7 @@ def mutate_array(folder: Path, chance: random.Random) -> None:
             with np.errstate(all="ignore"):
                 array = array * chance.choice((0, -1, 1e3, 1e30))
         file.write_bytes(safetensors.numpy.save({**arrays, name: np.asarray(array)}))
-    except (safetensors.SafetensorError, KeyError, ValueError, IndexError):
+    except (safetensors.SafetensorError, KeyError, ValueError, IndexError, OverflowError):
         # What an earlier mutation has made of it has no such array.
         return
 
