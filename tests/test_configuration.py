@@ -39,6 +39,34 @@ def test_what_a_whole_model_refuses_is_told_without_all_its_values():
     assert str(error.value) == "--set: ordered: low must not be above high"
 
 
+class Needed(Configuration):
+    inner: Inner
+    gear: float
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"inner": {}}, "rig.yaml: gear: is required, and missing"),
+        ({"inner": {}, "geer": 2.0}, "rig.yaml: unknown key 'geer'; did you mean 'gear'?"),
+    ],
+)
+def test_a_missing_key_is_named_alone_and_a_misspelt_one_as_it_was_written(values, words):
+    with pytest.raises(ConfigurationError) as error:
+        Needed.build(values, "rig.yaml")
+    assert str(error.value) == words
+
+
+def test_a_few_lines_that_stand_for_more_than_fits_into_memory_are_refused_in_one_line(tmp_path):
+    file = tmp_path / "run.yaml"
+    lines = ["a0: &a0 [x, x]", *(f"a{i + 1}: &a{i + 1} [{', '.join([f'*a{i}'] * 9)}]" for i in range(30))]
+    file.write_text("\n".join(lines) + "\nsteps: *a30\n")
+    values = {"steps": read_yaml(file)["steps"]}
+    with pytest.raises(ConfigurationError, match=r"steps = .*: Input should be a valid integer") as error:
+        Outer.build(values, "run.yaml")
+    assert len(str(error.value)) < 500
+
+
 def test_values_change_by_path_and_the_original_stays():
     config = Outer()
     assert config.changed(["inner.rate=0.5", "steps=7"]) == Outer(inner=Inner(rate=0.5), steps=7)
@@ -78,6 +106,8 @@ def test_a_yaml_file_is_laid_over_the_defaults(tmp_path):
         ("inner: {rat: 1}", "unknown key 'inner.rat'; did you mean 'rate'?"),
         ("- 1", "holds a list; it must be a mapping"),
         ("a: [", "not YAML"),
+        ("steps: 2026-02-99", "not YAML"),
+        pytest.param("a: " + "[" * 5000, "not YAML", id="too deep"),
         ("a: !!python/object:os.system x", "not YAML"),
     ],
 )

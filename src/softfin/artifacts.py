@@ -84,7 +84,10 @@ def write_file(path: Path, data: bytes | str) -> None:
     beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        beside.write_bytes(data if isinstance(data, bytes) else data.encode())
+        beside.unlink(missing_ok=True)
+        # Never through a link that somebody put there.
+        with beside.open("xb") as file:
+            file.write(data if isinstance(data, bytes) else data.encode())
         beside.replace(path)
     except OSError as error:
         raise RunError(f"{path}: cannot be written ({error.strerror or error})") from None

@@ -1,6 +1,7 @@
 """Configuration: frozen pydantic models whose defaults are the paper's; YAML or ``path=value`` change them."""
 
 import difflib
+import reprlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -12,6 +13,12 @@ from softfin.errors import ConfigurationError
 
 # Not typing.Self: the run-time check of the tests decorates functions one by one, and cannot know their class.
 Config = TypeVar("Config", bound="Configuration")
+
+_SHORT = reprlib.Repr()
+_SHORT.maxlevel, _SHORT.maxstring, _SHORT.maxlong, _SHORT.maxother = 2, 200, 40, 200
+
+_UNREADABLE = (yaml.YAMLError, ValueError, RecursionError)
+"""What PyYAML raises: the 99th of a month and too many brackets are none of its own errors."""
 
 
 class Configuration(pydantic.BaseModel):
@@ -44,7 +51,7 @@ class Configuration(pydantic.BaseModel):
                 raise ConfigurationError(f"--set {change}: there is no {leaf!r}{_nearest(leaf, node)}")
             try:
                 node[leaf] = yaml.safe_load(text)
-            except yaml.YAMLError:
+            except _UNREADABLE:
                 raise ConfigurationError(
                     f"--set {change}: {text!r} is not YAML; quote it, or close its bracket"
                 ) from None
@@ -61,7 +68,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         values = yaml.safe_load(path.read_text())
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"{path}: cannot be read ({error})") from None
-    except yaml.YAMLError as error:
+    except _UNREADABLE as error:
         raise ConfigurationError(f"{path}: not YAML ({' '.join(str(error).split())})") from None
     if values is None:
         return {}
@@ -79,7 +86,8 @@ def _merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _explain(cls: type[pydantic.BaseModel], error: pydantic.ValidationError) -> str:
-    first = error.errors(include_url=False)[0]
+    # A misspelt key is a missing one, too: what was written says more than what was not.
+    first = min(error.errors(include_url=False), key=lambda each: each["type"] != "extra_forbidden")
     *parents, leaf = first["loc"] or ("",)
     name = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
@@ -89,10 +97,18 @@ def _explain(cls: type[pydantic.BaseModel], error: pydantic.ValidationError) -> 
             model = field.annotation if field else None
         fields = dict.fromkeys(model.model_fields) if hasattr(model, "model_fields") else {}
         return f"unknown key {name!r}{_nearest(str(leaf), fields) if fields else ''}"
+    if first["type"] == "missing":
+        # Its input is the mapping that lacks it.
+        return f"{name}: is required, and missing"
     if first["type"] == "value_error" and isinstance(first["input"], Mapping):
         # Of a whole model: its validator names what is wrong, and its input is everything.
         return f"{name}: {first['ctx']['error']}" if name else str(first["ctx"]["error"])
-    return f"{name or 'value'} = {first['input']!r}: {first['msg']}"
+    return f"{name or 'value'} = {_short(first['input'])}: {first['msg']}"
+
+
+def _short(value: object) -> str:
+    """One line of it, however large it is: a few lines of YAML can stand for more than fits into memory."""
+    return _SHORT.repr(value)
 
 
 def _nearest(name: str, allowed: Mapping[str, Any]) -> str:

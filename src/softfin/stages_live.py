@@ -48,6 +48,9 @@ HALF_TICK_S = TICK_S / 2
 
 STATE = "collect.json"
 
+SHOWN = 3
+"""Of what differs."""
+
 
 def collect_live(
     bench: Bench,
@@ -205,13 +208,22 @@ def _check_claim(bags: Path, facts: dict[str, Any], resume: bool) -> None:
         if finished and not resume:
             raise ArtifactError(f"{bags}: holds finished logs; go on with --resume, or give another --out")
         if finished and before != wanted:
-            differing = [name for name in wanted if before.get(name) != wanted[name]]
+            differing = "; ".join(_differing(before, wanted)[:SHOWN]) or "collection"
             raise ArtifactError(
-                f"{bags}: holds logs of another {', '.join(differing) or 'collection'}; resume with the same options "
-                "and rig, or give another --out"
+                f"{bags}: holds logs of another {differing}; resume with the same options and rig, or give another "
+                "--out"
             )
     elif bags.exists() and any(bags.iterdir()):
         raise ArtifactError(f"{bags}: exists and holds no collection; give another --out")
+
+
+def _differing(before: Any, now: Any, at: str = "") -> list[str]:
+    """Each value that is another one, with both."""
+    if not (isinstance(before, dict) and isinstance(now, dict)):
+        return [] if before == now else [f"{at} ({json.dumps(before)} there, {json.dumps(now)} here)"]
+    names = dict.fromkeys([*now, *before])
+    inner = [_differing(before.get(name), now.get(name), f"{at}.{name}" if at else str(name)) for name in names]
+    return [each for part in inner for each in part]
 
 
 def _counts(config: CollectConfig) -> dict[str, int]:
@@ -258,7 +270,7 @@ class _Told:
         done = (self._index + row / self._rows) / self._of
         left = ((self._of - self._index) * self._rows - row) / RATE_HZ + (self._of - self._index - 1) * self._settle
         x, y = sample.wrench[:2]
-        note = f"{self._name}: force ({x:+.2f}, {y:+.2f}) N, angle {sample.angle:+.2f} rad, {_time(left)} left"
+        note = f"{_time(left)} left, {self._name}: ({x:+.2f}, {y:+.2f}) N, {sample.angle:+.2f} rad"
         self._progress("collect", min(done, 1.0), note)
 
 

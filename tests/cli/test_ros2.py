@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 from softfin import cli
-from softfin.cli import ros2
+from softfin.cli import driving, ros2
 from softfin.deployment.bench import Bench
 from softfin.deployment.machine import Machine, Sample, Target
+from softfin.deployment.native import NativeController
 from softfin.deployment.safety import SafetyConfig
 from softfin.errors import CoverageError
 from softfin.quantities import Limits
@@ -29,7 +30,7 @@ TOPICS = {
 class StillFin:
     """A machine that stays at angle 0."""
 
-    name, limits = "still", LIMITS
+    name, limits, notes, doubt = "still", LIMITS, (), None
 
     def __init__(self):
         self.commands, self.stops, self.on_enable = [], 0, lambda: None
@@ -57,13 +58,13 @@ class StillFin:
         return {"lost": 0}
 
 
-class Controller:
+class Controller(NativeController):
     """Notes what it is asked for; asks for nothing but angle 0."""
 
     limits, fin, training_range, region = LIMITS, None, None, None
 
     def __init__(self):
-        self.asked = []
+        object.__setattr__(self, "asked", [])
 
     def init(self):
         return None
@@ -83,8 +84,8 @@ def there(monkeypatch):
     fin, controller, transport = StillFin(), Controller(), MemoryTransport(time.monotonic)
     safety = SafetyConfig(stale_s=0.5, force_stale_s=0.5, overrun_s=1.0, watchdog_s=2.0)
     assert isinstance(fin, Machine)
-    monkeypatch.setattr(ros2, "load_native", lambda folder: controller)
-    monkeypatch.setattr(ros2, "find_bench", lambda name: Bench(fin, safety, settle_s=0.0))
+    monkeypatch.setattr(driving, "load_native", lambda folder: controller)
+    monkeypatch.setattr(driving, "find_bench", lambda name: Bench(fin, safety, settle_s=0.0))
     monkeypatch.setattr(ros2, "open_transport", lambda config, messages: transport)
     return SimpleNamespace(fin=fin, controller=controller, transport=transport)
 
@@ -131,7 +132,7 @@ def test_a_stop_of_the_topic_ends_it_with_its_own_exit_code(there, tmp_path, cap
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--plant", "tank"], "is simulated"),
+        (["--plant", "tank"], "is no real fin"),
         ([], "nothing moves without --arm"),
         (["--arm"], "in a script add --yes"),
         (["--reference=4,0"], "not trained for"),
@@ -150,7 +151,7 @@ def test_what_cannot_be_is_told_in_one_line_before_anything_moves(there, words, 
 
 def test_a_topic_of_the_fins_own_is_not_spoken_on(there, monkeypatch, capsys):
     machine = Ros2Machine(Ros2PlantConfig.build(TOPICS))
-    monkeypatch.setattr(ros2, "find_bench", lambda name: Bench(machine, SafetyConfig()))
+    monkeypatch.setattr(driving, "find_bench", lambda name: Bench(machine, SafetyConfig()))
     with pytest.raises(SystemExit):
         run("--plant", "ros2", "--reference=0,0")
     assert "command_topic = /fin/command: is a topic of the fin's own" in capsys.readouterr().err

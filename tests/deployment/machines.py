@@ -31,6 +31,8 @@ class FreeFin:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.name, self.limits = "free fin", Limits(*map(float, PAPER_LIMITS))
+        self.notes: tuple[str, ...] = ()
+        self.doubt: str | None = None
         self.clock = clock
         self.calls: list[str] = []
         self.altered: Callable[[Sample], Sample] = lambda sample: sample

@@ -27,7 +27,7 @@ def test_a_controller_of_another_fin_is_refused():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"angle_max": 1.8}, r"an? angle of -1\.57 \.\. 1\.8 rad; free fin takes -1\.57 \.\. 1\.57"),
+        ({"angle_max": 1.8}, r"an? angle of -1\.5708 \.\. 1\.8 rad; free fin takes -1\.5708 \.\. 1\.5708"),
         ({"angle_min": -1.8}, "angle"),
         ({"velocity_min": 0.5}, "velocity of 0.5"),
         ({"velocity_max": 4.0}, "velocity of 1 .. 4 rad/s"),

@@ -9,6 +9,17 @@ from tests.deployment.bags import counts_of, events_of
 from tests.deployment.test_session import Made
 
 
+def recorded(session, folder, act):
+    with recording(session, folder / "run.mcap"):
+        act()
+
+
+def leave_the_range(made):
+    made.moving()
+    made.machine.altered = lambda sample: sample._replace(angle=1.9)
+    made.session.tick()
+
+
 def test_a_session_is_recorded_whole(tmp_path):
     made = Made()
     with made.session as session, recording(session, tmp_path / "run.mcap"):
@@ -25,19 +36,21 @@ def test_a_session_is_recorded_whole(tmp_path):
 def test_the_reason_of_a_stop_is_in_the_bag_and_the_bag_is_closed(tmp_path):
     made = Made()
     with made.session as session:
-        with pytest.raises(SafetyStop), recording(session, tmp_path / "run.mcap"):
-            made.moving()
-            made.machine.altered = lambda sample: sample._replace(angle=1.9)
-            session.tick()
+        with pytest.raises(SafetyStop):
+            recorded(session, tmp_path, lambda: leave_the_range(made))
         assert session.recorder is None
     assert [event for event in events_of(tmp_path / "run.mcap") if "stopped: angle: the shaft is at 1.900 rad" in event]
 
 
 def test_what_else_ends_a_session_is_in_the_bag_too_and_stops_the_fin_first(tmp_path):
     made = Made()
-    with pytest.raises(KeyboardInterrupt), made.session as session, recording(session, tmp_path / "run.mcap"):
+
+    def interrupted():
         made.moving()
         raise KeyboardInterrupt
+
+    with made.session as session, pytest.raises(KeyboardInterrupt):
+        recorded(session, tmp_path, interrupted)
     assert made.machine.calls[0] == "stop"
     assert events_of(tmp_path / "run.mcap")[-1] == "ended by KeyboardInterrupt: "
 
@@ -54,12 +67,10 @@ def test_recordings_that_are_there_are_kept_under_other_names(tmp_path):
     assert kept == {"run.cut-1.mcap": b"first", "run.cut-2.mcap": b"second", "run.cut-3.mcap": b"third"}
 
 
-def test_a_recording_that_failed_at_the_last_moment_is_an_error(tmp_path, monkeypatch):
+def test_a_recording_that_failed_at_the_last_moment_is_an_error(tmp_path):
     made = Made()
-    with pytest.raises(RunError, match="the recording fails"), made.session as session:
-        with recording(session, tmp_path / "run.mcap") as recorder:
-            session.tick()
-            recorder._fail("disk is gone", "look")
+    with made.session as session, pytest.raises(RunError, match="the recording fails"):
+        recorded(session, tmp_path, lambda: session.recorder._fail("disk is gone", "look"))
 
 
 def test_a_folder_that_cannot_be_written_is_told_before_anything_moves(tmp_path):

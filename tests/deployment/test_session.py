@@ -25,9 +25,7 @@ class Made:
         self.machine = FreeFin(self.hours)
         self.stop = StopRequest()
         guard = Guard(SafetyConfig.build({**CURRENTS, **safety}, "safety"), self.machine.limits)
-        self.session = Session(
-            self.machine, guard, stop=self.stop, observers=observers, pace=quick_pace(self.hours)
-        )
+        self.session = Session(self.machine, guard, stop=self.stop, observers=observers, pace=quick_pace(self.hours))
         self.notes = Notes(self.machine)
         self.session.recorder = self.notes
 
@@ -58,6 +56,18 @@ class Made:
                 try_to_move()
         assert "enable" not in self.machine.calls
         assert "command" not in self.machine.calls
+
+
+def ticks(session: Session) -> None:
+    """Two seconds."""
+    for _ in range(200):
+        session.tick()
+
+
+def fail_while_moving(made: Made) -> None:
+    with made.session:
+        made.moving()
+        raise KeyError("anything")
 
 
 def _altered(**changes):
@@ -108,8 +118,7 @@ def test_whatever_is_wrong_stops_the_fin_before_anything_else(provoke, cause, wo
         made.moving()
         provoke(made)
         with pytest.raises(SafetyStop, match=words) as raised:
-            for _ in range(200):
-                session.tick()
+            ticks(session)
         made.check_stopped(raised.value, cause)
     assert made.machine.calls[-2:] == ["stop", "close"]
 
@@ -145,7 +154,7 @@ def test_a_drive_that_takes_no_command_stops_the_fin_and_its_fault_is_the_reason
     with made.session as session:
         made.moving()
         made.machine.command = _raise(CommandError("angle 1.6 is outside"))
-        with pytest.raises(SafetyStop, match="angle 1.6 is outside") as raised:
+        with pytest.raises(SafetyStop, match=r"angle 1.6 is outside") as raised:
             session.command(Target(0.0, 1.0))
         made.check_stopped(raised.value, "device")
 
@@ -256,9 +265,8 @@ def test_a_fin_that_does_not_enable_is_stopped_and_the_session_stays_inactive():
 
 def test_whatever_ends_the_session_stops_and_closes_the_machine():
     made = Made()
-    with pytest.raises(KeyError), made.session:
-        made.moving()
-        raise KeyError("anything")
+    with pytest.raises(KeyError):
+        fail_while_moving(made)
     assert made.machine.calls[0] == "stop"
     assert "event ended by KeyError: 'anything'" in made.machine.calls
     assert made.machine.calls[-1] == "close"
@@ -315,7 +323,7 @@ def test_the_watchdog_stops_a_fin_whose_loop_hangs():
         # Nobody has called the session since: another thread has stopped it.
         assert not machine.enabled
         assert machine.angle < 0.9
-        with pytest.raises(SafetyStop, match="loop was silent for .* ms"):
+        with pytest.raises(SafetyStop, match=r"loop was silent for .* ms"):
             session.tick()
     assert sum("stopped: watchdog" in event for event in notes.events) == 1
 

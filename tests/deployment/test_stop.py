@@ -36,8 +36,7 @@ def test_an_impatient_second_ctrl_c_does_not_disturb_the_stop_and_a_later_one_en
         assert request.trip is not None
         time.sleep(0.25)
         with pytest.raises(KeyboardInterrupt):
-            os.kill(os.getpid(), signal.SIGINT)
-            time.sleep(1)
+            signal.raise_signal(signal.SIGINT)
 
 
 def test_outside_the_main_thread_signals_stay_as_they_are():

@@ -30,10 +30,10 @@ def main() -> None:
             sys.stdout.flush()
 
     try:
-        with Session(rig, Guard(SAFETY, rig.limits), observers=[tell]) as session:
-            with recording(session, Path(sys.argv[2])):
-                session.activate()
-                list(hold(session, Wagging(), lambda _: (0.0, 0.0), actions=60))
+        session = Session(rig, Guard(SAFETY, rig.limits), observers=[tell])
+        with session, recording(session, Path(sys.argv[2])):
+            session.activate()
+            list(hold(session, Wagging(), lambda _: (0.0, 0.0), actions=60))
     except SoftfinError as error:
         sys.stderr.write(f"{error}\n")
         raise SystemExit(error.exit_code) from None

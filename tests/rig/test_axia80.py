@@ -357,3 +357,14 @@ def test_before_it_is_open_there_is_nothing_to_say():
     client = Axia80(SensorConfig(address="192.0.2.1", frame="x,y"))
     client.close()
     assert (client.counters(), client.complaints(), client.notes()) == ({}, (), ())
+
+
+def test_a_blow_shows_at_once_unfiltered_in_softfins_axes() -> None:
+    with emulated(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, frame="y,-x") as sensor, opened(sensor, frame="y,-x") as client:
+        client.read()
+        sensor.fin.wrench = (-20.0, 3.0, 0.0, 0.0, 0.0, 0.0)
+        reading = next(r for r in read_for(client, 0.5) if max(r.peak) > 1)
+        assert reading.peak == pytest.approx((20.0, 3.0, 0.0, 0.0, 0.0, 0.0), abs=1e-3)
+        assert abs(reading.wrench[0]) < 10
+        sensor.fin.wrench = (0.0,) * 6
+        assert max(read_for(client, 0.5)[-1].peak) == pytest.approx(0.0, abs=1e-3)

@@ -140,5 +140,8 @@ def _usage() -> str:
 
 
 def _exit(message: str, code: int) -> None:
-    sys.stderr.write(message + "\n")
+    # Of a terminal that was closed nothing is left to write to; the code still counts.
+    with contextlib.suppress(OSError):
+        sys.stderr.write(message + "\n")
+        sys.stderr.flush()
     raise SystemExit(code)

@@ -11,6 +11,7 @@ from typing import Annotated, Any, TypeVar
 import tyro
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Column
 
 from softfin import artifacts
 from softfin.configuration import Configuration, read_yaml
@@ -73,9 +74,14 @@ def progress() -> Iterator[Report]:
     if not console.is_terminal:
         yield _Lines()
         return
-    columns = (TextColumn("{task.description:>12}"), BarColumn(), TextColumn("{task.percentage:>3.0f}%"),
-               TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("{task.fields[note]}"))  # fmt: skip
-    with Progress(*columns, console=console) as bars:
+    # On a narrow terminal the bar gives way first, then the end of the note.
+    bar, note = Column(min_width=4, ratio=1), Column(no_wrap=True, overflow="ellipsis")
+    columns = (
+        TextColumn("{task.description:>12}", table_column=Column(no_wrap=True, min_width=12)),
+        BarColumn(bar_width=None, table_column=bar), TextColumn("{task.percentage:>3.0f}%"),
+        TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("{task.fields[note]}", table_column=note),
+    )  # fmt: skip
+    with Progress(*columns, console=console, expand=True) as bars:
         tasks: dict[str, TaskID] = {}
 
         def report(stage: str, done: float, note: str) -> None:

@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,8 @@ from typing import Any
 import tyro
 
 from softfin.action_clock import CYCLE_ACTIONS
-from softfin.cli.live import Armed
+from softfin.cli.common import Common
+from softfin.cli.live import Armed, on_terminal
 from softfin.deployment.bench import Bench, check_fits
 from softfin.deployment.loop import Held, References, hold, seconds_to_actions
 from softfin.deployment.native import NativeController, load_native, trimmed
@@ -28,7 +29,7 @@ LINE_S = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Driving(Armed):
+class Driving(Armed, Common):
     """Options of every command that has a controller drive a real fin."""
 
     controller: tyro.conf.Positional[Path]
@@ -38,7 +39,7 @@ class Driving(Armed):
     seconds: int | None = None
     """How long; without it until you stop it."""
     bag: Path | None = None
-    """The recording, a ROS 2 bag (run-DATE.mcap)."""
+    """The recording, a ROS 2 bag, NAME.mcap (run-DATE.mcap)."""
     strict: bool = False
     """Refuse a reference that the fin cannot make; else the nearest one that it can make is held, with a warning."""
     trim: bool = False
@@ -47,11 +48,28 @@ class Driving(Armed):
     def parties(self) -> tuple[NativeController, Bench]:
         """The controller and the machine, which must fit each other; nothing is opened yet."""
         if not is_live(self.plant):
-            raise ConfigurationError(f"--plant {self.plant}: is simulated; softfin evaluate judges a controller there")
+            raise ConfigurationError(
+                f"--plant {self.plant}: is no real fin; give rig, ros2, or one of these with :FILE; softfin evaluate "
+                "judges a controller on a simulated one"
+            )
+        if self.seconds is not None and self.seconds < 1:
+            raise ConfigurationError(f"--seconds {self.seconds}: at least 1; leave it out to run until you stop it")
+        self._check_bag()
         controller = load_native(self.controller)
         bench = find_bench(self.plant)
         check_fits(str(self.controller), controller.limits, controller.fin, bench)
         return controller, bench
+
+    def _check_bag(self) -> None:
+        """Before anything moves: what is there is neither moved nor replaced, unless a person says so."""
+        if self.bag is None:
+            return
+        if self.bag.suffix != ".mcap":
+            raise ConfigurationError(f"--bag {self.bag}: a recording is a file NAME.mcap")
+        if self.bag.is_dir() or (self.bag.exists() and not self.overwrite):
+            raise ConfigurationError(
+                f"--bag {self.bag}: exists already; give another one, or --overwrite to replace it"
+            )
 
     def drive(
         self,
@@ -70,8 +88,9 @@ class Driving(Armed):
         acting = trimmed(controller) if self.trim else controller
         with Session(bench.machine, guard, stop=stop, observers=observers) as session:
             self.confirm(bench)
-            if sys.stdin.isatty():
-                Keyboard(stop, line).start()
+            if on_terminal():
+                Keyboard(stop, line, typed(stop, sys.stdin)).start()
+            bag.unlink(missing_ok=True)
             with stopped_by_signals(stop), recording(session, bag) as recorder:
 
                 def told(at: float) -> tuple[float, float]:
@@ -94,6 +113,12 @@ def sentence(result: dict[str, Any]) -> str:
     )
 
 
+def typed(stop: StopRequest, terminal: Iterable[str]) -> Iterator[str]:
+    """Lines of the terminal; where they end, as at Ctrl-D, nobody can stop the fin by a key any more, so it stops."""
+    yield from terminal
+    stop.ask("emergency_stop", "the terminal's input ended, so no key could stop the fin")
+
+
 def say(text: str) -> None:
     """A line for whoever stands by."""
     sys.stderr.write(text + "\n")
@@ -111,8 +136,13 @@ def _follow(
         if ticks / RATE_HZ - told >= LINE_S:
             told = ticks / RATE_HZ
             x, y = _mean(window)
-            say(f"{told:7.1f} s  reference ({held.reference[0]:+.2f}, {held.reference[1]:+.2f}) N  "
-                f"mean over 2 s ({x:+.3f}, {y:+.3f}) N  angle {held.samples[-1].angle:+.2f} rad")  # fmt: skip
+            line = (f"{told:7.1f} s  reference ({held.reference[0]:+.2f}, {held.reference[1]:+.2f}) N  "
+                    f"mean over 2 s ({x:+.3f}, {y:+.3f}) N  angle {held.samples[-1].angle:+.2f} rad")  # fmt: skip
+            try:
+                say(line)
+            except OSError as error:
+                # The terminal was closed, or what the lines are piped into has ended: nobody stands by any more.
+                session.stop_request.ask("emergency_stop", f"nobody reads its lines any more ({error.strerror})")
     errors = [abs(made - asked) for made, asked in zip(_mean(window), window[-1].reference, strict=True)]
     return {"seconds": ticks / RATE_HZ, "error_x_n": round(errors[0], 4), "error_y_n": round(errors[1], 4)}
 

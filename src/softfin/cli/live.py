@@ -2,11 +2,19 @@
 
 import sys
 from dataclasses import dataclass
+from typing import TextIO
 
 from softfin.deployment.bench import Bench
 from softfin.errors import ConfigurationError
 
 WORD = "move"
+
+
+def on_terminal() -> bool:
+    """Whether a person may be there to answer; a program that was started without an input has none at all."""
+    # Python leaves it out where the descriptor was closed, which its types do not say.
+    given: TextIO | None = sys.stdin
+    return given is not None and given.isatty()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,20 +26,27 @@ class Armed:
     yes: bool = False
     """With --arm, do not ask: for scripts. Nobody stands by, so see that nobody can come near the fin."""
 
-    def confirm(self, bench: Bench) -> None:
-        """Raise ConfigurationError unless a person says that the fin may move."""
+    def confirm(self, bench: Bench, motion: str | None = None) -> None:
+        """Say what is to know of the machine; raise ConfigurationError unless a person says that it may move.
+
+        `motion` is what it will do, if not to follow commands.
+        """
         name = bench.machine.name
+        for note in bench.machine.notes:
+            sys.stderr.write(f"note: {note}\n")
         if not self.arm:
-            raise ConfigurationError(f"{name}: answers, and stays still: nothing moves without --arm")
+            told = "answers, and " if motion is None else ""
+            raise ConfigurationError(f"{name}: {told}stays still: nothing moves without --arm")
         if self.yes:
             return
-        if not sys.stdin.isatty():
+        if not on_terminal():
             raise ConfigurationError(f"{name}: --arm asks on a terminal whether it may move; in a script add --yes")
         limits = bench.machine.limits
-        sys.stderr.write(
-            f"{name}: the fin will move between {limits.angle_min:.2f} and {limits.angle_max:.2f} rad, at up to "
-            f"{limits.velocity_max:.2f} rad/s.\nCtrl-C stops it. Hands off? Type {WORD!r} and Enter: "
+        motion = motion or (
+            f"the fin will move between {limits.angle_min:.2f} and {limits.angle_max:.2f} rad, at up to "
+            f"{limits.velocity_max:.2f} rad/s"
         )
+        sys.stderr.write(f"{name}: {motion}.\nCtrl-C stops it. Hands off? Type {WORD!r} and Enter: ")
         sys.stderr.flush()
         if sys.stdin.readline().strip() != WORD:
             raise ConfigurationError(f"{name}: not confirmed with {WORD!r}; nothing moved")

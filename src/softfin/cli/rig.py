@@ -14,6 +14,8 @@ from softfin.deployment.bench import Bench
 from softfin.errors import ConfigurationError, DeviceError
 from softfin.rig.config import DEFAULT, RigConfig, load_rig
 
+ZEROING = "the motor is powered for a moment and holds where the fin stands, which becomes its zero"
+
 MARKS = {"well": "ok", "note": "note", "wrong": "WRONG"}
 
 
@@ -78,7 +80,7 @@ class Arguments(Armed, Common):
         both = self.angle == self.force
         result: dict[str, Any] = {}
         if both or self.angle:
-            self.confirm(Bench(Rig(config), config.safety))
+            self.confirm(Bench(Rig(config), config.safety), ZEROING)
             result |= zero_angle(config)
         if both or self.force:
             result |= zero_force(config)
@@ -93,11 +95,11 @@ class Arguments(Armed, Common):
         if self.rig.exists() and not self.overwrite:
             raise ConfigurationError(f"{self.rig}: exists; give another --rig, or --overwrite to replace it")
         tank = Tank() if self.tank is None else Tank(TankConfig.build(read_yaml(self.tank), str(self.tank)))
-        with EmulatedRig(tank, self.seed) as emulated:
+        # Ctrl-C is expected from the moment that it says so.
+        with contextlib.suppress(KeyboardInterrupt), EmulatedRig(tank, self.seed) as emulated:
             emulated.write(self.rig)
             sys.stdout.write(
                 f"{self.rig}: written; the emulated fin moves for it until Ctrl-C\n{emulated.described()}\n"
             )
             sys.stdout.flush()
-            with contextlib.suppress(KeyboardInterrupt):
-                emulated.wait()
+            emulated.wait()

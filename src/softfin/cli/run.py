@@ -24,8 +24,6 @@ class Arguments(Driving, Common):
         """Run."""
         if (self.reference is None) == (self.reference_file is None):
             raise ConfigurationError("give --reference=X,Y or --reference-file, one of them")
-        if self.seconds is not None and self.seconds < 1:
-            raise ConfigurationError(f"--seconds {self.seconds}: give 1 or more")
         controller, bench = self.parties()
         if self.reference_file is not None:
             references, seconds = self._recorded(controller, self.reference_file)

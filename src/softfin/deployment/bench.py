@@ -36,6 +36,6 @@ def check_fits(named: str, limits: Limits, fin: str | None, bench: Bench) -> Non
         if ours[0] < theirs[0] - 1e-3 or ours[1] > theirs[1] + 1e-3:
             quantity = low.removesuffix("_min")
             raise RigError(
-                f"{named}: commands a {quantity} of {ours[0]:.3g} .. {ours[1]:.3g} {unit}; {bench.machine.name} takes "
-                f"{theirs[0]:.3g} .. {theirs[1]:.3g}; train it within these, or widen the rig's limits"
+                f"{named}: commands a {quantity} of {ours[0]:.5g} .. {ours[1]:.5g} {unit}; {bench.machine.name} takes "
+                f"{theirs[0]:.5g} .. {theirs[1]:.5g}; train it within these, or widen the rig's limits"
             )

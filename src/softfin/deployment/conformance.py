@@ -35,7 +35,7 @@ def check_machine(machine: Any, pace: Pace | None = None) -> None:
     called at any time and again, and that it opens anew. It takes some seconds.
     """
     if not isinstance(machine, Machine):
-        names = ("name", "limits", "open", "read", "enable", "command", "stop", "close", "counters")
+        names = ("name", "limits", "notes", "doubt", "open", "read", "enable", "command", "stop", "close", "counters")
         missing = [name for name in names if not hasattr(machine, name)]
         _fail(machine, f"has no {', '.join(missing)}", "softfin.deployment.machine.Machine says what they do")
     machine.stop()

@@ -38,6 +38,8 @@ class Sample(NamedTuple):
     wrench: Wrench
     complaints: tuple[str, ...]
     """What the devices say is wrong, each one line that ends in the way out; none when all is well."""
+    peak: Wrench | None = None
+    """Largest sizes of the wrench since the sample before, unfiltered; None where no more is known than `wrench`."""
 
 
 @runtime_checkable
@@ -52,6 +54,16 @@ class Machine(Protocol):
     @property
     def limits(self) -> Limits:
         """The commands that it takes [rad, rad/s]."""
+        ...
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a person should know before it moves, each one line and no error: how it is connected, what is odd."""
+        ...
+
+    @property
+    def doubt(self) -> str | None:
+        """Why the motor may still be on after `stop`, one line with the way out; None where it is known to be off."""
         ...
 
     def open(self) -> None:
@@ -70,7 +82,10 @@ class Machine(Protocol):
         ...
 
     def command(self, target: Target) -> None:
-        """Go there from now on; returns at once."""
+        """Go there from now on; returns at once.
+
+        Raises where it is not enabled: after a `stop` nothing is taken until the next `enable`.
+        """
         ...
 
     def stop(self) -> None:

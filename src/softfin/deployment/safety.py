@@ -6,7 +6,7 @@ The drive has limits of its own below it (position, following error, current, he
 
 import math
 from collections import deque
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 from pydantic import Field, PositiveFloat, model_validator
 
@@ -117,7 +117,15 @@ class Guard:
         if sample.complaints:
             return Trip("device", sample.complaints[0])
         known = (value for value in (sample.current, sample.following_error) if value is not None)
-        numbers = (sample.time, sample.angle, sample.velocity, sample.force_time, *sample.wrench, *known)
+        numbers = (
+            sample.time,
+            sample.angle,
+            sample.velocity,
+            sample.force_time,
+            *sample.wrench,
+            *(sample.peak or ()),
+            *known,
+        )
         if not all(map(math.isfinite, numbers)):
             return Trip("reading", f"a reading is no finite number ({sample}); check cables and sensor")
         if late > config.overrun_s:
@@ -171,15 +179,17 @@ class Guard:
 
     def _loaded(self, sample: Sample, now: float) -> Trip | None:
         config = self.config
-        loads: list[tuple[str, str, tuple[float, ...], _Mean, float, float]] = [
-            ("force", "N", sample.wrench[:3], self._force, config.force_peak_n, config.force_sustained_n),
-            ("torque", "N m", sample.wrench[3:], self._torque, config.torque_peak_nm, config.torque_sustained_nm),
+        sizes, wrench = sample.peak or sample.wrench, sample.wrench
+        loads: list[tuple[str, str, _Values, _Values, _Mean, float, float]] = [
+            ("force", "N", sizes[:3], wrench[:3], self._force, config.force_peak_n, config.force_sustained_n),
+            ("torque", "N m", sizes[3:], wrench[3:], self._torque, config.torque_peak_nm, config.torque_sustained_nm),
         ]
         if config.current_peak_a is not None and config.current_sustained_a is not None and sample.current is not None:
             peak, sustained = config.current_peak_a, config.current_sustained_a
-            loads.append(("current", "A", (sample.current,), self._current, peak, sustained))
-        for name, unit, values, mean, peak, sustained in loads:
-            worst = max(map(abs, values))
+            now_a = (sample.current,)
+            loads.append(("current", "A", now_a, now_a, self._current, peak, sustained))
+        for name, unit, largest, values, mean, peak, sustained in loads:
+            worst = max(map(abs, largest))
             if worst > peak:
                 return Trip(f"{name}_peak", f"{name} {worst:.2f} {unit}: at most {peak:g} {unit} at any time; "
                             "look for what the fin touches")  # fmt: skip
@@ -201,6 +211,9 @@ class Guard:
         return None
 
 
+_Values: TypeAlias = tuple[float, ...]
+
+
 class _Mean:
     """Over the last seconds; 0 until so many have passed."""
 
@@ -211,7 +224,9 @@ class _Mean:
 
     def after(self, now: float, value: float) -> float:
         """The mean with one more value."""
-        if self._began is None:
+        if self._began is None or now - self._items[-1][0] > self.seconds:
+            # A pause, as between two logs: what was before says nothing of now.
+            self._items.clear()
             self._began = now
         self._items.append((now, value))
         while self._items[0][0] < now - self.seconds:

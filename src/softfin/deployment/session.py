@@ -4,6 +4,7 @@ At each tick: wait, read, ask everybody whether all is well, record, show. Whate
 stops the machine first and is told after.
 """
 
+import gc
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -29,7 +30,7 @@ STILL_RAD = 0.03
 """The shaft is at rest at angle 0 within this [rad]."""
 
 HOMING_S = 10.0
-"""Longest way to angle 0 [s]; at 1 rad/s it is 1.6 s."""
+"""Longest way to angle 0 [s]; at 1 rad/s it is 1.6 s. A slower fin has twice the time that it needs."""
 
 
 @runtime_checkable
@@ -80,9 +81,12 @@ class Session:
         self.trip: Trip | None = None
         """Why it was stopped."""
         self._watchdog: Watchdog | None = None
+        self._doubt: str | None = None
 
     def __enter__(self) -> "Session":
         self.machine.open()
+        # That of a machine which never knows better; what is in doubt after a stop only is another one.
+        self._doubt = self.machine.doubt
         self.state = "inactive"
         self.pace.start()
         return self
@@ -90,12 +94,18 @@ class Session:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.machine.stop()
         self._unwatch()
-        if self.state != "stopped":
+        self.machine.stop()
+        doubt, told = self.machine.doubt, self.state == "stopped"
+        if not told:
             self._tell("the session ended" if error is None else f"ended by {kind.__name__ if kind else ''}: {error}")
         self.state = "stopped"
         self.machine.close()
+        gc.unfreeze()
+        if not told and doubt is not None and doubt != self._doubt:
+            # Whatever ended the session, nobody may take the fin for safe.
+            reason = "the session ended" if error is None else _line(error, "the session was ended")
+            raise SafetyStop(f"{reason}; BUT {doubt}") from error
 
     def tick(self) -> Sample:
         """Wait for the next tick, read and check; raises SafetyStop, the machine stopped already."""
@@ -132,6 +142,10 @@ class Session:
         """Enable the drive, which holds where it is: from now on it may move."""
         if self.state != "inactive":
             raise SafetyStop(f"activated while {self.state}: only an inactive session can be; begin a new one")
+        # What is there already is not searched for garbage any more: in a process with JAX that takes 100 ms a time.
+        gc.unfreeze()
+        gc.collect()
+        gc.freeze()
         sample = self._well()
         limits = self.machine.limits
         here = min(max(sample.angle, limits.angle_min), limits.angle_max)
@@ -156,8 +170,12 @@ class Session:
 
     def deactivate(self) -> None:
         """Stop and disable the motor: slow work may be done now, and `activate` goes on after it."""
-        self.machine.stop()
+        # A brake that takes its time is no silence of the loop.
         self._unwatch()
+        self.machine.stop()
+        doubt = self.machine.doubt
+        if doubt is not None and doubt != self._doubt:
+            self.abort(Trip("motor_on", "the fin was told to rest"))
         if self.state == "active":
             self.state, self.target = "inactive", None
             self._tell("inactive")
@@ -186,13 +204,15 @@ class Session:
         """Go to angle 0 slowly, and wait for so long with the fin at rest, for the water to come to rest too."""
         slowest = self.machine.limits.velocity_min
         self.command(Target(0.0, slowest))
-        for _ in range(round(HOMING_S * RATE_HZ)):
+        way = 0.0 if self.newest is None else abs(self.newest.angle)
+        longest = max(HOMING_S, 2 * way / slowest)
+        for _ in range(round(longest * RATE_HZ)):
             sample = self.tick()
             if abs(sample.angle) < STILL_RAD and abs(sample.velocity) < STILL_RAD:
                 break
         else:
             angle = 0.0 if self.newest is None else self.newest.angle
-            self.abort(Trip("rest", f"the shaft did not come to rest at angle 0 within {HOMING_S:g} s (it is at "
+            self.abort(Trip("rest", f"the shaft did not come to rest at angle 0 within {longest:.3g} s (it is at "
                             f"{angle:.3f} rad); is it blocked?"))  # fmt: skip
         for _ in range(round(seconds * RATE_HZ)):
             self.tick()
@@ -205,10 +225,15 @@ class Session:
         if self.state != "stopped":
             self.state, self.trip = "stopped", trip
             self._tell(f"stopped: {trip.cause}: {trip.reason}")
-        raise SafetyStop(f"stopped, motor disabled: {trip.reason}")
+        doubt = self.machine.doubt
+        if doubt is None:
+            raise SafetyStop(f"stopped, motor disabled: {trip.reason}")
+        self._tell(f"but {doubt}")
+        raise SafetyStop(f"stopped: {trip.reason}; BUT {doubt}")
 
     def _refused(self, error: Exception) -> NoReturn:
         """A drive in fault takes no command; its fault says more than that."""
+        self._unwatch()
         self.machine.stop()
         try:
             complaints = self.machine.read().complaints
@@ -240,7 +265,7 @@ class Session:
             self.recorder.event(self.pace.clock(), text)
 
 
-def _line(error: Exception, what: str) -> str:
+def _line(error: BaseException, what: str) -> str:
     """Our own errors say it all in one line; others need a word of what was going on."""
     if isinstance(error, SoftfinError):
         return str(error)

@@ -12,7 +12,8 @@ from typing import Any
 
 from softfin.deployment.safety import Trip
 
-SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
+SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
+"""The last is Ctrl-Z: a program that sleeps watches over nothing."""
 
 PATIENCE_S = 2.0
 """A second signal within this must not disturb the stop that the first one began: people press Ctrl-C twice [s]."""

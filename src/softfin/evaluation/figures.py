@@ -53,7 +53,9 @@ def _draw_experiment(panel: SubFigure, recording: Recording, index: int, limits:
     above.tick_params(labelbottom=False)
     for axis, axes in enumerate((above, below)):
         _draw_force(axes, recording.reading.force[index, 0, :, axis], float(reference[axis]))
-        axes.set(ylabel=f"force {AXES[axis]} [N]", ylim=limits[axis])
+        low, high = limits[axis]
+        # A sensor that is dead, or a fin that stands, draws a level line.
+        axes.set(ylabel=f"force {AXES[axis]} [N]", ylim=(low, high) if high > low else (low - 1, high + 1))
     above.set_title(f"reference ({reference[0]:g}, {reference[1]:g}) N".replace("-", "\N{MINUS SIGN}"), weight="bold")
     below.set(xlabel="time [s]", xlim=(0, min(FORCE_SECONDS, recording.reading.angle.shape[-1] / RATE_HZ)))
 

@@ -25,8 +25,8 @@ FIRST_RECORD_S = 2.0
 ASKED_AGAIN_S = 1.0
 """Without a new record, the stream is asked for anew."""
 
-SILENT_S = 0.25
-"""Without a new record, it is a complaint; the watchdog of the loop judges the age of the force long before."""
+SILENT_S = 1.5
+"""Without a new record for so long, its stream has ended; the loop judges the age of the force long before."""
 
 MEASURED_S = 0.5
 """Of the stream, to know its rate and fill the filter."""
@@ -41,6 +41,12 @@ BIAS_S = 0.1
 """Records on their way when the sensor's zero is set still have the old one."""
 
 NAP_S = 0.002
+
+KEPT_S = 0.25
+"""Of the stream, that the kernel should keep: enabling a drive and a busy computer take that long."""
+
+KEPT_BYTES = 768
+"""What Linux counts for one record."""
 
 
 class Measured(NamedTuple):
@@ -169,9 +175,15 @@ class Axia80:
         return tuple(lines)
 
     def notes(self) -> tuple[str, ...]:
-        """What is worth knowing and no error: busy, simulated."""
-        notes = () if self._stream is None else decode_status(self._stream.status).notes
-        return tuple(f"{self._name}: {bit}" for bit in notes)
+        """What is worth knowing and no error: busy, simulated, little room for its stream."""
+        receiver, stream = self._socket, self._stream
+        if receiver is None or stream is None or receiver.closed:
+            return ()
+        notes = [str(bit) for bit in decode_status(stream.status).notes]
+        kept = receiver.buffer_bytes / KEPT_BYTES / stream.times.rate_hz
+        if kept < KEPT_S:
+            notes.append(f"only {kept:.2f} s of its stream are kept while nobody reads; raise net.core.rmem_max")
+        return tuple(f"{self._name}: {note}" for note in notes)
 
     def counters(self) -> dict[str, int]:
         """What was counted since it was opened; nothing before, and no more once it is closed."""

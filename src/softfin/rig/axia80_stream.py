@@ -22,6 +22,8 @@ class ForceReading(NamedTuple):
     force_time: float
     """Monotonic time that the filtered wrench stands for [s]: the delay of the filter before its newest record."""
     wrench: Wrench
+    peak: Wrench
+    """Largest sizes of all unfiltered records since the read before: what safety looks at, as the filter is slow."""
     received: float
     """When the newest record arrived [s]."""
     records: int
@@ -47,6 +49,7 @@ class ForceStream:
         self._force: tuple[float, Wrench] | None = None
         self._scale = np.repeat([settings.newton_per_count, settings.newton_metre_per_count], 3)
         self._rotation = rotation(config.frame)
+        self._peak = np.zeros(6)
 
     @property
     def delay_s(self) -> float:
@@ -91,7 +94,16 @@ class ForceStream:
                 # The measured rate still settles; a time that has been told is not taken back.
                 latest = moment if self._force is None else max(moment, self._force[0])
                 self._force = (latest, self.turned(output))
-        return None if self._force is None else ForceReading(*self._force, self.received, records)
+        if self._force is None:
+            return None
+        peak, self._peak = self._sizes(self._peak), np.zeros(6)
+        return ForceReading(*self._force, peak, self.received, records)
+
+    def _sizes(self, sizes: Float[np.ndarray, " 6"]) -> Wrench:
+        """In softfin's axes; the turn swaps axes and signs alone, so that sizes stay sizes."""
+        x, y, z = (np.abs(self._rotation) @ sizes[:3]).tolist()
+        torque_x, torque_y, torque_z = (np.abs(self._rotation) @ sizes[3:]).tolist()
+        return x, y, z, torque_x, torque_y, torque_z
 
     def turned(self, values: Float[np.ndarray, " 6"]) -> Wrench:
         """From the sensor's axes into softfin's."""
@@ -112,6 +124,7 @@ class ForceStream:
             self.times.begin()
         values = self._scale * record.counts
         self.filter.put(place, values)
+        np.maximum(self._peak, np.abs(values), out=self._peak)
         if self.collected is not None:
             self.collected.append(values)
         return None if arrival is Arrival.LATE else place

@@ -1,5 +1,6 @@
 """Is the rig well? Bus, drive, sensor, limits, clock and disk are looked at one by one; nothing moves."""
 
+import contextlib
 import os
 import shutil
 import time
@@ -134,7 +135,8 @@ def _disk(folder: Path) -> Iterator[Finding]:
     probe = here / f".softfin-check-{os.getpid()}"
     start = time.monotonic()
     try:
-        with probe.open("wb") as file:
+        # Never through a link that somebody put there.
+        with probe.open("xb") as file:
             file.write(bytes(100_000))
             file.flush()
             os.fsync(file.fileno())
@@ -142,7 +144,8 @@ def _disk(folder: Path) -> Iterator[Finding]:
         yield Finding("disk", "wrong", f"{here}: cannot be written ({error.strerror})")
         return
     finally:
-        probe.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            probe.unlink(missing_ok=True)
     took = time.monotonic() - start
     enough = free >= NEEDED_MB and took <= SLOW_S
     yield Finding("disk", "well" if enough else "wrong", f"{here}: {free:,.0f} MB free, a forced write takes "

@@ -7,8 +7,10 @@ from pydantic import Field, model_validator
 from softfin.configuration import Config, Configuration, read_yaml
 from softfin.deployment.safety import SafetyConfig
 from softfin.errors import ConfigurationError, RigError
+from softfin.quantities import TICK_S
 from softfin.rig.axia80_config import SensorConfig
 from softfin.rig.epos2_config import BusConfig, DriveConfig
+from softfin.rig.filter import design
 from softfin.rig.ros2_plant import Ros2PlantConfig
 
 DEFAULT = Path("rig.yaml")
@@ -42,6 +44,15 @@ class RigConfig(Configuration):
         ramp, most = self.drive.acceleration_rad_s2, self.safety.acceleration_rad_s2
         if ramp > most:
             raise ValueError(f"drive.acceleration_rad_s2 = {ramp:g} is above safety.acceleration_rad_s2 = {most:g}")
+        fastest, most = self.drive.fastest_rad_s, self.safety.velocity_rad_s
+        if fastest > most:
+            raise ValueError(f"drive.fastest_rad_s = {fastest:g} is above safety.velocity_rad_s = {most:g}")
+        delay = len(design(self.sensor.rate_hz, self.sensor.cutoff_hz)) // 2 / self.sensor.rate_hz
+        if delay + 2 * TICK_S > self.safety.force_stale_s:
+            raise ValueError(
+                f"safety.force_stale_s = {self.safety.force_stale_s:g}: the force's filter alone takes {delay:.3f} s; "
+                f"give {delay + 5 * TICK_S:.2f} or more, or a higher sensor.cutoff_hz"
+            )
         return self
 
 

@@ -26,8 +26,9 @@ STOP_TIMEOUT_S = 2.0
 STEP_S = 0.01
 UNANSWERED = 3
 """Hand-shakes in a row without an answer after which it is a complaint."""
-ROUNDING = 1e-6
-"""By which a command may pass a limit: it comes from a net, in float32."""
+ROUNDING = 1e-3
+"""By which a command may pass a limit [rad, rad/s]: limits are written with three or four digits."""
+UNCONFIRMED = "drive did not confirm that its motor is off; press the emergency stop in its supply"
 
 
 class Epos2:
@@ -139,6 +140,7 @@ class Epos2:
                 seen.fault(),
                 reboot_line(self.config.node) if seen.rebooted else None,
                 self._exchange.trouble,
+                seen.missing(),
                 self._wire.state(),
                 f"drive's heartbeat is missing for {silence:.2f} s; look at its supply and the bus's cable"
                 if silence > self.config.heartbeat_s
@@ -149,6 +151,11 @@ class Epos2:
                 *(self._complaints_enabled() if self._exchange.armed and not seen.fault() else ()),
             )
             return tuple(line for line in lines if line)
+
+    @property
+    def doubt(self) -> str | None:
+        """Why the motor may still be on after a stop; None where the drive said that it is off."""
+        return UNCONFIRMED if self._powered else None
 
     @property
     def referenced(self) -> bool:
@@ -194,6 +201,8 @@ class Epos2:
         finally:
             self.stop()
             epos2_setup.set_mode(self._wire, objects.PROFILE_POSITION)
+        if self.doubt:
+            raise DeviceError(self.doubt)
 
     def stop(self) -> None:
         """Quick stop at once, then no voltage; from any thread, any number of times; never raises."""
@@ -239,11 +248,13 @@ class Epos2:
         exchange = self._exchange
         if not self._stopping.acquire(timeout=STOP_TIMEOUT_S):
             raise DeviceError("drive is still being stopped; wait, then enable it again")
-        with exchange.news:
-            halts = exchange.halts
-            exchange.handshake.clear()
-            self._powered = True
-        self._stopping.release()
+        try:
+            with exchange.news:
+                halts = exchange.halts
+                exchange.handshake.clear()
+                self._powered = True
+        finally:
+            self._stopping.release()
         try:
             exchange.beat()
             silence = epos2_setup.milliseconds(self.config.heartbeat_s)
@@ -265,6 +276,8 @@ class Epos2:
                 self._powered = False
                 # The host's heartbeat ends with the program, which is no fault of a drive that is at rest.
                 self._wire.tell(objects.HEARTBEAT_CONSUMER, 0)
+            else:
+                self._exchange.trouble = UNCONFIRMED
         except SoftfinError as error:
             self._exchange.trouble = str(error)
         finally:

@@ -13,6 +13,9 @@ COUNTS_A_LINE = 4
 
 LARGEST_COUNT = 2**31 - 1
 
+LONGEST_BRAKE_S = 0.5
+"""A quick stop that takes longer is none, and whoever waits for its end would give it up."""
+
 
 class BusConfig(Configuration):
     """A CAN bus as python-can names it."""
@@ -56,7 +59,7 @@ class DriveConfig(Configuration):
     """Distance from the profile at which the drive faults [rad]; no default: too large and a blocked fin burns."""
     current_limit_a: float | None = Field(None, gt=0, le=10)
     """Largest motor current [A]; written to the drive where given, else the drive's own setting stands."""
-    heartbeat_s: float = Field(0.2, ge=0.05, le=5)
+    heartbeat_s: float = Field(0.2, ge=0.1, le=5)
     """Silence after which each side takes the other for dead [s]: a drive whose host hangs stops this much later."""
     host_node: int = Field(127, ge=1, le=127)
     """Node number of the host's heartbeat, one that no device on the bus has."""
@@ -73,6 +76,12 @@ class DriveConfig(Configuration):
             raise ValueError(f"slowest_rad_s {self.slowest_rad_s:g} is above fastest_rad_s {self.fastest_rad_s:g}")
         if self.node == self.host_node:
             raise ValueError(f"node and host_node are both {self.node}; give host_node a number that no device has")
+        braking = self.fastest_rad_s / self.quick_stop_rad_s2
+        if braking > LONGEST_BRAKE_S:
+            raise ValueError(
+                f"quick_stop_rad_s2 {self.quick_stop_rad_s2:g} takes {braking:.1f} s to stop from fastest_rad_s: "
+                f"at most {LONGEST_BRAKE_S:g} s; give {self.fastest_rad_s / LONGEST_BRAKE_S:.1f} or more"
+            )
         units = Units.of(self)
         for angle in (self.angle_min_rad, self.angle_max_rad):
             if abs(units.counts(angle)) > LARGEST_COUNT:

@@ -124,8 +124,8 @@ class Exchange:
                 self.news.release()
         return locked
 
-    def insist(self, word: int) -> None:
-        """By process data; where that fails or the node does not take them, by SDO without waiting."""
+    def insist(self, word: int) -> bool:
+        """By process data; where that fails or the node does not take them, by SDO; whether the bus took any of it."""
         sent = True
         try:
             self.control(word)
@@ -134,8 +134,10 @@ class Exchange:
         if not sent or self.seen.nmt != objects.OPERATIONAL:
             try:
                 self.wire.shout(objects.CONTROLWORD, word)
+                sent = True
             except DeviceError as error:
                 self.trouble = str(error)
+        return sent
 
     def _reading(self) -> DriveReading:
         seen, units = self.seen, self._units

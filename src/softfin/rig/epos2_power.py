@@ -19,6 +19,8 @@ STANDSTILL_RPM = 5
 HOME_TOLERANCE_COUNTS = 20
 BRAKING_MARGIN = 2
 BRAKING_TICKS = 10
+REFUSED = 3
+"""Orders in a row that the bus does not take, each after its time-out: then no later one is worth a wait."""
 RESET_HINT = "then run: softfin rig check --reset-fault"
 
 
@@ -83,9 +85,12 @@ def rest(exchange: Exchange, config: DriveConfig) -> bool:
 
 def _until(exchange: Exchange, done: Callable[[], bool], word: int, seconds: float, tick: float) -> None:
     """Repeat an order until it is done or the time is over; counted in ticks, so that a stopped clock ends it too."""
+    refused = 0
     for _ in range(max(3, round(seconds / tick))):
         exchange.beat()
-        exchange.insist(word)
+        refused = 0 if exchange.insist(word) else refused + 1
+        if refused == REFUSED:
+            return
         exchange.sync_and_read(tick)
         if done():
             return

@@ -11,6 +11,8 @@ from softfin.rig.epos2_faults import fault_line
 _SENT = tuple(objects.layout(each) for each in objects.SENT)
 _EMERGENCY = struct.Struct("<HB5x")
 ALL = (1 << len(_SENT)) - 1
+MISSING_S = 0.1
+"""Longest that velocity, current and demand may be older than the position [s], whose own age the loop judges."""
 
 
 class Seen:
@@ -25,8 +27,8 @@ class Seen:
         """A bit for each process datum that came at all."""
         self.sync_time = 0.0
         """When the last SYNC was sent: the moment that the drive samples for its answers [s]."""
-        self.position_time = 0.0
-        """The SYNC before the newest position [s]."""
+        self.times = [0.0] * len(_SENT)
+        """The SYNC before the newest of each process datum [s]."""
         self.heartbeat_time = 0.0
         self.nmt: int | None = None
         self.emergency: int | None = None
@@ -37,6 +39,20 @@ class Seen:
     def state(self) -> State | None:
         """None before the first statusword, and for one that no EPOS2 sends."""
         return cia402.decode(self.statusword) if self.ever & 1 else None
+
+    @property
+    def position_time(self) -> float:
+        """The SYNC before the newest position [s]."""
+        return self.times[0]
+
+    def missing(self) -> str | None:
+        """Where the position comes and others do not: what safety looks at must not be old."""
+        oldest = min(self.times)
+        late = self.position_time - oldest
+        if self.ever != ALL or late <= MISSING_S:
+            return None
+        number = self.times.index(oldest) + 1
+        return f"drive's process data {number} are missing for {late:.2f} s; look at the bus and other programs on it"
 
     def has(self, bit: Bit) -> bool:
         """Whether a bit of the statusword is set."""
@@ -77,7 +93,6 @@ class Seen:
         values = _SENT[which].unpack(data)
         if which == 0:
             self.statusword, self.position = values
-            self.position_time = self.sync_time
         elif which == 1:
             self.velocity, self.current = values
         else:
@@ -85,6 +100,7 @@ class Seen:
         if self.fresh & 1 << which:
             self.counters["doubled answers"] += 1
         self.fresh |= 1 << which
+        self.times[which] = self.sync_time
         self.ever |= 1 << which
         return self.fault() if which == 0 and was_well and self.state in cia402.FAULTS else None
 

@@ -50,9 +50,11 @@ class Handshake:
         late = now - self._since > self._patience
         if self._stage is Stage.RAISED and (acknowledged or late):
             return self._answered(acknowledged, now)
-        if self._stage is Stage.LOWERED:
+        if self._stage is Stage.LOWERED or (self._stage is Stage.IDLE and self._waiting):
             if acknowledged:
+                # A drive whose bit 12 does not fall takes no target.
                 self._since = now if late else self._since
+                self.unanswered += late
                 return late or None
             self._stage = Stage.IDLE
         if self._stage is Stage.IDLE and self._waiting and not acknowledged:

@@ -30,6 +30,16 @@ class Rig:
         self.sensor = Axia80(config.sensor, clock)
         self._ticks = 0
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Of the sensor."""
+        return self.sensor.notes()
+
+    @property
+    def doubt(self) -> str | None:
+        """Of the drive."""
+        return self.drive.doubt
+
     def open(self) -> None:
         """Connect to both and configure the drive, without power to the motor."""
         self.sensor.open()
@@ -54,6 +64,7 @@ class Rig:
             following_error=drive.following_error,
             force_time=force.force_time,
             wrench=force.wrench,
+            peak=force.peak,
             complaints=(*self.drive.complaints(), *self.sensor.complaints()),
         )
 

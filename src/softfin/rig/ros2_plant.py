@@ -126,6 +126,11 @@ class Ros2Machine:
         """What a person should know of the connection."""
         return () if self._transport is None else self._transport.notes
 
+    @property
+    def doubt(self) -> str | None:
+        """Whatever was sent: whether the motor is off lies with its driver."""
+        return "whether the motor is off lies with its driver; keep a switch of its supply at hand"
+
     def open(self) -> None:
         """Wait until joint and wrench speak; nothing is sent."""
         self.close()

@@ -1,0 +1,158 @@
+"""What a new user gets wrong, and what must not be done to files: every time one line, and nothing moves."""
+
+import io
+import sys
+
+import pytest
+import yaml
+
+from softfin import artifacts
+from softfin.cli import driving
+from softfin.cli.common import progress
+from softfin.cli.live import Armed
+from softfin.deployment.bench import Bench
+from softfin.deployment.loop import Held
+from softfin.deployment.machine import Sample, Target
+from softfin.deployment.native import load_native
+from softfin.deployment.safety import Guard, SafetyConfig
+from softfin.deployment.session import Session
+from softfin.errors import ConfigurationError
+from softfin.rig.config import RigConfig
+from softfin.rig.emulation.rig import EmulatedRig
+from softfin.rig.emulation.simple import SimpleFin
+from softfin.rig.rig import Rig
+from softfin.stages_live import _differing
+from tests.cli.test_cli import fails
+from tests.deployment.machines import FreeFin
+from tests.deployment.native.folders import folder_of
+
+
+@pytest.fixture(scope="module")
+def controller(tmp_path_factory):
+    return folder_of("single", tmp_path_factory.mktemp("controller"))
+
+
+@pytest.fixture(scope="module")
+def values():
+    with EmulatedRig(fin=SimpleFin()) as emulated:
+        return emulated.values()
+
+
+def refused(capsys, told, words):
+    line, code = fails(capsys, *told)
+    assert words in line
+    assert code == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("gear_ration", "unknown key 'drive.gear_ration'; did you mean 'gear_ratio'?"),
+        (None, "drive.gear_ratio: is required, and missing"),
+    ],
+)
+def test_a_key_of_the_rigs_file_is_named_where_it_is_misspelt_or_missing(
+    controller, values, tmp_path, capsys, name, words
+):
+    drive = dict(values["drive"])
+    ratio = drive.pop("gear_ratio")
+    drive |= {} if name is None else {name: ratio}
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(values | {"drive": drive}))
+    told = ["run", str(controller), "--plant", f"rig:{tmp_path / 'rig.yaml'}", "--reference=1,0", "--arm", "--yes"]
+    refused(capsys, told, words)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("--plant", "rigx"), "--plant rigx: is no real fin; give rig, ros2"),
+        (("--seconds", "0"), "--seconds 0: at least 1"),
+        (("--bag", "a.txt"), "--bag a.txt: a recording is a file NAME.mcap"),
+        (("--bag", "."), "--bag .: a recording is a file NAME.mcap"),
+    ],
+)
+def test_wrong_options_are_told_before_the_rig_is_looked_for(controller, capsys, words, expected):
+    refused(capsys, ["run", str(controller), "--reference=1,0", "--arm", "--yes", *words], expected)
+
+
+def test_a_recording_or_folder_that_is_there_is_neither_moved_nor_replaced(controller, tmp_path, capsys):
+    (tmp_path / "a.mcap").write_text("of yesterday")
+    (tmp_path / "folder.mcap").mkdir()
+    run = ["run", str(controller), "--reference=1,0", "--arm", "--yes", "--plant", f"rig:{tmp_path / 'no.yaml'}"]
+    refused(capsys, [*run, "--bag", str(tmp_path / "a.mcap")], "a.mcap: exists already; give another one")
+    refused(capsys, [*run, "--bag", str(tmp_path / "folder.mcap"), "--overwrite"], "folder.mcap: exists already")
+    assert (tmp_path / "a.mcap").read_text() == "of yesterday"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "folder.mcap"]
+
+
+def test_zeroing_asks_for_what_it_does(values, monkeypatch, capsys):
+    config = RigConfig.build(values)
+    bench = Bench(Rig(config), config.safety)
+    with pytest.raises(ConfigurationError, match="rig of emulated: stays still: nothing moves without --arm"):
+        Armed().confirm(bench, "the motor is powered")
+    monkeypatch.setattr(sys, "stdin", _Typed("move\n"))
+    Armed(arm=True).confirm(bench, "the motor is powered")
+    said = capsys.readouterr().err
+    assert "rig of emulated: the motor is powered.\nCtrl-C" in said
+    assert "will move" not in said
+
+
+class _Typed(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def test_lines_that_nobody_reads_any_more_stop_the_fin(controller, monkeypatch):
+    def gone(text):
+        raise BrokenPipeError(32, "Broken pipe")
+
+    sample = Sample(0.0, 0.0, 0.0, None, None, 0.0, (0.0,) * 6, ())
+    held = Held((1.0, 0.0), Target(0.0, 1.0), [sample] * 100)
+    monkeypatch.setattr(driving, "hold", lambda *_: iter([held]))
+    monkeypatch.setattr(driving, "say", gone)
+    machine = FreeFin()
+    session = Session(machine, Guard(SafetyConfig(), machine.limits))
+    driving._follow(session, load_native(controller), lambda at: (1.0, 0.0), 1)
+    assert session.stop_request.trip == ("emergency_stop", "nobody reads its lines any more (Broken pipe)")
+
+
+def test_what_another_collection_had_is_told_with_both_values():
+    before = {"configuration": {"rows": 600, "seed": 0}, "fin": "a"}
+    now = {"configuration": {"rows": 500, "seed": 0}, "fin": "a"}
+    assert _differing(before, now) == ["configuration.rows (600 there, 500 here)"]
+    assert _differing(before, before) == []
+
+
+def test_a_file_is_never_written_through_a_link_that_stands_in_its_way(tmp_path, monkeypatch):
+    victim = tmp_path / "victim"
+    victim.write_text("mine")
+    monkeypatch.setattr(artifacts.os, "getpid", lambda: 7)
+    (tmp_path / ".rig.yaml.7.partial").symlink_to(victim)
+    artifacts.write_file(tmp_path / "rig.yaml", "fin: a")
+    assert victim.read_text() == "mine"
+    assert (tmp_path / "rig.yaml").read_text() == "fin: a"
+    assert not (tmp_path / "rig.yaml").is_symlink()
+
+
+def test_the_check_of_the_disk_writes_through_no_link_either(tmp_path, monkeypatch):
+    from softfin.rig import check
+
+    victim = tmp_path / "victim"
+    victim.write_text("mine")
+    monkeypatch.setattr(check.os, "getpid", lambda: 7)
+    (tmp_path / ".softfin-check-7").symlink_to(victim)
+    finding = next(check._disk(tmp_path))
+    assert finding.state == "wrong"
+    assert victim.read_text() == "mine"
+
+
+def test_a_narrow_terminal_keeps_what_is_left_of_the_day(monkeypatch):
+    from rich.console import Console
+
+    from softfin.cli import common
+
+    said = io.StringIO()
+    monkeypatch.setattr(common, "Console", lambda stderr: Console(file=said, force_terminal=True, width=80))
+    with progress() as report:
+        report("collect", 0.5, "6 h 03 min left, train-0000: (+1.23, -0.45) N, -1.20 rad")
+    assert "6 h 03 min left, train-0000: (+1.2" in said.getvalue()

@@ -1,0 +1,161 @@
+import json
+import signal
+from pathlib import Path
+
+import pytest
+import yaml
+
+from softfin.cli import main
+from softfin.rig.cia402 import State
+from softfin.rig.emulation.rig import EmulatedRig
+from softfin.rig.emulation.simple import SimpleFin
+from tests.cli.terminal import Terminal
+from tests.cli.test_cli import fails
+from tests.deployment.bags import counts_of, events_of
+from tests.deployment.native.folders import folder_of
+from tests.rig.rigs import patient, wide, write_wide
+
+
+@pytest.fixture(scope="module")
+def controller(tmp_path_factory):
+    return folder_of("single", tmp_path_factory.mktemp("controller"))
+
+
+@pytest.fixture
+def emulated():
+    with patient(), EmulatedRig(fin=SimpleFin()) as behind:
+        yield behind
+
+
+@pytest.fixture
+def plant(emulated, tmp_path):
+    """For this process."""
+    return f"rig:{write_wide(emulated, tmp_path / 'rig.yaml')}"
+
+
+@pytest.fixture
+def elsewhere(emulated, tmp_path):
+    """For another one."""
+    (tmp_path / "other.yaml").write_text(yaml.safe_dump(wide(emulated, same_process=False)))
+    return "rig:other.yaml"
+
+
+def still(emulated):
+    assert emulated.drive.state in (State.SWITCH_ON_DISABLED, State.FAULT)
+    assert emulated.fin.now().velocity == 0.0
+
+
+RUN = ("--reference=1,-1", "--seconds", "1")
+
+
+def test_a_controller_runs_for_so_long_and_says_what_it_made(controller, plant, emulated, tmp_path, capsys):
+    bag = tmp_path / "a.mcap"
+    main(["run", str(controller), "--plant", plant, *RUN, "--arm", "--yes", "--bag", str(bag), "--json"])
+    told = json.loads(capsys.readouterr().out)
+    assert told["seconds"] == 1.0
+    assert told["counters"]["sensor_records"] > 0
+    assert events_of(bag) == ["active: rig of emulated", "inactive"]
+    assert counts_of(bag)["/fin/command"] >= 5
+    still(emulated)
+
+
+def test_nothing_moves_without_arm(controller, plant, emulated, tmp_path, capsys):
+    line, code = fails(capsys, "run", str(controller), "--plant", plant, *RUN)
+    assert line.endswith("nothing moves without --arm")
+    assert code == 2
+    assert emulated.fin.now().angle == 0.0
+    assert not list(tmp_path.glob("*.mcap"))
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--plant", "tank", *RUN], "--plant tank: is no real fin; give rig"),
+        (["--reference=1,1", "--reference-file", "x.csv"], "one of them"),
+        ([], "give --reference=X,Y or --reference-file"),
+        (["--reference=1,1", "--seconds", "0"], "--seconds 0: at least 1"),
+        (["--reference=one,1"], "not a force; write --reference=X,Y"),
+        (["--reference=nan,1"], "nan"),
+    ],
+)
+def test_bad_input_is_one_line_before_anything_is_opened(words, expected, controller, plant, capsys):
+    plant = [] if "--plant" in words else ["--plant", plant]
+    line, code = fails(capsys, "run", str(controller), *plant, *words, "--arm", "--yes")
+    assert expected in line
+    assert code == 2
+
+
+def test_a_stop_is_exit_code_three_with_the_reason_and_a_whole_bag(controller, emulated, tmp_path, capsys):
+    plant = f"rig:{write_wide(emulated, tmp_path / 'rig.yaml', force_peak_n=0.2, force_sustained_n=0.1)}"
+    bag = tmp_path / "a.mcap"
+    with pytest.raises(SystemExit) as ended:
+        main(["run", str(controller), "--plant", plant, *RUN, "--arm", "--yes", "--bag", str(bag)])
+    assert ended.value.code == 3
+    said = capsys.readouterr().err.strip().splitlines()
+    assert said[-1].startswith("softfin run: stopped, motor disabled: force ")
+    assert said[-1].endswith("look for what the fin touches")
+    assert "stopped: force_peak: force " in events_of(bag)[-1]
+    still(emulated)
+
+
+def started(terminal):
+    terminal.wait_for("Type 'move' and Enter: ")
+    terminal.type("move\n")
+    terminal.wait_for("1.0 s  reference")
+
+
+LIVE = ("--reference=1,-1", "--arm", "--bag", "a.mcap")
+
+
+def test_enter_on_the_terminal_stops_and_a_typed_reference_is_taken(controller, elsewhere, emulated, tmp_path):
+    with Terminal(["run", controller, "--plant", elsewhere, *LIVE], tmp_path) as terminal:
+        started(terminal)
+        terminal.type("2,0.5\n")
+        terminal.wait_for("reference (+2.00, +0.50) N")
+        terminal.type("hello\n")
+        terminal.wait_for("write X,Y in newton")
+        terminal.type("\n")
+        assert terminal.ended() == 3
+        assert terminal.said.rstrip().endswith("softfin run: stopped, motor disabled: stopped by a key")
+        assert "Traceback" not in terminal.said
+        assert "Fatal" not in terminal.said
+    still(emulated)
+    assert events_of(tmp_path / "a.mcap")[-1] == "stopped: emergency_stop: stopped by a key"
+
+
+def test_a_run_that_ends_by_itself_leaves_no_thread_at_the_terminal(controller, elsewhere, emulated, tmp_path):
+    with Terminal(["run", controller, "--plant", elsewhere, *LIVE, "--seconds", "1"], tmp_path) as terminal:
+        started(terminal)
+        assert terminal.ended() == 0, terminal.said
+        assert "Fatal" not in terminal.said
+    still(emulated)
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGHUP"])
+def test_signals_stop_the_fin(name, controller, elsewhere, emulated, tmp_path):
+    with Terminal(["run", controller, "--plant", elsewhere, *LIVE], tmp_path) as terminal:
+        started(terminal)
+        terminal.signal(getattr(signal, name))
+        if name == "SIGINT":
+            terminal.signal(signal.SIGINT)
+        assert terminal.ended() == 3, terminal.said
+        assert f"stopped by {'Ctrl-C' if name == 'SIGINT' else name}" in terminal.said
+        assert "Traceback" not in terminal.said
+    still(emulated)
+    assert "stopped: emergency_stop" in events_of(tmp_path / "a.mcap")[-1]
+
+
+@pytest.mark.parametrize("answer", ["no\n", None])
+def test_without_the_word_nothing_moves(answer, controller, elsewhere, emulated, tmp_path):
+    with Terminal(["run", controller, "--plant", elsewhere, *LIVE], tmp_path) as terminal:
+        terminal.wait_for("Type 'move' and Enter: ")
+        if answer is None:
+            terminal.signal(signal.SIGINT)
+            assert terminal.ended() == 1
+        else:
+            terminal.type(answer)
+            assert terminal.ended() == 2
+            assert "not confirmed with 'move'; nothing moved" in terminal.said
+    assert emulated.fin.now().angle == 0.0
+    assert emulated.drive.state is State.SWITCH_ON_DISABLED
+    assert not list(Path(tmp_path).glob("*.mcap"))
