@@ -5,8 +5,7 @@ removed, and with the logs that are finished, from which an interrupted collecti
 """
 
 import json
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -80,7 +79,8 @@ def collect_live(
     if missing:
         request = stop or StopRequest()
         guard = Guard(bench.safety, bench.machine.limits)
-        with Session(bench.machine, guard, stop=request) as session, moving(session, confirm, bench):
+        with Session(bench.machine, guard, stop=request) as session:
+            _may_move(session, confirm, bench)
             artifacts.write_file(bags / STATE, artifacts.dump_json(same))
             for index, name in enumerate(missing):
                 told = _Told(progress, name, index, len(missing), config.rows, bench.settle_s)
@@ -119,13 +119,11 @@ def evaluate_live(
     request = stop or StopRequest()
     guard = Guard(bench.safety, bench.machine.limits, acting.training_range)
     bag = bags_of(out) / f"session-{datetime.now().astimezone():%Y%m%d-%H%M%S}.mcap"
-    with (
-        Session(bench.machine, guard, stop=request) as session,
-        moving(session, confirm, bench),
-        recording(session, bag),
-    ):
-        fin = LiveFin(session, acting, bench, progress)
-        return stages.evaluate(controller, fin, out, config, overwrite=overwrite)
+    with Session(bench.machine, guard, stop=request) as session:
+        _may_move(session, confirm, bench)
+        with recording(session, bag):
+            fin = LiveFin(session, acting, bench, progress)
+            return stages.evaluate(controller, fin, out, config, overwrite=overwrite)
 
 
 class LiveFin:
@@ -206,7 +204,9 @@ def _check_claim(bags: Path, facts: dict[str, Any], resume: bool) -> None:
         before = artifacts.read_json(state)
         finished = any(bags.glob("*.parquet"))
         if finished and not resume:
-            raise ArtifactError(f"{bags}: holds finished logs; go on with --resume, or give another --out")
+            raise ArtifactError(
+                f"{bags}: holds finished logs; go on with --resume, give another --out, or move it away"
+            )
         if finished and before != wanted:
             differing = "; ".join(_differing(before, wanted)[:SHOWN]) or "collection"
             raise ArtifactError(
@@ -279,9 +279,7 @@ def _time(seconds: float) -> str:
     return f"{minutes // 60} h {minutes % 60:02d} min" if minutes >= 60 else f"{minutes} min {rest:02d} s"
 
 
-@contextmanager
-def moving(session: Session, confirm: Confirm, bench: Bench) -> Iterator[None]:
-    """From here on the fin may move, and Ctrl-C and its kin stop it before anything else."""
+def _may_move(session: Session, confirm: Confirm, bench: Bench) -> None:
+    """Ask; from here on Ctrl-C and its kin stop the fin before anything else."""
     confirm(bench)
-    with stopped_by_signals(session.stop_request):
-        yield
+    session.until_closed(stopped_by_signals(session.stop_request))

@@ -15,6 +15,7 @@ from softfin.cli.live import Armed, on_terminal
 from softfin.deployment.bench import Bench, check_fits
 from softfin.deployment.loop import Held, References, hold, seconds_to_actions
 from softfin.deployment.native import NativeController, load_native, trimmed
+from softfin.deployment.reach import knows_its_range
 from softfin.deployment.recording import recording
 from softfin.deployment.safety import Guard
 from softfin.deployment.session import Observer, Session
@@ -88,10 +89,15 @@ class Driving(Armed, Common):
         acting = trimmed(controller) if self.trim else controller
         with Session(bench.machine, guard, stop=stop, observers=observers) as session:
             self.confirm(bench)
+            if not knows_its_range(controller.training_range):
+                say(
+                    f"{self.controller}: says nothing of what its surrogate learnt from; nobody sees if the fin leaves that"
+                )
             if on_terminal():
                 Keyboard(stop, line, typed(stop, sys.stdin)).start()
             bag.unlink(missing_ok=True)
-            with stopped_by_signals(stop), recording(session, bag) as recorder:
+            session.until_closed(stopped_by_signals(stop))
+            with recording(session, bag) as recorder:
 
                 def told(at: float) -> tuple[float, float]:
                     reference = references(at)

@@ -6,6 +6,11 @@ from softfin.deployment.native.controller import TrainingRange
 NAMES = ("angle", "velocity", "force x", "force y")
 
 
+def knows_its_range(trained: TrainingRange | None) -> bool:
+    """Whether any channel can be looked at."""
+    return trained is not None and any(bounds is not None for bounds in trained)
+
+
 def beyond(trained: TrainingRange, sample: Sample) -> tuple[float, str]:
     """The greatest distance of any channel from its range, in widths of that range, and the channel's name."""
     values = (sample.angle, sample.velocity, sample.wrench[0], sample.wrench[1])

@@ -8,6 +8,7 @@ import gc
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, ExitStack
 from types import TracebackType
 from typing import Literal, NoReturn, Protocol, runtime_checkable
 
@@ -73,6 +74,7 @@ class Session:
     ) -> None:
         self.machine, self.guard, self.stop_request = machine, guard, stop or StopRequest()
         self.observers, self.pace = observers, pace or Pace()
+        self._until_closed = ExitStack()
         self.recorder: Recorder | None = None
         self.state: State = "unconfigured"
         self.target: Target | None = None
@@ -100,12 +102,19 @@ class Session:
         if not told:
             self._tell("the session ended" if error is None else f"ended by {kind.__name__ if kind else ''}: {error}")
         self.state = "stopped"
-        self.machine.close()
-        gc.unfreeze()
+        try:
+            self.machine.close()
+        finally:
+            gc.unfreeze()
+            self._until_closed.close()
         if not told and doubt is not None and doubt != self._doubt:
             # Whatever ended the session, nobody may take the fin for safe.
             reason = "the session ended" if error is None else _line(error, "the session was ended")
             raise SafetyStop(f"{reason}; BUT {doubt}") from error
+
+    def until_closed(self, context: AbstractContextManager[None]) -> None:
+        """Enter a context that ends after the machine is closed: a second Ctrl-C must not come between."""
+        self._until_closed.enter_context(context)
 
     def tick(self) -> Sample:
         """Wait for the next tick, read and check; raises SafetyStop, the machine stopped already."""

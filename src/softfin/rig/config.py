@@ -21,7 +21,7 @@ ROS2_DEFAULT = Path("ros2.yaml")
 class RigConfig(Configuration):
     """Everything that is to know of one rig; what must not be guessed has no default."""
 
-    fin: str = Field(min_length=1, max_length=100)
+    fin: str = Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")
     """What this fin is called; datasets, surrogates and controllers carry the name on."""
     bus: BusConfig
     """The CAN bus."""
@@ -59,7 +59,7 @@ class RigConfig(Configuration):
 class Ros2Config(Configuration):
     """A fin made of topics of ROS 2."""
 
-    fin: str = Field(min_length=1, max_length=100)
+    fin: str = Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")
     """What this fin is called; datasets, surrogates and controllers carry the name on."""
     topics: Ros2PlantConfig
     """Where it is read and commanded."""

@@ -56,7 +56,7 @@ def _screen(follower: Follower, console: Console, sleep: Callable[[float], None]
 
 
 def _lines(follower: Follower, console: Console, clock: Callable[[], float], sleep: Callable[[float], None]) -> None:
-    due, said = clock(), 0
+    due, said, before = clock(), 0, ""
     while True:
         follower.poll()
         summary = follower.summary()
@@ -65,8 +65,10 @@ def _lines(follower: Follower, console: Console, clock: Callable[[], float], sle
             _say(console, f"{event.time:9.2f} s  {event.values[0]}")
             said = event.serial
         if over or clock() >= due:
-            _say(console, line(summary))
-            due = clock() + LINE_S
+            # Of a recording that has ended nothing changes any more.
+            if (now := line(summary)) != before:
+                _say(console, now)
+            due, before = clock() + LINE_S, now
         if over:
             return
         sleep(REFRESH_S)

@@ -26,6 +26,13 @@ FRAME = "y,-x"
 """How the emulated sensor is mounted; not as softfin's axes, so that nobody's frame is right by chance."""
 
 
+PATIENT = {"overrun_s": 0.3, "stale_s": 0.3, "force_stale_s": 0.4, "watchdog_s": 0.8}
+"""Limits for emulators that share their computer with browsers and compilers; a real fin deserves the defaults."""
+
+HEARTBEAT_S = 1.0
+"""Likewise."""
+
+
 class EmulatedRig:
     """Serves from `start` until `close`."""
 
@@ -89,7 +96,7 @@ class EmulatedRig:
             "drive": self._config.model_dump(mode="json", exclude_defaults=True),
             "sensor": {"address": HOST, "http_port": self.sensor.http_port, "rdt_port": self.sensor.rdt_port,
                        "frame": FRAME},
-            "safety": {"current_peak_a": 6.0, "current_sustained_a": 3.0},
+            "safety": {"current_peak_a": 6.0, "current_sustained_a": 3.0, **PATIENT},
             "settle_s": 1.0,
         }  # fmt: skip
         return values | changes
@@ -116,6 +123,6 @@ def _drive(tank: Tank | None) -> DriveConfig:
         }  # fmt: skip
     return DriveConfig.build(
         {"node": 1, "encoder_lines": 500, "gear_ratio": 111.0, "acceleration_rad_s2": 80.0, "quick_stop_rad_s2": 80.0,
-         "following_error_rad": 0.5, **changes},
+         "following_error_rad": 0.5, "heartbeat_s": HEARTBEAT_S, **changes},
         "emulated drive",
     )  # fmt: skip
