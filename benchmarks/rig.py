@@ -79,7 +79,7 @@ def _loop(folder: Path, controller: NativeController) -> list[dict[str, Any]]:
             cpu, start = time.process_time(), time.monotonic()
             list(hold(session, controller, lambda at: (1.0, 0.0), 3 * SECONDS))
             share = (time.process_time() - cpu) / (time.monotonic() - start)
-            counted = {name: count - before[name] for name, count in rig.counters().items()}
+            counted = {name: count - before.get(name, 0) for name, count in rig.counters().items()}
             session.deactivate()
     lost = counted["sensor_lost"] + counted.get("drive_syncs_without_all_answers", 0) + session.pace.skipped - skipped
     return [

@@ -90,9 +90,7 @@ class Driving(Armed, Common):
         with Session(bench.machine, guard, stop=stop, observers=observers) as session:
             self.confirm(bench)
             if not knows_its_range(controller.training_range):
-                say(
-                    f"{self.controller}: says nothing of what its surrogate learnt from; nobody sees if the fin leaves that"
-                )
+                say(f"{self.controller}: says nothing of its surrogate's data; nobody sees whether the fin leaves them")
             if on_terminal():
                 Keyboard(stop, line, typed(stop, sys.stdin)).start()
             bag.unlink(missing_ok=True)
