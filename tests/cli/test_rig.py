@@ -1,6 +1,7 @@
 import contextlib
 import json
 import signal
+import time
 
 import pytest
 
@@ -70,6 +71,8 @@ def test_zeroing_the_angle_needs_arm_and_moves_nothing(file, emulated, capsys):
     line, code = fails(capsys, "rig", "zero", "--rig", file, "--angle")
     assert (line.endswith("nothing moves without --arm"), code) == (True, 2)
     emulated.fin.move(0.2, 10.0)
+    while emulated.fin.now().velocity:
+        time.sleep(0.005)
     main(["rig", "zero", "--rig", file, "--arm", "--yes", "--angle", "--json"])
     told = json.loads(capsys.readouterr().out)
     assert abs(told["angle_after_rad"]) < 1e-3

@@ -30,7 +30,7 @@ class Common:
     json: bool = False
     """Print the result as JSON on standard output."""
     overwrite: bool = False
-    """Replace what is at --out, and drop an unfinished run of it."""
+    """Replace what is there already, and drop an unfinished run of it."""
     debug: bool = False
     """Show the traceback of an error."""
 

@@ -5,8 +5,6 @@ stops the machine first and is told after.
 """
 
 import gc
-import threading
-import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from types import TracebackType
@@ -14,8 +12,9 @@ from typing import Literal, NoReturn, Protocol, runtime_checkable
 
 from softfin.deployment.machine import Machine, Sample, Target
 from softfin.deployment.pace import Pace
-from softfin.deployment.safety import Guard, SafetyConfig, Trip
+from softfin.deployment.safety import Guard, Trip
 from softfin.deployment.stop import StopRequest
+from softfin.deployment.watchdog import Watchdog
 from softfin.errors import SafetyStop, SoftfinError
 from softfin.quantities import RATE_HZ
 
@@ -279,31 +278,3 @@ def _line(error: BaseException, what: str) -> str:
     if isinstance(error, SoftfinError):
         return str(error)
     return f"{what} ({type(error).__name__}: {' '.join(str(error).split())[:300]}); see --debug"
-
-
-class Watchdog:
-    """A thread that stops the machine when the loop is silent: a controller that hangs must not leave it moving."""
-
-    def __init__(
-        self, config: SafetyConfig, bite: Callable[[float], None], clock: Callable[[], float] = time.monotonic
-    ) -> None:
-        self._silence, self._bite, self._clock = config.watchdog_s, bite, clock
-        self._fed = clock()
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._watch, name="watchdog", daemon=True)
-        self._thread.start()
-
-    def feed(self, now: float) -> None:
-        """The loop is alive."""
-        self._fed = now
-
-    def end(self) -> None:
-        """Watch no more."""
-        self._ended.set()
-
-    def _watch(self) -> None:
-        while not self._ended.wait(self._silence / 4):
-            silence = self._clock() - self._fed
-            if silence > self._silence:
-                self._bite(silence)
-                return
