@@ -129,10 +129,10 @@ def test_a_log_through_the_emulators_is_the_tanks_own(tmp_path):
     commands = Command(*(jnp.asarray(channel) for channel in through.command))
     _, own = jax.jit(lambda: roll(tank, tank.init(jax.random.key(0)), commands))()
     angles = [rmse(through.reading.angle, own.angle, lag) for lag in range(8)]
-    assert min(angles) < 0.08, angles
+    assert min(angles) < 0.04, angles
     for axis in range(2):
         forces = [alike(through.reading.force[:, axis], own.force[:, axis], lag) for lag in range(8)]
-        assert max(forces) > 0.8, forces
+        assert max(forces) > 0.95, forces
 
 
 def distinct(command):

@@ -4,7 +4,7 @@ from softfin.deployment.machine import Target
 from softfin.deployment.recording import recording
 from softfin.errors import RunError, SafetyStop, SoftfinError
 from softfin.logs.bag_messages import CURRENT, EVENTS
-from softfin.logs.rosbag import DEFAULT_TOPICS
+from softfin.logs.topics import DEFAULT_TOPICS
 from tests.deployment.bags import counts_of, events_of
 from tests.deployment.test_session import Made
 

@@ -12,8 +12,8 @@ from softfin.logs.bag_messages import COMMAND, CURRENT, EVENTS, JOINT, REFERENCE
 from softfin.logs.bag_recovery import recover
 from softfin.logs.bag_writer import BagRecorder
 from softfin.logs.recordings import open_logs
-from softfin.logs.rosbag import DEFAULT_TOPICS
 from softfin.logs.rosbag import TYPES as READABLE
+from softfin.logs.topics import DEFAULT_TOPICS
 from tests.logs.recorded import by_mcap_ros2, by_rosbags, record
 
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from softfin.logs.rosbag import DEFAULT_TOPICS
+from softfin.logs.topics import DEFAULT_TOPICS
 
 COMMAND, JOINT, WRENCH = DEFAULT_TOPICS["command"], DEFAULT_TOPICS["joint"], DEFAULT_TOPICS["wrench"]
 REFERENCE, CURRENT, EVENTS = "/fin/reference", "/fin/current", "/fin/events"

@@ -17,8 +17,7 @@ from softfin.logs.columns import converted
 from softfin.logs.findings import Finding, Place
 from softfin.logs.importing import TOPICS, ImportConfig
 from softfin.logs.recording import Part, Recording, Track
-
-DEFAULT_TOPICS = {"command": "/fin/command", "joint": "/fin/joint_states", "wrench": "/fin/wrench"}
+from softfin.logs.topics import DEFAULT_TOPICS
 
 TYPES = {
     "command": ("sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"),
