@@ -42,8 +42,9 @@ class SafetyConfig(Configuration):
     """Oldest reading of the angle that is acted on [s]."""
     force_stale_s: float = Field(default=0.1, ge=0.02, le=1)
     """Likewise of the force, whose filter is part of its age [s]."""
-    following_rad: PositiveFloat = 0.35
-    """Largest following error that may last for `following_s` [rad]."""
+    following_rad: PositiveFloat = 0.2
+    """Largest following error that may last for `following_s` [rad]; 0.01 in the virtual tank. A fin that is blocked
+    within a stroke of less than twice this shows in the current alone."""
     following_s: float = Field(default=0.1, ge=0.02, le=2)
     overrun_s: float = Field(default=0.05, ge=0.01, le=1)
     """Latest that a tick may come [s]."""
