@@ -115,6 +115,9 @@ class Notes:
     def wrench(self, time: float, wrench: tuple[float, ...]) -> None:
         self.rows.append("wrench")
 
+    def reference(self, time: float, force: tuple[float, ...]) -> None:
+        self.rows.append("reference")
+
     def event(self, time: float, text: str) -> None:
         self._calls.append(f"event {text}")
         self.events.append(text)

@@ -95,16 +95,10 @@ class Driving(Armed, Common):
                 Keyboard(stop, line, typed(stop, sys.stdin)).start()
             bag.unlink(missing_ok=True)
             session.until_closed(stopped_by_signals(stop))
-            with recording(session, bag) as recorder:
-
-                def told(at: float) -> tuple[float, float]:
-                    reference = references(at)
-                    recorder.reference(time.monotonic(), reference)
-                    return reference
-
+            with recording(session, bag):
                 session.activate()
                 session.rest(bench.settle_s)
-                summary = _follow(session, acting, told, seconds)
+                summary = _follow(session, acting, references, seconds)
                 session.deactivate()
         return {"bag": str(bag), **summary, "clock": session.pace.described(), "counters": bench.machine.counters()}
 

@@ -63,6 +63,7 @@ def hold(session: Session, controller: Acting, references: References, actions: 
             session.abort(Trip("controller", str(error)))
         except Exception as error:
             session.abort(Trip("controller", f"the controller failed ({type(error).__name__}: {error}); see --debug"))
+        session.asked(reference)
         length = ACTION_TICKS[index % len(ACTION_TICKS)]
         samples = session.hold(target, length)
         ticks += length

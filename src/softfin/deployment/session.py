@@ -54,6 +54,10 @@ class Recorder(Protocol):
         """A reading of the force sensor."""
         ...
 
+    def reference(self, time: float, force: tuple[float, ...]) -> None:
+        """The force that is asked for, (x, y) [N]."""
+        ...
+
     def event(self, time: float, text: str) -> None:
         """Something worth knowing."""
         ...
@@ -202,6 +206,11 @@ class Session:
         self.target = target
         if self.recorder is not None:
             self.recorder.command(self.pace.clock(), target.angle, target.velocity)
+
+    def asked(self, reference: tuple[float, float]) -> None:
+        """For the record: the force that is asked for from now on [N]."""
+        if self.recorder is not None:
+            self.recorder.reference(self.pace.clock(), reference)
 
     def hold(self, target: Target, ticks: int) -> list[Sample]:
         """Hold a command for so many ticks; what was read after each."""
