@@ -37,10 +37,10 @@ LONG = os.environ.get("SOFTFIN_LONG") == "1"
 LONG_S = 60 * float(os.environ.get("SOFTFIN_SOAK_MINUTES", "20"))
 
 WIDE = {"current_peak_a": 20.0, "current_sustained_a": 10.0, "overrun_s": 0.8, "stale_s": 0.8, "force_stale_s": 0.8,
-        "watchdog_s": 1.8, "acceleration_rad_s2": 1e5, "velocity_rad_s": 100.0, "following_s": 2.0}  # fmt: skip
+        "watchdog_s": 1.8, "acceleration_rad_s2": 1e5, "velocity_rad_s": 100.0, "following_s": 0.2}  # fmt: skip
 """So that a busy machine alone does not stop the fin: only what is injected does."""
 
-BUSY = "0x8130|silent for|ms late|heartbeat is missing"
+BUSY = "0x8130|silent for|ms late|heartbeat is missing|no new angle for|no new force for"
 """What a machine that is too busy for a while is stopped by, before any other fault is seen."""
 
 HANG_S = 20.0
