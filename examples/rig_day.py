@@ -1,6 +1,6 @@
 """A whole day at the rig in some minutes, on emulated devices: every command as one would type it, in one script.
 
-    python examples/rig_day.py --out runs/day            # about 15 minutes: logs enough to hold a force
+    python examples/rig_day.py --out runs/day            # about 20 minutes: 0.024 / 0.009 N, see docs/rig.md
     python examples/rig_day.py --out runs/day --quick    # 3 to 6: does every step work at all?
 
 At a real rig leave out `rig emulate`, write your own rig.yaml (docs/rig.md), and --yes.
