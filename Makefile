@@ -25,6 +25,7 @@ setup: .venv/.ready ## make the environment
 demo: setup ## collect, fit, train, evaluate, report: at most 5 minutes on 2 cores
 	$(RUN) softfin reproduce --preset $(PRESET) --plant tank --out $(OUT) --overwrite
 
+day: OUT = runs/day
 day: setup ## a whole day at an emulated rig in some minutes: check, zero, collect, fit, train, evaluate, run
 	$(RUN) python examples/rig_day.py --quick --out $(OUT)
 

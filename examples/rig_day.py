@@ -24,6 +24,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/day"))
     parser.add_argument("--quick", action="store_true")
     options = parser.parse_args()
+    if options.out.exists():
+        raise SystemExit(f"{options.out}: exists already; give another --out, or remove it")
     options.out.mkdir(parents=True)
     os.chdir(options.out)
     emulator = subprocess.Popen([*SOFTFIN, "rig", "emulate"])
