@@ -1,5 +1,7 @@
 "use strict";
 
+/* canvas.js */
+
 const footage = JSON.parse(document.getElementById("footage").textContent);
 const { scale, ticks, points, window: span } = footage;
 const element = (id) => document.getElementById(id);
@@ -12,34 +14,10 @@ const panels = [
 
 let now = 0, playing = false, hovered = null, colours = {}, last = null, waiting = false, coming = null;
 
-const numeral = (value, digits) => (value < 0 && Number(value.toFixed(digits)) !== 0 ? "\u2212" : "") + Math.abs(value).toFixed(digits);
 const meanAt = (panel, tick) => (panel.mean && tick >= span - 1 ? panel.mean[tick - span + 1] : null);
 const secondsAt = (tick) => ((tick + 1) / footage.rate_hz).toFixed(2) + " s";
 const shapeAt = (tick) => Array.from({ length: points }, (_, i) => [
   footage.shape[2 * (tick * points + i)] * footage.shape_unit_m, footage.shape[2 * (tick * points + i) + 1] * footage.shape_unit_m]);
-
-/* A canvas in CSS pixels, sharp on every screen. */
-function prepare(canvas) {
-  const ratio = window.devicePixelRatio || 1;
-  const width = canvas.clientWidth, height = canvas.clientHeight;
-  if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
-    canvas.width = Math.round(width * ratio);
-    canvas.height = Math.round(height * ratio);
-  }
-  const pen = canvas.getContext("2d");
-  pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-  pen.clearRect(0, 0, width, height);
-  pen.font = "13px system-ui, sans-serif";
-  return { pen, width, height };
-}
-
-function ticksOf(low, high, most) {
-  const rough = (high - low) / most, power = 10 ** Math.floor(Math.log10(rough));
-  const step = [1, 2, 5, 10].map((s) => s * power).find((s) => s >= rough);
-  const marks = [];
-  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) marks.push(k * step);
-  return { marks, digits: Math.max(0, -Math.floor(Math.log10(step) + 1e-9)) };
-}
 
 /* Through the points from the pen's place, smoothly (Catmull and Rom). */
 function curve(pen, line) {
@@ -182,7 +160,7 @@ function drawTraces(tick, pointed) {
     pen.fillStyle = colours.soft;
     pen.textAlign = "right";
     pen.textBaseline = "middle";
-    const { marks, digits } = ticksOf(low, high, 4);
+    const { marks, digits } = marksOf(low, high, stepOf(low, high, 4));
     for (const mark of marks) {
       pen.beginPath();
       pen.moveTo(layout.left, y(mark));
@@ -222,7 +200,7 @@ function drawTraces(tick, pointed) {
   });
   pen.fillStyle = colours.soft;
   pen.textBaseline = "top";
-  const { marks, digits } = ticksOf(0, ticks / footage.rate_hz, Math.max(3, Math.floor(width / 80)));
+  const { marks, digits } = marksOf(0, ticks / footage.rate_hz, stepOf(0, ticks / footage.rate_hz, Math.max(3, Math.floor(width / 80))));
   for (const mark of marks) {
     const x = layout.x(mark * footage.rate_hz - 1);
     pen.textAlign = x > layout.right - 12 ? "right" : "center";

@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from softfin import artifacts
 from softfin.action_clock import WINDOW
+from softfin.canvas import with_canvas
 from softfin.quantities import AXES, RATE_HZ
 from softfin.viewing.footage import Footage
 from softfin.viewing.scale import TRAIL_TICKS, scale_of
@@ -28,7 +29,7 @@ def write_page(path: Path, footage: Footage, title: str) -> None:
         asked=footage.reference is not None,
         stream=footage.stream is not None,
         footage=Markup(embedded(described(footage))),
-        script=Markup(_part("page.js")),
+        script=Markup(with_canvas(_part("page.js"))),
     )
     artifacts.write_file(path, page)
 

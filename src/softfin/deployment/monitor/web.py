@@ -20,6 +20,7 @@ from io import BytesIO
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
+from softfin.canvas import with_canvas
 from softfin.deployment.monitor.follow import Follower
 from softfin.deployment.monitor.messages import NAMES
 from softfin.deployment.monitor.summary import STATES, WINDOW_S, finite
@@ -85,7 +86,8 @@ class Server(ThreadingHTTPServer):
 
     def __init__(self, feed: Feed, host: str, port: int) -> None:
         self.feed, self.host = feed, host
-        self.page = importlib.resources.files("softfin.deployment.monitor").joinpath("page.html").read_bytes()
+        page = importlib.resources.files("softfin.deployment.monitor").joinpath("page.html").read_text("utf-8")
+        self.page = with_canvas(page).encode()
         self.policy = _policy(self.page.decode())
         self._places = threading.BoundedSemaphore(MOST_CLIENTS)
         if not 0 <= port <= 65535:
