@@ -26,7 +26,8 @@ from softfin.evaluation.report import write_report
 from softfin.evaluation.scores import Scores
 from softfin.logs.collect import CollectConfig
 from softfin.logs.dataset import Dataset
-from softfin.plants import find_plant, identity, is_surrogate
+from softfin.plant_identity import identity
+from softfin.plants import find_plant, is_surrogate
 from softfin.quantities import RATE_HZ
 from softfin.stages import Progress
 from softfin.surrogate import FitConfig, StreamingConfig, Surrogate, load_surrogate

@@ -40,7 +40,8 @@ from softfin.logs.importing import ImportConfig
 from softfin.logs.inspection import Inspection
 from softfin.logs.recordings import Opened, check_train, open_logs
 from softfin.plant import Plant
-from softfin.plants import find_plant, identity
+from softfin.plant_identity import identity
+from softfin.plants import find_plant
 from softfin.quantities import Limits
 from softfin.randomness import key_of
 from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig, StreamingSurrogate, Surrogate, save_surrogate
