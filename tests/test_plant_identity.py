@@ -15,7 +15,7 @@ from softfin.logs.side_by_side import simulate
 from softfin.plant_identity import identity, jit_argument
 from softfin.quantities import PAPER_LIMITS
 from softfin.tank import Tank
-from tests.plants import AnalyticFin, Flapper, PlainFin
+from tests.plants import AnalyticFin, Flapper
 
 GAIN = 1.0
 
@@ -63,7 +63,14 @@ class CallingBack(Own):
 
 def test_two_plants_that_differ_in_a_plain_number_are_not_the_same():
     assert identity(Own(gain=1.0)) == identity(Own(gain=1.0))
-    different = [Own(), Own(gain=5.0), Own(table=(1.0, 3.0)), WithFloat(), WithFloat(factor=5.0), AnalyticFin(lag_s=0.1)]
+    different = [
+        Own(),
+        Own(gain=5.0),
+        Own(table=(1.0, 3.0)),
+        WithFloat(),
+        WithFloat(factor=5.0),
+        AnalyticFin(lag_s=0.1),
+    ]
     assert len({identity(plant) for plant in different}) == len(different)
 
 
@@ -89,7 +96,7 @@ def test_an_identity_is_the_same_in_another_process():
 
 def test_a_plant_that_calls_back_into_python_must_state_its_identity():
     plant = CallingBack()
-    with pytest.raises(PlantError, match="calls back into Python.*attribute `identity`"):
+    with pytest.raises(PlantError, match=r"calls back into Python.*attribute `identity`"):
         identity(plant)
     plant.identity = "gain 1"
     assert identity(plant) == "tests.test_plant_identity.CallingBack gain 1"

@@ -8,18 +8,24 @@ from typing import Any
 from softfin import artifacts
 from softfin.configuration import read_yaml
 from softfin.errors import PlantError
-from softfin.live import is_live
+from softfin.live import TANK, is_live
 from softfin.plant import Plant
 
-HELP = "tank, the YAML file of a tank, the folder of a surrogate, or package.module:plant (one's own simulator)"
+HELP = (
+    "tank, the YAML file of a tank, the folder of a surrogate (./NAME where it is called as a plant is), or "
+    "package.module:plant (one's own simulator)"
+)
 
 
 def find_plant(name: str) -> Plant:
     """The plant that `name` stands for; raises PlantError with what there is."""
     path = Path(name)
     if is_live(name):
-        raise PlantError(f"plant {name}: moves in real time and cannot be simulated; collect, evaluate and run take it")
-    if name == "tank":
+        folder = f"; the folder of this name is ./{name}" if path.exists() else ""
+        raise PlantError(
+            f"plant {name}: moves in real time and cannot be simulated; collect, evaluate and run take it{folder}"
+        )
+    if name == TANK:
         from softfin.tank import Tank
 
         return Tank()
@@ -42,7 +48,7 @@ def find_plant(name: str) -> Plant:
 
 def is_surrogate(name: str) -> bool:
     """Whether `name` stands for a surrogate's folder."""
-    return name != "tank" and artifacts.is_kind(Path(name), "surrogate")
+    return name != TANK and not is_live(name) and artifacts.is_kind(Path(name), "surrogate")
 
 
 def _imported(name: str, module: str, attribute: str) -> Plant:

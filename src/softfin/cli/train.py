@@ -62,7 +62,7 @@ class Arguments(Configured):
     def run(self) -> None:
         """Train."""
         cells, seeds = asked_cells(self.controller, self.cells, self.range), asked_seeds(self.seed, self.seeds)
-        check_vacant(Path(self.out), self.overwrite)
+        check_vacant(Path(self.out), self.overwrite or self.resume)
         if self.controller == "gaits":
             self._check_gaits()
             box = None if cells is None else cells[0].model_dump()

@@ -61,7 +61,8 @@ def _fleet(plants: Sequence[Plant]) -> _Fleet | None:
     same = all(plant is plants[0] for plant in plants)
     parts = [eqx.partition(jit_argument(plant), eqx.is_array) for plant in (plants[:1] if same else plants)]
     if same:
-        return _Fleet(*(parts[0] if parts else (None, None)), None)
+        arrays, static = parts[0] if parts else (None, None)
+        return _Fleet(arrays, static, None)
     shapes = [jax.tree.map(lambda x: (x.shape, x.dtype), arrays) for arrays, _ in parts]
     if any(shape != shapes[0] for shape in shapes) or any(not _same(static, parts[0][1]) for _, static in parts):
         return None

@@ -7,6 +7,7 @@ from typing import Any
 import jax
 from pydantic import Field, field_validator
 
+from softfin import artifacts
 from softfin.configuration import Configuration
 from softfin.control.controller import Controller
 from softfin.errors import ArtifactError, ConfigurationError
@@ -74,6 +75,7 @@ def check_out(path: Path, overwrite: bool) -> None:
         raise ArtifactError(f"{path}: exists already; give another --out, or --overwrite to replace it")
     if path.suffix == ".mp4":
         check_ffmpeg(path)
+    artifacts.check_writable(path)
 
 
 def footage_of(
