@@ -15,6 +15,7 @@ from softfin.logs.side_by_side import simulate
 from softfin.plant_identity import identity, jit_argument
 from softfin.quantities import PAPER_LIMITS
 from softfin.tank import Tank
+from softfin.testing import check_plant
 from tests.plants import AnalyticFin, Flapper
 
 GAIN = 1.0
@@ -100,6 +101,21 @@ def test_a_plant_that_calls_back_into_python_must_state_its_identity():
         identity(plant)
     plant.identity = "gain 1"
     assert identity(plant) == "tests.test_plant_identity.CallingBack gain 1"
+
+
+def test_the_conformance_kit_asks_for_an_identity_and_for_the_same_program_each_time():
+    with pytest.raises(PlantError, match="attribute `identity`"):
+        check_plant(CallingBack())
+
+    class Counting(Own):
+        calls = 0
+
+        def init(self, key):
+            Counting.calls += 1
+            return super().init(jax.random.fold_in(key, self.calls))
+
+    with pytest.raises(PlantError, match="Counting: is another program each time it is traced; init and advance"):
+        check_plant(Counting())
 
 
 def test_a_plant_that_cannot_be_traced_is_refused_in_one_line():
