@@ -2,6 +2,7 @@
 
 A folder is written beside its place, reaches the disk, and is exchanged with what is there in one step, so a crash
 leaves the old one or the new one. Whoever reads writes nothing. No pickle.
+NumPy and safetensors are imported where weights are read or written: the command line looks at folders without them.
 """
 
 import contextlib
@@ -18,16 +19,18 @@ import tempfile
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-import safetensors
-import safetensors.numpy
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from softfin.errors import ArtifactError, RunError
 
-Weights = Mapping[str, NDArray[Any]]
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Array: TypeAlias = NDArray[Any]
+else:
+    Array = Any
+
+Weights = Mapping[str, Array]
 
 WEIGHTS = "weights.safetensors"
 
@@ -187,11 +190,16 @@ def save(
 
 def encode(weights: Weights, metadata: dict[str, str] | None = None) -> bytes:
     """Arrays by name as safetensors."""
+    import numpy as np
+    import safetensors.numpy
+
     return safetensors.numpy.save({name: np.asarray(array, order="C") for name, array in weights.items()}, metadata)
 
 
-def load(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+def load(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Array]]:
     """The description and the weights of a folder that `save` wrote; raises ArtifactError for anything else."""
+    import safetensors.numpy
+
     description = load_description(path, kind)
     try:
         weights = safetensors.numpy.load_file(path / WEIGHTS)
@@ -237,7 +245,7 @@ def provenance(**facts: Any) -> dict[str, Any]:
         **facts,
         "softfin": importlib.metadata.version("softfin"),
         "jax": _version("jax"),
-        "numpy": np.__version__,
+        "numpy": _version("numpy"),
         "python": platform.python_version(),
         "git_commit": _git_commit(),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
