@@ -105,3 +105,14 @@ class Branching(PlainFin):
 def test_the_conformance_kit_names_the_fault(plant, words):
     with pytest.raises(PlantError, match=words):
         check_plant(plant)
+
+
+def test_a_simulator_may_import_its_neighbours_when_it_is_built(tmp_path, monkeypatch):
+    (tmp_path / "neighbour_of_fin.py").write_text("from tests.plants import PlainFin\n")
+    (tmp_path / "lazy_fin.py").write_text(
+        "def make():\n    import neighbour_of_fin\n    return neighbour_of_fin.PlainFin()\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    assert isinstance(find_plant("lazy_fin:make"), PlainFin)
+    for name in ("lazy_fin", "neighbour_of_fin"):
+        sys.modules.pop(name)

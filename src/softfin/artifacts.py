@@ -1,6 +1,7 @@
 """Folders on disk that describe themselves: a JSON beside ``weights.safetensors``, written whole or not at all.
 
 A folder is written beside its place and renamed into it, so a crash leaves the old one or the new one. No pickle.
+NumPy and safetensors are imported where weights are read or written: the command line looks at folders without them.
 """
 
 import contextlib
@@ -13,16 +14,18 @@ import subprocess
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-import safetensors
-import safetensors.numpy
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from softfin.errors import ArtifactError, RunError
 
-Weights = Mapping[str, NDArray[Any]]
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Array: TypeAlias = NDArray[Any]
+else:
+    Array = Any
+
+Weights = Mapping[str, Array]
 
 WEIGHTS = "weights.safetensors"
 
@@ -117,11 +120,16 @@ def save(
 
 def encode(weights: Weights, metadata: dict[str, str] | None = None) -> bytes:
     """Arrays by name as safetensors."""
+    import numpy as np
+    import safetensors.numpy
+
     return safetensors.numpy.save({name: np.asarray(array, order="C") for name, array in weights.items()}, metadata)
 
 
-def load(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+def load(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Array]]:
     """The description and the weights of a folder that `save` wrote; raises ArtifactError for anything else."""
+    import safetensors.numpy
+
     description = load_description(path, kind)
     try:
         weights = safetensors.numpy.load_file(path / WEIGHTS)
@@ -168,7 +176,7 @@ def provenance(**facts: Any) -> dict[str, Any]:
         **facts,
         "softfin": importlib.metadata.version("softfin"),
         "jax": _version("jax"),
-        "numpy": np.__version__,
+        "numpy": _version("numpy"),
         "python": platform.python_version(),
         "git_commit": _git_commit(),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
