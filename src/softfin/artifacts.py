@@ -143,12 +143,17 @@ def load(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Array]]:
 def load_description(path: Path, kind: str) -> dict[str, Any]:
     """The JSON of a folder of one kind: dataset, surrogate, controller."""
     recover(path)
+    return read_json(find_description(path, kind))
+
+
+def find_description(path: Path, kind: str) -> Path:
+    """The file that describes a folder of one kind; raises ArtifactError where `path` is no such folder."""
     file = path / f"{kind}.json"
     if not path.is_dir():
         raise ArtifactError(f"{path}: no such folder; it should be a {kind}, a folder with a {kind}.json")
     if not file.is_file():
         raise ArtifactError(f"{path}: not a {kind}: it holds no {kind}.json")
-    return read_json(file)
+    return file
 
 
 def read_json(file: Path) -> dict[str, Any]:

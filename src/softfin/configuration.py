@@ -10,6 +10,7 @@ import pydantic
 import yaml
 
 from softfin.errors import ConfigurationError
+from softfin.paths import check_readable
 
 # Not typing.Self: the run-time check of the tests decorates functions one by one, and cannot know their class.
 Config = TypeVar("Config", bound="Configuration")
@@ -64,6 +65,7 @@ class Configuration(pydantic.BaseModel):
 
 def read_yaml(path: Path) -> dict[str, Any]:
     """The mapping in a YAML file."""
+    check_readable(path)
     try:
         values = yaml.safe_load(path.read_text())
     except (OSError, UnicodeDecodeError) as error:

@@ -1,4 +1,4 @@
-"""What a plant's name stands for: ``tank``, a YAML file, a surrogate's folder, ``package.module:plant``; no JAX here."""
+"""What a plant's name stands for: ``tank``, a YAML file, a surrogate's folder, ``package.module:plant``; no JAX."""
 
 import importlib
 import sys

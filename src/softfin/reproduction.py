@@ -16,6 +16,7 @@ from pydantic import Field, PositiveInt, model_validator
 
 from softfin import artifacts, stages
 from softfin.checkpoint import LOG, read_log
+from softfin.choices import ReproducePreset
 from softfin.configuration import Configuration
 from softfin.errors import ArtifactError
 from softfin.evaluation.curves import learning_figure, prediction_figure
@@ -272,7 +273,7 @@ def _shrunk(train: TrainConfig, steps: int) -> TrainConfig:
     return train.model_copy(update={"steps": steps})
 
 
-PRESETS = {
+PRESETS: dict[ReproducePreset, ReproduceConfig] = {
     "paper": ReproduceConfig(),
     "streaming": ReproduceConfig(fit=StreamingConfig()),
     "best": ReproduceConfig(fit=StreamingConfig(), single=GRADIENT_SINGLE, grid=GRADIENT_GRID),

@@ -14,6 +14,7 @@ from softfin.calibration.calibrate import calibrate as _calibrate
 from softfin.calibration.config import CalibrateConfig
 from softfin.calibration.material import material
 from softfin.checkpoint import Workspace
+from softfin.choices import EngineName, Split
 from softfin.control.known import known_of
 from softfin.control.map_store import described
 from softfin.control.range import admitted
@@ -39,6 +40,7 @@ from softfin.logs.findings import check_accepted
 from softfin.logs.importing import ImportConfig
 from softfin.logs.inspection import Inspection
 from softfin.logs.recordings import Opened, check_train, open_logs
+from softfin.paths import check_view
 from softfin.plant import Plant
 from softfin.plants import find_plant, identity
 from softfin.quantities import Limits
@@ -52,15 +54,15 @@ from softfin.surrogate.metrics import SKIPPED, measured_scaling, table_one
 from softfin.surrogate.range import learnt_from, training_range
 from softfin.tank import DrawnTanks, Spread, Tank, randomised
 from softfin.tracking.references import PAPER_RANGE, PAPER_REFERENCES
-from softfin.training.engine import EngineName, find_engine
+from softfin.training.engine import find_engine
 from softfin.training.force_map import MapConfig
 from softfin.training.force_map import map_forces as _map_forces
-from softfin.training.jobs import Split, default_split, train_jobs
+from softfin.training.jobs import default_split, train_jobs
 from softfin.training.refinement import check_refinable, refined
 from softfin.training.train import TrainConfig, starting
 from softfin.viewing import ViewConfig
 from softfin.viewing.video import ticks_of
-from softfin.viewing.view import check_out, draw, footage_of, title_of
+from softfin.viewing.view import draw, footage_of, title_of
 
 Progress = Callable[[str, float, str], None]
 """Called with what is going on, how much of it is done (0 .. 1), and the newest figures."""
@@ -460,7 +462,7 @@ def view(
 ) -> dict[str, Any]:
     """Show a plant in motion as a .gif, .mp4, .html or .png, beating or held to a `reference` [N] by a controller."""
     config = config or ViewConfig()
-    check_out(out, overwrite)
+    check_view(out, overwrite)
     moving = find_plant(plant) if isinstance(plant, str) else plant
     holding = None if controller is None else load_controller(controller)
     if (holding is None) != (reference is None):

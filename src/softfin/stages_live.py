@@ -29,8 +29,9 @@ from softfin.errors import ArtifactError
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.evaluation.experiment import Recording
 from softfin.logs.collect import CollectConfig
-from softfin.logs.dataset import PARTS, Dataset, write_dataset
+from softfin.logs.dataset import Dataset, write_dataset
 from softfin.logs.parquet import read_log, write_log
+from softfin.paths import PARTS
 from softfin.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading
 from softfin.randomness import key_of
 

@@ -74,7 +74,8 @@ def test_ctrl_c_leaves_nothing_half_written_and_says_how_to_go_on(capsys, tmp_pa
         raise KeyboardInterrupt
 
     monkeypatch.setattr("softfin.stages.fit", interrupted)
-    line, code = fails(capsys, "fit", "data", "--out", str(tmp_path / "s"))
+    (tmp_path / "log.csv").touch()
+    line, code = fails(capsys, "fit", str(tmp_path / "log.csv"), "--out", str(tmp_path / "s"))
     assert line == "softfin fit: stopped, nothing is half-written; the same command with --resume goes on"
     assert code == 1
 

@@ -6,6 +6,7 @@ from pydantic import Field, field_validator, model_validator
 
 from softfin.calibration.parameters import FREE, Range, Ranges, every_range, nested
 from softfin.calibration.recording import RecordingConfig
+from softfin.choices import CalibratePreset
 from softfin.configuration import Configuration
 from softfin.logs.excitation import ExcitationConfig
 from softfin.tank import TankConfig
@@ -82,7 +83,7 @@ def _fewer(names: tuple[str, ...]) -> Ranges:
     return every_range({name: FREE[name] for name in names})
 
 
-PRESETS = {
+PRESETS: dict[CalibratePreset, CalibrateConfig] = {
     "full": CalibrateConfig(),
     "quick": CalibrateConfig(
         parameters=_fewer((

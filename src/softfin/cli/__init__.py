@@ -1,14 +1,12 @@
 """The command line: ``softfin COMMAND ...``; each command is a module of this folder, imported when it is called."""
 
 import contextlib
+import difflib
 import importlib
 import importlib.metadata
-import io
 import os
-import re
 import sys
 from collections.abc import Sequence
-from typing import Any
 
 COMMANDS = {
     "collect": "record motions of a fin, random or chosen by a surrogate, and its force as a dataset",
@@ -31,9 +29,6 @@ COMMANDS = {
     "export": "write a controller as ONNX, for hosts without Python",
     "reproduce": "all of it in one run, with the paper's tables and figures",
 }
-
-SEEDS = 2**31
-"""How many there are: what every generator of random numbers takes."""
 
 STOPPED = 1
 """Exit code after Ctrl-C: a failure midway."""
@@ -65,30 +60,36 @@ def main(arguments: Sequence[str] | None = None) -> None:
     elif name in ("-V", "--version"):
         sys.stdout.write(f"softfin {importlib.metadata.version('softfin')}\n")
     elif name not in COMMANDS:
-        _exit(f"softfin: unknown command {name!r}; there are {', '.join(COMMANDS)}", 2)
+        close = difflib.get_close_matches(name, COMMANDS, n=1)
+        hint = f"; did you mean {close[0]}?" if close else ""
+        _exit(f"softfin: unknown command {name!r}; there are {', '.join(COMMANDS)}{hint}", 2)
     else:
         _run(name, words[1:])
 
 
 def _run(name: str, words: list[str]) -> None:
+    # Imported here: --version needs none of it.
+    from softfin.cli import options
+    from softfin.errors import SoftfinError
+
     debug = "--debug" in words
     # The readers of these lines want theirs, not XLA's notes on how it compiles.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
+    arguments = importlib.import_module(f"softfin.cli.{name.replace('-', '_')}").Arguments
     try:
-        command = _parse(name, importlib.import_module(f"softfin.cli.{name.replace('-', '_')}").Arguments, words)
-        seed = getattr(command, "seed", None)
-        if seed is not None and not 0 <= seed < SEEDS:
-            _exit(f"softfin {name}: --seed {seed}: a seed is a whole number from 0 to {SEEDS - 1}", 2)
+        command = options.parse(arguments, words)
+        command.check()
         command.run()
+    except options.HelpRequested:
+        sys.stdout.write(options.help_of(arguments, f"softfin {name}") + "\n")
+        raise SystemExit(0) from None
     except KeyboardInterrupt:
         if debug:
             raise
-        hint = "; the same command with --resume goes on" if "resume" in _options(name) else ""
+        hint = "; the same command with --resume goes on" if hasattr(arguments, "resume") else ""
         sys.stderr.write(f"softfin {name}: stopped, nothing is half-written{hint}\n")
         raise _Interrupted(STOPPED) from None
     except Exception as error:
-        from softfin.errors import SoftfinError
-
         if debug:
             raise
         if isinstance(error, SoftfinError):
@@ -97,38 +98,6 @@ def _run(name: str, words: list[str]) -> None:
             _exit(f"softfin {name}: {error.filename or 'system'}: {error.strerror or error}", STOPPED)
         _exit(f"softfin {name}: {type(error).__name__}: {' '.join(str(error).split())[:500]} "
               "(this should not happen; --debug shows where)", STOPPED)  # fmt: skip
-
-
-def _parse(name: str, arguments: type[Any], words: list[str]) -> Any:
-    import tyro
-
-    complaint = io.StringIO()
-    try:
-        with contextlib.redirect_stderr(complaint):
-            return tyro.cli(arguments, prog=f"softfin {name}", args=words, config=(tyro.conf.FlagCreatePairsOff,))
-    except SystemExit as stop:
-        if stop.code:
-            _exit(f"softfin {name}: {_one_line(complaint.getvalue())}", 2)
-        raise
-
-
-def _one_line(box: str) -> str:
-    """The words of tyro's framed complaint, up to its help for the option."""
-    lines = [re.sub(r"^[╭╰│─\s]+|[╮╯│─\s]+$", "", line) for line in re.sub(r"\x1b\[[0-9;]*m", "", box).splitlines()]
-    words = [line for line in lines[1:] if line]
-    useful = []
-    for line in words:
-        if line.startswith(("Argument helptext", "For full helptext")):
-            break
-        useful.append(line)
-    return " ".join(useful) + "; see --help"
-
-
-def _options(name: str) -> set[str]:
-    import dataclasses
-
-    module = importlib.import_module(f"softfin.cli.{name.replace('-', '_')}")
-    return {field.name for field in dataclasses.fields(module.Arguments)}
 
 
 def _usage() -> str:

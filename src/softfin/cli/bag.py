@@ -4,26 +4,37 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-import tyro
-
+from softfin import paths
 from softfin.cli.common import Common
+from softfin.cli.kinds import File
 from softfin.cli.log_options import LogOptions
+from softfin.cli.options import Option
 from softfin.errors import ConfigurationError
 from softfin.logs.findings import counted
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments(Common, LogOptions):
+class Arguments(LogOptions, Common):
     """Mend a bag that was cut off or damaged; turn recordings of any kind into Parquet logs or ROS 2 bags."""
 
-    action: tyro.conf.Positional[Literal["recover", "convert"]]
+    action: Annotated[Literal["recover", "convert"], Option(positional=True)]
     """recover: save what a damaged .mcap file holds. convert: write logs as .parquet or .mcap."""
-    path: tyro.conf.Positional[Path]
+    path: Annotated[Path, Option("RECORDING", positional=True)]
     """What to recover, a .mcap file; what to convert, a recording or a folder of them."""
-    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    out: File | None = None
     """What to write: of recover NAME.recovered.mcap beside it; convert must be told, and its ending says the kind."""
     accept: bool = False
     """Convert in spite of errors that were found."""
+
+    def check(self) -> None:
+        """Whether the recording is there."""
+        super().check()
+        if self.action == "recover":
+            paths.check_recoverable(self.path)
+        elif self.out is None:
+            raise ConfigurationError("convert needs --out: a .parquet or a .mcap file")
+        else:
+            paths.find_recordings(self.path)
 
     def run(self) -> None:
         """Recover or convert."""
@@ -50,8 +61,7 @@ class Arguments(Common, LogOptions):
     def _convert(self) -> None:
         from softfin.logs.bag_convert import convert
 
-        if self.out is None:
-            raise ConfigurationError("convert needs --out: a .parquet or a .mcap file")
+        assert self.out is not None
         result = convert(self.path, self.out, self.import_config(), accept=self.accept, overwrite=self.overwrite)
         counts = ", ".join(counted(count, kind) for kind, count in result["counts"].items())
         self.tell(result, f"{', '.join(result['files'])}: {result['rows']:,} rows; {counts}")

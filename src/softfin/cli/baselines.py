@@ -5,10 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from softfin.cli.common import Configured, Out, progress
-from softfin.cli.tables import table_two
-from softfin.evaluation.baselines import BaselinesConfig
-from softfin.stages_baselines import baselines
+from softfin.cli.common import Configured, progress
+from softfin.cli.kinds import Out, Plant
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,9 +15,9 @@ class Arguments(Configured):
 
     out: Out
     """Folder to write baselines.json to."""
-    plant: str = "tank"
+    plant: Plant = "tank"
     """The fin that all are judged on: tank, a tank's YAML, the folder of a surrogate, or package.module:plant."""
-    surrogate: str | None = None
+    surrogate: Plant | None = None
     """Where sines and gaits are searched, as a rule the folder of a surrogate of the fin (the fin itself)."""
     seconds: int | None = None
     """Length of each experiment (30)."""
@@ -32,6 +30,9 @@ class Arguments(Configured):
 
     def run(self) -> None:
         """Find and judge."""
+        from softfin.evaluation.baselines import BaselinesConfig
+        from softfin.stages_baselines import baselines
+
         config = self.configured(
             BaselinesConfig(), seconds=self.seconds, seeds=self.seeds, seed=self.seed, recurrent_steps=self.recurrent
         )
@@ -45,6 +46,8 @@ class Arguments(Configured):
 
 def table(summaries: Mapping[str, Any], left_out: Mapping[str, str]) -> str:
     """Table II of every baseline, then one line each."""
+    from softfin.cli.tables import table_two
+
     head = f"{'mean over the references [N]':30}{'x error':>10}{'y error':>10}{'x std':>10}{'y std':>10}"
     lines = [table_two(summaries), "", head]
     for name, summary in summaries.items():

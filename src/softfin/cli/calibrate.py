@@ -3,29 +3,31 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, TypeAlias
 
-import tyro
+from softfin.choices import CalibratePreset
+from softfin.cli.common import Configured, progress
+from softfin.cli.kinds import Data, Out, numbers
+from softfin.cli.options import Option
 
-from softfin import stages
-from softfin.calibration.config import PRESETS
-from softfin.cli.common import Configured, Out, progress
-from softfin.errors import ConfigurationError
+VelocityRange: TypeAlias = Annotated[
+    tuple[float, ...], Option("LOW,HIGH", parse=numbers("no range; write LOW,HIGH in rad/s, as 0.3,1.57", count=2))
+]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(Configured):
     """Fit the virtual tank to logs or to a plant; say how well each parameter is determined."""
 
-    data: tyro.conf.Positional[str]
+    data: Data
     """Folder of a dataset, or a plant to move: a surrogate's folder, tank, a tank's YAML, or package.module:plant."""
     out: Out
     """Folder to write calibration.json, tank.yaml and the figures to."""
-    preset: Literal["full", "quick"] = "full"
+    preset: CalibratePreset = "full"
     """What is fitted: full is fin, water, drive and recording; quick is six numbers, in a minute."""
     evaluations: int | None = None
     """Tanks that the global search tries (4000); 0 leaves it to the local one."""
-    velocity: str | None = None
+    velocity: VelocityRange | None = None
     """Range of the commands that move a plant, as LOW,HIGH in rad/s (all that it takes)."""
     seed: int = 0
     """Of the search, and of the commands that move a plant."""
@@ -34,23 +36,16 @@ class Arguments(Configured):
 
     def run(self) -> None:
         """Calibrate."""
-        limits = None if self.velocity is None else velocities(self.velocity)
-        config = self.configured(PRESETS[self.preset], evaluations=self.evaluations, velocity_rad_s=limits)
+        from softfin import stages
+        from softfin.calibration.config import PRESETS
+
+        config = self.configured(PRESETS[self.preset], evaluations=self.evaluations, velocity_rad_s=self.velocity)
         with progress() as report:
             result = stages.calibrate(
                 self.data, Path(self.out), config,
                 seed=self.seed, resume=self.resume, overwrite=self.overwrite, progress=report,
             )  # fmt: skip
         self.tell({"calibration": str(self.out), **result}, table(result))
-
-
-def velocities(text: str) -> tuple[float, float]:
-    """A range as it stands on the command line."""
-    try:
-        low, high = (float(part) for part in text.split(","))
-    except ValueError:
-        raise ConfigurationError(f"--velocity {text}: no range; write LOW,HIGH in rad/s, as 0.3,1.57") from None
-    return low, high
 
 
 def table(result: Mapping[str, Any]) -> str:

@@ -2,16 +2,18 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Annotated
 
-from softfin import stages
-from softfin.cli.common import Configured, Out, progress
+from softfin.choices import Excitation
+from softfin.cli.common import Configured, progress
+from softfin.cli.kinds import AnyPlant, Out, folder_of
 from softfin.cli.live import Armed
 from softfin.errors import ConfigurationError
 from softfin.live import is_live
-from softfin.logs.collect import CollectConfig
-from softfin.logs.dataset import Dataset
-from softfin.surrogate.active import ActiveCollectConfig
+
+if TYPE_CHECKING:
+    from softfin.logs.collect import CollectConfig
+    from softfin.logs.dataset import Dataset
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,14 +22,14 @@ class Arguments(Armed, Configured):
 
     out: Out
     """Folder of the dataset to write."""
-    plant: str = "tank"
+    plant: AnyPlant = "tank"
     """The fin: tank, a tank's YAML, the folder of a surrogate, package.module:plant; or a real one: rig, ros2, or
     one of these with :FILE."""
-    excitation: Literal["random", "active"] = "random"
+    excitation: Excitation = "random"
     """random: as the paper's; active: the motions whose force the ensemble in --surrogate is least sure of."""
-    surrogate: Path | None = None
+    surrogate: Annotated[Path, folder_of("surrogate")] | None = None
     """Folder of the ensemble that chooses, fitted to logs of this fin, of --excitation active."""
-    extend: Path | None = None
+    extend: Annotated[Path, folder_of("dataset")] | None = None
     """Folder of a dataset of this fin whose logs are taken over: the new one holds both."""
     logs: int | None = None
     """Logs to learn from that are recorded (the paper's 100)."""
@@ -40,37 +42,44 @@ class Arguments(Armed, Configured):
     resume: bool = False
     """Of a real fin: go on after the logs that are finished."""
 
+    def check(self) -> None:
+        """Whether the options go with the plant."""
+        super().check()
+        if is_live(self.plant):
+            if self.extend is not None or self.excitation == "active":
+                option = "--extend" if self.extend is not None else "--excitation active"
+                raise ConfigurationError(f"{option}: not on a real fin; record random motions there")
+        elif self.arm or self.resume:
+            option = "--arm" if self.arm else "--resume"
+            raise ConfigurationError(f"{option}: {self.plant} is no real fin; leave it out, or give --plant rig")
+
     def run(self) -> None:
         """Collect."""
+        from softfin.logs.collect import CollectConfig
+        from softfin.surrogate.active import ActiveCollectConfig
+
         fewer = {} if self.extend is None else {"test_logs": 0}
         base = (ActiveCollectConfig if self.excitation == "active" else CollectConfig)(**fewer)
-        config: CollectConfig = self.configured(
-            base, logs=self.logs, test_logs=self.test_logs, rows=self.rows, seed=self.seed
-        )
+        config = self.configured(base, logs=self.logs, test_logs=self.test_logs, rows=self.rows, seed=self.seed)
         data = self._live(config) if is_live(self.plant) else self._simulated(config)
         counts = {"logs": len(data.train), "test_logs": len(data.test), "rows": config.rows}
         result = {"dataset": str(self.out), **counts, "data_hash": data.data_hash}
         of = f"{config.rows:,} rows" if self.extend is None else f"{config.rows:,} rows, and those of {self.extend}"
         self.tell(result, f"{self.out}: {config.logs} + {config.test_logs} logs of {of}")
 
-    def _simulated(self, config: CollectConfig) -> Dataset:
-        if self.arm or self.resume:
-            option = "--arm" if self.arm else "--resume"
-            raise ConfigurationError(f"{option}: {self.plant} is no real fin; leave it out, or give --plant rig")
+    def _simulated(self, config: "CollectConfig") -> "Dataset":
+        from softfin import stages
+
         with progress() as report:
             return stages.collect(
                 self.plant, Path(self.out), config, surrogate=self.surrogate, extend=self.extend,
                 overwrite=self.overwrite, progress=report,
             )  # fmt: skip
 
-    def _live(self, config: CollectConfig) -> Dataset:
-        # Imported here: of no use to who has no rig.
+    def _live(self, config: "CollectConfig") -> "Dataset":
         from softfin.rig.find import find_bench
         from softfin.stages_live import collect_live
 
-        if self.extend is not None or isinstance(config, ActiveCollectConfig):
-            option = "--extend" if self.extend is not None else "--excitation active"
-            raise ConfigurationError(f"{option}: not on a real fin; record random motions there")
         with progress() as report:
             return collect_live(
                 find_bench(self.plant), Path(self.out), config, self.confirm,

@@ -5,34 +5,41 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Any, TypeVar
-
-import tyro
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Column
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from softfin import artifacts
-from softfin.configuration import Configuration, read_yaml
+from softfin.choices import SEEDS
+from softfin.cli import options
+from softfin.cli.kinds import YamlFile
+from softfin.cli.options import Option
 from softfin.errors import ConfigurationError
 
-Config = TypeVar("Config", bound=Configuration)
+if TYPE_CHECKING:
+    from rich.progress import TaskID
+
+    from softfin.configuration import Configuration
+
+Config = TypeVar("Config", bound="Configuration")
 
 Report = Callable[[str, float, str], None]
 """`softfin.stages.Progress`; that module needs JAX, which not every command does."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Common:
+class Command:
     """Options of every command."""
 
     json: bool = False
     """Print the result as JSON on standard output."""
-    overwrite: bool = False
-    """Replace what is there already, and drop an unfinished run of it."""
     debug: bool = False
     """Show the traceback of an error."""
+
+    def check(self) -> None:
+        """Raise a SoftfinError where what is asked cannot be: before anything is computed, or imported for it."""
+        seed = getattr(self, "seed", None)
+        if seed is not None and not 0 <= seed < SEEDS:
+            raise ConfigurationError(f"--seed {seed}: a seed is a whole number from 0 to {SEEDS - 1}")
+        options.check(self)
 
     def tell(self, result: Any, text: str) -> None:
         """The result: as JSON, or as text for people."""
@@ -40,40 +47,43 @@ class Common:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Common(Command):
+    """Options of every command that writes."""
+
+    overwrite: bool = False
+    """Replace what is there already, and drop an unfinished run of it."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Configured(Common):
     """Options of every command that has a configuration."""
 
-    config: Path | None = None
+    config: YamlFile | None = None
     """YAML file that changes the configuration."""
-    set: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """Change one value of the configuration: path=value."""
+    set: Annotated[tuple[str, ...], Option("PATH=VALUE")] = ()
+    """Change one value of the configuration."""
 
     def configured(self, base: Config, **options: Any) -> Config:
         """The defaults, changed by the YAML file, then by `--set`, then by the options that were given."""
+        from softfin.configuration import read_yaml
+
         config = base if self.config is None else base.merged(read_yaml(self.config), str(self.config))
         given = {name: value for name, value in options.items() if value is not None}
         return config.changed(self.set).merged(given, "options")
 
 
-def force(text: str, option: str = "--reference") -> tuple[float, float]:
-    """A reference force as it stands on the command line."""
-    try:
-        x, y = (float(part) for part in text.split(","))
-    except ValueError:
-        raise ConfigurationError(f"{option}={text}: not a force; write {option}=X,Y in newton, as 1,-1") from None
-    return x, y
-
-
-Out = Annotated[Path, tyro.conf.arg(metavar="DIR")]
-
-
 @contextmanager
 def progress() -> Iterator[Report]:
     """A bar on standard error; where that is no terminal, a line every ten seconds."""
+    from rich.console import Console
+
     console = Console(stderr=True)
     if not console.is_terminal:
         yield _Lines()
         return
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.table import Column
+
     # On a narrow terminal the bar gives way first, then the end of the note.
     bar, note = Column(min_width=4, ratio=1), Column(no_wrap=True, overflow="ellipsis")
     columns = (

@@ -3,29 +3,31 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, TypeAlias
 
-import tyro
+from softfin.cli.common import Configured, progress
+from softfin.cli.kinds import Out, Plant, folder_of, numbers
+from softfin.cli.options import Option
 
-from softfin import stages
-from softfin.cli.common import Configured, Out, progress
-from softfin.errors import ConfigurationError
-from softfin.evaluation.compare import CompareConfig
+Horizons: TypeAlias = Annotated[
+    tuple[float, ...],
+    Option("SECONDS,...", parse=numbers("not numbers; write them with commas, in seconds, as 1,5,30")),
+]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(Configured):
     """Compare surrogates, left alone with the commands of a dataset's test logs for several horizons."""
 
-    surrogates: tyro.conf.Positional[tuple[Path, ...]]
+    surrogates: Annotated[tuple[Path, ...], folder_of("surrogate", positional=True)]
     """Folders of the surrogates; seeds of one configuration, fitted to the same data, become one group."""
-    dataset: Path
+    dataset: Annotated[Path, folder_of("dataset")]
     """Folder of the dataset whose test logs they are scored on."""
     out: Out
     """Folder to write comparison.json and the figure to."""
-    horizons: str | None = None
+    horizons: Horizons | None = None
     """How long they are left alone, as 1,5,30 in seconds (1,5,30)."""
-    floor: str | None = None
+    floor: Plant | None = None
     """A plant that records the same commands once more, as the tank that was recorded: what noise and drift, twice
     over, and other conditions leave."""
     seed: int | None = None
@@ -33,24 +35,16 @@ class Arguments(Configured):
 
     def run(self) -> None:
         """Compare."""
-        horizons = None if self.horizons is None else seconds(self.horizons)
-        config = self.configured(CompareConfig(), horizons_s=horizons, seed=self.seed)
+        from softfin import stages
+        from softfin.evaluation.compare import CompareConfig
+
+        config = self.configured(CompareConfig(), horizons_s=self.horizons, seed=self.seed)
         with progress() as report:
             result = stages.compare(
                 self.surrogates, self.dataset, Path(self.out), config,
                 floor=self.floor, overwrite=self.overwrite, progress=report,
             )  # fmt: skip
         self.tell({"comparison": str(self.out), **result}, tables(result))
-
-
-def seconds(text: str) -> tuple[float, ...]:
-    """Horizons as they stand on the command line."""
-    try:
-        return tuple(float(part) for part in text.split(","))
-    except ValueError:
-        raise ConfigurationError(
-            f"--horizons {text}: not numbers; write them with commas, in seconds, as 1,5,30"
-        ) from None
 
 
 class Column(NamedTuple):

@@ -3,15 +3,11 @@
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import tyro
-
 from softfin.action_clock import CYCLE_ACTIONS
-from softfin.cli.common import Common
-from softfin.cli.live import Armed, on_terminal
+from softfin.cli.live import Driving, on_terminal
 from softfin.deployment.bench import Bench, check_fits
 from softfin.deployment.loop import Held, References, hold, seconds_to_actions
 from softfin.deployment.native import NativeController, load_native, trimmed
@@ -20,8 +16,6 @@ from softfin.deployment.recording import recording
 from softfin.deployment.safety import Guard
 from softfin.deployment.session import Observer, Session
 from softfin.deployment.stop import Keyboard, StopRequest, stopped_by_signals
-from softfin.errors import ConfigurationError
-from softfin.live import is_live
 from softfin.quantities import RATE_HZ
 from softfin.rig.find import find_bench
 
@@ -29,78 +23,43 @@ LINE_S = 1.0
 """Between two lines of what goes on."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Driving(Armed, Common):
-    """Options of every command that has a controller drive a real fin."""
+def parties(options: Driving) -> tuple[NativeController, Bench]:
+    """The controller and the machine, which must fit each other; nothing is opened yet."""
+    controller = load_native(options.controller)
+    bench = find_bench(options.plant)
+    check_fits(str(options.controller), controller.limits, controller.fin, bench)
+    return controller, bench
 
-    controller: tyro.conf.Positional[Path]
-    """Folder of the controller."""
-    plant: str = "rig"
-    """The fin: rig (rig.yaml), ros2, or one of these with :FILE."""
-    seconds: int | None = None
-    """How long; without it until you stop it."""
-    bag: Path | None = None
-    """The recording, a ROS 2 bag, NAME.mcap (run-DATE.mcap)."""
-    strict: bool = False
-    """Refuse a reference that the fin cannot make; else the nearest one that it can make is held, with a warning."""
-    trim: bool = False
-    """Take off, slowly, what the fin makes besides what it is asked for, from the measured mean force."""
 
-    def parties(self) -> tuple[NativeController, Bench]:
-        """The controller and the machine, which must fit each other; nothing is opened yet."""
-        if not is_live(self.plant):
-            raise ConfigurationError(
-                f"--plant {self.plant}: is no real fin; give rig, ros2, or one of these with :FILE; softfin evaluate "
-                "judges a controller on a simulated one"
-            )
-        if self.seconds is not None and self.seconds < 1:
-            raise ConfigurationError(f"--seconds {self.seconds}: at least 1; leave it out to run until you stop it")
-        self._check_bag()
-        controller = load_native(self.controller)
-        bench = find_bench(self.plant)
-        check_fits(str(self.controller), controller.limits, controller.fin, bench)
-        return controller, bench
-
-    def _check_bag(self) -> None:
-        """Before anything moves: what is there is neither moved nor replaced, unless a person says so."""
-        if self.bag is None:
-            return
-        if self.bag.suffix != ".mcap":
-            raise ConfigurationError(f"--bag {self.bag}: a recording is a file NAME.mcap")
-        if self.bag.is_dir() or (self.bag.exists() and not self.overwrite):
-            raise ConfigurationError(
-                f"--bag {self.bag}: exists already; give another one, or --overwrite to replace it"
-            )
-
-    def drive(
-        self,
-        controller: NativeController,
-        bench: Bench,
-        references: References,
-        seconds: int | None,
-        *,
-        stop: StopRequest,
-        observers: Sequence[Observer] = (),
-        line: Callable[[str], None],
-    ) -> dict[str, Any]:
-        """Ask, move, record; `line` gets what is typed meanwhile. Where the recording is, and how well it went."""
-        bag = self.bag or Path(f"run-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
-        guard = Guard(bench.safety, bench.machine.limits, controller.training_range)
-        acting = trimmed(controller) if self.trim else controller
-        with Session(bench.machine, guard, stop=stop, observers=observers) as session:
-            self.confirm(bench)
-            if not knows_its_range(controller.training_range):
-                say(f"{self.controller}: says nothing of its surrogate's data; nobody sees whether the fin leaves them")
-            if on_terminal():
-                Keyboard(stop, line, typed(stop, sys.stdin)).start()
-            bag.unlink(missing_ok=True)
-            session.until_closed(stopped_by_signals(stop))
-            with recording(session, bag):
-                session.activate()
-                session.rest(bench.settle_s)
-                summary = _follow(session, acting, references, seconds)
-                session.deactivate()
-        return {"bag": str(bag), **summary, "clock": session.pace.described(), "counters": bench.machine.counters()}
+def drive(
+    options: Driving,
+    controller: NativeController,
+    bench: Bench,
+    references: References,
+    seconds: int | None,
+    *,
+    stop: StopRequest,
+    observers: Sequence[Observer] = (),
+    line: Callable[[str], None],
+) -> dict[str, Any]:
+    """Ask, move, record; `line` gets what is typed meanwhile. Where the recording is, and how well it went."""
+    bag = options.bag or Path(f"run-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
+    guard = Guard(bench.safety, bench.machine.limits, controller.training_range)
+    acting = trimmed(controller) if options.trim else controller
+    with Session(bench.machine, guard, stop=stop, observers=observers) as session:
+        options.confirm(bench)
+        if not knows_its_range(controller.training_range):
+            say(f"{options.controller}: says nothing of its surrogate's data; nobody sees whether the fin leaves them")
+        if on_terminal():
+            Keyboard(stop, line, typed(stop, sys.stdin)).start()
+        bag.unlink(missing_ok=True)
+        session.until_closed(stopped_by_signals(stop))
+        with recording(session, bag):
+            session.activate()
+            session.rest(bench.settle_s)
+            summary = _follow(session, acting, references, seconds)
+            session.deactivate()
+    return {"bag": str(bag), **summary, "clock": session.pace.described(), "counters": bench.machine.counters()}
 
 
 def sentence(result: dict[str, Any]) -> str:

@@ -3,35 +3,31 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import tyro
-
-from softfin import stages
-from softfin.cli.common import Configured, Out, force, progress
+from softfin.choices import MovingReference
+from softfin.cli.common import Configured, progress
+from softfin.cli.kinds import AnyPlant, Controller, Force, Out, ReferenceFile
 from softfin.cli.live import Armed
-from softfin.cli.tables import table_two
 from softfin.errors import ConfigurationError
-from softfin.evaluation.evaluate import EvaluateConfig
-from softfin.evaluation.forceplane import POINTS
-from softfin.evaluation.moving import Kind
 from softfin.live import is_live
-from softfin.quantities import AXES
-from softfin.tracking.reference_file import read_reference_file
+
+if TYPE_CHECKING:
+    from softfin.evaluation.evaluate import EvaluateConfig
 
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(Armed, Configured):
     """Judge a controller on a fin over reference forces (paper Sec. IV-B, Table II)."""
 
-    controller: tyro.conf.Positional[Path]
+    controller: Controller
     """Folder of the controller."""
     out: Out
     """Folder to write evaluation.json and the figures to."""
-    plant: str = "tank"
+    plant: AnyPlant = "tank"
     """The fin: tank, a tank's YAML, the folder of a surrogate, package.module:plant; or a real one: rig, ros2, or
     one of these with :FILE."""
-    reference: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    reference: tuple[Force, ...] = ()
     """Reference force as --reference=X,Y in newton, once for each (the paper's six)."""
     seconds: int | None = None
     """Length of each experiment (30)."""
@@ -45,22 +41,37 @@ class Arguments(Armed, Configured):
     """Take off, slowly, what the fin makes besides what it is asked for, from the measured mean force."""
     spread: float | None = None
     """With the tank: each repetition in another one, material, water and servo within this part of theirs (0.15)."""
-    moving: tyro.conf.UseAppendAction[tuple[Kind, ...]] = ()
+    moving: tuple[MovingReference, ...] = ()
     """References that move too, within the controller's range: --moving step, --moving ramp, --moving sine."""
-    reference_file: Path | None = None
+    reference_file: ReferenceFile | None = None
     """Another that moves: .csv or .parquet with time_s, force_x_n, force_y_n, each row held until the next one."""
     error_map: bool = False
     """Draw the error over the whole range of the controller, 7 x 7 references; --set error_map=N for N x N."""
     random: int | None = None
     """Judge it, too, on so many references drawn over all that it was trained for and the fin can make."""
 
+    def check(self) -> None:
+        """Whether the options go with the plant."""
+        super().check()
+        if is_live(self.plant):
+            if self.spread is not None:
+                raise ConfigurationError(f"--spread {self.spread:g}: {self.plant} is no virtual tank; leave it out")
+        elif self.arm:
+            raise ConfigurationError(f"--arm: {self.plant} is no real fin; leave it out, or give --plant rig")
+
     def run(self) -> None:
         """Evaluate."""
-        references = [force(text) for text in self.reference] or None
+        from softfin import stages
+        from softfin.cli.tables import table_two
+        from softfin.evaluation.evaluate import EvaluateConfig
+        from softfin.evaluation.forceplane import POINTS
+        from softfin.tracking.reference_file import read_reference_file
+
         recorded = None if self.reference_file is None else read_reference_file(self.reference_file).model_dump()
         config = self.configured(
-            EvaluateConfig(), references=references, seconds=self.seconds, seeds=self.seeds, seed=self.seed,
-            moving=list(self.moving) or None, recorded=recorded, strict=self.strict or None, random=self.random,
+            EvaluateConfig(), references=list(self.reference) or None, seconds=self.seconds, seeds=self.seeds,
+            seed=self.seed, moving=list(self.moving) or None, recorded=recorded, strict=self.strict or None,
+            random=self.random,
         )  # fmt: skip
         if self.error_map and config.error_map is None:
             config = config.merged({"error_map": POINTS}, "options")
@@ -78,20 +89,17 @@ class Arguments(Armed, Configured):
             lines.append(f"warning: {summary['warning']}")
         self.tell(summary, "\n".join(lines))
 
-    def _simulated(self, config: EvaluateConfig) -> dict[str, Any]:
-        if self.arm:
-            raise ConfigurationError(f"--arm: {self.plant} is no real fin; leave it out, or give --plant rig")
+    def _simulated(self, config: "EvaluateConfig") -> dict[str, Any]:
+        from softfin import stages
+
         return stages.evaluate(
             self.controller, self.plant, Path(self.out), config, spread=self.spread, overwrite=self.overwrite
         )
 
-    def _live(self, config: EvaluateConfig) -> dict[str, Any]:
-        # Imported here: of no use to who has no rig.
+    def _live(self, config: "EvaluateConfig") -> dict[str, Any]:
         from softfin.rig.find import find_bench
         from softfin.stages_live import evaluate_live
 
-        if self.spread is not None:
-            raise ConfigurationError(f"--spread {self.spread:g}: {self.plant} is no virtual tank; leave it out")
         with progress() as report:
             return evaluate_live(
                 self.controller, find_bench(self.plant), Path(self.out), config, self.confirm,
@@ -101,6 +109,8 @@ class Arguments(Armed, Configured):
 
 def moving_table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Of every signal: errors, and how its steps are answered, the slowest of all seeds."""
+    from softfin.quantities import AXES
+
     lines = [f"{'references that move':64}{'x error':>9}{'y error':>9}{'settles in':>14}"]
     for row in rows:
         settling = {None: "-", True: f"{row['longest_settling_s']} s", False: "never"}[row["settles"]]
@@ -123,6 +133,8 @@ def map_line(errors: Mapping[str, Any]) -> str:
 
 def random_line(errors: Mapping[str, Any]) -> str:
     """The errors over random references in one line."""
+    from softfin.quantities import AXES
+
     words = (f"{name} " + ", ".join(f"{errors[axis][key]:.3f}" for axis in AXES)
              for name, key in (("mean", "mean_n"), ("95% within", "p95_n"), ("worst", "worst_n")))  # fmt: skip
     return f"{errors['count']} random references: error x, y {', '.join(words)} N"

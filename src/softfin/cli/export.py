@@ -1,27 +1,31 @@
 """``softfin export``: a controller in, one step of it as ONNX out, for hosts without Python."""
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated
 
-import tyro
-
+from softfin import paths
 from softfin.cli.common import Common
-from softfin.deployment.native import load_native
-from softfin.deployment.onnx import EPISODE, OPSET, export_onnx
+from softfin.cli.kinds import Controller, File
 
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(Common):
     """Write one step of a controller as ONNX, with its state as inputs and outputs; needs softfin[onnx]."""
 
-    controller: tyro.conf.Positional[Path]
+    controller: Controller
     """Folder of the controller."""
-    onnx: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    onnx: File
     """File to write; what its inputs mean is in its metadata."""
+
+    def check(self) -> None:
+        """Whether the file may be written."""
+        super().check()
+        paths.check_onnx(self.onnx, self.overwrite)
 
     def run(self) -> None:
         """Export."""
+        from softfin.deployment.native import load_native
+        from softfin.deployment.onnx import EPISODE, OPSET, export_onnx
+
         exported = export_onnx(load_native(self.controller), self.onnx, self.overwrite)
         summary = {"onnx": str(self.onnx), "opset": OPSET, **exported._asdict()}
         self.tell(

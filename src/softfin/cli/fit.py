@@ -4,34 +4,27 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING
 
-import tyro
-
-from softfin import stages
-from softfin.cli.common import Configured, Out, progress
+from softfin.choices import Model
+from softfin.cli.common import Configured, progress
+from softfin.cli.kinds import Logs, Out
 from softfin.cli.log_options import LogOptions
-from softfin.cli.tables import choice, table_one
 from softfin.errors import ConfigurationError
-from softfin.logs.findings import counted
-from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig
 
-MODELS: dict[str, StreamingConfig | FitConfig | AutoConfig] = {
-    "streaming": StreamingConfig(),
-    "paper": FitConfig(),
-    "auto": AutoConfig(),
-}
+if TYPE_CHECKING:
+    from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments(Configured, LogOptions):
+class Arguments(LogOptions, Configured):
     """Learn a surrogate from logs; print Table I (paper Sec. III-B)."""
 
-    dataset: tyro.conf.Positional[Path]
+    dataset: Logs
     """Folder of a dataset, or of recordings: CSV, Parquet, ROS 2 bags."""
     out: Out
     """Folder of the surrogate to write."""
-    model: Literal["streaming", "paper", "auto"] = "streaming"
+    model: Model = "streaming"
     """streaming: an ensemble of recurrent nets; paper: PosNet and ForceNet; auto: both, and the streaming nets without
     symmetry, of which the best on held-out logs is kept."""
     accept: bool = False
@@ -43,12 +36,19 @@ class Arguments(Configured, LogOptions):
     resume: bool = False
     """Go on from the last checkpoint of an unfinished run."""
 
-    def run(self) -> None:
-        """Fit."""
+    def check(self) -> None:
+        """Whether the options go with the model."""
         if self.epochs is not None and self.model != "paper":
             raise ConfigurationError(f"--epochs with --model {self.model}: only --model paper counts in epochs; see "
                                      "--set force_updates=N, or --set paper.epochs=N of --model auto")  # fmt: skip
-        config = self.configured(MODELS[self.model], epochs=self.epochs)
+        super().check()
+
+    def run(self) -> None:
+        """Fit."""
+        from softfin import stages
+        from softfin.cli.tables import choice, table_one
+
+        config = self.configured(defaults(self.model), epochs=self.epochs)
         with progress() as report:
             result = stages.fit(
                 self.dataset, Path(self.out), config, logs=self.import_config(), accept=self.accept,
@@ -61,8 +61,20 @@ class Arguments(Configured, LogOptions):
         self.tell({"surrogate": str(self.out), **result}, "\n\n".join(parts))
 
 
+def defaults(model: Model) -> "StreamingConfig | FitConfig | AutoConfig":
+    """The configuration that a model is fitted with unless it is changed."""
+    from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig
+
+    kinds: dict[Model, type[StreamingConfig | FitConfig | AutoConfig]] = {
+        "streaming": StreamingConfig, "paper": FitConfig, "auto": AutoConfig
+    }  # fmt: skip
+    return kinds[model]()
+
+
 def warning(counts: Mapping[str, int], dataset: Path) -> str:
     """A line that says how much is wrong with the logs that were learnt from; none where nothing is."""
+    from softfin.logs.findings import counted
+
     if not counts["error"] + counts["warning"]:
         return ""
     found = ", ".join(counted(count, kind) for kind, count in counts.items() if count)

@@ -3,19 +3,16 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-import tyro
-
-from softfin import stages
-from softfin.cli.common import Common, Out, progress
+from softfin.cli.common import Common, progress
+from softfin.cli.kinds import Logs, Out
 from softfin.cli.log_options import LogOptions
-from softfin.logs.findings import counted
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments(Common, LogOptions):
+class Arguments(LogOptions, Common):
     """Turn CSV, Parquet or ROS 2 bags into a dataset at 100 Hz; stop where inspect finds errors."""
 
-    logs: tyro.conf.Positional[Path]
+    logs: Logs
     """A folder of recordings, or one."""
     out: Out
     """Folder of the dataset to write."""
@@ -24,6 +21,9 @@ class Arguments(Common, LogOptions):
 
     def run(self) -> None:
         """Import."""
+        from softfin import stages
+        from softfin.logs.findings import counted
+
         with progress() as report:
             data, inspection = stages.import_logs(
                 self.logs, Path(self.out), self.import_config(),

@@ -3,28 +3,27 @@
 import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import tyro
-
-from softfin import stages
 from softfin.cli.common import Common, progress
+from softfin.cli.kinds import Logs, Out
 from softfin.cli.log_options import LogOptions
 from softfin.logs.findings import counted
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments(Common, LogOptions):
+class Arguments(LogOptions, Common):
     """Say what is wrong with logs before anyone trains on them; exit code 0 whatever is found."""
 
-    logs: tyro.conf.Positional[Path]
+    logs: Logs
     """A dataset, a folder of CSV, Parquet or ROS 2 bags, or one of these."""
-    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    out: Out | None = None
     """Folder to write inspection.json and the figure to."""
 
     def run(self) -> None:
         """Inspect."""
+        from softfin import stages
+
         with progress() as report:
             result = stages.inspect_logs(
                 self.logs, self.out, self.import_config(), overwrite=self.overwrite, progress=report

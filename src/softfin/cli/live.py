@@ -2,10 +2,15 @@
 
 import sys
 from dataclasses import dataclass
-from typing import TextIO
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
 
-from softfin.deployment.bench import Bench
+from softfin.cli.common import Common
+from softfin.cli.kinds import Controller, File, LivePlant
 from softfin.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from softfin.deployment.bench import Bench
 
 WORD = "move"
 
@@ -26,7 +31,7 @@ class Armed:
     yes: bool = False
     """With --arm, do not ask: for scripts. Nobody stands by, so see that nobody can come near the fin."""
 
-    def confirm(self, bench: Bench, motion: str | None = None) -> None:
+    def confirm(self, bench: "Bench", motion: str | None = None) -> None:
         """Say what is to know of the machine; raise ConfigurationError unless a person says that it may move.
 
         `motion` is what it will do, if not to follow commands.
@@ -50,3 +55,36 @@ class Armed:
         sys.stderr.flush()
         if sys.stdin.readline().strip() != WORD:
             raise ConfigurationError(f"{name}: not confirmed with {WORD!r}; nothing moved")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Driving(Armed, Common):
+    """Options of every command that has a controller drive a real fin; `softfin.cli.driving` does so."""
+
+    controller: Controller
+    """Folder of the controller."""
+    plant: LivePlant = "rig"
+    """The fin: rig (rig.yaml), ros2, or one of these with :FILE."""
+    seconds: int | None = None
+    """How long; without it until you stop it."""
+    bag: File | None = None
+    """The recording, a ROS 2 bag, NAME.mcap (run-DATE.mcap)."""
+    strict: bool = False
+    """Refuse a reference that the fin cannot make; else the nearest one that it can make is held, with a warning."""
+    trim: bool = False
+    """Take off, slowly, what the fin makes besides what it is asked for, from the measured mean force."""
+
+    def check(self) -> None:
+        """Before anything moves: what is there is neither moved nor replaced, unless a person says so."""
+        if self.seconds is not None and self.seconds < 1:
+            raise ConfigurationError(f"--seconds {self.seconds}: at least 1; leave it out to run until you stop it")
+        if self.bag is not None:
+            _check_bag(self.bag, self.overwrite)
+        super().check()
+
+
+def _check_bag(bag: Path, overwrite: bool) -> None:
+    if bag.suffix != ".mcap":
+        raise ConfigurationError(f"--bag {bag}: a recording is a file NAME.mcap")
+    if bag.is_dir() or (bag.exists() and not overwrite):
+        raise ConfigurationError(f"--bag {bag}: exists already; give another one, or --overwrite to replace it")

@@ -1,9 +1,12 @@
 """Options that every command has which reads recordings that somebody else made."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING
 
-from softfin.logs.importing import ImportConfig
+from softfin.choices import TimeUnit
+
+if TYPE_CHECKING:
+    from softfin.logs.importing import ImportConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,7 +20,7 @@ class LogOptions:
     """Of ROS 2 bags: command=/fin/command,joint=/fin/joint_states,wrench=/fin/wrench."""
     rate: float | None = None
     """Rows a second [Hz], where no column holds the time."""
-    time_unit: Literal["s", "ms", "us", "ns"] | None = None
+    time_unit: TimeUnit | None = None
     """Of the column of time (s)."""
     angles: str | None = None
     """Unit of angles and their velocities: rad or deg, or of each, as angle=deg,velocity=deg."""
@@ -38,8 +41,10 @@ class LogOptions:
     shortest: float | None = None
     """Shortest piece between gaps that is kept [s] (2)."""
 
-    def import_config(self) -> ImportConfig:
+    def import_config(self) -> "ImportConfig":
         """The options that were given, over the defaults."""
+        from softfin.logs.importing import ImportConfig
+
         given = {
             "columns": self.columns,
             "topics": self.topics,

@@ -2,25 +2,26 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-import tyro
-
-from softfin import stages
-from softfin.cli.common import Configured, Out, progress
-from softfin.training.force_map import MapConfig
+from softfin.cli.common import Configured, progress
+from softfin.cli.kinds import Out, plant
 
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(Configured):
     """Find out which mean forces a fin can make in a plant, and the gaits that make them."""
 
-    plant: tyro.conf.Positional[str]
+    plant: Annotated[str, plant(positional=True)]
     """Folder of a surrogate; any other plant serves too (tank, package.module:plant)."""
     out: Out
     """Folder to write map.json, the gaits and the figure to."""
 
     def run(self) -> None:
         """Map."""
+        from softfin import stages
+        from softfin.training.force_map import MapConfig
+
         config = self.configured(MapConfig())
         with progress() as report:
             summary = stages.map_forces(self.plant, Path(self.out), config, overwrite=self.overwrite, progress=report)

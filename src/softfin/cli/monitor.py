@@ -7,21 +7,22 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-import tyro
-from rich.console import Console
+from softfin import paths
+from softfin.choices import LOOPBACK
+from softfin.cli.common import Command
+from softfin.cli.options import Option
 
-from softfin.deployment.monitor.follow import Follower
-from softfin.deployment.monitor.terminal import watch
-from softfin.deployment.monitor.web import LOOPBACK, Feed, Server, serve
+if TYPE_CHECKING:
+    from softfin.deployment.monitor.follow import Follower
 
 
-# Not common.Options: they bring the stages, and with them JAX, which a robot's computer need not have.
 @dataclass(frozen=True, kw_only=True)
-class Arguments:
+class Arguments(Command):
     """Watch a recording while it is made; Ctrl-C ends the watching, never the recording."""
 
-    run_folder: tyro.conf.Positional[Path]
+    run_folder: Annotated[Path, Option("RECORDING", True, check=lambda path, _: paths.check_monitored(path))]
     """A bag (.mcap), or a folder that bags are written to: its newest is followed, and the next one when it comes."""
     web: bool = False
     """As a page in the browser, with live traces."""
@@ -31,11 +32,15 @@ class Arguments:
     """Address that the page is served on; on another one than this, whoever reaches it sees the recording."""
     json: bool = False
     """Print the state of the recording as JSON, once."""
-    debug: bool = False
-    """Show the traceback of an error."""
 
     def run(self) -> None:
         """Monitor."""
+        from rich.console import Console
+
+        from softfin.deployment.monitor.follow import Follower
+        from softfin.deployment.monitor.terminal import watch
+        from softfin.deployment.monitor.web import Feed, Server, serve
+
         follower = Follower(self.run_folder)
         # Whoever watches has lost nothing by stopping: exit code 0.
         with contextlib.suppress(KeyboardInterrupt):
@@ -52,7 +57,7 @@ class Arguments:
                 watch(follower, Console(), sleep=time.sleep)
 
 
-def _once(follower: Follower) -> None:
+def _once(follower: "Follower") -> None:
     follower.poll()
     while (summary := follower.summary()).state == "reading" and summary.problem is None:
         follower.poll()

@@ -2,11 +2,10 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
-from softfin.cli.common import Configured, Out, progress
-from softfin.cli.tables import table_one, table_two
-from softfin.reproduction import PRESETS, reproduce
+from softfin.choices import ReproducePreset
+from softfin.cli.common import Configured, progress
+from softfin.cli.kinds import Out, Plant
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -15,10 +14,10 @@ class Arguments(Configured):
 
     out: Out
     """Folder of the run."""
-    preset: Literal["demo", "paper", "streaming", "tiny"] = "demo"
-    """How much: demo takes minutes, paper is the paper's full data and budgets, streaming
-    the same with a streaming surrogate, tiny only shows that all works."""
-    plant: str = "tank"
+    preset: ReproducePreset = "demo"
+    """How much: demo takes minutes, paper is the paper's full data and budgets, streaming the same with a streaming
+    surrogate, best that surrogate and controllers trained by gradients through it, tiny only shows that all works."""
+    plant: Plant = "tank"
     """The fin: tank, package.module:plant, or the folder of a surrogate, which skips collect and fit."""
     seed: int = 0
     """First of the seeds."""
@@ -27,6 +26,9 @@ class Arguments(Configured):
 
     def run(self) -> None:
         """Reproduce."""
+        from softfin.cli.tables import table_one, table_two
+        from softfin.reproduction import PRESETS, reproduce
+
         config = self.configured(PRESETS[self.preset])
         with progress() as report:
             results = reproduce(

@@ -3,16 +3,17 @@
 import contextlib
 import sys
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import tyro
-
+from softfin import paths
 from softfin.cli.common import Common
+from softfin.cli.kinds import File, YamlFile
 from softfin.cli.live import Armed
-from softfin.deployment.bench import Bench
+from softfin.cli.options import Option
 from softfin.errors import ConfigurationError, DeviceError
-from softfin.rig.config import DEFAULT, RigConfig, load_rig
+
+if TYPE_CHECKING:
+    from softfin.rig.config import RigConfig
 
 ZEROING = "the motor is powered for a moment and holds where the fin stands, which becomes its zero"
 
@@ -23,10 +24,10 @@ MARKS = {"well": "ok", "note": "note", "wrong": "WRONG"}
 class Arguments(Armed, Common):
     """Check the real fin, zero its angle and force, or emulate both devices with the virtual tank behind them."""
 
-    action: tyro.conf.Positional[Literal["check", "zero", "emulate"]]
+    action: Annotated[Literal["check", "zero", "emulate"], Option(positional=True)]
     """check: a table of what is well and what is not, nothing moves; zero: set angle and force to zero where they are;
     emulate: a drive and a sensor on this computer, until Ctrl-C."""
-    rig: Path = DEFAULT
+    rig: File = paths.RIG_FILE
     """The rig's file: read by check and zero, written by emulate."""
     reset_fault: bool = False
     """Of check: acknowledge the fault that the drive is in, and say which it was."""
@@ -34,10 +35,18 @@ class Arguments(Armed, Common):
     """Of zero: the fin's angle only. The motor is powered for a moment: this needs --arm."""
     force: bool = False
     """Of zero: the force only."""
-    tank: Path | None = None
+    tank: YamlFile | None = None
     """Of emulate: the YAML of the tank behind it."""
     seed: int = 0
     """Of emulate: of the tank's noise."""
+
+    def check(self) -> None:
+        """Whether the rig's file is there, or may be written."""
+        super().check()
+        if self.action != "emulate":
+            paths.find_rig_file("rig", self.rig)
+        elif self.rig.exists() and not self.overwrite:
+            raise ConfigurationError(f"{self.rig}: exists; give another --rig, or --overwrite to replace it")
 
     def run(self) -> None:
         """Do it."""
@@ -45,6 +54,7 @@ class Arguments(Armed, Common):
 
     def _check(self) -> None:
         from softfin.rig.check import check_rig
+        from softfin.rig.config import load_rig
 
         config = load_rig(self.rig)
         if self.reset_fault:
@@ -61,7 +71,7 @@ class Arguments(Armed, Common):
         if wrong:
             raise DeviceError(f"{self.rig}: not well: {', '.join(wrong)}")
 
-    def _reset(self, config: RigConfig) -> None:
+    def _reset(self, config: "RigConfig") -> None:
         from softfin.rig.rig import Rig
 
         drive = Rig(config).drive
@@ -73,6 +83,8 @@ class Arguments(Armed, Common):
         sys.stderr.write(f"{'no fault to reset' if fault is None else f'reset: {fault}'}\n")
 
     def _zero(self) -> None:
+        from softfin.deployment.bench import Bench
+        from softfin.rig.config import load_rig
         from softfin.rig.rig import Rig
         from softfin.rig.zero import zero_angle, zero_force
 
@@ -87,13 +99,10 @@ class Arguments(Armed, Common):
         self.tell(result, "\n".join(f"{name}: {value}" for name, value in result.items()))
 
     def _emulate(self) -> None:
-        # Imported here: the tank needs JAX.
         from softfin.configuration import read_yaml
         from softfin.rig.emulation.rig import EmulatedRig
         from softfin.tank import Tank, TankConfig
 
-        if self.rig.exists() and not self.overwrite:
-            raise ConfigurationError(f"{self.rig}: exists; give another --rig, or --overwrite to replace it")
         tank = Tank() if self.tank is None else Tank(TankConfig.build(read_yaml(self.tank), str(self.tank)))
         # Ctrl-C is expected from the moment that it says so.
         with contextlib.suppress(KeyboardInterrupt), EmulatedRig(tank, self.seed) as emulated:

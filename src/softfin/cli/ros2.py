@@ -1,16 +1,11 @@
 """``softfin ros2``: a controller on the real fin as a ROS 2 node: readings out, references and a stop in; no JAX."""
 
 from dataclasses import dataclass
-from typing import Literal
 
-from softfin.cli.common import Configured, force
-from softfin.cli.driving import Driving, say, sentence
-from softfin.deployment.loop import Force
-from softfin.deployment.stop import StopRequest
-from softfin.rig.ros2_messages import Messages
-from softfin.rig.ros2_node import NodeConfig, RosBridge, check_apart
-from softfin.rig.ros2_plant import Ros2Machine
-from softfin.rig.ros2_transport import open_transport
+from softfin.choices import TransportName
+from softfin.cli.common import Configured
+from softfin.cli.kinds import Force
+from softfin.cli.live import Driving
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,9 +15,9 @@ class Arguments(Driving, Configured):
     Topics, frames and the timeout of references: --set joint_topic=/NAME and so on (docs/rig.md has them all).
     """
 
-    reference: str
+    reference: Force
     """Reference force as --reference=X,Y in newton, while no other comes: at first, and when the last is too old."""
-    transport: Literal["auto", "rclpy", "dds"] | None = None
+    transport: TransportName | None = None
     """auto: rclpy where it is installed, else DDS without ROS 2."""
     domain: int | None = None
     """ROS domain (the variable ROS_DOMAIN_ID, else 0)."""
@@ -32,13 +27,20 @@ class Arguments(Driving, Configured):
 
     def run(self) -> None:
         """Run."""
+        from softfin.cli.driving import drive, parties, say, sentence
+        from softfin.deployment.stop import StopRequest
+        from softfin.rig.ros2_messages import Messages
+        from softfin.rig.ros2_node import NodeConfig, RosBridge, check_apart
+        from softfin.rig.ros2_plant import Ros2Machine
+        from softfin.rig.ros2_transport import open_transport
+
         options = {"transport": self.transport, "domain": self.domain, "network": self.network}
         given = {name: value for name, value in options.items() if value is not None}
         topics = self.configured(NodeConfig(), connection=given or None)
-        controller, bench = self.parties()
+        controller, bench = parties(self)
         if isinstance(bench.machine, Ros2Machine):
             check_apart(topics, bench.machine.config)
-        otherwise, warning = controller.admit(force(self.reference), self.strict)
+        otherwise, warning = controller.admit(self.reference, self.strict)
         transport = open_transport(topics.connection, Messages())
         try:
             bridge = RosBridge(transport, topics, admit=lambda asked: controller.admit(asked, self.strict))
@@ -46,15 +48,15 @@ class Arguments(Driving, Configured):
                 say(note)
             newest = bridge.references(otherwise)
 
-            def references(at: float) -> Force:
+            def references(at: float) -> tuple[float, float]:
                 asked = newest(at)
                 for note in bridge.notes():
                     say(note)
                 return asked
 
             request = StopRequest()
-            result = self.drive(
-                controller, bench, references, self.seconds,
+            result = drive(
+                self, controller, bench, references, self.seconds,
                 stop=request, observers=(bridge.observer(request),),
                 line=lambda _: say("references come by their topic; Enter alone stops the fin"),
             )  # fmt: skip

@@ -2,39 +2,53 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from softfin.cli.common import Common, force
-from softfin.cli.driving import Driving, say, sentence
-from softfin.deployment.native import NativeController
-from softfin.deployment.references import Recorded, Said
-from softfin.deployment.stop import StopRequest
+from softfin.cli.common import Common
+from softfin.cli.kinds import Force, ReferenceFile
+from softfin.cli.live import Driving
 from softfin.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from softfin.deployment.native import NativeController
+    from softfin.deployment.references import Recorded
 
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(Driving, Common):
     """Hold reference forces on the real fin; while it runs, type X,Y and Enter for another one, Enter alone to stop."""
 
-    reference: str | None = None
+    reference: Force | None = None
     """Reference force as --reference=X,Y in newton, at first."""
-    reference_file: Path | None = None
+    reference_file: ReferenceFile | None = None
     """One that moves, instead: .csv or .parquet with time_s, force_x_n, force_y_n, each row held until the next one."""
+
+    def check(self) -> None:
+        """Whether there is one reference."""
+        if (self.reference is None) == (self.reference_file is None):
+            raise ConfigurationError("give --reference=X,Y or --reference-file, one of them")
+        super().check()
 
     def run(self) -> None:
         """Run."""
-        if (self.reference is None) == (self.reference_file is None):
-            raise ConfigurationError("give --reference=X,Y or --reference-file, one of them")
-        controller, bench = self.parties()
+        from softfin.cli.driving import drive, parties, say, sentence
+        from softfin.deployment.references import Said
+        from softfin.deployment.stop import StopRequest
+
+        controller, bench = parties(self)
         if self.reference_file is not None:
             references, seconds = self._recorded(controller, self.reference_file)
-            result = self.drive(controller, bench, references, seconds, stop=StopRequest(), line=_deaf)
+            result = drive(self, controller, bench, references, seconds, stop=StopRequest(), line=_deaf)
         else:
-            said = Said(force(str(self.reference)), lambda asked: controller.admit(asked, self.strict), say)
-            result = self.drive(controller, bench, said, self.seconds, stop=StopRequest(), line=said.line)
+            assert self.reference is not None
+            said = Said(self.reference, lambda asked: controller.admit(asked, self.strict), say)
+            result = drive(self, controller, bench, said, self.seconds, stop=StopRequest(), line=said.line)
         self.tell(result, sentence(result))
 
-    def _recorded(self, controller: NativeController, file: Path) -> tuple[Recorded, int]:
-        # Imported here: it needs more than a robot's computer may have.
+    def _recorded(self, controller: "NativeController", file: Path) -> "tuple[Recorded, int]":
+        # Imported here: the file's reader needs more than a robot's computer may have.
+        from softfin.cli.driving import say
+        from softfin.deployment.references import Recorded
         from softfin.tracking.reference_file import read_reference_file
 
         rows = read_reference_file(file)
@@ -44,4 +58,6 @@ class Arguments(Driving, Common):
 
 
 def _deaf(_: str) -> None:
+    from softfin.cli.driving import say
+
     say("references come from the file; Enter alone stops the fin")

@@ -3,44 +3,37 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
-import tyro
-
-from softfin import stages
-from softfin.artifacts import check_vacant, load_description
-from softfin.cli import SEEDS
-from softfin.cli.common import Configured, Out, progress
-from softfin.cli.tables import held
-from softfin.control.store import KIND
+from softfin.artifacts import load_description
+from softfin.choices import SEEDS, AlgorithmOption, ControllerKind, EngineName, Split
+from softfin.cli.common import Configured, progress
+from softfin.cli.kinds import Out, folder_of, plant
+from softfin.cli.options import Option
 from softfin.errors import ConfigurationError
-from softfin.plants import find_plant
-from softfin.tracking.cells import cells_of, range_of
-from softfin.tracking.references import PAPER_RANGE, Cell, least_box
-from softfin.training.engine import EngineName
-from softfin.training.footprint import Footprint
-from softfin.training.force_map import MapConfig
-from softfin.training.jobs import Split
-from softfin.training.train import starting
+from softfin.tracking.notation import read_cells, read_range
+
+if TYPE_CHECKING:
+    from softfin.tracking.references import Cell
 
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(Configured):
     """Train force controllers inside a surrogate (paper Sec. III-C): one for all references, a grid, or gaits."""
 
-    surrogate: tyro.conf.Positional[str]
+    surrogate: Annotated[str, plant("SURROGATE", positional=True)]
     """Folder of the surrogate; any other plant serves too (tank, package.module:plant)."""
     out: Out
     """Folder of the controller to write."""
-    controller: Literal["single", "grid", "gaits"] = "grid"
+    controller: ControllerKind = "grid"
     """One policy for all references, one a cell of a grid, or a table of gaits without any net."""
-    algorithm: Literal["auto", "gradient", "ppo"] = "auto"
+    algorithm: AlgorithmOption = "auto"
     """Gradients through the plant, or LSTM-PPO as in the paper; auto: gradients wherever the plant has them."""
-    cells: str | None = None
+    cells: Annotated[str, Option("CELLS")] | None = None
     """Of a grid: paper (the default), a lattice over --range such as 3x3, or a .yaml file of boxes."""
-    range: str | None = None
+    range: Annotated[str, Option("X0,Y0,X1,Y1")] | None = None
     """References X0,Y0,X1,Y1 [N] to train for (default 0.5,-1.5,3.5,1.5); write --range=-1,... below 0."""
-    map: Path | None = None
+    map: Annotated[Path, folder_of("map")] | None = None
     """Folder of a map of this surrogate (softfin map): what its fin can do, and gaits to begin from."""
     refine: int = 0
     """Of a grid: split its worst cells until there are so many more, and train these on, always in this process."""
@@ -48,23 +41,38 @@ class Arguments(Configured):
     """Actions a policy (by LSTM-PPO the paper's 30,000 single, 10,000 a cell)."""
     seed: int = 0
     """Of weights, exploration and references."""
-    seeds: str | None = None
+    seeds: Annotated[str, Option("SEEDS")] | None = None
     """Several controllers in one program, as OUT/seed-N: how many, from --seed on, or which, such as --seeds=0,1,2."""
     engine: EngineName = "local"
     """Where: in this process, or as tasks of Ray (extra ray), for many machines."""
     split: Split | None = None
     """Into jobs: none, one a seed, or one a cell of each seed (local: none; Ray: seed of several, cell of one)."""
-    cluster: str | None = None
+    cluster: Annotated[str, Option("HOST:PORT")] | None = None
     """Address HOST:PORT of the Ray cluster; by default one is started on this machine for the run."""
     resume: bool = False
     """Go on from the last checkpoint of an unfinished run."""
 
-    def run(self) -> None:
-        """Train."""
-        cells, seeds = asked_cells(self.controller, self.cells, self.range), asked_seeds(self.seed, self.seeds)
-        check_vacant(Path(self.out), self.overwrite)
+    def check(self) -> None:
+        """Whether the options go together."""
+        asked_seeds(self.seed, self.seeds)
+        if self.range is not None:
+            read_range(self.range)
+        if self.cells is not None:
+            read_cells(self.cells)
         if self.controller == "gaits":
             self._check_gaits()
+        super().check()
+
+    def run(self) -> None:
+        """Train."""
+        from softfin import stages
+        from softfin.plants import find_plant
+        from softfin.tracking.references import PAPER_RANGE
+        from softfin.training.force_map import MapConfig
+        from softfin.training.train import starting
+
+        cells, seeds = asked_cells(self.controller, self.cells, self.range), asked_seeds(self.seed, self.seeds)
+        if self.controller == "gaits":
             box = None if cells is None else cells[0].model_dump()
             # Beside a map only what was asked for is handed on, to be refused.
             lattice = self.configured(MapConfig(box=PAPER_RANGE), box=box)
@@ -110,7 +118,10 @@ class Arguments(Configured):
 
     def _told(self, folder: Path) -> tuple[list[dict[str, Any]], list[str]]:
         """The scores of one controller, and as lines for people."""
-        description = load_description(folder, KIND)
+        from softfin.cli.tables import held
+        from softfin.training.footprint import Footprint
+
+        description = load_description(folder, "controller")
         scores: list[dict[str, Any]] = description["scores"]
         lines = [f"{folder}: scored in {self.surrogate}, without exploration noise"]
         if self.controller == "gaits":
@@ -146,8 +157,11 @@ def asked_seeds(first: int, text: str | None) -> tuple[int, ...]:
     return numbers
 
 
-def asked_cells(controller: str, cells: str | None, span: str | None) -> tuple[Cell, ...] | None:
+def asked_cells(controller: str, cells: str | None, span: str | None) -> "tuple[Cell, ...] | None":
     """What ``--cells`` and ``--range`` ask for, one cell for what is no grid; None where neither is given."""
+    from softfin.tracking.cells import cells_of, range_of
+    from softfin.tracking.references import PAPER_RANGE, least_box
+
     within = PAPER_RANGE if span is None else range_of(span)
     if controller != "grid":
         if cells is not None:

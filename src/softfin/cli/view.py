@@ -4,20 +4,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
-from softfin import stages
-from softfin.cli.common import Configured, force, progress
-from softfin.viewing import ViewConfig
+from softfin import paths
+from softfin.cli.common import Configured, progress
+from softfin.cli.kinds import Force, Plant, folder_of
+from softfin.cli.options import Option
 
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(Configured):
     """Show a fin in motion: its shape, the force on its mount, and the traces of both."""
 
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    out: Annotated[Path, Option("FILE", check=lambda path, command: paths.check_view(path, command.overwrite))]
     """What to write: a film as .gif or .mp4, a page that plays it as .html, its last frame as .png."""
-    plant: str = "tank"
+    plant: Plant = "tank"
     """The fin: tank, a tank's YAML, the folder of a surrogate, or package.module:plant."""
     seconds: float | None = None
     """Of the plant's time (10)."""
@@ -25,27 +24,29 @@ class Arguments(Configured):
     """Angle about which the fin beats [rad] (0); --set beat.amplitude_rad and beat.velocity_rad_s change the rest."""
     excitation: bool = False
     """Random commands, as datasets are recorded under, in place of the beat."""
-    controller: Path | None = None
+    controller: Annotated[Path, folder_of("controller")] | None = None
     """Folder of a controller that moves the fin in place of the beat."""
-    reference: str | None = None
+    reference: Force | None = None
     """Reference force that the controller is asked for, as --reference=X,Y in newton."""
-    then: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    then: tuple[Force, ...] = ()
     """The next one, as --then=X,Y; each is asked for an equal part of the time."""
     seed: int | None = None
     """Of the plant's noise and the random commands (0)."""
 
     def run(self) -> None:
         """View."""
+        from softfin import stages
+        from softfin.viewing import ViewConfig
+
         beat = None if self.centre is None else {"centre_rad": self.centre}
         config = self.configured(
             ViewConfig(), seconds=self.seconds, seed=self.seed, beat=beat, random=self.excitation or None,
-            then=[force(text, "--then") for text in self.then] or None,
+            then=list(self.then) or None,
         )  # fmt: skip
-        reference = None if self.reference is None else force(self.reference)
         with progress() as report:
             facts = stages.view(
                 self.plant, self.out, config,
-                controller=self.controller, reference=reference, overwrite=self.overwrite, progress=report,
+                controller=self.controller, reference=self.reference, overwrite=self.overwrite, progress=report,
             )  # fmt: skip
         x, y = facts["mean_force_n"]
         frames = "" if facts["frames"] is None else f", {facts['frames']} frames"

@@ -17,7 +17,8 @@ from softfin.action_clock import ACTION_TICKS
 from softfin.artifacts import write_file
 from softfin.deployment.native.controller import NativeController
 from softfin.deployment.native.operations import Array, Number
-from softfin.errors import ArtifactError, ConfigurationError, RunError
+from softfin.errors import ConfigurationError, RunError
+from softfin.paths import check_onnx
 
 OPSET = 17
 """Of ONNX: what onnxruntime 1.12 (2022) and everything after it runs."""
@@ -97,9 +98,7 @@ def export_onnx(controller: NativeController, file: Path, overwrite: bool = Fals
         ArtifactError: there is a file already.
         RunError: the exported step is not the native one; nothing is written.
     """
-    if file.exists() and not (overwrite and file.is_file()):
-        what = "exists already; give another --onnx, or --overwrite to replace it"
-        raise ArtifactError(f"{file}: {what if file.is_file() else 'is no file; give another --onnx'}")
+    check_onnx(file, overwrite)
     ndonnx, onnx, runtime = _extra()
     model = _described(onnx, _traced(ndonnx, onnx, controller), controller)
     onnx.checker.check_model(model, full_check=True)

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from softfin import artifacts
 from softfin.action_clock import ACTION_RATE_HZ, WINDOW
+from softfin.choices import MovingReference
 from softfin.configuration import Configuration
 from softfin.control.controller import Controller
 from softfin.control.range import admitted
@@ -22,7 +23,7 @@ from softfin.evaluation.drawn import MOST, Drawn, hold_drawn
 from softfin.evaluation.experiment import MIN_SECONDS, Recording, Subject, alike, check_finite, first_of, run
 from softfin.evaluation.figures import experiments_figure, moving_figure
 from softfin.evaluation.forceplane import ErrorMap, error_map_figure, map_range
-from softfin.evaluation.moving import Kind, Moving, follow, planned
+from softfin.evaluation.moving import Moving, follow, planned
 from softfin.evaluation.paper import REFERENCES
 from softfin.evaluation.scores import STILL_RAD_S, Scores, score
 from softfin.evaluation.statistics import CONFIDENCE, interval
@@ -45,7 +46,7 @@ class EvaluateConfig(Configuration):
     """Repetitions, each with its own randomness of the plant; intervals need at least 2."""
     seed: int = pydantic.Field(default=0, ge=0)
     """The run's seed, from which those of the repetitions are drawn."""
-    moving: tuple[Kind, ...] = ()
+    moving: tuple[MovingReference, ...] = ()
     """References that move, too: `softfin.evaluation.moving.SIGNALS`, laid out in the controller's range."""
     recorded: Recorded | None = None
     """Another that moves, as read from a file; its last force is held as long as the one before."""

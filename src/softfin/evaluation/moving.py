@@ -6,11 +6,12 @@ Controller, plant and signals go in; recordings, tracking errors and the respons
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Array, Float, Key
 
+from softfin.choices import MovingReference
 from softfin.control.controller import Controller
 from softfin.control.nearest import nearest_within, reached
 from softfin.control.range import reachable_of
@@ -24,8 +25,6 @@ from softfin.quantities import AXES, RATE_HZ
 from softfin.tracking.reachable import Reachable
 from softfin.tracking.references import Cell
 from softfin.tracking.signals import Force, Ramp, Recorded, Signal, Sine, Step
-
-Kind = Literal["step", "ramp", "sine"]
 
 At = Callable[[float, float], Force]
 """A place in a controller's range, each axis from 0 (its least reference) to 1 (its greatest)."""
@@ -61,7 +60,7 @@ def _sines(at: At) -> tuple[Signal, ...]:
     return between(at(middle, low), at(middle, high)), between(at(middle, middle), at(high, middle))
 
 
-SIGNALS: Mapping[Kind, tuple[Callable[[At], tuple[Signal, ...]], int]] = MappingProxyType(
+SIGNALS: Mapping[MovingReference, tuple[Callable[[At], tuple[Signal, ...]], int]] = MappingProxyType(
     {"step": (_steps, 20), "ramp": (_ramps, 20), "sine": (_sines, 30)}
 )
 """Default signals by kind, with the length of their experiments [s]; in the paper's range:
@@ -74,7 +73,7 @@ SIGNALS: Mapping[Kind, tuple[Callable[[At], tuple[Signal, ...]], int]] = Mapping
 """
 
 
-def signals_of(kind: Kind, cell: Cell, reachable: Reachable | None = None) -> tuple[Signal, ...]:
+def signals_of(kind: MovingReference, cell: Cell, reachable: Reachable | None = None) -> tuple[Signal, ...]:
     """The default signals of a kind within a range; what the fin cannot make is brought to its reach."""
     (x0, y0), (x1, y1) = cell.low, cell.high
 
@@ -167,7 +166,7 @@ class Plan:
 
 
 def planned(
-    controller: Controller, kinds: Iterable[Kind], recorded: Recorded | None, strict: bool = False
+    controller: Controller, kinds: Iterable[MovingReference], recorded: Recorded | None, strict: bool = False
 ) -> list[Plan]:
     """The default signals of each kind, and a recorded one, as the fin can make them.
 

@@ -12,6 +12,7 @@ from typing import Any, BinaryIO, NamedTuple
 from softfin.errors import LogError, RunError
 from softfin.logs.bag_messages import writer_on
 from softfin.logs.bag_scan import CHANNEL, MESSAGE, SCHEMA, BagScan, Damage, records
+from softfin.paths import check_recoverable
 
 DEFINITIONS_BYTES = 64 * 2**20
 """All definitions of messages together; those of ROS 2's common messages are below 100 kB."""
@@ -65,8 +66,7 @@ def recovered_path(path: Path) -> Path:
 
 def recover(path: Path, out: Path, overwrite: bool = False) -> Recovery:
     """Save what can be read; raises LogError where nothing can, or `out` exists."""
-    if path.is_dir():
-        raise LogError(f"{path}: a folder; give the .mcap file that is in it")
+    check_recoverable(path)
     if out.exists() and (not overwrite or out.is_dir() or (path.exists() and out.samefile(path))):
         raise LogError(f"{out}: exists already; give another --out")
     definitions, recovery = _survey(BagScan(path))

@@ -15,10 +15,11 @@ import pydantic
 from softfin import artifacts
 from softfin.configuration import Configuration
 from softfin.errors import ConfigurationError, PlantError
-from softfin.logs.dataset import PARTS, Dataset, write_dataset
+from softfin.logs.dataset import Dataset, write_dataset
 from softfin.logs.excitation import Commands, ExcitationConfig
 from softfin.logs.extension import extension
 from softfin.logs.side_by_side import simulate
+from softfin.paths import PARTS
 from softfin.plant import Plant
 from softfin.quantities import RATE_HZ, TICK_S, Log
 from softfin.randomness import key_of

@@ -12,10 +12,8 @@ from typing import Any
 from softfin import artifacts
 from softfin.errors import ArtifactError
 from softfin.logs.parquet import encode_log, read_log
+from softfin.paths import PARTS
 from softfin.quantities import RATE_HZ, Log
-
-PARTS = {"train": 4, "test": 3}
-"""The sub-folders, and the digits in the names of their logs."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,6 +7,7 @@ from typing import Any, Literal, TypeVar
 
 import pydantic
 
+from softfin.choices import TimeUnit
 from softfin.configuration import Configuration
 
 CHANNELS = ("time", "command_angle", "command_velocity", "angle", "velocity", "force_x", "force_y")
@@ -33,7 +34,7 @@ class ImportConfig(Configuration):
     several is named behind a colon, as ``joint=/joint_states:fin``."""
     rate_hz: float | None = pydantic.Field(default=None, gt=0)
     """Rows a second [Hz], where there is no column of time."""
-    time_unit: Literal["s", "ms", "us", "ns"] = "s"
+    time_unit: TimeUnit = "s"
     """Of the column of time."""
     angles: dict[str, Literal["rad", "deg"]] = pydantic.Field(default_factory=dict)
     """Unit of the angle's channels, as ``deg`` for all or ``command_angle=deg,command_velocity=deg``; else rad."""

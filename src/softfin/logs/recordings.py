@@ -6,19 +6,20 @@ What `softfin inspect`, `softfin import-logs` and `softfin fit` share.
 import dataclasses
 import fnmatch
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from softfin import artifacts
 from softfin.errors import ConfigurationError, LogError
 from softfin.logs.clocks import logs_of
-from softfin.logs.dataset import PARTS, Dataset
+from softfin.logs.dataset import Dataset
 from softfin.logs.findings import Finding, Place, counted
 from softfin.logs.importing import ImportConfig
 from softfin.logs.inspection import Inspection, inspect
 from softfin.logs.recording import NamedLog, Part, Recording
-from softfin.logs.tables import CSV, PARQUET, read_table
+from softfin.logs.tables import read_table
+from softfin.paths import find_recordings, is_bag
 from softfin.quantities import Log
 
 Progress = Callable[[str, float, str], None]
@@ -103,33 +104,6 @@ def check_train(opened: Opened, source: str) -> None:
         raise LogError(f"{source}: no logs to learn from: all of its {len(opened.logs)} are to score on; see --test")
 
 
-def find_recordings(path: Path) -> list[Path]:
-    """Tables and bags, in order of their names; raises LogError where there are none."""
-    if not path.exists():
-        raise LogError(f"{path}: no such file or folder; give a folder of CSV, Parquet or ROS 2 bags, or one of them")
-    if artifacts.is_kind(path, "dataset"):
-        found = [file for part in PARTS for file in sorted((path / part).glob("*.parquet"))]
-    else:
-        found = list(_walk(path))
-    if not found:
-        raise LogError(f"{path}: holds no recordings; they are {', '.join((*CSV, *PARQUET))} or ROS 2 bags (.mcap)")
-    return found
-
-
-def _walk(path: Path) -> Iterator[Path]:
-    if path.is_file() or _is_bag(path):
-        if _is_bag(path) or path.suffix.lower() in (*CSV, *PARQUET):
-            yield path
-        return
-    for entry in sorted(path.iterdir()):
-        if not entry.name.startswith("."):
-            yield from _walk(entry)
-
-
-def _is_bag(path: Path) -> bool:
-    return (path / "metadata.yaml").is_file() or (path.suffix == ".mcap" and path.is_file())
-
-
 def _ignored(path: Path, files: list[Path]) -> int:
     if path.is_file():
         return 0
@@ -161,7 +135,7 @@ def _parts(path: Path, files: list[Path], config: ImportConfig) -> dict[Path, Pa
 
 
 def _read(file: Path, name: str, part: Part, config: ImportConfig) -> list[Recording]:
-    if not _is_bag(file):
+    if not is_bag(file):
         return read_table(file, name, part, config)
     # Whoever has no bags need not load what reads them.
     from softfin.logs.rosbag import read_bag

@@ -9,16 +9,15 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 from jaxtyping import Float
 
+from softfin.choices import TimeUnit
 from softfin.errors import LogError
 from softfin.logs.columns import channels_of, converted
 from softfin.logs.findings import Finding, Place
 from softfin.logs.importing import ImportConfig
 from softfin.logs.recording import Part, Recording, Track
+from softfin.paths import CSV
 
-CSV = (".csv", ".tsv", ".txt")
-PARQUET = (".parquet",)
-
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+SECONDS: dict[TimeUnit, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 MANY_ROWS = 100_000
 """A single log of more than this, a quarter of an hour, is more likely several end to end."""

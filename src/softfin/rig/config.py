@@ -7,15 +7,12 @@ from pydantic import Field, model_validator
 from softfin.configuration import Config, Configuration, read_yaml
 from softfin.deployment.safety import SafetyConfig
 from softfin.errors import ConfigurationError, RigError
+from softfin.paths import find_rig_file
 from softfin.quantities import TICK_S
 from softfin.rig.axia80_config import SensorConfig
 from softfin.rig.epos2_config import BusConfig, DriveConfig
 from softfin.rig.filter import design
 from softfin.rig.ros2_plant import Ros2PlantConfig
-
-DEFAULT = Path("rig.yaml")
-
-ROS2_DEFAULT = Path("ros2.yaml")
 
 
 class RigConfig(Configuration):
@@ -69,19 +66,17 @@ class Ros2Config(Configuration):
     """How long the fin rests before each log or experiment, for the water to come to rest [s]."""
 
 
-def load_rig(path: Path) -> RigConfig:
-    """The rig in a file; raises RigError naming the key, the value and what is allowed."""
-    return _load(path, RigConfig, "docs/rig.md has one with comments, and softfin rig emulate writes one of its own")
+def load_rig(path: Path | None = None) -> RigConfig:
+    """The rig in a file, by default rig.yaml; raises RigError naming the key, the value and what is allowed."""
+    return _load(find_rig_file("rig", path), RigConfig)
 
 
-def load_ros2(path: Path) -> Ros2Config:
-    """The topics in a file; likewise."""
-    return _load(path, Ros2Config, "docs/rig.md has one with comments")
+def load_ros2(path: Path | None = None) -> Ros2Config:
+    """The topics in a file, by default ros2.yaml; likewise."""
+    return _load(find_rig_file("ros2", path), Ros2Config)
 
 
-def _load(path: Path, kind: type[Config], hint: str) -> Config:
-    if not path.is_file():
-        raise RigError(f"{path}: no such file; {hint}")
+def _load(path: Path, kind: type[Config]) -> Config:
     try:
         return kind.build(read_yaml(path), str(path))
     except ConfigurationError as error:

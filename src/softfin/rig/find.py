@@ -19,18 +19,18 @@ def find_bench(name: str) -> Bench:
 
 def rig_bench(file: Path | None = None) -> Bench:
     """The rig of a file."""
-    from softfin.rig.config import DEFAULT, load_rig
+    from softfin.rig.config import load_rig
     from softfin.rig.rig import Rig
 
-    config = load_rig(file or DEFAULT)
+    config = load_rig(file)
     return Bench(Rig(config), config.safety, config.fin, config.settle_s, config.model_dump(mode="json"))
 
 
 def ros2_bench(file: Path | None = None) -> Bench:
     """The fin made of topics that a file describes."""
-    from softfin.rig.config import ROS2_DEFAULT, load_ros2
+    from softfin.rig.config import load_ros2
     from softfin.rig.ros2_plant import Ros2Machine
 
-    config = load_ros2(file or ROS2_DEFAULT)
+    config = load_ros2(file)
     machine = Ros2Machine(config.topics)
     return Bench(machine, config.safety, config.fin, config.settle_s, config.model_dump(mode="json"))

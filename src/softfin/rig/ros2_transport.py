@@ -2,10 +2,11 @@
 
 import importlib.util
 import os
-from typing import Literal, NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from pydantic import Field
 
+from softfin.choices import TransportName
 from softfin.configuration import Configuration
 from softfin.errors import RigError
 from softfin.rig.ros2_messages import Messages
@@ -74,7 +75,7 @@ class Transport(Protocol):
 class TransportConfig(Configuration):
     """How to reach other nodes."""
 
-    transport: Literal["auto", "rclpy", "dds"] = "auto"
+    transport: TransportName = "auto"
     """auto: rclpy where it is installed, else DDS."""
     domain: int | None = Field(default=None, ge=0, le=232)
     """ROS domain; None takes the variable ROS_DOMAIN_ID, else 0."""

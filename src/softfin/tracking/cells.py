@@ -7,16 +7,15 @@ Cells never overlap: a reference must have one policy. Those of a file fill thei
 paper's six leave a third of it uncovered.
 """
 
-import re
 from collections.abc import Sequence
 from itertools import combinations, pairwise
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from softfin.configuration import Configuration, read_yaml
 from softfin.errors import ConfigurationError
+from softfin.tracking.notation import read_cells, read_range
 from softfin.tracking.references import PAPER_CELLS, Cell, least_box
 
 TOLERANCE_N = 1e-6
@@ -41,27 +40,19 @@ def cells_of(text: str, within: Cell) -> tuple[Cell, ...]:
     Raises:
         ConfigurationError: no such lattice or file, or cells that overlap, have no width, or leave gaps unasked.
     """
-    if text == "paper":
+    source = read_cells(text)
+    if source is None:
         return PAPER_CELLS
-    if match := re.fullmatch(r"(\d+)\s*x\s*(\d+)", text.strip()):
-        return lattice(int(match[1]), int(match[2]), within)
-    if Path(text).suffix not in (".yaml", ".yml"):
-        raise ConfigurationError(
-            f"--cells {text}: neither paper, nor a lattice such as 3x3 (cells along x, cells along y), nor a .yaml file"
-        )
-    values = CellsFile.build(read_yaml(Path(text)), f"--cells {text}")
+    if isinstance(source, tuple):
+        return lattice(*source, within)
+    values = CellsFile.build(read_yaml(source), f"--cells {text}")
     check_cells(values.cells, values.allow_gaps, f"--cells {text}")
     return values.cells
 
 
 def range_of(text: str) -> Cell:
     """The box that ``X0,Y0,X1,Y1`` [N] names; raises ConfigurationError for anything else."""
-    try:
-        x0, y0, x1, y1 = (float(part) for part in text.split(","))
-    except ValueError:
-        raise ConfigurationError(
-            f"--range {text}: not four numbers X0,Y0,X1,Y1 [N]; write for example 0.5,-1.5,3.5,1.5"
-        ) from None
+    x0, y0, x1, y1 = read_range(text)
     return Cell.build({"low": (x0, y0), "high": (x1, y1)}, f"--range {text}")
 
 

@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from softfin.errors import ConfigurationError
+from softfin.paths import check_reference_file
 from softfin.quantities import TICK_S
 from softfin.tracking.signals import CLOCK_S, Recorded
 
@@ -32,8 +33,7 @@ Rows = list[tuple[str, tuple[float, ...]]]
 
 def read_reference_file(path: Path) -> Recorded:
     """The reference over time; raises ConfigurationError naming the line, what is wrong with it and the way out."""
-    if path.suffix not in (".csv", ".parquet"):
-        raise ConfigurationError(f"--reference-file {path}: neither .csv nor .parquet; write it as one of them")
+    check_reference_file(path)
     rows = _read_csv(path) if path.suffix == ".csv" else _read_parquet(path)
     if not rows:
         raise ConfigurationError(f"--reference-file {path}: empty: no rows; give at least one, at time_s = 0")

@@ -4,8 +4,9 @@ A part is a name and an item; the work is a function of the item that gives the 
 """
 
 from collections.abc import Callable, Mapping
-from typing import Literal, Protocol, TypeAlias, TypeVar, runtime_checkable
+from typing import Protocol, TypeAlias, TypeVar, runtime_checkable
 
+from softfin.choices import EngineName
 from softfin.errors import ConfigurationError
 
 Item = TypeVar("Item")
@@ -16,8 +17,6 @@ Progress: TypeAlias = Callable[[str, float, str], None]
 
 Work: TypeAlias = Callable[[Item, Progress | None], Result]
 """Of one part; it says how far it is where it is given somebody to tell."""
-
-EngineName: TypeAlias = Literal["local", "ray"]
 
 
 @runtime_checkable

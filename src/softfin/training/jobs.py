@@ -11,7 +11,7 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 from uuid import uuid4
 
 import jax
@@ -19,16 +19,14 @@ import jax.numpy as jnp
 
 from softfin.artifacts import write_file
 from softfin.checkpoint import Workspace
+from softfin.choices import EngineName, Split
 from softfin.plant import Plant
 from softfin.quantities import Limits
-from softfin.training.engine import Engine, EngineName, LocalEngine, Progress
+from softfin.training.engine import Engine, LocalEngine, Progress
 from softfin.training.force_map import ForceMap
 from softfin.training.policy import Policy
 from softfin.training.score import Score
 from softfin.training.train import TrainConfig, Trained, check, common_start, mapped, train
-
-Split: TypeAlias = Literal["none", "seed", "cell"]
-"""All lanes in one job; one for every seed; one for every cell of every seed."""
 
 TOKEN = "here"
 """File by which a worker tells whether it sees the folder that it was told of, and not one of the same name."""

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from pydantic import NonNegativeFloat, PositiveInt, model_validator
 
 from softfin.checkpoint import Workspace
+from softfin.choices import Algorithm, AlgorithmOption, PolicyLayout
 from softfin.configuration import Configuration
 from softfin.errors import ConfigurationError, RunError
 from softfin.plant import Plant
@@ -46,7 +47,7 @@ Tree = TypeVar("Tree")
 class TrainConfig(Configuration):
     """A training run; the defaults are those of `GRID`."""
 
-    controller: Literal["single", "grid"] = "grid"
+    controller: PolicyLayout = "grid"
     """One policy for a whole range of references, or one for each cell of a grid."""
     steps: PositiveInt = 10_000
     """Actions in the plant for each policy, over all its environments: the paper's 10,000 a cell, 30,000 single."""
@@ -64,7 +65,7 @@ class TrainConfig(Configuration):
     ensemble: Literal["mean", "each"] = "mean"
     """Of an ensemble, fins are the mean of all members or each is another member; scored is the mean. Only streaming
     surrogates of two members or more take `each`, which leaves nothing to disagree (`task.reward.disagreement`)."""
-    algorithm: Literal["ppo", "gradient"] = "ppo"
+    algorithm: Algorithm = "ppo"
     """LSTM-PPO, as the paper has it, or gradients through the plant."""
     ppo: PPOConfig = PPOConfig()
     """Of LSTM-PPO."""
@@ -124,16 +125,14 @@ GRADIENT_GRID = GRADIENT_SINGLE.merged(
 )  # fmt: skip
 """A policy a cell by gradients through the plant: 120 updates together, then 40 of each cell's own."""
 
-STARTS: Mapping[tuple[str, str], TrainConfig] = MappingProxyType({
+STARTS: Mapping[tuple[Algorithm, PolicyLayout], TrainConfig] = MappingProxyType({
     ("ppo", "single"): SINGLE, ("ppo", "grid"): GRID,
     ("gradient", "single"): GRADIENT_SINGLE, ("gradient", "grid"): GRADIENT_GRID,
 })  # fmt: skip
 """By algorithm and kind of controller."""
 
 
-def starting(
-    plant: Plant, controller: Literal["single", "grid"] = "grid", algorithm: Literal["auto", "gradient", "ppo"] = "auto"
-) -> TrainConfig:
+def starting(plant: Plant, controller: PolicyLayout = "grid", algorithm: AlgorithmOption = "auto") -> TrainConfig:
     """What a run begins from where nothing else is asked for; auto: gradients wherever the plant has them."""
     if algorithm == "auto":
         algorithm = "gradient" if differentiable(plant) else "ppo"

@@ -2,7 +2,6 @@
 
 import contextlib
 import io
-import shutil
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,7 +10,8 @@ import numpy as np
 import PIL.Image
 
 from softfin import artifacts
-from softfin.errors import ConfigurationError, RunError
+from softfin.errors import RunError
+from softfin.paths import find_ffmpeg
 from softfin.quantities import RATE_HZ
 from softfin.viewing.picture import Image, Picture
 
@@ -66,24 +66,13 @@ def write_png(path: Path, picture: Picture) -> None:
     artifacts.write_file(path, buffer.getvalue())
 
 
-def check_ffmpeg(path: Path) -> str:
-    """Where ffmpeg is; raises ConfigurationError where it is not."""
-    program = shutil.which("ffmpeg")
-    if program is None:
-        raise ConfigurationError(
-            f"{path}: MP4 takes the program ffmpeg, which is not on PATH; install it, or write --out "
-            f"{path.with_suffix('.gif').name} or {path.with_suffix('.html').name}"
-        )
-    return program
-
-
 def write_mp4(path: Path, picture: Picture, frames_per_second: int, report: Report) -> None:
     """All frames, through a pipe into ffmpeg, in the format that every browser plays."""
     ticks = ticks_of(len(picture.footage.shape), frames_per_second)
     height, width = picture.frame(0).shape[:2]
     beside = path.with_name(f".{path.stem}.partial.mp4")
     command = [
-        check_ffmpeg(path), "-loglevel", "error", "-y",
+        find_ffmpeg(path), "-loglevel", "error", "-y",
         "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}",
         "-r", str(frames_per_second), "-i", "-", "-an", "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(beside),
     ]  # fmt: skip

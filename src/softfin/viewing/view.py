@@ -9,7 +9,7 @@ from pydantic import Field, field_validator
 
 from softfin.configuration import Configuration
 from softfin.control.controller import Controller
-from softfin.errors import ArtifactError, ConfigurationError
+from softfin.errors import ConfigurationError
 from softfin.evaluation import experiment
 from softfin.logs.excitation import ExcitationConfig, excite
 from softfin.plant import Plant
@@ -20,9 +20,7 @@ from softfin.viewing.beating import BeatConfig, beat
 from softfin.viewing.footage import Footage, film
 from softfin.viewing.page import write_page
 from softfin.viewing.picture import Picture
-from softfin.viewing.video import check_ffmpeg, write_gif, write_mp4, write_png
-
-SUFFIXES = (".gif", ".mp4", ".html", ".png")
+from softfin.viewing.video import write_gif, write_mp4, write_png
 
 Reference = tuple[float, float]
 
@@ -62,18 +60,6 @@ class ViewConfig(Configuration):
         if value % 10:
             raise ValueError("it must be a multiple of 10: a film's width and height are even numbers of pixels")
         return value
-
-
-def check_out(path: Path, overwrite: bool) -> None:
-    """Raise unless a film or a page may be written at `path`."""
-    if path.suffix not in SUFFIXES:
-        raise ConfigurationError(f"--out {path}: a view is written as {', '.join(SUFFIXES)}; name it so")
-    if path.is_dir():
-        raise ArtifactError(f"{path}: is a folder; give another --out")
-    if path.exists() and not overwrite:
-        raise ArtifactError(f"{path}: exists already; give another --out, or --overwrite to replace it")
-    if path.suffix == ".mp4":
-        check_ffmpeg(path)
 
 
 def footage_of(

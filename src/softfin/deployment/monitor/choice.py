@@ -2,24 +2,11 @@
 
 from pathlib import Path
 
-from softfin.errors import LogError
-
 PATTERNS = ("*.mcap", "*/*.mcap", "*/*/*.mcap")
 """A folder of bags, of bag folders, or of runs that hold them; no deeper, for a monitor should not read whole disks."""
 
 NEWER_S = 1.0
 """So much later must another bag have been written to: two recordings at once do not take turns."""
-
-
-def checked(path: Path) -> Path:
-    """The path; raises LogError where nothing can be followed."""
-    if path.is_file() or path.is_dir():
-        return path
-    if path.exists():
-        raise LogError(
-            f"{path}: neither a file nor a folder; give a bag (.mcap), or the folder that bags are written to"
-        )
-    raise LogError(f"{path}: not there; give a bag (.mcap), or the folder that bags are written to")
 
 
 def newest(folder: Path, followed: Path | None) -> Path | None:

@@ -15,6 +15,7 @@ from softfin.deployment.monitor.messages import TOPICS, TYPES, decoded, printabl
 from softfin.deployment.monitor.summary import State, Summary, readings
 from softfin.deployment.monitor.trace import Trace
 from softfin.errors import LogError
+from softfin.paths import check_monitored
 
 READ_BYTES = 16 * 2**20
 """At one look, packed or unpacked: whoever waits for an old recording sees it come in."""
@@ -41,7 +42,8 @@ class Follower:
 
         `window_s` is what is held of each topic.
         """
-        self.path = choice.checked(path)
+        check_monitored(path)
+        self.path = path
         self.window_s = window_s
         self._clock, self._wall = clock, wall
         self._serials = itertools.count(1)

@@ -21,12 +21,11 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from softfin.canvas import with_canvas
+from softfin.choices import LOOPBACK
 from softfin.deployment.monitor.follow import Follower
 from softfin.deployment.monitor.messages import NAMES
 from softfin.deployment.monitor.summary import STATES, WINDOW_S, finite
 from softfin.errors import ConfigurationError
-
-LOOPBACK = "127.0.0.1"
 
 REFRESH_S = 0.2
 

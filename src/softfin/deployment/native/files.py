@@ -9,7 +9,7 @@ import numpy as np
 import safetensors
 import safetensors.numpy
 
-from softfin.artifacts import WEIGHTS
+from softfin.artifacts import WEIGHTS, find_description
 from softfin.deployment.native.description import LARGEST
 from softfin.errors import ArtifactError
 
@@ -32,10 +32,7 @@ class Folder(NamedTuple):
 
 def read_folder(path: Path) -> Folder:
     """Both files; raises ArtifactError where the folder is no controller, or no longer a whole one."""
-    if not path.is_dir():
-        raise ArtifactError(f"{path}: no such folder; it should be a controller, a folder with a {DESCRIPTION}")
-    if not (path / DESCRIPTION).is_file():
-        raise ArtifactError(f"{path}: not a controller: it holds no {DESCRIPTION}")
+    find_description(path, "controller")
     try:
         description = json.loads(_read(path / DESCRIPTION, LARGEST_DESCRIPTION))
     except (ValueError, RecursionError) as error:
