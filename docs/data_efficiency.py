@@ -1,7 +1,7 @@
 """How long to record: free-running error against minutes of tank time, with random and with active excitation.
 
     python docs/data_efficiency.py RUN                                            # all of it: hours on two cores
-    python docs/data_efficiency.py RUN --minutes 2 5 10 --active 5 10 --set members=3 force_updates=800
+    python docs/data_efficiency.py RUN --minutes 2,5,10 --active 5,10 --set members=3 --set force_updates=800
 
 Every recording, fit and score has a place of its own under RUN and is left out where it is there already: the same
 command goes on after a stop, and sizes, seeds and models can be added one after another. RUN/study.json and the table
@@ -14,14 +14,14 @@ import statistics
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import numpy as np
-import tyro
 from matplotlib.ticker import LogLocator
 
 from softfin import artifacts, stages
+from softfin.cli.options import HelpRequested, Option, help_of, parse
 from softfin.evaluation.compare import half_width_of
 from softfin.evaluation.prediction_scores import judge, ranges
 from softfin.evaluation.style import BLACK, BLUE, GREEN, ORANGE, new_figure, save, styled
@@ -74,21 +74,24 @@ LOOKS = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"))
 """Of the sets: colour, marker."""
 
 
+Numbers = Annotated[tuple[int, ...], Option("N,...", parse=lambda text, _: tuple(map(int, text.split(","))))]
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Options:
     """How long to record: free-running error against minutes of tank time."""
 
-    run: tyro.conf.Positional[Path]
+    run: Annotated[Path, Option("RUN", positional=True)]
     """Folder of all recordings, fits and scores."""
-    minutes: tuple[int, ...] = (2, 5, 10, 30, 100, 333)
+    minutes: Numbers = (2, 5, 10, 30, 100, 333)
     """Of random excitation that streaming nets are fitted to."""
-    active: tuple[int, ...] = (5, 10)
+    active: Numbers = (5, 10)
     """Of active excitation, in order; each goes on from the one before, the first from the random ones of `start`."""
     start: int = 2
     """Minutes of random excitation that the active one begins with; their fit chooses first."""
-    paper: tuple[int, ...] = ()
+    paper: Numbers = ()
     """Of random excitation that the paper's nets are fitted to."""
-    seeds: tuple[int, ...] = (0, 1, 2)
+    seeds: Numbers = (0, 1, 2)
     """Of logs and weights."""
     set: tuple[str, ...] = ()
     """Changes of the streaming nets' configuration: path=value."""
@@ -336,4 +339,7 @@ def told(name: str) -> Any:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Options))
+    try:
+        main(parse(Options, sys.argv[1:]))
+    except HelpRequested:
+        print(help_of(Options, "data_efficiency.py"))

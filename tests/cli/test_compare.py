@@ -27,7 +27,7 @@ def folders(tmp_path_factory):
     [
         (["data"], "data: not a surrogate: it holds no surrogate.json"),
         (["nothing"], "nothing: no such folder; it should be a surrogate"),
-        ([], "no surrogate: give the folders of those that are to be compared"),
+        ([], "SURROGATE ...: required, and missing"),
         (["s0", "s1", "s0"], "s0: given twice; give each surrogate once"),
         (["s0", "--dataset", "untested"], "untested: holds no test logs to compare on; put Parquet logs into"),
         (["s0", "--dataset", "s0"], "s0: not a dataset: it holds no dataset.json"),

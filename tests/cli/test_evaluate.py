@@ -19,10 +19,12 @@ class Loaded(Covering):
 
 
 @pytest.fixture
-def controller(monkeypatch):
+def controller(monkeypatch, tmp_path):
     monkeypatch.setattr("softfin.stages.load_controller", lambda path: Loaded())
     monkeypatch.setattr("softfin.stages.kind_of", lambda path: "single")
-    return "controller"
+    (tmp_path / "controller").mkdir()
+    (tmp_path / "controller" / "controller.json").touch()
+    return str(tmp_path / "controller")
 
 
 def test_a_reference_file_and_a_map_go_into_table_and_folder(controller, capsys, tmp_path):

@@ -149,10 +149,8 @@ def test_the_check_of_the_disk_writes_through_no_link_either(tmp_path, monkeypat
 def test_a_narrow_terminal_keeps_what_is_left_of_the_day(monkeypatch):
     from rich.console import Console
 
-    from softfin.cli import common
-
     said = io.StringIO()
-    monkeypatch.setattr(common, "Console", lambda stderr: Console(file=said, force_terminal=True, width=80))
+    monkeypatch.setattr("rich.console.Console", lambda stderr: Console(file=said, force_terminal=True, width=80))
     with progress() as report:
         report("collect", 0.5, "6 h 03 min left, train-0000: (+1.23, -0.45) N, -1.20 rad")
     assert "6 h 03 min left, train-0000: (+1.2" in said.getvalue()

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from softfin import cli
-from softfin.cli import driving, ros2
+from softfin.cli import driving
 from softfin.deployment.bench import Bench
 from softfin.deployment.machine import Machine, Sample, Target
 from softfin.deployment.native import NativeController
@@ -80,13 +80,17 @@ class Controller(NativeController):
 
 
 @pytest.fixture
-def there(monkeypatch):
+def there(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "controller").mkdir()
+    for file in ("controller/controller.json", "rig.yaml", "ros2.yaml"):
+        (tmp_path / file).touch()
     fin, controller, transport = StillFin(), Controller(), MemoryTransport(time.monotonic)
     safety = SafetyConfig(stale_s=0.5, force_stale_s=0.5, overrun_s=1.0, watchdog_s=2.0)
     assert isinstance(fin, Machine)
     monkeypatch.setattr(driving, "load_native", lambda folder: controller)
     monkeypatch.setattr(driving, "find_bench", lambda name: Bench(fin, safety, settle_s=0.0))
-    monkeypatch.setattr(ros2, "open_transport", lambda config, messages: transport)
+    monkeypatch.setattr("softfin.rig.ros2_transport.open_transport", lambda config, messages: transport)
     return SimpleNamespace(fin=fin, controller=controller, transport=transport)
 
 

@@ -199,7 +199,7 @@ def check(command: Any) -> None:
 def help_of(command: type[Any], program: str) -> str:
     """The help of a command, for the width of the terminal."""
     width = max(60, min(shutil.get_terminal_size().columns, 120))
-    fields, texts = fields_of(command), _docstrings(command)
+    fields, texts = fields_of(command), docstrings(command)
     places = [field for field in fields if field.option.positional]
     options = [field for field in fields if not field.option.positional]
     required = [field for field in options if field.required]
@@ -236,7 +236,7 @@ def _wrap(text: str, width: int, later: str = "") -> list[str]:
     return textwrap.wrap(text, width, subsequent_indent=later, break_on_hyphens=False)
 
 
-def _docstrings(command: type[Any]) -> dict[str, str]:
+def docstrings(command: type[Any]) -> dict[str, str]:
     """The string under each field, of a class and those that it inherits from."""
     texts: dict[str, str] = {}
     for base in reversed(command.__mro__[:-1]):

@@ -8,7 +8,7 @@ from softfin.errors import ConfigurationError
 from softfin.paths import check_readable
 
 CellsSource: TypeAlias = tuple[int, int] | Path | None
-"""The paper's cells, a lattice of columns and rows, or a YAML file."""
+"""A lattice of columns and rows, a YAML file, or the paper's cells."""
 
 
 def read_range(text: str) -> tuple[float, float, float, float]:

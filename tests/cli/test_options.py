@@ -1,0 +1,152 @@
+"""Options are the fields of a dataclass: read, suggested, refused in one line, listed as help."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import pytest
+
+from softfin.cli import COMMANDS
+from softfin.cli.kinds import Force
+from softfin.cli.options import HelpRequested, Option, check, docstrings, fields_of, help_of, parse
+from softfin.errors import ArtifactError, ConfigurationError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Base:
+    """Inherited."""
+
+    loud: bool = False
+    """Say more."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Example(Base):
+    """An example of a command.
+
+    With a second paragraph.
+    """
+
+    source: Annotated[Path, Option("SOURCE", positional=True)]
+    """Where it
+    comes from."""
+    out: Path
+    """Where it goes."""
+    test_rows: int = 0
+    """How many."""
+    rate: float | None = None
+    """How fast."""
+    kind: Literal["first", "second"] = "first"
+    """Which."""
+    reference: tuple[Force, ...] = ()
+    """Forces."""
+    more: Annotated[tuple[str, ...], Option("MORE", positional=True)] = ()
+    """What follows."""
+
+
+def test_words_become_the_fields_of_the_command() -> None:
+    words = ["a", "--out", "b", "--test-rows=3", "--rate", "-1.5", "--kind", "second", "--loud", "c", "d",
+             "--reference", "-1,2", "--reference=3,4"]  # fmt: skip
+    assert parse(Example, words) == Example(
+        source=Path("a"), out=Path("b"), test_rows=3, rate=-1.5, kind="second", loud=True, more=("c", "d"),
+        reference=((-1.0, 2.0), (3.0, 4.0)),
+    )  # fmt: skip
+
+
+def test_underscores_are_hyphens_and_two_hyphens_end_the_options() -> None:
+    read = parse(Example, ["--test_rows", "2", "--out=x=y", "--", "--odd"])
+    assert (read.test_rows, read.out, read.source) == (2, Path("x=y"), Path("--odd"))
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["--test-row", "3"], "--test-row: unknown option; did you mean --test-rows?"),
+        (["--zzz"], "--zzz: unknown option; --help lists the options"),
+        (["-o", "x"], "-o: unknown option; --help lists the options"),
+        (["--test-rows", "many"], "--test-rows many: not a whole number; write --test-rows INT"),
+        (["--rate", "fast"], "--rate fast: not a number; write --rate FLOAT"),
+        (["--kind", "secnd"], "--kind secnd: choose one of first, second; did you mean second?"),
+        (["--rate"], "--rate: the value is missing; write --rate FLOAT"),
+        (["--rate", "--loud"], "--rate: the value is missing; write --rate FLOAT"),
+        (["--loud=1"], "--loud=1: this option takes no value; write --loud, or leave it out"),
+        (["--out="], "--out: the path is empty; write --out PATH"),
+        (["--reference=1;2"], "--reference=1;2: not a force; write --reference=X,Y in newton, as 1,-1"),
+        (["--loud"], "SOURCE, --out PATH: required, and missing; --help tells more"),
+    ],
+)
+def test_a_mistake_is_one_line_with_the_way_out(words: list[str], line: str) -> None:
+    with pytest.raises(ConfigurationError) as refused:
+        parse(Example, words)
+    assert str(refused.value) == line
+
+
+@dataclass(frozen=True, kw_only=True)
+class Checked:
+    """A command whose paths must be there."""
+
+    path: Annotated[Path | None, Option(check=lambda path, command: command.refuse(path))] = None
+    paths: Annotated[tuple[Path, ...], Option(check=lambda path, command: command.refuse(path))] = ()
+
+    def refuse(self, path: Path) -> None:
+        raise ArtifactError(f"{path}: refused")
+
+
+def test_one_argument_too_many_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="'a': one argument too many; the command takes only options"):
+        parse(Checked, ["a"])
+
+
+def test_each_value_that_was_given_is_checked() -> None:
+    check(Checked())
+    for words in (["--path", "a"], ["--paths", "a"]):
+        with pytest.raises(ArtifactError, match="a: refused"):
+            check(parse(Checked, words))
+
+
+def test_help_shows_what_is_required_first_and_every_default(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(HelpRequested):
+        parse(Example, ["--zzz-is-not-looked-at=1", "-h"][1:])
+    assert (
+        help_of(Example, "example")
+        == """\
+usage: example SOURCE MORE ... --out PATH [OPTION ...]
+
+An example of a command.
+
+With a second paragraph.
+
+arguments:
+  SOURCE          Where it comes from.
+  MORE ...        What follows.
+
+options:
+  --out PATH      Where it goes. (required)
+  --test-rows INT
+                  How many. (default: 0)
+  --rate FLOAT    How fast.
+  --kind first|second
+                  Which. (default: first)
+  --reference X,Y
+                  Forces. (may be repeated)
+  --loud          Say more.
+  -h, --help      Show this help."""
+    )
+
+
+def arguments_of(name: str) -> Any:
+    module = __import__(f"softfin.cli.{name.replace('-', '_')}", fromlist=["Arguments"])
+    return module.Arguments
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_help_of_every_command_names_kinds_of_values_and_describes_each_option(name: str) -> None:
+    text = help_of(arguments_of(name), f"softfin {name}")
+    assert "None" not in text
+    assert "STR" not in text
+    for field in fields_of(arguments_of(name)):
+        assert field.usage in text
+        if field.option.positional:
+            assert field.choices or field.option.metavar, f"{field.field} has no name of its own"
+        assert docstrings(arguments_of(name)).get(field.field), f"{field.field} is not described"
