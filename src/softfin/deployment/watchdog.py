@@ -1,7 +1,7 @@
 """A watchdog above the loop: a loop that does not tick any more must not keep the fin moving.
 
 It is a thread of the same Python interpreter. A loop that is stuck in C code which holds the interpreter's lock stops
-this thread, too, as a stopped process or a computer that hangs does. Then the rig's drive stops the motor by itself: the
+this thread, too, as a stopped process or a computer that hangs does. Then the rig's drive stops the motor itself: the
 loop's own thread sends the host's heartbeat, and without it for `drive.heartbeat_s` the drive faults (0x8130). Behind
 ROS 2's topics there is no such heartbeat: the fin's driver has to notice that commands are missing.
 """
