@@ -55,6 +55,17 @@ def by_sdo(bench: CanopenBench) -> Any:
     return node
 
 
+def test_it_finds_all_that_it_looks_for_in_the_process_data_as_delivered(bench: CanopenBench) -> None:
+    node = bench.node
+    node.nmt.state = "PRE-OPERATIONAL"
+    node.setup_402_state_machine()
+    assert {0x6040, 0x6060} <= set(node.rpdo_pointers)
+    assert {0x6041, 0x6061} <= set(node.tpdo_values)
+    node.nmt.state = "OPERATIONAL"
+    bench.until(lambda: node.state == "SWITCH ON DISABLED" and node.op_mode == "PROFILED POSITION")
+    assert node.is_op_mode_supported("HOMING")
+
+
 @pytest.mark.parametrize("set_up", [by_sync, by_sdo])
 def test_it_is_brought_up_and_moved_to_a_set_point(bench: CanopenBench, set_up: Callable[[CanopenBench], Any]) -> None:
     node = set_up(bench)
