@@ -27,6 +27,9 @@ DEEPEST_YAML = 20
 MOST_MERGED = 10_000
 """Entries that ``<<`` may bring in: a few lines of merges can stand for more than fits into memory."""
 
+_UNREADABLE = (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RecursionError)
+"""What PyYAML raises: the 99th of a month, an empty !!int and a long !!float are none of its own errors."""
+
 
 class Configuration(pydantic.BaseModel):
     """Base of every stage's configuration: frozen, hashable, validated when built, unknown keys are errors."""
@@ -84,17 +87,16 @@ def read_yaml(path: Path) -> dict[str, Any]:
     return values
 
 
-def parse_yaml(text: str) -> Any:
+def parse_yaml(text: str, largest: int = LARGEST_YAML) -> Any:
     """A YAML value; raises ValueError in one line for anything else, and for what is too long, too deep or too wide.
 
-    All YAML that softfin reads goes through here.
+    All YAML that softfin reads goes through here, that of ROS 2 bags before their reader gets it.
     """
-    if len(text) > LARGEST_YAML:
-        raise ValueError(f"it has {len(text):,} characters, over {LARGEST_YAML:,}")
+    if len(text) > largest:
+        raise ValueError(f"it has {len(text):,} characters, over {largest:,}")
     try:
         return yaml.load(text, _Loader)
-    # The 99th of a month, an empty !!int and a long !!float are none of PyYAML's own errors.
-    except (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RecursionError) as error:
+    except _UNREADABLE as error:
         raise ValueError(" ".join(str(error).split())[:500] or type(error).__name__) from None
 
 

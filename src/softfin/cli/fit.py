@@ -14,6 +14,7 @@ from softfin.cli.log_options import LogOptions
 from softfin.cli.tables import choice, table_one
 from softfin.errors import ConfigurationError
 from softfin.logs.findings import counted
+from softfin.printable import printable
 from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig
 
 MODELS: dict[str, StreamingConfig | FitConfig | AutoConfig] = {
@@ -54,7 +55,7 @@ class Arguments(Configured, LogOptions):
                 self.dataset, Path(self.out), config, logs=self.import_config(), accept=self.accept,
                 seed=self.seed, resume=self.resume, overwrite=self.overwrite, progress=report,
             )  # fmt: skip
-        sys.stderr.write(warning(result["findings"], self.dataset))
+        sys.stderr.write(printable(warning(result["findings"], self.dataset), "\n"))
         parts = [table_one(result["table_i"]), *([choice(result["candidates"])] if result["candidates"] else [])]
         if result["caveat"] is not None:
             parts.append(f"note: {result['caveat']}")

@@ -12,6 +12,7 @@ from softfin.cli.common import Common
 from softfin.cli.live import Armed
 from softfin.deployment.bench import Bench
 from softfin.errors import ConfigurationError, DeviceError
+from softfin.printable import printable
 from softfin.rig.config import DEFAULT, RigConfig, load_rig
 
 ZEROING = "the motor is powered for a moment and holds where the fin stands, which becomes its zero"
@@ -53,7 +54,7 @@ class Arguments(Armed, Common):
         for finding in check_rig(config, self.rig.absolute().parent):
             findings.append(finding)
             if not self.json:
-                sys.stdout.write(f"{MARKS[finding.state]:>6}  {finding.what:14} {finding.text}\n")
+                sys.stdout.write(f"{MARKS[finding.state]:>6}  {finding.what:14} {printable(finding.text)}\n")
                 sys.stdout.flush()
         if self.json:
             self.tell([finding._asdict() for finding in findings], "")
@@ -70,7 +71,7 @@ class Arguments(Armed, Common):
             fault = drive.reset_fault()
         finally:
             drive.close()
-        sys.stderr.write(f"{'no fault to reset' if fault is None else f'reset: {fault}'}\n")
+        sys.stderr.write(f"{'no fault to reset' if fault is None else f'reset: {printable(fault)}'}\n")
 
     def _zero(self) -> None:
         from softfin.rig.rig import Rig
