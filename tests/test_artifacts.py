@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from softfin import artifacts
+from softfin.bounded import DEEPEST, parse_json
 from softfin.errors import ArtifactError, RunError
 
 
@@ -130,11 +131,46 @@ def test_nothing_of_the_user_is_replaced(tmp_path):
     artifacts.check_vacant(tmp_path / "new")
 
 
-@pytest.mark.parametrize("text", ["{", "[]", "\x00"])
+@pytest.mark.parametrize("text", ["{", "[]", "\x00", "[" * 5000, "[" * 100_000, '{"a": ' * 70 + "1" + "}" * 70])
 def test_a_damaged_description_is_refused_by_name(tmp_path, text):
     (tmp_path / "surrogate.json").write_text(text)
     with pytest.raises(ArtifactError, match=r"surrogate\.json: "):
         artifacts.load(tmp_path, "surrogate")
+
+
+def test_json_is_nested_as_deep_as_it_may_be_and_no_deeper():
+    assert parse_json("[" * DEEPEST + "]" * DEEPEST)
+    with pytest.raises(ValueError, match="more than 64 deep"):
+        parse_json("[" * (DEEPEST + 1) + "]" * (DEEPEST + 1))
+
+
+def test_a_file_that_is_too_large_is_refused_before_it_is_read(tmp_path, monkeypatch):
+    artifacts.save(tmp_path / "s", "surrogate", {}, {})
+    with (tmp_path / "s" / artifacts.WEIGHTS).open("r+b") as file:
+        # Sparse: it takes no room on the disk.
+        file.truncate(20 * 2**30)
+    with pytest.raises(ArtifactError, match=r"weights\.safetensors: cannot .* over 1,073,741,824 bytes"):
+        artifacts.load(tmp_path / "s", "surrogate")
+    monkeypatch.setattr(artifacts, "LARGEST_JSON", 2)
+    with pytest.raises(ArtifactError, match=r"surrogate\.json: cannot be read \(it has over 2 bytes\)"):
+        artifacts.load(tmp_path / "s", "surrogate")
+
+
+def test_weights_that_are_a_pipe_are_not_waited_for(tmp_path):
+    artifacts.save(tmp_path / "s", "surrogate", {}, {})
+    (tmp_path / "s" / artifacts.WEIGHTS).unlink()
+    os.mkfifo(tmp_path / "s" / artifacts.WEIGHTS)
+    with pytest.raises(ArtifactError, match="not a regular file"):
+        artifacts.load(tmp_path / "s", "surrogate")
+
+
+@pytest.mark.parametrize(("kind", "size"), [("F8_E4M3", 2), ("BF16", 4), ("C64", 16)])
+def test_weights_that_are_no_real_numbers_of_numpys_are_refused_in_one_line(tmp_path, kind, size):
+    artifacts.save(tmp_path / "s", "surrogate", {}, {})
+    header = json.dumps({"a": {"dtype": kind, "shape": [2], "data_offsets": [0, size]}}).encode()
+    (tmp_path / "s" / artifacts.WEIGHTS).write_bytes(len(header).to_bytes(8, "little") + header + bytes(size))
+    with pytest.raises(ArtifactError, match=r"weights\.safetensors: truncated or damaged"):
+        artifacts.load(tmp_path / "s", "surrogate")
 
 
 def test_a_missing_folder_and_missing_weights_are_told_apart(tmp_path):

@@ -123,3 +123,39 @@ def test_a_wrong_yaml_file_is_refused_by_name(tmp_path, text, words):
 def test_a_missing_yaml_file_is_refused_by_name(tmp_path):
     with pytest.raises(ConfigurationError, match=r"nothing\.yaml: cannot be read"):
         read_yaml(tmp_path / "nothing.yaml")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        # Each level costs PyYAML as much time again: a whole file of these took 24 s.
+        pytest.param("a: [" + ",".join(["[" * 200 + "]" * 200] * 200) + "]", "nested more than 20 deep", id="deep"),
+        pytest.param("a: " + "x" * 200_000, "over 100,000 bytes", id="long"),
+        pytest.param(
+            "a: &a {" + ",".join(f"k{i}: 1" for i in range(4000)) + "}\nb: [" + "{<<: *a}, " * 3000 + "]",
+            "<< brings in more than 10,000 entries",
+            id="merges",
+        ),
+        ("a: !!int ''", "not YAML"),
+        ("a: !!timestamp x", "not YAML"),
+        ("a: !!float " + "1:" * 400 + "1.0", "not YAML"),
+    ],
+)  # fmt: skip
+def test_yaml_that_would_take_long_is_refused_at_once(tmp_path, text, words):
+    file = tmp_path / "run.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigurationError, match=words) as error:
+        read_yaml(file)
+    assert len(str(error.value)) < 1000
+
+
+@pytest.mark.parametrize("text", ["[" * 50, "[" * 5000, "x" * 200_000, "!!int ''"])
+def test_a_change_is_bounded_as_a_yaml_file_is(text):
+    with pytest.raises(ConfigurationError, match=r"--set .*not YAML") as error:
+        Outer().changed([f"steps={text}"])
+    assert len(str(error.value)) < 1000
+
+
+def test_a_number_of_too_many_digits_is_refused_in_one_line():
+    with pytest.raises(ConfigurationError, match=r"inner\.name = <int of too many digits>"):
+        Outer().changed(["inner.name=0x" + "f" * 5000])

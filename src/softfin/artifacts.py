@@ -21,6 +21,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from softfin.bounded import check_file, parse_json, read_bytes
 from softfin.errors import ArtifactError, RunError
 
 if TYPE_CHECKING:
@@ -33,6 +34,10 @@ else:
 Weights = Mapping[str, Array]
 
 WEIGHTS = "weights.safetensors"
+
+LARGEST_JSON = 64 * 2**20
+LARGEST_WEIGHTS = 2**30
+"""Bytes; a dataset of 300,000 logs, a grid of 1,000 policies of the paper's size."""
 
 KINDS = (
     "dataset", "surrogate", "controller", "controllers", "evaluation", "reproduction", "calibration", "comparison",
@@ -202,10 +207,17 @@ def load(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Array]]:
 
     description = load_description(path, kind)
     try:
+        check_file(path / WEIGHTS, LARGEST_WEIGHTS)
         weights = safetensors.numpy.load_file(path / WEIGHTS)
+        for name, array in weights.items():
+            if array.dtype.kind not in "fiu":
+                raise ValueError(f"{name[:80]!r} is of type {array.dtype}")
     except FileNotFoundError:
         raise ArtifactError(f"{path / WEIGHTS}: missing; copy the whole folder again") from None
-    except (safetensors.SafetensorError, OSError, ValueError) as error:
+    except OSError as error:
+        raise ArtifactError(f"{path / WEIGHTS}: cannot be read ({error.strerror or error}); copy it again") from None
+    # Of bfloat16 and float8, which NumPy has not, safetensors says KeyError, AttributeError or TypeError.
+    except (safetensors.SafetensorError, ValueError, KeyError, AttributeError, TypeError, OverflowError) as error:
         raise ArtifactError(f"{path / WEIGHTS}: truncated or damaged ({error}); copy it again") from None
     return description, weights
 
@@ -228,8 +240,10 @@ def find_description(path: Path, kind: str) -> Path:
 def read_json(file: Path) -> dict[str, Any]:
     """The object in a JSON file of softfin's."""
     try:
-        description = json.loads(file.read_text())
-    except (ValueError, OSError, RecursionError) as error:
+        description = parse_json(read_bytes(file, LARGEST_JSON))
+    except OSError as error:
+        raise ArtifactError(f"{file}: cannot be read ({error.strerror or error}); copy it again") from None
+    except ValueError as error:
         raise ArtifactError(f"{file}: not readable as JSON ({error}); copy it again") from None
     if not isinstance(description, dict):
         raise ArtifactError(f"{file}: holds no object; it was not written by softfin")

@@ -18,6 +18,7 @@ import numpy as np
 import safetensors
 
 from softfin import artifacts
+from softfin.bounded import parse_json
 from softfin.errors import ArtifactError, RunError
 
 Tree = TypeVar("Tree")
@@ -95,7 +96,7 @@ class Workspace:
     def _facts(self, path: Path) -> dict[str, Any]:
         """Of a checkpoint, which must be one of this run."""
         with _reading(path), safetensors.safe_open(path, "numpy") as file:
-            facts: dict[str, Any] = json.loads(file.metadata()["facts"])
+            facts: dict[str, Any] = parse_json(file.metadata()["facts"])
             before = facts.pop("fingerprint", None)
         if before != self.fingerprint:
             differing = _differences(before or {}, self.fingerprint)
@@ -172,7 +173,7 @@ def read_log(path: Path) -> list[dict[str, Any]]:
     entries = []
     for line in path.read_text().splitlines():
         try:
-            entries.append(json.loads(line))
+            entries.append(parse_json(line))
         except ValueError:
             break
     return entries

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import pydantic
 import yaml
 
+from softfin.bounded import read_bytes
 from softfin.errors import ConfigurationError
 from softfin.paths import check_readable
 
@@ -18,8 +19,17 @@ Config = TypeVar("Config", bound="Configuration")
 _SHORT = reprlib.Repr()
 _SHORT.maxlevel, _SHORT.maxstring, _SHORT.maxlong, _SHORT.maxother = 2, 200, 40, 200
 
-_UNREADABLE = (yaml.YAMLError, ValueError, RecursionError)
-"""What PyYAML raises: the 99th of a month and too many brackets are none of its own errors."""
+LARGEST_YAML = 100_000
+"""Bytes; PyYAML takes two seconds for as many, and the longest file of softfin's has a few thousand."""
+
+DEEPEST_YAML = 20
+"""Levels; the deepest configuration has five. PyYAML's time grows with their square."""
+
+MOST_MERGED = 10_000
+"""Entries that ``<<`` may bring in: a few lines of merges can stand for more than fits into memory."""
+
+_UNREADABLE = (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RecursionError)
+"""What PyYAML raises: the 99th of a month, an empty !!int and a long !!float are none of its own errors."""
 
 
 class Configuration(pydantic.BaseModel):
@@ -51,10 +61,10 @@ class Configuration(pydantic.BaseModel):
             if leaf not in node:
                 raise ConfigurationError(f"--set {change}: there is no {leaf!r}{_nearest(leaf, node)}")
             try:
-                node[leaf] = yaml.safe_load(text)
-            except _UNREADABLE:
+                node[leaf] = parse_yaml(text)
+            except ValueError as error:
                 raise ConfigurationError(
-                    f"--set {change}: {text!r} is not YAML; quote it, or close its bracket"
+                    f"--set {_short(change)}: not YAML ({error}); quote it, or close its bracket"
                 ) from None
         return self.build(values, "--set")
 
@@ -67,16 +77,58 @@ def read_yaml(path: Path) -> dict[str, Any]:
     """The mapping in a YAML file."""
     check_readable(path)
     try:
-        values = yaml.safe_load(path.read_text())
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"{path}: cannot be read ({error})") from None
-    except _UNREADABLE as error:
-        raise ConfigurationError(f"{path}: not YAML ({' '.join(str(error).split())})") from None
+        values = parse_yaml(read_bytes(path, LARGEST_YAML).decode())
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read ({error.strerror or error})") from None
+    except ValueError as error:
+        raise ConfigurationError(f"{path}: not YAML ({error})") from None
     if values is None:
         return {}
     if not isinstance(values, dict):
         raise ConfigurationError(f"{path}: holds a {type(values).__name__}; it must be a mapping of names to values")
     return values
+
+
+def parse_yaml(text: str, largest: int = LARGEST_YAML) -> Any:
+    """A YAML value; raises ValueError in one line for anything else, and for what is too long, too deep or too wide.
+
+    All YAML that softfin reads goes through here, that of ROS 2 bags before their reader gets it.
+    """
+    if len(text) > largest:
+        raise ValueError(f"it has {len(text):,} characters, over {largest:,}")
+    try:
+        return yaml.load(text, _Loader)
+    except _UNREADABLE as error:
+        raise ValueError(" ".join(str(error).split())[:500] or type(error).__name__) from None
+
+
+class _Loader(yaml.SafeLoader):
+    """PyYAML's safe loader, with an end in sight."""
+
+    def __init__(self, stream: str) -> None:
+        super().__init__(stream)
+        self._depth = self._merged = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        """One node and all within it."""
+        self._depth += 1
+        if self._depth > DEEPEST_YAML + 1:
+            raise yaml.YAMLError(f"nested more than {DEEPEST_YAML} deep")
+        node: yaml.Node | None = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        """Put in what ``<<`` brings."""
+        for key, value in node.value:
+            if key.tag == "tag:yaml.org,2002:merge":
+                for source in value.value if isinstance(value, yaml.SequenceNode) else [value]:
+                    if isinstance(source, yaml.MappingNode):
+                        self.flatten_mapping(source)
+                        self._merged += len(source.value)
+                        if self._merged > MOST_MERGED:
+                            raise yaml.YAMLError(f"<< brings in more than {MOST_MERGED:,} entries")
+        super().flatten_mapping(node)
 
 
 def _merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
@@ -110,7 +162,11 @@ def _explain(cls: type[pydantic.BaseModel], error: pydantic.ValidationError) -> 
 
 def _short(value: object) -> str:
     """One line of it, however large it is: a few lines of YAML can stand for more than fits into memory."""
-    return _SHORT.repr(value)
+    try:
+        return _SHORT.repr(value)
+    except ValueError:
+        # Of an integer with more digits than Python cares to write.
+        return f"<{type(value).__name__} of too many digits>"
 
 
 def _nearest(name: str, allowed: Mapping[str, Any]) -> str:

@@ -146,3 +146,10 @@ def test_a_damaged_bag_is_refused_in_one_line(tmp_path, bag):
     (tmp_path / "run" / "metadata.yaml").write_text("{")
     with pytest.raises(LogError, match="truncated, or no ROS 2 bag"):
         opened(tmp_path / "run")
+
+
+def test_a_bags_description_is_bounded_before_its_reader_gets_it(tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "metadata.yaml").write_text("a: [" + ",".join(["[" * 200 + "]" * 200] * 200) + "]")
+    with pytest.raises(LogError, match="nested more than 20 deep"):
+        read_bag(tmp_path / "run", "run", "train", ImportConfig())

@@ -1,5 +1,7 @@
 import io
 import json
+import os
+import tracemalloc
 import zipfile
 
 import h5py
@@ -212,3 +214,147 @@ def test_published_nets_say_what_keras_says(published):
     said = predict(surrogate, log)
     np.testing.assert_allclose(said.angle, series["angle"][100:], atol=1e-5)
     np.testing.assert_allclose(said.force, measured[100:], atol=1e-4)
+
+
+FIRST = "layers/conv1d/vars/0"
+
+
+def craft(path, change):
+    """With the HDF5 of a file changed by `change`."""
+    with zipfile.ZipFile(path) as archive:
+        content = io.BytesIO(archive.read("model.weights.h5"))
+    with h5py.File(content, "r+") as file:
+        change(file)
+    rewrite(path, "model.weights.h5", content.getvalue())
+
+
+def replaced(place, **options):
+    def change(file):
+        shape = file[place].shape
+        del file[place]
+        file.create_dataset(place, shape, "f4", **options)
+
+    return change
+
+
+def linked(place, link):
+    def change(file):
+        del file[place]
+        file[place] = link
+
+    return change
+
+
+def virtual(file):
+    del file[FIRST]
+    layout = h5py.VirtualLayout((5, WINDOW, 6), "f4")
+    layout[:] = h5py.VirtualSource("other.h5", "numbers", (5, WINDOW, 6))
+    file.create_virtual_dataset(FIRST, layout)
+
+
+def sixteen_gib(file):
+    del file[FIRST]
+    file.create_dataset(FIRST, (2**32,), "f4")
+
+
+def test_numbers_of_another_file_are_never_read_as_weights(files):
+    secret = files[0] / "secret"
+    secret.write_bytes(b"x" * 5 * WINDOW * 6 * 4)
+    craft(files[0] / "pos.keras", replaced(FIRST, external=[(str(secret), 0, 5 * WINDOW * 6 * 4)]))
+    with pytest.raises(ArtifactError, match=r"pos\.keras: weights layers/conv1d/vars/0 lie in another file"):
+        load(files[0])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            linked(FIRST, h5py.ExternalLink("/nowhere/other.h5", "numbers")),
+            "a link to elsewhere",
+        ),
+        (linked(FIRST, h5py.SoftLink(f"/{FIRST}")), "a link to elsewhere"),
+        (linked("layers", h5py.SoftLink("/layers")), "a link to elsewhere"),
+        (linked("layers/conv1d", np.zeros(3)), f"weights {FIRST} are missing"),
+        (linked(FIRST, np.array(["text"], "S4")), "have shape"),
+        (linked(FIRST, np.full((5, WINDOW, 6), b"text")), "are of type"),
+        (replaced(FIRST, compression="gzip"), "in pieces, virtual or compressed"),
+        (replaced(FIRST, chunks=(1, WINDOW, 6)), "in pieces, virtual or compressed"),
+        (virtual, "in pieces, virtual or compressed"),
+        (replaced(FIRST), "were never written"),
+        (sixteen_gib, r"have shape \(4294967296,\); its layers need \(5, 10, 6\)"),
+    ],
+)
+def test_weights_that_keras_does_not_write_are_refused_unread(files, change, words):
+    craft(files[0] / "pos.keras", change)
+    with pytest.raises(ArtifactError, match=words) as error:
+        load(files[0])
+    assert str(error.value).startswith(str(files[0] / "pos.keras"))
+
+
+def test_a_damaged_heap_is_one_line(files):
+    with zipfile.ZipFile(files[0] / "pos.keras") as archive:
+        content = archive.read("model.weights.h5")
+    rewrite(files[0] / "pos.keras", "model.weights.h5", content.replace(b"HEAP", b"PEAH"))
+    with pytest.raises(ArtifactError, match=r"pos\.keras: its weights are damaged \(.*heap") as error:
+        load(files[0])
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["config.json", "model.weights.h5"])
+def test_an_archive_that_would_inflate_beyond_all_nets_is_refused_before_it_does(files, name):
+    with (
+        zipfile.ZipFile(files[0] / "pos.keras", "a", zipfile.ZIP_DEFLATED) as archive,
+        pytest.warns(UserWarning, match="Duplicate"),
+    ):
+        archive.writestr(name, bytes(40 * 2**20))
+    with pytest.raises(ArtifactError, match=f"{name} inflates to 41,943,040 bytes, over"):
+        load(files[0])
+
+
+def test_what_an_archive_says_of_its_size_is_not_believed(files):
+    path = files[0] / "pos.keras"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("config.json", bytes(4 * 2**20))
+    # The size stands before the archive's member and in the list at its end.
+    path.write_bytes(path.read_bytes().replace((4 * 2**20).to_bytes(4, "little"), (100).to_bytes(4, "little")))
+    tracemalloc.start()
+    with pytest.raises(ArtifactError, match=r"pos\.keras: not a whole Keras 2 \.keras file"):
+        load(files[0])
+    assert tracemalloc.get_traced_memory()[1] < 3 * 2**20
+    tracemalloc.stop()
+
+
+def listing(*layers):
+    return b'{"class_name": "Sequential", "config": {"layers": [' + b", ".join(layers) + b"]}}"
+
+
+@pytest.mark.parametrize(
+    "description",
+    [
+        b"[" * 100_000,
+        b'{"a": ' * 200 + b"1" + b"}" * 200,
+        b"[]",
+        listing(b'{"class_name": "InputLayer", "config": {"batch_input_shape": [null, 1e999, 10]}}'),
+        listing(b'{"class_name": "Flatten", "config": {}}', *[b"{}"] * 100),
+        listing(b'{"class_name": "Dense", "config": {"activation": "relu", "units": 1' + b"0" * 4000 + b"}}"),
+    ],
+)
+def test_a_description_that_is_no_nets_is_one_line(files, description):
+    rewrite(files[0] / "pos.keras", "config.json", description)
+    with pytest.raises(ArtifactError, match=r"pos\.keras: ") as error:
+        load(files[0])
+    assert "\n" not in str(error.value)
+    assert len(str(error.value)) < 600
+
+
+def test_scalers_of_many_levels_are_one_line(files):
+    (files[0] / "scalers.json").write_text("[" * 100_000)
+    with pytest.raises(ArtifactError, match=r"scalers\.json: not JSON"):
+        load(files[0])
+
+
+def test_a_pipe_is_not_waited_for(files):
+    (files[0] / "pos.keras").unlink()
+    os.mkfifo(files[0] / "pos.keras")
+    with pytest.raises(ArtifactError, match=r"pos\.keras: cannot be read \(not a regular file\)"):
+        load(files[0])

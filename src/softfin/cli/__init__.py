@@ -8,6 +8,8 @@ import os
 import sys
 from collections.abc import Sequence
 
+from softfin.printable import printable
+
 COMMANDS = {
     "collect": "record motions of a fin, random or chosen by a surrogate, and its force as a dataset",
     "inspect": "say what is wrong with logs, before anyone trains on them",
@@ -111,6 +113,6 @@ def _usage() -> str:
 def _exit(message: str, code: int) -> None:
     # Of a terminal that was closed nothing is left to write to; the code still counts.
     with contextlib.suppress(OSError):
-        sys.stderr.write(message + "\n")
+        sys.stderr.write(printable(message) + "\n")
         sys.stderr.flush()
     raise SystemExit(code)

@@ -13,6 +13,7 @@ from softfin.cli import options
 from softfin.cli.kinds import YamlFile
 from softfin.cli.options import Option
 from softfin.errors import ConfigurationError
+from softfin.printable import printable
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
@@ -43,7 +44,7 @@ class Command:
 
     def tell(self, result: Any, text: str) -> None:
         """The result: as JSON, or as text for people."""
-        sys.stdout.write(artifacts.dump_json(result) if self.json else text.rstrip("\n") + "\n")
+        sys.stdout.write(artifacts.dump_json(result) if self.json else printable(text.rstrip("\n"), "\n") + "\n")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,9 +88,9 @@ def progress() -> Iterator[Report]:
     # On a narrow terminal the bar gives way first, then the end of the note.
     bar, note = Column(min_width=4, ratio=1), Column(no_wrap=True, overflow="ellipsis")
     columns = (
-        TextColumn("{task.description:>12}", table_column=Column(no_wrap=True, min_width=12)),
+        TextColumn("{task.description:>12}", markup=False, table_column=Column(no_wrap=True, min_width=12)),
         BarColumn(bar_width=None, table_column=bar), TextColumn("{task.percentage:>3.0f}%"),
-        TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("{task.fields[note]}", table_column=note),
+        TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("{task.fields[note]}", markup=False, table_column=note),
     )  # fmt: skip
     with Progress(*columns, console=console, expand=True) as bars:
         tasks: dict[str, TaskID] = {}
@@ -97,7 +98,7 @@ def progress() -> Iterator[Report]:
         def report(stage: str, done: float, note: str) -> None:
             if stage not in tasks:
                 tasks[stage] = bars.add_task(stage, total=1.0, note="")
-            bars.update(tasks[stage], completed=done, note=note)
+            bars.update(tasks[stage], completed=done, note=printable(note))
 
         yield report
 
@@ -113,5 +114,5 @@ class _Lines:
     def __call__(self, stage: str, done: float, note: str) -> None:
         now = time.monotonic()
         if stage != self._stage or now >= self._next or done >= 1:
-            sys.stderr.write(f"{stage}: {done:.0%} {note}\n")
+            sys.stderr.write(f"{stage}: {done:.0%} {printable(note)}\n")
             self._stage, self._next = stage, now + self.every_s

@@ -16,6 +16,7 @@ from softfin.deployment.recording import recording
 from softfin.deployment.safety import Guard
 from softfin.deployment.session import Observer, Session
 from softfin.deployment.stop import Keyboard, StopRequest, stopped_by_signals
+from softfin.printable import printable
 from softfin.quantities import RATE_HZ
 from softfin.rig.find import find_bench
 
@@ -78,7 +79,7 @@ def typed(stop: StopRequest, terminal: Iterable[str]) -> Iterator[str]:
 
 def say(text: str) -> None:
     """A line for whoever stands by."""
-    sys.stderr.write(text + "\n")
+    sys.stderr.write(printable(text) + "\n")
 
 
 def _follow(

@@ -11,6 +11,7 @@ from softfin.cli.common import Configured, progress
 from softfin.cli.kinds import Logs, Out
 from softfin.cli.log_options import LogOptions
 from softfin.errors import ConfigurationError
+from softfin.printable import printable
 
 if TYPE_CHECKING:
     from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig
@@ -54,7 +55,7 @@ class Arguments(LogOptions, Configured):
                 self.dataset, Path(self.out), config, logs=self.import_config(), accept=self.accept,
                 seed=self.seed, resume=self.resume, overwrite=self.overwrite, progress=report,
             )  # fmt: skip
-        sys.stderr.write(warning(result["findings"], self.dataset))
+        sys.stderr.write(printable(warning(result["findings"], self.dataset), "\n"))
         parts = [table_one(result["table_i"]), *([choice(result["candidates"])] if result["candidates"] else [])]
         if result["caveat"] is not None:
             parts.append(f"note: {result['caveat']}")
@@ -73,7 +74,6 @@ def defaults(model: Model) -> "StreamingConfig | FitConfig | AutoConfig":
 
 def warning(counts: Mapping[str, int], dataset: Path) -> str:
     """A line that says how much is wrong with the logs that were learnt from; none where nothing is."""
-    from softfin.logs.findings import counted
 
     if not counts["error"] + counts["warning"]:
         return ""

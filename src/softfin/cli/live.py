@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, TextIO
 from softfin.cli.common import Common
 from softfin.cli.kinds import Controller, File, LivePlant
 from softfin.errors import ConfigurationError
+from softfin.printable import printable
 
 if TYPE_CHECKING:
     from softfin.deployment.bench import Bench
@@ -38,7 +39,7 @@ class Armed:
         """
         name = bench.machine.name
         for note in bench.machine.notes:
-            sys.stderr.write(f"note: {note}\n")
+            sys.stderr.write(f"note: {printable(note)}\n")
         if not self.arm:
             told = "answers, and " if motion is None else ""
             raise ConfigurationError(f"{name}: {told}stays still: nothing moves without --arm")
@@ -51,7 +52,7 @@ class Armed:
             f"the fin will move between {limits.angle_min:.2f} and {limits.angle_max:.2f} rad, at up to "
             f"{limits.velocity_max:.2f} rad/s"
         )
-        sys.stderr.write(f"{name}: {motion}.\nCtrl-C stops it. Hands off? Type {WORD!r} and Enter: ")
+        sys.stderr.write(f"{printable(name)}: {motion}.\nCtrl-C stops it. Hands off? Type {WORD!r} and Enter: ")
         sys.stderr.flush()
         if sys.stdin.readline().strip() != WORD:
             raise ConfigurationError(f"{name}: not confirmed with {WORD!r}; nothing moved")

@@ -11,6 +11,7 @@ from softfin.cli.kinds import File, YamlFile
 from softfin.cli.live import Armed
 from softfin.cli.options import Option
 from softfin.errors import ConfigurationError, DeviceError
+from softfin.printable import printable
 
 if TYPE_CHECKING:
     from softfin.rig.config import RigConfig
@@ -63,7 +64,7 @@ class Arguments(Armed, Common):
         for finding in check_rig(config, self.rig.absolute().parent):
             findings.append(finding)
             if not self.json:
-                sys.stdout.write(f"{MARKS[finding.state]:>6}  {finding.what:14} {finding.text}\n")
+                sys.stdout.write(f"{MARKS[finding.state]:>6}  {finding.what:14} {printable(finding.text)}\n")
                 sys.stdout.flush()
         if self.json:
             self.tell([finding._asdict() for finding in findings], "")
@@ -80,7 +81,7 @@ class Arguments(Armed, Common):
             fault = drive.reset_fault()
         finally:
             drive.close()
-        sys.stderr.write(f"{'no fault to reset' if fault is None else f'reset: {fault}'}\n")
+        sys.stderr.write(f"{'no fault to reset' if fault is None else f'reset: {printable(fault)}'}\n")
 
     def _zero(self) -> None:
         from softfin.deployment.bench import Bench

@@ -4,6 +4,7 @@ A message's own stamp counts where every message of the topic has one, else the 
 """
 
 from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,8 @@ import numpy as np
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
+from softfin.bounded import read_bytes
+from softfin.configuration import parse_yaml
 from softfin.errors import LogError
 from softfin.logs.bag_scan import check_bag
 from softfin.logs.columns import converted
@@ -18,6 +21,7 @@ from softfin.logs.findings import Finding, Place
 from softfin.logs.importing import TOPICS, ImportConfig
 from softfin.logs.recording import Part, Recording, Track
 from softfin.logs.topics import DEFAULT_TOPICS
+from softfin.printable import printable
 
 TYPES = {
     "command": ("sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"),
@@ -37,7 +41,13 @@ STORE = get_typestore(Stores.ROS2_HUMBLE)
 LISTED = 12
 """Topics in a message, at most."""
 
+LARGEST_METADATA = 300_000
+"""Bytes of a bag's ``metadata.yaml``: three hundred topics, and ten seconds of the reader's."""
+
 Values = Callable[[Any], tuple[float, float]]
+
+_plain = partial(printable, most=500)
+"""What a bag says, in one line and without a terminal's commands."""
 
 
 def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recording:
@@ -45,6 +55,8 @@ def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recordi
     try:
         for file in [path] if path.is_file() else path.glob("*.mcap"):
             check_bag(file)
+        if path.is_dir():
+            parse_yaml(read_bytes(path / "metadata.yaml", LARGEST_METADATA).decode(), LARGEST_METADATA)
         with Reader(path) as reader:
             topics = _topics(reader, config, path)
             tracks, findings = [], []
@@ -160,8 +172,3 @@ def _index(names: list[str], count: int, joint: str, where: str) -> int:
             "name it: TOPIC:JOINT"
         )
     return 0
-
-
-def _plain(text: str) -> str:
-    """What a bag says, in one line and without a terminal's commands."""
-    return "".join(letter if letter.isprintable() else "?" for letter in text)[:500]

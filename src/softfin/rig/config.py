@@ -1,8 +1,9 @@
 """A rig's file: which fin, which drive on which bus, which sensor, and the limits of safety. YAML in, checked whole."""
 
 from pathlib import Path
+from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from softfin.configuration import Config, Configuration, read_yaml
 from softfin.deployment.safety import SafetyConfig
@@ -15,10 +16,19 @@ from softfin.rig.filter import design
 from softfin.rig.ros2_plant import Ros2PlantConfig
 
 
+def _shown_as_it_is(name: str) -> str:
+    if not name.isprintable():
+        raise ValueError("a name is of letters that can be printed")
+    return name
+
+
+FinName = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_shown_as_it_is)]
+
+
 class RigConfig(Configuration):
     """Everything that is to know of one rig; what must not be guessed has no default."""
 
-    fin: str = Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")
+    fin: FinName
     """What this fin is called; datasets, surrogates and controllers carry the name on."""
     bus: BusConfig
     """The CAN bus."""
@@ -56,7 +66,7 @@ class RigConfig(Configuration):
 class Ros2Config(Configuration):
     """A fin made of topics of ROS 2."""
 
-    fin: str = Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")
+    fin: FinName
     """What this fin is called; datasets, surrogates and controllers carry the name on."""
     topics: Ros2PlantConfig
     """Where it is read and commanded."""

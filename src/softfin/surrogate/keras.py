@@ -3,19 +3,18 @@
 The scaler values come as a JSON file of ``{channel: {scale, offset, data_min, data_max}}``.
 """
 
-import io
-import json
+import reprlib
 import zipfile
 import zlib
 from pathlib import Path
 from typing import Any
 
-import h5py
-import numpy as np
 import pydantic
 
+from softfin.bounded import check_file, parse_json, read_bytes
 from softfin.errors import ArtifactError
 from softfin.surrogate.forcenet import FORCES
+from softfin.surrogate.keras_weights import read_arrays
 from softfin.surrogate.network import LSTM, Conv1D, Dense, Dropout, Flatten, Layer, MeanPool, Network, NetworkConfig
 from softfin.surrogate.posnet import COMMANDS
 from softfin.surrogate.scaling import Scaling
@@ -23,6 +22,16 @@ from softfin.surrogate.surrogate import ANGLE, Surrogate
 
 WEIGHT_NAMES = {"conv1d": ("kernel", "bias"), "dense": ("kernel", "bias"), "lstm": ("kernel", "recurrent", "bias")}
 """Of Keras's ``vars/0``, ``vars/1``, ... in their order."""
+
+LARGEST_JSON = 2**20
+LARGEST_WEIGHTS = LARGEST_FILE = 32 * 2**20
+"""Bytes; the published nets have 1.8 million, of which the layers' description is 5 thousand."""
+
+MOST_LAYERS = 100
+
+_DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, LookupError, TypeError, AttributeError, ValueError,
+            ArithmeticError)  # fmt: skip
+"""What `zipfile` raises, encryption among it, and what a description raises that has other entries than Keras's."""
 
 
 def import_keras(posnet: Path, forcenet: Path, scalers: Path) -> Surrogate:
@@ -36,12 +45,13 @@ def import_keras(posnet: Path, forcenet: Path, scalers: Path) -> Surrogate:
 def read_scalers(path: Path) -> Scaling:
     """The scaling of each channel."""
     try:
-        return Scaling(channels=json.loads(path.read_text()))
+        return Scaling(channels=parse_json(read_bytes(path, LARGEST_JSON)))
     except OSError as error:
-        raise ArtifactError(f"{path}: cannot be read ({error.strerror})") from None
+        raise ArtifactError(f"{path}: cannot be read ({error.strerror or error})") from None
     except pydantic.ValidationError as error:
         first = error.errors()[0]
-        raise ArtifactError(f"{path}: {'.'.join(map(str, first['loc'][1:]))}: {first['msg']}") from None
+        where = ".".join(map(str, first["loc"][1:])) or "scalers"
+        raise ArtifactError(f"{path}: {where}: {first['msg']}") from None
     except ValueError as error:
         raise ArtifactError(f"{path}: not JSON ({error}); give the scalers as JSON, never as pickle") from None
 
@@ -49,28 +59,44 @@ def read_scalers(path: Path) -> Scaling:
 def read_network(path: Path, channels: tuple[str, ...], outputs: tuple[str, ...]) -> Network:
     """One ``.keras`` file as a network."""
     try:
+        check_file(path, LARGEST_FILE)
         with zipfile.ZipFile(path) as archive:
-            description = json.loads(archive.read("config.json"))
-            weights = archive.read("model.weights.h5")
-        layers, names, shape = _layers(path, description)
-        with h5py.File(io.BytesIO(weights)) as file:
-            arrays = _weights(path, file, layers, names)
+            description = parse_json(_member(archive, "config.json", LARGEST_JSON))
+            weights = _member(archive, "model.weights.h5", LARGEST_WEIGHTS)
+        layers, groups, shape = _layers(path, description)
+        if shape[0] != len(channels):
+            raise ArtifactError(
+                f"{path}: takes {shape[0]} channels; this net must take {len(channels)}: {', '.join(channels)}"
+            )
+        config = NetworkConfig(channels=channels, outputs=outputs, window=shape[1], layers=tuple(layers))
+        if config.examples()[-1] != (len(outputs),):
+            raise ArtifactError(f"{path}: says {config.examples()[-1]} values; this net must say {', '.join(outputs)}")
+        places = _places(config, groups)
     except OSError as error:
         raise ArtifactError(f"{path}: cannot be read ({error.strerror or error})") from None
     except pydantic.ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"]))
-        raise ArtifactError(f"{path}: a layer's {where} = {first['input']!r}: {first['msg']}") from None
-    except (zipfile.BadZipFile, zlib.error, LookupError, TypeError, ValueError) as error:
-        raise ArtifactError(f"{path}: not a whole Keras 2 .keras file ({error})") from None
-    if shape[0] != len(channels):
-        raise ArtifactError(
-            f"{path}: takes {shape[0]} channels; this net must take {len(channels)}: {', '.join(channels)}"
-        )
-    config = NetworkConfig(channels=channels, outputs=outputs, window=shape[1], layers=tuple(layers))
-    if config.examples()[-1] != (len(outputs),):
-        raise ArtifactError(f"{path}: says {config.examples()[-1]} values; this net must say {', '.join(outputs)}")
-    return Network.of(config, arrays, str(path))
+        raise ArtifactError(f"{path}: a layer's {where} = {reprlib.repr(first['input'])}: {first['msg']}") from None
+    except _DAMAGED as error:
+        raise ArtifactError(f"{path}: not a whole Keras 2 .keras file ({_short(error)})") from None
+    found = read_arrays(weights, dict(places.values()), str(path))
+    return Network.of(config, {name: found[place] for name, (place, _) in places.items()}, str(path))
+
+
+def _member(archive: zipfile.ZipFile, name: str, largest: int) -> bytes:
+    """One file of the archive, as Keras packs it; raises ValueError where it would inflate to more than `largest`."""
+    entry = archive.getinfo(name)
+    if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise ValueError(f"{name} is packed in a way that Keras does not use")
+    if entry.file_size > largest:
+        raise ValueError(f"{name} inflates to {entry.file_size:,} bytes, over {largest:,}")
+    with archive.open(entry) as file:
+        # What the archive says of its size is a claim.
+        content = file.read(largest + 1)
+    if len(content) != entry.file_size:
+        raise ValueError(f"{name} has {len(content):,} bytes, and should have {entry.file_size:,}")
+    return content
 
 
 def _layers(path: Path, description: dict[str, Any]) -> tuple[list[Layer], list[str], tuple[int, int]]:
@@ -81,7 +107,10 @@ def _layers(path: Path, description: dict[str, Any]) -> tuple[list[Layer], list[
     groups: list[str] = []
     counts: dict[str, int] = {}
     shape = (0, 0)
-    for entry in description["config"]["layers"]:
+    listed = description["config"]["layers"]
+    if len(listed) > MOST_LAYERS:
+        raise ArtifactError(f"{path}: has {len(listed):,} layers; at most {MOST_LAYERS} are taken")
+    for entry in listed:
         kind, config = entry["class_name"], entry["config"]
         batch_shape = config.get("batch_input_shape") or config.get("batch_shape")
         if batch_shape:
@@ -123,13 +152,14 @@ def _expect(path: Path, config: dict[str, Any], **expected: Any) -> None:
             raise ArtifactError(f"{path}: layer {config.get('name')} has {name} = {config[name]}; it must be {value}")
 
 
-def _weights(path: Path, file: h5py.File, layers: list[Layer], groups: list[str]) -> dict[str, np.ndarray]:
-    arrays = {}
-    for index, (layer, group) in enumerate(zip(layers, groups, strict=True)):
-        names = WEIGHT_NAMES.get(layer.kind, ())
-        inner = f"{group}/cell/vars" if layer.kind == "lstm" else f"{group}/vars"
-        for number, name in enumerate(names):
-            if f"{inner}/{number}" not in file:
-                raise ArtifactError(f"{path}: weights {inner}/{number} are missing; the file is not whole")
-            arrays[f"{index}.{name}"] = np.asarray(file[f"{inner}/{number}"])
-    return arrays
+def _places(config: NetworkConfig, groups: list[str]) -> dict[str, tuple[str, tuple[int, ...]]]:
+    """By the name of each weight, its place in the HDF5 and its shape."""
+    return {
+        f"{index}.{name}": (f"{group}/{'cell/vars' if layer.kind == 'lstm' else 'vars'}/{number}", shapes[name])
+        for index, (layer, group, shapes) in enumerate(zip(config.layers, groups, config.shapes(), strict=True))
+        for number, name in enumerate(WEIGHT_NAMES.get(layer.kind, ()))
+    }
+
+
+def _short(error: Exception) -> str:
+    return " ".join(str(error).split())[:300] or type(error).__name__

@@ -7,7 +7,7 @@ import pytest
 
 from softfin.deployment.monitor import records
 from softfin.deployment.monitor.follow import Follower
-from softfin.deployment.monitor.messages import TOPICS, decoded, printable
+from softfin.deployment.monitor.messages import TOPICS, decoded
 from softfin.errors import LogError
 from softfin.logs.bag_messages import TYPES
 from tests.deployment.monitor.bags import START_NS, Recording
@@ -222,11 +222,6 @@ def test_what_is_no_bag_is_said(tmp_path):
     other = tmp_path / "text.mcap"
     other.write_text("SQLite format 3")
     assert "no MCAP file" in follower(other).summary().problem
-
-
-def test_texts_cannot_steer_a_terminal():
-    assert printable("a\x1b[2Jb\n") == "a\ufffd[2Jb\ufffd"
-    assert len(printable("x" * 1000)) == 300
 
 
 def test_a_message_of_another_type_is_no_message():

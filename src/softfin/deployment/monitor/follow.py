@@ -11,11 +11,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from softfin.deployment.monitor import choice, records
-from softfin.deployment.monitor.messages import TOPICS, TYPES, decoded, printable
+from softfin.deployment.monitor.messages import MOST_CHARACTERS, TOPICS, TYPES, decoded
 from softfin.deployment.monitor.summary import State, Summary, readings
 from softfin.deployment.monitor.trace import Trace
 from softfin.errors import LogError
 from softfin.paths import check_monitored
+from softfin.printable import printable
 
 READ_BYTES = 16 * 2**20
 """At one look, packed or unpacked: whoever waits for an old recording sees it come in."""
@@ -200,4 +201,4 @@ class Follower:
         return "recording" if abs(quiet) < SILENT_S else "silent"
 
     def _shown(self) -> str:
-        return printable(str(self._bag or self.path))
+        return printable(str(self._bag or self.path), most=MOST_CHARACTERS)

@@ -7,6 +7,8 @@ from typing import Any, TypeAlias
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
+from softfin.printable import printable
+
 Values: TypeAlias = tuple[float | str, ...]
 
 MOST_BYTES = 65_536
@@ -60,12 +62,6 @@ def decoded(role: str, kind: str, data: bytes) -> Values | None:
         return None
 
 
-def printable(text: str, most: int = MOST_CHARACTERS) -> str:
-    """Without what would steer a terminal, and not longer than `most`."""
-    shown = "".join(letter if letter.isprintable() else "\ufffd" for letter in text[: most + 1])
-    return shown if len(text) <= most else shown[: most - 2] + " …"
-
-
 @cache
 def _types() -> Typestore:
     return get_typestore(Stores.ROS2_HUMBLE)
@@ -90,5 +86,5 @@ _VALUES: dict[str, Callable[[Any], Values]] = {
     _PAIR: _pair,
     _WRENCH: _wrench,
     "std_msgs/msg/Float64": lambda message: (float(message.data),),
-    "std_msgs/msg/String": lambda message: (printable(message.data),),
+    "std_msgs/msg/String": lambda message: (printable(message.data, most=MOST_CHARACTERS),),
 }

@@ -13,6 +13,7 @@ from rich.text import Text
 from softfin.deployment.monitor.follow import Follower
 from softfin.deployment.monitor.summary import MOST, STATES, Summary
 from softfin.deployment.monitor.trace import Trace
+from softfin.printable import printable
 
 REFRESH_S = 0.25
 
@@ -75,7 +76,7 @@ def _lines(follower: Follower, console: Console, clock: Callable[[], float], sle
 
 
 def _say(console: Console, text: str) -> None:
-    console.print(text, markup=False, highlight=False, soft_wrap=True)
+    console.print(printable(text), markup=False, highlight=False, soft_wrap=True)
 
 
 def _over(follower: Follower, summary: Summary) -> bool:
@@ -174,7 +175,7 @@ def sparkline(
 
 
 def _line(text: str, style: str = "", wrap: bool = False) -> Text:
-    return Text(text, style=style, no_wrap=not wrap, overflow="fold" if wrap else "ellipsis")
+    return Text(printable(text), style=style, no_wrap=not wrap, overflow="fold" if wrap else "ellipsis")
 
 
 def _counts(summary: Summary) -> str:

@@ -1,7 +1,6 @@
 """A controller's folder as bytes: read once, of bounded size, nothing of it run, nothing written."""
 
 import hashlib
-import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -9,15 +8,12 @@ import numpy as np
 import safetensors
 import safetensors.numpy
 
-from softfin.artifacts import WEIGHTS, find_description
+from softfin.artifacts import LARGEST_JSON, LARGEST_WEIGHTS, WEIGHTS, find_description
+from softfin.bounded import check_file, parse_json, read_bytes
 from softfin.deployment.native.description import LARGEST
 from softfin.errors import ArtifactError
 
 DESCRIPTION = "controller.json"
-
-LARGEST_DESCRIPTION = 32 * 2**20
-LARGEST_WEIGHTS = 2**30
-"""Bytes; a grid of 1,000 policies of the paper's size."""
 
 
 class Folder(NamedTuple):
@@ -34,8 +30,8 @@ def read_folder(path: Path) -> Folder:
     """Both files; raises ArtifactError where the folder is no controller, or no longer a whole one."""
     find_description(path, "controller")
     try:
-        description = json.loads(_read(path / DESCRIPTION, LARGEST_DESCRIPTION))
-    except (ValueError, RecursionError) as error:
+        description = parse_json(_read(path / DESCRIPTION, LARGEST_JSON))
+    except ValueError as error:
         raise ArtifactError(f"{path / DESCRIPTION}: not readable as JSON ({_line(error)}); copy it again") from None
     if not isinstance(description, dict):
         raise ArtifactError(f"{path / DESCRIPTION}: holds no object; it was not written by softfin")
@@ -56,13 +52,10 @@ def read_folder(path: Path) -> Folder:
 
 def _read(file: Path, largest: int) -> bytes:
     try:
-        with file.open("rb") as stream:
-            data = stream.read(largest + 1)
+        check_file(file, largest)
+        return read_bytes(file, largest)
     except OSError as error:
         raise ArtifactError(f"{file}: cannot be read ({error.strerror or error}); copy it again") from None
-    if len(data) > largest:
-        raise ArtifactError(f"{file}: over {largest:,} bytes, which no controller has; copy it again")
-    return data
 
 
 def _checked(array: np.ndarray, name: str, source: Path) -> np.ndarray:

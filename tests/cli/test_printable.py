@@ -1,0 +1,47 @@
+"""A terminal is not steered by what a file says, wherever it is shown."""
+
+import re
+
+import pytest
+from rich.console import Console
+
+from softfin.cli import common, main
+from softfin.cli.common import Common, progress
+
+HOSTILE = "fin\x1b]0;owned\x07\x9b2J\u202e"
+ESCAPED = r"fin\x1b]0;owned\x07\x9b2J\u202e"
+
+
+def test_an_error_that_quotes_a_file_is_shown_without_its_escapes(capsys, tmp_path):
+    (tmp_path / "a.csv").write_text(f"time,{HOSTILE}\n0,1\n")
+    with pytest.raises(SystemExit) as stop:
+        main(["inspect", str(tmp_path)])
+    said = capsys.readouterr().err
+    assert stop.value.code == 2
+    assert said.rstrip("\n").isprintable()
+    assert r"fin\x1b" in said
+
+
+def test_a_name_of_a_file_is_shown_without_its_escapes(capsys, tmp_path):
+    with pytest.raises(SystemExit):
+        main(["inspect", str(tmp_path / HOSTILE)])
+    said = capsys.readouterr().err
+    assert ESCAPED in said
+    assert said.rstrip("\n").isprintable()
+
+
+def test_results_are_shown_without_escapes_and_in_lines(capsys):
+    Common().tell({}, f"{HOSTILE}: well\nsecond line")
+    assert capsys.readouterr().out == f"{ESCAPED}: well\nsecond line\n"
+
+
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_progress_shows_neither_escapes_nor_markup(capsys, monkeypatch, is_terminal):
+    monkeypatch.setattr(common, "Console", lambda stderr: Console(stderr=stderr, force_terminal=is_terminal, width=150))
+    with progress() as report:
+        report("read", 0.5, HOSTILE + "[/nothing] [blink]x")
+        report("read", 1.0, HOSTILE + "[/nothing] [blink]x")
+    said = capsys.readouterr().err
+    assert f"{ESCAPED}[/nothing] [blink]x" in re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", said)
+    assert "\x1b]0;" not in said
+    assert "\x9b" not in said
