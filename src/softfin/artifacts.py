@@ -21,6 +21,7 @@ import safetensors.numpy
 from numpy.typing import NDArray
 
 from softfin.errors import ArtifactError, RunError
+from softfin.files import regular_file
 
 Weights = Mapping[str, NDArray[Any]]
 
@@ -124,7 +125,7 @@ def load(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]
     """The description and the weights of a folder that `save` wrote; raises ArtifactError for anything else."""
     description = load_description(path, kind)
     try:
-        weights = safetensors.numpy.load_file(path / WEIGHTS)
+        weights = safetensors.numpy.load_file(regular_file(path / WEIGHTS))
     except FileNotFoundError:
         raise ArtifactError(f"{path / WEIGHTS}: missing; copy the whole folder again") from None
     except (safetensors.SafetensorError, OSError, ValueError) as error:
@@ -146,7 +147,7 @@ def load_description(path: Path, kind: str) -> dict[str, Any]:
 def read_json(file: Path) -> dict[str, Any]:
     """The object in a JSON file of softfin's."""
     try:
-        description = json.loads(file.read_text())
+        description = json.loads(regular_file(file).read_text())
     except (ValueError, OSError, RecursionError) as error:
         raise ArtifactError(f"{file}: not readable as JSON ({error}); copy it again") from None
     if not isinstance(description, dict):

@@ -10,6 +10,7 @@ import pydantic
 import yaml
 
 from softfin.errors import ConfigurationError
+from softfin.files import regular_file
 
 # Not typing.Self: the run-time check of the tests decorates functions one by one, and cannot know their class.
 Config = TypeVar("Config", bound="Configuration")
@@ -65,7 +66,7 @@ class Configuration(pydantic.BaseModel):
 def read_yaml(path: Path) -> dict[str, Any]:
     """The mapping in a YAML file."""
     try:
-        values = yaml.safe_load(path.read_text())
+        values = yaml.safe_load(regular_file(path).read_text())
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"{path}: cannot be read ({error})") from None
     except _UNREADABLE as error:

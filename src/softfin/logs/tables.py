@@ -10,6 +10,7 @@ import pyarrow.parquet as pq
 from jaxtyping import Float
 
 from softfin.errors import LogError
+from softfin.files import regular_file
 from softfin.logs.columns import channels_of, converted
 from softfin.logs.findings import Finding, Place
 from softfin.logs.importing import ImportConfig
@@ -76,7 +77,7 @@ def _notes(
 
 def _csv_names(path: Path) -> list[str]:
     try:
-        with path.open(encoding="utf-8-sig") as file:
+        with regular_file(path).open(encoding="utf-8-sig") as file:
             line = file.readline()
     except (OSError, UnicodeDecodeError) as error:
         raise LogError(f"{path}: cannot be read as text ({error}); give a CSV file") from None
@@ -123,7 +124,7 @@ def _read_csv(path: Path, names: list[str], columns: list[str]) -> pa.Table:
 
 def _parquet_names(path: Path) -> list[str]:
     try:
-        names: list[str] = pq.read_schema(path).names
+        names: list[str] = pq.read_schema(regular_file(path)).names
     except (pa.ArrowException, OSError) as error:
         raise LogError(f"{path}: not a Parquet file ({' '.join(str(error).split())}); copy it again") from None
     return names

@@ -80,7 +80,7 @@ def load_ros2(path: Path) -> Ros2Config:
 
 
 def _load(path: Path, kind: type[Config], hint: str) -> Config:
-    if not path.is_file():
+    if not path.exists():
         raise RigError(f"{path}: no such file; {hint}")
     try:
         return kind.build(read_yaml(path), str(path))

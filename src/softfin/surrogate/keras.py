@@ -15,6 +15,7 @@ import numpy as np
 import pydantic
 
 from softfin.errors import ArtifactError
+from softfin.files import regular_file
 from softfin.surrogate.forcenet import FORCES
 from softfin.surrogate.network import LSTM, Conv1D, Dense, Dropout, Flatten, Layer, MeanPool, Network, NetworkConfig
 from softfin.surrogate.posnet import COMMANDS
@@ -36,7 +37,7 @@ def import_keras(posnet: Path, forcenet: Path, scalers: Path) -> Surrogate:
 def read_scalers(path: Path) -> Scaling:
     """The scaling of each channel."""
     try:
-        return Scaling(channels=json.loads(path.read_text()))
+        return Scaling(channels=json.loads(regular_file(path).read_text()))
     except OSError as error:
         raise ArtifactError(f"{path}: cannot be read ({error.strerror})") from None
     except pydantic.ValidationError as error:
@@ -49,7 +50,7 @@ def read_scalers(path: Path) -> Scaling:
 def read_network(path: Path, channels: tuple[str, ...], outputs: tuple[str, ...]) -> Network:
     """One ``.keras`` file as a network."""
     try:
-        with zipfile.ZipFile(path) as archive:
+        with zipfile.ZipFile(regular_file(path)) as archive:
             description = json.loads(archive.read("config.json"))
             weights = archive.read("model.weights.h5")
         layers, names, shape = _layers(path, description)

@@ -5,11 +5,12 @@ import time
 import numpy as np
 import pytest
 
-from softfin.deployment.monitor import records
 from softfin.deployment.monitor.follow import Follower
 from softfin.deployment.monitor.messages import TOPICS, decoded, printable
 from softfin.errors import LogError
 from softfin.logs.bag_messages import TYPES
+from softfin.logs.mcap_chunks import CHUNK, LARGEST, inflated
+from softfin.logs.mcap_chunks import records as records_of
 from tests.deployment.monitor.bags import START_NS, Recording
 
 
@@ -115,10 +116,10 @@ def test_a_damaged_chunk_is_counted_and_passed_over(bag):
     assert (summary.rows, summary.damaged, summary.gaps) == (20, 1, 1)
 
 
-@pytest.mark.parametrize("length", [2**63, 2**64 - 1, records.MOST_BYTES + 1])
+@pytest.mark.parametrize("length", [2**63, 2**64 - 1, LARGEST + 1])
 def test_a_forged_length_ends_in_one_line_that_says_what_to_do(bag, length):
     recording = Recording().chunk(10)
-    bag.write_bytes(recording.bytes + struct.pack("<BQ", records.CHUNK, length) + bytes(100))
+    bag.write_bytes(recording.bytes + struct.pack("<BQ", CHUNK, length) + bytes(100))
     summary = follower(bag).summary()
     assert (summary.state, summary.rows) == ("damaged", 10)
     assert f"damaged at byte {len(recording.bytes):,}" in summary.problem
@@ -139,10 +140,10 @@ def test_chunks_are_unpacked_and_bombs_are_not(compression):
         head = struct.pack("<QQQII", 0, 0, size, 0, len(name))
         return head + name + struct.pack("<Q", len(packed)) + packed
 
-    assert [record.opcode for record in records.unpacked(chunk(len(inner)))] == [0x7F]
-    for size in (100, records.MOST_BYTES + 1, 2**62):
+    assert [opcode for opcode, _ in records_of(inflated(chunk(len(inner))))] == [0x7F]
+    for size in (100, LARGEST + 1, 2**62):
         with pytest.raises(LogError):
-            list(records.unpacked(chunk(size)))
+            inflated(chunk(size))
 
 
 def test_mutated_bags_end_in_counts_or_one_line(bag):

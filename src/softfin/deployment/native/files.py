@@ -12,6 +12,7 @@ import safetensors.numpy
 from softfin.artifacts import WEIGHTS
 from softfin.deployment.native.description import LARGEST
 from softfin.errors import ArtifactError
+from softfin.files import regular_file
 
 DESCRIPTION = "controller.json"
 
@@ -59,7 +60,7 @@ def read_folder(path: Path) -> Folder:
 
 def _read(file: Path, largest: int) -> bytes:
     try:
-        with file.open("rb") as stream:
+        with regular_file(file).open("rb") as stream:
             data = stream.read(largest + 1)
     except OSError as error:
         raise ArtifactError(f"{file}: cannot be read ({error.strerror or error}); copy it again") from None
