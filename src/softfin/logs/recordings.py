@@ -12,6 +12,7 @@ from typing import Any
 
 from softfin import artifacts
 from softfin.errors import ConfigurationError, LogError
+from softfin.files import regular_file
 from softfin.logs.clocks import logs_of
 from softfin.logs.dataset import PARTS, Dataset
 from softfin.logs.findings import Finding, Place, counted
@@ -107,23 +108,29 @@ def find_recordings(path: Path) -> list[Path]:
     """Tables and bags, in order of their names; raises LogError where there are none."""
     if not path.exists():
         raise LogError(f"{path}: no such file or folder; give a folder of CSV, Parquet or ROS 2 bags, or one of them")
+    if not path.is_dir():
+        try:
+            regular_file(path)
+        except OSError as error:
+            raise LogError(f"{path}: {error.strerror}; give a CSV or Parquet file, or a ROS 2 bag") from None
     if artifacts.is_kind(path, "dataset"):
         found = [file for part in PARTS for file in sorted((path / part).glob("*.parquet"))]
     else:
-        found = list(_walk(path))
+        found = list(_walk(path, ()))
     if not found:
         raise LogError(f"{path}: holds no recordings; they are {', '.join((*CSV, *PARQUET))} or ROS 2 bags (.mcap)")
     return found
 
 
-def _walk(path: Path) -> Iterator[Path]:
+def _walk(path: Path, within: tuple[Path, ...]) -> Iterator[Path]:
+    """Recordings below; pipes and devices are none, nor is a folder within itself by a link."""
     if path.is_file() or _is_bag(path):
         if _is_bag(path) or path.suffix.lower() in (*CSV, *PARQUET):
             yield path
-        return
-    for entry in sorted(path.iterdir()):
-        if not entry.name.startswith("."):
-            yield from _walk(entry)
+    elif path.is_dir() and (folder := path.resolve()) not in within:
+        for entry in sorted(path.iterdir()):
+            if not entry.name.startswith("."):
+                yield from _walk(entry, (*within, folder))
 
 
 def _is_bag(path: Path) -> bool:
@@ -135,7 +142,7 @@ def _ignored(path: Path, files: list[Path]) -> int:
         return 0
     taken = set(files)
     return sum(
-        entry.is_file() and not entry.name.startswith(".") and not taken & {entry, *entry.parents}
+        not entry.is_dir() and not entry.name.startswith(".") and not taken & {entry, *entry.parents}
         for entry in path.rglob("*")
     )
 

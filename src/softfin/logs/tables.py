@@ -21,6 +21,9 @@ PARQUET = (".parquet",)
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
+LONGEST_HEADER = 2**20
+"""Characters of a table's first line."""
+
 MANY_ROWS = 100_000
 """A single log of more than this, a quarter of an hour, is more likely several end to end."""
 
@@ -78,9 +81,11 @@ def _notes(
 def _csv_names(path: Path) -> list[str]:
     try:
         with regular_file(path).open(encoding="utf-8-sig") as file:
-            line = file.readline()
+            line = file.readline(LONGEST_HEADER)
     except (OSError, UnicodeDecodeError) as error:
         raise LogError(f"{path}: cannot be read as text ({error}); give a CSV file") from None
+    if len(line) == LONGEST_HEADER:
+        raise LogError(f"{path}: its first line is longer than {LONGEST_HEADER:,} characters; give a CSV file")
     if not line.strip():
         raise LogError(f"{path}: empty: it has no header; the first line must name the columns")
     names = [name.strip() for name in next(csv.reader([line], delimiter=_delimiter(line)))]
