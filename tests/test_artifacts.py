@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from softfin import artifacts
-from softfin.bounded import DEEPEST, parse_json
 from softfin.errors import ArtifactError, RunError
+from softfin.files import DEEPEST, parse_json
 
 
 def files_in(path):

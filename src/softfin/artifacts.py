@@ -21,8 +21,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from softfin.bounded import check_file, parse_json, read_bytes
 from softfin.errors import ArtifactError, RunError
+from softfin.files import parse_json, read_bytes, regular_file
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -207,7 +207,7 @@ def load(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Array]]:
 
     description = load_description(path, kind)
     try:
-        check_file(path / WEIGHTS, LARGEST_WEIGHTS)
+        regular_file(path / WEIGHTS, LARGEST_WEIGHTS)
         weights = safetensors.numpy.load_file(path / WEIGHTS)
         for name, array in weights.items():
             if array.dtype.kind not in "fiu":

@@ -18,8 +18,8 @@ import numpy as np
 import safetensors
 
 from softfin import artifacts
-from softfin.bounded import parse_json
 from softfin.errors import ArtifactError, RunError
+from softfin.files import parse_json, regular_file
 
 Tree = TypeVar("Tree")
 
@@ -168,7 +168,7 @@ class RunLog:
 
 def read_log(path: Path) -> list[dict[str, Any]]:
     """The entries of a ``log.jsonl``; a last line that a kill cut short is left out."""
-    if not path.exists():
+    if not path.is_file():
         return []
     entries = []
     for line in path.read_text().splitlines():
@@ -182,6 +182,7 @@ def read_log(path: Path) -> list[dict[str, Any]]:
 @contextmanager
 def _reading(path: Path) -> Iterator[None]:
     try:
+        regular_file(path)
         yield
     except (OSError, KeyError, TypeError, ValueError, AttributeError, safetensors.SafetensorError) as error:
         raise ArtifactError(f"{path}: damaged ({error}); start anew with --overwrite") from None

@@ -9,8 +9,8 @@ from typing import Any, TypeVar
 import pydantic
 import yaml
 
-from softfin.bounded import read_bytes
 from softfin.errors import ConfigurationError
+from softfin.files import read_bytes
 from softfin.paths import check_readable
 
 # Not typing.Self: the run-time check of the tests decorates functions one by one, and cannot know their class.

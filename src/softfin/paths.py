@@ -3,13 +3,13 @@
 import errno
 import os
 import shutil
-import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
 from softfin import artifacts
 from softfin.errors import ArtifactError, ConfigurationError, LogError, RigError, SoftfinError
+from softfin.files import regular_file
 
 CSV = (".csv", ".tsv", ".txt")
 PARQUET = (".parquet",)
@@ -32,10 +32,7 @@ def check_readable(
 ) -> None:
     """Raise an `error` unless there is a file that may be read."""
     try:
-        # Not opened: what comes through a pipe can be read once.
-        if stat.S_ISDIR(path.stat().st_mode):
-            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-        if not os.access(path, os.R_OK):
+        if not os.access(regular_file(path), os.R_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     except OSError as problem:
         raise error(f"{option}{path}: cannot be read ({problem.strerror or problem}){hint}") from None
@@ -45,23 +42,26 @@ def find_recordings(path: Path) -> list[Path]:
     """Tables and bags, in order of their names; raises LogError where there are none."""
     if not path.exists():
         raise LogError(f"{path}: no such file or folder; give a folder of CSV, Parquet or ROS 2 bags, or one of them")
+    if not path.is_dir():
+        check_readable(path, LogError, "; give a CSV or Parquet file, or a ROS 2 bag")
     if artifacts.is_kind(path, "dataset"):
         found = [file for part in PARTS for file in sorted((path / part).glob("*.parquet"))]
     else:
-        found = list(_walk(path))
+        found = list(_walk(path, ()))
     if not found:
         raise LogError(f"{path}: holds no recordings; they are {', '.join((*CSV, *PARQUET))} or ROS 2 bags (.mcap)")
     return found
 
 
-def _walk(path: Path) -> Iterator[Path]:
+def _walk(path: Path, within: tuple[Path, ...]) -> Iterator[Path]:
+    """Recordings below; pipes and devices are none, nor is a folder within itself by a link."""
     if path.is_file() or is_bag(path):
         if is_bag(path) or path.suffix.lower() in (*CSV, *PARQUET):
             yield path
-        return
-    for entry in sorted(path.iterdir()):
-        if not entry.name.startswith("."):
-            yield from _walk(entry)
+    elif path.is_dir() and (folder := path.resolve()) not in within:
+        for entry in sorted(path.iterdir()):
+            if not entry.name.startswith("."):
+                yield from _walk(entry, (*within, folder))
 
 
 def is_bag(path: Path) -> bool:

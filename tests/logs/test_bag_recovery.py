@@ -1,3 +1,4 @@
+import itertools
 import os
 import random
 import struct
@@ -5,17 +6,17 @@ import subprocess
 import sys
 import time
 import zlib
-from collections import Counter
+from collections import Counter, deque
 from pathlib import Path
 
 import pytest
 from mcap.writer import CompressionType, Writer
 
 from softfin.errors import LogError, SoftfinError
-from softfin.logs import bag_recovery, bag_scan
+from softfin.logs import bag_recovery, bag_scan, mcap_chunks
 from softfin.logs.bag_messages import COMMAND, JOINT, WRENCH
 from softfin.logs.bag_recovery import recover, recovered_path
-from softfin.logs.bag_scan import check_bag
+from softfin.logs.bag_scan import BagScan, check_bag
 from softfin.logs.clocks import logs_of
 from softfin.logs.importing import ImportConfig
 from softfin.logs.rosbag import read_bag
@@ -252,6 +253,92 @@ def test_many_small_bombs_are_no_recording(tmp_path):
     for read in (check_bag, lambda path: recover(path, tmp_path / "saved.mcap")):
         with pytest.raises(LogError, match="inflates to more than 200 times its size"):
             read(tmp_path / "bombs.mcap")
+
+
+def compressed(data: bytes, checksum: int | None = None) -> bytes:
+    import zstandard
+
+    return chunk(zstandard.compress(data), b"zstd", len(data), zlib.crc32(data) if checksum is None else checksum)
+
+
+TINY = struct.pack("<BQHIQQ", 5, 22, 1, 0, 0, 0)
+
+
+def test_more_records_than_a_file_has_room_for_are_no_recording(tmp_path, monkeypatch):
+    monkeypatch.setattr(mcap_chunks, "RECORDS", 1000)
+    monkeypatch.setattr(bag_scan, "COUNTED", 100)
+    (tmp_path / "tiny.mcap").write_bytes(bag_scan.MAGIC + 3 * compressed(50_000 * TINY))
+    seen = itertools.count()
+    with pytest.raises(LogError, match=r"has over 1,\d{3} records in \d{3} bytes: it is no recording"):
+        deque(zip(BagScan(tmp_path / "tiny.mcap").records(), seen, strict=False), 0)
+    most = 1000 + (tmp_path / "tiny.mcap").stat().st_size // mcap_chunks.RECORD_BYTES
+    assert next(seen) <= most + bag_scan.COUNTED
+
+
+@pytest.mark.parametrize("hidden", [False, True])
+def test_chunks_that_come_to_nothing_are_inflated_only_so_often(tmp_path, monkeypatch, hidden):
+    """Hidden in what nobody reads, they are met only by the search behind a damage."""
+    monkeypatch.setattr(mcap_chunks, "LARGEST", 2**20)
+    bombs = 2000 * compressed(bytes(100_000), checksum=1)
+    if hidden:
+        bombs = struct.pack("<BQ", 0x80, len(bombs)) + bombs + bytes(9)
+    (tmp_path / "bombs.mcap").write_bytes(bag_scan.MAGIC + bombs)
+    inflated, lengths = mcap_chunks.inflated, []
+    monkeypatch.setattr(bag_scan, "inflated", lambda data: lengths.append(100_000) or inflated(data))
+    with pytest.raises(LogError, match="inflates to more than 200 times its size"):
+        check_bag(tmp_path / "bombs.mcap")
+    assert sum(lengths) <= 2**20 + mcap_chunks.GROWTH * (tmp_path / "bombs.mcap").stat().st_size
+
+
+def test_records_in_no_chunk_are_read_many_at_a_time(tmp_path, monkeypatch):
+    (tmp_path / "loose.mcap").write_bytes(bag_scan.MAGIC + 20_000 * TINY)
+    read, calls = bag_scan._read, []
+    monkeypatch.setattr(bag_scan, "_read", lambda *what: calls.append(what) or read(*what))
+    assert sum(1 for opcode, _ in BagScan(tmp_path / "loose.mcap").records() if opcode == 5) == 20_000
+    assert len(calls) < 100
+
+
+def test_a_search_reads_what_it_has_read_no_second_time(tmp_path, monkeypatch):
+    record = struct.pack("<BQ", 0x80, 9) + bytes(9)
+    broken = compressed(record) + b"\xff" * 9
+    (tmp_path / "broken.mcap").write_bytes(bag_scan.MAGIC + 500 * broken)
+    read, lengths = bag_scan._read, []
+    monkeypatch.setattr(bag_scan, "_read", lambda *what: lengths.append(what[2]) or read(*what))
+    scan = BagScan(tmp_path / "broken.mcap")
+    assert sum(1 for opcode, _ in scan.records() if opcode) == 500
+    assert lengths.count(max(lengths)) == 1
+
+
+@pytest.mark.parametrize("content", [b"", bag_scan.MAGIC, bag_scan.MAGIC + compressed(10 * TINY)])
+def test_holes_of_a_sparse_file_are_not_read(tmp_path, monkeypatch, content):
+    path = tmp_path / "sparse.mcap"
+    with path.open("wb") as file:
+        file.write(content)
+        file.truncate(20 * 2**30)
+        if mcap_chunks.bytes_held(file, 20 * 2**30) > 2**20:
+            pytest.skip("a file system without holes")
+    read, lengths = bag_scan._read, []
+    monkeypatch.setattr(bag_scan, "_read", lambda *what: lengths.append(what[2]) or read(*what))
+    scan = BagScan(path)
+    assert sum(1 for opcode, _ in scan.records() if opcode) == (10 if len(content) > 8 else 0)
+    assert scan.damages
+    assert sum(lengths) < 4 * 2**20
+
+
+def test_chunks_of_holes_are_no_recording(tmp_path):
+    """Without a checksum, zeros that are on no disk could be taken for records of any length."""
+    path, length = tmp_path / "sparse.mcap", 2**25
+    head = chunk(b"", b"", length, 0)[9:-8] + struct.pack("<Q", length)
+    with path.open("wb") as file:
+        file.write(bag_scan.MAGIC)
+        for _ in range(8):
+            file.write(struct.pack("<BQ", 6, len(head) + length) + head)
+            file.seek(length, os.SEEK_CUR)
+        file.truncate()
+        if mcap_chunks.bytes_held(file, file.tell()) > 2**20:
+            pytest.skip("a file system without holes")
+    with pytest.raises(LogError, match="it is no recording"):
+        check_bag(path)
 
 
 def test_what_is_no_bag_is_refused_in_one_line(tmp_path):

@@ -1,3 +1,5 @@
+import os
+
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
@@ -8,7 +10,7 @@ from softfin.errors import ArtifactError, ConfigurationError, LogError
 from softfin.logs.dataset import Dataset, write_dataset
 from softfin.logs.findings import Finding, Place, check_accepted
 from softfin.logs.importing import ImportConfig
-from softfin.logs.recordings import check_train, open_logs
+from softfin.logs.recordings import check_train, find_recordings, open_logs
 from tests.logs.bags import topics_of, write_bag
 from tests.logs.faulty import columns_of, cut, tank_logs, write_parquet
 
@@ -136,3 +138,14 @@ def test_errors_stop_unless_they_are_accepted_and_warnings_do_not():
     assert message.startswith("runs: run.csv, row 7, column angle: spans -90 .. 90: degrees; --angles deg")
     assert "2 more" in message
     assert "--accept" in message
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="without pipes in folders")
+def test_pipes_broken_links_and_links_in_circles_are_no_recordings(tmp_path):
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "logs" / "a.csv").write_text("time_s\n0\n")
+    os.mkfifo(tmp_path / "logs" / "b.csv")
+    (tmp_path / "logs" / "c.csv").symlink_to(tmp_path / "none")
+    for name in ("d", "e"):
+        (tmp_path / "logs" / name).symlink_to(tmp_path)
+    assert find_recordings(tmp_path) == [tmp_path / "logs" / "a.csv"]

@@ -138,3 +138,9 @@ def test_other_files_are_refused(tmp_path):
     pq.write_table(pa.table({name: ["a", "b"] for name in AUTHORS}), tmp_path / "b.parquet")
     with pytest.raises(LogError, match="must hold numbers"):
         read(tmp_path / "b.parquet", rate_hz=100)
+
+
+def test_a_first_line_without_end_is_no_header(tmp_path):
+    (tmp_path / "zeros.csv").write_bytes(bytes(2**21))
+    with pytest.raises(LogError, match=r"its first line is longer than 1,048,576 characters; give a CSV file"):
+        read_table(tmp_path / "zeros.csv", "zeros", "train", ImportConfig())

@@ -10,6 +10,7 @@ import pytest
 from softfin.errors import DeviceError, RigError
 from softfin.rig.axia80_xml import LARGEST_PAGE, SETTINGS, fetch, parse_settings, read_settings
 from softfin.rig.emulation.sensor_pages import PageServer, sensor_pages
+from softfin.web_server import MOST_CLIENTS
 
 CASES = 100_000 if os.environ.get("SOFTFIN_LONG") == "1" else 1_000
 
@@ -141,6 +142,13 @@ def test_the_pages_of_the_emulator_are_read():
     assert settings.serial == "FT12345"
     assert settings.newton_metre_per_count == pytest.approx(1e-6)
     assert settings.rdt_rate_hz == 1000
+
+
+def test_the_emulator_answers_while_idle_clients_hold_connections():
+    with serving({SETTINGS: page()}) as server, contextlib.ExitStack() as idle:
+        for _ in range(4 * MOST_CLIENTS):
+            idle.enter_context(socket.create_connection(("127.0.0.1", server.port)))
+        assert all(fetch("127.0.0.1", server.port, SETTINGS, 20.0) == page() for _ in range(20))
 
 
 def test_a_sensor_without_the_second_page_is_read_all_the_same():

@@ -11,7 +11,8 @@ from typing import Any, BinaryIO, NamedTuple
 
 from softfin.errors import LogError, RunError
 from softfin.logs.bag_messages import writer_on
-from softfin.logs.bag_scan import CHANNEL, MESSAGE, SCHEMA, BagScan, Damage, records
+from softfin.logs.bag_scan import BagScan, Damage
+from softfin.logs.mcap_chunks import CHANNEL, MESSAGE, SCHEMA
 from softfin.paths import check_recoverable
 
 DEFINITIONS_BYTES = 64 * 2**20
@@ -19,6 +20,9 @@ DEFINITIONS_BYTES = 64 * 2**20
 
 MESSAGE_HEAD = 22
 """Bytes of a message's record before its data."""
+
+_STAMPED = struct.Struct("<HxxxxQ").unpack_from
+"""Channel and time of logging of a message's record."""
 
 
 class Recovery(NamedTuple):
@@ -83,20 +87,19 @@ def _survey(scan: BagScan) -> tuple[_Definitions, Recovery]:
     """Definitions may stand behind their messages where the first chunk is lost: the index repeats them."""
     definitions, counts, partial = _Definitions({}, {}), Counter[int](), list[Damage]()
     first, last, room = 2**64, 0, DEFINITIONS_BYTES
-    for piece in scan.pieces():
-        for opcode, content in records(piece):
-            if opcode in (SCHEMA, CHANNEL):
-                room -= len(content)
-                if room < 0:
-                    raise LogError(f"{scan.path}: over {DEFINITIONS_BYTES / 1e6:.0f} MB of definitions: no recording")
-                if not _define(definitions, opcode, content):
-                    partial.append(Damage(0, len(content), "a definition that cannot be read"))
-            elif opcode == MESSAGE and len(content) >= MESSAGE_HEAD:
-                channel, stamp = struct.unpack_from("<HxxxxQ", content)
-                counts[channel] += 1
-                first, last = min(first, stamp), max(last, stamp)
-            elif opcode in (0, MESSAGE):
-                partial.append(Damage(0, len(content), "a record that is not whole"))
+    for opcode, content in scan.records():
+        if opcode == MESSAGE and len(content) >= MESSAGE_HEAD:
+            channel, stamp = _STAMPED(content)
+            counts[channel] += 1
+            first, last = min(first, stamp), max(last, stamp)
+        elif opcode in (SCHEMA, CHANNEL):
+            room -= len(content)
+            if room < 0:
+                raise LogError(f"{scan.path}: over {DEFINITIONS_BYTES / 1e6:.0f} MB of definitions: no recording")
+            if not _define(definitions, opcode, content):
+                partial.append(Damage(0, len(content), "a definition that cannot be read"))
+        elif opcode in (0, MESSAGE):
+            partial.append(Damage(0, len(content), "a record that is not whole"))
     messages: Counter[str] = Counter()
     orphans = 0
     for channel, count in counts.items():
@@ -152,22 +155,21 @@ def _copy(path: Path, definitions: _Definitions, file: BinaryIO) -> None:
     writer = writer_on(file, f"softfin {importlib.metadata.version('softfin')}")
     schemas: dict[int, int] = {0: 0}
     channels: dict[int, int] = {}
-    for piece in BagScan(path).pieces():
-        for opcode, content in records(piece):
-            if opcode != MESSAGE or len(content) < MESSAGE_HEAD:
-                continue
-            number, sequence, logged, published = struct.unpack_from("<HIQQ", content)
-            channel = definitions.channels.get(number)
-            if channel is None:
-                continue
-            if number not in channels:
-                if channel.schema not in schemas:
-                    schema = definitions.schemas.get(channel.schema)
-                    schemas[channel.schema] = 0 if schema is None else writer.register_schema(*schema)
-                channels[number] = writer.register_channel(
-                    channel.topic, channel.encoding, schemas[channel.schema], channel.metadata
-                )
-            writer.add_message(channels[number], logged, bytes(content[MESSAGE_HEAD:]), published, sequence)
+    for opcode, content in BagScan(path).records():
+        if opcode != MESSAGE or len(content) < MESSAGE_HEAD:
+            continue
+        number, sequence, logged, published = struct.unpack_from("<HIQQ", content)
+        channel = definitions.channels.get(number)
+        if channel is None:
+            continue
+        if number not in channels:
+            if channel.schema not in schemas:
+                schema = definitions.schemas.get(channel.schema)
+                schemas[channel.schema] = 0 if schema is None else writer.register_schema(*schema)
+            channels[number] = writer.register_channel(
+                channel.topic, channel.encoding, schemas[channel.schema], channel.metadata
+            )
+        writer.add_message(channels[number], logged, bytes(content[MESSAGE_HEAD:]), published, sequence)
     writer.finish()
 
 

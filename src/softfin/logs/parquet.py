@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from softfin import artifacts
 from softfin.errors import LogError
+from softfin.files import regular_file
 from softfin.quantities import RATE_HZ, TICK_S, Command, Log, Reading
 
 SCHEMA = pa.schema(
@@ -124,7 +125,7 @@ def _columns(log: Log) -> Columns:
 
 def _read_columns(path: Path) -> Columns:
     try:
-        data = path.read_bytes()
+        data = regular_file(path).read_bytes()
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror}); give the path of a Parquet file") from None
     try:

@@ -109,7 +109,7 @@ def _ignored(path: Path, files: list[Path]) -> int:
         return 0
     taken = set(files)
     return sum(
-        entry.is_file() and not entry.name.startswith(".") and not taken & {entry, *entry.parents}
+        not entry.is_dir() and not entry.name.startswith(".") and not taken & {entry, *entry.parents}
         for entry in path.rglob("*")
     )
 

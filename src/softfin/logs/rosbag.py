@@ -12,9 +12,9 @@ import numpy as np
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from softfin.bounded import read_bytes
 from softfin.configuration import parse_yaml
 from softfin.errors import LogError
+from softfin.files import read_bytes, regular_file
 from softfin.logs.bag_scan import check_bag
 from softfin.logs.columns import converted
 from softfin.logs.findings import Finding, Place
@@ -53,10 +53,13 @@ _plain = partial(printable, most=500)
 def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recording:
     """One bag; raises LogError where it is damaged, lacks a topic, or a topic has messages of another type."""
     try:
-        for file in [path] if path.is_file() else path.glob("*.mcap"):
-            check_bag(file)
         if path.is_dir():
             parse_yaml(read_bytes(path / "metadata.yaml", LARGEST_METADATA).decode(), LARGEST_METADATA)
+        for file in [path] if not path.is_dir() else sorted(path.iterdir()):
+            if file.suffix == ".mcap":
+                check_bag(file)
+            elif not file.is_dir():
+                regular_file(file)
         with Reader(path) as reader:
             topics = _topics(reader, config, path)
             tracks, findings = [], []

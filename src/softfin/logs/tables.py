@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from softfin.choices import TimeUnit
 from softfin.errors import LogError
+from softfin.files import regular_file
 from softfin.logs.columns import channels_of, converted
 from softfin.logs.findings import Finding, Place
 from softfin.logs.importing import ImportConfig
@@ -18,6 +19,9 @@ from softfin.logs.recording import Part, Recording, Track
 from softfin.paths import CSV
 
 SECONDS: dict[TimeUnit, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+LONGEST_HEADER = 2**20
+"""Characters of a table's first line."""
 
 MANY_ROWS = 100_000
 """A single log of more than this, a quarter of an hour, is more likely several end to end."""
@@ -75,10 +79,12 @@ def _notes(
 
 def _csv_names(path: Path) -> list[str]:
     try:
-        with path.open(encoding="utf-8-sig") as file:
-            line = file.readline()
+        with regular_file(path).open(encoding="utf-8-sig") as file:
+            line = file.readline(LONGEST_HEADER)
     except (OSError, UnicodeDecodeError) as error:
         raise LogError(f"{path}: cannot be read as text ({error}); give a CSV file") from None
+    if len(line) == LONGEST_HEADER:
+        raise LogError(f"{path}: its first line is longer than {LONGEST_HEADER:,} characters; give a CSV file")
     if not line.strip():
         raise LogError(f"{path}: empty: it has no header; the first line must name the columns")
     names = [name.strip() for name in next(csv.reader([line], delimiter=_delimiter(line)))]
@@ -122,7 +128,7 @@ def _read_csv(path: Path, names: list[str], columns: list[str]) -> pa.Table:
 
 def _parquet_names(path: Path) -> list[str]:
     try:
-        names: list[str] = pq.read_schema(path).names
+        names: list[str] = pq.read_schema(regular_file(path)).names
     except (pa.ArrowException, OSError) as error:
         raise LogError(f"{path}: not a Parquet file ({' '.join(str(error).split())}); copy it again") from None
     return names

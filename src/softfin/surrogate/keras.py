@@ -11,8 +11,8 @@ from typing import Any
 
 import pydantic
 
-from softfin.bounded import check_file, parse_json, read_bytes
 from softfin.errors import ArtifactError
+from softfin.files import parse_json, read_bytes, regular_file
 from softfin.surrogate.forcenet import FORCES
 from softfin.surrogate.keras_weights import read_arrays
 from softfin.surrogate.network import LSTM, Conv1D, Dense, Dropout, Flatten, Layer, MeanPool, Network, NetworkConfig
@@ -59,7 +59,7 @@ def read_scalers(path: Path) -> Scaling:
 def read_network(path: Path, channels: tuple[str, ...], outputs: tuple[str, ...]) -> Network:
     """One ``.keras`` file as a network."""
     try:
-        check_file(path, LARGEST_FILE)
+        regular_file(path, LARGEST_FILE)
         with zipfile.ZipFile(path) as archive:
             description = parse_json(_member(archive, "config.json", LARGEST_JSON))
             weights = _member(archive, "model.weights.h5", LARGEST_WEIGHTS)

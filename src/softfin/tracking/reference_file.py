@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from softfin.errors import ConfigurationError
+from softfin.files import regular_file
 from softfin.paths import check_reference_file
 from softfin.quantities import TICK_S
 from softfin.tracking.signals import CLOCK_S, Recorded
@@ -51,7 +52,7 @@ def read_reference_file(path: Path) -> Recorded:
 def _read_csv(path: Path) -> Rows:
     rows: Rows = []
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
+        with regular_file(path).open(encoding="utf-8-sig", newline="") as file:
             table = csv.reader(file)
             header = [name.strip() for name in next(table, [])]
             places = _places(path, header)
@@ -77,7 +78,7 @@ def _number(path: Path, where: str, header: list[str], fields: list[str], place:
 
 def _read_parquet(path: Path) -> Rows:
     try:
-        header: list[str] = pq.read_schema(path).names
+        header: list[str] = pq.read_schema(regular_file(path)).names
         names = [header[place] for place in _places(path, header)]
         table = pq.read_table(path, columns=names)
         columns = [table.column(name).cast(pa.float64()).to_numpy() for name in names]

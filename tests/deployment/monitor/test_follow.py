@@ -1,15 +1,19 @@
 import os
 import struct
 import time
+import zlib
 
 import numpy as np
 import pytest
 
-from softfin.deployment.monitor import records
+from softfin.deployment.monitor import follow
 from softfin.deployment.monitor.follow import Follower
 from softfin.deployment.monitor.messages import TOPICS, decoded
 from softfin.errors import LogError
+from softfin.logs import mcap_chunks
 from softfin.logs.bag_messages import TYPES
+from softfin.logs.mcap_chunks import CHUNK, LARGEST, inflated
+from softfin.logs.mcap_chunks import records as records_of
 from tests.deployment.monitor.bags import START_NS, Recording
 
 
@@ -115,10 +119,10 @@ def test_a_damaged_chunk_is_counted_and_passed_over(bag):
     assert (summary.rows, summary.damaged, summary.gaps) == (20, 1, 1)
 
 
-@pytest.mark.parametrize("length", [2**63, 2**64 - 1, records.MOST_BYTES + 1])
+@pytest.mark.parametrize("length", [2**63, 2**64 - 1, LARGEST + 1])
 def test_a_forged_length_ends_in_one_line_that_says_what_to_do(bag, length):
     recording = Recording().chunk(10)
-    bag.write_bytes(recording.bytes + struct.pack("<BQ", records.CHUNK, length) + bytes(100))
+    bag.write_bytes(recording.bytes + struct.pack("<BQ", CHUNK, length) + bytes(100))
     summary = follower(bag).summary()
     assert (summary.state, summary.rows) == ("damaged", 10)
     assert f"damaged at byte {len(recording.bytes):,}" in summary.problem
@@ -139,10 +143,49 @@ def test_chunks_are_unpacked_and_bombs_are_not(compression):
         head = struct.pack("<QQQII", 0, 0, size, 0, len(name))
         return head + name + struct.pack("<Q", len(packed)) + packed
 
-    assert [record.opcode for record in records.unpacked(chunk(len(inner)))] == [0x7F]
-    for size in (100, records.MOST_BYTES + 1, 2**62):
+    assert [opcode for opcode, _ in records_of(inflated(chunk(len(inner))))] == [0x7F]
+    for size in (100, LARGEST + 1, 2**62):
         with pytest.raises(LogError):
-            list(records.unpacked(chunk(size)))
+            inflated(chunk(size))
+
+
+def packed(data):
+    import zstandard
+
+    content = zstandard.compress(data)
+    head = struct.pack("<QQQII", 0, 0, len(data), zlib.crc32(data), 4) + b"zstd" + struct.pack("<Q", len(content))
+    return struct.pack("<BQ", CHUNK, len(head) + len(content)) + head + content
+
+
+def test_one_look_takes_in_so_much_and_the_next_goes_on_within_the_chunk(bag, monkeypatch):
+    """Counted in records: a chunk of tiny ones takes long, though its bytes are few."""
+    recording = Recording().chunk(100)
+    bag.write_bytes(recording.bytes + packed(2000 * struct.pack("<BQ", 0x80, 0)))
+    monkeypatch.setattr(follow, "READ_BYTES", 50_000)
+    followed, counts = follower(bag), []
+    taken = followed._record
+    monkeypatch.setattr(followed, "_record", lambda *record: counts.append(1) or taken(*record))
+    looks = 0
+    while followed.summary().state == "reading":
+        before = len(counts)
+        followed.poll()
+        looks += 1
+        assert len(counts) - before <= 1 + 50_000 // follow.RECORD_COST
+    assert looks >= 4
+    assert (followed.summary().rows, followed.summary().damaged) == (100, 0)
+
+
+def test_a_bag_that_unpacks_to_more_than_any_recording_is_left(bag, monkeypatch):
+    monkeypatch.setattr(mcap_chunks, "RECORDS", 1000)
+    bag.write_bytes(Recording().chunk(10).bytes + 20 * packed(5000 * struct.pack("<BQ", 0x80, 0)))
+    followed = follower(bag)
+    assert followed.summary().state == "damaged"
+    assert "it is no recording" in followed.summary().problem
+    monkeypatch.setattr(mcap_chunks, "RECORDS", 2**20)
+    monkeypatch.setattr(mcap_chunks, "LARGEST", 2**20)
+    zeros = struct.pack("<BQ", 0x80, 900_000) + bytes(900_000)
+    bag.write_bytes(Recording().chunk(10).bytes + 20 * packed(zeros))
+    assert "inflates to more than 200 times its size" in follower(bag).summary().problem
 
 
 def test_mutated_bags_end_in_counts_or_one_line(bag):

@@ -1,3 +1,4 @@
+import contextlib
 import http.client
 import json
 import re
@@ -6,24 +7,31 @@ import threading
 
 import pytest
 
+from softfin import web_server
 from softfin.deployment.monitor import web
 from softfin.deployment.monitor.follow import Follower
 from softfin.errors import ConfigurationError
 from tests.deployment.monitor.bags import Recording
 
 
-@pytest.fixture(scope="module")
-def server(tmp_path_factory):
-    bag = tmp_path_factory.mktemp("bag") / "run.mcap"
+@contextlib.contextmanager
+def serving(folder):
+    bag = folder / "run.mcap"
     bag.write_bytes(Recording().chunk(250, reference=(1.0, 0.5), event="</script><b>armed</b>").bytes)
     served = web.Server(web.Feed(Follower(bag)), web.LOOPBACK, 0)
     served.feed.poll()
-    thread = threading.Thread(target=served.serve_forever, daemon=True)
+    thread = threading.Thread(target=served.serve_forever, args=(0.05,), daemon=True)
     thread.start()
     yield served
     served.shutdown()
     served.server_close()
     thread.join(10)
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    with serving(tmp_path_factory.mktemp("bag")) as served:
+        yield served
 
 
 def ask(server, path="/", method="GET", host=None):
@@ -125,33 +133,39 @@ def test_a_since_that_is_no_number_is_refused(server, query):
 
 
 def test_long_and_slow_requests_end(server, monkeypatch):
-    assert (
-        send(server, b"GET / HTTP/1.1\r\nHost: localhost\r\nX: " + b"x" * 3 * web.MOST_REQUEST_BYTES + b"\r\n\r\n")
-        == b""
-    )
-    monkeypatch.setattr(web, "REQUEST_S", 0.2)
+    long = b"x" * 3 * web_server.MOST_REQUEST_BYTES
+    assert send(server, b"GET / HTTP/1.1\r\nHost: localhost\r\nX: " + long + b"\r\n\r\n") == b""
+    monkeypatch.setattr(web_server, "REQUEST_S", 0.2)
     assert send(server, b"GET / HTTP/1.1\r\n") == b""
     assert send(server, b"\x00\xff\x16\x03\r\n\r\n")[:1] in (b"", b"H", b"<")
 
 
-def test_many_clients_are_bounded_and_places_come_free(server):
-    waiting = [
-        socket.create_connection((web.LOOPBACK, server.server_port), timeout=20) for _ in range(web.MOST_CLIENTS)
-    ]
-    try:
-        refused = send(server, b"")
-        assert refused == b""
-    finally:
-        for connection in waiting:
-            connection.close()
-    for _ in range(50):
-        try:
-            assert ask(server)[0].status == 200
-            break
-        except (ConnectionError, http.client.HTTPException):
-            threading.Event().wait(0.1)
-    else:
-        pytest.fail("no place came free")
+@contextlib.contextmanager
+def idle(server, count):
+    """Connections that never ask for anything."""
+    with contextlib.ExitStack() as stack:
+        yield [
+            stack.enter_context(socket.create_connection((web.LOOPBACK, server.server_port), timeout=20))
+            for _ in range(count)
+        ]
+
+
+def test_others_are_served_while_slow_clients_hold_connections(server):
+    with idle(server, 4 * web_server.MOST_CLIENTS) as slow:
+        slow[-1].sendall(b"GET / HTTP/1.1\r\nHost: local")
+        assert [ask(server, "/data")[0].status for _ in range(20)] == 20 * [200]
+
+
+def test_the_connection_that_is_open_for_longest_gives_way(tmp_path, monkeypatch):
+    # So that none of them ends because its time is over.
+    monkeypatch.setattr(web_server, "REQUEST_S", 60.0)
+    with serving(tmp_path) as server, idle(server, web_server.MOST_CLIENTS) as (oldest, *others):
+        assert ask(server)[0].status == 200
+        assert oldest.recv(1) == b""
+        for connection in others:
+            connection.setblocking(False)
+            with pytest.raises(BlockingIOError):
+                connection.recv(1)
 
 
 def test_a_port_that_is_taken_is_said(server):

@@ -7,7 +7,7 @@ import io
 import itertools
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from softfin.deployment.monitor import choice, records
@@ -15,11 +15,27 @@ from softfin.deployment.monitor.messages import MOST_CHARACTERS, TOPICS, TYPES, 
 from softfin.deployment.monitor.summary import State, Summary, readings
 from softfin.deployment.monitor.trace import Trace
 from softfin.errors import LogError
+from softfin.logs.mcap_chunks import (
+    CHANNEL,
+    CHUNK,
+    FOOTER,
+    MAGIC,
+    MESSAGE,
+    SCHEMA,
+    bytes_held,
+    check_cost,
+    inflated,
+    promised,
+)
+from softfin.logs.mcap_chunks import records as records_of
 from softfin.paths import check_monitored
 from softfin.printable import printable
 
 READ_BYTES = 16 * 2**20
 """At one look, packed or unpacked: whoever waits for an old recording sees it come in."""
+
+RECORD_COST = 100
+"""Bytes that take as long to read as a record takes besides its own."""
 
 SILENT_S = 3.0
 """Without a new row [s]: a recorder writes twice a second."""
@@ -61,6 +77,9 @@ class Follower:
         self._kinds: dict[int, str] = {}
         self._channels: dict[int, tuple[Trace, str]] = {}
         self._offset = self._size = self._damaged = self._taken = 0
+        self._held = self._inflated = self._records = 0
+        self._chunk: Iterator[tuple[int, memoryview]] = iter(())
+        """What is still to be taken in of a chunk."""
         self._start_ns = 0
         self._identity: tuple[int, int] | None = None
         self._problem: str | None = None
@@ -121,6 +140,7 @@ class Follower:
                 # Another file by the same name, as a copy or a repair leaves it.
                 self._begin()
             self._identity, self._size = identity, status.st_size
+            self._held = bytes_held(file, self._size)
             try:
                 self._take_in(file)
             except LogError as error:
@@ -129,20 +149,23 @@ class Follower:
 
     def _take_in(self, file: io.BufferedIOBase) -> None:
         if self._offset == 0:
-            magic = file.read(len(records.MAGIC))
-            if not records.MAGIC.startswith(magic):
+            magic = file.read(len(MAGIC))
+            if not MAGIC.startswith(magic):
                 raise LogError("no MCAP file; give a bag that softfin or ros2 bag has recorded as MCAP")
-            if len(magic) < len(records.MAGIC):
+            if len(magic) < len(MAGIC):
                 self._caught_up = True
                 return
             self._offset = len(magic)
         known, before, self._taken = self._caught_up, self._counted(), 0
         try:
+            if not self._take_chunk():
+                return
             for record in records.whole_records(file, self._offset, self._size):
                 self._offset = record.end
-                self._record(record)
-                self._taken += len(record.body)
-                if self._ended or self._taken >= READ_BYTES:
+                self._record(record.opcode, record.body)
+                self._taken += RECORD_COST + len(record.body)
+                check_cost(self._held, self._inflated, self._records)
+                if not self._take_chunk() or self._ended or self._taken >= READ_BYTES:
                     return
             self._caught_up = True
         finally:
@@ -158,34 +181,48 @@ class Follower:
     def _counted(self) -> int:
         return sum(trace.count for trace in self.traces.values())
 
-    def _record(self, record: records.Record, inside: bool = False) -> None:
+    def _take_chunk(self) -> bool:
+        """Whether all of the chunk was taken in at this look."""
+        for opcode, content in self._chunk:
+            if opcode != CHUNK and opcode != FOOTER:
+                self._record(opcode, content)
+            self._taken += RECORD_COST + len(content)
+            if self._taken >= READ_BYTES:
+                return False
+        return True
+
+    def _record(self, opcode: int, content: bytes | memoryview) -> None:
         """One that cannot be read is counted and passed over."""
+        self._records += 1
         try:
-            if record.opcode == records.MESSAGE:
-                self._message(records.message_of(record.body))
-            elif record.opcode == records.CHUNK and not inside:
-                for packed in records.unpacked(record.body):
-                    self._taken += len(packed.body)
-                    self._record(packed, inside=True)
-            elif record.opcode == records.SCHEMA:
-                number, name = records.schema_of(record.body)
+            if opcode == MESSAGE:
+                self._message(content)
+            elif opcode == CHUNK:
+                chunk = bytes(content)
+                self._inflated += promised(chunk)
+                self._chunk = records_of(inflated(chunk))
+            elif opcode == SCHEMA:
+                number, name = records.schema_of(content)
                 if any(name in kinds for kinds in TYPES.values()):
                     self._kinds[number] = name
-            elif record.opcode == records.CHANNEL:
-                channel = records.channel_of(record.body)
+            elif opcode == CHANNEL:
+                channel = records.channel_of(content)
                 if channel.topic in TOPICS:
                     kind = self._kinds.get(channel.schema, "") if channel.encoding == "cdr" else ""
                     self._channels[channel.number] = (self.traces[TOPICS[channel.topic]], kind)
-            elif record.opcode == records.FOOTER and not inside:
+            elif opcode == FOOTER:
                 self._ended = True
+            elif opcode == 0:
+                raise LogError("a chunk that ends within a record")
         except LogError:
             self._damaged += 1
 
-    def _message(self, message: records.Message) -> None:
-        if message.channel in self._channels:
-            trace, kind = self._channels[message.channel]
-            self._start_ns = self._start_ns or message.logged_ns
-            trace.offer((message.logged_ns - self._start_ns) * 1e-9, kind, message.data)
+    def _message(self, content: bytes | memoryview) -> None:
+        number, logged_ns = records.message_of(content)
+        if number in self._channels:
+            trace, kind = self._channels[number]
+            self._start_ns = self._start_ns or logged_ns
+            trace.offer((logged_ns - self._start_ns) * 1e-9, kind, bytes(content[records.MESSAGE_HEAD :]))
 
     def _state(self, age: float | None) -> State:
         if self._broken:

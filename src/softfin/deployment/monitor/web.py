@@ -12,11 +12,8 @@ import re
 import socket
 import sys
 import threading
-import time
 from collections.abc import Callable
 from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from io import BytesIO
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -26,16 +23,9 @@ from softfin.deployment.monitor.follow import Follower
 from softfin.deployment.monitor.messages import NAMES
 from softfin.deployment.monitor.summary import STATES, WINDOW_S, finite
 from softfin.errors import ConfigurationError
+from softfin.web_server import REQUEST_S, BoundedServer, OneRequest
 
 REFRESH_S = 0.2
-
-MOST_CLIENTS = 16
-"""At the same time; the next one is told to come again."""
-
-MOST_REQUEST_BYTES = 8192
-
-REQUEST_S = 3.0
-"""For a request to arrive, and for its answer to be taken [s]."""
 
 DIGITS = 4
 
@@ -75,11 +65,9 @@ def _plain(*values: float | str) -> list[float | None]:
     return [None if (number := finite(value)) is None else round(number, DIGITS) for value in values]
 
 
-class Server(ThreadingHTTPServer):
+class Server(BoundedServer):
     """Answers until it is closed; raises ConfigurationError where it cannot listen."""
 
-    daemon_threads = True
-    request_queue_size = MOST_CLIENTS
     # A port that another program listens to is not shared with it.
     allow_reuse_address = sys.platform != "win32"
 
@@ -88,7 +76,6 @@ class Server(ThreadingHTTPServer):
         page = importlib.resources.files("softfin.deployment.monitor").joinpath("page.html").read_text("utf-8")
         self.page = with_canvas(page).encode()
         self.policy = _policy(self.page.decode())
-        self._places = threading.BoundedSemaphore(MOST_CLIENTS)
         if not 0 <= port <= 65535:
             raise ConfigurationError(f"--port {port}: a port is a whole number from 0 to 65535; 0 takes a free one")
         try:
@@ -111,36 +98,14 @@ class Server(ThreadingHTTPServer):
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, int(self.allow_reuse_address))
         self.socket.bind(self.server_address)
         self.server_address = self.socket.getsockname()
-        self.server_name, self.server_port = self.host, int(self.server_address[1])
-
-    def process_request(self, request: Any, client_address: Any) -> None:
-        """In a thread, where there is a place."""
-        if self._places.acquire(blocking=False):
-            super().process_request(request, client_address)
-        else:
-            self.shutdown_request(request)
-
-    def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Give the place back at the end."""
-        try:
-            super().process_request_thread(request, client_address)
-        finally:
-            self._places.release()
-
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """A client that went away is nobody's concern."""
+        self.server_port = int(self.server_address[1])
 
 
-class _Handler(BaseHTTPRequestHandler):
-    """One request, then the connection ends."""
+class _Handler(OneRequest):
+    """Answers for the page and its data, and refuses everything else."""
 
     server: Server
     server_version, sys_version = "softfin", ""
-    timeout = REQUEST_S
-
-    def setup(self) -> None:
-        super().setup()
-        self.rfile = BytesIO(_head(self.connection))
 
     def parse_request(self) -> bool:
         """Whether it is one that is answered."""
@@ -185,9 +150,6 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_header(name, value)
         super().end_headers()
 
-    def log_message(self, format: str, *args: Any) -> None:
-        """Nothing: whoever watches a fin does not want its visitors."""
-
     def _answer(self, body: bytes, kind: str) -> None:
         self.send_response(HTTPStatus.OK)
         self.send_header("Content-Type", kind)
@@ -195,25 +157,6 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
         if self.command == "GET":
             self.wfile.write(body)
-
-
-def _head(connection: socket.socket) -> bytes:
-    """A request up to its empty line; nothing where it is too long or too slow."""
-    until, head = time.monotonic() + REQUEST_S, b""
-    while b"\r\n\r\n" not in head and b"\n\n" not in head:
-        left = until - time.monotonic()
-        if left <= 0 or len(head) > MOST_REQUEST_BYTES:
-            return b""
-        connection.settimeout(left)
-        try:
-            some = connection.recv(MOST_REQUEST_BYTES)
-        except OSError:
-            return b""
-        if not some:
-            return b""
-        head += some
-    connection.settimeout(REQUEST_S)
-    return head if len(head) <= MOST_REQUEST_BYTES else b""
 
 
 def _known(hosts: list[str], own: str) -> bool:

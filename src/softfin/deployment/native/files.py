@@ -9,9 +9,9 @@ import safetensors
 import safetensors.numpy
 
 from softfin.artifacts import LARGEST_JSON, LARGEST_WEIGHTS, WEIGHTS, find_description
-from softfin.bounded import check_file, parse_json, read_bytes
 from softfin.deployment.native.description import LARGEST
 from softfin.errors import ArtifactError
+from softfin.files import parse_json, read_bytes
 
 DESCRIPTION = "controller.json"
 
@@ -52,7 +52,6 @@ def read_folder(path: Path) -> Folder:
 
 def _read(file: Path, largest: int) -> bytes:
     try:
-        check_file(file, largest)
         return read_bytes(file, largest)
     except OSError as error:
         raise ArtifactError(f"{file}: cannot be read ({error.strerror or error}); copy it again") from None

@@ -1,13 +1,12 @@
 """The web pages of an emulated Axia80, in the form of the real ones, and the server of them."""
 
 import contextlib
-import socketserver
 import threading
 from collections.abc import Mapping
-from http.server import BaseHTTPRequestHandler
 from xml.sax.saxutils import escape
 
 from softfin.rig.axia80_xml import CALIBRATION, SETTINGS
+from softfin.web_server import BoundedServer, OneRequest
 
 STALLED_S = 30.0
 
@@ -43,17 +42,12 @@ class PageServer:
             self._thread.join()
 
 
-class _Server(socketserver.ThreadingTCPServer):
-    daemon_threads = True
+class _Server(BoundedServer):
     allow_reuse_address = True
 
 
-def _handler(
-    pages: Mapping[str, bytes], stalled: threading.Event, closing: threading.Event
-) -> type[BaseHTTPRequestHandler]:
-    class Handler(BaseHTTPRequestHandler):
-        timeout = 5
-
+def _handler(pages: Mapping[str, bytes], stalled: threading.Event, closing: threading.Event) -> type[OneRequest]:
+    class Handler(OneRequest):
         def do_GET(self) -> None:
             if stalled.is_set():
                 closing.wait(STALLED_S)
@@ -68,9 +62,6 @@ def _handler(
                 self.send_header("Content-Length", str(len(body)))
                 self.end_headers()
                 self.wfile.write(body)
-
-        def log_message(self, format: str, *args: object) -> None:
-            """A device has no console."""
 
     return Handler
 

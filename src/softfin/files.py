@@ -1,8 +1,7 @@
-"""Files that somebody else made, read with an end in sight: sizes are looked at before anything is read or built."""
+"""Files that a user names, read with an end in sight: kind and size are looked at before anything is opened."""
 
 import errno
 import json
-import os
 import stat
 from pathlib import Path
 from typing import Any
@@ -10,26 +9,35 @@ from typing import Any
 DEEPEST = 64
 """Levels of JSON; softfin writes about ten."""
 
+_KINDS = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
 
-def check_file(path: Path, largest: int) -> int:
-    """The size of a regular file [bytes]; raises OSError for anything else, and for more than `largest`."""
+
+def regular_file(path: Path, largest: int | None = None) -> Path:
+    """Return `path` where it is a regular file or a link to one, of at most `largest` bytes.
+
+    Raises OSError, without opening it, for all else: a pipe would be waited for, and a device has no end.
+    """
     found = path.stat()
     if not stat.S_ISREG(found.st_mode):
-        # A pipe would be waited for, a device has no end.
         code = errno.EISDIR if stat.S_ISDIR(found.st_mode) else errno.EINVAL
-        raise OSError(code, "a folder, not a file" if code == errno.EISDIR else "not a regular file", str(path))
-    if found.st_size > largest:
-        raise _too_large(path, largest)
-    return found.st_size
+        raise OSError(code, f"{_KINDS.get(stat.S_IFMT(found.st_mode), 'something else')}, not a file", str(path))
+    if largest is not None and found.st_size > largest:
+        raise OSError(errno.EFBIG, f"it has over {largest:,} bytes", str(path))
+    return path
 
 
 def read_bytes(path: Path, largest: int) -> bytes:
-    """The whole of a file; raises OSError where it holds more than `largest` bytes."""
-    with path.open("rb") as file:
-        size = os.fstat(file.fileno()).st_size
-        data = b"" if size > largest else file.read(largest + 1)
-    if max(size, len(data)) > largest:
-        raise _too_large(path, largest)
+    """The whole of a regular file; raises OSError where it holds more than `largest` bytes."""
+    with regular_file(path, largest).open("rb") as file:
+        data = file.read(largest + 1)
+    if len(data) > largest:
+        raise OSError(errno.EFBIG, f"it has over {largest:,} bytes", str(path))
     return data
 
 
@@ -54,7 +62,3 @@ def _inner(value: Any) -> list[Any]:
 
 def _too_deep() -> ValueError:
     return ValueError(f"brackets within brackets, more than {DEEPEST} deep")
-
-
-def _too_large(path: Path, largest: int) -> OSError:
-    return OSError(errno.EFBIG, f"it has over {largest:,} bytes", str(path))
