@@ -72,7 +72,7 @@ def inspect(
     found = list(findings)
     facts, short = [], []
     for index, log in enumerate(logs):
-        columns, wrong = _channels(log)
+        columns, wrong = _channels(log, config)
         one = measured(log, columns)
         found += [*wrong, *judge_one(one, config)]
         facts.append(one)
@@ -86,9 +86,9 @@ def inspect(
     return Inspection(merged([*found, *judge_all(facts, config), *covered(logs)]), facts)
 
 
-def _channels(log: NamedLog) -> tuple[Columns, list[Finding]]:
+def _channels(log: NamedLog, config: ImportConfig) -> tuple[Columns, list[Finding]]:
     """The log's channels, repaired where a fault would hide the next, and the faults."""
-    columns, in_degrees = faults.in_degrees(columns_of(log.log), log.name)
+    columns, in_degrees = faults.in_degrees(columns_of(log.log), log.name, config.velocity_rad_s is not None)
     checks = (faults.stuck, faults.saturated, faults.coarse, faults.velocity, faults.commanded_velocity)
     found = [finding for check in checks for finding in check(columns, log.name)]
     columns, spikes = faults.without_spikes(columns, log.name)
