@@ -170,7 +170,7 @@ def fit(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Fit a surrogate to logs, score it on their test logs, write it; returns Table I, the findings' counts, a caveat.
+    """Fit a surrogate to logs, score it on their test logs, write it; returns Table I, counts of findings, a caveat.
 
     The kind of configuration says which model: the paper's nets, streaming nets, or what is best on held-out logs.
     `dataset` is a dataset's folder, or recordings of any other kind, read as `logs` says; raises LogError where these
@@ -195,10 +195,11 @@ def fit(
         **({} if evidence is None else {"candidates": evidence}),
     )  # fmt: skip
     workspace.finish()
-    counts = opened.inspection.summary()["counts"]
+    summary = opened.inspection.summary()
     caveat = surrogate.interval.caveat() if isinstance(surrogate, StreamingSurrogate) else None
     return {
-        "model": surrogate.model, "table_i": scores, "candidates": evidence, "findings": counts, "caveat": caveat
+        "model": surrogate.model, "table_i": scores, "candidates": evidence, "findings": summary["counts"],
+        "columns": summary["columns"], "caveat": caveat,
     }  # fmt: skip
 
 

@@ -43,9 +43,9 @@ def test_names_without_units_are_taken_as_si_and_shown():
     found = choose_columns(names, ImportConfig(), "log.csv")
     assert {channel: column.name for channel, column in found.items()} == {name: name for name in names}
     assert shown(found) == (
-        "by the names: time = 'time' in s (assumed), command_angle = 'command_angle' in rad (assumed), "
-        "command_velocity = 'command_velocity' in rad/s (assumed), angle = 'angle' in rad (assumed), "
-        "force_x = 'force_x' in N (assumed), force_y = 'force_y' in N (assumed)"
+        "by the names: time='time' in s (assumed), command_angle='command_angle' in rad (assumed), "
+        "command_velocity='command_velocity' in rad/s (assumed), angle='angle' in rad (assumed), "
+        "force_x='force_x' in N (assumed), force_y='force_y' in N (assumed)"
     )
 
 
@@ -54,8 +54,8 @@ def test_what_was_mapped_and_what_was_guessed_is_shown_apart_with_its_unit():
     config = ImportConfig.build({"columns": '"angle=blade, deg"', "angles": "command_velocity=rpm"})
     found = choose_columns(names, config, "log.csv")
     assert shown(found) == (
-        "by the names: time = 't [ms]' in ms, command_angle = 'cmd (deg)' in deg, command_velocity = 'cmd vel' in rpm, "
-        "force_x = 'Fx [N]' in N, force_y = 'F_y_mN' in mN; by --columns: angle = 'blade, deg' in deg"
+        "by the names: time='t [ms]' in ms, command_angle='cmd (deg)' in deg, command_velocity='cmd vel' in rpm, "
+        "force_x='Fx [N]' in N, force_y='F_y_mN' in mN; by --columns: angle='blade, deg' in deg"
     )
 
 
@@ -104,7 +104,7 @@ def test_a_name_with_control_characters_stays_out_of_the_suggestion():
 def test_an_unknown_unit_is_refused_with_the_known_ones(name):
     message = refusal([name, *AUTHORS[:2], *AUTHORS[3:]])
     assert f"{name!r} may be, but" in message
-    assert "(units: rad, mrad, deg, turn)" in message
+    assert "(units: rad, mrad, deg, turn; others must be converted first)" in message
 
 
 def test_a_readable_column_is_taken_where_another_has_an_unknown_unit():
@@ -124,7 +124,8 @@ def test_a_told_unit_counts_before_the_names():
     config = ImportConfig.build({"time_unit": "s", "angles": "angle=rad,command_velocity=deg", "force_unit": "N"})
     units = {channel: column.unit for channel, column in choose_columns(names, config, "x.csv").items()}
     assert units == {
-        "time": "s", "command_angle": "deg", "command_velocity": "deg/s", "angle": "rad", "force_x": "N", "force_y": "N",
+        "time": "s", "command_angle": "deg", "command_velocity": "deg/s", "angle": "rad",
+        "force_x": "N", "force_y": "N",
     }  # fmt: skip
 
 
@@ -153,7 +154,7 @@ def test_a_mapping_to_a_column_that_is_not_there_names_the_nearest():
 def test_without_a_column_of_time_the_rate_must_be_told():
     with pytest.raises(LogError, match="give --rate 100"):
         choose_columns(AUTHORS, ImportConfig.build({"columns": MAPPED}), "x.csv")
-    with pytest.raises(LogError, match=r"'time \[h\]' may be, but 'h' is no known .* \(units: s, ms, us, ns, min\)"):
+    with pytest.raises(LogError, match=r"'time \[h\]' may be, but 'h' is no known .* \(units: s, ms, us, ns, min; "):
         choose_columns(["time [h]", *AUTHORS], ImportConfig(), "x.csv")
 
 

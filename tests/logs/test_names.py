@@ -40,7 +40,10 @@ def test_every_synonym_in_every_case_with_every_separator_and_unit_is_read_as_me
     assert unit_in(name, KINDS[channel]) == (unit, "")
 
 
-@given(st.sampled_from(sorted(PHRASES)), st.sampled_from("mm,cm,counts,qc,inc,V,mV,%,A,Nm,bar,grad,h,hours,-".split(",")))
+@given(
+    st.sampled_from(sorted(PHRASES)),
+    st.sampled_from(["mm", "cm", "counts", "qc", "inc", "V", "mV", "%", "A", "Nm", "bar", "grad", "h", "hours", "-"]),
+)
 def test_a_unit_that_is_not_known_leaves_the_name_unclear(channel, unit):
     name = f"{PHRASES[channel][0]} [{unit}]"
     assert read_name(name) == (channel, None, unit)
@@ -56,11 +59,14 @@ def test_any_text_is_read_or_not_but_never_fails(text):
     ("name", "channel", "unit"),
     [
         ("position", "angle", None), ("ActualPosition", "angle", None), ("theta_deg", "angle", "deg"),
-        ("cmd_pos", "command_angle", None), ("targetAngle", "command_angle", None), ("targetangle", "command_angle", None),
+        ("cmd_pos", "command_angle", None), ("targetAngle", "command_angle", None),
+        ("targetangle", "command_angle", None),
         ("desired position", "command_angle", None), ("set_point [deg]", "command_angle", "deg"),
-        ("cmd", "command_angle", None), ("cmd_rad_s", "command_velocity", "rad/s"), ("target_rpm", "command_velocity", "rpm"),
+        ("cmd", "command_angle", None), ("cmd_rad_s", "command_velocity", "rad/s"),
+        ("target_rpm", "command_velocity", "rpm"),
         ("speed", "velocity", None), ("vel [rad s^-1]", "velocity", "rad/s"), ("vel [rad·s⁻¹]", "velocity", "rad/s"),
-        ("omega (deg per sec)", "velocity", "deg/s"), ("velRad_per_s", "velocity", "rad/s"), ("ω [°/s]", "velocity", "deg/s"),
+        ("omega (deg per sec)", "velocity", "deg/s"), ("velRad_per_s", "velocity", "rad/s"),
+        ("ω [°/s]", "velocity", "deg/s"),
         ("Fx", "force_x", None), ("force_y [N]", "force_y", "N"), ("Force (x) [mN]", "force_x", "mN"),
         ("wrench.force.x", "force_x", None), ("force_x_mN", "force_x", "mN"), ("theta(t) [deg]", "angle", "deg"),
         ("/fin/joint_states/fin/position", "angle", None), ("timestamp_us", "time", "us"), ("t/ms", "time", "ms"),
@@ -73,8 +79,8 @@ def test_names_as_people_write_them(name, channel, unit):
 
 @pytest.mark.parametrize(
     "name",
-    ["temperature", "Fz", "", "torque_x", "target_force_x", "reference_x_n", "reference", "command id", "pos_x", "s", "n",
-     "min", "rad", "tin", "tread", "step", "command time", "[deg]"],
+    ["temperature", "Fz", "", "torque_x", "target_force_x", "reference_x_n", "reference", "command id", "pos_x", "s",
+     "n", "min", "rad", "tin", "tread", "step", "command time", "[deg]"],
 )  # fmt: skip
 def test_what_is_no_channel_is_not_taken_for_one(name):
     assert read_name(name) is None

@@ -10,7 +10,7 @@ import tyro
 
 from softfin import stages
 from softfin.cli.common import Configured, Out, progress
-from softfin.cli.log_options import LogOptions
+from softfin.cli.log_options import LogOptions, columns_read
 from softfin.cli.tables import choice, table_one
 from softfin.errors import ConfigurationError
 from softfin.logs.findings import counted
@@ -54,7 +54,7 @@ class Arguments(Configured, LogOptions):
                 self.dataset, Path(self.out), config, logs=self.import_config(), accept=self.accept,
                 seed=self.seed, resume=self.resume, overwrite=self.overwrite, progress=report,
             )  # fmt: skip
-        sys.stderr.write(warning(result["findings"], self.dataset))
+        sys.stderr.write(columns_read(result["columns"]) + warning(result["findings"], self.dataset))
         parts = [table_one(result["table_i"]), *([choice(result["candidates"])] if result["candidates"] else [])]
         if result["caveat"] is not None:
             parts.append(f"note: {result['caveat']}")

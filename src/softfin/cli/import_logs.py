@@ -7,7 +7,7 @@ import tyro
 
 from softfin import stages
 from softfin.cli.common import Common, Out, progress
-from softfin.cli.log_options import LogOptions
+from softfin.cli.log_options import LogOptions, columns_read
 from softfin.logs.findings import counted
 
 
@@ -32,7 +32,5 @@ class Arguments(Common, LogOptions):
         summary = inspection.summary()
         counts = ", ".join(counted(count, kind) for kind, count in summary["counts"].items())
         result = {"dataset": str(self.out), **summary, "data_hash": data.data_hash}
-        self.tell(
-            result,
-            f"{self.out}: {summary['logs']} + {summary['test_logs']} logs, {summary['rows']:,} rows; {counts}",
-        )
+        logs = f"{summary['logs']} + {summary['test_logs']} logs, {summary['rows']:,} rows; {counts}"
+        self.tell(result, f"{columns_read(summary['columns'])}{self.out}: {logs}")

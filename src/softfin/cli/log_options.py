@@ -1,5 +1,6 @@
 """Options that every command has which reads recordings that somebody else made."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -63,3 +64,8 @@ class LogOptions:
             "shortest_s": self.shortest,
         }
         return ImportConfig.build({name: value for name, value in given.items() if value is not None}, "options")
+
+
+def columns_read(columns: Mapping[str, str]) -> str:
+    """Lines that say how columns with names of their own were read, by the first log of each way; none where none."""
+    return "".join(f"{log}: {text}\n" for log, text in columns.items())

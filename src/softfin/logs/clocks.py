@@ -64,9 +64,7 @@ def _runs(recording: Recording) -> list[Recording]:
     if len(edges) == 2:
         return [recording]
     return [
-        recording._replace(
-            name=f"{recording.name} rows {a}..{b - 1}", tracks=(_rows(track, slice(a, b)),), findings=()
-        )
+        recording._replace(name=f"{recording.name} rows {a}..{b - 1}", tracks=(_rows(track, slice(a, b)),), findings=())
         for a, b in itertools.pairwise(edges)
     ]
 
@@ -125,9 +123,11 @@ def _rate(track: Track, name: str, time_unit: str) -> list[Finding]:
     rate = 1 / float(np.median(steps)) if len(steps) else 0.0
     place = Place(name, "time")
     if not RATES_HZ[0] <= rate <= RATES_HZ[1]:
+        rates = {unit: rate * UNITS["time"][time_unit] / seconds for unit, seconds in UNITS["time"].items()}
+        fitting = [f"{unit} ({r:.4g} Hz)" for unit, r in rates.items() if RATES_HZ[0] <= r <= RATES_HZ[1]]
         raise LogError(
-            f"{name}: column time: a row every {1 / rate if rate else 0:g} s ({rate:g} Hz) in {time_unit}; "
-            f"allowed are {RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz; say its unit: --time-unit {', '.join(UNITS['time'])}"
+            f"{name}: column time: a row every {1 / rate if rate else 0:g} s ({rate:g} Hz) in {time_unit}; allowed are "
+            f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz; say its unit: --time-unit {' or '.join(fitting or rates)}"
         )
     if rate < (1 - RATE_TOLERANCE) * RATE_HZ:
         sentence = f"{rate:.1f} Hz, less than {RATE_HZ} Hz: rows between are interpolated"

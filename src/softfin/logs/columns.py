@@ -102,7 +102,8 @@ def _doubt(names: Sequence[str], channel: str) -> str:
         read = read_name(name)
         if read is not None and read.channel == channel:
             known = ", ".join(UNITS[KINDS[channel]])
-            return f"{name!r} may be, but {read.unclear!r} is no known word or unit (units: {known}). "
+            why = f"{read.unclear!r} is no known word or unit (units: {known}; others must be converted first)"
+            return f"{name!r} may be, but {why}. "
     return ""
 
 
@@ -130,7 +131,7 @@ def shown(columns: Mapping[str, Column]) -> str:
     parts = []
     for guessed, why in ((True, "by the names: "), (False, "by --columns: ")):
         some = [
-            f"{channel} = {column.name!r} in {column.unit}" + ("" if column.stated else " (assumed)")
+            f"{channel}={column.name!r} in {column.unit}" + ("" if column.stated else " (assumed)")
             for channel, column in foreign.items()
             if column.guessed is guessed
         ]
@@ -154,7 +155,7 @@ def suggestion(names: Sequence[str], found: Mapping[str, str] | None = None) -> 
 def converted(
     channels: Mapping[str, Float[np.ndarray, "rows"]], config: ImportConfig, units: Mapping[str, str] | None = None
 ) -> dict[str, Float[np.ndarray, "rows"]]:
-    """In SI units, with softfin's signs and axes of force; `units` are the channels', by default what the options say."""
+    """In SI units, with softfin's signs and axes of force; `units` are the channels' own, else the options' or SI."""
     result = {}
     for channel, values in channels.items():
         kind = KINDS[channel]

@@ -12,7 +12,7 @@ from softfin.configuration import Configuration
 from softfin.logs.names import KINDS, UNITS
 
 CHANNELS = ("time", "command_angle", "command_velocity", "angle", "velocity", "force_x", "force_y")
-"""What a log is made of; a recording may lack time or the commanded velocity, where an option tells it, and velocity."""
+"""What a log is made of. A recording may lack the velocity; time and commanded velocity, where an option tells them."""
 
 NO_COLUMN = "-"
 """In place of a column's name: the file has none for this channel, whatever its names look like."""

@@ -27,12 +27,13 @@ class Inspection:
     logs: list[Facts]
 
     def summary(self) -> dict[str, Any]:
-        """Over all logs: how much there is, how the clocks lie [ms], which frame the force fits best."""
+        """Over all logs: how much there is, how columns were read, how the clocks lie [ms], which frame fits best."""
         frames = [one.frames for one in self.logs if one.frames is not None]
         return {
             "logs": sum(one.part == "train" for one in self.logs),
             "test_logs": sum(one.part == "test" for one in self.logs),
             "rows": sum(one.rows for one in self.logs),
+            "columns": {one.place.log: one.sentence for one in self.findings if one.name == "columns"},
             "command_lag_ms": _spread([one.command_lag for one in self.logs]),
             "force_lag_ms": _spread([one.force_lag for one in self.logs]),
             "frames": {frame: float(np.mean([one[frame] for one in frames])) for frame in FORCE_FRAMES}

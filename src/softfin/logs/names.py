@@ -52,9 +52,10 @@ SPELLINGS = {
 }
 """Unit: how it is written, in lower case; velocities are an angle's spelling, a slash and a second's."""
 
-COMMAND_WORDS = set(
-    "command commanded cmd target desired des demand demanded setpoint set goal reference ref".split()
-)
+COMMAND_WORDS = {
+    "command", "commanded", "cmd", "target", "desired", "des", "demand", "demanded", "setpoint", "set", "goal",
+    "reference", "ref",
+}  # fmt: skip
 """They make an angle or a velocity the commanded one. Standing alone, they are the commanded angle; not so
 "reference", which may be a force."""
 
@@ -71,10 +72,11 @@ PHRASES = {
 }  # fmt: skip
 """Channel: what it is called, in any order of the words; with one of `COMMAND_WORDS`, it is the commanded one."""
 
-NEUTRAL_WORDS = set(
-    "actual act measured meas reading value joint shaft motor servo drive fin encoder sensor wrench ft state states "
-    "feedback header elapsed unix epoch ros in".split()
-)
+NEUTRAL_WORDS = {
+    "actual", "act", "measured", "meas", "reading", "value", "joint", "shaft", "motor", "servo", "drive", "fin",
+    "encoder", "sensor", "wrench", "ft", "state", "states", "feedback", "header", "elapsed", "unix", "epoch", "ros",
+    "in",
+}  # fmt: skip
 """They may stand in a name without changing what it means."""
 
 _PHRASES = {tuple(sorted(phrase.split())): channel for channel, some in PHRASES.items() for phrase in some}

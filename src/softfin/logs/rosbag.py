@@ -54,6 +54,8 @@ def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recordi
                 channels = converted(track.channels, config)
                 if role == "command" and "command_velocity" not in channels:
                     channels["command_velocity"] = _told_velocity(track, topic, path, config)
+                    text = f"{topic}: no velocity: {config.velocity_rad_s:g} rad/s throughout, by --velocity"
+                    findings.append(Finding("note", "columns", Place(name), text, alike=text))
                 tracks.append(Track(track.time, channels))
                 findings += found
     except LogError:
