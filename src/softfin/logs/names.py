@@ -4,10 +4,9 @@ One table of synonyms and one of units, for every kind of file whose columns hav
 count: ``cmd angle [deg]``, ``CmdAngle_deg`` and ``COMMAND-ANGLE (deg)`` are the same.
 """
 
+import math
 import re
 from typing import NamedTuple
-
-import numpy as np
 
 KINDS = {
     "time": "time",
@@ -22,9 +21,9 @@ KINDS = {
 
 UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
-    "angle": {"rad": 1.0, "mrad": 1e-3, "deg": np.pi / 180, "turn": 2 * np.pi},
+    "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "turn": 2 * math.pi},
     "velocity": {
-        "rad/s": 1.0, "mrad/s": 1e-3, "deg/s": np.pi / 180, "turn/s": 2 * np.pi, "rpm": 2 * np.pi / 60,
+        "rad/s": 1.0, "mrad/s": 1e-3, "deg/s": math.pi / 180, "turn/s": 2 * math.pi, "rpm": 2 * math.pi / 60,
     },
     "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "gf": 9.80665e-3, "kgf": 9.80665, "lbf": 4.4482216152605},
 }  # fmt: skip
