@@ -11,7 +11,7 @@ from softfin import choices
 from softfin.calibration.config import PRESETS as CALIBRATIONS
 from softfin.cli.fit import defaults
 from softfin.evaluation.moving import SIGNALS
-from softfin.logs.tables import SECONDS
+from softfin.logs.names import UNITS
 from softfin.reproduction import PRESETS as REPRODUCTIONS
 from softfin.training.train import STARTS
 
@@ -24,7 +24,8 @@ COMMAND_LINE = Path(softfin.cli.__file__).parent
         (choices.ReproducePreset, REPRODUCTIONS),
         (choices.CalibratePreset, CALIBRATIONS),
         (choices.MovingReference, SIGNALS),
-        (choices.TimeUnit, SECONDS),
+        (choices.TimeUnit, UNITS["time"]),
+        (choices.ForceUnit, UNITS["force"]),
         (choices.Algorithm, {algorithm for algorithm, _ in STARTS}),
         (choices.PolicyLayout, {layout for _, layout in STARTS}),
         (choices.AlgorithmOption, {"auto", *get_args(choices.Algorithm)}),

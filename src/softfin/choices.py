@@ -35,8 +35,11 @@ Split: TypeAlias = Literal["none", "seed", "cell"]
 MovingReference: TypeAlias = Literal["step", "ramp", "sine"]
 """Reference forces that move, in an evaluation."""
 
-TimeUnit: TypeAlias = Literal["s", "ms", "us", "ns"]
-"""Units of a column of time."""
+TimeUnit: TypeAlias = Literal["s", "ms", "us", "ns", "min"]
+"""Units of a column of time; `softfin.logs.names.UNITS` has their factors."""
+
+ForceUnit: TypeAlias = Literal["N", "mN", "kN", "gf", "kgf", "lbf"]
+"""Units of a column of force; likewise."""
 
 TransportName: TypeAlias = Literal["auto", "rclpy", "dds"]
 """How a ROS 2 node reaches others; auto: rclpy where it is installed, else DDS."""

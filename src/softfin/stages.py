@@ -178,7 +178,7 @@ def fit(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Fit a surrogate to logs, score it on their test logs, write it; returns Table I, the findings' counts, a caveat.
+    """Fit a surrogate to logs, score it on their test logs, write it; returns Table I, counts of findings, a caveat.
 
     The kind of configuration says which model: the paper's nets, streaming nets, or what is best on held-out logs.
     `dataset` is a dataset's folder, or recordings of any other kind, read as `logs` says; raises LogError where these
@@ -204,11 +204,13 @@ def fit(
         )  # fmt: skip
     workspace.finish()
     description, surrogate = artifacts.load_description(out, "surrogate"), load_surrogate(out)
+    summary = opened.inspection.summary()
     return {
         "model": surrogate.model,
         "table_i": description["scores"],
         "candidates": description.get("candidates"),
-        "findings": opened.inspection.summary()["counts"],
+        "findings": summary["counts"],
+        "columns": summary["columns"],
         "caveat": surrogate.interval.caveat() if isinstance(surrogate, StreamingSurrogate) else None,
     }
 

@@ -60,7 +60,7 @@ def test_inspect_writes_json_and_a_figure(authors, tmp_path, capsys):
     assert softfin("inspect", authors, *options("--json", "--out", tmp_path / "i")) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed == json.loads((tmp_path / "i" / "inspection.json").read_text())
-    assert {one["name"] for one in printed["findings"]} == {"degrees", "force axes", "velocity derived"}
+    assert {one["name"] for one in printed["findings"]} == {"degrees", "force axes", "columns", "velocity derived"}
     assert printed["options"]["rows_per_log"] == 6000
     assert softfin("inspect", authors, *options("--out", tmp_path / "i")) == 2
     assert softfin("inspect", authors, *options("--out", tmp_path / "i", "--overwrite")) == 0
@@ -68,7 +68,9 @@ def test_inspect_writes_json_and_a_figure(authors, tmp_path, capsys):
 
 def test_what_cannot_be_read_is_exit_code_2_in_one_line(authors, tmp_path, capsys):
     assert softfin("inspect", authors) == 2
-    assert "say it: --columns 'command_angle=command angle" in capsys.readouterr().err
+    assert "no column of time; give --rate 100" in capsys.readouterr().err
+    assert softfin("inspect", authors, "--rate", "100", "--columns", "angle=-") == 2
+    assert "which column is angle?" in capsys.readouterr().err
     assert softfin("inspect", tmp_path / "nowhere") == 2
     assert capsys.readouterr().err.count("\n") == 1
 
@@ -92,7 +94,9 @@ def test_import_takes_them_as_they_are_when_accepted(authors, tmp_path):
 def test_import_writes_a_dataset_that_says_what_was_done(authors, tmp_path, capsys):
     right = options("--angles", "deg", "--force", "y,x", "--out", tmp_path / "d")
     assert softfin("import-logs", authors, *right) == 0
-    assert "2 + 1 logs, 18,000 rows; 0 errors, 0 warnings, 1 note" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "final_dataset.csv: by --columns: command_angle='command angle' in deg, " in printed
+    assert "2 + 1 logs, 18,000 rows; 0 errors, 0 warnings, 2 notes" in printed
     data = Dataset.open(tmp_path / "d")
     log, _ = data.load(data.train)
     original = tank_logs()[0]
@@ -122,9 +126,9 @@ def test_logs_to_score_on_alone_are_inspected_but_not_learnt_from(authors, tmp_p
 
 def test_an_unknown_unit_of_angles_is_told_the_known_ones(authors, capsys):
     assert softfin("inspect", authors, *options("--angles", "degrees")) == 2
-    assert "'degrees' is no unit of angles; say rad or deg" in capsys.readouterr().err
+    assert "'degrees' is no unit of angles; say rad, mrad, deg, turn" in capsys.readouterr().err
     assert softfin("inspect", authors, *options("--angles", "angle=degrees")) == 2
-    assert "'rad' or 'deg'" in capsys.readouterr().err
+    assert "'degrees' is no unit of angles; say rad, mrad, deg, turn" in capsys.readouterr().err
 
 
 def test_a_frame_that_begins_with_a_minus_is_taken_as_it_is_printed(authors, capsys):

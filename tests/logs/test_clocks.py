@@ -1,3 +1,5 @@
+import re
+
 import numpy as np
 import pytest
 
@@ -161,10 +163,10 @@ def test_a_slow_source_is_a_warning():
     assert len(log.log.reading.time) == 999
 
 
-@pytest.mark.parametrize("factor", [1e3, 1e-4])
-def test_a_clock_in_another_unit_is_refused_with_the_option(factor):
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms (100 Hz)"), (1e-4, "min (1.667e+04 Hz)"), (1e-9, "s or ms")])
+def test_a_clock_in_another_unit_is_refused_with_the_option(factor, unit):
     one = track()
-    with pytest.raises(LogError, match="say its unit: --time-unit"):
+    with pytest.raises(LogError, match=re.escape(f"say its unit: --time-unit {unit}")):
         logs(one._replace(time=one.time * factor))
 
 

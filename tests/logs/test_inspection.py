@@ -85,6 +85,17 @@ def degrees(columns: Columns) -> None:
         columns[name] = np.degrees(columns[name])
 
 
+def test_a_velocity_that_was_told_is_not_taken_for_degrees():
+    def change(columns: Columns) -> None:
+        for name in ("command_angle_rad", "angle_rad", "velocity_rad_s"):
+            columns[name] = np.degrees(columns[name])
+        columns["command_velocity_rad_s"][:] = 3.1
+
+    told = inspected(change, ImportConfig(velocity_rad_s=3.1)).findings[0]
+    assert told.remedy == "--angles command_angle=deg,angle=deg,velocity=deg"
+    assert inspected(change).findings[0].remedy == "--angles deg"
+
+
 def angle_in_degrees(columns: Columns) -> None:
     columns["angle_rad"] = np.degrees(columns["angle_rad"])
     columns["velocity_rad_s"] = np.degrees(columns["velocity_rad_s"])

@@ -103,6 +103,21 @@ def test_the_hash_tells_files_and_options_apart(tmp_path, logs):
     assert plain != open_logs(path).data_hash
 
 
+def test_files_whose_columns_are_read_in_another_way_are_each_shown(tmp_path, logs):
+    for name, angle in (("a", "theta"), ("b", "theta"), ("c", "pos [rad]")):
+        columns = {angle if own == "angle_rad" else own: each for own, each in columns_of(logs[0]).items()}
+        write_parquet(tmp_path / f"{name}.parquet", columns)
+    opened = open_logs(tmp_path)
+    assert opened.inspection.summary()["columns"] == {
+        "a.parquet": "by the names: angle='theta' in rad (assumed)",
+        "c.parquet": "by the names: angle='pos [rad]' in rad",
+    }
+    assert [one.logs for one in opened.findings if one.name == "columns"] == [
+        ("a.parquet", "b.parquet"),
+        ("c.parquet",),
+    ]
+
+
 def test_pieces_that_are_all_too_short_are_refused(tmp_path, logs):
     columns = {name: values[np.r_[0:100, 150:250]] for name, values in columns_of(logs[0]).items()}
     write_parquet(tmp_path / "a.parquet", columns)

@@ -98,6 +98,17 @@ def test_a_joint_without_velocities_has_its_derived(tmp_path, columns):
     np.testing.assert_allclose(one.log.reading.velocity[5:-5], (angle[6:-4] - angle[4:-6]) / 0.02, atol=1e-3)
 
 
+def test_commands_without_velocities_take_the_one_that_is_told(tmp_path, columns):
+    topics = topics_of(columns)
+    topics["/fin/command"] = [(t, joint(t, m.position[0], None)) for t, m in topics["/fin/command"]]
+    write_bag(tmp_path / "run", topics)
+    with pytest.raises(LogError, match=r"/fin/command: no velocity in the commands; --velocity 3\.1 takes its place"):
+        opened(tmp_path / "run")
+    (one,), findings = opened(tmp_path / "run", velocity_rad_s=2.5, angles="deg")
+    assert set(one.log.command.velocity.tolist()) == {2.5}
+    assert "no velocity: 2.5 rad/s throughout, by --velocity" in findings[0].sentence
+
+
 def test_a_topic_that_is_missing_or_of_another_type_is_named_with_what_there_is(tmp_path, columns, bag):
     with pytest.raises(LogError, match="no topic /cmd for the command; it has /fin/command"):
         opened(bag, topics="command=/cmd")

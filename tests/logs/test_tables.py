@@ -44,7 +44,8 @@ def test_the_authors_csv_is_read_with_a_mapping_and_a_rate(tmp_path, columns):
     (track,) = recording.tracks
     np.testing.assert_allclose(track.channels["angle"], columns["angle_rad"])
     np.testing.assert_allclose(track.time, np.arange(6000) / 100)
-    assert kinds(recording) == ["velocity derived"]
+    assert kinds(recording) == ["columns", "velocity derived"]
+    assert recording.findings[0].sentence.startswith("by --columns: command_angle='command angle' in rad (assumed), ")
 
 
 @pytest.mark.parametrize("delimiter", [",", ";", "\t"])
@@ -97,6 +98,51 @@ def test_a_time_in_milliseconds_is_told(tmp_path, columns):
     write_csv(tmp_path / "a.csv", columns | {"time_s": 1000 * columns["time_s"]})
     (recording,) = read(tmp_path / "a.csv", time_unit="ms")
     np.testing.assert_allclose(recording.tracks[0].time, columns["time_s"])
+    assert recording.time_unit == "ms"
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_units_in_the_names_are_converted_and_a_velocity_may_be_told(tmp_path, columns, suffix):
+    table = {
+        "t [ms]": 1e3 * columns["time_s"],
+        "Cmd Angle (deg)": np.degrees(columns["command_angle_rad"]),
+        "theta_deg": np.degrees(columns["angle_rad"]),
+        "Fx [mN]": 1e3 * columns["force_x_n"],
+        "F_y (mN)": 1e3 * columns["force_y_n"],
+        "note": columns["time_s"],
+    }
+    path = tmp_path / f"a.{suffix}"
+    write_csv(path, table) if suffix == "csv" else pq.write_table(pa.table(table), path)
+    (recording,) = read(path, velocity_rad_s=3.1)
+    (track,) = recording.tracks
+    np.testing.assert_allclose(track.time, columns["time_s"])
+    for channel, own in (("command_angle", "command_angle_rad"), ("angle", "angle_rad"), ("force_y", "force_y_n")):
+        np.testing.assert_allclose(track.channels[channel], columns[own], atol=1e-12)
+    assert set(track.channels["command_velocity"]) == {3.1}
+    assert kinds(recording) == ["columns", "unread columns", "velocity derived"]
+    assert recording.findings[0].sentence == (
+        "by the names: time='t [ms]' in ms, command_angle='Cmd Angle (deg)' in deg, angle='theta_deg' in deg, "
+        "force_x='Fx [mN]' in mN, force_y='F_y (mN)' in mN; "
+        "command_velocity = 3.1 rad/s throughout, by --velocity"
+    )
+
+
+def test_a_rate_or_velocity_that_is_not_used_is_said_so(tmp_path, columns):
+    write_csv(tmp_path / "a.csv", columns)
+    (recording,) = read(tmp_path / "a.csv", velocity_rad_s=3.1, rate_hz=100)
+    np.testing.assert_array_equal(recording.tracks[0].channels["command_velocity"], columns["command_velocity_rad_s"])
+    assert recording.findings[0].sentence == (
+        "--velocity 3.1 not used: 'command_velocity_rad_s' holds it; --rate 100 not used: 'time_s' holds the time"
+    )
+
+
+def test_a_unit_that_is_not_known_is_a_warning_where_its_column_was_mapped(tmp_path, columns):
+    write_csv(tmp_path / "a.csv", {name if name != "force_x_n" else "Fx [V]": each for name, each in columns.items()})
+    (recording,) = read(tmp_path / "a.csv", columns="force_x=Fx [V]")
+    warning = recording.findings[1]
+    assert (warning.severity, warning.name) == ("warning", "unknown unit")
+    assert warning.sentence == "'V' in its name 'Fx [V]' is no known unit; taken as N"
+    assert "known are N, mN, kN, gf, kgf, lbf" in warning.remedy
 
 
 def test_parquet_with_other_names_and_types_is_read(tmp_path, columns):

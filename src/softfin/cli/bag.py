@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from softfin import paths
 from softfin.cli.common import Common
 from softfin.cli.kinds import File
-from softfin.cli.log_options import LogOptions
+from softfin.cli.log_options import LogOptions, columns_read
 from softfin.cli.options import Option
 from softfin.errors import ConfigurationError
 from softfin.logs.findings import counted
@@ -64,4 +64,6 @@ class Arguments(LogOptions, Common):
         assert self.out is not None
         result = convert(self.path, self.out, self.import_config(), accept=self.accept, overwrite=self.overwrite)
         counts = ", ".join(counted(count, kind) for kind, count in result["counts"].items())
-        self.tell(result, f"{', '.join(result['files'])}: {result['rows']:,} rows; {counts}")
+        self.tell(
+            result, f"{columns_read(result['columns'])}{', '.join(result['files'])}: {result['rows']:,} rows; {counts}"
+        )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from softfin.choices import Model
 from softfin.cli.common import Configured, progress
 from softfin.cli.kinds import Logs, Out
-from softfin.cli.log_options import LogOptions
+from softfin.cli.log_options import LogOptions, columns_read
 from softfin.errors import ConfigurationError
 from softfin.printable import printable
 
@@ -55,7 +55,7 @@ class Arguments(LogOptions, Configured):
                 self.dataset, Path(self.out), config, logs=self.import_config(), accept=self.accept,
                 seed=self.seed, resume=self.resume, overwrite=self.overwrite, progress=report,
             )  # fmt: skip
-        sys.stderr.write(printable(warning(result["findings"], self.dataset), "\n"))
+        sys.stderr.write(printable(columns_read(result["columns"]) + warning(result["findings"], self.dataset), "\n"))
         parts = [table_one(result["table_i"]), *([choice(result["candidates"])] if result["candidates"] else [])]
         if result["caveat"] is not None:
             parts.append(f"note: {result['caveat']}")

@@ -32,7 +32,5 @@ class Arguments(LogOptions, Common):
         summary = inspection.summary()
         counts = ", ".join(counted(count, kind) for kind, count in summary["counts"].items())
         result = {"dataset": str(self.out), **summary, "data_hash": data.data_hash}
-        self.tell(
-            result,
-            f"{self.out}: {summary['logs']} + {summary['test_logs']} logs, {summary['rows']:,} rows; {counts}",
-        )
+        logs = f"{summary['logs']} + {summary['test_logs']} logs, {summary['rows']:,} rows; {counts}"
+        self.tell(result, f"{columns_read(summary['columns'])}{self.out}: {logs}")

@@ -1,9 +1,10 @@
 """Options that every command has which reads recordings that somebody else made."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from softfin.choices import TimeUnit
+from softfin.choices import ForceUnit, TimeUnit
 
 if TYPE_CHECKING:
     from softfin.logs.importing import ImportConfig
@@ -14,16 +15,21 @@ class LogOptions:
     """How recordings become logs; softfin's own need none of these."""
 
     columns: str | None = None
-    """Which column is which channel: angle=position,command_angle=NAME,command_velocity=NAME,force_x=NAME,force_y=NAME;
-    time and velocity where there are any."""
+    """Which column is which channel, where its name does not say: angle=NAME,command_angle=NAME,command_velocity=NAME,
+    force_x=NAME,force_y=NAME,time=NAME,velocity=NAME; - for none."""
     topics: str | None = None
     """Of ROS 2 bags: command=/fin/command,joint=/fin/joint_states,wrench=/fin/wrench."""
     rate: float | None = None
     """Rows a second [Hz], where no column holds the time."""
+    velocity: float | None = None
+    """Velocity of all commands [rad/s], where no column holds it."""
     time_unit: TimeUnit | None = None
-    """Of the column of time (s)."""
+    """Of the column of time (what its name says, else s)."""
     angles: str | None = None
-    """Unit of angles and their velocities: rad or deg, or of each, as angle=deg,velocity=deg."""
+    """Unit of angles and their velocities: rad, mrad, deg, turn, or of each, as angle=deg,velocity=rpm (what the names
+    say, else rad)."""
+    force_unit: ForceUnit | None = None
+    """Of the columns of force (what their names say, else N)."""
     force: str | None = None
     """What is +x (thrust) and +y in the recording's own axes, such as y,-x. Write --force=-y,x if it begins with -."""
     negate: str | None = None
@@ -49,8 +55,10 @@ class LogOptions:
             "columns": self.columns,
             "topics": self.topics,
             "rate_hz": self.rate,
+            "velocity_rad_s": self.velocity,
             "time_unit": self.time_unit,
             "angles": self.angles,
+            "force_unit": self.force_unit,
             "force": self.force,
             "negate": self.negate,
             "command_lag_ms": self.command_lag,
@@ -61,3 +69,8 @@ class LogOptions:
             "shortest_s": self.shortest,
         }
         return ImportConfig.build({name: value for name, value in given.items() if value is not None}, "options")
+
+
+def columns_read(columns: Mapping[str, str]) -> str:
+    """Lines that say how columns with names of their own were read, by the first log of each way; none where none."""
+    return "".join(f"{log}: {text}\n" for log, text in columns.items())

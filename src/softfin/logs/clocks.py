@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 from softfin.errors import LogError
 from softfin.logs.findings import Finding, Place, counted
 from softfin.logs.importing import ImportConfig
+from softfin.logs.names import UNITS
 from softfin.logs.parquet import RATE_TOLERANCE
 from softfin.logs.recording import Channels, NamedLog, Recording, Track
 from softfin.logs.resample import EARLY_S, held, interpolated
@@ -41,7 +42,7 @@ def logs_of(recording: Recording, config: ImportConfig) -> tuple[list[NamedLog],
     for run, start in map(_from_zero, _runs(recording)):
         tracks = []
         for track in run.tracks:
-            whole, found = _sound(track, run.name, config)
+            whole, found = _sound(track, run, config)
             findings += found
             tracks += _shifted(whole, config)
         pieces, found = _pieces(tracks, run.name, config)
@@ -63,7 +64,7 @@ def _runs(recording: Recording) -> list[Recording]:
     if len(edges) == 2:
         return [recording]
     return [
-        Recording(f"{recording.name} rows {a}..{b - 1}", recording.part, (_rows(track, slice(a, b)),))
+        recording._replace(name=f"{recording.name} rows {a}..{b - 1}", tracks=(_rows(track, slice(a, b)),), findings=())
         for a, b in itertools.pairwise(edges)
     ]
 
@@ -82,9 +83,9 @@ def _rows(track: Track, rows: slice | Bool[np.ndarray, "rows"]) -> Track:
     return Track(track.time[rows], {name: values[rows] for name, values in track.channels.items()})
 
 
-def _sound(track: Track, name: str, config: ImportConfig) -> tuple[Track, list[Finding]]:
+def _sound(track: Track, recording: Recording, config: ImportConfig) -> tuple[Track, list[Finding]]:
     """Without rows that hold no value or whose time repeats or goes back."""
-    findings = []
+    name, findings = recording.name, []
     good = np.ones(len(track.time), bool)
     for channel, values in {"time": track.time, **track.channels}.items():
         bad = np.flatnonzero(~np.isfinite(values))
@@ -112,19 +113,21 @@ def _sound(track: Track, name: str, config: ImportConfig) -> tuple[Track, list[F
         remedy = "sort by time and remove repeated rows; accepted, rows that are not later than all before are left out"
         findings.append(Finding("error", "repeated time", Place(name, "time", row), sentence, remedy))
     sound = _rows(finite, forward)
-    return sound, findings + _rate(sound, name, config)
+    return sound, findings + _rate(sound, name, recording.time_unit)
 
 
-def _rate(track: Track, name: str, config: ImportConfig) -> list[Finding]:
+def _rate(track: Track, name: str, time_unit: str) -> list[Finding]:
     if not track.channels.keys() - set(COMMANDS):
         return []
     steps = np.diff(track.time)
     rate = 1 / float(np.median(steps)) if len(steps) else 0.0
     place = Place(name, "time")
     if not RATES_HZ[0] <= rate <= RATES_HZ[1]:
+        rates = {unit: rate * UNITS["time"][time_unit] / seconds for unit, seconds in UNITS["time"].items()}
+        fitting = [f"{unit} ({r:.4g} Hz)" for unit, r in rates.items() if RATES_HZ[0] <= r <= RATES_HZ[1]]
         raise LogError(
-            f"{name}: column time: a row every {1 / rate if rate else 0:g} s ({rate:g} Hz) in {config.time_unit}; "
-            f"allowed are {RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz; say its unit: --time-unit s, ms, us or ns"
+            f"{name}: column time: a row every {1 / rate if rate else 0:g} s ({rate:g} Hz) in {time_unit}; allowed are "
+            f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz; say its unit: --time-unit {' or '.join(fitting or rates)}"
         )
     if rate < (1 - RATE_TOLERANCE) * RATE_HZ:
         sentence = f"{rate:.1f} Hz, less than {RATE_HZ} Hz: rows between are interpolated"

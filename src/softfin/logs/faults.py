@@ -58,8 +58,11 @@ def columns_of(log: Log) -> Columns:
     return Columns(*(np.asarray(values, np.float64) for values in series))
 
 
-def in_degrees(columns: Columns, name: str) -> tuple[Columns, list[Finding]]:
-    """What is in degrees, turned to radians so that all else can be judged, and the finding."""
+def in_degrees(columns: Columns, name: str, velocity_told: bool = False) -> tuple[Columns, list[Finding]]:
+    """What is in degrees, turned to radians so that all else can be judged, and the finding.
+
+    Not the commanded velocity where an option told it, in rad/s.
+    """
     channels = columns._asdict()
     # The size of one sample in a hundred may be a spike's.
     wrong = [name for name, most in MOST_RADIANS.items() if np.percentile(np.abs(channels[name]), 99) > most]
@@ -67,7 +70,7 @@ def in_degrees(columns: Columns, name: str) -> tuple[Columns, list[Finding]]:
         return columns, []
     if "angle" in wrong and 0.5 < _slope(columns)[1] < 2:
         wrong.append("velocity")
-    if "command_angle" in wrong and "command_velocity" not in wrong and "angle" in wrong:
+    if "command_angle" in wrong and "command_velocity" not in wrong and "angle" in wrong and not velocity_told:
         wrong.append("command_velocity")
     spans = "; ".join(f"{c} spans {channels[c].min():.4g} .. {channels[c].max():.4g}" for c in wrong)
     option = "deg" if set(wrong) == set(ANGLES) else ",".join(f"{channel}=deg" for channel in wrong)
@@ -204,7 +207,7 @@ def velocity(columns: Columns, name: str) -> list[Finding]:
         return [Finding("error", "velocity sign", place, f"{told}: of the wrong sign", "--negate velocity")]
     if correlation < 0.5:
         return [Finding("warning", "velocity", place, f"{told}: it is something else",
-                        "map another column, or take velocity out of --columns, so that it is derived")]  # fmt: skip
+                        "map another column, or none, so that it is derived: --columns velocity=-")]  # fmt: skip
     if not 0.5 < slope < 2:
         unit = "degrees" if 30 < slope < 100 else "degrees in the angle" if 0.01 < slope < 0.03 else "another unit"
         return [Finding("error", "velocity unit", place, f"{told}: {unit}", "--angles velocity=deg, or map another")]

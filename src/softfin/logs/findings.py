@@ -39,6 +39,8 @@ class Finding:
     """The way out: as a rule the very option."""
     logs: tuple[str, ...] = ()
     """All logs that it was found in, once `merged`."""
+    alike: str = ""
+    """Findings of a kind that differ in this are not merged: what the first one says does not hold for the others."""
 
     def described(self) -> dict[str, Any]:
         """For JSON."""
@@ -58,10 +60,10 @@ def counted(number: int, noun: str) -> str:
 
 
 def merged(findings: Iterable[Finding]) -> list[Finding]:
-    """One finding for all that are of a kind and a column, gravest first; the first one speaks for the others."""
+    """One finding for all that are of a kind and a column and alike, gravest first; the first speaks for the others."""
     kinds: dict[Any, list[Finding]] = {}
     for finding in findings:
-        kinds.setdefault((finding.severity, finding.name, finding.place.column), []).append(finding)
+        kinds.setdefault((finding.severity, finding.name, finding.place.column, finding.alike), []).append(finding)
     alike = [
         dataclasses.replace(
             group[0], logs=tuple(dict.fromkeys(log for one in group for log in one.logs or (one.place.log,)))

@@ -1,5 +1,6 @@
 """How recordings of any kind become logs: which column is which, units, signs, clocks; the options of `open_logs`."""
 
+import csv
 import difflib
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
@@ -7,11 +8,15 @@ from typing import Any, Literal, TypeVar
 
 import pydantic
 
-from softfin.choices import TimeUnit
+from softfin.choices import ForceUnit, TimeUnit
 from softfin.configuration import Configuration
+from softfin.logs.names import KINDS, UNITS
 
 CHANNELS = ("time", "command_angle", "command_velocity", "angle", "velocity", "force_x", "force_y")
-"""What a log is made of; a recording may lack time, where its rate is told, and velocity."""
+"""What a log is made of. A recording may lack the velocity; time and commanded velocity, where an option tells them."""
+
+NO_COLUMN = "-"
+"""In place of a column's name: the file has none for this channel, whatever its names look like."""
 
 ANGLES = ("command_angle", "command_velocity", "angle", "velocity")
 """The channels that may be in degrees, or of the wrong sign."""
@@ -28,16 +33,22 @@ class ImportConfig(Configuration):
     """What there is to know of recordings that somebody else made; the defaults suit softfin's own logs."""
 
     columns: dict[str, str] = pydantic.Field(default_factory=dict)
-    """Channel: name of its column, as ``angle=position,force_x=Fx``; softfin's own names need none."""
+    """Channel: name of its column, as ``angle=position,force_x=Fx``, or ``-`` for none; names that say what they are
+    need no such pair."""
     topics: dict[str, str] = pydantic.Field(default_factory=dict)
     """Of a ROS 2 bag: command, joint, wrench; by default /fin/command, /fin/joint_states, /fin/wrench. A joint among
     several is named behind a colon, as ``joint=/joint_states:fin``."""
     rate_hz: float | None = pydantic.Field(default=None, gt=0)
     """Rows a second [Hz], where there is no column of time."""
-    time_unit: TimeUnit = "s"
-    """Of the column of time."""
-    angles: dict[str, Literal["rad", "deg"]] = pydantic.Field(default_factory=dict)
-    """Unit of the angle's channels, as ``deg`` for all or ``command_angle=deg,command_velocity=deg``; else rad."""
+    velocity_rad_s: float | None = pydantic.Field(default=None, gt=0, le=40)
+    """Velocity of all commands [rad/s], where there is no column of it."""
+    time_unit: TimeUnit | None = None
+    """Of the column of time; by default what its name says, else s."""
+    angles: dict[str, str] = pydantic.Field(default_factory=dict)
+    """Unit of the angle's channels, as ``deg`` for all or ``command_angle=deg,command_velocity=rpm``; by default what
+    their names say, else rad. Of a velocity, deg is deg/s."""
+    force_unit: ForceUnit | None = None
+    """Of both columns of force; by default what their names say, else N."""
     force: Literal[FORCE_FRAMES] = "x,y"  # type: ignore[valid-type]
     """What is +x (thrust that pushes the robot forward) and what is +y, in the recording's own axes: ``y,-x``."""
     negate: tuple[str, ...] = ()
@@ -64,11 +75,15 @@ class ImportConfig(Configuration):
     @pydantic.field_validator("angles", mode="before")
     @classmethod
     def _units(cls, value: Any) -> Any:
-        if value in ("rad", "deg"):
-            return dict.fromkeys(ANGLES, value)
-        if isinstance(value, str) and "=" not in value:
-            raise ValueError(f"{value!r} is no unit of angles; say rad or deg, or of each, as angle=deg,velocity=deg")
-        return _mapping(value) if isinstance(value, str) else value
+        if isinstance(value, str):
+            value = _mapping(value) if "=" in value else dict.fromkeys(ANGLES, value)
+        for channel, unit in value.items() if isinstance(value, dict) else ():
+            units = [*UNITS["angle"], *(UNITS["velocity"] if KINDS.get(channel) == "velocity" else ())]
+            if unit not in units:
+                raise ValueError(
+                    f"{unit!r} is no unit of angles; say {', '.join(units)}, or of each, as angle=deg,velocity=rpm"
+                )
+        return value
 
     @pydantic.field_validator("negate", mode="before")
     @classmethod
@@ -112,7 +127,8 @@ def composed(given: str, then: str) -> str:
 
 
 def _mapping(text: str) -> Mapping[str, str]:
-    pairs = [pair.partition("=") for pair in text.split(",") if pair.strip()]
+    # As in a CSV file, a pair with a comma of its own stands in quotes.
+    pairs = [pair.partition("=") for pair in next(csv.reader([text], skipinitialspace=True), []) if pair.strip()]
     for name, sign, value in pairs:
         if not sign or not value.strip():
             raise ValueError(f"{name.strip()!r} has no value; write NAME=VALUE,NAME=VALUE")

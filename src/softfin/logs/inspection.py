@@ -27,12 +27,13 @@ class Inspection:
     logs: list[Facts]
 
     def summary(self) -> dict[str, Any]:
-        """Over all logs: how much there is, how the clocks lie [ms], which frame the force fits best."""
+        """Over all logs: how much there is, how columns were read, how the clocks lie [ms], which frame fits best."""
         frames = [one.frames for one in self.logs if one.frames is not None]
         return {
             "logs": sum(one.part == "train" for one in self.logs),
             "test_logs": sum(one.part == "test" for one in self.logs),
             "rows": sum(one.rows for one in self.logs),
+            "columns": {one.place.log: one.sentence for one in self.findings if one.name == "columns"},
             "command_lag_ms": _spread([one.command_lag for one in self.logs]),
             "force_lag_ms": _spread([one.force_lag for one in self.logs]),
             "frames": {frame: float(np.mean([one[frame] for one in frames])) for frame in FORCE_FRAMES}
@@ -72,7 +73,7 @@ def inspect(
     found = list(findings)
     facts, short = [], []
     for index, log in enumerate(logs):
-        columns, wrong = _channels(log)
+        columns, wrong = _channels(log, config)
         one = measured(log, columns)
         found += [*wrong, *judge_one(one, config)]
         facts.append(one)
@@ -86,9 +87,9 @@ def inspect(
     return Inspection(merged([*found, *judge_all(facts, config), *covered(logs)]), facts)
 
 
-def _channels(log: NamedLog) -> tuple[Columns, list[Finding]]:
+def _channels(log: NamedLog, config: ImportConfig) -> tuple[Columns, list[Finding]]:
     """The log's channels, repaired where a fault would hide the next, and the faults."""
-    columns, in_degrees = faults.in_degrees(columns_of(log.log), log.name)
+    columns, in_degrees = faults.in_degrees(columns_of(log.log), log.name, config.velocity_rad_s is not None)
     checks = (faults.stuck, faults.saturated, faults.coarse, faults.velocity, faults.commanded_velocity)
     found = [finding for check in checks for finding in check(columns, log.name)]
     columns, spikes = faults.without_spikes(columns, log.name)

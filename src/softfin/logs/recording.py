@@ -31,6 +31,8 @@ class Recording(NamedTuple):
     tracks: tuple[Track, ...]
     findings: tuple[Finding, ...] = ()
     """Of its reading."""
+    time_unit: str = "s"
+    """That its clock was read in; the tracks' times are in seconds."""
 
 
 class NamedLog(NamedTuple):

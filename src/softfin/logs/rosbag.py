@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
@@ -65,7 +66,12 @@ def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recordi
             tracks, findings = [], []
             for role, (topic, joint) in topics.items():
                 track, found = _track(reader, role, topic, joint, path, name)
-                tracks.append(Track(track.time, converted(track.channels, config)))
+                channels = converted(track.channels, config)
+                if role == "command" and "command_velocity" not in channels:
+                    channels["command_velocity"] = _told_velocity(track, topic, path, config)
+                    text = f"{topic}: no velocity: {config.velocity_rad_s:g} rad/s throughout, by --velocity"
+                    findings.append(Finding("note", "columns", Place(name), text, alike=text))
+                tracks.append(Track(track.time, channels))
                 findings += found
     except LogError:
         raise
@@ -130,9 +136,18 @@ def _track(reader: Reader, role: str, topic: str, joint: str, path: Path, name: 
     # What a log cannot hold is no value: whoever reads on finds it and says where it is.
     pairs[np.abs(pairs) > np.finfo(np.float32).max] = np.inf
     channels = {channel: pairs[:, i] for i, channel in enumerate(CHANNELS[role])}
-    if role == "joint" and np.isnan(pairs[:, 1]).all():
-        del channels["velocity"]
+    if CHANNELS[role][1] in ("velocity", "command_velocity") and np.isnan(pairs[:, 1]).all():
+        del channels[CHANNELS[role][1]]
     return Track(time, channels), findings
+
+
+def _told_velocity(track: Track, topic: str, path: Path, config: ImportConfig) -> Float[np.ndarray, "rows"]:
+    """The velocity of all commands, where their messages have none."""
+    if config.velocity_rad_s is None:
+        raise LogError(
+            f"{path}: {topic}: no velocity in the commands; --velocity 3.1 takes its place, if all had that one [rad/s]"
+        )
+    return np.full(len(track.time), config.velocity_rad_s)
 
 
 def _rows(

@@ -9,16 +9,14 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 from jaxtyping import Float
 
-from softfin.choices import TimeUnit
 from softfin.errors import LogError
 from softfin.files import regular_file
-from softfin.logs.columns import channels_of, converted
+from softfin.logs.columns import OWN_NAMES, Column, choose_columns, converted, shown
 from softfin.logs.findings import Finding, Place
 from softfin.logs.importing import ImportConfig
+from softfin.logs.names import KINDS, UNITS
 from softfin.logs.recording import Part, Recording, Track
 from softfin.paths import CSV
-
-SECONDS: dict[TimeUnit, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 LONGEST_HEADER = 2**20
 """Characters of a table's first line."""
@@ -30,26 +28,29 @@ MANY_ROWS = 100_000
 def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[Recording]:
     """The logs of one file; raises LogError for a file that is no such table or lacks a channel."""
     names = _csv_names(path) if path.suffix.lower() in CSV else _parquet_names(path)
-    found = channels_of(names, config, str(path))
-    table = (_read_csv if path.suffix.lower() in CSV else _read_parquet)(path, names, list(found.values()))
-    values = {channel: _numbers(table.column(column), column, path) for channel, column in found.items()}
+    found = choose_columns(names, config, str(path))
+    columns = [column.name for column in found.values()]
+    table = (_read_csv if path.suffix.lower() in CSV else _read_parquet)(path, names, columns)
+    values = {channel: _numbers(table.column(column.name), column.name, path) for channel, column in found.items()}
     if not table.num_rows:
         raise LogError(f"{path}: empty: it has no rows; record it again")
-    timed = "time" in values
-    time = (
-        values.pop("time") * SECONDS[config.time_unit] if timed else np.arange(table.num_rows) / (config.rate_hz or 1)
-    )
-    track = Track(time, converted(values, config))
-    findings = _notes(name, names, found, table.num_rows, timed, config)
+    values = converted(values, config, {channel: column.unit for channel, column in found.items()})
+    time = values.pop("time") if "time" in found else np.arange(table.num_rows) / (config.rate_hz or 1)
+    if "command_velocity" not in values and config.velocity_rad_s is not None:
+        values["command_velocity"] = np.full(table.num_rows, config.velocity_rad_s)
+    track = Track(time, values)
+    findings = _notes(name, names, found, table.num_rows, config)
+    time_unit = found["time"].unit if "time" in found else "s"
     length = config.rows_per_log or table.num_rows
     if length >= table.num_rows:
-        return [Recording(name, part, (track,), findings)]
+        return [Recording(name, part, (track,), findings, time_unit)]
     return [
         Recording(
             f"{name} rows {start}..{min(start + length, table.num_rows) - 1}",
             part,
             (_cut(track, start, length),),
             () if start else findings,
+            time_unit,
         )
         for start in range(0, table.num_rows, length)
     ]
@@ -61,12 +62,14 @@ def _cut(track: Track, start: int, length: int) -> Track:
 
 
 def _notes(
-    name: str, names: list[str], found: dict[str, str], rows: int, timed: bool, config: ImportConfig
+    name: str, names: list[str], found: dict[str, Column], rows: int, config: ImportConfig
 ) -> tuple[Finding, ...]:
-    notes = []
-    if unused := [column for column in names if column not in found.values()]:
+    notes = _columns_shown(name, found, config)
+    timed = "time" in found
+    read = {column.name for column in found.values()}
+    if unused := [column for column in names if column not in read]:
         text = f"columns that were not read: {', '.join(map(repr, unused[:12]))}"
-        notes.append(Finding("note", "unread columns", Place(name), text))
+        notes.append(Finding("note", "unread columns", Place(name), text, alike=repr(unused)))
     if "velocity" not in found:
         text = "no velocity: it is the central difference of the angle"
         notes.append(Finding("note", "velocity derived", Place(name, "velocity"), text))
@@ -75,6 +78,31 @@ def _notes(
         way_out = "if it is several end to end, as the paper's 20,000 rows each: --rows-per-log 20000"
         notes.append(Finding("warning", "one log", Place(name), text, way_out))
     return tuple(notes)
+
+
+def _columns_shown(name: str, found: dict[str, Column], config: ImportConfig) -> list[Finding]:
+    """Which column was taken for what, in which unit and why, wherever softfin's own names do not say so."""
+    findings = []
+    text = shown(found)
+    if config.velocity_rad_s is not None:
+        told = f"command_velocity = {config.velocity_rad_s:g} rad/s throughout, by --velocity"
+        if "command_velocity" in found:
+            told = f"--velocity {config.velocity_rad_s:g} not used: {found['command_velocity'].name!r} holds it"
+        text = "; ".join(filter(None, [text, told]))
+    if config.rate_hz is not None and "time" in found:
+        told = f"--rate {config.rate_hz:g} not used: {found['time'].name!r} holds the time"
+        text = "; ".join(filter(None, [text, told]))
+    if text:
+        way_out = "if that is wrong: --columns CHANNEL=NAME (- for none), --angles, --force-unit, --time-unit"
+        foreign = any(OWN_NAMES.get(column.name) != channel for channel, column in found.items())
+        findings.append(Finding("note", "columns", Place(name), text, way_out if foreign else "", alike=text))
+    for channel, column in found.items():
+        if column.unclear:
+            sentence = f"{column.unclear!r} in its name {column.name!r} is no known unit; taken as {column.unit}"
+            units = ", ".join(UNITS[KINDS[channel]])
+            way_out = f"known are {units}: say it by --angles, --force-unit or --time-unit, or convert the column"
+            findings.append(Finding("warning", "unknown unit", Place(name, channel), sentence, way_out))
+    return findings
 
 
 def _csv_names(path: Path) -> list[str]:

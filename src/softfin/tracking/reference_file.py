@@ -14,16 +14,17 @@ import pyarrow.parquet as pq
 
 from softfin.errors import ConfigurationError
 from softfin.files import regular_file
+from softfin.logs.names import SPELLED, UNITS
 from softfin.paths import check_reference_file
 from softfin.quantities import TICK_S
 from softfin.tracking.signals import CLOCK_S, Recorded
 
-COLUMNS = {"time_s": ("s", "seconds"), "force_x_n": ("n", "newton"), "force_y_n": ("n", "newton")}
-"""What is read: the unit that the name ends in, and its word."""
-
-FACTORS = {"ms": "0.001", "us": "0.000001", "ns": "0.000000001", "min": "60", "kn": "1000", "mn": "0.001",
-           "lbf": "4.448222", "kgf": "9.80665", "gf": "0.00980665"}  # fmt: skip
-"""By the units that are met instead, in lower case: what makes seconds or newton of them."""
+COLUMNS = {
+    "time_s": ("s", "seconds", "time"),
+    "force_x_n": ("n", "newton", "force"),
+    "force_y_n": ("n", "newton", "force"),
+}
+"""What is read: the unit that the name ends in, its word, and the quantity."""
 
 LONGEST_S = 3600.0
 """Longer references are a slip of the unit [s]."""
@@ -96,7 +97,7 @@ def _places(path: Path, header: list[str]) -> list[int]:
         raise ConfigurationError(
             f"--reference-file {path}: empty: no header; the first line must be {','.join(COLUMNS)}"
         )
-    for name, (unit, word) in COLUMNS.items():
+    for name, (unit, word, kind) in COLUMNS.items():
         if header.count(name) == 1:
             continue
         if name in header:
@@ -107,8 +108,8 @@ def _places(path: Path, header: list[str]) -> list[int]:
             raise ConfigurationError(
                 f"--reference-file {path}: no column {name} among {', '.join(header)}; it needs {','.join(COLUMNS)}"
             )
-        factor = FACTORS.get(other.lower().removeprefix(f"{quantity}_"))
-        change = f"multiply it by {factor} and name it {name}" if factor else f"give it in {word} and name it {name}"
+        met = SPELLED[kind].get(other.lower().removeprefix(f"{quantity}_"))
+        change = f"{f'multiply it by {UNITS[kind][met]:.7g}' if met else f'give it in {word}'} and name it {name}"
         raise ConfigurationError(
             f"--reference-file {path}: column {other} is not said to be in {word}, which is needed; {change}"
         )
