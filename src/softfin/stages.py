@@ -430,7 +430,7 @@ def evaluate(
 ) -> dict[str, Any]:
     """Judge a controller on a plant (paper Sec. IV-B, Table II); writes ``evaluation.json`` and figures to `out`.
 
-    With `spread` the plant must be a tank, and every repetition is run in another one, drawn about it.
+    With `spread` the plant must be a tank, and every repetition is run in another one, drawn about it; 0 is the tank.
     """
     if out is not None:
         artifacts.check_vacant(out, overwrite)
@@ -439,7 +439,8 @@ def evaluate(
     if widths is not None:
         if not isinstance(moving, Tank):
             raise ConfigurationError(f"spread {spread}: {plant} is no tank, so there are no others like it to draw")
-        moving = DrawnTanks(moving, widths)
+        # Without a spread the sensor's noise is the tank's own, too.
+        moving = moving if widths.is_none else DrawnTanks(moving, widths)
     evaluation = judged(controller, moving, config or EvaluateConfig(), str(plant))
     if out is None:
         return evaluation.summary()
