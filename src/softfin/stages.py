@@ -366,6 +366,7 @@ def train(
     engine: EngineName = "local",
     split: Split | None = None,
     cluster: str | None = None,
+    reason: str = "as configured",
     resume: bool = False,
     overwrite: bool = False,
     progress: Progress | None = None,
@@ -378,13 +379,16 @@ def train(
     One seed writes the controller's folder `out`; several are written as ``out/seed-N``. All is one program, unless
     it is `split` into jobs; the `engine` does these one after the other, or all at once on a Ray `cluster`. A grid's
     worst cells are split until there are `refine` more, whose policies go on from their cell's, in this process.
+    The `reason` for the algorithm is kept with the controller.
     """
     working, split = find_engine(engine, cluster), split or default_split(engine, seeds)
     moving = find_plant(plant) if isinstance(plant, str) else plant
-    config = config or starting(moving)
+    if config is None:
+        config, reason = starting(moving)
     check_refinable(config, refine)
     can = None if known is None else known_of(known, moving, _named(plant)).found
     origin, learnt = _origin(plant, moving, **({} if known is None else {"map": str(known)})), learnt_from(plant)
+    origin["algorithm"] = reason
     facts = {
         "configuration": config.model_dump(mode="json"),
         "seeds": list(seeds),

@@ -28,7 +28,7 @@ from softfin.tracking.reachable import Reachable
 from softfin.tracking.references import PAPER_CELLS, PAPER_RANGE, Cell, References, least_box, stack_references
 from softfin.tracking.switching import SwitchingConfig
 from softfin.tracking.task import ForceTracking, TaskConfig
-from softfin.training.beat import differentiable
+from softfin.training.beat import missing_gradient
 from softfin.training.ensemble import trained_in
 from softfin.training.force_map import ForceMap, empty_map, map_forces
 from softfin.training.gaits import GaitTable
@@ -131,13 +131,24 @@ STARTS: Mapping[tuple[str, str], TrainConfig] = MappingProxyType({
 """By algorithm and kind of controller."""
 
 
+class Start(NamedTuple):
+    """What a run begins from."""
+
+    config: TrainConfig
+    reason: str
+    """The algorithm, and why it was chosen."""
+
+
 def starting(
     plant: Plant, controller: Literal["single", "grid"] = "grid", algorithm: Literal["auto", "gradient", "ppo"] = "auto"
-) -> TrainConfig:
+) -> Start:
     """What a run begins from where nothing else is asked for; auto: gradients wherever the plant has them."""
-    if algorithm == "auto":
-        algorithm = "gradient" if differentiable(plant) else "ppo"
-    return STARTS[algorithm, controller]
+    if algorithm != "auto":
+        return Start(STARTS[algorithm, controller], f"{algorithm}, as asked")
+    missing = missing_gradient(plant)
+    if missing is None:
+        return Start(STARTS["gradient", controller], "gradient, as the plant has gradients")
+    return Start(STARTS["ppo", controller], f"ppo, as the plant has no gradient: {missing}")
 
 
 class TrainState(NamedTuple):
