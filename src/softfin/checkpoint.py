@@ -128,10 +128,11 @@ class RunLog:
         self._writer = SummaryWriter(str(folder), purge_step=purge, filename_suffix=".softfin")
 
     def write(self, step: int, **scalars: float) -> None:
-        """Append the scalars of one step."""
+        """Append the scalars of one step; those that are not finite as null."""
+        entry = {"step": step, **{name: artifacts.plain(float(value)) for name, value in scalars.items()}}
         try:
             with self.path.open("a") as file:
-                file.write(json.dumps({"step": step, **{name: float(value) for name, value in scalars.items()}}) + "\n")
+                file.write(json.dumps(entry, allow_nan=False) + "\n")
         except OSError as error:
             raise RunError(
                 f"{self.path}: cannot be written ({error.strerror or error}); make room and --resume"
