@@ -1,12 +1,15 @@
 import errno
 import json
+import math
 import os
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from softfin import artifacts
+from softfin.checkpoint import Workspace
 from softfin.errors import ArtifactError, RunError
 from softfin.files import DEEPEST, parse_json
 
@@ -185,3 +188,21 @@ def test_provenance_names_seed_versions_and_time():
     facts = json.loads(artifacts.dump_json(artifacts.provenance(seed=3)))
     assert facts["seed"] == 3
     assert {"softfin", "jax", "numpy", "python", "git_commit", "created"} <= set(facts)
+
+
+def test_numbers_that_are_not_finite_are_null_wherever_they_stand():
+    value = {
+        "number": math.inf, "numpy": np.float32("nan"), "whole": np.int64(3), "array": np.array([1.5, -np.inf]),
+        "jax": jnp.array([[jnp.nan, 2.0]]), "deep": [{"pair": (1, math.nan)}], "text": "inf", "path": Path("a"),
+    }  # fmt: skip
+    assert json.loads(artifacts.dump_json(value)) == {
+        "number": None, "numpy": None, "whole": 3, "array": [1.5, None], "jax": [[None, 2.0]],
+        "deep": [{"pair": [1, None]}], "text": "inf", "path": "a",
+    }  # fmt: skip
+
+
+def test_a_training_log_is_standard_json(tmp_path):
+    log = Workspace(tmp_path / "out", {}).log()
+    log.write(3, loss=0.5, kl=math.nan)
+    log.close()
+    assert log.path.read_text() == '{"step": 3, "loss": 0.5, "kl": null}\n'

@@ -11,6 +11,7 @@ import errno
 import importlib.metadata
 import itertools
 import json
+import math
 import os
 import platform
 import shutil
@@ -251,11 +252,24 @@ def read_json(file: Path) -> dict[str, Any]:
 
 
 def dump_json(value: Any) -> str:
-    """Indented JSON with a final newline; NumPy scalars become numbers."""
-    return (
-        json.dumps(value, indent=2, allow_nan=False, default=lambda x: x.tolist() if hasattr(x, "tolist") else str(x))
-        + "\n"
-    )
+    """Indented JSON with a final newline, of what `plain` makes of a value."""
+    return json.dumps(plain(value), indent=2, allow_nan=False) + "\n"
+
+
+def plain(value: Any) -> Any:
+    """What JSON can say of a value: arrays as lists, numbers that are not finite as null, anything unknown as text.
+
+    JSON has no infinity and no NaN, and a result must not be lost because one number in it is missing.
+    """
+    if isinstance(value, Mapping):
+        return {name: plain(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(each) for each in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, str | int):
+        return value
+    return plain(value.tolist()) if hasattr(value, "tolist") else str(value)
 
 
 def provenance(**facts: Any) -> dict[str, Any]:

@@ -13,5 +13,5 @@ def key_of(seed: int, name: str) -> PRNGKeyArray:
 
 
 def generator_of(seed: int, name: str) -> np.random.Generator:
-    """The NumPy generator of one purpose."""
-    return np.random.default_rng([seed, zlib.crc32(name.encode())])
+    """The NumPy generator of one purpose; of the seed the last 32 bits count, as they do in JAX."""
+    return np.random.default_rng([seed % 2**32, zlib.crc32(name.encode())])

@@ -380,6 +380,7 @@ def train(
     engine: EngineName = "local",
     split: Split | None = None,
     cluster: str | None = None,
+    reason: str = "as configured",
     resume: bool = False,
     overwrite: bool = False,
     progress: Progress | None = None,
@@ -392,13 +393,16 @@ def train(
     One seed writes the controller's folder `out`; several are written as ``out/seed-N``. All is one program, unless
     it is `split` into jobs; the `engine` does these one after the other, or all at once on a Ray `cluster`. A grid's
     worst cells are split until there are `refine` more, whose policies go on from their cell's, in this process.
+    The `reason` for the algorithm is kept with the controller.
     """
     working, split = find_engine(engine, cluster), split or default_split(engine, seeds)
     moving = find_plant(plant) if isinstance(plant, str) else plant
-    config = config or starting(moving)
+    if config is None:
+        config, reason = starting(moving)
     check_refinable(config, refine)
     can = None if known is None else known_of(known, moving, _named(plant)).found
     origin, learnt = _origin(plant, moving, **({} if known is None else {"map": str(known)})), learnt_from(plant)
+    origin["algorithm"] = reason
     facts = {
         "configuration": config.model_dump(mode="json"),
         "seeds": list(seeds),
@@ -446,7 +450,7 @@ def evaluate(
 ) -> dict[str, Any]:
     """Judge a controller on a plant (paper Sec. IV-B, Table II); writes ``evaluation.json`` and figures to `out`.
 
-    With `spread` the plant must be a tank, and every repetition is run in another one, drawn about it.
+    With `spread` the plant must be a tank, and every repetition is run in another one, drawn about it; 0 is the tank.
     """
     if out is not None:
         artifacts.check_vacant(out, overwrite)
@@ -455,7 +459,8 @@ def evaluate(
     if widths is not None:
         if not isinstance(moving, Tank):
             raise ConfigurationError(f"spread {spread}: {plant} is no tank, so there are no others like it to draw")
-        moving = DrawnTanks(moving, widths)
+        # Without a spread the sensor's noise is the tank's own, too.
+        moving = moving if widths.is_none else DrawnTanks(moving, widths)
     evaluation = judged(controller, moving, config or EvaluateConfig(), str(plant))
     if out is None:
         return evaluation.summary()

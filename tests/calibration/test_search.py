@@ -36,13 +36,6 @@ def test_known_losses_are_repeated_and_lead_to_the_same_end():
     np.testing.assert_array_equal(resumed[0], whole[0])
 
 
-def test_it_leaves_the_random_numbers_of_the_process_alone():
-    np.random.seed(5)  # noqa: NPY002
-    before = np.random.get_state()[1].tolist()  # noqa: NPY002
-    search(bowl, np.full(3, 0.5), 0.2, unknown(3), 0)
-    assert np.random.get_state()[1].tolist() == before  # noqa: NPY002
-
-
 def test_tanks_that_fail_are_the_worst_and_do_not_stop_it():
     def partly(points):
         return np.where([point[0] > 0.5 for point in points], np.nan, bowl(points))

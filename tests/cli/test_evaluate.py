@@ -8,10 +8,13 @@ from softfin.cli import main
 from softfin.errors import ConfigurationError
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.quantities import PAPER_LIMITS
-from softfin.tank import Tank
+from softfin.tank import Tank, TankConfig
+from softfin.tank.geometry import FinConfig
 from tests.evaluation.test_moving import Covering
 
 QUICK = ("--plant", "tests.plants:AnalyticFin", "--seconds", "3", "--seeds", "1", "--reference=1,1")
+
+TANK = Tank(TankConfig(fin=FinConfig(plates=2)))
 
 
 class Loaded(Covering):
@@ -81,5 +84,19 @@ def test_a_wrong_reference_file_is_one_line_and_leaves_nothing(controller, capsy
 def test_a_spread_that_is_a_whole_number_is_one(controller):
     with pytest.raises(ConfigurationError, match=r"spread 0: .* is no tank"):
         softfin.evaluate(Path("controller"), "tests.plants:AnalyticFin", spread=0)
-    summary = softfin.evaluate(Path("controller"), Tank(), config=EvaluateConfig(seconds=3, seeds=1), spread=0)
-    assert summary["conditions"]["seeds"] == 1
+
+
+def test_a_spread_of_0_is_the_very_same_tank(controller):
+    config = EvaluateConfig(seconds=3, seeds=1, references=((1.0, 1.0),))
+    plain = softfin.evaluate(Path("controller"), TANK, config=config)
+    assert softfin.evaluate(Path("controller"), TANK, config=config, spread=0) == plain
+
+
+@pytest.mark.parametrize("part", ["-1", "5", "nan"])
+def test_a_spread_out_of_range_is_one_line_that_says_what_is_allowed(controller, capsys, tmp_path, part):
+    with pytest.raises(SystemExit) as stop:
+        main(["evaluate", controller, f"--spread={part}", "--out", str(tmp_path / "out")])
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"spread {part}: give a part from 0" in line
+    assert stop.value.code == 2
+    assert not (tmp_path / "out").exists()

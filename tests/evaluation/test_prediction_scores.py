@@ -29,6 +29,13 @@ def test_a_perfect_prediction_has_no_error():
     assert set(scores.values()) == {0.0}
 
 
+def test_a_channel_that_never_moves_has_no_r2_and_does_not_stop_a_comparison():
+    still = MEASURED._replace(reading=MEASURED.reading._replace(angle=np.zeros_like(MEASURED.reading.angle)))
+    scores = judge(still, off(still.reading, angle=0.1), SPANS).scores
+    assert scores["angle_r2"] == -np.inf
+    assert scores["angle_rmse_rad"] == pytest.approx(0.1)
+
+
 def test_a_constant_error_shows_in_its_own_channel_with_its_size():
     scores = judge(MEASURED, off(MEASURED.reading, angle=0.1, force=(0.3, -0.5)), SPANS).scores
     expected = {

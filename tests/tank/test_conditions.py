@@ -3,6 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from softfin.errors import ConfigurationError
 from softfin.plant import roll
 from softfin.quantities import Command
 from softfin.tank import Conditions, Spread, Tank, TankConfig, draw, randomised, under
@@ -29,8 +30,27 @@ def test_a_batch_of_different_tanks_runs_as_each_of_them_alone():
     assert np.asarray(together.force).std(0).max() > 0.1
 
 
-def test_no_spread_is_the_same_tank():
-    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-6), randomised(TANK, KEYS[0], NONE), TANK)
+@pytest.mark.parametrize("spread", [NONE, Spread.of(0.0)])
+def test_no_spread_is_the_same_tank_to_the_last_bit(spread):
+    together = jax.jit(jax.vmap(lambda key: randomised(TANK, key, spread)))(KEYS)
+    for tank in (randomised(TANK, KEYS[0], spread), jax.tree.map(lambda leaf: leaf[1], together)):
+        jax.tree.map(np.testing.assert_array_equal, tank, TANK)
+
+
+def test_all_that_differs_shrinks_with_the_part_and_is_as_usual_from_0_15_on():
+    usual = Spread()
+    for part, share in ((0.0, 0), (0.03, 0.2), (0.15, 1), (0.6, 1)):
+        spread = Spread.of(part)
+        assert (spread.stiffness, spread.drag, spread.added_mass, spread.lag) == (part,) * 4
+        for name in ("temperature_c", "drift", "misalignment_rad"):
+            assert getattr(spread, name) == pytest.approx(share * getattr(usual, name))
+        assert spread.is_none == (part == 0)
+
+
+@pytest.mark.parametrize("part", [-0.1, 1.0, 1e9, float("nan"), float("inf")])
+def test_a_part_out_of_range_is_one_clear_error(part):
+    with pytest.raises(ConfigurationError, match=r"^spread \S+: give a part from 0, .* to less than 1$"):
+        Spread.of(part)
 
 
 def test_draws_stay_within_the_spread_and_fill_it():

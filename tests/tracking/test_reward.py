@@ -44,8 +44,11 @@ def test_the_two_forms_differ_by_the_root_of_the_number_of_steps() -> None:
 
 def test_the_reward_is_the_negative_weighted_sum_over_the_axes() -> None:
     error, smoothness = jnp.array([0.5, 2.0]), jnp.array([3.0, 4.0])
-    value = reward(error, smoothness, jnp.array([1.0, 10.0]), jnp.array([0.1, 0.2]))
-    assert float(value) == pytest.approx(-(1 * (0.5 + 0.1 * 3) + 10 * (2 + 0.2 * 4)))
+    disagreement = jnp.array([1.0, 0.25])
+    value = reward(error, smoothness, disagreement, jnp.array([1.0, 10.0]), jnp.array([0.1, 0.2]), 2.0)
+    assert float(value) == pytest.approx(-(1 * (0.5 + 0.1 * 3 + 2 * 1) + 10 * (2 + 0.2 * 4 + 2 * 0.25)))
+    many = reward(*(jnp.tile(x, (3, 4, 1)) for x in (error, smoothness, disagreement)), jnp.ones(2), jnp.ones(2), 1)
+    assert many.shape == (3, 4)
 
 
 def test_a_fin_at_rest_has_a_finite_slope() -> None:

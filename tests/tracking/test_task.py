@@ -11,7 +11,16 @@ import pytest
 from softfin.action_clock import ACTION_TICKS
 from softfin.quantities import PAPER_LIMITS, Command, Reading
 from softfin.tracking.references import Cell
-from softfin.tracking.task import ForceTracking, Outcome, RewardConfig, TaskConfig, TaskState, action_of, command_of
+from softfin.tracking.task import (
+    ForceTracking,
+    Outcome,
+    RewardConfig,
+    SensingConfig,
+    TaskConfig,
+    TaskState,
+    action_of,
+    command_of,
+)
 from tests.plants import AnalyticFin, PlainFin
 
 BOX = Cell(low=(1, -1), high=(3, 1)).references()
@@ -140,6 +149,34 @@ def test_references_are_redrawn_when_they_are_due() -> None:
     assert [a != b for a, b in zip(references[1:], references, strict=False)] == [False] * 3 + [True] + [False] * 3 + [
         True
     ]
+
+
+def test_no_episode_draws_what_the_one_before_drew() -> None:
+    """Each goes on with the key of the last; noise and references of all its actions differ from theirs."""
+    noisy = TaskConfig(reference_actions=1, sensing=SensingConfig(noise_rad=1.0))
+    task = ForceTracking(Echo(), noisy)
+    step = jax.jit(task.step, static_argnums=2)
+    state, drawn = task.reset(jax.random.key(0), BOX), []
+    for _ in range(3):
+        drawn.append(np.asarray(state.reference))
+        for ticks in ACTION_TICKS:
+            state, _ = step(state, STROKE, ticks)
+            drawn += [np.asarray(state.reference), np.asarray(state.angle)]
+        state = task.reset(state.key, BOX)
+    numbers = np.concatenate([np.ravel(each) for each in drawn])
+    assert len(np.unique(numbers)) == len(numbers) == 3 * (2 + 3 * 3)
+
+
+def test_every_key_is_used_once() -> None:
+    """As a random key that is given away and used again gives the same numbers twice."""
+    task = ForceTracking(Echo(), TaskConfig())
+
+    def episode(key: Any) -> Any:
+        state, _ = task.step(task.reset(key, BOX), STROKE, 33)
+        return task.step(task.reset(state.key, BOX), STROKE, 33)[0].key
+
+    with jax.debug_key_reuse(True):
+        jax.jit(episode)(jax.random.key(0))
 
 
 def test_an_episode_is_over_after_its_actions() -> None:

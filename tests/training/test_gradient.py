@@ -11,18 +11,20 @@ import numpy as np
 import pytest
 
 from softfin.checkpoint import Workspace
-from softfin.errors import ConfigurationError
+from softfin.errors import ConfigurationError, PlantError, RunError
 from softfin.plant import Plant
 from softfin.quantities import Command
 from softfin.tracking.reachable import Reachable
 from softfin.tracking.references import PAPER_RANGE, PAPER_REFERENCES, Cell
 from softfin.tracking.task import ForceTracking, RewardConfig, TaskConfig
-from softfin.training.beat import differentiable
+from softfin.training import beat
+from softfin.training.beat import missing_gradient
 from softfin.training.force_map import MapConfig
 from softfin.training.gradient import Gradient, GradientConfig, GradientLane
 from softfin.training.imitation import ImitationConfig
 from softfin.training.learner import Learner
 from softfin.training.policy import Policy, PolicyConfig
+from softfin.training.rollout import begin
 from softfin.training.train import (
     GRADIENT_SINGLE,
     GRID,
@@ -38,6 +40,7 @@ from softfin.training.train import (
 from tests.plants import AnalyticFin, PlainFin, StrokeFin
 from tests.surrogate.streaming import small as streaming
 from tests.training.mapped import GAITS, SURVEY, WITHIN, known
+from tests.training.probes import Delayed, Direct
 
 SIZE = PolicyConfig(units=8, width=8)
 TASK = ForceTracking(StrokeFin(), TaskConfig(phase=True, reference_actions=45))
@@ -45,7 +48,6 @@ LEARNER = Gradient(
     TASK, GradientConfig(environments=4, rollout_actions=6, learning_rate=1e-2, teacher=False), SIZE, updates=40
 )
 REFERENCES = Cell(low=(1, -0.25), high=(1.5, 0.25)).references()
-update = jax.jit(LEARNER.update)
 
 
 @cache
@@ -85,10 +87,13 @@ def test_no_slope_reaches_the_normalisation_and_the_noise() -> None:
 
 
 def test_updates_lower_the_loss() -> None:
-    lane, losses = start(), []
+    """On average over four policies: which references a short run draws weighs nearly as much as what it learns."""
+    lanes = jax.vmap(lambda key: LEARNER.init(key, REFERENCES))(jax.random.split(jax.random.key(0), 4))
+    lanes = lanes._replace(policy=eqx.tree_at(lambda policy: policy.net.output.kernel, lanes.policy, replace_fn=louder))
+    losses, update = [], jax.jit(jax.vmap(LEARNER.update))
     for _ in range(LEARNER.updates):
-        lane, metrics = update(lane)
-        losses.append(float(metrics["loss"]))
+        lanes, metrics = update(lanes)
+        losses.append(np.asarray(metrics["loss"]))
     assert np.mean(losses[-5:]) < 0.85 * np.mean(losses[:5])
     assert {"loss", "error_x_n", "error_y_n", "reward", "gradient_norm"} <= set(metrics)
 
@@ -100,6 +105,23 @@ def test_a_loss_of_rounded_errors_is_the_plain_one_less_at_most_the_rounding() -
     plain = float(Gradient(TASK, sharp, SIZE, 40).loss(lane.policy, lane.batch)[0])
     rounded = float(LEARNER.loss(lane.policy, lane.batch)[0])
     assert plain - 2 * LEARNER.config.rounding_n <= rounded < plain
+
+
+def test_the_loss_is_the_reward_of_the_task_but_for_the_rounding() -> None:
+    """The reward of each action is what PPO's rollout collects; here its weights all differ."""
+    weights = RewardConfig(weight=(2.0, 0.5), smoothness=(0.3, 0.05))
+    task = ForceTracking(Direct(), TASK.config.model_copy(update={"reward": weights}))
+    sharp = GradientConfig(environments=2, rollout_actions=3, rounding_n=1e-6, teacher=False)
+
+    @jax.jit
+    def both(key: Any) -> Any:
+        policy = Policy.create(key, SIZE, task.config.observations)
+        loss, (_, metrics) = Gradient(task, sharp, SIZE, 40).loss(policy, begin(task, policy, REFERENCES, key, 2))
+        return loss, metrics["reward"]
+
+    loss, reward = both(jax.random.key(0))
+    assert float(reward) < -0.1
+    np.testing.assert_allclose(-float(loss), float(reward), rtol=1e-5)
 
 
 class Numb(StrokeFin):
@@ -117,13 +139,84 @@ class Foreign(StrokeFin):
         return super().advance(state, Command(angle, command.velocity), ticks)
 
 
+class Branching(StrokeFin):
+    """A fin whose own code fails: it asks for the value of what is only traced."""
+
+    def advance(self, state: Any, command: Command, ticks: int) -> Any:
+        return super().advance(state, command if command.angle > 0 else Command(*map(jnp.negative, command)), ticks)
+
+
+class Broken(StrokeFin):
+    """A fin with a bug of its own in it."""
+
+    def advance(self, state: Any, command: Command, ticks: int) -> Any:
+        raise KeyError("gear")
+
+
 @pytest.mark.parametrize(
-    ("plant", "answer"),
-    [(StrokeFin(), True), (AnalyticFin(), True), (PlainFin(), True), (Numb(), False), (Foreign(), False)],
-    ids=["strokes", "analytic", "plain", "numb", "foreign"],
+    ("plant", "reason"),
+    [
+        (StrokeFin(), None), (AnalyticFin(), None), (PlainFin(), None), (Direct(), None), (Delayed(), None),
+        (Numb(), "its slope is 0 throughout"),
+        (Foreign(), "JAX cannot differentiate it (ValueError: Pure callbacks do not support JVP."),
+    ],
+    ids=["strokes", "analytic", "plain", "direct", "delayed", "numb", "foreign"],
+)  # fmt: skip
+def test_a_plant_has_a_gradient_where_its_force_has_a_slope(plant: Plant, reason: str | None) -> None:
+    found = missing_gradient(plant)
+    assert found is None if reason is None else found is not None and found.startswith(reason)
+
+
+@pytest.mark.parametrize(
+    ("plant", "error", "message"),
+    [
+        (Branching(), PlantError, "^Branching: .* it raises TracerBoolConversionError: .*; --algorithm ppo"),
+        (Broken(), PlantError, "^Broken: .* it raises KeyError: 'gear'; --algorithm ppo"),
+    ],
+    ids=["branching", "broken"],
 )
-def test_a_plant_is_differentiable_where_its_force_has_a_slope(plant: Plant, answer: bool) -> None:
-    assert differentiable(plant) is answer
+def test_a_plant_that_fails_is_an_error_and_not_trained_by_another_algorithm(
+    plant: Plant, error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        starting(plant)
+
+
+@pytest.mark.parametrize("failure", [jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: 9 GiB"), MemoryError()])
+def test_a_want_of_memory_is_an_error_and_not_trained_by_another_algorithm(
+    monkeypatch: pytest.MonkeyPatch, failure: Exception
+) -> None:
+    def exhausted(*_: Any) -> Any:
+        raise failure
+
+    monkeypatch.setattr(beat, "_slope", exhausted)
+    with pytest.raises(RunError, match=r"^StrokeFin: .*(9 GiB|no memory left); --algorithm ppo trains without gradien"):
+        starting(StrokeFin())
+
+
+def test_ctrl_c_is_no_missing_gradient(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: Any) -> Any:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(StrokeFin, "advance", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        missing_gradient(StrokeFin())
+
+
+def test_the_gradient_is_compiled_once_for_all_who_ask(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second time the plant is traced forward alone."""
+    plant, calls, advance = StrokeFin(bias=(0.1, 0.1)), [0], StrokeFin.advance
+
+    def counted(*words: Any) -> Any:
+        calls[-1] += 1
+        return advance(*words)
+
+    monkeypatch.setattr(StrokeFin, "advance", counted)
+    monkeypatch.setattr(beat, "_slope", eqx.filter_jit(eqx.filter_grad(beat._stroke_force)))
+    for _ in range(2):
+        assert missing_gradient(plant) is None
+        calls.append(0)
+    assert 0 < calls[1] < calls[0]
 
 
 QUICK = GRADIENT_SINGLE.model_copy(
@@ -204,9 +297,9 @@ def test_a_box_of_ones_own_for_the_table_is_refused() -> None:
 
 
 def test_a_run_begins_from_gradients_where_the_plant_has_them() -> None:
-    assert starting(StrokeFin(), "single") is GRADIENT_SINGLE
-    assert starting(Numb()) is GRID
-    assert starting(StrokeFin(), "grid", "ppo") is GRID
+    assert starting(StrokeFin(), "single") == (GRADIENT_SINGLE, "gradient, as the plant has gradients")
+    assert starting(Numb()) == (GRID, "ppo, as the plant has no gradient: its slope is 0 throughout")
+    assert starting(StrokeFin(), "grid", "ppo") == (GRID, "ppo, as asked")
 
 
 def test_policies_of_a_grid_are_trained_for_all_that_they_hold() -> None:

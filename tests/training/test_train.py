@@ -15,9 +15,10 @@ from softfin.errors import ConfigurationError, RunError
 from softfin.quantities import Command
 from softfin.tracking.references import Cell
 from softfin.tracking.task import TaskConfig
-from softfin.training.policy import PolicyConfig
+from softfin.training.policy import Policy, PolicyConfig
 from softfin.training.ppo import PPOConfig
-from softfin.training.train import GRID, SINGLE, TrainConfig, Trained, _Run, train
+from softfin.training.score import Score
+from softfin.training.train import GRID, SINGLE, TrainConfig, Trained, _Programs, _Run, train
 from tests.plants import AnalyticFin, PlainFin
 from tests.surrogate.streaming import small as streaming
 
@@ -114,6 +115,18 @@ def test_a_loss_that_is_not_finite_stops_with_its_place_and_the_last_good_checkp
         trained(tmp_path, (5,), plant=Breaking())
     with safetensors.safe_open(tmp_path / ".out.unfinished" / CHECKPOINT, "numpy") as file:
         assert json.loads(file.metadata()["facts"])["updates"] == 1
+
+
+def test_scores_that_are_not_finite_stop_it_as_a_loss_does() -> None:
+    """Else a run of hours would end with policies that were never any good."""
+    run = object.__new__(_Run)
+    run.config, run.lanes = SMALL, [(5, 0), (5, 1)]
+    worst = Score(jnp.array([[[0.5, 0.5]], [[jnp.nan, 0.5]]]), jnp.zeros((2, 1, 2)))
+    run.programs = _Programs(None, None, lambda *given: worst)
+    run.given, run.references = None, jnp.zeros((2, 1, 2))
+    words = r"^train: the force while the policies are scored is not finite in update 3 of 4, seed 5, cell x 1.5 .. 2.5"
+    with pytest.raises(RunError, match=words):
+        run.score(jax.eval_shape(lambda: Policy.create(jax.random.key(0), SMALL.policy, 11)), 3)
 
 
 def test_a_budget_under_one_rollout_and_repeated_seeds_are_refused(tmp_path: Path) -> None:

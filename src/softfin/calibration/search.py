@@ -4,14 +4,13 @@ Its state is not saved but repeated: the same seed and the same losses lead to t
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
-import cma
 import numpy as np
 from jaxtyping import Float
 
 from softfin.calibration.parameters import Point
 from softfin.errors import RunError
+from softfin.evolution import cma_es
 from softfin.randomness import generator_of
 
 Losses = Float[np.ndarray, "generations population"]
@@ -32,7 +31,8 @@ def search(
         RunError: no tank of a generation has finite readings.
     """
     generations, population = losses.shape
-    strategy = _strategy(start, step, population, seed)
+    random = generator_of(seed, "calibrate/search")
+    strategy = cma_es(np.clip(start, 1e-3, 1 - 1e-3), step, random, popsize=population, bounds=[0.0, 1.0])
     losses = losses.copy()
     best, least = start, np.inf
     for generation in range(generations):
@@ -49,16 +49,3 @@ def search(
         if losses[generation, first] < least:
             best, least = points[first], float(losses[generation, first])
     return best, least
-
-
-def _strategy(start: Point, step: float, population: int, seed: int) -> Any:
-    generator = generator_of(seed, "calibrate/search")
-    # A seed of NaN and an own source of randomness keep the library from seeding NumPy for the whole process.
-    options = {
-        "bounds": [0.0, 1.0],
-        "popsize": population,
-        "randn": lambda *shape: generator.standard_normal(shape),
-        "seed": np.nan,
-        "verbose": -9,
-    }
-    return cma.CMAEvolutionStrategy(np.clip(start, 1e-3, 1 - 1e-3), step, options)

@@ -40,7 +40,8 @@ class Arguments(Armed, Configured):
     trim: bool = False
     """Take off, slowly, what the fin makes besides what it is asked for, from the measured mean force."""
     spread: float | None = None
-    """With the tank: each repetition in another one, material, water and servo within this part of theirs (0.15)."""
+    """With the tank: each repetition in another one, material, water and servo within this part of theirs, from 0 (the
+    same tank) to less than 1, such as 0.15."""
     moving: tuple[MovingReference, ...] = ()
     """References that move too, within the controller's range: --moving step, --moving ramp, --moving sine."""
     reference_file: ReferenceFile | None = None

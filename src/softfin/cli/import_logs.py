@@ -5,7 +5,7 @@ from pathlib import Path
 
 from softfin.cli.common import Common, progress
 from softfin.cli.kinds import Logs, Out
-from softfin.cli.log_options import LogOptions
+from softfin.cli.log_options import LogOptions, columns_read
 
 
 @dataclass(frozen=True, kw_only=True)

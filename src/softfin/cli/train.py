@@ -81,7 +81,7 @@ class Arguments(Configured):
                 stages.gaits(self.surrogate, Path(self.out), given, known=self.map, overwrite=self.overwrite,
                              progress=report)  # fmt: skip
             return self._tell((0,))
-        begin = starting(find_plant(self.surrogate), self.controller, self.algorithm)
+        begin, reason = starting(find_plant(self.surrogate), self.controller, self.algorithm)
         config = self.configured(begin, steps=self.steps, cells=cells)
         if config.algorithm != begin.algorithm:
             raise ConfigurationError(
@@ -89,10 +89,11 @@ class Arguments(Configured):
                 f"{config.algorithm}"
             )
         with progress() as report:
+            report("algorithm", 1.0, reason)
             stages.train(
                 self.surrogate, Path(self.out), config,
                 known=self.map, seeds=seeds, refine=self.refine, engine=self.engine, split=self.split,
-                cluster=self.cluster, resume=self.resume, overwrite=self.overwrite, progress=report,
+                cluster=self.cluster, reason=reason, resume=self.resume, overwrite=self.overwrite, progress=report,
             )  # fmt: skip
         return self._tell(seeds)
 

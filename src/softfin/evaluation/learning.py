@@ -33,7 +33,7 @@ def curves(entries: Sequence[Mapping[str, Any]]) -> list[Curve]:
     """Of each seed, the score against the steps, where the policies were scored."""
     first, second = (f"/score_{axis}_n" for axis in AXES)
     seeds = dict.fromkeys(name.removesuffix(first) for entry in entries for name in entry if name.endswith(first))
-    scored = {seed: [entry for entry in entries if seed + first in entry] for seed in seeds}
+    scored = {seed: [entry for entry in entries if entry.get(seed + first) is not None] for seed in seeds}
     return [
         ([entry["step"] for entry in each], [(entry[seed + first] + entry[seed + second]) / 2 for entry in each])
         for seed, each in scored.items()

@@ -60,7 +60,7 @@ def judge(
     ============================== ==================================================================================
     ``angle_rmse_rad``, ``mae``    over all rows
     ``force_x_rmse_n``, ``y``      over all rows; ``force_mae_n`` over both axes
-    ``angle_r2``, ``force_x_r2``   1 - square error / square deviation of what is measured
+    ``angle_r2``, ``force_x_r2``   1 - square error / square deviation of what is measured; not finite without any
     ``angle_dtw_KIND_rad``         mean over stretches; KIND as in `softfin.surrogate.metrics`
     ``force_dtw_KIND_n``           the same, mean over both axes
     ``..._dtw_KIND_scaled``        of the series divided by `spans`
@@ -77,8 +77,8 @@ def judge(
     scores = {f"{name}_rmse_{UNITS[name]}": value for name, value in rmse.items()}
     scores["angle_mae_rad"] = float(np.mean(np.abs(error["angle"])))
     scores["force_mae_n"] = float(np.mean([np.abs(error[f"force_{axis}"]) for axis in AXES]))
-    for name, value in rmse.items():
-        scores[f"{name}_r2"] = 1 - value**2 / float(np.var(actual[name]))
+    with np.errstate(divide="ignore", invalid="ignore"):  # of what never changes there is none
+        scores |= {f"{name}_r2": float(1 - np.square(value) / np.var(actual[name])) for name, value in rmse.items()}
     scores |= _warped(actual, said, spans)
     if measured.reading.angle.shape[1] < WINDOW:
         return Judgement(scores, None, None)

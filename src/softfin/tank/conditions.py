@@ -13,7 +13,11 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from pydantic import Field
 
 from softfin.configuration import Configuration
+from softfin.errors import ConfigurationError
 from softfin.tank.tank import Tank
+
+USUAL_PART = 0.15
+"""Part from which on temperature, drift and mount are spread as they usually are [-]."""
 
 
 class Spread(Configuration):
@@ -40,10 +44,21 @@ class Spread(Configuration):
 
     @classmethod
     def of(cls, part: float) -> "Spread":
-        """Material, water and servo within the same part of their values either side; temperature, drift and mount as
-        ever, and the fin's size, which is that of one fin."""
-        same = dict.fromkeys(("stiffness", "drag", "added_mass", "lag"), part)
-        return cls().merged(same, "spread")
+        """Material, water and servo within the same part of their values either side, on one and the same fin.
+
+        Temperature, drift and mount have their usual spread from a part of 0.15 on; below, it is smaller in proportion,
+        so that 0 is the very same tank. Raises ConfigurationError outside 0 <= part < 1.
+        """
+        if not 0 <= part < 1:
+            raise ConfigurationError(f"spread {part:g}: give a part from 0, the very same tank, to less than 1")
+        usual, share = cls(), min(1.0, part / USUAL_PART)
+        own = {name: share * getattr(usual, name) for name in ("temperature_c", "drift", "misalignment_rad")}
+        return usual.merged(own | dict.fromkeys(("stiffness", "drag", "added_mass", "lag"), part), "spread")
+
+    @property
+    def is_none(self) -> bool:
+        """Whether all widths are 0, so that every tank drawn is the very same one."""
+        return not any(self.model_dump().values())
 
 
 class Conditions(NamedTuple):
@@ -98,5 +113,5 @@ def under(tank: Tank, conditions: Conditions) -> Tank:
 
 
 def randomised(tank: Tank, key: PRNGKeyArray, spread: Spread | None = None) -> Tank:
-    """The tank under conditions that the key draws."""
-    return under(tank, draw(key, spread))
+    """The tank under conditions that the key draws; itself, to the last bit, where nothing is spread."""
+    return tank if spread is not None and spread.is_none else under(tank, draw(key, spread))

@@ -42,9 +42,16 @@ SMOOTHNESS: Mapping[str, Smoothness] = MappingProxyType({"sum": sobolev_sum, "me
 """The two forms of the Sobolev term by name."""
 
 
-def reward(error: PerAxis, smoothness: PerAxis, weight: PerAxis, smoothness_weight: PerAxis) -> Float[Array, ""]:
-    """r = -sum_d w_d (|F_e^d| + lambda_d S_d)."""
-    return -jnp.sum(weight * (error + smoothness_weight * smoothness))
+def reward(
+    error: Float[Array, "*batch 2"],
+    smoothness: Float[Array, "*batch 2"],
+    disagreement: Float[Array, "*batch 2"],
+    weight: PerAxis,
+    smoothness_weight: PerAxis,
+    disagreement_weight: float | int,
+) -> Float[Array, "*batch"]:
+    """r = -sum_d w_d (|F_e^d| + lambda_d S_d + mu D_d); the disagreement D of an ensemble is not the paper's."""
+    return -jnp.sum(weight * (error + smoothness_weight * smoothness + disagreement_weight * disagreement), axis=-1)
 
 
 def moving_average(forces: Float[Array, "samples 2"], window: int) -> Float[Array, "windows 2"]:

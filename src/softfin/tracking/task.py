@@ -47,6 +47,16 @@ class RewardConfig(Configuration):
     disagreement: NonNegativeFloat = 0.0
     """Weight of the deviation between the members of an ensemble, in their mean force while the action is held."""
 
+    def value(
+        self,
+        error: Float[Array, "*batch 2"],
+        smoothness: Float[Array, "*batch 2"],
+        disagreement: Float[Array, "*batch 2"],
+    ) -> Float[Array, "*batch"]:
+        """The reward [N] with these weights, of force errors, Sobolev terms and disagreements [N]."""
+        weights = jnp.asarray(self.weight), jnp.asarray(self.smoothness), self.disagreement
+        return reward(error, smoothness, disagreement, *weights)
+
 
 class SensingConfig(Configuration):
     """What stands between the shaft's angle and the policy; a simulator has neither."""
@@ -168,9 +178,10 @@ class ForceTracking:
         target = state.reference if self.config.reward.target == "now" else window_mean(asked, samples)
         outcome = self._judge(forces, samples, target, jnp.asarray(reading.force), disagreement)
         sensing = self.config.sensing
-        noise = sensing.noise_rad * jax.random.normal(jax.random.fold_in(jax.random.fold_in(state.key, age), 1))
-        drawn = state.references.draw(jax.random.fold_in(state.key, age))
-        reference, drift = self._moved(state, drawn, age % self.config.reference_actions == 0)
+        # A chain: each key is used once, so neither another action nor the next episode draws the same numbers.
+        key, noise_key, reference_key = jax.random.split(state.key, 3)
+        noise = sensing.noise_rad * jax.random.normal(noise_key)
+        reference, drift = self._moved(state, reference_key, age % self.config.reference_actions == 0)
         return TaskState(
             plant=plant,
             angle=reading.angle[-1 - sensing.delay_ticks] + noise,
@@ -182,15 +193,16 @@ class ForceTracking:
             asked=asked,
             samples=samples,
             age=age,
-            key=state.key,
+            key=key,
         ), outcome
 
     def _moved(
-        self, state: TaskState, drawn: Float[Array, "2"], due: Bool[Array, ""]
+        self, state: TaskState, key: PRNGKeyArray, due: Bool[Array, ""]
     ) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
-        """The reference of the next action and its drift; `drawn` is the one to go to where another is `due`."""
-        draw = jax.random.fold_in(jax.random.fold_in(state.key, state.age), 2)
-        ramp = jax.random.bernoulli(draw, self.config.ramps)
+        """The reference of the next action and its drift; where another is `due` it is drawn, to be gone to."""
+        drawn_key, ramp_key = jax.random.split(key)
+        drawn = state.references.draw(drawn_key)
+        ramp = jax.random.bernoulli(ramp_key, self.config.ramps)
         towards = (drawn - state.reference) / self.config.reference_actions
         drift = jnp.where(due, jnp.where(ramp, towards, 0), state.drift)
         return jnp.where(due & ~ramp, drawn, state.reference + drift), drift
@@ -217,9 +229,7 @@ class ForceTracking:
         config = self.config.reward
         error = window_error(forces, samples, reference)
         smoothness = SMOOTHNESS[config.sobolev](forces, samples)
-        value = reward(error, smoothness, jnp.asarray(config.weight), jnp.asarray(config.smoothness))
-        value -= config.disagreement * (jnp.asarray(config.weight) * disagreement).sum()
-        return Outcome(value, error, smoothness, fresh, disagreement)
+        return Outcome(config.value(error, smoothness, disagreement), error, smoothness, fresh, disagreement)
 
 
 def observation(

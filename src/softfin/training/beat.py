@@ -4,17 +4,21 @@ Six actions on the 33/33/34 clock fill the window of the moving average exactly,
 ripple in it. A gait here is actions ``(6, 2)`` in [-1, 1], (angle, velocity) over the plant's limits.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from itertools import product
 from typing import NamedTuple, TypeAlias
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from softfin.action_clock import CYCLE_ACTIONS, WINDOW
-from softfin.plant import Plant, hold
+from softfin.action_clock import ACTION_TICKS, CYCLE_ACTIONS, WINDOW
+from softfin.errors import PlantError, RunError, SoftfinError
+from softfin.plant import Plant, State, hold
+from softfin.plant_identity import jit_argument
 from softfin.quantities import AnyArray
 from softfin.tracking.reward import sobolev_mean
 from softfin.tracking.task import command_of
@@ -80,16 +84,55 @@ def families() -> list[Family]:
     return found
 
 
-def differentiable(plant: Plant) -> bool:
-    """Whether the mean force has a slope against the commands; one's own simulator may have none, or fail."""
+def missing_gradient(plant: Plant) -> str | None:
+    """Say why the force of a plant has no slope against its commands; None where it has one.
 
-    def force(gait: Gait) -> Float[Array, ""]:
-        return made(plant, gait, 2, jax.random.key(0)).force.sum()
-
+    Raises:
+        PlantError: the plant itself fails.
+        RunError: the computer fails, for want of memory for example.
+    """
     gait = jnp.asarray(families()[0].gaits[len(CENTRES) * len(AMPLITUDES) // 2])
+    with _failures_named(plant):
+        plant = jit_argument(plant)
+        jax.eval_shape(lambda gait: _stroke_force(gait, plant), gait)
+        try:
+            slope = np.asarray(_slope(gait, plant))
+        except (TypeError, ValueError, NotImplementedError) as error:
+            # The plant goes forward, so this is what JAX says where there is no derivative.
+            return f"JAX cannot differentiate it ({type(error).__name__}: {_first_line(error)})"
+    if not np.isfinite(slope).all():
+        return "its slope is not finite, as of a square root at 0"
+    return None if slope.any() else "its slope is 0 throughout"
+
+
+def _stroke_force(gait: Gait, plant: Plant) -> Float[Array, ""]:
+    """Mean force over six strokes from rest: one call of `advance` in a scan, so that little is compiled."""
+
+    def stroke(state: State, action: Float[Array, "2"]) -> tuple[State, Float[Array, "ticks 2"]]:
+        state, reading = plant.advance(state, command_of(plant.limits, action), ACTION_TICKS[0])
+        return state, jnp.asarray(reading.force)
+
+    _, force = jax.lax.scan(stroke, plant.init(jax.random.key(0)), jnp.asarray(gait))
+    return force.mean(axis=(0, 1)).sum()
+
+
+_slope = eqx.filter_jit(eqx.filter_grad(_stroke_force))
+
+
+@contextmanager
+def _failures_named(plant: Plant) -> Iterator[None]:
+    name = f"{type(plant).__name__}: whether its force has a slope cannot be found out"
+    out = "; --algorithm ppo trains without gradients"
     try:
-        slope = jax.jit(jax.grad(force))(gait)
-    except Exception:
-        # It is the user's code that is differentiated here, and it may fail in any way.
-        return False
-    return bool(jnp.isfinite(slope).all() and (slope != 0).any())
+        yield
+    except SoftfinError:
+        raise
+    except (MemoryError, jax.errors.JaxRuntimeError) as error:
+        raise RunError(f"{name}: {_first_line(error) or 'no memory left'}{out}") from error
+    except Exception as error:
+        # It is the user's code that runs here, and it may fail in any way.
+        raise PlantError(f"{name}: it raises {type(error).__name__}: {_first_line(error)}{out}") from error
+
+
+def _first_line(error: BaseException) -> str:
+    return next(iter(str(error).splitlines()), "")

@@ -12,7 +12,7 @@ from softfin.errors import PlantError
 from softfin.plant import Plant
 from softfin.tracking.reachable import Reachable
 from softfin.tracking.references import Cell
-from softfin.training.beat import differentiable
+from softfin.training.beat import missing_gradient
 from softfin.training.gaits import Found, GaitConfig, Lattice, find_gaits
 from softfin.training.survey import SurveyConfig, survey
 
@@ -54,16 +54,18 @@ class ForceMap(NamedTuple):
 def empty_map(lattice: Lattice, directions: int) -> ForceMap:
     """Of the shape of a map, to read one into."""
     nothing = np.zeros((*lattice.nodes, 2), np.float32)
-    return ForceMap(Found(lattice.table(), nothing, nothing), Reachable(np.zeros(2), np.zeros(directions)))
+    return ForceMap(
+        Found(lattice.table(), nothing, nothing), Reachable(np.zeros(2, np.float32), np.zeros(directions, np.float32))
+    )
 
 
 def map_forces(plant: Plant, config: MapConfig, report: Callable[[float, str], None] | None = None) -> ForceMap:
     """Survey a plant, find a gait for every node, and see how far they reach."""
 
-    if not differentiable(plant):
+    if (reason := missing_gradient(plant)) is not None:
         raise PlantError(
-            "map: the mean force of this plant has no slope against its commands, which the search for gaits follows; "
-            "record it (softfin collect), fit a surrogate (softfin fit) and map that"
+            "map: the mean force of this plant has no slope against its commands, which the search for gaits follows: "
+            f"{reason}; record it (softfin collect), fit a surrogate (softfin fit) and map that"
         )
 
     def part(begin: float, end: float) -> Callable[[float, str], None] | None:

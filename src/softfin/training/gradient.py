@@ -108,7 +108,7 @@ class Gradient:
         return GradientLane(policy, optimiser, restart(self.task, batch), lane.key), metrics
 
     def loss(self, policy: Policy, batch: Batch) -> tuple[Float[Array, ""], tuple[Batch, Metrics]]:
-        """Mean over the rollout of the window's force error and its Sobolev term [N]."""
+        """What the task's reward lacks of 0, a mean over the rollout, with force errors rounded near 0 [N]."""
         task = self.task
 
         def act(batch: Batch, ticks: int) -> tuple[Batch, Outcome]:
@@ -125,11 +125,9 @@ class Gradient:
             return batch, jax.tree.map(lambda *parts: jnp.stack(parts), *outcomes)
 
         batch, outcome = jax.lax.scan(cycle, batch, None, self.config.rollout_actions // len(ACTION_TICKS))
-        weights, rounding = task.config.reward, self.config.rounding_n
+        rounding = self.config.rounding_n
         rounded = jnp.sqrt(outcome.error**2 + rounding**2) - rounding
-        smooth = jnp.array(weights.smoothness) * outcome.smoothness
-        cost = jnp.array(weights.weight) * (rounded + smooth + weights.disagreement * outcome.disagreement)
-        loss = cost.sum(axis=-1).mean()
+        loss = -task.config.reward.value(rounded, outcome.smoothness, outcome.disagreement).mean()
         x, y = outcome.error.mean(axis=(0, 1, 2))
         return loss, (batch, {"loss": loss, "reward": outcome.reward.mean(), "error_x_n": x, "error_y_n": y})
 

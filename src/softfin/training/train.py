@@ -30,7 +30,7 @@ from softfin.tracking.reachable import Reachable
 from softfin.tracking.references import PAPER_CELLS, PAPER_RANGE, Cell, References, least_box, stack_references
 from softfin.tracking.switching import SwitchingConfig
 from softfin.tracking.task import ForceTracking, TaskConfig
-from softfin.training.beat import differentiable
+from softfin.training.beat import missing_gradient
 from softfin.training.ensemble import trained_in
 from softfin.training.force_map import ForceMap, empty_map, map_forces
 from softfin.training.gaits import GaitTable
@@ -133,11 +133,22 @@ STARTS: Mapping[tuple[Algorithm, PolicyLayout], TrainConfig] = MappingProxyType(
 """By algorithm and kind of controller."""
 
 
-def starting(plant: Plant, controller: PolicyLayout = "grid", algorithm: AlgorithmOption = "auto") -> TrainConfig:
+class Start(NamedTuple):
+    """What a run begins from."""
+
+    config: TrainConfig
+    reason: str
+    """The algorithm, and why it was chosen."""
+
+
+def starting(plant: Plant, controller: PolicyLayout = "grid", algorithm: AlgorithmOption = "auto") -> Start:
     """What a run begins from where nothing else is asked for; auto: gradients wherever the plant has them."""
-    if algorithm == "auto":
-        algorithm = "gradient" if differentiable(plant) else "ppo"
-    return STARTS[algorithm, controller]
+    if algorithm != "auto":
+        return Start(STARTS[algorithm, controller], f"{algorithm}, as asked")
+    missing = missing_gradient(plant)
+    if missing is None:
+        return Start(STARTS["gradient", controller], "gradient, as the plant has gradients")
+    return Start(STARTS["ppo", controller], f"ppo, as the plant has no gradient: {missing}")
 
 
 class TrainState(NamedTuple):
@@ -221,7 +232,7 @@ def train(
         steps = done * config.learning.steps_per_update
         scalars = run.by_seed(run.finite(metrics, done))
         if done in due:
-            scores = run.score(state.lanes.policy)
+            scores = run.score(state.lanes.policy, done)
             state = _keep_best(state, scores)
             scalars |= run.by_seed(_summary(scores))
         # Before the checkpoint: a resumed run drops entries that are too many, but cannot make up for one.
@@ -265,7 +276,7 @@ def common_start(
 def _begun(run: "_Run", state: TrainState, start: Policy) -> TrainState:
     """Lanes that go on from given policies, which count as the best ones so far."""
     lanes = begun_from(state.lanes, start)
-    return TrainState(lanes, lanes.policy, run.score(lanes.policy))
+    return TrainState(lanes, lanes.policy, run.score(lanes.policy, 0))
 
 
 def mapped(plant: Plant, config: TrainConfig, workspace: Workspace, progress: Progress | None) -> ForceMap | None:
@@ -359,21 +370,26 @@ class _Run:
         """One update of every lane."""
         return self.programs.update(self.given, lanes)
 
-    def score(self, policies: Policy) -> Score:
-        """Of every lane's policy without its noise."""
-        return self.programs.score(self.given, policies, self.references)
+    def score(self, policies: Policy, update: int) -> Score:
+        """Of every lane's policy without its noise; raises RunError where the plant's forces are not finite."""
+        scores = self.programs.score(self.given, policies, self.references)
+        self._check_finite("the force while the policies are scored", scores.error.sum(axis=(1, 2)), update)
+        return scores
 
     def finite(self, metrics: Metrics, update: int) -> Metrics:
         """The metrics; raises RunError where a lane's loss or its gradient is not finite."""
-        bad = np.flatnonzero(~np.isfinite(np.asarray(metrics["loss"] + metrics["gradient_norm"])))
+        self._check_finite("the loss", metrics["loss"] + metrics["gradient_norm"], update)
+        return metrics
+
+    def _check_finite(self, what: str, of_lanes: Array, update: int) -> None:
+        bad = np.flatnonzero(~np.isfinite(np.asarray(of_lanes)))
         if bad.size:
             seed, index = self.lanes[bad[0]]
             raise RunError(
-                f"train: the loss is not finite in update {update} of {self.config.updates}, seed {seed}, cell "
+                f"train: {what} is not finite in update {update} of {self.config.updates}, seed {seed}, cell "
                 f"{self.config.cells[index]}; lower {self.config.algorithm}.learning_rate "
                 "(the last good checkpoint is kept)"
             )
-        return metrics
 
     def by_seed(self, metrics: Metrics) -> dict[str, float]:
         """Means over the cells, named ``seedN/...``."""

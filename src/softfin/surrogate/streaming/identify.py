@@ -5,13 +5,14 @@ The mean of the absolute error, so that a stroke that the profile cannot explain
 
 from collections.abc import Sequence
 
-import cma
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from softfin.evolution import cma_es
 from softfin.quantities import TICK_S, AnyArray, Command, Log
+from softfin.randomness import generator_of
 from softfin.surrogate.streaming.profile import LONGEST_DELAY, Profile, ProfileConfig, ProfileState
 from softfin.surrogate.streaming.sequences import Stretch, Table
 
@@ -28,9 +29,11 @@ def identify(logs: Sequence[Log], seed: int) -> tuple[ProfileConfig, float]:
     errors = jax.jit(jax.vmap(lambda coded: _error(_profile(coded), stretch)))
     best, least = None, np.inf
     for start in range(STARTS):
-        options = {"popsize": POPULATION, "maxiter": GENERATIONS, "seed": _seed_of(seed, start), "verbose": -9,
-                   "tolx": 1e-6, "tolfun": 1e-8}  # fmt: skip
-        search = cma.CMAEvolutionStrategy(_guess(logs), 0.2 * (1 + start), options)
+        random = generator_of(seed, f"identify/{start}")
+        search = cma_es(
+            _guess(logs), 0.2 * (1 + start), random,
+            popsize=POPULATION, maxiter=GENERATIONS, tolx=1e-6, tolfun=1e-8,
+        )  # fmt: skip
         while not search.stop():
             asked = search.ask()
             search.tell(asked, np.asarray(errors(jnp.asarray(np.stack(asked), jnp.float32)), np.float64).tolist())
@@ -47,11 +50,6 @@ def identify(logs: Sequence[Log], seed: int) -> tuple[ProfileConfig, float]:
         lag_s=float(found.lag),
     )
     return config, float(least)
-
-
-def _seed_of(seed: int, start: int) -> int:
-    """From 1 to 2^31 - 1: NumPy's generator takes no more, and for 0 CMA-ES takes the clock."""
-    return 1 + (seed * STARTS + start) % (2**31 - 1)
 
 
 def _guess(logs: Sequence[Log]) -> Float[np.ndarray, "coefficients"]:
