@@ -163,7 +163,7 @@ def test_weights_that_are_a_pipe_are_not_waited_for(tmp_path):
     artifacts.save(tmp_path / "s", "surrogate", {}, {})
     (tmp_path / "s" / artifacts.WEIGHTS).unlink()
     os.mkfifo(tmp_path / "s" / artifacts.WEIGHTS)
-    with pytest.raises(ArtifactError, match="not a regular file"):
+    with pytest.raises(ArtifactError, match="a pipe, not a file"):
         artifacts.load(tmp_path / "s", "surrogate")
 
 

@@ -126,6 +126,7 @@ def check_onnx(path: Path, overwrite: bool) -> None:
 def find_rig_file(kind: Literal["rig", "ros2"], path: Path | None) -> Path:
     """The file of a rig, by default the one in the working folder; raises RigError where there is none."""
     path = path or (RIG_FILE if kind == "rig" else ROS2_FILE)
-    if not path.is_file():
+    if not path.exists():
         raise RigError(f"{path}: no such file; {RIG_HINTS[kind]}")
+    check_readable(path, RigError)
     return path
