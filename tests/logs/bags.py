@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import numpy as np
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 TYPES = get_typestore(Stores.ROS2_HUMBLE)
@@ -37,10 +37,18 @@ def array(angle, velocity):
     return TYPES.types["std_msgs/msg/Float64MultiArray"](layout, np.array([angle, velocity], float))
 
 
-def write_bag(path: Path, topics: dict, storage: StoragePlugin = StoragePlugin.MCAP, delay_s: float = 0.0) -> None:
+def write_bag(
+    path: Path,
+    topics: dict,
+    storage: StoragePlugin = StoragePlugin.MCAP,
+    delay_s: float = 0.0,
+    compression: CompressionMode = CompressionMode.NONE,
+) -> None:
     """`topics`: name to a list of (time, message); messages are logged `delay_s` after their time."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with Writer(path, version=9, storage_plugin=storage) as writer:
+    writer = Writer(path, version=9, storage_plugin=storage)
+    writer.set_compression(compression, CompressionFormat.ZSTD)
+    with writer:
         for topic, messages in topics.items():
             kind = messages[0][1].__msgtype__
             connection = writer.add_connection(topic, kind, typestore=TYPES)

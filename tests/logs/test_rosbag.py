@@ -2,9 +2,11 @@ import shutil
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import StoragePlugin
+import zstandard
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from softfin.errors import LogError
+from softfin.logs import mcap_chunks, rosbag
 from softfin.logs.clocks import logs_of
 from softfin.logs.importing import ImportConfig
 from softfin.logs.rosbag import read_bag
@@ -164,3 +166,30 @@ def test_a_bags_description_is_bounded_before_its_reader_gets_it(tmp_path):
     (tmp_path / "run" / "metadata.yaml").write_text("a: [" + ",".join(["[" * 200 + "]" * 200] * 200) + "]")
     with pytest.raises(LogError, match="nested more than 20 deep"):
         read_bag(tmp_path / "run", "run", "train", ImportConfig())
+
+
+@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
+def test_a_bag_may_be_compressed_as_a_whole_or_message_by_message(tmp_path, columns, mode):
+    topics = topics_of(columns, rows=200)
+    write_bag(tmp_path / "plain", topics, StoragePlugin.SQLITE3)
+    write_bag(tmp_path / "packed", topics, StoragePlugin.SQLITE3, compression=mode)
+    (plain,), (packed,) = (opened(tmp_path / name)[0] for name in ("plain", "packed"))
+    np.testing.assert_array_equal(packed.log.reading.force, plain.log.reading.force)
+
+
+def test_a_file_that_inflates_without_end_is_no_bag(tmp_path, columns, monkeypatch):
+    monkeypatch.setattr(mcap_chunks, "LARGEST", 2**22)
+    write_bag(tmp_path / "run", topics_of(columns, rows=200), StoragePlugin.SQLITE3, compression=CompressionMode.FILE)
+    (file,) = (tmp_path / "run").glob("*.zstd")
+    file.write_bytes(zstandard.compress(bytes(2**24)))
+    with pytest.raises(LogError, match=r"zstd: inflates to more than 200 times its size: it is no recording"):
+        opened(tmp_path / "run")
+
+
+def test_a_message_that_inflates_without_end_is_not_read(tmp_path, columns, monkeypatch):
+    monkeypatch.setattr(rosbag, "LONGEST_MESSAGE", 20)
+    write_bag(
+        tmp_path / "run", topics_of(columns, rows=200), StoragePlugin.SQLITE3, compression=CompressionMode.MESSAGE
+    )
+    with pytest.raises(LogError, match="a message of over 20 bytes"):
+        opened(tmp_path / "run")

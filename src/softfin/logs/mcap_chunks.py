@@ -34,6 +34,9 @@ RECORDS = 2**20
 
 WINDOW = 2**20
 
+_ZSTD = (b"\x28\xb5\x2f\xfd", *(bytes((first, 0x2A, 0x4D, 0x18)) for first in range(0x50, 0x60)))
+"""How zstd's frames begin."""
+
 RECORD_HEAD = struct.Struct("<BQ")
 """Opcode and length."""
 
@@ -91,11 +94,28 @@ def _inflated(data: bytes, compression: bytes, expected: int) -> bytes:
         return found
     if compression != b"zstd":
         raise UnreadableChunk("a chunk of unknown compression")
+    return inflated_zstd(data, expected)
+
+
+def inflated_zstd(data: bytes, most: int) -> bytes:
+    """What zstd has packed; more than `most` bytes, and not all of them, where it is more."""
     whole = bytearray()
     with zstandard.ZstdDecompressor(max_window_size=LARGEST).stream_reader(data) as stream:
-        while len(whole) <= expected and (some := stream.read(WINDOW)):
+        while len(whole) <= most and (some := stream.read(WINDOW)):
             whole += some
     return bytes(whole)
+
+
+def check_inflated_size(file: BinaryIO, held: int) -> None:
+    """Raise LogError where a file that is compressed as a whole inflates to more than any recording."""
+    if file.read(4) not in _ZSTD:
+        return
+    file.seek(0)
+    decompressor, length = zstandard.ZstdDecompressor(max_window_size=LARGEST), 0
+    with decompressor.stream_reader(file, read_across_frames=True, closefd=False) as stream:
+        while some := stream.read(WINDOW):
+            length += len(some)
+            check_cost(held, length, 0)
 
 
 def check_cost(held: int, length: int, count: int) -> None:

@@ -3,13 +3,14 @@
 A message's own stamp counts where every message of the topic has one, else the time at which it was logged.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
@@ -20,6 +21,7 @@ from softfin.logs.bag_scan import check_bag
 from softfin.logs.columns import converted
 from softfin.logs.findings import Finding, Place
 from softfin.logs.importing import TOPICS, ImportConfig
+from softfin.logs.mcap_chunks import bytes_held, check_inflated_size, inflated_zstd
 from softfin.logs.recording import Part, Recording, Track
 from softfin.logs.topics import DEFAULT_TOPICS
 from softfin.printable import printable
@@ -38,6 +40,9 @@ CHANNELS = {
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 """ROS 2's own definitions, not the bag's: readers make code of definitions, and a bag is anybody's."""
+
+LONGEST_MESSAGE = 2**20
+"""Bytes of a message that is read; ours have 100 to 300."""
 
 LISTED = 12
 """Topics in a message, at most."""
@@ -60,7 +65,7 @@ def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recordi
             if file.suffix == ".mcap":
                 check_bag(file)
             elif not file.is_dir():
-                regular_file(file)
+                _check_file(file)
         with Reader(path) as reader:
             topics = _topics(reader, config, path)
             tracks, findings = [], []
@@ -84,6 +89,29 @@ def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recordi
         text = "no velocity in the joint's messages: it is the central difference of the angle"
         findings.append(Finding("note", "velocity derived", Place(name, "velocity"), text))
     return Recording(name, part, _joined(tracks), tuple(findings))
+
+
+def _check_file(file: Path) -> None:
+    with regular_file(file).open("rb") as content:
+        try:
+            check_inflated_size(content, bytes_held(content, file.stat().st_size))
+        except LogError as error:
+            raise LogError(f"{file}: {error}") from None
+
+
+def _unpacked(reader: Reader, connections: list[Connection]) -> Iterator[tuple[int, bytes]]:
+    """Time of logging and bytes of each message; rosbags would inflate them to any size."""
+    metadata = reader.storage.metadata
+    packed = metadata.compression_mode == "message"
+    reader.storage.metadata = metadata._replace(compression_mode=None)
+    try:
+        for _, stamp, raw in reader.messages(connections):
+            data = inflated_zstd(raw, LONGEST_MESSAGE) if packed else raw
+            if len(data) > LONGEST_MESSAGE:
+                raise LogError(f"{_plain(connections[0].topic)}: a message of over {LONGEST_MESSAGE:,} bytes")
+            yield stamp, data
+    finally:
+        reader.storage.metadata = metadata
 
 
 def _joined(tracks: list[Track]) -> tuple[Track, ...]:
@@ -119,7 +147,7 @@ def _track(reader: Reader, role: str, topic: str, joint: str, path: Path, name: 
         raise LogError(f"{where}: messages of several types; record one type on each topic")
     values = _values(kind, joint, where)
     logged, stamped, rows = _rows(
-        ((stamp, STORE.deserialize_cdr(raw, kind)) for _, stamp, raw in reader.messages(connections)), values
+        ((stamp, STORE.deserialize_cdr(data, kind)) for stamp, data in _unpacked(reader, connections)), values
     )
     if not rows:
         raise LogError(f"{where}: no messages; record the {role} too")
