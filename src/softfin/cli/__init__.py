@@ -7,6 +7,7 @@ import importlib.metadata
 import os
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 COMMANDS = {
     "collect": "record motions of a fin, random or chosen by a surrogate, and its force as a dataset",
@@ -75,8 +76,9 @@ def _run(name: str, words: list[str]) -> None:
     debug = "--debug" in words
     # The readers of these lines want theirs, not XLA's notes on how it compiles.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
-    arguments = importlib.import_module(f"softfin.cli.{name.replace('-', '_')}").Arguments
+    arguments: Any = None
     try:
+        arguments = importlib.import_module(f"softfin.cli.{name.replace('-', '_')}").Arguments
         command = options.parse(arguments, words)
         command.check()
         command.run()
