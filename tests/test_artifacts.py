@@ -1,5 +1,7 @@
 import errno
 import json
+import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -39,9 +41,82 @@ def test_a_failed_write_leaves_what_was_there(tmp_path, failure):
 
 def test_a_folder_is_replaced_whole(tmp_path):
     for version in (1, 2):
-        artifacts.save(tmp_path / "thing", "surrogate", {"version": version}, {})
+        artifacts.save(tmp_path / "thing", "surrogate", {"version": version}, {}, overwrite=version == 2)
     assert artifacts.load_description(tmp_path / "thing", "surrogate") == {"version": 2}
     assert files_in(tmp_path) == ["thing"]
+
+
+def test_a_folder_is_exchanged_where_the_system_has_no_call_for_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(artifacts.ctypes, "CDLL", lambda *_, **__: object())
+    test_a_folder_is_replaced_whole(tmp_path)
+
+
+def test_what_a_kill_left_neither_stops_a_writer_nor_is_touched_by_a_reader(tmp_path):
+    for leftover in (".thing.old", ".thing.partial"):
+        (tmp_path / leftover).mkdir()
+        (tmp_path / leftover / "surrogate.json").write_text("{}")
+    with pytest.raises(ArtifactError, match="no such folder"):
+        artifacts.load(tmp_path / "thing", "surrogate")
+    assert files_in(tmp_path) == [".thing.old", ".thing.partial"]
+    for version in (1, 2):
+        artifacts.save(tmp_path / "thing", "surrogate", {"version": version}, {}, overwrite=True)
+        assert artifacts.load(tmp_path / "thing", "surrogate")[0] == {"version": version}
+
+
+def test_a_finished_result_is_kept_where_its_place_was_taken_meanwhile(tmp_path):
+    def write(folder):
+        (folder / "result").write_text("hours of work")
+        (tmp_path / "thing").mkdir()
+        (tmp_path / "thing" / "surrogate.json").write_text("{}")
+
+    with pytest.raises(RunError, match=r"thing: is in use by now; the finished result is in .*thing.finished-1: move"):
+        artifacts.write_folder(tmp_path / "thing", write)
+    assert (tmp_path / "thing.finished-1" / "result").read_text() == "hours of work"
+    assert files_in(tmp_path) == ["thing", "thing.finished-1"]
+
+
+def test_a_finished_result_is_kept_where_the_exchange_fails(tmp_path, monkeypatch):
+    def busy(one, other):
+        raise OSError(errno.EBUSY, "Device or resource busy")
+
+    artifacts.save(tmp_path / "thing", "surrogate", {"version": 1}, {})
+    monkeypatch.setattr(artifacts, "_exchange", busy)
+    with pytest.raises(RunError, match=r"cannot be written \(Device or resource busy\); the finished result is in"):
+        artifacts.save(tmp_path / "thing", "surrogate", {"version": 2}, {}, overwrite=True)
+    assert artifacts.load(tmp_path / "thing", "surrogate")[0] == {"version": 1}
+    assert artifacts.load(tmp_path / "thing.finished-1", "surrogate")[0] == {"version": 2}
+
+
+def test_a_folder_is_on_the_disk_before_it_is_in_its_place(tmp_path, monkeypatch):
+    def note(descriptor):
+        place = Path(f"/proc/self/fd/{descriptor}").readlink()
+        synced.append((place.relative_to(tmp_path).as_posix(), (tmp_path / "thing").exists()))
+        fsync(descriptor)
+
+    synced, fsync = [], os.fsync
+    monkeypatch.setattr(os, "fsync", note)
+    artifacts.write_folder(tmp_path / "thing", lambda folder: (folder / "file").write_text("x"))
+    beside = f".thing.{os.getpid()}.partial"
+    assert synced == [(f"{beside}/file", False), (beside, False), (".", True)]
+
+
+@pytest.mark.parametrize("there", [{}, {"surrogate.json": "{}"}])
+def test_a_folder_is_replaced_only_where_that_was_asked(tmp_path, there):
+    (tmp_path / "thing").mkdir()
+    (tmp_path / "thing" / "mine").write_text("precious")
+    for name, text in there.items():
+        (tmp_path / "thing" / name).write_text(text)
+    with pytest.raises(RunError, match="is in use by now"):
+        artifacts.write_folder(tmp_path / "thing", lambda folder: None, overwrite=not there)
+    assert (tmp_path / "thing" / "mine").read_text() == "precious"
+
+
+def test_a_place_that_cannot_be_written_is_refused_before_the_work(tmp_path):
+    (tmp_path / "file").write_text("")
+    for out, why in ((tmp_path / "file" / "a" / "out", "Not a directory"), (tmp_path / ("x" * 300), "name too long")):
+        with pytest.raises(ArtifactError, match=rf"(out|x): cannot be written .*{why}.*give another --out"):
+            artifacts.check_vacant(out)
+    assert files_in(tmp_path) == ["file"]
 
 
 def test_nothing_of_the_user_is_replaced(tmp_path):

@@ -4,7 +4,8 @@ import jax.numpy as jnp
 import pytest
 
 from softfin.errors import ConfigurationError, PlantError
-from softfin.plants import find_plant
+from softfin.live import is_live
+from softfin.plants import find_plant, is_surrogate
 from softfin.quantities import Limits
 from softfin.surrogate import Surrogate, save_surrogate
 from softfin.tank import Tank
@@ -44,6 +45,21 @@ def test_a_tank_of_ones_own_numbers_is_found_by_its_file(tmp_path):
 def test_an_unknown_plant_is_refused_with_the_ways_out(name, words):
     with pytest.raises(PlantError, match=words):
         find_plant(name)
+
+
+@pytest.mark.parametrize("name", ["tank", "rig", "ros2"])
+def test_a_folder_hides_no_plant_and_is_found_by_its_path(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    save_surrogate(tmp_path / name, small.surrogate(), None, {})
+    assert is_live(name) is (name != "tank")
+    assert not is_surrogate(name)
+    if name == "tank":
+        assert isinstance(find_plant(name), Tank)
+    else:
+        with pytest.raises(PlantError, match=f"moves in real time .* the folder of this name is ./{name}$"):
+            find_plant(name)
+    assert isinstance(find_plant(f"./{name}"), Surrogate)
+    assert is_surrogate(f"./{name}")
 
 
 def test_a_folder_that_is_no_surrogate_is_no_plant(tmp_path):

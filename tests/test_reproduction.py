@@ -7,7 +7,7 @@ from softfin.evaluation.evaluate import EvaluateConfig, Evaluation
 from softfin.evaluation.experiment import Recording
 from softfin.evaluation.scores import Scores
 from softfin.quantities import Command, Reading
-from softfin.reproduction import ReproduceConfig, _together
+from softfin.reproduction import RESULTS, ReproduceConfig, _Reproduction, _together
 
 ROWS = np.zeros((1, 1, 3))
 RECORDING = Recording(np.zeros((1, 2)), Command(ROWS, ROWS), Reading(ROWS, ROWS, ROWS, np.zeros((1, 1, 3, 2))))
@@ -37,3 +37,20 @@ def test_experiments_that_a_reproduction_does_not_do_are_refused(asked):
     (name,) = asked
     with pytest.raises(ConfigurationError, match=rf"evaluate\.{name} is .* leave it out, .* softfin evaluate"):
         ReproduceConfig.build({"evaluate": asked})
+
+
+def test_a_complete_run_is_kept_until_the_one_that_replaces_it_is_complete(tmp_path):
+    out, kept = tmp_path / "run", tmp_path / ".run.replaced"
+
+    def claim(overwrite):
+        _Reproduction("tests.plants:AnalyticFin", out, ReproduceConfig(), 0, None).claim(False, overwrite)
+
+    claim(False)
+    assert not kept.exists()
+    (out / RESULTS).write_text("of the first run")
+    claim(True)
+    assert (kept / RESULTS).read_text() == "of the first run"
+    assert not (out / RESULTS).exists()
+    # The second run is stopped, and a third one begun.
+    claim(True)
+    assert (kept / RESULTS).read_text() == "of the first run"

@@ -63,6 +63,9 @@ def test_logs_are_recorded_one_by_one_and_a_stopped_collection_goes_on(tmp_path)
 
         told = []
         data = collect_live(bench, out, CONFIG, yes, resume=True, progress=lambda *words: told.append(words))
+        again = collect_live(bench, out, CONFIG, yes, resume=True, progress=lambda *words: told.append("moved"))
+    assert again.data_hash == data.data_hash
+    assert "moved" not in told
     assert (bags / "train-0000.parquet").read_bytes() == first
     assert (bags / "test-000.cut-1.mcap").exists()
     assert (len(data.train), len(data.test)) == (1, 1)

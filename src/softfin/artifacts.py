@@ -1,16 +1,21 @@
 """Folders on disk that describe themselves: a JSON beside ``weights.safetensors``, written whole or not at all.
 
-A folder is written beside its place and renamed into it, so a crash leaves the old one or the new one. No pickle.
+A folder is written beside its place, reaches the disk, and is exchanged with what is there in one step, so a crash
+leaves the old one or the new one. Whoever reads writes nothing. No pickle.
 NumPy and safetensors are imported where weights are read or written: the command line looks at folders without them.
 """
 
 import contextlib
+import ctypes
+import errno
 import importlib.metadata
+import itertools
 import json
 import os
 import platform
 import shutil
 import subprocess
+import tempfile
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -37,14 +42,29 @@ KINDS = (
 
 
 def check_vacant(path: Path, overwrite: bool = False) -> None:
-    """Raise unless a folder may be written at `path`: vacant, or a softfin folder and `overwrite`."""
-    recover(path)
-    if not path.exists() or (path.is_dir() and not any(path.iterdir())):
-        return
-    if not overwrite:
-        raise ArtifactError(f"{path}: exists already; give another --out, or --overwrite to replace it")
-    if not path.is_dir() or not any(is_kind(path, kind) for kind in KINDS):
-        raise ArtifactError(f"{path}: exists and is no folder of softfin's, so it is not replaced; give another --out")
+    """Raise ArtifactError unless a folder may be written at `path`: vacant, or a softfin folder and `overwrite`.
+
+    To be called before the work whose result is written there: a place that cannot be written is refused as well.
+    """
+    check_writable(path)
+    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+        if not overwrite:
+            raise ArtifactError(f"{path}: exists already; give another --out, or --overwrite to replace it")
+        if not path.is_dir() or not any(is_kind(path, kind) for kind in KINDS):
+            raise ArtifactError(
+                f"{path}: exists and is no folder of softfin's, so it is not replaced; give another --out"
+            )
+
+
+def check_writable(path: Path) -> None:
+    """Raise ArtifactError unless a file or folder can be made at `path`; tried, since rights do not tell all."""
+    parent = path.absolute().parent
+    while not parent.exists():
+        parent = parent.parent
+    try:
+        Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=parent)).rmdir()
+    except OSError as error:
+        raise ArtifactError(f"{path}: cannot be written ({parent}: {error.strerror}); give another --out") from None
 
 
 def is_kind(path: Path, kind: str) -> bool:
@@ -52,38 +72,85 @@ def is_kind(path: Path, kind: str) -> bool:
     return (path / f"{kind}.json").is_file()
 
 
-def write_folder(path: Path, write: Callable[[Path], None]) -> None:
-    """Let `write` fill a folder beside `path`, then rename it into place, replacing what was there."""
-    path = path.absolute()
-    recover(path)
-    beside, old = path.with_name(f".{path.name}.partial"), _old(path)
+def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = False) -> None:
+    """Let `write` fill a folder beside `path`, then put it in its place in one step; `overwrite` replaces a folder.
+
+    Raises:
+        RunError: the folder cannot be written, or not put in its place; once filled, it is kept, and the message says
+            where.
+    """
+    path = path.resolve()
+    beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         shutil.rmtree(beside, ignore_errors=True)
         beside.mkdir(parents=True)
         write(beside)
-        if path.exists():
-            path.rename(old)
-        beside.rename(path)
-    except OSError as error:
-        raise RunError(f"{path}: cannot be written ({error.strerror or error}); what was there is left") from None
-    finally:
+        for place in (*beside.rglob("*"), beside):
+            _sync(place)
+    except BaseException as error:
         shutil.rmtree(beside, ignore_errors=True)
-        recover(path)
-        shutil.rmtree(old, ignore_errors=True)
+        if isinstance(error, OSError):
+            raise RunError(f"{path}: cannot be written ({error.strerror or error}); what was there is left") from None
+        raise
+    try:
+        check_vacant(path, overwrite)
+        if path.exists():
+            _exchange(beside, path)
+        else:
+            beside.rename(path)
+        _sync(path.parent)
+    except (OSError, ArtifactError) as error:
+        kept = _unused(path, "finished")
+        beside.rename(kept)
+        reason = f"cannot be written ({error.strerror or error})" if isinstance(error, OSError) else "is in use by now"
+        raise RunError(f"{path}: {reason}; the finished result is in {kept}: move it where it is wanted") from None
+    shutil.rmtree(beside, ignore_errors=True)
 
 
-def recover(path: Path) -> None:
-    """Put back a folder that a kill left between the two renames of `write_folder`."""
-    if not path.exists() and _old(path).exists():
-        _old(path).rename(path)
+def _unused(path: Path, word: str) -> Path:
+    names = (path.with_name(f"{path.name}.{word}-{number}") for number in itertools.count(1))
+    return next(name for name in names if not name.exists())
 
 
-def _old(path: Path) -> Path:
-    return path.absolute().with_name(f".{path.name}.old")
+def _exchange(one: Path, other: Path) -> None:
+    """Swap two folders in one step; where the system has no such call, by three renames, of which no step loses one."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    names = os.fsencode(one), os.fsencode(other)
+    if hasattr(libc, "renameat2"):
+        failed = libc.renameat2(AT_FDCWD, names[0], AT_FDCWD, names[1], RENAME_EXCHANGE)
+    elif hasattr(libc, "renamex_np"):
+        failed = libc.renamex_np(*names, RENAME_EXCHANGE)
+    else:
+        failed, _ = -1, ctypes.set_errno(errno.ENOSYS)
+    if not failed:
+        return
+    if ctypes.get_errno() not in (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP):
+        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()), str(other))
+    before = _unused(other, "before")
+    other.rename(before)
+    one.rename(other)
+    before.rename(one)
+
+
+AT_FDCWD, RENAME_EXCHANGE = -100, 2
+"""Of Linux's renameat2(2); macOS's renamex_np takes the same flag."""
+
+
+def _sync(place: Path) -> None:
+    """Have a file or folder on the disk, so that a cut of power does not leave a name without its content."""
+    descriptor = os.open(place, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        # Some file systems cannot do so with folders, and do it by themselves.
+        if not (place.is_dir() and error.errno in (errno.EINVAL, errno.ENOTSUP, errno.EBADF)):
+            raise
+    finally:
+        os.close(descriptor)
 
 
 def write_file(path: Path, data: bytes | str) -> None:
-    """Write a file beside its place and rename it into it."""
+    """Write a file beside its place and, once it is on the disk, rename it into it."""
     beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -91,7 +158,9 @@ def write_file(path: Path, data: bytes | str) -> None:
         # Never through a link that somebody put there.
         with beside.open("xb") as file:
             file.write(data if isinstance(data, bytes) else data.encode())
+        _sync(beside)
         beside.replace(path)
+        _sync(path.parent)
     except OSError as error:
         raise RunError(f"{path}: cannot be written ({error.strerror or error})") from None
     finally:
@@ -105,8 +174,9 @@ def save(
     description: Mapping[str, Any],
     weights: Weights,
     also: Callable[[Path], None] | None = None,
+    overwrite: bool = False,
 ) -> None:
-    """Write ``KIND.json``, the weights and what `also` adds as one folder."""
+    """Write ``KIND.json``, the weights and what `also` adds as one folder; likewise."""
 
     def write(folder: Path) -> None:
         # Bytes through Path: safetensors' own writer hides a full disk, and makes files that others cannot read.
@@ -115,7 +185,7 @@ def save(
         if also is not None:
             also(folder)
 
-    write_folder(path, write)
+    write_folder(path, write, overwrite)
 
 
 def encode(weights: Weights, metadata: dict[str, str] | None = None) -> bytes:
@@ -142,7 +212,6 @@ def load(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Array]]:
 
 def load_description(path: Path, kind: str) -> dict[str, Any]:
     """The JSON of a folder of one kind: dataset, surrogate, controller."""
-    recover(path)
     return read_json(find_description(path, kind))
 
 

@@ -23,6 +23,9 @@ from softfin.errors import ArtifactError, RunError
 Tree = TypeVar("Tree")
 
 CHECKPOINT = "checkpoint.safetensors"
+TRAINING_LOG = "training"
+"""Sub-folder of a finished artifact: ``log.jsonl``, the event file for TensorBoard, and of which run they are."""
+RUN = "run.json"
 LOG = "log.jsonl"
 
 
@@ -35,16 +38,21 @@ class Workspace:
         Args:
             out: where the finished artifact will stand.
             fingerprint: what must be the same for a resumed run to be the same run: configuration, data, seed.
-            resume: go on from the checkpoint that is there, if one is.
+            resume: go on from the checkpoint that is there, if one is; of a run that is `complete` nothing is left to
+                do.
             overwrite: drop unfinished work.
 
         Raises:
             ArtifactError: unfinished work is there and neither was asked for, or it, or a part of it, is that of
                 another run.
         """
-        artifacts.check_vacant(out, overwrite)
         self.folder = out.absolute().with_name(f".{out.absolute().name}.unfinished")
         self.fingerprint = json.loads(artifacts.dump_json(fingerprint))
+        self.complete = resume and not overwrite and self._is_complete(out / TRAINING_LOG / RUN)
+        """Whether the finished artifact of this very run stands at `out`."""
+        if self.complete:
+            return
+        artifacts.check_vacant(out, overwrite)
         # Also those of parts.
         found = sorted(self.folder.rglob(CHECKPOINT))
         if resume:
@@ -101,8 +109,21 @@ class Workspace:
         self.folder.mkdir(parents=True, exist_ok=True)
         return RunLog(self.folder, rewind_to)
 
-    def keep_log(self, folder: Path) -> None:
-        """Copy the training log, and those of parts, to `folder`, a part of the finished artifact."""
+    def _is_complete(self, file: Path) -> bool:
+        if not file.is_file():
+            return False
+        if (before := artifacts.read_json(file)) != self.fingerprint:
+            raise ArtifactError(
+                f"{file.parents[1]}: is complete, of another run ({_differences(before, self.fingerprint)}); give the "
+                "same options, another --out, or --overwrite"
+            )
+        return True
+
+    def keep_log(self, artifact: Path) -> None:
+        """Copy the training log, and those of parts, into a finished artifact, and say there of which run it is."""
+        folder = artifact / TRAINING_LOG
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / RUN).write_text(artifacts.dump_json(self.fingerprint))
         for log in sorted(self.folder.rglob(LOG)):
             kept = folder / log.parent.relative_to(self.folder)
             kept.mkdir(parents=True, exist_ok=True)

@@ -101,6 +101,7 @@ def check_view(path: Path, overwrite: bool) -> None:
         raise ArtifactError(f"{path}: exists already; give another --out, or --overwrite to replace it")
     if path.suffix == ".mp4":
         find_ffmpeg(path)
+    artifacts.check_writable(path)
 
 
 def find_ffmpeg(path: Path) -> str:
@@ -119,6 +120,7 @@ def check_onnx(path: Path, overwrite: bool) -> None:
     if path.exists() and not (overwrite and path.is_file()):
         what = "exists already; give another --onnx, or --overwrite to replace it"
         raise ArtifactError(f"{path}: {what if path.is_file() else 'is no file; give another --onnx'}")
+    artifacts.check_writable(path)
 
 
 def find_rig_file(kind: Literal["rig", "ros2"], path: Path | None) -> Path:

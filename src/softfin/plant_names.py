@@ -1,4 +1,4 @@
-"""What a plant's name stands for: ``tank``, a YAML file, a surrogate's folder, ``package.module:plant``; no JAX."""
+"""What a plant is called: ``tank``, a YAML file, a surrogate's folder, ``package.module:plant``; no JAX here."""
 
 import importlib
 import sys
@@ -9,9 +9,12 @@ from typing import Any, Literal, TypeAlias
 
 from softfin import artifacts
 from softfin.errors import PlantError
-from softfin.live import is_live
+from softfin.live import TANK, is_live
 
-HELP = "tank, the YAML file of a tank, the folder of a surrogate, or package.module:plant (one's own simulator)"
+HELP = (
+    "tank, the YAML file of a tank, the folder of a surrogate (./NAME where it is called as a plant is), or "
+    "package.module:plant (one's own simulator)"
+)
 
 PlantKind: TypeAlias = Literal["tank", "tank file", "surrogate", "object"]
 """The virtual tank, the tank of a YAML file, the surrogate in a folder, or an object of a Python module."""
@@ -21,8 +24,11 @@ def resolve_plant(name: str) -> PlantKind:
     """The kind of plant that `name` stands for; raises PlantError with what there is."""
     path = Path(name)
     if is_live(name):
-        raise PlantError(f"plant {name}: moves in real time and cannot be simulated; collect, evaluate and run take it")
-    if name == "tank":
+        folder = f"; the folder of this name is ./{name}" if path.exists() else ""
+        raise PlantError(
+            f"plant {name}: moves in real time and cannot be simulated; collect, evaluate and run take it{folder}"
+        )
+    if name == TANK:
         return "tank"
     if path.suffix in (".yaml", ".yml") and path.is_file():
         return "tank file"

@@ -1,16 +1,12 @@
 """Finding a plant by what a user calls it: ``tank``, a tank's YAML, a surrogate's folder, ``package.module:plant``."""
 
-import hashlib
 from pathlib import Path
 from typing import Any
-
-import equinox as eqx
-import jax
-import numpy as np
 
 from softfin import artifacts
 from softfin.configuration import read_yaml
 from softfin.errors import PlantError
+from softfin.live import TANK, is_live
 from softfin.plant import Plant
 from softfin.plant_names import import_object, resolve_plant, running_user_code
 
@@ -31,18 +27,7 @@ def find_plant(name: str) -> Plant:
 
 def is_surrogate(name: str) -> bool:
     """Whether `name` stands for a surrogate's folder."""
-    return name != "tank" and artifacts.is_kind(Path(name), "surrogate")
-
-
-def identity(plant: Plant) -> str:
-    """What kind of plant, and a hash of all its arrays and settings: equal for equal plants in every process."""
-    arrays, rest = eqx.partition(plant, eqx.is_array)
-    digest = hashlib.sha256()
-    for leaf in jax.tree.leaves(arrays):
-        digest.update(np.asarray(leaf).tobytes())
-    # Of a plant that JAX knows nothing of, the whole object is one leaf, and its text may hold an address.
-    digest.update(str(jax.tree.structure(rest)).encode())
-    return f"{type(plant).__module__}.{type(plant).__qualname__} {digest.hexdigest()[:16]}"
+    return name != TANK and not is_live(name) and artifacts.is_kind(Path(name), "surrogate")
 
 
 def _built(name: str, plant: Any) -> Plant:

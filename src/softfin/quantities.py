@@ -4,26 +4,36 @@ Axes: thrust that pushes the robot forward is +x. At angle theta the fin points 
 shaft. Forces are those of the fin on its mount.
 """
 
-import sys
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
-
-if TYPE_CHECKING:
-    from jax import Array
-else:
-    # What runs on a robot must not wait for JAX, which takes a second, nor need it; what computes with JAX arrays has
-    # imported it before.
-    Array = sys.modules["jax"].Array if "jax" in sys.modules else np.ndarray
 
 RATE_HZ = 100
 """Readings a second: the rate of the paper's logs (Sec. III-A) and of every plant."""
 
 TICK_S = 1 / RATE_HZ
 
-AnyArray = Array | np.ndarray
-"""In a compiled program a JAX array, in files and figures a NumPy one; float32 in both."""
+if TYPE_CHECKING:
+    from jax import Array
+
+    AnyArray: TypeAlias = Array | np.ndarray
+else:
+
+    @runtime_checkable
+    class AnyArray(Protocol):
+        """In a compiled program a JAX array, in files and figures a NumPy one; float32 in both.
+
+        Told by what it has: what runs on a robot must neither wait for JAX, which takes a second, nor need it.
+        """
+
+        @property
+        def shape(self) -> tuple[int, ...]:
+            """Lengths of its axes."""
+
+        @property
+        def dtype(self) -> Any:
+            """Type of its numbers."""
 
 
 class Command(NamedTuple):

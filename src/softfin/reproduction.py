@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from pydantic import Field, PositiveInt, model_validator
 
 from softfin import artifacts, stages
-from softfin.checkpoint import LOG, read_log
+from softfin.checkpoint import LOG, TRAINING_LOG, read_log
 from softfin.choices import ReproducePreset
 from softfin.configuration import Configuration
 from softfin.errors import ArtifactError
@@ -27,7 +27,8 @@ from softfin.evaluation.report import write_report
 from softfin.evaluation.scores import Scores
 from softfin.logs.collect import CollectConfig
 from softfin.logs.dataset import Dataset
-from softfin.plants import find_plant, identity, is_surrogate
+from softfin.plant_identity import identity
+from softfin.plants import find_plant, is_surrogate
 from softfin.quantities import RATE_HZ
 from softfin.stages import Progress
 from softfin.surrogate import FitConfig, StreamingConfig, Surrogate, load_surrogate
@@ -36,6 +37,7 @@ from softfin.surrogate.predict import predict
 from softfin.training.train import GRADIENT_GRID, GRADIENT_SINGLE, GRID, SINGLE, TrainConfig
 
 KIND = "reproduction"
+RESULTS = "results.json"
 CONTROLLERS = ("single", "grid")
 SHOWN_S = 8
 """Length of the stretch of a test log in the report [s]."""
@@ -122,7 +124,6 @@ def reproduce(
         "configuration": config.model_dump(mode="json"),
         "provenance": artifacts.provenance(seed=seed, plant=plant),
     }
-    artifacts.write_file(out / "results.json", artifacts.dump_json(results))
     write_report(
         out / "report.html",
         results,
@@ -132,6 +133,9 @@ def reproduce(
             f"{kind} controller, seed {seed}": experiments_figure(e.recording) for kind, (_, e) in judged.items()
         },
     )
+    # Last: it says that the run is complete.
+    artifacts.write_file(out / RESULTS, artifacts.dump_json(results))
+    shutil.rmtree(run.replaced, ignore_errors=True)
     return results
 
 
@@ -145,9 +149,13 @@ class _Reproduction:
         self.dataset, self.wall_s = out / "dataset", dict[str, float]()
         self.surrogate = Path(plant) if is_surrogate(plant) else out / "surrogate"
         self.seeds = tuple(range(seed, seed + config.seeds))
+        self.replaced = out.absolute().with_name(f".{out.absolute().name}.replaced")
 
     def claim(self, resume: bool, overwrite: bool) -> None:
-        """Take the folder for this run, or take it over from a stopped run with the same options."""
+        """Take the folder for this run, or take it over from a stopped run with the same options.
+
+        A complete run that is to be replaced is kept beside it until this one is complete.
+        """
         facts = {
             "plant": identity(find_plant(self.plant)), "seed": self.seed,
             "configuration": self.config.model_dump(mode="json"),
@@ -160,6 +168,9 @@ class _Reproduction:
                                     "same options, or give another --out")  # fmt: skip
             return
         artifacts.check_vacant(self.out, overwrite)
+        if (self.out / RESULTS).is_file():
+            shutil.rmtree(self.replaced, ignore_errors=True)
+            self.out.rename(self.replaced)
         shutil.rmtree(self.out, ignore_errors=True)
         artifacts.write_file(self.out / f"{KIND}.json", artifacts.dump_json(facts))
         artifacts.write_file(self.out / "configuration.yaml", yaml.safe_dump(facts["configuration"], sort_keys=False))
@@ -205,13 +216,13 @@ class _Reproduction:
                 each.append(stages.judged(path, plant, self.config.evaluate.model_copy(update={"seed": seed})))
             whole = _together(each)
             facts = {"controller": kind, "plant": plant, "repetitions": "controllers trained from different seeds"}
-            judged[kind] = write_evaluation(whole, self.out / folder / kind, facts), whole
+            judged[kind] = write_evaluation(whole, self.out / folder / kind, facts, overwrite=True), whole
         self.wall_s[folder] = time.perf_counter() - start
         return judged
 
     def learning_figures(self) -> dict[str, Figure]:
         """Reward over the steps, and the error of the policies without their noise."""
-        logs = {kind: read_log(self.out / kind / stages.TRAINING_LOG / LOG) for kind in CONTROLLERS}
+        logs = {kind: read_log(self.out / kind / TRAINING_LOG / LOG) for kind in CONTROLLERS}
 
         def curves(*names: str) -> dict[str, Any]:
             return {kind: [_curve(log, seed, names) for seed in self.seeds] for kind, log in logs.items()}

@@ -13,7 +13,7 @@ from softfin import artifacts
 from softfin.calibration.calibrate import calibrate as _calibrate
 from softfin.calibration.config import CalibrateConfig
 from softfin.calibration.material import material
-from softfin.checkpoint import Workspace
+from softfin.checkpoint import TRAINING_LOG, Workspace
 from softfin.choices import EngineName, Split
 from softfin.control.known import known_of
 from softfin.control.map_store import described
@@ -42,10 +42,19 @@ from softfin.logs.inspection import Inspection
 from softfin.logs.recordings import Opened, check_train, open_logs
 from softfin.paths import check_view
 from softfin.plant import Plant
-from softfin.plants import find_plant, identity
+from softfin.plant_identity import identity
+from softfin.plants import find_plant
 from softfin.quantities import Limits
 from softfin.randomness import key_of
-from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig, StreamingSurrogate, Surrogate, save_surrogate
+from softfin.surrogate import (
+    AutoConfig,
+    FitConfig,
+    StreamingConfig,
+    StreamingSurrogate,
+    Surrogate,
+    load_surrogate,
+    save_surrogate,
+)
 from softfin.surrogate import import_keras as _import_keras
 from softfin.surrogate.active import ActiveCollectConfig, chooser
 from softfin.surrogate.choice import fit_any
@@ -66,9 +75,6 @@ from softfin.viewing.view import draw, footage_of, title_of
 
 Progress = Callable[[str, float, str], None]
 """Called with what is going on, how much of it is done (0 .. 1), and the newest figures."""
-
-TRAINING_LOG = "training"
-"""Sub-folder of an artifact with ``log.jsonl`` and the event file for TensorBoard."""
 
 
 def collect(
@@ -103,7 +109,7 @@ def collect(
         if progress is not None:
             progress("collect", rows / of, f"{rows:,} of {of:,} rows")
 
-    return _collect(moving, config, out, others, report, facts, commands, before)
+    return _collect(moving, config, out, others, report, facts, commands, before, overwrite)
 
 
 def _commands(
@@ -139,7 +145,7 @@ def inspect_logs(
     }
     if out is None:
         return {**opened.inspection.described(), **facts}
-    return write_inspection(opened.inspection, opened.logs, out, facts)
+    return write_inspection(opened.inspection, opened.logs, out, facts, overwrite)
 
 
 def import_logs(
@@ -157,7 +163,7 @@ def import_logs(
     check_train(opened, str(path))
     check_accepted(opened.findings, str(path), accept)
     facts = {**opened.facts, "accepted": accept, "provenance": artifacts.provenance()}
-    return write_dataset(out, opened.train, opened.test, facts), opened.inspection
+    return write_dataset(out, opened.train, opened.test, facts, overwrite), opened.inspection
 
 
 def fit(
@@ -179,29 +185,32 @@ def fit(
     have errors, unless they are accepted, now or when the dataset was imported.
     """
     config = config or StreamingConfig()
-    artifacts.check_vacant(out, overwrite)
+    artifacts.check_vacant(out, overwrite or resume)
     opened = _opened(dataset, logs, accept, progress)
     facts = {"configuration": config.model_dump(mode="json"), "seed": seed, "data_hash": opened.data_hash}
     workspace = Workspace(out, facts, resume, overwrite)
-    test = opened.test
-    check_lengths(test, SKIPPED, "test")
-    if test:
-        measured_scaling(test)
-    surrogate, evidence = fit_any(opened.train, config, seed, workspace, progress)
-    scores = table_one(surrogate, test) if test else None
-    provenance = artifacts.provenance(seed=seed, data_hash=opened.data_hash, dataset=str(dataset), **opened.facts)
-    save_surrogate(
-        out, surrogate, scores, provenance,
-        also=lambda folder: workspace.keep_log(folder / TRAINING_LOG), configuration=facts["configuration"],
-        training_range=training_range(opened.train), fin=_fin_of(dataset),
-        **({} if evidence is None else {"candidates": evidence}),
-    )  # fmt: skip
+    if not workspace.complete:
+        test = opened.test
+        check_lengths(test, SKIPPED, "test")
+        if test:
+            measured_scaling(test)
+        fitted, evidence = fit_any(opened.train, config, seed, workspace, progress)
+        provenance = artifacts.provenance(seed=seed, data_hash=opened.data_hash, dataset=str(dataset), **opened.facts)
+        save_surrogate(
+            out, fitted, table_one(fitted, test) if test else None, provenance,
+            also=workspace.keep_log, overwrite=overwrite, configuration=facts["configuration"],
+            training_range=training_range(opened.train), fin=_fin_of(dataset),
+            **({} if evidence is None else {"candidates": evidence}),
+        )  # fmt: skip
     workspace.finish()
-    counts = opened.inspection.summary()["counts"]
-    caveat = surrogate.interval.caveat() if isinstance(surrogate, StreamingSurrogate) else None
+    description, surrogate = artifacts.load_description(out, "surrogate"), load_surrogate(out)
     return {
-        "model": surrogate.model, "table_i": scores, "candidates": evidence, "findings": counts, "caveat": caveat
-    }  # fmt: skip
+        "model": surrogate.model,
+        "table_i": description["scores"],
+        "candidates": description.get("candidates"),
+        "findings": opened.inspection.summary()["counts"],
+        "caveat": surrogate.interval.caveat() if isinstance(surrogate, StreamingSurrogate) else None,
+    }
 
 
 def _opened(dataset: Path, config: ImportConfig | None, accept: bool, progress: Progress | None) -> Opened:
@@ -233,17 +242,18 @@ def calibrate(
 ) -> dict[str, Any]:
     """Fit the virtual tank to a dataset or to a plant; writes ``calibration.json``, ``tank.yaml`` and figures."""
     config = config or CalibrateConfig()
-    artifacts.check_vacant(out, overwrite)
+    artifacts.check_vacant(out, overwrite or resume)
     found = material(data, config, seed)
     facts = {"configuration": config.model_dump(mode="json"), "seed": seed, **found.facts}
     workspace = Workspace(out, facts, resume, overwrite)
+    if workspace.complete:
+        workspace.finish()
+        return artifacts.load_description(out, "calibration")
     calibration = _calibrate(config, found.train, found.test, seed, workspace, progress)
     named = str(data) if isinstance(data, str | Path) else type(data).__name__
     origin = artifacts.provenance(seed=seed, data=named, **found.facts)
     written = {"configuration": facts["configuration"], "provenance": origin}
-    summary = write_calibration(
-        calibration, found.beats, out, written, lambda folder: workspace.keep_log(folder / TRAINING_LOG)
-    )
+    summary = write_calibration(calibration, found.beats, out, written, workspace.keep_log, overwrite)
     workspace.finish()
     return summary
 
@@ -286,7 +296,7 @@ def compare(
         "configuration": config.model_dump(mode="json"),
         "provenance": artifacts.provenance(seed=config.seed, data_hash=data.data_hash),
     }
-    return {**comparison.summary(), **facts} if out is None else write_comparison(comparison, out, facts)
+    return {**comparison.summary(), **facts} if out is None else write_comparison(comparison, out, facts, overwrite)
 
 
 def import_keras(posnet: Path, forcenet: Path, scalers: Path, out: Path, *, overwrite: bool = False) -> Surrogate:
@@ -294,7 +304,7 @@ def import_keras(posnet: Path, forcenet: Path, scalers: Path, out: Path, *, over
     artifacts.check_vacant(out, overwrite)
     surrogate = _import_keras(posnet, forcenet, scalers)
     sources = {"posnet": posnet.name, "forcenet": forcenet.name, "scalers": scalers.name}
-    save_surrogate(out, surrogate, None, artifacts.provenance(imported_from=sources))
+    save_surrogate(out, surrogate, None, artifacts.provenance(imported_from=sources), overwrite=overwrite)
     return surrogate
 
 
@@ -311,7 +321,7 @@ def map_forces(
     artifacts.check_vacant(out, overwrite)
     moving = find_plant(plant) if isinstance(plant, str) else plant
     known = _map_forces(moving, config, None if progress is None else partial(progress, "map"))
-    write_map(out, known, config, Limits(*map(float, moving.limits)), _origin(plant, moving))
+    write_map(out, known, config, Limits(*map(float, moving.limits)), _origin(plant, moving), overwrite)
     missed = known.found.missed()
     return {
         "map": str(out),
@@ -346,7 +356,7 @@ def gaits(
     else:
         raise ConfigurationError(f"map {known}: its lattice is made; give no configuration or range beside it")
     origin = _origin(plant, moving, **({} if known is None else {"map": str(known)}))
-    save_gaits(out, found, config, Limits(*map(float, moving.limits)), origin, learnt=learnt_from(plant))
+    save_gaits(out, found, config, Limits(*map(float, moving.limits)), origin, None, learnt_from(plant), overwrite)
 
 
 def _origin(plant: str | Plant, moving: Plant, **facts: Any) -> dict[str, Any]:
@@ -396,16 +406,18 @@ def train(
         "map": None if can is None else described(can),
     }
     workspace = Workspace(out, facts, resume, overwrite)
+    if workspace.complete:
+        return workspace.finish()
     trained = train_jobs(moving, config, seeds, workspace, progress, engine=working, split=split, known=can)
     if refine:
         trained, parents = refined(moving, trained, refine, workspace.part(REFINED), progress)
         origin |= {"refined_from": [cell.model_dump(mode="json") for cell in config.cells], "parents": list(parents)}
 
     def save(folder: Path, seed: int, also: Callable[[Path], None] | None = None) -> None:
-        save_controller(folder, trained, seed, origin | {"seed": seed}, also, learnt)
+        save_controller(folder, trained, seed, origin | {"seed": seed}, also, learnt, overwrite)
 
     def keep_log(folder: Path) -> None:
-        workspace.keep_log(folder / TRAINING_LOG)
+        workspace.keep_log(folder)
         write_learning(folder / TRAINING_LOG)
 
     def save_all(folder: Path) -> None:
@@ -417,7 +429,7 @@ def train(
     if len(seeds) == 1:
         save(out, seeds[0], keep_log)
     else:
-        artifacts.write_folder(out, save_all)
+        artifacts.write_folder(out, save_all, overwrite)
     workspace.finish()
 
 
@@ -447,7 +459,7 @@ def evaluate(
         return evaluation.summary()
     facts = {"controller": str(controller), "kind": kind_of(controller), "plant": str(plant),
              "spread": None if widths is None else widths.model_dump(mode="json")}  # fmt: skip
-    return write_evaluation(evaluation, out, facts)
+    return write_evaluation(evaluation, out, facts, overwrite)
 
 
 def view(

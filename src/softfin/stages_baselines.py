@@ -37,7 +37,7 @@ def baselines(
         "configuration": config.model_dump(mode="json"),
         "provenance": artifacts.provenance(seed=config.seed),
     }
-    return write_baselines(found, out, facts)
+    return write_baselines(found, out, facts, overwrite)
 
 
 def _named(plant: str | Plant) -> str:

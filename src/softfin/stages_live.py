@@ -68,12 +68,16 @@ def collect_live(
     With `resume` those that are finished already are taken over. Raises SafetyStop where the fin had to be stopped;
     what was recorded until then is kept.
     """
-    artifacts.check_vacant(out, overwrite)
+    artifacts.check_vacant(out, overwrite or resume)
     bags = bags_of(out)
     facts = {"configuration": config.model_dump(mode="json"), "fin": bench.fin, "rig": bench.described}
     # Where the devices are reached may change from one day to the next.
     same = facts | {"rig": {name: part for name, part in bench.described.items() if name not in ("bus", "sensor")}}
     _check_claim(bags, same, resume)
+    if resume and not overwrite and artifacts.is_kind(out, "dataset"):
+        # The recordings beside it are those of this collection, and it is written when they are complete.
+        return Dataset.open(out)
+    artifacts.check_vacant(out, overwrite)
     names = [f"{part}-{i:0{PARTS[part]}d}" for part, count in _counts(config).items() for i in range(count)]
     missing = [name for name in names if not (bags / f"{name}.parquet").exists()]
     counters: dict[str, int] = {}
@@ -100,7 +104,7 @@ def collect_live(
         **facts,
     }
     train, test = ([bags / f"{name}.parquet" for name in names if name.startswith(part)] for part in PARTS)
-    return write_dataset(out, map(read_log, train), map(read_log, test), described)
+    return write_dataset(out, map(read_log, train), map(read_log, test), described, overwrite)
 
 
 def evaluate_live(

@@ -14,6 +14,7 @@ from softfin.action_clock import ACTION_TICKS
 from softfin.deployment.conformance import check_machine
 from softfin.errors import PlantError
 from softfin.plant import Plant, State, roll
+from softfin.plant_identity import identity
 from softfin.quantities import TICK_S, Command, Limits, Reading
 
 __all__ = ["check_machine", "check_plant"]
@@ -25,7 +26,8 @@ def check_plant(plant: Any) -> None:
     """Raise PlantError, with what is wrong and what is asked, unless `plant` meets the contract.
 
     Checked: the members, the limits, shapes and types, time, finite readings at the corners of the limits, that the
-    same state and command give the same readings (purity), that ticks held are ticks one by one, and that `jit`,
+    same state and command give the same readings (purity), that it can be told from plants with other parameters
+    (`softfin.plant_identity.identity`), that ticks held are ticks one by one, and that `jit`,
     `vmap`, `scan` and `grad` go through.
     """
     if not isinstance(plant, Plant):
@@ -35,6 +37,7 @@ def check_plant(plant: Any) -> None:
     key = jax.random.key(0)
     state = _ask(plant, "init", key)
     _check_purity(plant, state)
+    _check_identity(plant)
     _check_batches(plant)
     stroke = jax.jit(lambda state, command: plant.advance(state, command, STROKE_TICKS))
     for angle in (limits.angle_min, limits.angle_max):
@@ -80,6 +83,12 @@ def _check_purity(plant: Plant, state: State) -> None:
               "a plant keeps everything, random keys too, in its state")  # fmt: skip
     if not np.allclose(first.time, TICK_S * np.arange(1, STROKE_TICKS + 1), atol=TICK_S / 4):
         _fail(plant, f"time goes {np.asarray(first.time)[:3]} ...", "each tick is 0.01 s and time starts at 0")
+
+
+def _check_identity(plant: Plant) -> None:
+    if identity(plant) != identity(plant):
+        _fail(plant, "is another program each time it is traced",
+              "init and advance neither draw numbers nor count calls outside the state")  # fmt: skip
 
 
 def _check_shapes(plant: Plant, reading: Reading) -> None:

@@ -16,7 +16,7 @@ from softfin.control.known import known_of
 from softfin.control.map_store import load_map, save_map
 from softfin.control.store import load_controller, save_gaits
 from softfin.errors import ArtifactError
-from softfin.plants import identity
+from softfin.plant_identity import identity
 from softfin.quantities import PAPER_LIMITS
 from softfin.tracking.reachable import Reachable
 from softfin.training.force_map import ForceMap, MapConfig

@@ -340,6 +340,39 @@ def test_the_watchdog_sleeps_while_nothing_may_move():
         assert session.trip is None
 
 
+def test_a_guard_begins_anew_with_each_activation():
+    made = Made(following_s=0.1)
+    with made.session as session:
+        session.activate()
+        made.machine.altered = lambda sample: sample._replace(following_error=0.5)
+        for _ in range(8):
+            session.tick()
+        # Behind its profile for 80 ms, then without power for less than any pause that the guard would notice itself.
+        session.deactivate()
+        made.hours.now += 0.3
+        session.activate()
+        for _ in range(8):
+            session.tick()
+        with pytest.raises(SafetyStop, match="behind its profile"):
+            ticks(session)
+
+
+def test_what_is_read_while_the_drive_is_being_enabled_is_not_held_against_it():
+    made = Made(following_s=0.1)
+    enable = made.machine.enable
+
+    def slowly() -> None:
+        made.hours.now += 0.5
+        enable()
+
+    made.machine.enable = slowly
+    made.machine.altered = lambda sample: sample._replace(following_error=0.5)
+    with made.session as session:
+        session.activate()
+        session.tick()
+        assert session.state == "active"
+
+
 def test_threads_end_with_the_session():
     def watchdogs():
         return sum(thread.name == "watchdog" for thread in threading.enumerate())

@@ -54,12 +54,22 @@ def test_each_command_reads_what_the_one_before_wrote(capsys, tmp_path, monkeypa
     description = json.loads((tmp_path / "surrogate" / "surrogate.json").read_text())
     assert description["provenance"]["data_hash"] == made["data_hash"]
     assert (tmp_path / "surrogate" / TRAINING_LOG / "log.jsonl").is_file()
+    words = ("fit", dataset, "--model", "paper", "--config", config, "--out", surrogate)
+    assert run(capsys, *words, "--resume") == fitted
+    with pytest.raises(SystemExit) as stop:
+        main([*words, "--seed", "7", "--resume"])
+    assert stop.value.code == 2
+    assert "surrogate: is complete, of another run (seed was 0 and is 7); give the" in capsys.readouterr().err
+    assert json.loads((tmp_path / "surrogate" / "surrogate.json").read_text()) == description
 
     for kind, cells in (("single", CELLS[:1]), ("grid", CELLS)):
         controller, judged = str(tmp_path / kind), str(tmp_path / f"{kind}-judged")
         config = write(tmp_path / f"{kind}.yaml", {**TRAIN, "cells": cells})
-        trained = run(capsys, "train", surrogate, "--controller", kind, "--algorithm", "ppo",
-                      "--config", config, "--out", controller)  # fmt: skip
+        words = (
+            "train", surrogate, "--controller", kind, "--algorithm", "ppo", "--config", config, "--out", controller
+        )  # fmt: skip
+        trained = run(capsys, *words)
+        assert run(capsys, *words, "--resume") == trained
         assert {row["cell"] for row in trained["scores"]} == set(range(len(cells)))
         scored = run(
             capsys, "evaluate", controller, "--plant", PLANT, "--reference=1,0", "--seconds", "3", "--seeds", "2",

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from softfin import artifacts
-from softfin.checkpoint import LOG, Workspace, read_log
+from softfin.checkpoint import LOG, TRAINING_LOG, Workspace, read_log
 from softfin.errors import ArtifactError, LogError, RunError
 from softfin.surrogate import FitConfig, load_surrogate, save_surrogate
 from softfin.surrogate.fit import fit, window_starts
@@ -107,8 +107,8 @@ def test_the_training_logs_of_parts_are_kept(tmp_path):
         record.close()
     workspace.keep_log(tmp_path / "kept")
     for name in (".", "0", "1"):
-        assert read_log(tmp_path / "kept" / name / LOG) == [{"step": 1, "loss": 0.5}]
-        assert list((tmp_path / "kept" / name).glob("events.*"))
+        assert read_log(tmp_path / "kept" / TRAINING_LOG / name / LOG) == [{"step": 1, "loss": 0.5}]
+        assert list((tmp_path / "kept" / TRAINING_LOG / name).glob("events.*"))
 
 
 def test_damaged_work_is_refused_by_name(tmp_path):

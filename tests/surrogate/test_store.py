@@ -8,7 +8,7 @@ import pytest
 from softfin import artifacts
 from softfin.errors import ArtifactError
 from softfin.plant import roll
-from softfin.plants import identity
+from softfin.plant_identity import identity
 from softfin.quantities import PAPER_LIMITS, Command
 from softfin.surrogate import StreamingSurrogate, Surrogate, load_surrogate, save_surrogate
 from softfin.surrogate.streaming.force import Motion

@@ -17,8 +17,8 @@ from softfin.tracking.references import Cell
 from softfin.tracking.task import TaskConfig
 from softfin.training.policy import PolicyConfig
 from softfin.training.ppo import PPOConfig
-from softfin.training.train import GRID, SINGLE, TrainConfig, Trained, train
-from tests.plants import AnalyticFin
+from softfin.training.train import GRID, SINGLE, TrainConfig, Trained, _Run, train
+from tests.plants import AnalyticFin, PlainFin
 from tests.surrogate.streaming import small as streaming
 
 SMALL = TrainConfig(
@@ -144,3 +144,17 @@ def test_the_log_says_how_often_policies_leave_the_data_of_a_surrogate_that_know
     assert 0 <= entry["seed0/score_beyond_data"] <= 1
     trained(tmp_path / "other", config=one)
     assert not any("seed0/score_beyond_data" in entry for entry in log_of(tmp_path / "other"))
+
+
+def test_policies_are_scored_in_the_plant_as_it_is_now() -> None:
+    def error(plant: PlainFin) -> Any:
+        run = _Run(plant, SMALL, (0,), None)
+        return np.asarray(run.score(run.start().lanes.policy).error)
+
+    plant = PlainFin(gain=0.1)
+    before = error(plant)
+    plant._fin = AnalyticFin(gain=2.0)
+    after = error(plant)
+    assert (after != before).any()
+    np.testing.assert_array_equal(after, error(PlainFin(gain=2.0)))
+    np.testing.assert_array_equal(before, error(PlainFin(gain=0.1)))

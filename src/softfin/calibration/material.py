@@ -14,7 +14,8 @@ from softfin.calibration.pieces import Pieces, channels, excited
 from softfin.errors import ArtifactError, ConfigurationError
 from softfin.logs.dataset import Dataset
 from softfin.plant import Plant, State, hold
-from softfin.plants import find_plant, identity
+from softfin.plant_identity import identity
+from softfin.plants import find_plant
 from softfin.quantities import RATE_HZ, Command, Limits, Log, Reading
 from softfin.randomness import key_of
 

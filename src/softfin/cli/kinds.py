@@ -29,8 +29,7 @@ def logs(metavar: str = "LOGS") -> Option:
 
 def _check_vacant(path: Path, command: Any) -> None:
     # With --resume the stage decides whether what is there is the run that goes on.
-    if not getattr(command, "resume", False):
-        artifacts.check_vacant(path, command.overwrite)
+    artifacts.check_vacant(path, command.overwrite or getattr(command, "resume", False))
 
 
 def _check_any_plant(name: str, _: Any) -> None:

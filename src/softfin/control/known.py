@@ -9,7 +9,7 @@ from softfin import artifacts
 from softfin.control.map_store import KIND, load_map
 from softfin.errors import ArtifactError
 from softfin.plant import Plant
-from softfin.plants import identity
+from softfin.plant_identity import identity
 from softfin.training.force_map import ForceMap, MapConfig
 
 

@@ -26,6 +26,7 @@ def save_map(
     limits: Limits,
     provenance: dict[str, Any],
     also: Callable[[Path], None] | None = None,
+    overwrite: bool = False,
 ) -> None:
     """Write a map, whole or not at all; `also` adds files to the folder."""
     description = {
@@ -35,7 +36,7 @@ def save_map(
         "configuration": config.model_dump(mode="json"),
         "provenance": provenance,
     }  # fmt: skip
-    artifacts.save(path, KIND, description, arrays(known.found), also)
+    artifacts.save(path, KIND, description, arrays(known.found), also, overwrite)
 
 
 def load_map(path: Path) -> tuple[ForceMap, Limits]:

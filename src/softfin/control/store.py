@@ -50,6 +50,7 @@ def save_controller(
     provenance: dict[str, Any],
     also: Callable[[Path], None] | None = None,
     learnt: Mapping[str, Any] = UNKNOWN,
+    overwrite: bool = False,
 ) -> None:
     """Write the controller of one seed, whole or not at all; `also` adds files to the folder.
 
@@ -76,7 +77,9 @@ def save_controller(
         "configuration": config.model_dump(mode="json"),
         "provenance": provenance,
     }
-    artifacts.save(path, KIND, description, {name: np.asarray(leaf) for name, leaf in named(policy).items()}, also)
+    artifacts.save(
+        path, KIND, description, {name: np.asarray(leaf) for name, leaf in named(policy).items()}, also, overwrite
+    )
 
 
 def save_gaits(
@@ -87,6 +90,7 @@ def save_gaits(
     provenance: dict[str, Any],
     also: Callable[[Path], None] | None = None,
     learnt: Mapping[str, Any] = UNKNOWN,
+    overwrite: bool = False,
 ) -> None:
     """Write a map's gaits as a controller; likewise."""
     table = known.found.table
@@ -107,7 +111,7 @@ def save_gaits(
         "configuration": config.model_dump(mode="json"),
         "provenance": provenance,
     }  # fmt: skip
-    artifacts.save(path, KIND, description, arrays(known.found), also)
+    artifacts.save(path, KIND, description, arrays(known.found), also, overwrite)
 
 
 AnyController: TypeAlias = SingleController | GridController | GaitController

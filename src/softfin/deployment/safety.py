@@ -78,6 +78,9 @@ class Trip(NamedTuple):
 
 ACCELERATION_TICKS = 3
 
+PAUSE_S = 1.0
+"""Two checks further apart than this are not of one motion [s]; within one, `overrun_s` allows no such gap."""
+
 
 class Guard:
     """Looks at every tick; the first thing that is wrong is returned."""
@@ -85,11 +88,17 @@ class Guard:
     def __init__(self, config: SafetyConfig, limits: Limits, trained: TrainingRange | None = None) -> None:
         self.config, self.limits = config, limits
         self.trained = trained if config.training_margin is not None else None
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the samples so far: what lasted before a pause of the motor has not lasted through it."""
+        config = self.config
         self._force, self._torque = _Mean(config.sustained_s), _Mean(config.sustained_s)
         self._current = _Mean(config.sustained_s)
         self._outside = _Mean(1.0)
         self._velocities: list[tuple[float, float]] = []
         self._followed: float | None = None
+        self._checked: float | None = None
 
     def check_target(self, target: Target) -> Trip | None:
         """A command that is about to be issued."""
@@ -115,6 +124,9 @@ class Guard:
     def check(self, sample: Sample, now: float, late: float = 0.0) -> Trip | None:
         """A sample that has just been read, `late` after its tick was due [s]."""
         config = self.config
+        if self._checked is not None and now - self._checked > PAUSE_S:
+            self.restart()
+        self._checked = now
         if sample.complaints:
             return Trip("device", sample.complaints[0])
         known = (value for value in (sample.current, sample.following_error) if value is not None)

@@ -162,6 +162,8 @@ class Session:
         limits = self.machine.limits
         here = min(max(sample.angle, limits.angle_min), limits.angle_max)
         self.machine.enable()
+        # Whatever was read without power says nothing about the motion that begins here.
+        self.guard.restart()
         self.state = "active"
         self._tell(f"active: {self.machine.name}")
         self.pace.start()
@@ -171,6 +173,7 @@ class Session:
     def _well(self) -> Sample:
         """The first sample with which all is well; what was not read for a while needs a moment to be fresh again."""
         self.pace.start()
+        self.guard.restart()
         trip: Trip | None = None
         for _ in range(round(FRESH_S * RATE_HZ)):
             sample = self.tick()

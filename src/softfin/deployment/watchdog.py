@@ -1,4 +1,10 @@
-"""A watchdog above the loop: whatever keeps the loop from ticking must not keep the fin moving."""
+"""A watchdog above the loop: a loop that does not tick any more must not keep the fin moving.
+
+It is a thread of the same Python interpreter. A loop that is stuck in C code which holds the interpreter's lock stops
+this thread, too, as a stopped process or a computer that hangs does. Then the rig's drive stops the motor itself: the
+loop's own thread sends the host's heartbeat, and without it for `drive.heartbeat_s` the drive faults (0x8130). Behind
+ROS 2's topics there is no such heartbeat: the fin's driver has to notice that commands are missing.
+"""
 
 import threading
 import time
@@ -8,7 +14,7 @@ from softfin.deployment.safety import SafetyConfig
 
 
 class Watchdog:
-    """A thread that stops the machine when the loop is silent: a controller that hangs must not leave it moving."""
+    """A thread that stops the machine when the loop is silent, as where a controller waits for ever."""
 
     def __init__(
         self, config: SafetyConfig, bite: Callable[[float], None], clock: Callable[[], float] = time.monotonic

@@ -200,7 +200,9 @@ class _Judged:
         self.sines(name, found.sine, also)
 
 
-def write_baselines(baselines: Baselines, out: Path, facts: Mapping[str, Any]) -> dict[str, Any]:
+def write_baselines(
+    baselines: Baselines, out: Path, facts: Mapping[str, Any], overwrite: bool = False
+) -> dict[str, Any]:
     """Write ``baselines.json`` as a folder; returns its content.
 
     ``baselines`` holds a summary by name, laid out as in ``evaluation.json``, and in each of its references, as
@@ -212,7 +214,7 @@ def write_baselines(baselines: Baselines, out: Path, facts: Mapping[str, Any]) -
     def write(folder: Path) -> None:
         (folder / f"{KIND}.json").write_text(artifacts.dump_json(result))
 
-    artifacts.write_folder(out, write)
+    artifacts.write_folder(out, write, overwrite)
     return result
 
 

@@ -34,6 +34,7 @@ def write_calibration(
     out: Path,
     facts: dict[str, Any],
     also: Callable[[Path], None],
+    overwrite: bool = False,
 ) -> dict[str, Any]:
     """Write the folder, whole or not at all; returns the content of its JSON.
 
@@ -63,7 +64,7 @@ def write_calibration(
             (folder / f"calibration.{kind}").write_bytes(render(figure, kind))
         also(folder)
 
-    artifacts.write_folder(out, write)
+    artifacts.write_folder(out, write, overwrite)
     return summary
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from softfin import artifacts
 from softfin.errors import ConfigurationError
-from softfin.plants import identity
+from softfin.plant_identity import identity
 from softfin.quantities import PAPER_LIMITS, Limits, Log
 from softfin.surrogate import load_surrogate
 from softfin.surrogate.horizons import FreeRunner

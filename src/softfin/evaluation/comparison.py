@@ -25,7 +25,9 @@ LOOKS = ((ORANGE, "--", "o"), (BLUE, "-", "s"), (GREEN, "-.", "^"), (BLACK, ":",
 """Colour, line and marker of the groups, in turn."""
 
 
-def write_comparison(comparison: Comparison, out: Path, facts: Mapping[str, Any]) -> dict[str, Any]:
+def write_comparison(
+    comparison: Comparison, out: Path, facts: Mapping[str, Any], overwrite: bool = False
+) -> dict[str, Any]:
     """Write the folder, whole or not at all; returns the content of its JSON.
 
     ================== =============================================================================================
@@ -49,7 +51,7 @@ def write_comparison(comparison: Comparison, out: Path, facts: Mapping[str, Any]
         for kind in ("svg", "png"):
             (folder / f"comparison.{kind}").write_bytes(render(figure, kind))
 
-    artifacts.write_folder(out, write)
+    artifacts.write_folder(out, write, overwrite)
     return summary
 
 

@@ -153,7 +153,9 @@ def evaluate(controller: Controller, plant: Subject, config: EvaluateConfig) -> 
     )
 
 
-def write_evaluation(evaluation: Evaluation, out: Path, facts: Mapping[str, Any] | None = None) -> dict[str, Any]:
+def write_evaluation(
+    evaluation: Evaluation, out: Path, facts: Mapping[str, Any] | None = None, overwrite: bool = False
+) -> dict[str, Any]:
     """Write ``evaluation.json`` and figures, each as ``.svg`` and ``.png``, as one folder; returns the JSON.
 
     ======================== ========================================================================================
@@ -192,8 +194,7 @@ def write_evaluation(evaluation: Evaluation, out: Path, facts: Mapping[str, Any]
             for kind in ("svg", "png"):
                 (folder / f"{name}.{kind}").write_bytes(render(figure, kind))
 
-    artifacts.check_vacant(out, overwrite=True)
-    artifacts.write_folder(out, write)
+    artifacts.write_folder(out, write, overwrite)
     return summary
 
 

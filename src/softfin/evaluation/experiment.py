@@ -4,9 +4,8 @@ Controller, plant and reference forces, constant or moving, go in, a Recording o
 and seeds run side by side in one compiled program.
 """
 
-import dataclasses
 from itertools import accumulate
-from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
+from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -18,6 +17,7 @@ from softfin.action_clock import ACTION_TICKS
 from softfin.control.controller import Controller, ControllerState, Measured
 from softfin.errors import ConfigurationError, PlantError
 from softfin.plant import Plant, State
+from softfin.plant_identity import jit_argument
 from softfin.quantities import RATE_HZ, AnyArray, Command, Limits, Reading
 
 ACTION_STARTS = (0, *accumulate(ACTION_TICKS[:-1]))
@@ -73,7 +73,7 @@ def run(
     if isinstance(plant, RealTime):
         return plant.experiments(np.asarray(references, np.float32), seconds, len(keys))
     asked = jnp.asarray(_at_actions(np.asarray(references, np.float32), seconds))
-    command, reading = _program((controller, _Same(plant)), asked, keys)
+    command, reading = _program((controller, jit_argument(plant)), asked, keys)
     return Recording(references, command, reading)
 
 
@@ -118,41 +118,12 @@ def alike(recording: Recording) -> bool:
     return bool((force == force[:, :1]).all())
 
 
-class _Same(eqx.Module):
-    """A plant as an argument of a compiled program: its arrays are traced, an object without arrays is itself."""
-
-    parts: Any
-    whole: "_Itself | None" = eqx.field(static=True)
-
-    def __init__(self, plant: Plant) -> None:
-        opaque = jax.tree.leaves(plant) == [plant] if not eqx.is_array(plant) else False
-        self.parts, self.whole = (None, _Itself(plant)) if opaque else (plant, None)
-
-    def plant(self) -> Plant:
-        """The plant again."""
-        plant: Plant = self.parts if self.whole is None else self.whole.plant
-        return plant
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Itself:
-    """Compared by being the same object, whatever the object says of equality; so it can be looked up."""
-
-    plant: Plant
-
-    def __hash__(self) -> int:
-        return id(self.plant)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Itself) and other.plant is self.plant
-
-
 @eqx.filter_jit
 def _program(
-    parties: tuple[Controller, _Same], references: Float[Array, "references seconds 3 2"], keys: Key[Array, "seeds"]
+    parties: tuple[Controller, Plant], references: Float[Array, "references seconds 3 2"], keys: Key[Array, "seeds"]
 ) -> tuple[Command, Reading]:
     """Compiled once for controllers and plants that are alike but for their arrays."""
-    controller, plant = parties[0], parties[1].plant()
+    controller, plant = parties
 
     def one(asked: Float[Array, "seconds 3 2"], key: PRNGKeyArray) -> tuple[Command, Reading]:
         carry = (controller.init(), plant.init(key), Measured(jnp.float32(0.0), jnp.zeros(2)))

@@ -28,7 +28,7 @@ BAND = "#E3E3E3"
 
 
 def write_inspection(
-    inspection: Inspection, logs: Sequence[NamedLog], out: Path, facts: dict[str, Any]
+    inspection: Inspection, logs: Sequence[NamedLog], out: Path, facts: dict[str, Any], overwrite: bool = False
 ) -> dict[str, Any]:
     """Write the folder, whole or not at all; returns the content of its JSON."""
     summary = {**inspection.described(), **facts}
@@ -39,7 +39,7 @@ def write_inspection(
         for kind in ("svg", "png"):
             (folder / f"inspection.{kind}").write_bytes(render(figure, kind))
 
-    artifacts.write_folder(out, write)
+    artifacts.write_folder(out, write, overwrite)
     return summary
 
 

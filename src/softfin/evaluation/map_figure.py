@@ -52,7 +52,9 @@ def map_figure(known: ForceMap, tolerance_n: float) -> Figure:
     return figure
 
 
-def write_map(out: Path, known: ForceMap, config: MapConfig, limits: Limits, provenance: dict[str, Any]) -> None:
+def write_map(
+    out: Path, known: ForceMap, config: MapConfig, limits: Limits, provenance: dict[str, Any], overwrite: bool = False
+) -> None:
     """The map's folder with its figure, ``map.svg`` and ``map.png``."""
 
     def draw(folder: Path) -> None:
@@ -60,7 +62,7 @@ def write_map(out: Path, known: ForceMap, config: MapConfig, limits: Limits, pro
         for kind in ("svg", "png"):
             (folder / f"map.{kind}").write_bytes(render(figure, kind))
 
-    save_map(out, known, config, limits, provenance, draw)
+    save_map(out, known, config, limits, provenance, draw, overwrite)
 
 
 def _levels(cost: Float[np.ndarray, "x y"]) -> Float[np.ndarray, "levels"]:

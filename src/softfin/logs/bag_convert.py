@@ -30,6 +30,7 @@ def convert(
     """Write each log, several as ``NAME-1``, ``NAME-2`` ..; raises LogError where they have errors, unless accepted."""
     if out.suffix not in KINDS:
         raise ConfigurationError(f"--out {out}: is neither {' nor '.join(KINDS)}; its ending says what is written")
+    artifacts.check_writable(out)
     opened = open_logs(source, config or ImportConfig())
     check_accepted(opened.findings, str(source), accept)
     files = _names(out, len(opened.logs))

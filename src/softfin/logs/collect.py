@@ -54,6 +54,7 @@ def collect(
     facts: dict[str, Any] | None = None,
     commands: Commands | None = None,
     before: Dataset | None = None,
+    overwrite: bool = False,
 ) -> Dataset:
     """Record `plant` into the new dataset folder `out`; `facts`, say what plant it is, go into its ``dataset.json``.
 
@@ -85,12 +86,13 @@ def collect(
     learning = _record(train, "train", held[0], config, commands or config.excitation, report)
     testing = _record(test, "test", held[1], config, config.excitation, report)
     if before is None:
-        return write_dataset(out, learning, testing, described | (facts or {}))
+        return write_dataset(out, learning, testing, described | (facts or {}), overwrite)
     return write_dataset(
         out,
         chain(learning, before.load(before.train)),
         chain(before.load(before.test), testing),
         described | {"extends": extension(before)} | (facts or {}),
+        overwrite,
     )
 
 

@@ -46,8 +46,10 @@ class Dataset:
         return (read_log(path) for path in paths)
 
 
-def write_dataset(path: Path, train: Iterable[Log], test: Iterable[Log], facts: dict[str, Any]) -> Dataset:
-    """Write logs, taken one by one, as a dataset; `facts` go into ``dataset.json``. A dataset there is replaced."""
+def write_dataset(
+    path: Path, train: Iterable[Log], test: Iterable[Log], facts: dict[str, Any], overwrite: bool = False
+) -> Dataset:
+    """Write logs, taken one by one, as a dataset; `facts` go into ``dataset.json``."""
 
     def write(folder: Path) -> None:
         for (part, digits), logs in zip(PARTS.items(), (train, test), strict=True):
@@ -59,8 +61,8 @@ def write_dataset(path: Path, train: Iterable[Log], test: Iterable[Log], facts: 
         description = {"rate_hz": RATE_HZ, **facts, "data_hash": _hash_of(hashes), "files": hashes}
         (folder / "dataset.json").write_text(artifacts.dump_json(description))
 
-    artifacts.check_vacant(path, overwrite=True)
-    artifacts.write_folder(path, write)
+    artifacts.check_vacant(path, overwrite)
+    artifacts.write_folder(path, write, overwrite)
     return Dataset.open(path)
 
 

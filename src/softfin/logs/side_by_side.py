@@ -13,6 +13,7 @@ from jaxtyping import PRNGKeyArray, PyTree
 
 from softfin.logs.excitation import Commands
 from softfin.plant import Plant, State, roll
+from softfin.plant_identity import jit_argument
 from softfin.quantities import Command, Limits, Log, Reading
 
 CHUNK_ROWS = 1000
@@ -57,8 +58,9 @@ class _Fleet(NamedTuple):
 
 
 def _fleet(plants: Sequence[Plant]) -> _Fleet | None:
-    parts = [eqx.partition(plant, lambda leaf: isinstance(leaf, jax.Array | np.ndarray)) for plant in plants]
-    if all(plant is plants[0] for plant in plants):
+    same = all(plant is plants[0] for plant in plants)
+    parts = [eqx.partition(jit_argument(plant), eqx.is_array) for plant in (plants[:1] if same else plants)]
+    if same:
         arrays, static = parts[0] if parts else (None, None)
         return _Fleet(arrays, static, None)
     shapes = [jax.tree.map(lambda x: (x.shape, x.dtype), arrays) for arrays, _ in parts]

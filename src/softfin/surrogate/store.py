@@ -28,6 +28,7 @@ def save_surrogate(
     scores: dict[str, Any] | None,
     provenance: dict[str, Any],
     also: Callable[[Path], None] | None = None,
+    overwrite: bool = False,
     **facts: Any,
 ) -> None:
     """Write the folder, whole or not at all; `also` adds files to it, `facts` are further entries of the JSON."""
@@ -45,7 +46,7 @@ def save_surrogate(
         **facts,
         "provenance": provenance,
     }
-    artifacts.save(path, KIND, description, weights, also)
+    artifacts.save(path, KIND, description, weights, also, overwrite)
 
 
 def load_surrogate(path: Path) -> AnySurrogate:

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from itertools import product
 from typing import NamedTuple, TypeAlias
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -59,22 +58,6 @@ def measured(force: Float[Array, "ticks 2"]) -> Made:
     """Of the last window of a force."""
     last = force[-WINDOW:]
     return Made(last.mean(axis=0), sobolev_mean(last, jnp.int32(WINDOW)))
-
-
-def compilable(plant: Plant) -> Plant:
-    """The plant as an argument of compiled programs, which are looked up by the hash of what is no array in it."""
-    try:
-        hash(eqx.filter(plant, eqx.is_array, inverse=True))
-    except TypeError:
-        return _Itself(plant)
-    return plant
-
-
-class _Itself:
-    """A plant that cannot be hashed, such as a dataclass of one's own: compared by being the same object."""
-
-    def __init__(self, plant: Plant) -> None:
-        self.limits, self.init, self.advance = plant.limits, plant.init, plant.advance
 
 
 class Family(NamedTuple):

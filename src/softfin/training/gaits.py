@@ -20,9 +20,10 @@ from pydantic import Field, NonNegativeFloat, PositiveInt
 from softfin.action_clock import CYCLE_ACTIONS
 from softfin.configuration import Configuration
 from softfin.plant import Plant
+from softfin.plant_identity import jit_argument
 from softfin.randomness import key_of
 from softfin.tracking.references import Cell, Force
-from softfin.training.beat import compilable, measured, steady
+from softfin.training.beat import measured, steady
 from softfin.training.survey import GREATEST_ACTION, Survey
 
 
@@ -133,7 +134,7 @@ def find_gaits(
 
     `seen` is the survey of the same plant, whose gaits the search begins with.
     """
-    plant, table = compilable(plant), lattice.table()
+    plant, table = jit_argument(plant), lattice.table()
     wanted = [seen.reachable.nearest((x, y)) for x, y in table.references().reshape(-1, 2).tolist()]
     target = jnp.asarray(wanted, jnp.float32)
     nodes = _look(plant, _start(seen, target, lattice.nodes), config.cycles)

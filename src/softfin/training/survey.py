@@ -16,9 +16,10 @@ from pydantic import Field, PositiveInt
 
 from softfin.configuration import Configuration
 from softfin.plant import Plant
+from softfin.plant_identity import jit_argument
 from softfin.randomness import key_of
 from softfin.tracking.reachable import Reachable, directions
-from softfin.training.beat import Family, Gait, Made, compilable, families, made
+from softfin.training.beat import Family, Gait, Made, families, made
 
 GREATEST_ACTION = 0.97
 """Actions are moved through atanh, which has no value at 1."""
@@ -54,7 +55,7 @@ def survey(
     plant: Plant, config: SurveyConfig | None = None, report: Callable[[float, str], None] | None = None
 ) -> Survey:
     """Try all families on a plant and find the edge of what it can do."""
-    config, plant = config or SurveyConfig(), compilable(plant)
+    config, plant = config or SurveyConfig(), jit_argument(plant)
     tried = families()
     gaits = np.concatenate([family.gaits for family in tried])
     forces, smoothness = [], []

@@ -5,7 +5,7 @@ far kept, and a checkpoint written; a resumed run ends with the same weights as 
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache, partial
+from functools import lru_cache, partial
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple, TypeVar, cast
 
@@ -21,6 +21,7 @@ from softfin.choices import Algorithm, AlgorithmOption, PolicyLayout
 from softfin.configuration import Configuration
 from softfin.errors import ConfigurationError, RunError
 from softfin.plant import Plant
+from softfin.plant_identity import jit_argument
 from softfin.quantities import AXES, Limits
 from softfin.randomness import key_of
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
@@ -290,28 +291,25 @@ def taught_box(config: TrainConfig) -> Cell:
 class Given(NamedTuple):
     """Arguments of the programs: arrays, not constants in them."""
 
-    plant: Any
-    """Its arrays."""
+    plant: Plant
+    """As `jit_argument` makes it."""
     teacher: GaitTable | None
 
 
 class _Programs(NamedTuple):
     """Compiled for all lanes at once; the plant's arrays are arguments, not constants in the programs."""
 
-    init: Callable[[Any, PRNGKeyArray, References], Any]
-    update: Callable[[Any, Any], tuple[Any, Metrics]]
-    score: Callable[[Any, Policy, Array], Score]
+    init: Callable[[Given, PRNGKeyArray, References], Any]
+    update: Callable[[Given, Any], tuple[Any, Metrics]]
+    score: Callable[[Given, Policy, Array], Score]
 
 
-def _compile(static: Any, config: TrainConfig) -> _Programs:
-    """For a plant without its arrays."""
-
-    def whole(given: Given) -> Plant:
-        plant: Plant = eqx.combine(given.plant, static)
-        return plant
+@lru_cache(maxsize=4)
+def _programs(config: TrainConfig) -> _Programs:
+    """Kept for the next jobs of a run, which differ by their cells and seeds alone."""
 
     def task(given: Given) -> ForceTracking:
-        return ForceTracking(trained_in(whole(given), config.ensemble), config.task)
+        return ForceTracking(trained_in(given.plant, config.ensemble), config.task)
 
     def learner(given: Given) -> Learner:
         if config.algorithm == "ppo":
@@ -319,16 +317,13 @@ def _compile(static: Any, config: TrainConfig) -> _Programs:
         return Gradient(task(given), config.gradient, config.policy, config.updates, given.teacher)
 
     def judge(given: Given, policy: Policy, references: Array) -> Score:
-        return score(ForceTracking(whole(given), config.task), policy, references, key_of(0, "score"))
+        return score(ForceTracking(given.plant, config.task), policy, references, key_of(0, "score"))
 
     return _Programs(
-        jax.jit(jax.vmap(lambda given, key, box: learner(given).init(key, box), (None, 0, 0))),
-        jax.jit(jax.vmap(lambda given, lane: learner(given).update(lane), (None, 0))),
-        jax.jit(jax.vmap(judge, (None, 0, 0))),
+        eqx.filter_jit(lambda given, keys, boxes: jax.vmap(learner(given).init)(keys, boxes)),
+        eqx.filter_jit(lambda given, lanes: jax.vmap(learner(given).update)(lanes)),
+        eqx.filter_jit(lambda given, policies, references: jax.vmap(partial(judge, given))(policies, references)),
     )
-
-
-_compile_once = cache(_compile)
 
 
 class _Run:
@@ -338,17 +333,12 @@ class _Run:
         self.config, self.seeds, self.limits = config, seeds, Limits(*map(float, plant.limits))
         self.knows = isinstance(plant, StreamingSurrogate)
         self.lanes = [(seed, index) for seed in seeds for index in range(len(config.cells))]
-        arrays, static = eqx.partition(plant, eqx.is_array)
         self.known = known
         self.reachable = None if known is None else known.reachable
         taught = config.algorithm == "gradient" and config.gradient.teacher
-        self.given = Given(arrays, known.found.table if known is not None and taught else None)
-        # The programs do not depend on the cells, so jobs of one run share them.
-        alike = config.model_copy(update={"cells": ()})
-        try:
-            self.programs = _compile_once(static, alike)
-        except TypeError:  # a plant that cannot be hashed is compiled for again
-            self.programs = _compile(static, alike)
+        self.given = Given(jit_argument(plant), known.found.table if known is not None and taught else None)
+        # The programs do not depend on the cells.
+        self.programs = _programs(config.model_copy(update={"cells": ()}))
         self.references = jnp.asarray(np.tile(held(config, self.reachable), (len(seeds), 1, 1)))
 
     def start(self) -> TrainState:

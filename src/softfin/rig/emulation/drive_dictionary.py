@@ -13,8 +13,18 @@ PDOS = 4
 """Of each kind, as an EPOS2 has them."""
 MAPPED = 8
 """Entries of a PDO at most."""
-COB_IDS = {0x1400: (0x200, 0x300, 0x400, 0x500), 0x1800: (0x180, 0x280, 0x380, 0x480)}
 ERRORS_KEPT = 5
+_IDENTITY = tuple(Object(0x1018, sub, "I", f"identity {sub}") for sub in range(1, 5))
+"""Vendor, product, revision and serial number: every node has them (CiA 301)."""
+MAXON = 0x000000FB
+_TARGET_VELOCITY = Object(0x60FF, 0, "i", "target velocity")
+_MAPPED_BY_DEFAULT = {
+    0x1400: (0x200, objects.CONTROLWORD, (objects.MODE, objects.TARGET, _TARGET_VELOCITY)),
+    0x1800: (0x180, objects.STATUSWORD, (objects.MODE_DISPLAY, objects.POSITION, objects.VELOCITY)),
+}
+"""First COB-ID, what each PDO carries, and what the second to fourth carry besides (CiA 402)."""
+
+ENTRIES = "highest sub-index"
 
 _TYPES = {
     "b": od.INTEGER8,
@@ -35,6 +45,7 @@ _READ_ONLY = frozenset(
         objects.VELOCITY,
         objects.CURRENT,
         objects.SUPPORTED_MODES,
+        *_IDENTITY,
     }
 )
 
@@ -58,6 +69,9 @@ def values(config: DriveConfig) -> dict[Object, int]:
         objects.CURRENT_LIMIT: 3000,
         # Homing, profile velocity and profile position: bits 5, 2 and 0.
         objects.SUPPORTED_MODES: 0x25,
+        _TARGET_VELOCITY: 0,
+        **dict.fromkeys(_IDENTITY, 0),
+        _IDENTITY[0]: MAXON,
     }
     return start | _process_data(config.node) | {_error(place): 0 for place in range(2, ERRORS_KEPT + 1)}
 
@@ -76,8 +90,8 @@ def dictionary(start: dict[Object, int]) -> ObjectDictionary:
             continue
         record = make_record(members[0].name, number)
         if all(member.sub for member in members):
-            count = Object(number, 0, "B", "entries")
-            record.add_member(_variable(count, {count: len(members)}))
+            count = Object(number, 0, "B", ENTRIES)
+            record.add_member(_variable(count, {count: max(member.sub for member in members)}))
         for member in members:
             record.add_member(_variable(member, start))
         made.add_object(record)
@@ -89,7 +103,8 @@ def _variable(entry: Object, start: dict[Object, int]) -> Any:
     make: Any = od.ODVariable
     variable = make(str(entry), entry.number, entry.sub)
     variable.data_type = _TYPES[entry.form]
-    variable.access_type = "ro" if entry in _READ_ONLY else "rw"
+    is_error = entry.number == objects.NEWEST_ERROR.number and entry.sub > 0
+    variable.access_type = "ro" if entry in _READ_ONLY or entry.name == ENTRIES or is_error else "rw"
     variable.default = start[entry]
     return variable
 
@@ -100,13 +115,15 @@ def _error(place: int) -> Object:
 
 def _process_data(node: int) -> dict[Object, int]:
     start: dict[Object, int] = {}
-    for first, cob_ids in COB_IDS.items():
-        for number, cob_id in enumerate(cob_ids):
+    for first, (cob_id, word, others) in _MAPPED_BY_DEFAULT.items():
+        for place in range(PDOS):
+            number, mapped = first + place, [word, *others[place - 1 : place]] if place else [word]
             start |= {
-                Object(first + number, 1, "I", f"COB-ID {first + number:X}"): cob_id + node | objects.INVALID,
-                Object(first + number, 2, "B", f"transmission {first + number:X}"): objects.AT_ONCE,
-                Object(first + 0x200 + number, 0, "B", f"mapped objects {first + number:X}"): 0,
+                Object(number, 1, "I", f"COB-ID {number:X}"): cob_id + 0x100 * place + node,
+                Object(number, 2, "B", f"transmission {number:X}"): objects.AT_ONCE,
+                Object(number + 0x200, 0, "B", f"mapped objects {number:X}"): len(mapped),
             }
-            for place in range(1, MAPPED + 1):
-                start[Object(first + 0x200 + number, place, "I", f"mapping {first + number:X} {place}")] = 0
+            for entry in range(MAPPED):
+                held = mapped[entry].mapping if entry < len(mapped) else 0
+                start[Object(number + 0x200, entry + 1, "I", f"mapping {number:X} {entry + 1}")] = held
     return start

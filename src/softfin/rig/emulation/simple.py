@@ -39,5 +39,6 @@ class SimpleFin:
         return Motion(angle, velocity, angle, abs(velocity), (-FORCE_N * velocity, 0.0, 0.0, 0.0, 0.0, 0.0))
 
     def _angle(self) -> float:
-        way = self._target - self._start
-        return self._start + math.copysign(min(abs(way), self._velocity * (self._clock() - self._began)), way)
+        way, passed = self._target - self._start, self._velocity * (self._clock() - self._began)
+        # The target itself, which start + way may miss by a rounding error: then the fin would never be at rest.
+        return self._target if passed >= abs(way) else self._start + math.copysign(passed, way)

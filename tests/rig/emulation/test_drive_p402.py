@@ -1,0 +1,110 @@
+"""The emulated drive brought up by canopen's own CiA 402 node alone, as its users do it."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from softfin.rig.cia402 import State
+from tests.rig.emulation.canopen_bench import CanopenBench, canopen_bench
+from tests.rig.epos2_bench import LONG_S
+
+
+@pytest.fixture
+def bench() -> Iterator[CanopenBench]:
+    with canopen_bench() as made:
+        # A busy machine is no fault of the drive.
+        for name in ("TIMEOUT_SWITCH_STATE_FINAL", "TIMEOUT_SWITCH_STATE_SINGLE", "TIMEOUT_CHECK_TPDO",
+                     "TIMEOUT_SWITCH_OP_MODE"):  # fmt: skip
+            setattr(made.node, name, LONG_S)
+        yield made
+        made.network.sync.stop()
+
+
+def by_sync(bench: CanopenBench) -> Any:
+    """Set up with statusword, mode and position at every SYNC: for those that come on a change it may wait in vain."""
+    node = bench.node
+    node.nmt.state = "PRE-OPERATIONAL"
+    node.tpdo.read()
+    node.tpdo[1].clear()
+    for index in (0x6041, 0x6061, 0x6064):
+        node.tpdo[1].add_variable(index)
+    node.tpdo[1].trans_type = 1
+    for number in (2, 3, 4):
+        node.tpdo[number].enabled = False
+    node.tpdo.save()
+    node.setup_402_state_machine()
+    node.nmt.state = "OPERATIONAL"
+    bench.network.sync.start(0.01)
+    # Its first statusword is one that it never received.
+    bench.until(lambda: node.state == "SWITCH ON DISABLED")
+    return node
+
+
+def by_sdo(bench: CanopenBench) -> Any:
+    """Set up without process data."""
+    node = bench.node
+    node.nmt.state = "PRE-OPERATIONAL"
+    for maps in (node.tpdo, node.rpdo):
+        maps.read()
+        for each in maps.values():
+            each.enabled = False
+        maps.save()
+    node.setup_402_state_machine()
+    bench.until(lambda: node.state == "SWITCH ON DISABLED")
+    return node
+
+
+def test_it_finds_all_that_it_looks_for_in_the_process_data_as_delivered(bench: CanopenBench) -> None:
+    node = bench.node
+    node.nmt.state = "PRE-OPERATIONAL"
+    node.setup_402_state_machine()
+    assert {0x6040, 0x6060} <= set(node.rpdo_pointers)
+    assert {0x6041, 0x6061} <= set(node.tpdo_values)
+    node.nmt.state = "OPERATIONAL"
+    bench.until(lambda: node.state == "SWITCH ON DISABLED" and node.op_mode == "PROFILED POSITION")
+    assert node.is_op_mode_supported("HOMING")
+
+
+@pytest.mark.parametrize("set_up", [by_sync, by_sdo])
+def test_it_is_brought_up_and_moved_to_a_set_point(bench: CanopenBench, set_up: Callable[[CanopenBench], Any]) -> None:
+    node = set_up(bench)
+    # Before it is enabled: the second PDO holds the mode and a controlword of its own, which is 0.
+    node.op_mode = "PROFILED POSITION"
+    node.state = "OPERATION ENABLED"
+    assert bench.drive.state is State.OPERATION_ENABLED
+    node.sdo[0x6081].raw = 1000
+    node.sdo[0x607A].raw = 2000
+    node.controlword = 0x1F
+    bench.until(lambda: node.sdo[0x6041].raw & 0x1000)
+    assert not node.sdo[0x6041].raw & 0x0400
+    node.controlword = 0x0F
+    bench.until(lambda: not node.sdo[0x6041].raw & 0x1000)
+    bench.clock.now += 1.0
+    assert node.sdo[0x6041].raw & 0x0400
+    assert node.sdo[0x6064].raw == 2000
+    node.state = "SWITCH ON DISABLED"
+    assert bench.drive.state is State.SWITCH_ON_DISABLED
+
+
+def test_a_fault_is_seen_and_reset_by_it(bench: CanopenBench) -> None:
+    node = by_sync(bench)
+    node.state = "OPERATION ENABLED"
+    bench.drive.fault(0x8611)
+    bench.until(lambda: node.state == "FAULT")
+    # It waits for the end of the fault before it has asked for it.
+    node.TIMEOUT_RESET_FAULT = 0.0
+    node.reset_from_fault()
+    assert bench.drive.state is State.OPERATION_ENABLED
+    assert [entry.code for entry in node.emcy.log] == [0x8611, 0x0000]
+
+
+def test_the_fin_is_homed_by_it(bench: CanopenBench) -> None:
+    bench.fin.move(0.5, 1.0)
+    bench.clock.now += 1.0
+    node = by_sync(bench)
+    assert node.sdo[0x6064].raw != 0
+    node.sdo[0x6098].raw = 35
+    assert node.homing(timeout=LONG_S, restore_op_mode=True)
+    assert node.sdo[0x6041].raw & 0x8000
+    assert node.sdo[0x6064].raw == 0
