@@ -103,7 +103,8 @@ def _run(name: str, words: list[str]) -> None:
 
 
 def _usage() -> str:
-    width = max(map(len, COMMANDS))
+    # Not map(): in this module that is the command of the name, once it is imported.
+    width = max(len(name) for name in COMMANDS)
     lines = [f"  {name:{width}}  {what}" for name, what in COMMANDS.items()]
     head = ["usage: softfin COMMAND [OPTION ...]", "", "Learn to make the force that you ask a soft fin for.", ""]
     foot = ["", "softfin COMMAND --help tells a command's options; --debug shows tracebacks."]
