@@ -26,9 +26,7 @@ for name, words in json.load(sys.stdin).items():
     loaded = {module.partition(".")[0] for module in set(sys.modules) - before}
     foreign = sorted(loaded - set(sys.stdlib_module_names) - {"softfin"})
     answers[name] = {"code": code, "out": out.getvalue(), "err": err.getvalue(), "foreign": foreign}
-    for module in set(sys.modules) - before:
-        if module.partition(".")[0] in foreign:
-            del sys.modules[module]
+    before = set(sys.modules)
 print(json.dumps(answers))
 """
 

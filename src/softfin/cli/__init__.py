@@ -7,6 +7,7 @@ import importlib.metadata
 import os
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 from softfin.printable import printable
 
@@ -77,8 +78,9 @@ def _run(name: str, words: list[str]) -> None:
     debug = "--debug" in words
     # The readers of these lines want theirs, not XLA's notes on how it compiles.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
-    arguments = importlib.import_module(f"softfin.cli.{name.replace('-', '_')}").Arguments
+    arguments: Any = None
     try:
+        arguments = importlib.import_module(f"softfin.cli.{name.replace('-', '_')}").Arguments
         command = options.parse(arguments, words)
         command.check()
         command.run()
@@ -103,7 +105,8 @@ def _run(name: str, words: list[str]) -> None:
 
 
 def _usage() -> str:
-    width = max(map(len, COMMANDS))
+    # Not map(): in this module that is the command of the name, once it is imported.
+    width = max(len(name) for name in COMMANDS)
     lines = [f"  {name:{width}}  {what}" for name, what in COMMANDS.items()]
     head = ["usage: softfin COMMAND [OPTION ...]", "", "Learn to make the force that you ask a soft fin for.", ""]
     foot = ["", "softfin COMMAND --help tells a command's options; --debug shows tracebacks."]

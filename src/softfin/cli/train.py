@@ -32,7 +32,7 @@ class Arguments(Configured):
     cells: Annotated[str, Option("CELLS")] | None = None
     """Of a grid: paper (the default), a lattice over --range such as 3x3, or a .yaml file of boxes."""
     range: Annotated[str, Option("X0,Y0,X1,Y1")] | None = None
-    """References X0,Y0,X1,Y1 [N] to train for (default 0.5,-1.5,3.5,1.5); write --range=-1,... below 0."""
+    """References X0,Y0,X1,Y1 [N] to train for (default 0.5,-1.5,3.5,1.5)."""
     map: Annotated[Path, folder_of("map")] | None = None
     """Folder of a map of this surrogate (softfin map): what its fin can do, and gaits to begin from."""
     refine: int = 0
