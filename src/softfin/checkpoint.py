@@ -1,10 +1,12 @@
 """Work in progress beside its output: a folder ``.NAME.unfinished`` with the last checkpoint and the training log.
 
-A checkpoint is one safetensors file: a pytree of arrays, and the facts that go with it as JSON in its metadata; never
-pickle. It is replaced in one rename, so a kill at any moment leaves the one before or the new one.
+A checkpoint is one safetensors file: a pytree of arrays, each by its path, and the facts that go with it as JSON in its
+metadata, the versions that wrote it among them; never pickle. It is replaced in one rename, so a kill at any moment
+leaves the one before or the new one.
 """
 
 import copy
+import importlib.metadata
 import json
 import shutil
 from collections.abc import Iterator
@@ -65,30 +67,41 @@ class Workspace:
 
     def save(self, tree: Any, facts: dict[str, Any]) -> None:
         """Replace the checkpoint."""
-        leaves = {str(i): np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(tree))}
-        metadata = {"facts": json.dumps({"fingerprint": self.fingerprint, **facts})}
+        leaves = {name: np.asarray(leaf) for name, leaf in _named(tree)[0].items()}
+        metadata = {"facts": json.dumps({"software": _software(), "fingerprint": self.fingerprint, **facts})}
         artifacts.write_file(self.folder / CHECKPOINT, artifacts.encode(leaves, metadata))
 
     def load(self, like: Tree) -> tuple[Tree, dict[str, Any]] | None:
-        """The last checkpoint, in the structure of `like`; None where there is none yet."""
+        """The last checkpoint, in the structure of `like`; None where there is none yet.
+
+        Raises:
+            ArtifactError: a leaf is missing, odd, or of another shape or type than in `like`.
+        """
         path = self.folder / CHECKPOINT
         if not path.exists():
             return None
         facts = self._facts(path)
         with _reading(path), safetensors.safe_open(path, "numpy") as file:
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        leaves, structure = jax.tree.flatten(like)
-        shapes = [np.shape(leaf) for leaf in leaves]
-        found = [arrays[str(i)] for i in range(len(arrays))]
-        if shapes != [leaf.shape for leaf in found]:
-            raise ArtifactError(f"{path}: does not fit this version's training state; start anew with --overwrite")
-        return jax.tree.unflatten(structure, [jnp.asarray(leaf) for leaf in found]), facts
+        expected, structure = _named(like)
+        for name in sorted(arrays.keys() | expected.keys()):
+            there, here = _kind(arrays.get(name)), _kind(expected.get(name))
+            if there != here:
+                raise ArtifactError(
+                    f"{path}: does not fit this training state ({name} is {there} there and {here} here); start anew "
+                    "with --overwrite"
+                )
+        return jax.tree.unflatten(structure, [jnp.asarray(arrays[name]) for name in expected]), facts
 
     def _facts(self, path: Path) -> dict[str, Any]:
         """Of a checkpoint, which must be one of this run."""
         with _reading(path), safetensors.safe_open(path, "numpy") as file:
             facts: dict[str, Any] = json.loads(file.metadata()["facts"])
-            before = facts.pop("fingerprint", None)
+            before, software = facts.pop("fingerprint", None), facts.pop("software", "an older softfin")
+        if software != _software():
+            raise ArtifactError(
+                f"{path}: was written by {software}, and this is {_software()}; resume with that, or --overwrite"
+            )
         if before != self.fingerprint:
             differing = _differences(before or {}, self.fingerprint)
             raise ArtifactError(
@@ -156,6 +169,21 @@ def read_log(path: Path) -> list[dict[str, Any]]:
         except ValueError:
             break
     return entries
+
+
+def _software() -> str:
+    """What decides which leaves a state has, and which numbers come next."""
+    return ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("softfin", "jax"))
+
+
+def _named(tree: Any) -> tuple[dict[str, Any], Any]:
+    """The leaves by their paths, such as ``tree.lanes.policy.net.lstm.kernel``, in the order of the structure."""
+    paths, structure = jax.tree_util.tree_flatten_with_path(tree)
+    return {f"tree{jax.tree_util.keystr(path)}": leaf for path, leaf in paths}, structure
+
+
+def _kind(leaf: Any) -> str:
+    return "missing" if leaf is None else f"{np.asarray(leaf).dtype} {np.shape(leaf)}"
 
 
 @contextmanager

@@ -54,7 +54,8 @@ class ForceMap(NamedTuple):
 def empty_map(lattice: Lattice, directions: int) -> ForceMap:
     """Of the shape of a map, to read one into."""
     nothing = np.zeros((*lattice.nodes, 2), np.float32)
-    return ForceMap(Found(lattice.table(), nothing, nothing), Reachable(np.zeros(2), np.zeros(directions)))
+    nowhere = Reachable(np.zeros(2, np.float32), np.zeros(directions, np.float32))
+    return ForceMap(Found(lattice.table(), nothing, nothing), nowhere)
 
 
 def map_forces(plant: Plant, config: MapConfig, report: Callable[[float, str], None] | None = None) -> ForceMap:
