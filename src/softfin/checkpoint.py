@@ -106,15 +106,11 @@ class Workspace:
         """Of a checkpoint, which must be one of this run."""
         with _reading(path), safetensors.safe_open(path, "numpy") as file:
             facts: dict[str, Any] = parse_json(file.metadata()["facts"])
-            before, software = (
-                facts.pop("fingerprint", None),
-                facts.pop("software", None) or {"softfin": "an older one"},
-            )
+            before, software = facts.pop("fingerprint", None), facts.pop("software", "an older softfin")
         if software != _software():
-            by, now = (
-                ", ".join(f"{name} {version}" for name, version in each.items()) for each in (software, _software())
+            raise ArtifactError(
+                f"{path}: was written by {software}, and this is {_software()}; resume with that, or --overwrite"
             )
-            raise ArtifactError(f"{path}: was written by {by}, and this is {now}; resume with that, or --overwrite")
         if before != self.fingerprint:
             differing = _differences(before or {}, self.fingerprint)
             raise ArtifactError(
@@ -197,9 +193,9 @@ def read_log(path: Path) -> list[dict[str, Any]]:
     return entries
 
 
-def _software() -> dict[str, str]:
-    """What decides which leaves a state has and which numbers come next."""
-    return {name: importlib.metadata.version(name) for name in ("softfin", "jax")}
+def _software() -> str:
+    """What decides which leaves a state has, and which numbers come next."""
+    return ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("softfin", "jax"))
 
 
 def _named(tree: Any) -> tuple[dict[str, Any], Any]:

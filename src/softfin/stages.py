@@ -64,7 +64,7 @@ from softfin.surrogate.range import learnt_from, training_range
 from softfin.tank import DrawnTanks, Spread, Tank, randomised
 from softfin.tracking.references import PAPER_RANGE, PAPER_REFERENCES
 from softfin.training.engine import find_engine
-from softfin.training.force_map import MapConfig
+from softfin.training.force_map import MapConfig, check_star
 from softfin.training.force_map import map_forces as _map_forces
 from softfin.training.jobs import default_split, train_jobs
 from softfin.training.refinement import check_refinable, refined
@@ -324,7 +324,7 @@ def map_forces(
     moving = find_plant(plant) if isinstance(plant, str) else plant
     known = _map_forces(moving, config, None if progress is None else partial(progress, "map"))
     write_map(out, known, config, Limits(*map(float, moving.limits)), _origin(plant, moving), overwrite)
-    missed = known.found.missed()
+    missed, star = known.found.missed(), check_star(known, config.tolerance_n)
     return {
         "map": str(out),
         "box_n": known.reachable.box(),
@@ -332,6 +332,8 @@ def map_forces(
         "nodes": missed.size,
         "held": int((missed <= config.tolerance_n).sum()),
         "beyond": [list(force) for force in PAPER_REFERENCES if not known.reachable.contains(force)],
+        "star_shape": star._asdict(),
+        "warning": star.warning,
     }
 
 

@@ -7,7 +7,7 @@ import pytest
 from softfin.errors import PlantError
 from softfin.tracking.reachable import Reachable
 from softfin.tracking.references import Cell
-from softfin.training.force_map import PARTS, MapConfig, empty_map, map_forces, reached
+from softfin.training.force_map import PARTS, ForceMap, MapConfig, check_star, empty_map, map_forces, reached
 from softfin.training.gaits import Found, GaitConfig, Lattice
 from tests.plants import StrokeFin
 from tests.training.mapped import FIN, WITHIN, known, seen
@@ -102,3 +102,44 @@ def test_an_empty_map_has_the_shape_of_a_full_one() -> None:
     config = WITHIN
     empty = empty_map(config.lattice(WIDE), config.survey.directions)
     assert [np.shape(leaf) for leaf in jax.tree.leaves(empty)] == [np.shape(leaf) for leaf in jax.tree.leaves(known())]
+
+
+def cloud(lattice: Lattice, held: np.ndarray) -> Found:
+    """Gaits that make exactly the forces of the nodes that are `held`, and miss the others by far."""
+    return found(lattice, np.where(held, 0.0, 1.0))
+
+
+FINE = Lattice((-2, -2), (2, 2), (17, 17))
+LENGTH = np.linalg.norm(FINE.table().references(), axis=-1)
+RING = (LENGTH > 1.0) & (LENGTH < 2.0)
+
+
+def test_a_region_with_a_hole_in_its_middle_is_kept_about_a_force_that_gaits_hold() -> None:
+    """Rays from the middle of a ring would end at once, in a region that holds nothing."""
+    gaits = cloud(FINE, RING)
+    region = reached(WIDE, gaits, 0.1)
+    at = np.argmin(np.linalg.norm(gaits.table.references() - region.centre, axis=-1))
+    assert RING.reshape(-1)[at]
+    assert region.area() > 1.5
+    assert not region.contains((0, 0))
+
+
+def test_forces_that_a_star_leaves_out_are_counted_and_warned_of() -> None:
+    gaits = cloud(FINE, RING)
+    check = check_star(ForceMap(gaits, reached(WIDE, gaits, 0.1)), 0.1)
+    assert check.held_outside > 0.3
+    assert "of the forces that gaits make lie outside it" in (check.warning or "")
+
+
+def test_forces_within_a_star_that_no_gait_makes_are_counted_and_warned_of() -> None:
+    gaits = cloud(FINE, RING)
+    check = check_star(ForceMap(gaits, WIDE), 0.1)
+    assert check.missed_inside == pytest.approx(0.25, abs=0.03)
+    assert "no gait was found for 2" in (check.warning or "")
+
+
+def test_of_a_disc_there_is_nothing_to_warn_of() -> None:
+    gaits = cloud(FINE, LENGTH < 1.5)
+    region = reached(WIDE, gaits, 0.1)
+    np.testing.assert_array_equal(region.centre, WIDE.centre)
+    assert check_star(ForceMap(gaits, region), 0.1).warning is None

@@ -9,7 +9,7 @@ import pytest
 
 from softfin.quantities import PAPER_LIMITS, Limits
 from softfin.training.beat import made
-from softfin.training.survey import SurveyConfig, survey
+from softfin.training.survey import SurveyConfig, _middle, survey
 from tests.plants import StrokeFin
 from tests.training.mapped import FIN, SURVEY, seen
 
@@ -89,3 +89,11 @@ class OwnFin:
 def test_a_plant_that_cannot_be_hashed_is_surveyed_all_the_same() -> None:
     few = SurveyConfig(cycles=2, batch=700, directions=8, pushes=0)
     np.testing.assert_allclose(survey(OwnFin(), few).force, seen().force, atol=1e-4)
+
+
+def test_the_middle_is_seen_from_a_force_that_a_gait_makes_where_none_is_near_it() -> None:
+    turn = np.linspace(0, 2 * np.pi, 60)
+    ring = np.stack([np.cos(turn), 2 * np.sin(turn)], axis=1)
+    np.testing.assert_allclose(np.abs(_middle(ring)), [1, 0], atol=0.06)
+    filled = np.concatenate([ring, 0.1 * ring])
+    np.testing.assert_allclose(_middle(filled), [0, 0], atol=1e-2)

@@ -34,4 +34,6 @@ class Arguments(Configured):
             "the paper's references that this fin cannot make: "
             + (", ".join(f"({x:g}, {y:g})" for x, y in summary["beyond"]) or "none"),
         ]
+        if summary["warning"] is not None:
+            lines.append(f"warning: {summary['warning']}")
         self.tell(summary, "\n".join(lines))

@@ -12,7 +12,7 @@ from softfin.action_clock import CYCLE_ACTIONS
 from softfin.errors import ArtifactError
 from softfin.quantities import Limits
 from softfin.tracking.reachable import Reachable
-from softfin.training.force_map import ForceMap, MapConfig
+from softfin.training.force_map import ForceMap, MapConfig, check_star
 from softfin.training.gaits import Found, GaitTable
 
 KIND = "map"
@@ -33,6 +33,7 @@ def save_map(
         "kind": KIND, "format": FORMAT,
         "limits": limits.described(),
         **described(known),
+        "star_shape": check_star(known, config.tolerance_n)._asdict(),
         "configuration": config.model_dump(mode="json"),
         "provenance": provenance,
     }  # fmt: skip

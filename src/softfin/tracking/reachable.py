@@ -59,6 +59,25 @@ class Reachable(NamedTuple):
         inside = (reach >= 1) | (jnp.abs(offset).max() < 1e-6)
         return jnp.where(inside, jnp.asarray(force), self.centre + offset * reach)
 
+    def distances(self, centre: Float[np.ndarray, "2"]) -> Float[np.ndarray, "directions"]:
+        """From a force inside to where lines in the directions of the corners first leave the region [N]."""
+        if np.array_equal(centre, self.centre):
+            return np.asarray(self.radius)
+        start = self.corners().astype(float) - centre
+        side = np.roll(start, -1, axis=0) - start
+        way = directions(len(start)).astype(float)[:, None]
+
+        def cross(a: Float[np.ndarray, "*#n 2"], b: Float[np.ndarray, "*#n 2"]) -> Float[np.ndarray, "*n"]:
+            return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+
+        # The line way * reach meets the side start + side * along.
+        across = cross(way, side)
+        across = np.where(np.abs(across) < 1e-12, np.inf, across)
+        reach, along = cross(start, side) / across, cross(start, way) / across
+        meets = np.isfinite(across) & (reach >= 0) & (along >= -1e-9) & (along <= 1 + 1e-9)
+        least = np.where(meets, reach, np.inf).min(axis=1)
+        return np.asarray(np.where(np.isfinite(least), least, 0), np.float32)
+
     def contains(self, force: tuple[float | int, float | int], tolerance_n: float = 1e-3) -> bool:
         """Whether the force is inside or within the tolerance of the edge."""
         return float(np.hypot(*np.subtract(force, self.nearest(force)))) <= tolerance_n

@@ -3,14 +3,16 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from pydantic import Field, PositiveFloat
 
 from softfin.configuration import Configuration
 from softfin.errors import PlantError
 from softfin.plant import Plant
-from softfin.tracking.reachable import Reachable
+from softfin.tracking.reachable import Reachable, directions
 from softfin.tracking.references import Cell
 from softfin.training.beat import missing_gradient
 from softfin.training.gaits import Found, GaitConfig, Lattice, find_gaits
@@ -54,9 +56,8 @@ class ForceMap(NamedTuple):
 def empty_map(lattice: Lattice, directions: int) -> ForceMap:
     """Of the shape of a map, to read one into."""
     nothing = np.zeros((*lattice.nodes, 2), np.float32)
-    return ForceMap(
-        Found(lattice.table(), nothing, nothing), Reachable(np.zeros(2, np.float32), np.zeros(directions, np.float32))
-    )
+    nowhere = Reachable(np.zeros(2, np.float32), np.zeros(directions, np.float32))
+    return ForceMap(Found(lattice.table(), nothing, nothing), nowhere)
 
 
 def map_forces(plant: Plant, config: MapConfig, report: Callable[[float, str], None] | None = None) -> ForceMap:
@@ -81,13 +82,66 @@ def reached(seen: Reachable, found: Found, tolerance_n: float) -> Reachable:
 
     A node beyond the fin's reach makes the nearest force that the fin can make, so what it misses by grows with the
     distance to the edge, and between the nodes it may be interpolated. Beyond the lattice the survey's word is taken.
+    Where no gait holds the centre, as inside a ring, the node from which most is held takes its place.
     """
+    centre = np.asarray(seen.centre)
+    if _interpolated(found, centre[None, None])[0, 0] > tolerance_n:
+        nodes = found.table.references()[found.missed() <= tolerance_n]
+        others = [_held_from(node, seen, found, tolerance_n) for node in nodes[_within(seen, nodes)]]
+        if others:
+            return max(others, key=Reachable.area)
+    return _held_from(centre, seen, found, tolerance_n)
+
+
+def _held_from(centre: Float[np.ndarray, "2"], seen: Reachable, found: Found, tolerance_n: float) -> Reachable:
+    """How far the gaits hold along the rays from a centre to the edge of what was seen."""
+    radius = seen.distances(centre)
     parts = np.linspace(0, 1, PARTS + 1)[1:, None, None]
-    forces = np.asarray(seen.centre) + parts * (seen.corners() - np.asarray(seen.centre))
-    missed = _interpolated(found, forces)
+    missed = _interpolated(found, centre + parts * (radius[:, None] * directions(len(radius))))
     good = np.cumprod(missed <= tolerance_n, axis=0).sum(axis=0)
-    radius = np.asarray(seen.radius) * np.maximum(good, 1) / PARTS
-    return Reachable(np.asarray(seen.centre), np.asarray(radius, np.float32))
+    return Reachable(centre, np.asarray(radius * np.maximum(good, 1) / PARTS, np.float32))
+
+
+class StarCheck(NamedTuple):
+    """How far the forces that gaits hold are from filling a star-shaped region, as which they are kept."""
+
+    held_outside: float
+    """Share of the nodes whose gaits make their force that lie clearly outside the region."""
+    missed_inside: float
+    """Share of the nodes within the region whose gaits do not make their force."""
+
+    @property
+    def warning(self) -> str | None:
+        """What is wrong, in a sentence; None where it is nothing to speak of."""
+        found = []
+        if self.held_outside > SPOILT:
+            found.append(f"{self.held_outside:.0%} of the forces that gaits make lie outside it")
+        if self.missed_inside > SPOILT:
+            found.append(f"no gait was found for {self.missed_inside:.0%} of the forces inside it")
+        if not found:
+            return None
+        return f"the region is kept as star-shaped about its centre, which this fin's is not: {' and '.join(found)}"
+
+
+SPOILT = 0.05
+"""Share from which on a region counts as not star-shaped: a node or two lie on its edge anyway."""
+
+
+def check_star(known: ForceMap, tolerance_n: float) -> StarCheck:
+    """Hold the nodes of a map against its region."""
+    region, nodes = known.reachable, known.found.table.references().reshape(-1, 2)
+    held = known.found.missed().reshape(-1) <= tolerance_n
+    # A ray ends at the last of its parts that is held, which may be one part short of the edge.
+    clearly_outside = ~_within(region, nodes, tolerance_n + float(np.max(region.radius)) / PARTS)
+    inside = _within(region, nodes)
+    return StarCheck(
+        float((held & clearly_outside).sum() / max(held.sum(), 1)), float((inside & ~held).sum() / max(inside.sum(), 1))
+    )
+
+
+def _within(region: Reachable, forces: Float[np.ndarray, "n 2"], slack_n: float = 1e-3) -> Bool[np.ndarray, "n"]:
+    pulled = jax.vmap(region.pulled)(jnp.asarray(forces))
+    return np.asarray(np.linalg.norm(pulled - forces, axis=-1) <= slack_n)
 
 
 def _interpolated(

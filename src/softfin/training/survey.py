@@ -79,7 +79,7 @@ def _pushed(
     plant: Plant, gaits: Float[np.ndarray, "n 6 2"], force: Float[np.ndarray, "n 2"], config: SurveyConfig
 ) -> tuple[Reachable, Float[np.ndarray, "directions 6 2"]]:
     """The farthest gait in each direction, pushed on; directions are seen from the middle of what was made."""
-    centre = (force.min(axis=0) + force.max(axis=0)) / 2
+    centre = _middle(force)
     outward = directions(config.directions)
     offset = force - centre
     along = offset @ outward.T
@@ -89,6 +89,18 @@ def _pushed(
     everything = np.concatenate([force, np.asarray(made_there).reshape(-1, 2)])
     return Reachable(centre.astype(np.float32), _radius(everything - centre, outward)), np.asarray(pushed)
 
+
+def _middle(force: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2"]:
+    """The middle of the box round all forces; where no gait comes near it, the force that comes nearest."""
+    low, high = force.min(axis=0), force.max(axis=0)
+    middle = (low + high) / 2
+    apart = np.linalg.norm(force - middle, axis=1)
+    nearest: Float[np.ndarray, 2] = force[apart.argmin()]
+    return middle if apart.min() <= NEAR * np.linalg.norm(high - low) / 2 else nearest
+
+
+NEAR = 0.2
+"""Part of half the diagonal of all forces within which a gait counts as near to their middle."""
 
 ASIDE = 2.0
 """A newton beside the direction costs as much as this many along it."""
