@@ -15,12 +15,24 @@ from softfin.configuration import read_yaml
 from softfin.errors import PlantError
 from softfin.live import is_live
 from softfin.plant import Plant
+from softfin.quantities import Limits
 
 HELP = "tank, the YAML file of a tank, the folder of a surrogate, or package.module:plant (one's own simulator)"
 
 
 def find_plant(name: str) -> Plant:
     """The plant that `name` stands for; raises PlantError with what there is."""
+    plant = _found(name)
+    try:
+        problem = Limits(*map(float, plant.limits)).problem()
+    except (TypeError, ValueError) as error:
+        raise PlantError(f"plant {name}: its limits are no softfin.Limits of four numbers ({error})") from None
+    if problem:
+        raise PlantError(f"plant {name}: {problem}")
+    return plant
+
+
+def _found(name: str) -> Plant:
     path = Path(name)
     if is_live(name):
         raise PlantError(f"plant {name}: moves in real time and cannot be simulated; collect, evaluate and run take it")

@@ -49,7 +49,7 @@ from softfin.surrogate.active import ActiveCollectConfig, chooser
 from softfin.surrogate.choice import fit_any
 from softfin.surrogate.fit import check_lengths
 from softfin.surrogate.metrics import SKIPPED, measured_scaling, table_one
-from softfin.surrogate.range import learnt_from, training_range
+from softfin.surrogate.range import check_commands_learnt, learnt_from, training_range
 from softfin.tank import DrawnTanks, Spread, Tank, randomised
 from softfin.tracking.references import PAPER_RANGE, PAPER_REFERENCES
 from softfin.training.engine import EngineName, find_engine
@@ -181,6 +181,7 @@ def fit(
     opened = _opened(dataset, logs, accept, progress)
     facts = {"configuration": config.model_dump(mode="json"), "seed": seed, "data_hash": opened.data_hash}
     workspace = Workspace(out, facts, resume, overwrite)
+    check_commands_learnt(opened.train, str(dataset))
     test = opened.test
     check_lengths(test, SKIPPED, "test")
     if test:

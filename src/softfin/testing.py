@@ -14,7 +14,7 @@ from softfin.action_clock import ACTION_TICKS
 from softfin.deployment.conformance import check_machine
 from softfin.errors import PlantError
 from softfin.plant import Plant, State, roll
-from softfin.quantities import TICK_S, Command, Limits, Reading
+from softfin.quantities import ALLOWED_LIMITS, TICK_S, Command, Limits, Reading
 
 __all__ = ["check_machine", "check_plant"]
 
@@ -48,12 +48,8 @@ def _check_limits(plant: Plant) -> Limits:
         limits = Limits(*(float(value) for value in plant.limits))
     except (TypeError, ValueError):
         _fail(plant, f"limits = {plant.limits!r}", "limits is a softfin.Limits of four numbers")
-    if not (
-        np.isfinite(limits).all()
-        and limits.angle_min < limits.angle_max
-        and 0 <= limits.velocity_min < limits.velocity_max
-    ):
-        _fail(plant, f"limits = {limits}", "finite, angle_min < angle_max and 0 <= velocity_min < velocity_max")
+    if limits.problem():
+        _fail(plant, f"limits = {limits}", ALLOWED_LIMITS)
     return limits
 
 
