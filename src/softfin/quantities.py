@@ -80,7 +80,7 @@ class Limits(NamedTuple):
 
     def described(self) -> dict[str, float]:
         """For JSON: names with units."""
-        return {name: float(value) for name, value in self._named()}
+        return {name: float(value) for name, value in self._named().items()}
 
     @classmethod
     def of(cls, description: Any, one_velocity: bool = False) -> "Limits":
@@ -105,17 +105,19 @@ class Limits(NamedTuple):
 
         With `one_velocity` both velocities may be the same: such a fin can be recorded and learnt, but not trained for.
         """
-        for (name, value), bound in zip(self._named(), (MOST_ANGLE_RAD,) * 2 + (MOST_VELOCITY_RAD_S,) * 2, strict=True):
+        named = self._named()
+        for name, value in named.items():
+            low, high = (0, MOST_VELOCITY_RAD_S) if "velocity" in name else (-MOST_ANGLE_RAD, MOST_ANGLE_RAD)
             # Not a number is not within anything.
-            if not (0 if "velocity" in name else -bound) <= value <= bound:
+            if not low <= value <= high:
                 return f"limits: {name} is {value:g}; {ALLOWED_LIMITS}"
         velocities = self.velocity_min < self.velocity_max or (one_velocity and self.velocity_min == self.velocity_max)
         if not (self.angle_min < self.angle_max and velocities):
-            return f"limits: {', '.join(f'{name} is {value:g}' for name, value in self._named())}; {ALLOWED_LIMITS}"
+            return f"limits: {', '.join(f'{name} is {value:g}' for name, value in named.items())}; {ALLOWED_LIMITS}"
         return None
 
-    def _named(self) -> list[tuple[str, float | int]]:
-        return [(f"{name}_{'rad' if 'angle' in name else 'rad_s'}", value) for name, value in self._asdict().items()]
+    def _named(self) -> dict[str, float | int]:
+        return {f"{name}_{'rad' if 'angle' in name else 'rad_s'}": value for name, value in self._asdict().items()}
 
 
 PAPER_LIMITS = Limits(-np.pi / 2, np.pi / 2, 1.0, np.pi)
