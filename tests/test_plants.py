@@ -67,6 +67,17 @@ def test_a_folder_that_is_no_surrogate_is_no_plant(tmp_path):
         find_plant(str(tmp_path))
 
 
+def test_a_simulator_with_limits_that_no_fin_has_is_refused_before_anything_is_trained_in_it(tmp_path, monkeypatch):
+    (tmp_path / "my_fast_simulator.py").write_text(
+        "from tests.plants import PlainFin\n"
+        "class Plant(PlainFin):\n    limits = PlainFin().limits._replace(velocity_max=9000.0)\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(PlantError, match=r"plant my_fast_simulator:Plant: limits: velocity_max_rad_s is 9000"):
+        find_plant("my_fast_simulator:Plant")
+    sys.modules.pop("my_fast_simulator")
+
+
 @pytest.mark.parametrize("plant", [AnalyticFin(), PlainFin(), Tank()])
 def test_good_plants_pass_the_conformance_kit(plant):
     check_plant(plant)

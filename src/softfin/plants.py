@@ -9,10 +9,22 @@ from softfin.errors import PlantError
 from softfin.live import TANK, is_live
 from softfin.plant import Plant
 from softfin.plant_names import import_object, resolve_plant, running_user_code
+from softfin.quantities import Limits
 
 
 def find_plant(name: str) -> Plant:
     """The plant that `name` stands for; raises PlantError with what there is."""
+    plant = _found(name)
+    try:
+        problem = Limits(*map(float, plant.limits)).problem()
+    except (TypeError, ValueError) as error:
+        raise PlantError(f"plant {name}: its limits are no softfin.Limits of four numbers ({error})") from None
+    if problem:
+        raise PlantError(f"plant {name}: {problem}")
+    return plant
+
+
+def _found(name: str) -> Plant:
     kind, path = resolve_plant(name), Path(name)
     if kind == "object":
         return _built(name, import_object(name))

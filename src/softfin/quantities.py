@@ -68,8 +68,20 @@ class Log(NamedTuple):
     reading: Reading
 
 
+MOST_ANGLE_RAD = 2 * np.pi
+"""A fin turns at most once round, either way."""
+
+MOST_VELOCITY_RAD_S = 50.0
+"""Eight turns a second: no fin in water comes near it."""
+
+ALLOWED_LIMITS = (
+    f"a fin's are finite, with -{MOST_ANGLE_RAD:.3f} <= angle_min < angle_max <= {MOST_ANGLE_RAD:.3f} rad and "
+    f"0 <= velocity_min < velocity_max <= {MOST_VELOCITY_RAD_S:g} rad/s"
+)
+
+
 class Limits(NamedTuple):
-    """The commands that a plant takes."""
+    """The commands that a plant takes; `problem` says whether a fin may have them."""
 
     angle_min: float
     angle_max: float
@@ -78,14 +90,44 @@ class Limits(NamedTuple):
 
     def described(self) -> dict[str, float]:
         """For JSON: names with units."""
-        return {
-            f"{name}_{'rad' if 'angle' in name else 'rad_s'}": float(value) for name, value in self._asdict().items()
-        }
+        return {name: float(value) for name, value in self._named().items()}
 
     @classmethod
-    def of(cls, description: dict[str, float]) -> "Limits":
-        """From what `described` gave; raises KeyError where a name is missing."""
-        return cls(*(float(description[name]) for name in cls(0, 0, 0, 0).described()))
+    def of(cls, description: Any, one_velocity: bool = False) -> "Limits":
+        """From what `described` gave; raises ValueError, which says what is allowed, where there is a `problem`."""
+        values = []
+        for name in cls(0, 0, 0, 0).described():
+            value = description.get(name) if isinstance(description, dict) else None
+            if not isinstance(value, int | float) or isinstance(value, bool):
+                met = "missing" if value is None else repr(value)[:80]
+                raise ValueError(f"limits: {name} is {met}; it must be a number; {ALLOWED_LIMITS}")
+            try:
+                values.append(float(value))
+            except OverflowError:
+                raise ValueError(f"limits: {name} is too large; {ALLOWED_LIMITS}") from None
+        limits = cls(*values)
+        if problem := limits.problem(one_velocity):
+            raise ValueError(problem)
+        return limits
+
+    def problem(self, one_velocity: bool = False) -> str | None:
+        """What is wrong with these limits, and what is allowed; None where a fin may have them.
+
+        With `one_velocity` both velocities may be the same: such a fin can be recorded and learnt, but not trained for.
+        """
+        named = self._named()
+        for name, value in named.items():
+            low, high = (0, MOST_VELOCITY_RAD_S) if "velocity" in name else (-MOST_ANGLE_RAD, MOST_ANGLE_RAD)
+            # Not a number is not within anything.
+            if not low <= value <= high:
+                return f"limits: {name} is {value:g}; {ALLOWED_LIMITS}"
+        velocities = self.velocity_min < self.velocity_max or (one_velocity and self.velocity_min == self.velocity_max)
+        if not (self.angle_min < self.angle_max and velocities):
+            return f"limits: {', '.join(f'{name} is {value:g}' for name, value in named.items())}; {ALLOWED_LIMITS}"
+        return None
+
+    def _named(self) -> dict[str, float | int]:
+        return {f"{name}_{'rad' if 'angle' in name else 'rad_s'}": value for name, value in self._asdict().items()}
 
 
 PAPER_LIMITS = Limits(-np.pi / 2, np.pi / 2, 1.0, np.pi)

@@ -60,7 +60,7 @@ from softfin.surrogate.active import ActiveCollectConfig, chooser
 from softfin.surrogate.choice import fit_any
 from softfin.surrogate.fit import check_lengths
 from softfin.surrogate.metrics import SKIPPED, measured_scaling, table_one
-from softfin.surrogate.range import learnt_from, training_range
+from softfin.surrogate.range import check_commands_learnt, learnt_from, training_range
 from softfin.tank import DrawnTanks, Spread, Tank, randomised
 from softfin.tracking.references import PAPER_RANGE, PAPER_REFERENCES
 from softfin.training.engine import find_engine
@@ -190,6 +190,7 @@ def fit(
     facts = {"configuration": config.model_dump(mode="json"), "seed": seed, "data_hash": opened.data_hash}
     workspace = Workspace(out, facts, resume, overwrite)
     if not workspace.complete:
+        check_commands_learnt(opened.train, str(dataset))
         test = opened.test
         check_lengths(test, SKIPPED, "test")
         if test:

@@ -15,7 +15,7 @@ from softfin.deployment.conformance import check_machine
 from softfin.errors import PlantError
 from softfin.plant import Plant, State, roll
 from softfin.plant_identity import identity
-from softfin.quantities import TICK_S, Command, Limits, Reading
+from softfin.quantities import ALLOWED_LIMITS, TICK_S, Command, Limits, Reading
 
 __all__ = ["check_machine", "check_plant"]
 
@@ -37,8 +37,8 @@ def check_plant(plant: Any) -> None:
     key = jax.random.key(0)
     state = _ask(plant, "init", key)
     _check_purity(plant, state)
-    _check_identity(plant)
     _check_batches(plant)
+    _check_identity(plant)
     stroke = jax.jit(lambda state, command: plant.advance(state, command, STROKE_TICKS))
     for angle in (limits.angle_min, limits.angle_max):
         for velocity in (limits.velocity_min, limits.velocity_max):
@@ -51,12 +51,8 @@ def _check_limits(plant: Plant) -> Limits:
         limits = Limits(*(float(value) for value in plant.limits))
     except (TypeError, ValueError):
         _fail(plant, f"limits = {plant.limits!r}", "limits is a softfin.Limits of four numbers")
-    if not (
-        np.isfinite(limits).all()
-        and limits.angle_min < limits.angle_max
-        and 0 <= limits.velocity_min < limits.velocity_max
-    ):
-        _fail(plant, f"limits = {limits}", "finite, angle_min < angle_max and 0 <= velocity_min < velocity_max")
+    if limits.problem():
+        _fail(plant, f"limits = {limits}", ALLOWED_LIMITS)
     return limits
 
 

@@ -90,6 +90,7 @@ HARMS: list[tuple[Callable[[Path], None], str]] = [
     (lambda f: rewrite(f, reachable=None), "description"),
     (lambda f: rewrite(f, reachable={"centre_n": [0, 0], "radius_n": [1, -1, 1]}), "no radius under 0"),
     (lambda f: rewrite(f, limits={}), "description"),
+    (lambda f: rewrite(f, limits=PAPER_LIMITS._replace(velocity_max=9000.0).described()), "velocity_max_rad_s is 9000"),
     (lambda f: rewrite(f, lattice=lattice(nodes=[4, 3])), r"do not fit a lattice of \(4, 3\)"),
     (lambda f: rewrite(f, lattice=lattice(nodes=[12])), r"a lattice of \(12,\) nodes is none"),
     (lambda f: rewrite(f, lattice=lattice(nodes=[1, 12])), r"a lattice of \(1, 12\) nodes is none"),

@@ -62,6 +62,7 @@ def test_what_must_not_be_guessed_has_no_default(key: str) -> None:
         ({"node": 127}, "host_node"),
         ({"angle_min_rad": 2.0}, "must be below"),
         ({"slowest_rad_s": 4.0}, "is above"),
+        ({"angle_max_rad": 100.0}, "angle_max_rad is 100; a fin's are finite"),
         ({"gear_ratio": 0.05, "slowest_rad_s": 0.01}, "less than 1 rpm"),
         ({"encoder_lines": 2_500_000, "gear_ratio": 1e6}, "more counts"),
         ({"direction": 2}, "direction"),

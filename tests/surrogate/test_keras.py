@@ -175,6 +175,7 @@ def test_a_convolution_with_stride_is_refused(files):
         (lambda s: s.pop("force_y_n"), "no scaling for force_y_n"),
         (lambda s: s["angle_rad"].update(scale=-1), "angle_rad.scale: Input should be greater than 0"),
         (lambda s: s["angle_rad"].pop("offset"), "angle_rad.offset: Field required"),
+        (lambda s: s["command_angle_rad"].update(data_max=100.0), r"scalers\.json: limits: angle_max_rad is 100"),
     ],
 )
 def test_scalers_that_miss_something_are_refused(files, change, words):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from softfin import artifacts
 from softfin.errors import LogError
-from softfin.files import regular_file
+from softfin.logs.parquet_file import damaged, open_parquet
 from softfin.quantities import RATE_HZ, TICK_S, Command, Log, Reading
 
 SCHEMA = pa.schema(
@@ -124,16 +124,13 @@ def _columns(log: Log) -> Columns:
 
 
 def _read_columns(path: Path) -> Columns:
+    file = open_parquet(path)
+    _check_names(file.schema_arrow.names, path)
     try:
-        data = regular_file(path).read_bytes()
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read ({error.strerror}); give the path of a Parquet file") from None
-    try:
-        file = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
-        _check_names(file.schema_arrow.names, path)
-        table = file.read()
+        with file:
+            table = file.read()
     except (pa.ArrowException, OSError) as error:
-        raise LogError(f"{path}: truncated, or not a Parquet file ({_one_line(error)}); copy it again") from None
+        raise damaged(path, error) from None
     return {field.name: _values(table, field, path) for field in SCHEMA}
 
 
@@ -166,7 +163,3 @@ def _values(table: pa.Table, field: pa.Field, path: Path) -> NDArray[np.floating
         )
     values: NDArray[np.floating] = column.to_numpy()
     return values
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__

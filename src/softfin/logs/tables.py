@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
-import pyarrow.parquet as pq
 from jaxtyping import Float
 
 from softfin.errors import LogError
@@ -15,11 +14,12 @@ from softfin.logs.columns import OWN_NAMES, Column, choose_columns, converted, s
 from softfin.logs.findings import Finding, Place
 from softfin.logs.importing import ImportConfig
 from softfin.logs.names import KINDS, UNITS
+from softfin.logs.parquet_file import MOST_BYTES, check_names, check_rows, damaged, open_parquet
 from softfin.logs.recording import Part, Recording, Track
 from softfin.paths import CSV
 
-LONGEST_HEADER = 2**20
-"""Characters of a table's first line."""
+LONGEST_HEADER = 100_000
+"""Letters of the line that names the columns."""
 
 MANY_ROWS = 100_000
 """A single log of more than this, a quarter of an hour, is more likely several end to end."""
@@ -107,17 +107,20 @@ def _columns_shown(name: str, found: dict[str, Column], config: ImportConfig) ->
 
 def _csv_names(path: Path) -> list[str]:
     try:
-        with regular_file(path).open(encoding="utf-8-sig") as file:
-            line = file.readline(LONGEST_HEADER)
-    except (OSError, UnicodeDecodeError) as error:
+        with regular_file(path, MOST_BYTES).open(encoding="utf-8-sig") as file:
+            line = file.readline(LONGEST_HEADER + 1)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read ({error.strerror or error}); give a CSV file") from None
+    except UnicodeDecodeError as error:
         raise LogError(f"{path}: cannot be read as text ({error}); give a CSV file") from None
-    if len(line) == LONGEST_HEADER:
-        raise LogError(f"{path}: its first line is longer than {LONGEST_HEADER:,} characters; give a CSV file")
+    if len(line) > LONGEST_HEADER:
+        raise LogError(f"{path}: its first line has over {LONGEST_HEADER:,} letters; it must name the columns")
     if not line.strip():
         raise LogError(f"{path}: empty: it has no header; the first line must name the columns")
     names = [name.strip() for name in next(csv.reader([line], delimiter=_delimiter(line)))]
     if all(_is_number(name) for name in names):
         raise LogError(f"{path}: its first line holds numbers ({line.strip()[:60]}); write the columns' names above it")
+    check_names(path, names)
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise LogError(f"{path}: column {twice!r} is there twice; rename one of them")
@@ -140,8 +143,9 @@ def _read_csv(path: Path, names: list[str], columns: list[str]) -> pa.Table:
     with path.open(encoding="utf-8-sig") as file:
         delimiter = _delimiter(file.readline())
     empty = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", "None", "-"]
+    batches, rows = [], 0
     try:
-        return pyarrow.csv.read_csv(
+        reader = pyarrow.csv.open_csv(
             path,
             read_options=pyarrow.csv.ReadOptions(column_names=names, skip_rows=1),
             parse_options=pyarrow.csv.ParseOptions(delimiter=delimiter),
@@ -149,24 +153,30 @@ def _read_csv(path: Path, names: list[str], columns: list[str]) -> pa.Table:
                 include_columns=columns, column_types=dict.fromkeys(columns, pa.float64()), null_values=empty
             ),
         )
+        with reader:
+            # A file does not say how many rows it has: they are counted as they come.
+            for batch in reader:
+                rows += batch.num_rows
+                check_rows(path, rows)
+                batches.append(batch)
+            return pa.Table.from_batches(batches, reader.schema)
     except (pa.ArrowException, OSError) as error:
-        reason = " ".join(str(error).split())
+        reason = " ".join(str(error).split())[:500]
         raise LogError(f"{path}: not a table of numbers ({reason}); correct that line, or leave it empty") from None
 
 
 def _parquet_names(path: Path) -> list[str]:
-    try:
-        names: list[str] = pq.read_schema(regular_file(path)).names
-    except (pa.ArrowException, OSError) as error:
-        raise LogError(f"{path}: not a Parquet file ({' '.join(str(error).split())}); copy it again") from None
+    with open_parquet(path) as file:
+        names: list[str] = file.schema_arrow.names
     return names
 
 
 def _read_parquet(path: Path, names: list[str], columns: list[str]) -> pa.Table:
     try:
-        return pq.read_table(path, columns=columns, page_checksum_verification=True)
+        with open_parquet(path) as file:
+            return file.read(columns)
     except (pa.ArrowException, OSError) as error:
-        raise LogError(f"{path}: truncated or damaged ({' '.join(str(error).split())}); copy it again") from None
+        raise damaged(path, error) from None
 
 
 def _numbers(column: pa.ChunkedArray, name: str, path: Path) -> Float[np.ndarray, "rows"]:

@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 from pydantic import Field, model_validator
 
 from softfin.configuration import Configuration
-from softfin.quantities import PAPER_LIMITS, TICK_S
+from softfin.quantities import PAPER_LIMITS, TICK_S, Limits
 
 COUNTS_A_LINE = 4
 """Quadrature: every line of the encoder gives four edges."""
@@ -74,6 +74,9 @@ class DriveConfig(Configuration):
             raise ValueError(f"angle_min_rad {self.angle_min_rad:g} must be below angle_max_rad {self.angle_max_rad:g}")
         if not self.slowest_rad_s <= self.fastest_rad_s:
             raise ValueError(f"slowest_rad_s {self.slowest_rad_s:g} is above fastest_rad_s {self.fastest_rad_s:g}")
+        limits = Limits(self.angle_min_rad, self.angle_max_rad, self.slowest_rad_s, self.fastest_rad_s)
+        if problem := limits.problem(one_velocity=True):
+            raise ValueError(problem)
         if self.node == self.host_node:
             raise ValueError(f"node and host_node are both {self.node}; give host_node a number that no device has")
         braking = self.fastest_rad_s / self.quick_stop_rad_s2

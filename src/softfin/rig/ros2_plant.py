@@ -49,6 +49,8 @@ class LimitsConfig(Configuration):
                                 ("velocity", self.velocity_min_rad_s, self.velocity_max_rad_s)):  # fmt: skip
             if not low < high:
                 raise ValueError(f"{name}: min {low:g} is not below max {high:g}")
+        if problem := self.limits().problem():
+            raise ValueError(problem)
         return self
 
     def limits(self) -> Limits:

@@ -39,7 +39,10 @@ def import_keras(posnet: Path, forcenet: Path, scalers: Path) -> Surrogate:
     scaling = read_scalers(scalers)
     scaling.require([ANGLE, *COMMANDS, *FORCES], str(scalers))
     nets = read_network(posnet, COMMANDS, (ANGLE,)), read_network(forcenet, (ANGLE, *COMMANDS), FORCES)
-    return Surrogate(*nets, scaling)
+    surrogate = Surrogate(*nets, scaling)
+    if problem := surrogate.limits.problem():
+        raise ArtifactError(f"{scalers}: {problem}; they are data_min and data_max of the commands' channels")
+    return surrogate
 
 
 def read_scalers(path: Path) -> Scaling:

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from softfin import artifacts
-from softfin.quantities import Log
+from softfin.errors import LogError
+from softfin.quantities import Limits, Log
 from softfin.surrogate.forcenet import FORCES
 from softfin.surrogate.surrogate import ANGLE
 
@@ -34,6 +35,14 @@ def training_range(logs: Sequence[Log]) -> Range:
         name: [float(min(part.min() for part in parts)), float(max(part.max() for part in parts))]
         for name, parts in zip(CHANNELS, columns, strict=True)
     }
+
+
+def check_commands_learnt(logs: Sequence[Log], source: str) -> None:
+    """Raise LogError where a surrogate of these logs would have limits that no fin has: none could be loaded."""
+    ranges = [(min(c.min() for c in commands), max(c.max() for c in commands))
+              for commands in zip(*(log.command for log in logs), strict=True)]  # fmt: skip
+    if problem := Limits(*(float(end) for ends in ranges for end in ends)).problem(one_velocity=True):
+        raise LogError(f"{source}: the commands to learn from: {problem}; are they in degrees? see --angles deg")
 
 
 def learnt_from(plant: object) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from typing import Any, TypeAlias
 
 from softfin import artifacts
 from softfin.errors import ArtifactError
-from softfin.quantities import RATE_HZ
+from softfin.quantities import RATE_HZ, Limits
 from softfin.surrogate.forcenet import FORCES
 from softfin.surrogate.network import Network, NetworkConfig
 from softfin.surrogate.posnet import COMMANDS
@@ -62,7 +62,10 @@ def load_surrogate(path: Path) -> AnySurrogate:
     if model not in _READERS:
         raise ArtifactError(f"{source}: model {model!r}; this softfin knows {', '.join(_READERS)}; update it")
     try:
-        return _READERS[model](description, weights, source)
+        surrogate = _READERS[model](description, weights, source)
+        # Of the paper's nets they follow from the scaling.
+        Limits.of(surrogate.limits.described(), one_velocity=True)
+        return surrogate
     except (KeyError, TypeError, ValueError) as error:
         raise ArtifactError(f"{source}: not a surrogate's description ({' '.join(str(error).split())})") from None
 

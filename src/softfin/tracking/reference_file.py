@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from softfin.errors import ConfigurationError
+from softfin.errors import ConfigurationError, LogError
 from softfin.files import regular_file
 from softfin.logs.names import SPELLED, UNITS
+from softfin.logs.parquet_file import open_parquet
 from softfin.paths import check_reference_file
 from softfin.quantities import TICK_S
 from softfin.tracking.signals import CLOCK_S, Recorded
@@ -28,6 +28,9 @@ COLUMNS = {
 
 LONGEST_S = 3600.0
 """Longer references are a slip of the unit [s]."""
+
+MOST_ROWS = 360_000
+"""An hour at 100 Hz, the rate of readings."""
 
 Rows = list[tuple[str, tuple[float, ...]]]
 """Where each row stands, in words, and its values in the order of `COLUMNS`."""
@@ -60,10 +63,18 @@ def _read_csv(path: Path) -> Rows:
             for fields in table:
                 if any(field.strip() for field in fields):
                     where = f"line {table.line_num}"
+                    _check_count(path, len(rows) + 1)
                     rows.append((where, tuple(_number(path, where, header, fields, place) for place in places)))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ConfigurationError(f"--reference-file {path}: cannot be read ({error}); give a CSV file") from None
     return rows
+
+
+def _check_count(path: Path, rows: int) -> None:
+    if rows > MOST_ROWS:
+        raise ConfigurationError(
+            f"--reference-file {path}: has {rows:,} rows or more; at most {MOST_ROWS:,} are followed; leave rows out"
+        )
 
 
 def _number(path: Path, where: str, header: list[str], fields: list[str], place: int) -> float:
@@ -79,11 +90,13 @@ def _number(path: Path, where: str, header: list[str], fields: list[str], place:
 
 def _read_parquet(path: Path) -> Rows:
     try:
-        header: list[str] = pq.read_schema(regular_file(path)).names
-        names = [header[place] for place in _places(path, header)]
-        table = pq.read_table(path, columns=names)
+        with open_parquet(path) as file:
+            header: list[str] = file.schema_arrow.names
+            names = [header[place] for place in _places(path, header)]
+            _check_count(path, file.metadata.num_rows)
+            table = file.read(names)
         columns = [table.column(name).cast(pa.float64()).to_numpy() for name in names]
-    except (OSError, pa.ArrowException) as error:
+    except (OSError, LogError, pa.ArrowException) as error:
         reason = " ".join(str(error).split())
         raise ConfigurationError(
             f"--reference-file {path}: no Parquet table of numbers ({reason}); write it again"

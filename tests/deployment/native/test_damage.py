@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import safetensors.numpy
 
+from softfin.control.store import load_controller
 from softfin.deployment.native import files as native_files
 from softfin.deployment.native import load_native, trimmed
 from softfin.errors import ArtifactError
@@ -218,3 +219,23 @@ def _scatter(file: Path, chance: random.Random, within: int | None) -> None:
         if data:
             data[chance.randrange(min(within or len(data), len(data)))] = chance.randrange(256)
     file.write_bytes(data)
+
+
+@pytest.mark.parametrize("loaded", [load_native, load_controller])
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"angle_min_rad": -100.0, "angle_max_rad": 100.0}, "limits: angle_min_rad is -100; a fin's are finite"),
+        ({"velocity_max_rad_s": 9000.0}, "limits: velocity_max_rad_s is 9000; a fin's are finite"),
+        ({"velocity_min_rad_s": 60.0}, "limits: velocity_min_rad_s is 60"),
+    ],
+)
+def test_limits_that_no_fin_has_are_refused_by_both_loaders(
+    loaded: Callable[[Path], Any], changes: dict[str, float], words: str, folders: dict[str, Path], tmp_path: Path
+) -> None:
+    folder = copied(folders["single"], tmp_path / "c")
+    edit(folder, limits=json.loads((folder / "controller.json").read_text())["limits"] | changes)
+    with pytest.raises(ArtifactError, match=words) as error:
+        loaded(folder)
+    assert str(folder / "controller.json") in str(error.value)
+    assert "velocity_max <= 50 rad/s" in str(error.value)

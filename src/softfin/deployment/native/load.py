@@ -36,7 +36,10 @@ def load_native(path: Path) -> NativeController:
     folder = read_folder(path)
     said = Described(folder.description, str(path / DESCRIPTION))
     kind = _current_kind(said)
-    limits = _limits(said.part("limits"))
+    try:
+        limits = Limits.of(said.part("limits").values)
+    except ValueError as error:
+        raise ArtifactError(f"{said.source}: {error}; {AGAIN}") from None
     step, cells = (_gaits if kind == "gaits" else _policies)(said, folder, limits, str(path / WEIGHTS))
     return NativeController(
         name=path.resolve().name,
@@ -65,14 +68,6 @@ def _current_kind(said: Described) -> str:
     if kind not in ("single", "grid", "gaits"):
         raise said.wrong("controller", "single, grid or gaits")
     return str(kind)
-
-
-def _limits(said: Described) -> Limits:
-    names = list(Limits(0, 0, 0, 0).described())
-    limits = Limits(*(said.number(name) for name in names))
-    if not (limits.angle_min < limits.angle_max and 0 <= limits.velocity_min < limits.velocity_max):
-        raise said.wrong(names[1], f"limits in order, not {', '.join(f'{x:g}' for x in limits)}")
-    return limits
 
 
 def _policies(said: Described, folder: Folder, limits: Limits, weights: str) -> tuple[Step, tuple[Box, ...]]:

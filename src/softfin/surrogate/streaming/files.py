@@ -54,7 +54,7 @@ def read_streaming(description: dict[str, Any], weights: dict[str, Any], source:
     shapes = eqx.filter_eval_shape(lambda: Familiarity(jnp.zeros(size), jnp.zeros((size, size))))
     return StreamingSurrogate(
         members,
-        Limits.of(description["limits"]),
+        Limits.of(description["limits"], one_velocity=True),
         Interval.model_validate(description["interval"]),
         _filled(shapes, "familiarity", weights, source),
     )
