@@ -6,10 +6,10 @@ Gymnasium 1 loads no plugins by entry points. It imports a module that is named 
 
 import importlib.util
 import sys
-from collections.abc import Sequence
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
+from typing import Any
 
 ID = "softfin/ForceTracking-v0"
 
@@ -33,9 +33,7 @@ def register_with_gymnasium() -> None:
 class _AfterGymnasium(MetaPathFinder):
     """Stands in the way of the first import of Gymnasium, steps aside, and registers once that is done."""
 
-    def find_spec(
-        self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
-    ) -> ModuleSpec | None:
+    def find_spec(self, fullname: str, path: Any = None, target: ModuleType | None = None) -> ModuleSpec | None:
         """The spec of Gymnasium whose loader registers; None for all other modules."""
         if fullname != "gymnasium":
             return None
