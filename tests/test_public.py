@@ -34,6 +34,31 @@ def test_importing_the_stages_and_all_of_training_computes_nothing():
 
 
 def test_the_environment_is_known_to_gymnasium_whichever_is_imported_first():
-    make = "gymnasium.make('softfin/ForceTracking-v0', plant=softfin.Tank())"
-    for order in ("import gymnasium, softfin", "import softfin, gymnasium"):
-        subprocess.run([sys.executable, "-c", f"{order}; {make}"], check=True, capture_output=True)
+    """Gymnasium 1 loads no plugins by entry points; the module in front of the ID is what it has instead."""
+    known = (
+        "import sys; gymnasium.spec('softfin/ForceTracking-v0'); assert not {'jax', 'matplotlib'} & set(sys.modules)"
+    )
+    make = "gymnasium.make('softfin:softfin/ForceTracking-v0')"
+    for code in (
+        f"import gymnasium, softfin; {known}",
+        f"import softfin, gymnasium; {known}; {make}",
+        f"import gymnasium; {make}",
+    ):
+        subprocess.run([sys.executable, "-W", "error", "-c", code], check=True, capture_output=True)
+
+
+def test_using_softfin_does_not_import_gymnasium_and_gymnasium_may_be_absent():
+    code = (
+        "import sys, softfin\n"
+        "assert softfin.Limits.__module__ == 'softfin.quantities'\n"
+        "assert 'gymnasium' not in sys.modules\n"
+        "hooks = len(sys.meta_path)\n"
+        "sys.modules['gymnasium'] = None\n"
+        "try: import gymnasium\n"
+        "except ImportError: pass\n"
+        "else: raise AssertionError\n"
+        "del sys.modules['gymnasium']\n"
+        "import gymnasium.spaces\n"
+        "assert len(sys.meta_path) == hooks - 1\n"
+    )
+    subprocess.run([sys.executable, "-W", "error", "-c", code], check=True, capture_output=True)

@@ -9,13 +9,14 @@ The stages of the main job, the records that pass between them, and what plants 
     softfin.train("surrogate", Path("controller"))
     softfin.evaluate(Path("controller"), "tank", Path("evaluation"))
 
-Everything is imported when it is first used, so that ``import softfin`` costs nothing. The environment
-``softfin/ForceTracking-v0`` is known to Gymnasium once Gymnasium and softfin are imported, or any name below is used.
+Everything is imported when it is first used, so that ``import softfin`` costs nothing. Gymnasium knows the environment
+``softfin/ForceTracking-v0`` once both are imported, in either order, and ``softfin:softfin/ForceTracking-v0`` always.
 """
 
 import importlib
-import sys
 from typing import TYPE_CHECKING, Any
+
+from softfin.tracking.registration import register_with_gymnasium
 
 if TYPE_CHECKING:
     from softfin import testing
@@ -155,7 +156,6 @@ def __getattr__(name: str) -> Any:
         return importlib.import_module("softfin.testing")
     if name not in _HOME_OF:
         raise AttributeError(f"module 'softfin' has no attribute {name!r}; it has {', '.join(__all__)}")
-    _register()
     value = getattr(importlib.import_module(_HOME_OF[name]), name)
     globals()[name] = value
     return value
@@ -165,11 +165,4 @@ def __dir__() -> list[str]:
     return __all__
 
 
-def _register() -> None:
-    from softfin.tracking.registration import register
-
-    register()
-
-
-if "gymnasium" in sys.modules:
-    _register()
+register_with_gymnasium()

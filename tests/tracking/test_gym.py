@@ -1,5 +1,6 @@
 """The Gymnasium environment, on an analytic fin."""
 
+import itertools
 import warnings
 from collections.abc import Callable
 
@@ -8,7 +9,9 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from softfin.errors import InputError
+from softfin.errors import InputError, PlantError
+from softfin.tank import Tank
+from softfin.tracking.gym import ForceTrackingEnv
 from softfin.tracking.references import Cell
 from softfin.tracking.registration import ID, register
 from softfin.tracking.task import TaskConfig
@@ -23,10 +26,73 @@ def make() -> Callable[..., gymnasium.Env]:
     return lambda **changes: gymnasium.make(ID, plant=plant, **changes)
 
 
-def test_check_env_passes_without_a_warning(make: Callable[..., gymnasium.Env]) -> None:
+@pytest.fixture(scope="module")
+def shown(make: Callable[..., gymnasium.Env]) -> gymnasium.Env:
+    return make(render_mode="rgb_array")
+
+
+@pytest.mark.parametrize("mode", [None, "rgb_array"])
+def test_check_env_passes_without_a_warning(make: Callable[..., gymnasium.Env], mode: str | None) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        check_env(make().unwrapped)
+        check_env(make(render_mode=mode).unwrapped)
+
+
+def test_it_is_made_with_the_tank_by_default_and_with_a_plant_by_name() -> None:
+    assert isinstance(gymnasium.make(ID).unwrapped.task.plant, Tank)
+    named = gymnasium.make(ID, plant="tests.plants:AnalyticFin").unwrapped
+    assert isinstance(named.task.plant, AnalyticFin)
+    with pytest.raises(PlantError, match="plant nowhere: unknown"):
+        gymnasium.make(ID, plant="nowhere")
+
+
+def test_several_are_made_at_once() -> None:
+    envs = gymnasium.make_vec(ID, num_envs=2, vectorization_mode="sync", plant="tests.plants:AnalyticFin")
+    observation, _ = envs.reset(seed=0)
+    assert observation.shape == (2, 11)
+    _, rewards, _, _, info = envs.step(np.zeros((2, 2), np.float32))
+    assert rewards.shape == (2,)
+    assert info["force_n"].shape == (2, 33, 2)
+
+
+def test_each_action_is_drawn_and_the_same_episode_gives_the_same_frames(shown: gymnasium.Env) -> None:
+    def frames() -> list[np.ndarray]:
+        shown.reset(seed=3)
+        made = [shown.render()]
+        for angle in (0.5, -0.5):
+            shown.step(np.array([angle, 1.0], np.float32))
+            made.append(shown.render())
+        return made
+
+    first, second = frames(), frames()
+    assert {(frame.shape, frame.dtype) for frame in first} == {((520, 960, 3), np.dtype(np.uint8))}
+    assert all((before != after).any() for before, after in itertools.pairwise(first))
+    # The first episode may have changed the scale, which stays.
+    np.testing.assert_array_equal(first[-1], second[-1])
+    assert shown.metadata["render_fps"] == 3
+
+
+def test_what_is_drawn_is_what_the_task_has_seen(shown: gymnasium.Env) -> None:
+    _, info = shown.reset(seed=1)
+    asked = info["reference_n"]
+    forces = [shown.step(np.array([0.4 * (-1) ** k, 0.8], np.float32))[-1]["force_n"] for k in range(4)]
+    shown.render()
+    footage = shown.unwrapped._film._picture.footage
+    np.testing.assert_allclose(footage.reading.force, np.concatenate(forces), atol=1e-4)
+    np.testing.assert_allclose(footage.reference, np.tile(asked, (133, 1)))
+    assert footage.command.angle[[0, 32, 33, 132]] == pytest.approx(
+        np.pi / 2 * np.array([0.4, 0.4, -0.4, -0.4]), rel=1e-4
+    )
+
+
+def test_rendering_where_nothing_can_be_drawn_is_refused(make: Callable[..., gymnasium.Env]) -> None:
+    env = make().unwrapped
+    with pytest.raises(InputError, match='make it with render_mode="rgb_array"'):
+        env.render()
+    with pytest.raises(InputError, match="render before reset; call reset first"):
+        make(render_mode="rgb_array").unwrapped.render()
+    with pytest.raises(InputError, match="render_mode 'ansi'; there is 'rgb_array', or None"):
+        ForceTrackingEnv(AnalyticFin(), render_mode="ansi")
 
 
 def test_an_episode_is_truncated_after_30_s_and_never_terminates(make: Callable[..., gymnasium.Env]) -> None:

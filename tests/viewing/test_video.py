@@ -1,6 +1,7 @@
 import itertools
 import os
 
+import jax
 import numpy as np
 import PIL.Image
 import pytest
@@ -37,6 +38,22 @@ def test_a_frame_depends_on_its_tick_alone(picture):
     picture.frame(215)
     np.testing.assert_array_equal(picture.frame(10), first)
     assert first.shape == (260, 480, 3)
+
+
+def test_a_footage_that_grows_is_drawn_up_to_now_with_nothing_ahead():
+    whole = beating(BendingFin(), 220, reference=(2.0, -1.0))
+
+    def first(ticks):
+        cut = jax.tree.map(lambda x: x[:ticks], whole._replace(shape_known=None, thickness=None, average=None))
+        average = whole.average[: max(ticks - 199, 0)]
+        return cut._replace(shape_known=True, thickness=whole.thickness, average=average)
+
+    growing = Picture(first(1), "a fin", DPI, scale=scale_of(whole), seconds=2.2)
+    known = Picture(whole, "a fin", DPI)
+    for ticks in (1, 50, 210):
+        np.testing.assert_array_equal(growing.last_frame(first(ticks))[:, :240], known.frame(ticks - 1)[:, :240])
+    np.testing.assert_allclose(growing._lines[-1][0].get_ydata(), whole.average[:11, 1])
+    assert (growing.frame(49)[:, 300:] != known.frame(49)[:, 300:]).any()
 
 
 def test_the_fin_is_drawn_where_its_shape_is_to_the_left_of_the_shaft(picture):

@@ -1,10 +1,10 @@
 """The task as a Gymnasium environment, ``softfin/ForceTracking-v0``: what any reinforcement-learning library takes.
 
-gymnasium.make("softfin/ForceTracking-v0", plant=surrogate)
+gymnasium.make("softfin:softfin/ForceTracking-v0", plant=surrogate, render_mode="rgb_array")
 """
 
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import jax
@@ -12,13 +12,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from softfin.action_clock import ACTION_TICKS
+from softfin.action_clock import ACTION_RATE_HZ, ACTION_TICKS
 from softfin.errors import InputError
 from softfin.plant import Plant
+from softfin.plants import find_plant
 from softfin.quantities import AXES
 from softfin.tracking.references import PAPER_RANGE, Cell, References
 from softfin.tracking.registration import ID
-from softfin.tracking.task import ANGLE_SCALE_RAD, ForceTracking, Outcome, TaskConfig, TaskState
+from softfin.tracking.task import ANGLE_SCALE_RAD, ForceTracking, Outcome, TaskConfig, TaskState, command_of
+
+if TYPE_CHECKING:
+    from softfin.viewing.episode import EpisodeFilm
 
 Observation = Float[np.ndarray, "observations"]
 
@@ -28,16 +32,23 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
 
     Observations and actions are those of `ForceTracking`; `info` holds the window's ``error_n``, its Sobolev term
     ``smoothness_n``, the ``reference_n`` (each x, y) and the ``force_n`` of every tick that the action was held.
+
+    `plant` is a Plant or the name of one: tank, a tank's YAML file, a surrogate's folder, package.module:plant. In the
+    render mode ``rgb_array``, `render` draws the fin, its force, the reference and the traces of the episode so far.
     """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": round(ACTION_RATE_HZ)}  # noqa: RUF012
 
     def __init__(
         self,
-        plant: Plant,
+        plant: Plant | str = "tank",
         config: TaskConfig | None = None,
         references: Cell = PAPER_RANGE,
-        render_mode: None = None,
+        render_mode: str | None = None,
     ) -> None:
-        self.task = ForceTracking(plant, config or TaskConfig())
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise InputError(f"{ID}: render_mode {render_mode!r}; there is 'rgb_array', or None")
+        self.task = ForceTracking(find_plant(plant) if isinstance(plant, str) else plant, config or TaskConfig())
         self.references = references
         self.render_mode = render_mode
         high = _greatest(self.task.config, references)
@@ -46,6 +57,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         self._reset = jax.jit(self.task.reset)
         self._observe = jax.jit(self.task.observe)
         self._step = {ticks: jax.jit(partial(self.task.step, ticks=ticks)) for ticks in set(ACTION_TICKS)}
+        self._film = None if render_mode is None else self._new_film()
         self._state: TaskState | None = None
         self._actions = 0
 
@@ -57,6 +69,8 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         key = jax.random.key(self.np_random.integers(2**31))
         self._state = self._reset(key, self._drawn_from(options or {}))
         self._actions = 0
+        if self._film is not None:
+            self._film.reset(self._state.plant, np.array(self._state.reference))
         return self._observed(self._state), {"reference_n": np.array(self._state.reference)}
 
     def step(self, action: Float[np.ndarray, "2"]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -66,11 +80,29 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         if not self.action_space.contains(np.asarray(action, np.float32)):
             raise InputError(f"{ID}: action {action} is not two numbers in [-1, 1]; clip it or squash it")
         reference = np.array(self._state.reference)
-        step = self._step[ACTION_TICKS[self._actions % len(ACTION_TICKS)]]
-        self._state, outcome = step(self._state, jnp.asarray(action, jnp.float32))
+        ticks, held = ACTION_TICKS[self._actions % len(ACTION_TICKS)], jnp.asarray(action, jnp.float32)
+        if self._film is not None:
+            self._film.add(self._state.plant, command_of(self.task.plant.limits, held), ticks, reference)
+        self._state, outcome = self._step[ticks](self._state, held)
         self._actions += 1
         truncated = self._actions >= self.task.config.episode_actions
         return self._observed(self._state), float(outcome.reward), False, truncated, _info(outcome, reference)
+
+    def render(self) -> Any:
+        """The fin and the episode so far as an image, ``(height, width, 3)`` bytes."""
+        if self._film is None:
+            raise InputError(f'{ID}: made without a render mode; make it with render_mode="rgb_array"')
+        if self._state is None:
+            raise InputError(f"{ID}: render before reset; call reset first")
+        return self._film.frame()
+
+    def _new_film(self) -> "EpisodeFilm":
+        # Who does not look at it need not wait for Matplotlib.
+        from softfin.viewing.episode import EpisodeFilm
+
+        corners = np.array([self.references.low, self.references.high])
+        seconds = self.task.config.episode_actions / ACTION_RATE_HZ
+        return EpisodeFilm(self.task.plant, seconds, float(np.linalg.norm(np.abs(corners).max(axis=0))))
 
     def _drawn_from(self, options: dict[str, Any]) -> References:
         if "reference" not in options:

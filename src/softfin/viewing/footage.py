@@ -47,25 +47,46 @@ class Footage(NamedTuple):
     """The force that a controller was asked for [N]."""
 
 
+class Shots(NamedTuple):
+    """What is seen of a plant, in ticks of 10 ms."""
+
+    reading: Reading
+    shape: Any
+    """``(ticks, points, 2)`` [m], or None where the plant does not tell it."""
+    stream: Any
+    """``(ticks, 2)`` [m/s], or None where the plant has none."""
+
+
 def film(
     plant: Plant, key: PRNGKeyArray, commands: Command, reference: Float[np.ndarray, "ticks 2"] | None = None
 ) -> Footage:
     """Roll the plant from rest, one command a tick, ``(ticks,)``, that follow a reference where there is one."""
+    issued = Command(*(jnp.asarray(field, jnp.float32) for field in commands))
+    shots = jax.jit(lambda: shoot(plant, plant.init(key), issued))()
+    command, seen = jax.tree.map(np.asarray, (issued, shots))
+    return develop(plant, command, seen, reference)
+
+
+def shoot(plant: Plant, state: State, commands: Command) -> Shots:
+    """Roll the plant from a state, one command a tick, ``(ticks,)``, and keep what can be seen; traceable."""
     shape_of = cast(Shaped, plant).shape if callable(getattr(plant, "shape", None)) else None
 
-    def tick(state: State, command: Command) -> tuple[State, Any]:
+    def tick(state: State, command: Command) -> tuple[State, Shots]:
         state, reading = plant.advance(state, command, 1)
         seen = jax.tree.map(lambda x: x[0], reading)
-        return state, (seen, shape_of(state) if shape_of is not None else None, _stream(state))
+        return state, Shots(seen, None if shape_of is None else shape_of(state), _stream(state))
 
-    issued = Command(*(jnp.asarray(field, jnp.float32) for field in commands))
-    _, kept = jax.jit(lambda: jax.lax.scan(tick, plant.init(key), issued))()
-    command, (reading, shape, stream) = jax.tree.map(np.asarray, (issued, kept))
+    return jax.lax.scan(tick, state, commands)[1]
+
+
+def develop(plant: Plant, command: Command, shots: Shots, reference: Float[np.ndarray, "ticks 2"] | None) -> Footage:
+    """The footage of what was shot under the commands, all as NumPy arrays; raises PlantError for what is no fin."""
+    reading, shape, stream = shots
     _check(plant, reading, shape)
     force = np.asarray(reading.force, np.float64)
     known = shape is not None
     if not known:
-        shape = straight(reading.angle, TankConfig().fin.length_m)
+        shape = straight(np.asarray(reading.angle), TankConfig().fin.length_m)
     return Footage(
         command=command,
         reading=reading,

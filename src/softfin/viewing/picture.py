@@ -3,11 +3,11 @@
 A footage goes in, images of ``(height, width, 3)`` bytes come out; `video` writes them.
 """
 
-from collections.abc import Sequence
-from typing import Any, cast
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, cast
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.lines import Line2D
@@ -18,9 +18,12 @@ from softfin.evaluation.style import BLACK, BLUE, GREY, ORANGE, new_figure, styl
 from softfin.quantities import AXES, TICK_S
 from softfin.viewing.footage import Footage
 from softfin.viewing.outline import arrow_outline, fin_outline
-from softfin.viewing.scale import TRAIL_TICKS, scale_of
+from softfin.viewing.scale import TRAIL_TICKS, Scale, scale_of
 
 Image = UInt8[np.ndarray, "height width 3"]
+
+Values = Callable[[Footage], Any]
+"""One value a tick, of a footage."""
 
 WIDTH_IN, HEIGHT_IN = 9.6, 5.2
 
@@ -36,13 +39,23 @@ ARROW = 0.035
 
 
 class Picture:
-    """A figure whose moving parts are set to one tick after the other."""
+    """A figure whose moving parts are set to one tick after the other.
 
-    def __init__(self, footage: Footage, title: str, dots_per_inch: int = 100) -> None:
-        self.footage, self.scale = footage, scale_of(footage)
-        self._time = np.arange(1, len(footage.shape) + 1) * TICK_S
+    Of a footage that is still growing, `scale` and the `seconds` of the time axis are given; nothing lies ahead then.
+    """
+
+    def __init__(
+        self,
+        footage: Footage,
+        title: str,
+        dots_per_inch: int = 100,
+        scale: Scale | None = None,
+        seconds: float | None = None,
+    ) -> None:
+        self.footage, self.scale = footage, scale or scale_of(footage)
+        self._growing, self._seconds = seconds is not None, seconds or len(footage.shape) * TICK_S
         self._moving: list[Any] = []
-        self._lines: list[tuple[Any, Any, Any]] = []
+        self._lines: list[tuple[Any, Values, int]] = []
         with styled():
             self.figure = new_figure(WIDTH_IN, HEIGHT_IN)
             self.figure.set_dpi(dots_per_inch)
@@ -69,6 +82,11 @@ class Picture:
             artist.axes.draw_artist(artist)
         return np.array(self._canvas.buffer_rgba())[..., :3]
 
+    def last_frame(self, footage: Footage) -> Image:
+        """The picture at the last tick of a footage that has grown."""
+        self.footage = footage
+        return self.frame(len(footage.shape) - 1)
+
     def _set(self, tick: int) -> None:
         footage = self.footage
         for ghost, ago in zip(self._ghosts, TRAIL_TICKS, strict=True):
@@ -79,14 +97,15 @@ class Picture:
         self._set_arrow(self._force, footage.reading.force[tick] * self.scale.metres_per_newton)
         mean = footage.average[tick + 1 - WINDOW] if tick + 1 >= WINDOW else np.zeros(2)
         self._set_arrow(self._mean, mean * self.scale.metres_per_mean_newton, 0.5)
-        self._clock.set_text(f"{self._time[tick]:.2f} s")
+        now = (tick + 1) * TICK_S
+        self._clock.set_text(f"{now:.2f} s")
         if footage.stream is not None:
             self._set_stream(footage.stream[tick])
-        for line, time, values in self._lines:
-            passed = int(np.searchsorted(time, self._time[tick], side="right"))
-            line.set_data(time[:passed], values[:passed])
+        for line, values, start in self._lines:
+            passed = values(footage)[: max(tick + 1 - start, 0)]
+            line.set_data(_times(passed, start), passed)
         for cursor in self._cursors:
-            cursor.set_xdata([self._time[tick]])
+            cursor.set_xdata([now])
 
     def _set_arrow(self, arrow: Polygon, vector: Any, width: float = 1.0) -> None:
         arrow.set_xy(arrow_outline(np.asarray(vector, float), width * ARROW * self.scale.length_m))
@@ -145,21 +164,19 @@ class Picture:
             axes.text(right - length - 0.03 * scale.length_m, middle, text, ha="right", va="center", color=colour)
 
     def _draw_traces(self, panels: Sequence[Axes]) -> None:
-        footage, time = self.footage, self._time
         self._cursors = [self._add(axes, axes.axvline(0, color=BLACK, linewidth=0.9)) for axes in panels]
         angle, *forces = panels
-        self._trace(angle, time, footage.command.angle, ORANGE, 1.3, "steps-pre")
-        self._trace(angle, time, footage.reading.angle, BLUE, 1.3)
+        self._trace(angle, lambda footage: footage.command.angle, ORANGE, 1.3, style="steps-pre")
+        self._trace(angle, lambda footage: footage.reading.angle, BLUE, 1.3)
         angle.set(ylabel="angle [rad]", ylim=self.scale.angle)
-        windows = time[WINDOW - 1 :]
-        for index, axes in enumerate(forces):
-            if footage.reference is not None:
-                self._trace(axes, time, footage.reference[:, index], ORANGE, 1.6, "steps-pre")
-            self._trace(axes, time, footage.reading.force[:, index], BLUE, 0.9)
-            self._trace(axes, windows, footage.average[:, index], BLACK, 1.8)
-            axes.set(ylabel=f"force {AXES[index]} [N]", ylim=self.scale.force)
+        for i, axes in enumerate(forces):
+            if self.footage.reference is not None:
+                self._trace(axes, _force("reference", i), ORANGE, 1.6, style="steps-pre")
+            self._trace(axes, _force("measured", i), BLUE, 0.9)
+            self._trace(axes, _force("average", i), BLACK, 1.8, WINDOW - 1)
+            axes.set(ylabel=f"force {AXES[i]} [N]", ylim=self.scale.force)
         for axes in panels:
-            axes.set_xlim(0, time[-1])
+            axes.set_xlim(0, self._seconds)
             axes.tick_params(labelbottom=axes is panels[-1])
         legend = [Line2D([], [], color=colour, linewidth=2, label=label) for label, colour in LEGEND.items()]
         angle.legend(handles=legend, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.1,
@@ -167,17 +184,32 @@ class Picture:
         panels[-1].set_xlabel("time [s]")
         self.figure.align_ylabels(list(panels))
 
-    def _trace(self, axes: Axes, time: Any, values: Any, colour: str, width: float, style: str = "default") -> None:
-        """The whole of it faint, and what has passed in full."""
-        axes.plot(time, values, color=colour, linewidth=width, alpha=0.25, drawstyle=style)
+    def _trace(
+        self, axes: Axes, values: Values, colour: str, width: float, start: int = 0, style: str = "default"
+    ) -> None:
+        """What has passed in full, and the whole of it faint, where that is known; `start` is its first tick."""
+        if not self._growing:
+            whole = values(self.footage)
+            axes.plot(_times(whole, start), whole, color=colour, linewidth=width, alpha=0.25, drawstyle=style)
         (line,) = axes.plot([], [], color=colour, linewidth=width, drawstyle=style)
         self._moving.append(line)
-        self._lines.append((line, time, values))
+        self._lines.append((line, values, start))
 
     def _add(self, axes: Axes, artist: Any) -> Any:
         axes.add_artist(artist)
         self._moving.append(artist)
         return artist
+
+
+def _force(kind: Literal["reference", "measured", "average"], axis: int) -> Values:
+    def values(footage: Footage) -> Any:
+        return (footage.reading.force if kind == "measured" else getattr(footage, kind))[:, axis]
+
+    return values
+
+
+def _times(values: Any, start: int) -> Float[np.ndarray, " ticks"]:
+    return (np.arange(len(values)) + start + 1) * TICK_S
 
 
 def _polygon(colour: str, alpha: float = 1.0) -> Polygon:

@@ -41,7 +41,7 @@ class Scale(NamedTuple):
 
 def scale_of(footage: Footage) -> Scale:
     """So that fin and arrow stay in the picture at every tick."""
-    length = float(np.linalg.norm(np.diff(footage.shape[0], axis=0), axis=1).sum())
+    length = fin_length(footage)
     force = np.asarray(footage.reading.force, float)
     asked = np.zeros((0, 2)) if footage.reference is None else np.unique(footage.reference, axis=0)
     means = np.concatenate([footage.average, asked])
@@ -70,6 +70,53 @@ def scale_of(footage: Footage) -> Scale:
         angle=_padded(float(angles.min()), float(angles.max())),
         stream_m_s=0.0 if footage.stream is None else float(np.linalg.norm(footage.stream, axis=1).max()),
     )
+
+
+def fin_length(footage: Footage) -> float:
+    """Along the fin, from the shaft to the tip [m]."""
+    return float(np.linalg.norm(np.diff(footage.shape[0], axis=0), axis=1).sum())
+
+
+class Room(NamedTuple):
+    """What has to find room in a drawing of a footage that is still growing, in round numbers."""
+
+    force_n: float
+    """The greatest force."""
+    mean_n: float
+    """The greatest reference or mean force."""
+    stream_m_s: float
+
+    def scale(self, length_m: float, angle: tuple[float, float]) -> Scale:
+        """A scale for a fin of this length, wherever it turns, with the angle's axis over its limits [rad]."""
+        per_newton = LONGEST * length_m / self.force_n
+        margin = 0.12 * length_m
+        return Scale(
+            length_m=length_m,
+            metres_per_newton=per_newton,
+            key_n=_round_down(self.force_n / 2),
+            metres_per_mean_newton=max(MEAN_LONGEST * length_m / self.mean_n, per_newton),
+            mean_key_n=_round_down(self.mean_n / 2),
+            x=(-length_m - margin, LONGEST * length_m + margin),
+            y=(-length_m - margin, length_m + margin),
+            force=_padded(-self.force_n, self.force_n),
+            angle=_padded(*angle),
+            stream_m_s=self.stream_m_s,
+        )
+
+
+def room_for(footage: Footage, before: Room) -> Room:
+    """For a footage, and no less than before, so that a drawing of a growing one seldom changes its scale."""
+    asked = np.zeros((1, 2)) if footage.reference is None else footage.reference
+    stream = np.zeros((1, 2)) if footage.stream is None else footage.stream
+    seen = (footage.reading.force, np.concatenate([footage.average, asked]), stream)
+    greatest = (float(np.linalg.norm(vectors, axis=1).max()) for vectors in seen)
+    return Room(*(had if value <= had else round_up(value) for value, had in zip(greatest, before, strict=True)))
+
+
+def round_up(value: float) -> float:
+    """The next of 1, 2, 5, 10, 20 .."""
+    lower = _round_down(value)
+    return lower if lower >= value else _round_down(2.5 * lower)
 
 
 def _padded(low: float, high: float) -> tuple[float, float]:
