@@ -123,10 +123,12 @@ def _commands(block: Block) -> Iterator[Shown]:
     lines = block.text.replace("\\\n", "\0").split("\n")
     prompted = any(line.startswith("$ ") for line in lines)
     at = block.line
-    before: tuple[str, ...] | None = None
     for i, line in enumerate(lines):
         text = line.removeprefix("$ ") if prompted else line
-        if text.split()[:1] and text.split()[0] in PROGRAMS and (line.startswith("$ ") or not prompted):
+        first, _, rest = text.partition(" ")
+        # What a command says of itself begins with its name and a colon.
+        says = rest.split()[:1] and rest.split()[0].endswith(":")
+        if first in PROGRAMS and not says and (line.startswith("$ ") or not prompted):
             words = _split(text.replace("\0", " "))
             answer = lines[i + 1] if prompted and i + 1 < len(lines) else ""
             yield Shown(block.document, at, words, False, answer.startswith(" ".join(words[:2]) + ": "))
