@@ -1,9 +1,9 @@
 """What each part of the streaming surrogates is worth: the same fit with one thing changed at a time.
 
-    python docs/ablation.py OUT [--dataset DATASET] [--minutes 10] [--updates 600] [--members 2] [--batch 64]
+    python docs/ablation.py RUN --dataset dataset --minutes 10 --updates 600 --members 2 --batch 64
 
 Prints a table of free-running errors over 30 s, on the test logs of a dataset, as Markdown. Each variant keeps its
-folder in OUT, so a stopped run goes on where it was. Without --dataset one is recorded first.
+folder in RUN, so a stopped run goes on where it was. Without --dataset one is recorded first.
 """
 
 import argparse

@@ -1,0 +1,227 @@
+"""What the commands of the documents name, at tiny sizes: logs, nets with random weights, controllers, a map.
+
+Nothing is recorded, learnt or searched for: what is asked of them is to be there and to be read.
+"""
+
+import csv
+import json
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from types import MappingProxyType
+
+import equinox as eqx
+import numpy as np
+
+from softfin.control.map_store import save_map
+from softfin.control.store import save_controller
+from softfin.logs.dataset import write_dataset
+from softfin.plants import find_plant, identity
+from softfin.quantities import PAPER_LIMITS, Limits
+from softfin.surrogate import Surrogate, save_surrogate
+from softfin.surrogate.posnet import COMMANDS
+from softfin.surrogate.scaling import ChannelScaling, Scaling
+from softfin.training.force_map import MapConfig
+from softfin.training.train import SINGLE
+from tests.control.test_controllers import untrained
+from tests.control.test_map_store import KNOWN
+from tests.logs import bags
+from tests.logs.faulty import columns_of
+from tests.logs.recorded import record
+from tests.surrogate import small as paper
+from tests.surrogate.streaming import small as streaming
+from tests.surrogate.test_keras import SCALERS, WINDOW, lstm_layer, write_keras
+
+PLANT = "tests.plants:AnalyticFin"
+
+ROWS = 700
+"""Of a log."""
+
+AUTHORS = MappingProxyType({
+    "command angle": "command_angle_rad", "command velocity": "command_velocity_rad_s", "position": "angle_rad",
+    "force x": "force_x_n", "force y": "force_y_n",
+})  # fmt: skip
+"""Their columns, and softfin's."""
+
+MAPPING = ",".join(f"{own.removesuffix('_rad').removesuffix('_n').removesuffix('_rad_s')}={name}"
+                   for name, own in AUTHORS.items())  # fmt: skip
+"""What ``...`` stands for behind --columns."""
+
+FIT = {"epochs": 1, "batch": 64, "posnet": paper.POSNET.model_dump(mode="json"),
+       "forcenet": paper.FORCENET.model_dump(mode="json")}  # fmt: skip
+STREAMING = streaming.CONFIG.model_dump(mode="json") | {"drive_updates": 2, "force_updates": 2}
+
+CELL = {"low": [0.5, -1.5], "high": [1.5, -0.5]}
+SIZE = {
+    "scorings": 1,
+    "lattice": 1,
+    "cells": [CELL],
+    "policy": {"units": 8, "width": 8},
+    "task": {"episode_actions": 9},
+}
+GRADIENT = {**SIZE, "steps": 6, "gradient": {"teacher": False, "environments": 2, "rollout_actions": 3, "common": None}}
+RUN = {
+    "collect": {"logs": 3, "test_logs": 1, "rows": 400},
+    "evaluate": {"seconds": 3, "references": [[1, -1]]},
+    "seeds": 1,
+}
+MAP = {
+    "survey": {"cycles": 2, "batch": 704, "directions": 8, "pushes": 0}, "gaits": {"cycles": 2, "steps": 6},
+    "box": {"low": [1, -1], "high": [2, 0]}, "spacing_n": 1,
+}  # fmt: skip
+CALIBRATE = {
+    "pieces": 4, "test_pieces": 1, "piece_s": 1, "warm_up_s": 0.2, "block_s": 0.04, "iterations": 1,
+    "tank": {"fin": {"plates": 3}, "steps_per_tick": 4},
+}  # fmt: skip
+
+CONFIGURATIONS = MappingProxyType({
+    "streaming.yaml": STREAMING,
+    "paper.yaml": FIT,
+    "map.yaml": MAP,
+    "train.yaml": GRADIENT,
+    "calibrate.yaml": CALIBRATE,
+    "baselines.yaml": {
+        "search": {"seconds": 3, "centres": 3, "amplitudes": 2, "frequencies_hz": [1], "refinements": 0, "gaits": 4}
+    },
+    "best_run.yaml": {**RUN, "fit": STREAMING, "single": GRADIENT, "grid": GRADIENT},
+})  # fmt: skip
+"""Files for --config that make each stage as small as it can be."""
+
+
+def dataset(path: Path) -> None:
+    """Three logs and one to score on, as if of the tank."""
+    logs = [streaming.recorded(ROWS, seed) for seed in range(4)]
+    write_dataset(path, logs[:3], logs[3:], {"plant": PLANT, "plant_identity": identity(find_plant(PLANT))})
+
+
+def recordings(path: Path) -> None:
+    """CSV files with softfin's columns."""
+    path.mkdir()
+    for seed, name in enumerate(("first", "second", "third", "test")):
+        _csv(path / f"{name}.csv", columns_of(streaming.recorded(ROWS, seed)))
+
+
+def authors(path: Path) -> None:
+    """One CSV file of two logs, end to end, in degrees, with swapped axes and without a column of time."""
+    path.mkdir()
+    logs = [columns_of(streaming.recorded(ROWS, seed)) for seed in range(2)]
+    whole = {name: np.concatenate([log[own] for log in logs]) for name, own in AUTHORS.items()}
+    for name in ("command angle", "command velocity", "position"):
+        whole[name] = np.rad2deg(whole[name])
+    # What softfin's x and y are in it: -y, x.
+    whole["force x"], whole["force y"] = whole["force y"], -whole["force x"]
+    _csv(path / "final_dataset.csv", whole)
+
+
+def run_csv(path: Path) -> None:
+    """A CSV file with names and units of one's own, and without a velocity of the command."""
+    columns = columns_of(streaming.recorded(ROWS))
+    own = {
+        "t [ms]": columns["time_s"] * 1000, "cmd angle [deg]": np.rad2deg(columns["command_angle_rad"]),
+        "theta [deg]": np.rad2deg(columns["angle_rad"]), "Fx [N]": columns["force_x_n"], "Fy [N]": columns["force_y_n"],
+        "temperature": np.full(ROWS, 20.0),
+    }  # fmt: skip
+    _csv(path, own)
+
+
+def _csv(path: Path, columns: dict[str, np.ndarray]) -> None:
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=True))
+
+
+def bag(path: Path) -> None:
+    """A folder of a robot's bag, with topics of its own."""
+    columns = columns_of(streaming.recorded(ROWS))
+    renamed = {"/fin/joint_states": "/joint_states", "/fin/wrench": "/ft_sensor/wrench"}
+    topics = bags.topics_of(columns, ROWS)
+    for _, message in topics["/fin/joint_states"]:
+        message.name[:] = ["tail"]
+    bags.write_bag(path, {renamed.get(name, name): messages for name, messages in topics.items()})
+
+
+def mcap(path: Path) -> None:
+    """softfin's own recording."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    record(path, rows=ROWS)
+
+
+def keras_posnet(path: Path) -> None:
+    """As the authors' file, but smaller."""
+    random = np.random.default_rng(0)
+    conv = {"filters": 2, "kernel_size": [3], "padding": "same", "strides": [1], "activation": "relu"}
+    layers = [("Conv1D", conv), ("Flatten", {}), ("Dense", {"units": 1, "activation": "linear"})]
+    shapes = {"conv1d": ((3, WINDOW, 2), (2,)), "dense": ((4, 1), (1,))}
+    weights = {name: [random.normal(size=shape).astype(np.float32) for shape in some] for name, some in shapes.items()}
+    write_keras(path, layers, 2, weights)
+
+
+def keras_forcenet(path: Path) -> None:
+    """Likewise."""
+    random = np.random.default_rng(1)
+    layers = [lstm_layer(3, False), ("Dense", {"units": 2, "activation": "linear"})]
+    shapes = {"lstm/cell": ((WINDOW, 12), (3, 12), (12,)), "dense": ((3, 2), (2,))}
+    weights = {name: [random.normal(size=shape).astype(np.float32) for shape in some] for name, some in shapes.items()}
+    write_keras(path, layers, 3, weights)
+
+
+def scalers(path: Path) -> None:
+    """Of both."""
+    path.write_text(json.dumps(SCALERS))
+
+
+def surrogate(path: Path) -> None:
+    """Streaming nets."""
+    fitted = streaming.surrogate()
+    # Others of one configuration differ by what they learnt.
+    fitted = eqx.tree_at(
+        lambda s: s.members.force.offset, fitted, replace_fn=lambda x: x + zlib.crc32(path.name.encode()) % 100
+    )
+    save_surrogate(path, fitted, None, {"data_hash": "dataset"}, configuration=STREAMING)
+
+
+def paper_surrogate(path: Path) -> None:
+    """The paper's nets, for all commands that a controller gives."""
+    nets = paper.surrogate()
+    scaling = dict(nets.scaling.channels)
+    for name, low, high in zip(COMMANDS, (PAPER_LIMITS.angle_min, 0.5), (PAPER_LIMITS.angle_max, 3.2), strict=True):
+        width = high - low
+        scaling[name] = ChannelScaling(scale=1 / width, offset=-low / width, data_min=low, data_max=high)
+    nets = Surrogate(nets.posnet, nets.forcenet, Scaling(channels=scaling))
+    save_surrogate(path, nets, None, {"data_hash": path.name}, configuration=FIT)
+
+
+def controller(path: Path) -> None:
+    """One policy for all references."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_controller(path, untrained(SINGLE), 5, {"seed": 5})
+
+
+def force_map(path: Path) -> None:
+    """Of the surrogate that lies beside it."""
+    beside = path.with_name("surrogate")
+    if not beside.exists():
+        paper_surrogate(beside)
+    plant = find_plant(str(beside))
+    origin = {"plant": "surrogate", "plant_identity": identity(plant)}
+    save_map(path, KNOWN, MapConfig(), Limits(*map(float, plant.limits)), origin)
+
+
+MAKERS = MappingProxyType({
+    "dataset": dataset, "same": dataset, "two": dataset, "five": dataset,
+    "recordings": recordings, "authors": authors, "run.csv": run_csv, "run1": bag,
+    "run.mcap": mcap, "dataset-bags/train-0000.mcap": mcap,
+    "cnn_pos_net.keras": keras_posnet, "lstm_force_net.keras": keras_forcenet, "scalers.json": scalers,
+    "surrogate": paper_surrogate, "other": surrogate, "first": surrogate,
+    "streaming-0": surrogate, "streaming-1": surrogate, "streaming-2": surrogate,
+    "paper-0": paper_surrogate, "published": paper_surrogate,
+    "controller": controller, "single": controller, "run/single/seed-0": controller,
+    "map": force_map,
+})  # fmt: skip
+"""By the names that the documents give."""
+
+
+def kind_of(maker: Callable[[Path], None]) -> str:
+    """What it makes, in a word."""
+    return maker.__name__.removeprefix("paper_")

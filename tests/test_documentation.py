@@ -1,0 +1,322 @@
+"""What README and docs show can be typed as it stands: commands, options, configurations, names, links."""
+
+import argparse
+import contextlib
+import importlib
+import inspect
+import json
+import pkgutil
+import re
+import runpy
+import sys
+import tomllib
+from collections.abc import Iterator
+from dataclasses import MISSING, fields
+from functools import cache
+from pathlib import Path
+
+import pytest
+import tyro
+import yaml
+from PIL import Image
+
+import softfin
+from softfin.cli import COMMANDS, main
+from softfin.cli.calibrate import PRESETS as CALIBRATIONS
+from softfin.cli.fit import MODELS
+from softfin.configuration import Configuration
+from softfin.errors import ConfigurationError
+from softfin.evaluation.baselines import BaselinesConfig
+from softfin.evaluation.compare import CompareConfig
+from softfin.evaluation.evaluate import EvaluateConfig
+from softfin.logs.collect import CollectConfig
+from softfin.reproduction import PRESETS
+from softfin.rig.config import load_rig, load_ros2
+from softfin.rig.ros2_node import NodeConfig
+from softfin.surrogate.active import ActiveCollectConfig
+from softfin.training.force_map import MapConfig
+from softfin.training.train import STARTS
+from softfin.viewing import ViewConfig
+from tests.documents import (
+    MARKDOWN,
+    ROOT,
+    Block,
+    blocks,
+    commands,
+    headings,
+    links,
+    name_of,
+    softfin_words,
+    spans,
+)
+
+CONFIGURATIONS: dict[str, tuple[Configuration, ...]] = {
+    "collect": (CollectConfig(), ActiveCollectConfig()),
+    "fit": tuple(MODELS.values()),
+    "calibrate": tuple(CALIBRATIONS.values()),
+    "compare": (CompareConfig(),),
+    "map": (MapConfig(),),
+    "train": (*STARTS.values(), MapConfig()),
+    "evaluate": (EvaluateConfig(),),
+    "baselines": (BaselinesConfig(),),
+    "view": (ViewConfig(),),
+    "ros2": (NodeConfig(),),
+    "reproduce": tuple(PRESETS.values()),
+}
+"""Of each command that has one, what its --config and --set may change."""
+
+WHOLE = tuple(shown for shown in commands() if not shown.in_sentence)
+IN_SENTENCES = tuple(shown for shown in commands() if shown.in_sentence)
+
+
+def arguments_of(name: str) -> type:
+    return importlib.import_module(f"softfin.cli.{name.replace('-', '_')}").Arguments
+
+
+class Parsed(Exception):
+    """In place of the work: the words were understood."""
+
+
+def understood(words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> object:
+    """What the command line makes of these words, its configuration included; it ends where it refuses them."""
+
+    def run(arguments: object) -> None:
+        raise Parsed(arguments)
+
+    if words[0] in COMMANDS:
+        monkeypatch.setattr(arguments_of(words[0]), "run", run)
+    with pytest.raises(Parsed) as parsed:
+        main([*words, "--debug"])
+    (arguments,) = parsed.value.args
+    bases = CONFIGURATIONS.get(words[0], ())
+    assert bool(bases) == hasattr(arguments, "configured"), (
+        f"{words[0]}: CONFIGURATIONS does not say what it configures"
+    )
+    if bases:
+        configured(arguments, bases)
+    return arguments
+
+
+def configured(arguments: object, bases: tuple[Configuration, ...]) -> None:
+    """One of them takes all that was asked for; else what the first has against it is raised."""
+    refusals = []
+    for base in bases:
+        try:
+            arguments.configured(base)
+        except ConfigurationError as error:
+            refusals.append(error)
+        else:
+            return
+    raise refusals[0]
+
+
+@pytest.fixture(autouse=True)
+def at_the_root(monkeypatch):
+    monkeypatch.chdir(ROOT)
+
+
+def test_the_documents_show_commands_of_every_kind():
+    names = {words[0] for shown in WHOLE if (words := softfin_words(shown))}
+    assert names == set(COMMANDS), "a command that no document shows, or one that is none"
+    assert {shown.words[0] for shown in WHOLE} == {"softfin", "python", "make", "pip"}
+
+
+@pytest.mark.parametrize("shown", [shown for shown in WHOLE if softfin_words(shown)], ids=str)
+def test_a_command_of_a_block_is_understood_as_it_stands(shown, monkeypatch):
+    understood(softfin_words(shown), monkeypatch)
+
+
+@pytest.mark.parametrize("shown", [shown for shown in IN_SENTENCES if softfin_words(shown)], ids=str)
+def test_a_command_in_a_sentence_is_understood_when_what_it_leaves_out_is_added(shown, monkeypatch):
+    completed(softfin_words(shown), monkeypatch)
+
+
+def test_a_command_without_its_program_is_understood_too(monkeypatch):
+    """As `evaluate --trim`."""
+    found = [text for _, _, text in spans() if text.split()[0] in COMMANDS and " --" in text]
+    assert found
+    for text in found:
+        completed(tuple(text.split()), monkeypatch)
+
+
+def completed(words, monkeypatch):
+    name, *rest = words
+    assert name in COMMANDS
+    given = {word.partition("=")[0] for word in rest}
+    missing = [word for option in required(name) - given for word in (option, "x")]
+    refusals = []
+    for value in ((), ("1",)):
+        for places in ((), ("x",), ("check",), ("recover", "x"), ("x", "x")):
+            try:
+                understood((name, *places, *rest, *value, *missing), monkeypatch)
+            except (SystemExit, ConfigurationError, pytest.fail.Exception) as error:
+                refusals.append(error)
+            else:
+                return
+    raise AssertionError(f"{' '.join(words)}: refused whatever is added to it: {refusals[0]}")
+
+
+def required(name: str) -> set[str]:
+    """Options that have no default."""
+    left = [field for field in fields(arguments_of(name)) if field.default is field.default_factory is MISSING]
+    return {f"--{field.name.replace('_', '-')}" for field in left if "Positional" not in repr(field.type)}
+
+
+@cache
+def options() -> set[str]:
+    """Of all commands and scripts."""
+    names = {field.name for command in COMMANDS for field in fields(arguments_of(command))} | {"help", "version"}
+    scripts = "".join(path.read_text() for folder in ("docs", "examples") for path in (ROOT / folder).glob("*.py"))
+    names |= set(re.findall(r'add_argument\("--([\w-]+)"', scripts))
+    names |= set(re.findall(r"^    (\w+): .* = ", scripts, re.MULTILINE))
+    return {f"--{name.replace('_', '-')}" for name in names}
+
+
+def test_an_option_in_a_sentence_is_one_that_there_is():
+    named = {text.split()[0].partition("=")[0] for _, _, text in spans() if text.startswith("--")}
+    assert len(named) > 20
+    assert named <= options() | {"--extra"}, named - options()
+
+
+def test_a_setting_in_a_sentence_is_one_that_some_configuration_takes():
+    bases = [base for each in CONFIGURATIONS.values() for base in each]
+    found = [text.partition("--set ")[2].split()[0] for _, _, text in spans() if text.startswith("--set ")]
+    found.remove("path=value")
+    assert len(found) >= 5
+    for change in found:
+        assert any(takes(base, change) for base in bases), f"--set {change}: no configuration takes it"
+
+
+def takes(base: Configuration, change: str) -> bool:
+    with contextlib.suppress(ConfigurationError):
+        base.changed([change])
+        return True
+    return False
+
+
+@pytest.mark.parametrize("shown", [shown for shown in commands() if shown.words[0] == "make"], ids=str)
+def test_a_target_of_make_and_its_variables_are_there(shown):
+    makefile = (ROOT / "Makefile").read_text()
+    target, *variables = shown.words[1:]
+    assert re.search(rf"^{target}:", makefile, re.MULTILINE)
+    for variable in variables:
+        assert f"$({variable.partition('=')[0]})" in makefile
+
+
+@pytest.mark.parametrize("shown", [shown for shown in commands() if shown.words[0] == "pip"], ids=str)
+def test_what_pip_installs_is_softfin_or_a_part_of_what_it_needs(shown):
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    needed = {re.split(r"[<>=\[;]", line)[0] for line in project["dependencies"]} | {"softfin"}
+    for word in shown.words[2:]:
+        if not word.startswith("--"):
+            name, _, extra = word.rstrip("]").partition("[")
+            assert name in needed
+            assert not extra or extra in project["optional-dependencies"]
+
+
+@pytest.mark.parametrize("shown", [shown for shown in commands() if shown.words[0] == "python"], ids=str)
+def test_a_script_is_there_and_understands_its_options(shown, monkeypatch, tmp_path):
+    program, *words = shown.words[1:]
+    if program == "-m":
+        package, *names = words
+        assert all((ROOT / package / f"{name}.py").is_file() for name in ("__main__", *names))
+        return
+    script = ROOT / program
+    # A script without options does its work at once, so what it reads is there.
+    monkeypatch.chdir(tmp_path)
+    for word in words:
+        if word.endswith(".png"):
+            (tmp_path / word).parent.mkdir(parents=True, exist_ok=True)
+            Image.new("RGB", (8, 6)).save(tmp_path / word)
+    stop_after_parsing(monkeypatch)
+    monkeypatch.setattr(sys, "argv", [str(script), *words])
+    try:
+        runpy.run_path(str(script), run_name="__main__")
+    except Parsed:
+        return
+    with Image.open(tmp_path / words[-1]) as written:
+        assert written.width > 8
+
+
+def stop_after_parsing(monkeypatch):
+    understand, understand_too = argparse.ArgumentParser.parse_args, tyro.cli
+
+    def parse_args(self, *words):
+        raise Parsed(understand(self, *words))
+
+    def cli(*words, **options):
+        raise Parsed(understand_too(*words, **options))
+
+    monkeypatch.setattr(argparse.ArgumentParser, "parse_args", parse_args)
+    monkeypatch.setattr(tyro, "cli", cli)
+
+
+def python_blocks() -> list[Block]:
+    return [block for block in blocks() if block.kind == "python" or block.text.startswith("import ")]
+
+
+@pytest.mark.parametrize("block", python_blocks(), ids=lambda block: f"{block.document}:{block.line}")
+def test_python_calls_what_there_is_with_arguments_that_it_takes(block, monkeypatch):
+    called = []
+    for name in softfin.__all__:
+        value = getattr(softfin, name)
+        if inspect.isfunction(value):
+            monkeypatch.setattr(softfin, name, recorded(name, inspect.signature(value), called))
+    exec(compile(block.text, block.document, "exec"), {"Path": Path})
+    assert called
+
+
+def recorded(name, signature, called):
+    return lambda *words, **options: called.append((name, signature.bind(*words, **options)))
+
+
+def test_the_python_of_the_package_is_among_what_was_tried():
+    assert any(block.document == "src/softfin/__init__.py" for block in python_blocks())
+
+
+def test_yaml_is_a_rig_or_a_fin_of_topics_that_softfin_takes(tmp_path):
+    """A block that says "as above" stands upon the one before it."""
+    file, before, found = tmp_path / "shown.yaml", {}, []
+    for block in blocks():
+        if block.kind == "yaml":
+            values = yaml.safe_load(block.text)
+            if "as above" in block.text:
+                values = {**before, **values, "topics": before["topics"] | values["topics"]}
+            file.write_text(yaml.safe_dump(values))
+            found.append((load_rig if "drive" in values else load_ros2)(file))
+            before = values
+    assert len(found) == 3
+
+
+def test_json_is_json():
+    for block in blocks():
+        if block.kind == "json":
+            json.loads(block.text)
+
+
+def test_fences_are_of_a_kind_that_is_looked_at():
+    assert {block.kind for block in blocks()} <= {"", "yaml", "python", "json"}
+
+
+@pytest.mark.parametrize("path", MARKDOWN, ids=name_of)
+def test_links_and_pictures_lead_somewhere(path):
+    for target in links(path):
+        if "://" not in target:
+            place, _, anchor = target.partition("#")
+            found = (path.parent / place).resolve() if place else path
+            assert found.exists(), target
+            assert not anchor or anchor in headings(found), target
+
+
+def test_files_and_names_of_the_code_are_there():
+    python = {path.relative_to(ROOT / top).as_posix() for top in ("", "src/softfin") for path in code(ROOT / top)}
+    for document, line, text in spans():
+        if re.fullmatch(r"[\w/]+/\w+\.py", text):
+            assert text in python, f"{document}:{line} {text}"
+        if re.fullmatch(r"softfin(\.\w+)+", text):
+            pkgutil.resolve_name(text)
+
+
+def code(folder: Path) -> Iterator[Path]:
+    tops = ("src", "tests", "docs", "examples", "benchmarks") if folder == ROOT else (".",)
+    return (path for top in tops for path in (folder / top).rglob("*.py"))

@@ -1,0 +1,206 @@
+"""Every command that README and docs show runs, shrunk by options that are added to it and by nothing else."""
+
+import contextlib
+import runpy
+import shlex
+import shutil
+from fnmatch import fnmatch
+from itertools import pairwise
+from pathlib import Path
+
+import jax
+import pytest
+import yaml
+
+from softfin.cli import main
+from softfin.surrogate.streaming import identify
+from tests import staged
+from tests.documents import ROOT, Shown, commands, softfin_words
+
+
+def flat(values, path=""):
+    """Nested values as what --set takes."""
+    for name, value in values.items():
+        if isinstance(value, dict):
+            yield from flat(value, f"{path}{name}.")
+        else:
+            yield f"{path}{name}={value}"
+
+
+TINY = {
+    "collect": "--logs 1 --test-logs 1 --rows 300",
+    "collect --excitation active": f"--plant {staged.PLANT} --test-logs 0 --set active.candidates=2",
+    "fit": "--config streaming.yaml",
+    "fit --model paper": "--config paper.yaml",
+    "compare": "--horizons 1",
+    "calibrate": "--config calibrate.yaml --evaluations 0",
+    "calibrate --config": "--config docs/calibration.yaml "
+    + " ".join(f"--set {change}" for change in flat(staged.CALIBRATE)),
+    "map": "--config map.yaml",
+    "train": "--config train.yaml",
+    "evaluate": "--seconds 3 --seeds 1",
+    "evaluate --plant tank": f"--plant {staged.PLANT}",
+    "evaluate --spread": "--plant tank",
+    "evaluate --error-map": "--set error_map=2",
+    "evaluate --random": "--random 2",
+    "baselines": f"--config baselines.yaml --seconds 3 --seeds 1 --plant {staged.PLANT}",
+    "reproduce --preset best": f"--config best_run.yaml --plant {staged.PLANT}",
+    "view": "--seconds 0.5",
+    "monitor": "--json",
+    "inspect --rows-per-log": f"--rows-per-log {staged.ROWS}",
+    "import-logs --rows-per-log": f"--rows-per-log {staged.ROWS}",
+}
+"""Options that are added to a command that has all of these words; of several entries the later ones count."""
+
+IN_THE_DAY = (
+    "rig emulate",
+    "rig check",
+    "rig zero --arm",
+    "collect --plant rig --out dataset --arm",
+    "evaluate controller --plant rig --trim --out evaluation --arm",
+    "run controller --reference=2,0 --arm",
+    "train surrogate --controller gaits --out gaits",
+)
+"""Commands that need devices, which CI does at emulated ones: `make day`, examples/rig_day.py."""
+
+ELSEWHERE = {
+    "ros2 controller --reference=2,0 --arm": "tests/cli/test_ros2.py",
+    "reproduce --preset paper --plant tank --out run --resume": "tests/end_to_end/test_stages.py",
+    "reproduce --preset paper --plant tank --out run-tank": "tests/end_to_end/test_stages.py",
+}
+"""Commands that need a partner, or minutes, and the tests that do the same with a partner or with small stages."""
+
+
+def runs(shown: Shown) -> bool:
+    """Whether a command is whole: in a sentence, one that says where its result goes."""
+    words = softfin_words(shown)
+    return bool(words) and (not shown.in_sentence or "--out" in words or "--onnx" in words)
+
+
+def kind(shown: Shown) -> tuple[str, ...]:
+    """Its words, with what they name by its kind: commands that are alike but for names are run once."""
+    words, named = softfin_words(shown), []
+    for before, word in zip(("", *words), words, strict=False):
+        maker = staged.MAKERS.get(word.rstrip("/"))
+        place = before in ("--out", "--onnx")
+        named.append(Path(word).suffix if place else staged.kind_of(maker) if maker else word)
+    return tuple(named)
+
+
+SHOWN: dict[tuple[str, ...], Shown] = {}
+"""The first of each kind."""
+for _shown in filter(runs, commands()):
+    SHOWN.setdefault(kind(_shown), _shown)
+
+AWAY = (*IN_THE_DAY, *ELSEWHERE)
+HERE = [shown for shown in SHOWN.values() if shlex.join(softfin_words(shown)) not in AWAY]
+
+
+def added(words: tuple[str, ...]) -> list[str]:
+    """What shrinks a command."""
+    return [word for entry, options in TINY.items() if set(entry.split()) <= set(words) for word in options.split()]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quickly_compiled():
+    """Programs that do next to nothing are not worth optimising."""
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)
+    jax.clear_caches()
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """The folder of everything that was made for a command before; made when it is first asked for."""
+    root = tmp_path_factory.mktemp("made")
+
+    def find(name: str) -> Path:
+        path = root / name
+        if not path.exists():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            staged.MAKERS[name](path)
+        return path
+
+    return find
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """The folder where one works, with the configurations that shrink."""
+    for name, values in staged.CONFIGURATIONS.items():
+        (tmp_path / name).write_text(yaml.safe_dump(values))
+    (tmp_path / "docs").mkdir()
+    shutil.copy(ROOT / "docs/calibration.yaml", tmp_path / "docs")
+    monkeypatch.chdir(tmp_path)
+    # What a search finds is tested with it; here it only has to go through.
+    monkeypatch.setattr(identify, "GENERATIONS", 2)
+    monkeypatch.setattr(identify, "STRETCHES", 4)
+    return tmp_path
+
+
+def named(words: tuple[str, ...]) -> list[str]:
+    """Files and folders that a command reads."""
+    places = {word for before, word in pairwise(words) if before in ("--out", "--onnx")}
+    # A word may be a name and a choice, as in --controller single --out single.
+    given = set(words[1:]) - places
+    return [
+        name
+        for name in staged.MAKERS
+        if any(fnmatch(name, word.rstrip("/")) or Path(word) in Path(name).parents for word in given)
+    ]
+
+
+def expand(word: str) -> list[str]:
+    """As a shell does it, and what the document leaves out."""
+    return sorted(map(str, Path().glob(word))) if "*" in word else [staged.MAPPING if word == "..." else word]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shown", HERE, ids=str)
+def test_a_command_of_the_documents_runs(shown, made, place, capsys):
+    words = softfin_words(shown)
+    for name in named(words):
+        (place / name).parent.mkdir(parents=True, exist_ok=True)
+        # Only an ensemble chooses what is recorded.
+        (place / name).symlink_to(made("first" if name == "surrogate" and "active" in words else name))
+    expanded = [found for word in words for found in expand(word)]
+    told = contextlib.nullcontext() if not shown.fails else pytest.raises(SystemExit)
+    with told as stop:
+        main([*expanded, *added(words), "--debug"] if not shown.fails else list(words))
+    assert not shown.fails or stop.value.code == 2
+    for option in ("--out", "--onnx"):
+        if option in words:
+            assert Path(words[words.index(option) + 1]).exists()
+
+
+def test_every_entry_stands_for_a_command_that_is_shown():
+    here = [softfin_words(shown) for shown in HERE]
+    for entry in TINY:
+        assert any(set(entry.split()) <= set(words) for words in here), f"TINY: nothing is shown like {entry}"
+    lines = {shlex.join(softfin_words(shown)) for shown in commands() if runs(shown)}
+    assert set(AWAY) <= lines, "a command that is no longer shown"
+
+
+def test_the_day_at_the_rig_does_its_commands(monkeypatch, tmp_path):
+    """With the same options, whatever their values."""
+    done = [("rig", "emulate")]
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "evaluation").mkdir()
+    score = '{"error_n": 0}'
+    (tmp_path / "evaluation/evaluation.json").write_text(f'{{"mean": {{"x": {score}, "y": {score}}}}}')
+    script = runpy.run_path(str(ROOT / "examples/rig_day.py"))
+    assert '[*SOFTFIN, "rig", "emulate"]' in (ROOT / "examples/rig_day.py").read_text()
+    script["day"].__globals__["softfin"] = lambda *words, may_fail=False: done.append(words)
+    script["day"](quick=True)
+    for line in IN_THE_DAY:
+        names = {word.partition("=")[0] for word in line.split()}
+        assert any(names <= {word.partition("=")[0] for word in words} for words in done), line
+
+
+@pytest.mark.parametrize(("line", "test"), ELSEWHERE.items())
+def test_what_runs_elsewhere_is_done_there(line, test):
+    text = (ROOT / test).read_text()
+    name, *rest = line.split()
+    assert f'"{name}"' in text
+    assert all(option in text for option in rest if option in ("--arm", "--plant", "--out", "--resume")), line
