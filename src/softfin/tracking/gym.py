@@ -6,6 +6,7 @@ gymnasium.make("softfin:softfin/ForceTracking-v0", plant=surrogate, render_mode=
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+import equinox as eqx
 import gymnasium
 import jax
 import jax.numpy as jnp
@@ -15,6 +16,7 @@ from jaxtyping import Float
 from softfin.action_clock import ACTION_RATE_HZ, ACTION_TICKS
 from softfin.errors import InputError
 from softfin.plant import Plant
+from softfin.plant_identity import jit_argument
 from softfin.plants import find_plant
 from softfin.quantities import AXES
 from softfin.tracking.references import PAPER_RANGE, Cell, References
@@ -54,9 +56,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         high = _greatest(self.task.config, references)
         self.observation_space = gymnasium.spaces.Box(-high, high, dtype=np.float32)
         self.action_space = gymnasium.spaces.Box(-1, 1, (2,), np.float32)
-        self._reset = jax.jit(self.task.reset)
-        self._observe = jax.jit(self.task.observe)
-        self._step = {ticks: jax.jit(partial(self.task.step, ticks=ticks)) for ticks in set(ACTION_TICKS)}
+        self._compile(jit_argument(self.task.plant))
         self._film = None if render_mode is None else self._new_film()
         self._state: TaskState | None = None
         self._actions = 0
@@ -66,6 +66,10 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
     ) -> tuple[Observation, dict[str, Any]]:
         """The fin at rest; ``options={"reference": (x, y)}`` asks for one reference instead of a drawn one."""
         super().reset(seed=seed)
+        # A user's simulator may have been changed since the last episode.
+        plant = jit_argument(self.task.plant)
+        if not eqx.tree_equal(plant, self._compiled_for):
+            self._compile(plant)
         key = jax.random.key(self.np_random.integers(2**31))
         self._state = self._reset(key, self._drawn_from(options or {}))
         self._actions = 0
@@ -95,6 +99,13 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         if self._state is None:
             raise InputError(f"{ID}: render before reset; call reset first")
         return self._film.frame()
+
+    def _compile(self, plant: Plant) -> None:
+        """Programs for the plant as it is now; new functions, since JAX keeps what it traced of an old one."""
+        self._compiled_for = plant
+        self._reset = jax.jit(partial(self.task.reset))
+        self._observe = jax.jit(partial(self.task.observe))
+        self._step = {ticks: jax.jit(partial(self.task.step, ticks=ticks)) for ticks in set(ACTION_TICKS)}
 
     def _new_film(self) -> "EpisodeFilm":
         # Who does not look at it need not wait for Matplotlib.
