@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from softfin import artifacts
+from softfin.bounded import check_file
 from softfin.errors import ArtifactError
 from softfin.logs.parquet import encode_log, read_log
+from softfin.logs.parquet_file import MOST_BYTES
 from softfin.quantities import RATE_HZ, Log
 
 PARTS = {"train": 4, "test": 3}
@@ -74,6 +76,7 @@ def _hash_files(path: Path) -> dict[str, str]:
 
 def _hash_file(file: Path) -> str:
     try:
+        check_file(file, MOST_BYTES)
         with file.open("rb") as content:
             return hashlib.file_digest(content, "sha256").hexdigest()
     except OSError as error:
