@@ -96,3 +96,12 @@ def test_a_reference_of_more_rows_than_an_hour_has_is_refused(tmp_path, monkeypa
     monkeypatch.setattr(reference_file, "MOST_ROWS", 100)
     with pytest.raises(ConfigurationError, match="has 101 rows or more; at most 100 are followed"):
         reference_file.read_reference_file(tmp_path / name)
+
+
+@READERS
+def test_a_column_whose_name_is_no_text_is_one_line(tmp_path, read):
+    pq.write_table(table(2), tmp_path / "a.parquet", store_schema=False)
+    (tmp_path / "a.parquet").write_bytes((tmp_path / "a.parquet").read_bytes().replace(b"force_x_n", b"force_\xff_n"))
+    with pytest.raises(LogError, match=r"a\.parquet: truncated, or not a Parquet file \(.*utf-8") as error:
+        read(tmp_path / "a.parquet")
+    assert "\n" not in str(error.value)

@@ -13,6 +13,7 @@ from softfin import artifacts
 from softfin.errors import ArtifactError
 from softfin.files import regular_file
 from softfin.logs.parquet import encode_log, read_log
+from softfin.logs.parquet_file import MOST_BYTES
 from softfin.paths import PARTS
 from softfin.quantities import RATE_HZ, Log
 
@@ -75,7 +76,7 @@ def _hash_files(path: Path) -> dict[str, str]:
 
 def _hash_file(file: Path) -> str:
     try:
-        with regular_file(file).open("rb") as content:
+        with regular_file(file, MOST_BYTES).open("rb") as content:
             return hashlib.file_digest(content, "sha256").hexdigest()
     except OSError as error:
         raise ArtifactError(f"{file}: cannot be read ({error.strerror}); copy it again") from None

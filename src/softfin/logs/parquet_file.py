@@ -29,11 +29,12 @@ def open_parquet(path: Path) -> pq.ParquetFile:
             path, page_checksum_verification=True, thrift_container_size_limit=MOST_LISTED,
             thrift_string_size_limit=2**24,
         )  # fmt: skip
-    except (pa.ArrowException, OSError) as error:
+        names = file.schema_arrow.names
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         raise damaged(path, error) from None
     metadata = file.metadata
     check_rows(path, metadata.num_rows)
-    check_names(path, file.schema_arrow.names)
+    check_names(path, names)
     size = sum(max(metadata.row_group(group).total_byte_size, 0) for group in range(metadata.num_row_groups))
     if size > MOST_BYTES:
         raise LogError(f"{path}: unpacks to {size:,} bytes; at most {MOST_BYTES:,} are read; cut it into several files")
