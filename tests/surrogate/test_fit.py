@@ -94,7 +94,7 @@ def test_unfinished_work_of_a_part_is_neither_lost_nor_mixed_up(tmp_path):
         Workspace(tmp_path / "s", {"seed": 0})
     with pytest.raises(ArtifactError, match=r"1/checkpoint\.safetensors: is of another run .seed was 0 and is 1"):
         Workspace(tmp_path / "s", {"seed": 1}, resume=True)
-    tree, facts = Workspace(tmp_path / "s", {"seed": 0}, resume=True).part("1").load({"x": np.zeros(2)})
+    tree, facts = Workspace(tmp_path / "s", {"seed": 0}, resume=True).part("1").load({"x": np.zeros(2, int)})
     assert (tree["x"].tolist(), facts) == ([0, 1], {"epoch": 1})
     assert Workspace(tmp_path / "s", {"seed": 1}, overwrite=True).part("1").load({"x": np.zeros(2)}) is None
 

@@ -169,9 +169,11 @@ def loss(
     window = nets.posnet.config.window
     seen = gather(table[:, : 1 + len(COMMANDS)], starts, window)
     target = table[starts + window]
+    # With one key for both, nets of like layers would drop the same units.
+    posnet_key, forcenet_key = jax.random.split(key)
     losses = Nets(
-        jnp.mean((nets.posnet(seen[:, 1:], key) - target[:, :1]) ** 2),
-        jnp.mean((nets.forcenet(seen, key) - target[:, 1 + len(COMMANDS) :]) ** 2),
+        jnp.mean((nets.posnet(seen[:, 1:], posnet_key) - target[:, :1]) ** 2),
+        jnp.mean((nets.forcenet(seen, forcenet_key) - target[:, 1 + len(COMMANDS) :]) ** 2),
     )
     return losses.posnet + losses.forcenet, losses
 
