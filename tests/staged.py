@@ -16,8 +16,9 @@ import numpy as np
 from softfin.control.map_store import save_map
 from softfin.control.store import save_controller
 from softfin.logs.dataset import write_dataset
-from softfin.plants import find_plant, identity
+from softfin.plants import find_plant
 from softfin.quantities import PAPER_LIMITS, Limits
+from softfin.stages import identity
 from softfin.surrogate import Surrogate, save_surrogate
 from softfin.surrogate.posnet import COMMANDS
 from softfin.surrogate.scaling import ChannelScaling, Scaling

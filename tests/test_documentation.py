@@ -1,6 +1,5 @@
 """What README and docs show can be typed as it stands: commands, options, configurations, names, links."""
 
-import argparse
 import contextlib
 import importlib
 import inspect
@@ -8,31 +7,34 @@ import json
 import pkgutil
 import re
 import runpy
+import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
 from dataclasses import MISSING, fields
 from functools import cache
+from itertools import chain, combinations, product
 from pathlib import Path
 
 import pytest
-import tyro
 import yaml
 from PIL import Image
 
 import softfin
+from softfin import stages
+from softfin.calibration.config import PRESETS as CALIBRATIONS
 from softfin.cli import COMMANDS, main
-from softfin.cli.calibrate import PRESETS as CALIBRATIONS
-from softfin.cli.fit import MODELS
 from softfin.configuration import Configuration
 from softfin.errors import ConfigurationError
 from softfin.evaluation.baselines import BaselinesConfig
 from softfin.evaluation.compare import CompareConfig
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.logs.collect import CollectConfig
+from softfin.logs.dataset import Dataset
 from softfin.reproduction import PRESETS
 from softfin.rig.config import load_rig, load_ros2
 from softfin.rig.ros2_node import NodeConfig
+from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig
 from softfin.surrogate.active import ActiveCollectConfig
 from softfin.training.force_map import MapConfig
 from softfin.training.train import STARTS
@@ -52,7 +54,7 @@ from tests.documents import (
 
 CONFIGURATIONS: dict[str, tuple[Configuration, ...]] = {
     "collect": (CollectConfig(), ActiveCollectConfig()),
-    "fit": tuple(MODELS.values()),
+    "fit": (StreamingConfig(), FitConfig(), AutoConfig()),
     "calibrate": tuple(CALIBRATIONS.values()),
     "compare": (CompareConfig(),),
     "map": (MapConfig(),),
@@ -85,6 +87,8 @@ def understood(words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> objec
 
     if words[0] in COMMANDS:
         monkeypatch.setattr(arguments_of(words[0]), "run", run)
+        # Whether what is named is there is another question.
+        monkeypatch.setattr(arguments_of(words[0]), "check", lambda arguments: None, raising=False)
     with pytest.raises(Parsed) as parsed:
         main([*words, "--debug"])
     (arguments,) = parsed.value.args
@@ -142,11 +146,9 @@ def test_a_command_without_its_program_is_understood_too(monkeypatch):
 def completed(words, monkeypatch):
     name, *rest = words
     assert name in COMMANDS
-    given = {word.partition("=")[0] for word in rest}
-    missing = [word for option in required(name) - given for word in (option, "x")]
     refusals = []
     for value in ((), ("1",)):
-        for places in ((), ("x",), ("check",), ("recover", "x"), ("x", "x")):
+        for places, missing in product(((), ("x",), ("check",), ("recover", "x"), ("x", "x")), subsets(required(name))):
             try:
                 understood((name, *places, *rest, *value, *missing), monkeypatch)
             except (SystemExit, ConfigurationError, pytest.fail.Exception) as error:
@@ -156,10 +158,20 @@ def completed(words, monkeypatch):
     raise AssertionError(f"{' '.join(words)}: refused whatever is added to it: {refusals[0]}")
 
 
-def required(name: str) -> set[str]:
-    """Options that have no default."""
+def required(name: str) -> list[str]:
+    """What has no default: options, and what is given by its place."""
     left = [field for field in fields(arguments_of(name)) if field.default is field.default_factory is MISSING]
-    return {f"--{field.name.replace('_', '-')}" for field in left if "Positional" not in repr(field.type)}
+    return [f"--{field.name.replace('_', '-')}" for field in left]
+
+
+def subsets(names: list[str]) -> list[tuple[str, ...]]:
+    """Each with a value for every name."""
+    some = chain.from_iterable(combinations(names, count) for count in range(len(names) + 1))
+    return [tuple(word for name in names for word in (name, VALUES.get(name, "x"))) for names in some]
+
+
+VALUES = {"--reference": "1,0", "--onnx": "x.onnx"}
+"""Of options that do not take any text."""
 
 
 @cache
@@ -228,7 +240,7 @@ def test_a_script_is_there_and_understands_its_options(shown, monkeypatch, tmp_p
         if word.endswith(".png"):
             (tmp_path / word).parent.mkdir(parents=True, exist_ok=True)
             Image.new("RGB", (8, 6)).save(tmp_path / word)
-    stop_after_parsing(monkeypatch)
+    stop_at_work(monkeypatch)
     monkeypatch.setattr(sys, "argv", [str(script), *words])
     try:
         runpy.run_path(str(script), run_name="__main__")
@@ -238,17 +250,15 @@ def test_a_script_is_there_and_understands_its_options(shown, monkeypatch, tmp_p
         assert written.width > 8
 
 
-def stop_after_parsing(monkeypatch):
-    understand, understand_too = argparse.ArgumentParser.parse_args, tyro.cli
+def stop_at_work(monkeypatch):
+    """Where a script that has understood its words begins: with a recording, a dataset, or a program."""
 
-    def parse_args(self, *words):
-        raise Parsed(understand(self, *words))
+    def work(*words, **options):
+        raise Parsed
 
-    def cli(*words, **options):
-        raise Parsed(understand_too(*words, **options))
-
-    monkeypatch.setattr(argparse.ArgumentParser, "parse_args", parse_args)
-    monkeypatch.setattr(tyro, "cli", cli)
+    monkeypatch.setattr(stages, "collect", work)
+    monkeypatch.setattr(Dataset, "open", work)
+    monkeypatch.setattr(subprocess, "Popen", work)
 
 
 def python_blocks() -> list[Block]:
