@@ -3,6 +3,7 @@ from pydantic import Field, model_validator
 
 from softfin.configuration import Configuration, read_yaml
 from softfin.errors import ConfigurationError
+from softfin.reproduction import ReproduceConfig
 
 
 class Inner(Configuration):
@@ -159,3 +160,15 @@ def test_a_change_is_bounded_as_a_yaml_file_is(text):
 def test_a_number_of_too_many_digits_is_refused_in_one_line():
     with pytest.raises(ConfigurationError, match=r"inner\.name = <int of too many digits>"):
         Outer().changed(["inner.name=0x" + "f" * 5000])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("fit.epochs=zwei", "--set: fit.epochs = 'zwei': Input should be a valid integer"),
+        ("fit.epochs=-1", "--set: fit.epochs = -1: Input should be greater than 0"),
+    ],
+)
+def test_of_several_configurations_the_one_that_is_meant_is_explained(change, words):
+    with pytest.raises(ConfigurationError, match=words):
+        ReproduceConfig().changed([change])

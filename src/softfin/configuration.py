@@ -2,6 +2,7 @@
 
 import difflib
 import reprlib
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -140,10 +141,18 @@ def _merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _explain(cls: type[pydantic.BaseModel], error: pydantic.ValidationError) -> str:
+    errors = error.errors(include_url=False)
+    # Where a value may be one of several configurations, pydantic tries each: meant is the one that fits best.
+    tried = Counter(_alternative(each["loc"]) for each in errors)
+    meant = min(tried, key=lambda each: (each is not None, tried[each]))
     # A misspelt key is a missing one, too: what was written says more than what was not.
-    first = min(error.errors(include_url=False), key=lambda each: each["type"] != "extra_forbidden")
-    *parents, leaf = first["loc"] or ("",)
-    name = ".".join(str(part) for part in first["loc"])
+    first = min(
+        (each for each in errors if _alternative(each["loc"]) == meant),
+        key=lambda each: each["type"] != "extra_forbidden",
+    )
+    place = [part for part in first["loc"] if part != meant]
+    *parents, leaf = place or ("",)
+    name = ".".join(str(part) for part in place)
     if first["type"] == "extra_forbidden":
         model: Any = cls
         for parent in parents:
@@ -158,6 +167,11 @@ def _explain(cls: type[pydantic.BaseModel], error: pydantic.ValidationError) -> 
         # Of a whole model: its validator names what is wrong, and its input is everything.
         return f"{name}: {first['ctx']['error']}" if name else str(first["ctx"]["error"])
     return f"{name or 'value'} = {_short(first['input'])}: {first['msg']}"
+
+
+def _alternative(place: Sequence[int | str]) -> str | None:
+    """What pydantic calls the configuration that it tried, among the names of fields: ``FitConfig``."""
+    return next((part for part in place if isinstance(part, str) and part.rstrip("]").endswith("Config")), None)
 
 
 def _short(value: object) -> str:
