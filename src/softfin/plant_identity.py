@@ -43,7 +43,7 @@ def identity(plant: Plant) -> str:
     arrays, static = eqx.partition(plant, eqx.is_array)
     if _is_own(plant, static):
         leaves, structure = jax.tree.flatten(static)
-        return f"{name} {_digest(arrays, f'{leaves} {structure}')}"
+        return f"{name} {_digest(arrays, str(leaves if leaves else '') + str(structure))}"
     program = _program(plant, arrays, static)
     if CALLBACK.search(program):
         raise PlantError(
@@ -139,8 +139,8 @@ def _program(plant: Plant, arrays: PyTree[Any], static: PyTree[Any]) -> str:
 def _digest(arrays: PyTree[Any], text: str) -> str:
     digest = hashlib.sha256()
     for leaf in jax.tree.leaves(arrays):
-        array = np.asarray(jax.random.key_data(leaf) if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key) else leaf)
-        digest.update(f"{array.dtype}{array.shape}".encode())
-        digest.update(array.tobytes())
+        # Types and shapes stand in a simulator's program, and go with the kind of softfin's own plants.
+        is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+        digest.update(np.asarray(jax.random.key_data(leaf) if is_key else leaf).tobytes())
     digest.update(text.encode())
     return digest.hexdigest()[:16]

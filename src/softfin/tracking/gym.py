@@ -66,10 +66,11 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
     ) -> tuple[Observation, dict[str, Any]]:
         """The fin at rest; ``options={"reference": (x, y)}`` asks for one reference instead of a drawn one."""
         super().reset(seed=seed)
-        # A user's simulator may have been changed since the last episode.
-        plant = jit_argument(self.task.plant)
-        if not eqx.tree_equal(plant, self._compiled_for):
-            self._compile(plant)
+        if not isinstance(self.task.plant, eqx.Module):
+            # A simulator in plain Python may have been changed since the last episode; a Module is frozen.
+            plant = jit_argument(self.task.plant)
+            if not eqx.tree_equal(plant, self._compiled_for):
+                self._compile(plant)
         key = jax.random.key(self.np_random.integers(2**31))
         self._state = self._reset(key, self._drawn_from(options or {}))
         self._actions = 0
