@@ -82,9 +82,11 @@ def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = Fa
     """Let `write` fill a folder beside `path`, then put it in its place in one step; `overwrite` replaces a folder.
 
     Raises:
+        ArtifactError: something is there that is not to be replaced, or the place cannot be written.
         RunError: the folder cannot be written, or not put in its place; once filled, it is kept, and the message says
             where.
     """
+    check_vacant(path, overwrite)
     path = path.resolve()
     beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:

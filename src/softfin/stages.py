@@ -68,7 +68,7 @@ from softfin.training.force_map import MapConfig, check_star
 from softfin.training.force_map import map_forces as _map_forces
 from softfin.training.jobs import default_split, train_jobs
 from softfin.training.refinement import check_refinable, refined
-from softfin.training.train import TrainConfig, starting
+from softfin.training.train import TrainConfig, check, starting
 from softfin.viewing import ViewConfig
 from softfin.viewing.video import ticks_of
 from softfin.viewing.view import draw, footage_of, title_of
@@ -414,9 +414,12 @@ def train(
         "refine": refine,
         "map": None if can is None else described(can),
     }
+    check(moving, config, seeds, can)
     workspace = Workspace(out, facts, resume, overwrite)
     if workspace.complete:
         return workspace.finish()
+    if progress is not None:
+        progress("algorithm", 1.0, reason)
     trained = train_jobs(moving, config, seeds, workspace, progress, engine=working, split=split, known=can)
     if refine:
         trained, parents = refined(moving, trained, refine, workspace.part(REFINED), progress)

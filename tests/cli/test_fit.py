@@ -107,12 +107,12 @@ def test_what_cannot_be_fitted_is_one_line_and_leaves_nothing(capsys, tmp_path, 
 
 def faulty(index):
     log = small.recorded(300, index)
-    return log._replace(command=log.command._replace(angle=np.degrees(log.command.angle)))
+    return log._replace(reading=log.reading._replace(angle=np.degrees(log.reading.angle)))
 
 
 def test_errors_that_an_import_accepted_do_not_stop_the_fit(capsys, tmp_path, asked):
     for accepted in (False, True):
-        write_dataset(tmp_path / "d", [faulty(1), faulty(2)], [], {"accepted": accepted})
+        write_dataset(tmp_path / "d", [faulty(1), faulty(2)], [], {"accepted": accepted}, overwrite=accepted)
         words = ["fit", str(tmp_path / "d"), "--out", str(tmp_path / "s")]
         if accepted:
             main(words)

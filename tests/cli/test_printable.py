@@ -5,7 +5,7 @@ import re
 import pytest
 from rich.console import Console
 
-from softfin.cli import common, main
+from softfin.cli import main
 from softfin.cli.common import Common, progress
 
 HOSTILE = "fin\x1b]0;owned\x07\x9b2J\u202e"
@@ -37,7 +37,9 @@ def test_results_are_shown_without_escapes_and_in_lines(capsys):
 
 @pytest.mark.parametrize("is_terminal", [True, False])
 def test_progress_shows_neither_escapes_nor_markup(capsys, monkeypatch, is_terminal):
-    monkeypatch.setattr(common, "Console", lambda stderr: Console(stderr=stderr, force_terminal=is_terminal, width=150))
+    monkeypatch.setattr(
+        "rich.console.Console", lambda stderr: Console(stderr=stderr, force_terminal=is_terminal, width=150)
+    )
     with progress() as report:
         report("read", 0.5, HOSTILE + "[/nothing] [blink]x")
         report("read", 1.0, HOSTILE + "[/nothing] [blink]x")

@@ -78,14 +78,16 @@ def test_the_folder_holds_scores_conditions_and_figures(evaluation, tmp_path):
     assert written["provenance"]["seed"] == 0
 
 
-def test_an_evaluation_replaces_an_older_one_but_nothing_else(evaluation, tmp_path):
+def test_an_evaluation_replaces_an_older_one_where_asked_and_nothing_else(evaluation, tmp_path):
     write_evaluation(evaluation, tmp_path / "out")
-    write_evaluation(evaluation, tmp_path / "out", {"plant": "another"})
+    with pytest.raises(ArtifactError, match="exists already"):
+        write_evaluation(evaluation, tmp_path / "out")
+    write_evaluation(evaluation, tmp_path / "out", {"plant": "another"}, overwrite=True)
     assert "another" in (tmp_path / "out" / "evaluation.json").read_text()
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "notes.txt").write_text("keep")
     with pytest.raises(ArtifactError, match="no folder of softfin's"):
-        write_evaluation(evaluation, tmp_path / "mine")
+        write_evaluation(evaluation, tmp_path / "mine", overwrite=True)
 
 
 def test_the_same_seed_gives_the_same_scores_and_another_seed_others(evaluation):

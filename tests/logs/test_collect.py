@@ -173,7 +173,7 @@ def test_what_was_known_of_a_dataset_is_kept_when_it_is_recorded_on(tmp_path):
 def test_a_dataset_may_be_recorded_on_in_its_own_place(tmp_path):
     config = CollectConfig(logs=1, test_logs=0, rows=300)
     first = collect(AnalyticFin(), config, tmp_path / "data")
-    both = collect(AnalyticFin(), config, tmp_path / "data", before=first)
+    both = collect(AnalyticFin(), config, tmp_path / "data", before=first, overwrite=True)
     assert [path.name for path in both.train] == ["0000.parquet", "0001.parquet"]
 
 

@@ -15,7 +15,7 @@ def recorded(tmp_path):
     """Makes a dataset with such facts."""
 
     def make(**facts):
-        write_dataset(tmp_path / "data", [make_log(0)], [], facts)
+        write_dataset(tmp_path / "data", [make_log(0)], [], facts, overwrite=True)
         return tmp_path / "data"
 
     return make

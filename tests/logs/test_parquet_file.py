@@ -59,7 +59,7 @@ def test_a_file_of_more_columns_or_longer_names_than_any_log_is_refused(tmp_path
 @READERS
 def test_a_pipe_is_not_waited_for(tmp_path, read):
     os.mkfifo(tmp_path / "a.parquet")
-    with pytest.raises(LogError, match=r"a\.parquet: cannot be read \(not a regular file\)"):
+    with pytest.raises(LogError, match=r"a\.parquet: cannot be read \(a pipe, not a file\)"):
         read(tmp_path / "a.parquet")
 
 

@@ -170,8 +170,12 @@ def test_a_plant_has_a_gradient_where_its_force_has_a_slope(plant: Plant, reason
 @pytest.mark.parametrize(
     ("plant", "error", "message"),
     [
-        (Branching(), PlantError, "^Branching: .* it raises TracerBoolConversionError: .*; --algorithm ppo"),
-        (Broken(), PlantError, "^Broken: .* it raises KeyError: 'gear'; --algorithm ppo"),
+        (
+            Branching(),
+            PlantError,
+            "^plant Branching: cannot be traced .TracerBoolConversionError: .* check_plant says",
+        ),
+        (Broken(), PlantError, "^plant Broken: cannot be traced .KeyError: 'gear'.; .*check_plant says"),
     ],
     ids=["branching", "broken"],
 )

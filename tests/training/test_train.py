@@ -163,7 +163,7 @@ def test_the_log_says_how_often_policies_leave_the_data_of_a_surrogate_that_know
 def test_policies_are_scored_in_the_plant_as_it_is_now() -> None:
     def error(plant: PlainFin) -> Any:
         run = _Run(plant, SMALL, (0,), None)
-        return np.asarray(run.score(run.start().lanes.policy).error)
+        return np.asarray(run.score(run.start().lanes.policy, 0).error)
 
     plant = PlainFin(gain=0.1)
     before = error(plant)
@@ -172,3 +172,8 @@ def test_policies_are_scored_in_the_plant_as_it_is_now() -> None:
     assert (after != before).any()
     np.testing.assert_array_equal(after, error(PlainFin(gain=2.0)))
     np.testing.assert_array_equal(before, error(PlainFin(gain=0.1)))
+
+
+def test_an_episode_without_a_whole_window_is_refused_before_the_work(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"episode_actions = 3: an episode of 100 samples .* window of 200"):
+        trained(tmp_path, config=SMALL.changed(["task.episode_actions=3"]))

@@ -89,7 +89,6 @@ class Arguments(Configured):
                 f"{config.algorithm}"
             )
         with progress() as report:
-            report("algorithm", 1.0, reason)
             stages.train(
                 self.surrogate, Path(self.out), config,
                 known=self.map, seeds=seeds, refine=self.refine, engine=self.engine, split=self.split,

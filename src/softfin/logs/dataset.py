@@ -63,7 +63,6 @@ def write_dataset(
         description = {"rate_hz": RATE_HZ, **facts, "data_hash": _hash_of(hashes), "files": hashes}
         (folder / "dataset.json").write_text(artifacts.dump_json(description))
 
-    artifacts.check_vacant(path, overwrite)
     artifacts.write_folder(path, write, overwrite)
     return Dataset.open(path)
 

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 from pydantic import NonNegativeFloat, PositiveInt, model_validator
 
+from softfin.action_clock import ACTION_TICKS
 from softfin.checkpoint import Workspace
 from softfin.choices import Algorithm, AlgorithmOption, PolicyLayout
 from softfin.configuration import Configuration
@@ -420,6 +421,12 @@ def check(plant: Plant, config: TrainConfig, seeds: Sequence[int], known: ForceM
         raise ConfigurationError(
             f"steps = {config.steps}: fewer than one rollout of {learning.steps_per_update} "
             f"({learning.environments} environments x {learning.rollout_actions} actions); give more steps"
+        )
+    task = config.task
+    if (samples := task.episode_actions // len(ACTION_TICKS) * sum(ACTION_TICKS)) < task.window_samples:
+        raise ConfigurationError(
+            f"task.episode_actions = {task.episode_actions}: an episode of {samples} samples holds no whole window of "
+            f"{task.window_samples} to score; give a longer episode or a smaller task.window_samples"
         )
     _check_ensemble(plant, config)
     if config.algorithm == "gradient" and config.gradient.teacher:
