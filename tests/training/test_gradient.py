@@ -173,7 +173,7 @@ def test_a_plant_has_a_gradient_where_its_force_has_a_slope(plant: Plant, reason
         (
             Branching(),
             PlantError,
-            "^plant Branching: cannot be traced .TracerBoolConversionError: .* check_plant says",
+            "^plant Branching: cannot be traced .TracerBoolConversionError: .*check_plant says",
         ),
         (Broken(), PlantError, "^plant Broken: cannot be traced .KeyError: 'gear'.; .*check_plant says"),
     ],
