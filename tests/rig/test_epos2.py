@@ -108,6 +108,14 @@ def test_a_fin_without_a_zero_is_not_enabled() -> None:
         assert made.emulated.state in AT_REST
 
 
+def test_a_fin_that_was_stopped_a_little_beyond_its_limits_is_enabled() -> None:
+    with bench(angle_min_rad=0.1, angle_max_rad=0.5, zero_offset_rad=0.0) as made:
+        made.drive.open()
+        made.drive.home_here()
+        made.drive.enable()
+        assert made.emulated.state is State.OPERATION_ENABLED
+
+
 def test_a_fin_outside_its_limits_is_not_enabled() -> None:
     with bench(angle_min_rad=0.2, angle_max_rad=0.5, zero_offset_rad=0.0) as made:
         made.drive.open()

@@ -16,11 +16,14 @@ from softfin.deployment.native.controller import TrainingRange
 from softfin.deployment.reach import beyond
 from softfin.quantities import Limits
 
+OVERSHOOT_RAD = 0.15
+"""As far beyond the range of commands a fin may stand that was stopped in the middle of a fast stroke [rad]."""
+
 
 class SafetyConfig(Configuration):
     """Limits; the defaults hold a fin like the paper's with room to spare (its force stays under 13 N, 7.3 rad/s)."""
 
-    angle_margin_rad: float = Field(default=0.15, ge=0)
+    angle_margin_rad: float = Field(default=OVERSHOOT_RAD, ge=0)
     """The shaft may be beyond the range of commands by this [rad]: overshoot."""
     velocity_rad_s: PositiveFloat = 10.0
     """Fastest that the shaft may turn [rad/s]."""

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 
 from softfin.deployment.machine import Target
+from softfin.deployment.safety import OVERSHOOT_RAD
 from softfin.errors import CommandError, DeviceError, RigError, SoftfinError
 from softfin.rig import cia402, epos2_power, epos2_setup
 from softfin.rig import epos2_objects as objects
@@ -180,7 +181,8 @@ class Epos2:
             raise RigError(
                 "fin's zero is not known since the drive's power-up; turn the fin to zero and run: softfin rig zero"
             )
-        if not self.config.angle_min_rad <= reading.angle <= self.config.angle_max_rad:
+        low, high = self.config.angle_min_rad - OVERSHOOT_RAD, self.config.angle_max_rad + OVERSHOOT_RAD
+        if not low <= reading.angle <= high:
             raise RigError(
                 f"fin stands at {reading.angle:.3f} rad, outside {self.config.angle_min_rad:g} .. "
                 f"{self.config.angle_max_rad:g}; turn it inside by hand, or zero it anew"
