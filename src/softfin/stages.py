@@ -383,7 +383,7 @@ def train(
     engine: EngineName = "local",
     split: Split | None = None,
     cluster: str | None = None,
-    reason: str = "as configured",
+    reason: str | None = None,
     resume: bool = False,
     overwrite: bool = False,
     progress: Progress | None = None,
@@ -405,7 +405,7 @@ def train(
     check_refinable(config, refine)
     can = None if known is None else known_of(known, moving, _named(plant)).found
     origin, learnt = _origin(plant, moving, **({} if known is None else {"map": str(known)})), learnt_from(plant)
-    origin["algorithm"] = reason
+    origin["algorithm"] = reason or f"{config.algorithm}, as configured"
     facts = {
         "configuration": config.model_dump(mode="json"),
         "seeds": list(seeds),
@@ -418,7 +418,7 @@ def train(
     workspace = Workspace(out, facts, resume, overwrite)
     if workspace.complete:
         return workspace.finish()
-    if progress is not None:
+    if progress is not None and reason is not None:
         progress("algorithm", 1.0, reason)
     trained = train_jobs(moving, config, seeds, workspace, progress, engine=working, split=split, known=can)
     if refine:
