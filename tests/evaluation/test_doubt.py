@@ -41,8 +41,10 @@ def test_the_half_width_is_that_of_the_members_own_means_over_the_recorded_comma
     commands = Command(*(jnp.asarray(part[1, 0]) for part in recording.command))
     force = []
     state = plant.init(jax.random.key(0))
+    # Compiled once: outside a program each call would be compiled anew, and all of them kept.
+    advance = jax.jit(lambda state, command: plant.advance_members(state, command, 1))
     for tick in range(commands.angle.size):
-        state, each = plant.advance_members(state, Command(*(part[tick] for part in commands)), 1)
+        state, each = advance(state, Command(*(part[tick] for part in commands)))
         force.append(np.asarray(each.force[:, 0]))
     means = moving_average(np.stack(force, axis=1))
     np.testing.assert_allclose(said.half_width[1], plant.interval.half_width(means).mean(axis=0), rtol=1e-3)
