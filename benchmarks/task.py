@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from benchmarks.measure import entry, interleaved, matmul
 from benchmarks.nets import published_layout
-from softfin.action_clock import ACTION_TICKS
+from softfin.action_clock import ACTION_TICKS, ticks_of
 from softfin.tracking.references import PAPER_RANGE
 from softfin.tracking.task import ForceTracking, TaskConfig
 
@@ -20,16 +20,16 @@ def steps(task: ForceTracking, batch: int, cycles: int) -> Callable[[], Any]:
     """A call that plays `cycles` cycles of three actions in `batch` environments."""
     keys = jax.random.split(jax.random.key(1), batch)
     state = jax.vmap(task.reset, (0, None))(keys, PAPER_RANGE.references())
-    actions = jax.random.uniform(jax.random.key(2), (cycles, len(ACTION_TICKS), batch, 2), minval=-1, maxval=1)
+    actions = jax.random.uniform(jax.random.key(2), (len(ACTION_TICKS) * cycles, batch, 2), minval=-1, maxval=1)
 
-    def cycle(state: Any, some: jax.Array) -> Any:
-        rewards = []
-        for action, ticks in zip(some, ACTION_TICKS, strict=True):
-            state, outcome = jax.vmap(partial(task.step, ticks=ticks))(state, action)
-            rewards.append(outcome.reward)
-        return state, jnp.stack(rewards)
+    def act(state: Any, now: Any) -> Any:
+        action, ticks = now
+        state, outcome = jax.vmap(partial(task.step, ticks=ticks))(state, action)
+        return state, outcome.reward
 
-    program = jax.jit(lambda state, actions: jax.lax.scan(cycle, state, actions)[1])
+    program = jax.jit(
+        lambda state, actions: jax.lax.scan(act, state, (actions, jnp.asarray(ticks_of(len(actions)))))[1]
+    )
     return lambda: program(state, actions)
 
 

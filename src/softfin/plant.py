@@ -3,23 +3,32 @@
 A plant is pure and traceable, so that `jit`, `vmap`, `scan` and `grad` go through it.
 """
 
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from collections.abc import Callable
+from typing import Any, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PRNGKeyArray, PyTree
+from jaxtyping import Array, Int, PRNGKeyArray, PyTree
 
-from softfin.action_clock import ACTION_TICKS
+from softfin.action_clock import MOST_TICKS, rows_of, ticks_of
 from softfin.errors import CommandError
 from softfin.quantities import Command, Limits, Reading
 
 State: TypeAlias = PyTree[Any]
+Output = TypeVar("Output")
+
+Ticks: TypeAlias = int | Int[Array, ""]
+"""33 or 34, how long an action is held; a value in a program and not a shape."""
 
 
 @runtime_checkable
 class Plant(Protocol):
-    """A fin, real enough to learn from: one fin, no batch axes (`jax.vmap` adds them)."""
+    """A fin, real enough to learn from: one fin, no batch axes (`jax.vmap` adds them).
+
+    Programs hold an action by `advance` of one tick, in a scan. A plant that is faster with many ticks at once may have
+    a method `hold_action(state, command, ticks)`, which does what the function `hold_action` says.
+    """
 
     @property
     def limits(self) -> Limits:
@@ -68,23 +77,51 @@ def rest_command(limits: Limits) -> Command:
     return Command(jnp.float32(0.0), jnp.float32(limits.velocity_min))
 
 
+def hold_action(plant: Plant, state: State, command: Command, ticks: Ticks) -> tuple[State, Reading]:
+    """Hold a command for one action of 33 or 34 ticks; fields ``(34,)``, of which the first `ticks` count.
+
+    All actions have one shape, so whatever is compiled holds the plant once.
+    """
+    own = getattr(plant, "hold_action", None)
+    if own is not None:
+        held: tuple[State, Reading] = own(state, command, ticks)
+        return held
+
+    def tick(state: State) -> tuple[State, Reading]:
+        state, reading = plant.advance(state, command, 1)
+        return state, jax.tree.map(lambda x: x[0], reading)
+
+    return repeat(tick, state, ticks)
+
+
+def repeat(tick: Callable[[State], tuple[State, Output]], state: State, ticks: Ticks) -> tuple[State, Output]:
+    """`tick` so many times; what it gives is stacked to ``(34, ...)``, of which the first `ticks` count."""
+
+    def one(state: State, index: Int[Array, ""]) -> tuple[State, Output]:
+        after, output = tick(state)
+        counts = index < ticks
+        # What a tick never changes is handed on as it is.
+        kept = jax.tree.map(lambda new, old: old if new is old else jnp.where(counts, new, old), after, state)
+        return kept, output
+
+    return jax.lax.scan(one, state, jnp.arange(MOST_TICKS))
+
+
+def mean_of(rows: Array, ticks: Ticks) -> Array:
+    """Mean over those of an action's rows ``(34, ...)`` that count."""
+    counts = (jnp.arange(len(rows)) < ticks).reshape(-1, *[1] * (rows.ndim - 1))
+    return jnp.where(counts, rows, 0).sum(axis=0) / ticks
+
+
 def hold(plant: Plant, state: State, actions: Command) -> tuple[State, Reading]:
     """Hold each of ``(actions,)`` commands on the 3.0 Hz clock; fields ``(ticks,)`` with 100 ticks for 3 actions."""
     check_commands(plant.limits, actions)
-    cycles, rest = divmod(actions.angle.shape[0], len(ACTION_TICKS))
+    count = actions.angle.shape[0]
+    held = (actions, jnp.asarray(ticks_of(count)))
+    state, reading = jax.lax.scan(lambda state, now: hold_action(plant, state, *now), state, held)
+    return state, jax.tree.map(lambda x: counted(x, count), reading)
 
-    def some(state: State, commands: Command, count: int) -> tuple[State, Reading]:
-        readings = []
-        for i in range(count):
-            command = jax.tree.map(lambda x, i=i: x[i], commands)
-            state, reading = plant.advance(state, command, ACTION_TICKS[i])
-            readings.append(reading)
-        return state, jax.tree.map(lambda *parts: jnp.concatenate(parts), *readings)
 
-    whole = jax.tree.map(lambda x: x[: cycles * 3].reshape(cycles, 3), actions)
-    state, reading = jax.lax.scan(lambda s, c: some(s, c, 3), state, whole)
-    reading = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), reading)
-    if rest:
-        state, tail = some(state, jax.tree.map(lambda x: x[cycles * 3 :], actions), rest)
-        reading = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), reading, tail)
-    return state, reading
+def counted(rows: Array, actions: int) -> Array:
+    """``(actions, 34, ...)`` rows of actions that follow one another from the clock's start, as ``(ticks, ...)``."""
+    return rows.reshape(-1, *rows.shape[2:])[np.asarray(rows_of(actions))]

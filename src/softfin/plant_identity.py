@@ -17,7 +17,7 @@ from jaxtyping import PRNGKeyArray, PyTree
 
 from softfin.action_clock import ACTION_TICKS
 from softfin.errors import PlantError
-from softfin.plant import Plant, State
+from softfin.plant import Plant, State, Ticks, hold_action
 from softfin.quantities import Command, Limits, Reading
 
 PLAIN = (bool, int, float, str, type(None))
@@ -104,6 +104,10 @@ class TracedPlant(eqx.Module):
     def advance(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
         """As the simulator."""
         return self._plant.advance(state, command, ticks)
+
+    def hold_action(self, state: State, command: Command, ticks: Ticks) -> tuple[State, Reading]:
+        """As the simulator."""
+        return hold_action(self._plant, state, command, ticks)
 
 
 def _is_own(plant: Plant, static: PyTree[Any]) -> bool:

@@ -64,7 +64,7 @@ def test_a_controller_acts_as_its_policy_does_in_the_task() -> None:
     task = ForceTracking(AnalyticFin(), GRID.task)
     controller = controller_of(GRID_RUN, 5)
     assert isinstance(controller, GridController)
-    act, step = jax.jit(lambda *now: controller.act(*now)), jax.jit(task.step, static_argnums=2)
+    act, step = jax.jit(lambda *now: controller.act(*now)), jax.jit(task.step)
     for index, reference in enumerate(PAPER_REFERENCES[:3]):
         policy = jax.tree.map(lambda leaf, i=index: leaf[1, i], GRID_RUN.policies)
         at = Cell(low=reference, high=reference).references()

@@ -7,7 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softfin.action_clock import ACTION_TICKS, CYCLE_ACTIONS
+from softfin.action_clock import CYCLE_ACTIONS, ticks_of
+from softfin.plant import counted
 from softfin.tracking.references import Cell
 from softfin.tracking.task import ForceTracking, TaskConfig
 from softfin.training.imitation import ImitationConfig, Shown, imitate, show
@@ -79,13 +80,14 @@ def test_the_taught_policy_holds_forces_by_itself() -> None:
     cell = Cell(low=(1, 0.25), high=(1, 0.25))
 
     def drive(policy: Policy) -> Any:
-        state, memory = TASK.reset(KEY, cell.references()), policy.init()
-        forces = []
-        for i in range(18):
+        def act(carry: Any, ticks: Any) -> Any:
+            state, memory = carry
             memory, action = policy.act(memory, TASK.observe(state))
-            state, outcome = TASK.step(state, action, ACTION_TICKS[i % 3])
-            forces.append(outcome.forces)
-        return jnp.concatenate(forces)[-200:].mean(axis=0)
+            state, outcome = TASK.step(state, action, ticks)
+            return (state, memory), outcome.forces
+
+        start = TASK.reset(KEY, cell.references()), policy.init()
+        return counted(jax.lax.scan(act, start, jnp.asarray(ticks_of(18)))[1], 18)[-200:].mean(axis=0)
 
     run = jax.jit(drive)
     np.testing.assert_allclose(run(taught()), (1, 0.25), atol=0.2)

@@ -35,12 +35,19 @@ AGAIN = "copy the folder again, or train it again"
 def controller_of(trained: Trained, seed: int) -> SingleController | GridController:
     """The controller that a run trained from one of its seeds."""
     index = trained.seeds.index(seed)
-    policies = jax.tree.map(lambda leaf: leaf[index], trained.policies)
+    policies = _taken(trained.policies, index)
     config, reachable = trained.config, None if trained.known is None else trained.known.reachable
     if config.controller == "single":
-        policy = jax.tree.map(lambda leaf: leaf[0], policies)
+        policy = _taken(policies, 0)
         return SingleController(policy, config.task, trained.limits, config.cells[0], reachable)
     return GridController(policies, config.task, trained.limits, config.cells, reachable, config.switching)
+
+
+@jax.jit
+def _taken(policies: Policy, index: int) -> Policy:
+    """One along the leading axis."""
+    taken: Policy = jax.tree.map(lambda leaf: leaf[index], policies)
+    return taken
 
 
 def save_controller(

@@ -13,10 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key, PRNGKeyArray
 
-from softfin.action_clock import ACTION_TICKS
+from softfin.action_clock import ACTION_TICKS, MOST_TICKS, ticks_of
 from softfin.control.controller import Controller, ControllerState, Measured
 from softfin.errors import ConfigurationError, PlantError
-from softfin.plant import Plant, State
+from softfin.plant import Plant, State, Ticks, counted, hold_action, mean_of
 from softfin.plant_identity import jit_argument
 from softfin.quantities import RATE_HZ, AnyArray, Command, Limits, Reading
 
@@ -79,16 +79,16 @@ def run(
 
 def _at_actions(
     references: Float[np.ndarray, "references *ticks 2"], seconds: int
-) -> Float[np.ndarray, "references seconds 3 2"]:
+) -> Float[np.ndarray, "references actions 2"]:
     if references.ndim == 2:
-        return np.tile(references[:, None, None], (1, seconds, len(ACTION_TICKS), 1))
+        return np.tile(references[:, None], (1, seconds * len(ACTION_TICKS), 1))
     count, ticks = references.shape[:2]
     if ticks != seconds * RATE_HZ:
         raise ConfigurationError(
             f"references of {ticks} ticks for an experiment of {seconds} s; give {seconds * RATE_HZ} ticks, one every "
             "10 ms"
         )
-    return references.reshape(count, seconds, RATE_HZ, 2)[:, :, list(ACTION_STARTS)]
+    return references.reshape(count, seconds, RATE_HZ, 2)[:, :, list(ACTION_STARTS)].reshape(count, -1, 2)
 
 
 def check_finite(recording: Recording) -> None:
@@ -120,31 +120,35 @@ def alike(recording: Recording) -> bool:
 
 @eqx.filter_jit
 def _program(
-    parties: tuple[Controller, Plant], references: Float[Array, "references seconds 3 2"], keys: Key[Array, "seeds"]
+    parties: tuple[Controller, Plant], references: Float[Array, "references actions 2"], keys: Key[Array, "seeds"]
 ) -> tuple[Command, Reading]:
     """Compiled once for controllers and plants that are alike but for their arrays."""
     controller, plant = parties
+    actions = references.shape[1]
 
-    def one(asked: Float[Array, "seconds 3 2"], key: PRNGKeyArray) -> tuple[Command, Reading]:
+    def one(asked: Float[Array, "actions 2"], key: PRNGKeyArray) -> tuple[Command, Reading]:
         carry = (controller.init(), plant.init(key), Measured(jnp.float32(0.0), jnp.zeros(2)))
+        held = (asked, jnp.asarray(ticks_of(actions)))
         kept: tuple[Command, Reading]
-        _, kept = jax.lax.scan(lambda carry, asked: _second(controller, plant, asked, carry), carry, asked)
-        command, reading = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), kept)
+        _, kept = jax.lax.scan(lambda carry, now: _action(controller, plant, carry, *now), carry, held)
+        command, reading = jax.tree.map(lambda x: counted(x, actions), kept)
         return command, reading
 
     each: tuple[Command, Reading] = jax.vmap(jax.vmap(one, in_axes=(None, 0)), in_axes=(0, None))(references, keys)
     return each
 
 
-def _second(
-    controller: Controller, plant: Plant, asked: Float[Array, "3 2"], carry: tuple[ControllerState, State, Measured]
+def _action(
+    controller: Controller,
+    plant: Plant,
+    carry: tuple[ControllerState, State, Measured],
+    reference: Float[Array, "2"],
+    ticks: Ticks,
 ) -> tuple[tuple[ControllerState, State, Measured], tuple[Command, Reading]]:
-    """Three actions of 33, 33 and 34 ticks, each on what was read while the one before it was held."""
+    """An action on what was read while the one before it was held."""
     memory, state, measured = carry
-    kept = []
-    for reference, ticks in zip(asked, ACTION_TICKS, strict=True):
-        memory, command = controller.act(memory, measured, reference)
-        state, reading = plant.advance(state, command, ticks)
-        measured = Measured(reading.angle[-1], reading.force.mean(axis=0))
-        kept.append((jax.tree.map(lambda x, n=ticks: jnp.full(n, x, jnp.float32), command), reading))
-    return (memory, state, measured), jax.tree.map(lambda *parts: jnp.concatenate(parts), *kept)
+    memory, command = controller.act(memory, measured, reference)
+    state, reading = hold_action(plant, state, command, ticks)
+    measured = Measured(jnp.asarray(reading.angle)[ticks - 1], mean_of(jnp.asarray(reading.force), ticks))
+    held = jax.tree.map(lambda x: jnp.full(MOST_TICKS, x, jnp.float32), command)
+    return (memory, state, measured), (held, reading)

@@ -12,12 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from softfin.action_clock import ACTION_TICKS
+from softfin.action_clock import ACTION_TICKS, MOST_TICKS, rows_of, ticks_of
 from softfin.errors import ConfigurationError
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.evaluation.experiment import Recording
 from softfin.evaluation.open_loop import evaluation_keys
-from softfin.plant import Plant, State
+from softfin.plant import Plant, State, Ticks, hold_action
 from softfin.quantities import Command, Limits, Reading
 from softfin.tracking.references import Cell
 from softfin.tracking.registration import ID, register
@@ -51,32 +51,33 @@ def run_recurrent(model: Any, task: TaskConfig, limits: Limits, plant: Plant, co
         ages = jnp.full(count, age)
         return jax.vmap(lambda *seen: observation(task, *seen))(angle, jnp.asarray(references), actions, ages)
 
-    advance = {ticks: jax.jit(jax.vmap(_held(plant, limits, ticks))) for ticks in set(ACTION_TICKS)}
+    advance = jax.jit(jax.vmap(_held(plant, limits), (0, 0, None)))
     state = jax.vmap(plant.init)(keys)
     angle = jnp.zeros(count)
     actions = jnp.tile(rest_actions(task, limits), (count, 1, 1))
     memory, starts = None, np.ones(count, bool)
     kept = []
-    for age in range(config.seconds * len(ACTION_TICKS)):
+    held = ticks_of(config.seconds * len(ACTION_TICKS))
+    for age, ticks in enumerate(held):
         seen = np.asarray(see(angle, actions, jnp.int32(age)))
         said, memory = model.predict(seen, state=memory, episode_start=starts, deterministic=True)
         action = jnp.asarray(said, jnp.float32)
-        state, (issued, reading) = advance[ACTION_TICKS[age % len(ACTION_TICKS)]](state, action)
-        angle, actions, starts = reading.angle[:, -1], jax.vmap(remember)(actions, action), np.zeros(count, bool)
+        state, (issued, reading) = advance(state, action, ticks)
+        angle, actions, starts = reading.angle[:, ticks - 1], jax.vmap(remember)(actions, action), np.zeros(count, bool)
         kept.append(jax.tree.map(np.asarray, (issued, reading)))
 
     def together(*parts: Any) -> Any:
-        whole = np.concatenate(parts, axis=1)
+        whole = np.concatenate(parts, axis=1)[:, rows_of(len(held))]
         return whole.reshape(len(config.references), config.seeds, *whole.shape[1:])
 
     command, reading = jax.tree.map(together, *kept)
     return Recording(np.asarray(config.references, np.float32), command, reading)
 
 
-def _held(plant: Plant, limits: Limits, ticks: int) -> Any:
-    def hold(state: State, action: Float[Array, "2"]) -> tuple[State, tuple[Command, Reading]]:
+def _held(plant: Plant, limits: Limits) -> Any:
+    def hold(state: State, action: Float[Array, "2"], ticks: Ticks) -> tuple[State, tuple[Command, Reading]]:
         command = command_of(limits, action)
-        state, reading = plant.advance(state, command, ticks)
-        return state, (jax.tree.map(lambda x: jnp.full(ticks, x), command), reading)
+        state, reading = hold_action(plant, state, command, ticks)
+        return state, (jax.tree.map(lambda x: jnp.full(MOST_TICKS, x), command), reading)
 
     return hold

@@ -5,12 +5,13 @@ A plant goes in; a dataset folder comes out, whole or not at all. Log number i o
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pydantic
+from jaxtyping import PRNGKeyArray
 
 from softfin import artifacts
 from softfin.configuration import Configuration
@@ -18,7 +19,7 @@ from softfin.errors import ConfigurationError, PlantError
 from softfin.logs.dataset import Dataset, write_dataset
 from softfin.logs.excitation import Commands, ExcitationConfig
 from softfin.logs.extension import extension
-from softfin.logs.side_by_side import simulate
+from softfin.logs.side_by_side import alike, simulate
 from softfin.paths import PARTS
 from softfin.plant import Plant
 from softfin.quantities import RATE_HZ, TICK_S, Log
@@ -83,8 +84,19 @@ def collect(
         "plant": type(train[0]).__name__,
         "provenance": artifacts.provenance(seed=config.seed),
     }
-    learning = _record(train, "train", held[0], config, commands or config.excitation, report)
-    testing = _record(test, "test", held[1], config, config.excitation, report)
+    keys = _keys(config, "train", held[0], len(train)), _keys(config, "test", held[1], len(test))
+    if commands is None and alike(train + test):
+        # One program for all.
+        logs = simulate(train + test, keys[0] + keys[1], config.rows, config.excitation, config.batch, report)
+        learning, testing = _checked(islice(logs, len(train)), "train"), _checked(logs, "test")
+    else:
+        learning, testing = (
+            _checked(simulate(plants, own, config.rows, moved, config.batch, report), part)
+            for plants, own, moved, part in (
+                (train, keys[0], commands or config.excitation, "train"),
+                (test, keys[1], config.excitation, "test"),
+            )
+        )
     if before is None:
         return write_dataset(out, learning, testing, described | (facts or {}), overwrite)
     return write_dataset(
@@ -104,20 +116,16 @@ def _one_a_log(plant: Plant | Sequence[Plant], count: int, name: str) -> list[Pl
     return list(plant)
 
 
-def _record(
-    plants: list[Plant],
-    part: str,
-    first: int,
-    config: CollectConfig,
-    commands: Commands,
-    report: Callable[[int], None],
-) -> Iterator[Log]:
-    keys = [key_of(config.seed, f"collect/{part}/{first + index}") for index in range(len(plants))]
-    for index, log in enumerate(simulate(plants, keys, config.rows, commands, config.batch, report)):
-        yield _checked(log, f"{part}/{index:0{PARTS[part]}d}")
+def _keys(config: CollectConfig, part: str, first: int, count: int) -> list[PRNGKeyArray]:
+    return [key_of(config.seed, f"collect/{part}/{first + index}") for index in range(count)]
 
 
-def _checked(log: Log, name: str) -> Log:
+def _checked(logs: Iterator[Log], part: str) -> Iterator[Log]:
+    for index, log in enumerate(logs):
+        yield _checked_log(log, f"{part}/{index:0{PARTS[part]}d}")
+
+
+def _checked_log(log: Log, name: str) -> Log:
     """With its time counted in float64; raises PlantError where the plant's own time or readings mean nothing."""
     time = np.arange(1, log.reading.time.shape[0] + 1) / RATE_HZ
     for field, values in zip(log.reading._fields, log.reading, strict=True):

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PRNGKeyArray, PyTree
+from jaxtyping import Array, Key, PRNGKeyArray, PyTree
 
 from softfin.logs.excitation import Commands
 from softfin.plant import Plant, State, roll
@@ -37,37 +37,53 @@ def simulate(
         for plant, key in zip(plants, keys, strict=True):
             yield from simulate([plant], [key], rows, commands, 1, report)
         return
-    begin, advance = _programs(fleet, rows, commands)
     count = len(plants)
     batch = math.ceil(count / math.ceil(count / batch)) if count else 0
     for start in range(0, count, batch or 1):
         # The last batch is filled up with logs that are thrown away, so that one compiled program serves all.
         index = [i % count for i in range(start, start + batch)]
         wanted = min(batch, count - start)
-        arrays = fleet.arrays if fleet.axis is None else _take(fleet.arrays, index)
-        state, issued = begin(arrays, jnp.stack([keys[i] for i in index]))
-        yield from _logs(functools.partial(advance, arrays), state, issued, rows, wanted, report)
+        some = fleet.some(index)
+        state, issued = _begin(some, jnp.stack([keys[i] for i in index]), rows + 1, commands)
+        yield from _logs(functools.partial(_advance, some), state, issued, rows, wanted, report)
+
+
+def alike(plants: Sequence[Plant]) -> bool:
+    """Whether the plants run side by side."""
+    return _fleet(plants) is not None
 
 
 class _Fleet(NamedTuple):
-    """Plants that one program serves: what they share, and their arrays, stacked along `axis` or shared (None)."""
+    """Plants that one program serves."""
 
     arrays: PyTree[Any]
+    """Stacked along a leading axis, or shared by all."""
     static: PyTree[Any]
-    axis: int | None
+    shared: bool
+
+    def some(self, index: list[int]) -> "_Fleet":
+        """Those at these places."""
+        if self.shared:
+            return self
+        return self._replace(arrays=jax.tree.map(lambda x: x[np.array(index)], self.arrays))
+
+    def axes(self) -> int | None:
+        """Of the arrays, for `jax.vmap`."""
+        return None if self.shared else 0
 
 
 def _fleet(plants: Sequence[Plant]) -> _Fleet | None:
+    """None where the plants differ in more than their arrays."""
     same = all(plant is plants[0] for plant in plants)
     parts = [eqx.partition(jit_argument(plant), eqx.is_array) for plant in (plants[:1] if same else plants)]
     if same:
         arrays, static = parts[0] if parts else (None, None)
-        return _Fleet(arrays, static, None)
+        return _Fleet(arrays, static, shared=True)
     shapes = [jax.tree.map(lambda x: (x.shape, x.dtype), arrays) for arrays, _ in parts]
     if any(shape != shapes[0] for shape in shapes) or any(not _same(static, parts[0][1]) for _, static in parts):
         return None
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[arrays for arrays, _ in parts])
-    return _Fleet(stacked, parts[0][1], 0)
+    return _Fleet(stacked, parts[0][1], shared=False)
 
 
 def _same(one: Any, other: Any) -> bool:
@@ -75,25 +91,28 @@ def _same(one: Any, other: Any) -> bool:
     return bool(flat[0] == flat[1])
 
 
-def _take(arrays: PyTree[Any], index: list[int]) -> PyTree[Any]:
-    return jax.tree.map(lambda x: x[np.array(index)], arrays)
+@eqx.filter_jit
+def _begin(fleet: _Fleet, keys: Key[Array, "logs"], rows: int, commands: Commands) -> tuple[State, Command]:
+    """States and all commands of a batch."""
 
-
-def _programs(fleet: _Fleet, rows: int, commands: Commands) -> tuple[Any, Any]:
-    """Compiled over a batch: (arrays, keys) -> (states, all commands); (arrays, states, commands) -> one piece."""
-
-    def begin(arrays: PyTree[Any], key: PRNGKeyArray) -> tuple[State, Command]:
+    def one(arrays: PyTree[Any], key: PRNGKeyArray) -> tuple[State, Command]:
         plant = eqx.combine(arrays, fleet.static)
         plant_key, command_key = jax.random.split(key)
-        return plant.init(plant_key), commands(command_key, rows + 1, Limits(*plant.limits))
+        return plant.init(plant_key), commands(command_key, rows, Limits(*plant.limits))
 
-    def advance(arrays: PyTree[Any], state: State, issued: Command) -> tuple[State, Reading]:
+    begun: tuple[State, Command] = jax.vmap(one, in_axes=(fleet.axes(), 0))(fleet.arrays, keys)
+    return begun
+
+
+@eqx.filter_jit
+def _advance(fleet: _Fleet, state: State, issued: Command) -> tuple[State, Reading]:
+    """One piece of a batch."""
+
+    def one(arrays: PyTree[Any], state: State, issued: Command) -> tuple[State, Reading]:
         return roll(eqx.combine(arrays, fleet.static), state, issued)
 
-    return (
-        jax.jit(jax.vmap(begin, in_axes=(fleet.axis, 0))),
-        jax.jit(jax.vmap(advance, in_axes=(fleet.axis, 0, 0))),
-    )
+    rolled: tuple[State, Reading] = jax.vmap(one, in_axes=(fleet.axes(), 0, 0))(fleet.arrays, state, issued)
+    return rolled
 
 
 def _logs(

@@ -139,10 +139,14 @@ class Learner:
 
     def start(self, key: PRNGKeyArray) -> FitState:
         """Fresh weights."""
+        state: FitState = eqx.filter_jit(self._start)(key)
+        return state
+
+    def _start(self, key: PRNGKeyArray) -> FitState:
         keys = jax.random.split(key)
         nets = Nets(Network.create(self.config.posnet, keys[0]), Network.create(self.config.forcenet, keys[1]))
         worst = Nets(jnp.float32(jnp.inf), jnp.float32(jnp.inf))
-        return FitState(nets, self.optimiser.init(nets), jax.tree.map(jnp.copy, nets), worst)
+        return FitState(nets, self.optimiser.init(nets), nets, worst)
 
     def _run(
         self,

@@ -10,13 +10,15 @@ angles that PosNet has then said already. Only the new ticks are computed.
 from typing import ClassVar, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from softfin.action_clock import MOST_TICKS
 from softfin.errors import ArtifactError, LogError
 from softfin.logs.ticks import tick_at
-from softfin.plant import rest_command
+from softfin.plant import Ticks, rest_command
 from softfin.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading
 from softfin.surrogate.forcenet import FORCES
 from softfin.surrogate.network import Network
@@ -91,7 +93,15 @@ class Surrogate(eqx.Module):
 
     def advance(self, state: SurrogateState, command: Command, ticks: int) -> tuple[SurrogateState, Reading]:
         """Hold the command for `ticks` samples; all of them go through each net as one batch."""
-        held = jnp.tile(self._scaled(command)[:, None], ticks)
+        return self._held(state, command, ticks, ticks)
+
+    def hold_action(self, state: SurrogateState, command: Command, ticks: Ticks) -> tuple[SurrogateState, Reading]:
+        """The same for an action, as one batch of the longest."""
+        return self._held(state, command, MOST_TICKS, ticks)
+
+    def _held(self, state: SurrogateState, command: Command, rows: int, ticks: Ticks) -> tuple[SurrogateState, Reading]:
+        """So many rows, of which the first `ticks` count."""
+        held = jnp.tile(self._scaled(command)[:, None], rows)
         commands = jnp.concatenate([state.commands, held], axis=1)
         seen = windows(commands[:, 1:], self.window)
         fresh = self.posnet(seen)[:, 0]
@@ -99,10 +109,11 @@ class Surrogate(eqx.Module):
         motion = jnp.concatenate([windows(angles[None, :-1], self.window), seen], axis=1)
         force = self.scaling.physical(FORCES, self.forcenet(motion))
 
-        angle = self.scaling.physical([ANGLE], angles[-ticks - 1 :, None])[:, 0]
-        time = (state.tick + 1 + jnp.arange(ticks)) * jnp.float32(TICK_S)
+        angle = self.scaling.physical([ANGLE], angles[-rows - 1 :, None])[:, 0]
+        time = (state.tick + 1 + jnp.arange(rows)) * jnp.float32(TICK_S)
         reading = Reading(time, angle[1:], jnp.diff(angle) * RATE_HZ, force)
-        return SurrogateState(state.tick + ticks, commands[:, -self.window :], angles[-self.window :]), reading
+        commands, angles = (jax.lax.dynamic_slice_in_dim(x, ticks, self.window, -1) for x in (commands, angles))
+        return SurrogateState(state.tick + ticks, commands, angles), reading
 
     def _scaled(self, command: Command) -> Float[Array, "2"]:
         return jnp.stack([self.scaling.scaled(name, value) for name, value in zip(COMMANDS, command, strict=True)])

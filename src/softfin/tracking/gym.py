@@ -88,10 +88,11 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         ticks, held = ACTION_TICKS[self._actions % len(ACTION_TICKS)], jnp.asarray(action, jnp.float32)
         if self._film is not None:
             self._film.add(self._state.plant, command_of(self.task.plant.limits, held), ticks, reference)
-        self._state, outcome = self._step[ticks](self._state, held)
+        self._state, outcome = self._step(self._state, held, ticks)
         self._actions += 1
         truncated = self._actions >= self.task.config.episode_actions
-        return self._observed(self._state), float(outcome.reward), False, truncated, _info(outcome, reference)
+        info = _info(outcome, ticks, reference)
+        return self._observed(self._state), float(outcome.reward), False, truncated, info
 
     def render(self) -> Any:
         """The fin and the episode so far as an image, ``(height, width, 3)`` bytes."""
@@ -106,7 +107,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         self._compiled_for = plant
         self._reset = jax.jit(partial(self.task.reset))
         self._observe = jax.jit(partial(self.task.observe))
-        self._step = {ticks: jax.jit(partial(self.task.step, ticks=ticks)) for ticks in set(ACTION_TICKS)}
+        self._step = jax.jit(partial(self.task.step))
 
     def _new_film(self) -> "EpisodeFilm":
         # Who does not look at it need not wait for Matplotlib.
@@ -135,10 +136,10 @@ def _greatest(config: TaskConfig, references: Cell) -> Observation:
     return np.array([np.pi / ANGLE_SCALE_RAD, *forces, *actions], np.float32)
 
 
-def _info(outcome: Outcome, reference: Float[np.ndarray, "2"]) -> dict[str, Any]:
+def _info(outcome: Outcome, ticks: int, reference: Float[np.ndarray, "2"]) -> dict[str, Any]:
     return {
         "error_n": np.array(outcome.error),
         "smoothness_n": np.array(outcome.smoothness),
         "reference_n": reference,
-        "force_n": np.array(outcome.forces),
+        "force_n": np.array(outcome.forces[:ticks]),
     }

@@ -6,6 +6,7 @@ is brought inside by going towards the centre or to the nearest point of the edg
 
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -46,18 +47,7 @@ class Reachable(NamedTuple):
 
     def pulled(self, force: Float[AnyArray, "2"]) -> Float[Array, "2"]:
         """The force, or where the line from it to the centre meets the edge; traceable."""
-        offset = jnp.asarray(force) - self.centre
-        count = len(self.radius)
-        turn = jnp.arctan2(offset[1], offset[0]) / (2 * jnp.pi) % 1 * count
-        index = jnp.minimum(turn.astype(jnp.int32), count - 1)
-        corners = jnp.asarray(self.radius)[:, None] * directions(count)
-        a, b = corners[index], corners[(index + 1) % count]
-        # The ray offset * s meets the side a + (b - a) t where offset x (a - b) s = a x (a - b).
-        side = a - b
-        across = offset[0] * side[1] - offset[1] * side[0]
-        reach = (a[0] * side[1] - a[1] * side[0]) / jnp.where(jnp.abs(across) < 1e-9, jnp.inf, across)
-        inside = (reach >= 1) | (jnp.abs(offset).max() < 1e-6)
-        return jnp.where(inside, jnp.asarray(force), self.centre + offset * reach)
+        return _pulled(jnp.asarray(self.centre), jnp.asarray(self.radius), jnp.asarray(force))
 
     def distances(self, centre: Float[np.ndarray, "2"]) -> Float[np.ndarray, "directions"]:
         """From a force inside to where lines in the directions of the corners first leave the region [N]."""
@@ -111,3 +101,21 @@ def directions(count: int) -> Float[np.ndarray, "directions 2"]:
     """Equally spaced unit vectors, anticlockwise from +x."""
     angle = 2 * np.pi * np.arange(count) / count
     return np.stack([np.cos(angle), np.sin(angle)], axis=1).astype(np.float32)
+
+
+@jax.jit
+def _pulled(
+    centre: Float[Array, "2"], radius: Float[Array, "directions"], force: Float[Array, "2"]
+) -> Float[Array, "2"]:
+    offset = force - centre
+    count = len(radius)
+    turn = jnp.arctan2(offset[1], offset[0]) / (2 * jnp.pi) % 1 * count
+    index = jnp.minimum(turn.astype(jnp.int32), count - 1)
+    corners = radius[:, None] * directions(count)
+    a, b = corners[index], corners[(index + 1) % count]
+    # The ray offset * s meets the side a + (b - a) t where offset x (a - b) s = a x (a - b).
+    side = a - b
+    across = offset[0] * side[1] - offset[1] * side[0]
+    reach = (a[0] * side[1] - a[1] * side[0]) / jnp.where(jnp.abs(across) < 1e-9, jnp.inf, across)
+    inside = (reach >= 1) | (jnp.abs(offset).max() < 1e-6)
+    return jnp.where(inside, force, centre + offset * reach)

@@ -3,7 +3,8 @@
     action in [-1, 1]^2 ──> command, held 33 or 34 ticks ──> plant ──> angle, forces
     observation = [angle, reference x, reference y, A_t, A_t-1, .. A_t-k, and on demand sin, cos of the clock's phase]
 
-Actions follow one another on the 33/33/34 clock, so whatever plays the task goes in cycles of three actions.
+Actions follow one another on the 33/33/34 clock. How long one is held is a value in the program, so that a program
+holds the task once: all actions have 34 rows, and the last one of a shorter action does not count.
 """
 
 from dataclasses import dataclass
@@ -15,9 +16,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
-from softfin.action_clock import CYCLE_ACTIONS
+from softfin.action_clock import CYCLE_ACTIONS, MOST_TICKS
 from softfin.configuration import Configuration
-from softfin.plant import Plant, State, rest_command
+from softfin.plant import Plant, State, Ticks, hold_action, mean_of, repeat, rest_command
 from softfin.quantities import Command, Limits, Reading
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 from softfin.tracking.references import References
@@ -126,7 +127,7 @@ class Outcome(NamedTuple):
     smoothness: Float[Array, "2"]
     """Sobolev term of the window [N]."""
     forces: Float[Array, "ticks 2"]
-    """While the action was held [N]."""
+    """While the action was held [N]; the last of the 34 rows counts where it was held as long."""
     disagreement: Float[Array, "2"]
     """Standard deviation of the members' mean forces meanwhile [N]; 0 of a plant that is no ensemble or not asked."""
 
@@ -168,11 +169,11 @@ class ForceTracking:
         clock = jax.nn.one_hot(state.age % 3, 3)
         return jnp.concatenate([self.observe(state), mean, full[None], clock])
 
-    def step(self, state: TaskState, action: Action, ticks: int) -> tuple[TaskState, Outcome]:
-        """Hold an action for `ticks` (static)."""
+    def step(self, state: TaskState, action: Action, ticks: Ticks) -> tuple[TaskState, Outcome]:
+        """Hold an action for 33 or 34 ticks."""
         plant, reading, disagreement = self._advance(state.plant, command_of(self.plant.limits, action), ticks)
-        asked = jnp.concatenate([state.asked, jnp.tile(state.reference, (ticks, 1))])[-self.config.window_samples :]
-        forces = jnp.concatenate([state.forces, reading.force])[-self.config.window_samples :]
+        asked = _last(state.asked, jnp.tile(state.reference, (MOST_TICKS, 1)), ticks)
+        forces = _last(state.forces, jnp.asarray(reading.force), ticks)
         samples = jnp.minimum(state.samples + ticks, self.config.window_samples)
         age = state.age + 1
         target = state.reference if self.config.reward.target == "now" else window_mean(asked, samples)
@@ -184,7 +185,7 @@ class ForceTracking:
         reference, drift = self._moved(state, reference_key, age % self.config.reference_actions == 0)
         return TaskState(
             plant=plant,
-            angle=reading.angle[-1 - sensing.delay_ticks] + noise,
+            angle=jnp.asarray(reading.angle)[ticks - 1 - sensing.delay_ticks] + noise,
             reference=reference,
             drift=drift,
             references=state.references,
@@ -211,12 +212,19 @@ class ForceTracking:
         """Whether the episode is over: cut, not ended, since the fin could beat on."""
         return state.age >= self.config.episode_actions
 
-    def _advance(self, state: State, command: Command, ticks: int) -> tuple[State, Reading, Float[Array, "2"]]:
+    def _advance(self, state: State, command: Command, ticks: Ticks) -> tuple[State, Reading, Float[Array, "2"]]:
         """The plant, and how much the members of an ensemble disagree, where that is asked for."""
-        if self.config.reward.disagreement == 0 or not isinstance(self.plant, StreamingSurrogate):
-            return *self.plant.advance(state, command, ticks), jnp.zeros(2)
-        state, each = self.plant.advance_members(state, command, ticks)
-        return state, jax.tree.map(lambda x: x.mean(axis=0), each), each.force.mean(axis=1).std(axis=0)
+        plant = self.plant
+        if self.config.reward.disagreement == 0 or not isinstance(plant, StreamingSurrogate):
+            return *hold_action(plant, state, command, ticks), jnp.zeros(2)
+
+        def tick(state: State) -> tuple[State, Reading]:
+            state, each = plant.advance_members(state, command, 1)
+            return state, jax.tree.map(lambda x: x[:, 0], each)
+
+        state, each = repeat(tick, state, ticks)
+        force = mean_of(jnp.asarray(each.force), ticks)
+        return state, jax.tree.map(lambda x: x.mean(axis=1), each), force.std(axis=0)
 
     def _judge(
         self,
@@ -230,6 +238,11 @@ class ForceTracking:
         error = window_error(forces, samples, reference)
         smoothness = SMOOTHNESS[config.sobolev](forces, samples)
         return Outcome(config.value(error, smoothness, disagreement), error, smoothness, fresh, disagreement)
+
+
+def _last(before: Float[Array, "window 2"], rows: Float[Array, "34 2"], ticks: Ticks) -> Float[Array, "window 2"]:
+    """The window after so many more rows."""
+    return jax.lax.dynamic_slice_in_dim(jnp.concatenate([before, rows]), ticks, len(before))
 
 
 def observation(

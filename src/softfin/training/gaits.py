@@ -8,6 +8,7 @@ ten lower the Sobolev term and keep each gait near those of its neighbours, so t
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -121,6 +122,8 @@ class _Nodes(NamedTuple):
     out: Float[Array, "nodes 3"]
     """Mean force (x, y) and the sum of both Sobolev terms [N]."""
     slope: Float[Array, "nodes 3 12"]
+    smoothness: Float[Array, "nodes 2"]
+    """Sobolev terms (x, y) [N]."""
 
 
 def find_gaits(
@@ -150,10 +153,8 @@ def find_gaits(
             report((step + 1) / config.steps, f"error {np.median(missed):.3f} N median, {missed.max():.2f} N greatest")
     shaped = (*lattice.nodes, -1)
     actions = jnp.tanh(nodes.raw).reshape(*lattice.nodes, CYCLE_ACTIONS, 2)
-    made = jax.vmap(lambda raw: measured(steady(plant, jnp.tanh(raw).reshape(CYCLE_ACTIONS, 2), config.cycles, _key())))
-    got = eqx.filter_jit(made)(nodes.raw)
-    return Found(table._replace(actions=actions), np.asarray(got.force).reshape(shaped),
-                 np.asarray(got.smoothness).reshape(shaped))  # fmt: skip
+    return Found(table._replace(actions=actions), np.asarray(nodes.out[:, :2]).reshape(shaped),
+                 np.asarray(nodes.smoothness).reshape(shaped))  # fmt: skip
 
 
 def _key() -> PRNGKeyArray:
@@ -192,16 +193,16 @@ UNLIKE_N = 0.5
 def _look(plant: Plant, raw: Float[Array, "nodes 12"], cycles: int) -> _Nodes:
     """What gaits make, and its slopes."""
 
-    def out(raw: Float[Array, "12"]) -> Float[Array, "3"]:
+    def out(raw: Float[Array, "12"]) -> tuple[Float[Array, "3"], Float[Array, "2"]]:
         got = measured(steady(plant, jnp.tanh(raw).reshape(CYCLE_ACTIONS, 2), cycles, _key()))
-        return jnp.concatenate([got.force, got.smoothness.sum()[None]])
+        return jnp.concatenate([got.force, got.smoothness.sum()[None]]), got.smoothness
 
-    def both(raw: Float[Array, "12"]) -> tuple[Float[Array, "3"], Float[Array, "3 12"]]:
-        value, pull = jax.vjp(out, raw)
-        return value, jax.vmap(lambda way: pull(way)[0])(jnp.eye(3))
+    def each(raw: Float[Array, "12"]) -> _Nodes:
+        value, pull, smoothness = jax.vjp(out, raw, has_aux=True)
+        return _Nodes(raw, value, jax.vmap(lambda way: pull(way)[0])(jnp.eye(3)), smoothness)
 
-    value, slope = jax.vmap(both)(raw)
-    return _Nodes(raw, value, slope)
+    nodes: _Nodes = jax.vmap(each)(raw)
+    return nodes
 
 
 @eqx.filter_jit
@@ -231,6 +232,7 @@ def _moved(
     return nodes.raw + scale[:, None] * wanted
 
 
+@eqx.filter_jit
 def _kept(
     nodes: _Nodes, trial: _Nodes, target: Float[Array, "nodes 2"], scale: Float[Array, "nodes"], smoothness: float
 ) -> tuple[_Nodes, Float[Array, "nodes"]]:
@@ -266,6 +268,7 @@ def _helped(
     return jax.tree.map(lambda leaf: leaf[source.reshape(-1)], nodes), jnp.where(moved, 1.0, scale)
 
 
+@partial(jax.jit, static_argnums=1)
 def _neighbours(raw: Float[Array, "nodes 12"], shape: tuple[int, int]) -> Float[Array, "nodes 12"]:
     """Mean of the four neighbours; at the edge a node stands in for the one that is missing."""
     grid = jnp.pad(raw.reshape(*shape, -1), ((1, 1), (1, 1), (0, 0)), mode="edge")

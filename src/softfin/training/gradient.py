@@ -15,8 +15,9 @@ import optax
 from jaxtyping import Array, Float, PRNGKeyArray
 from pydantic import Field, PositiveFloat, PositiveInt
 
-from softfin.action_clock import ACTION_TICKS
+from softfin.action_clock import ticks_of
 from softfin.configuration import Configuration
+from softfin.plant import Ticks
 from softfin.tracking.references import References
 from softfin.tracking.task import ForceTracking, Outcome
 from softfin.training.force_map import MapConfig
@@ -111,24 +112,17 @@ class Gradient:
         """What the task's reward lacks of 0, a mean over the rollout, with force errors rounded near 0 [N]."""
         task = self.task
 
-        def act(batch: Batch, ticks: int) -> tuple[Batch, Outcome]:
+        def act(batch: Batch, ticks: Ticks) -> tuple[Batch, Outcome]:
             memories = jax.vmap(cleared)(batch.memories, batch.fresh)
             memories, action = jax.vmap(policy.act)(memories, jax.vmap(task.observe)(batch.states))
             states, outcome = jax.vmap(partial(task.step, ticks=ticks))(batch.states, action)
-            return Batch(states, memories, jnp.zeros_like(batch.fresh)), outcome
+            return Batch(states, memories, jnp.zeros_like(batch.fresh)), outcome._replace(forces=jnp.zeros(()))
 
-        def cycle(batch: Batch, _: None) -> tuple[Batch, Any]:
-            outcomes = []
-            for ticks in ACTION_TICKS:
-                batch, outcome = act(batch, ticks)
-                outcomes.append(outcome._replace(forces=jnp.zeros(())))
-            return batch, jax.tree.map(lambda *parts: jnp.stack(parts), *outcomes)
-
-        batch, outcome = jax.lax.scan(cycle, batch, None, self.config.rollout_actions // len(ACTION_TICKS))
+        batch, outcome = jax.lax.scan(act, batch, jnp.asarray(ticks_of(self.config.rollout_actions)))
         rounding = self.config.rounding_n
         rounded = jnp.sqrt(outcome.error**2 + rounding**2) - rounding
         loss = -task.config.reward.value(rounded, outcome.smoothness, outcome.disagreement).mean()
-        x, y = outcome.error.mean(axis=(0, 1, 2))
+        x, y = outcome.error.mean(axis=(0, 1))
         return loss, (batch, {"loss": loss, "reward": outcome.reward.mean(), "error_x_n": x, "error_y_n": y})
 
     def _optimiser(self) -> optax.GradientTransformation:

@@ -3,7 +3,6 @@
 A gait's action depends on the reference and the phase alone, so the label of any state is known, whoever led there.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -12,8 +11,9 @@ import optax
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from pydantic import Field, PositiveFloat, PositiveInt
 
-from softfin.action_clock import ACTION_TICKS, CYCLE_ACTIONS
+from softfin.action_clock import CYCLE_ACTIONS, ticks_of
 from softfin.configuration import Configuration
+from softfin.plant import Ticks
 from softfin.tracking.references import References
 from softfin.tracking.task import ForceTracking, TaskState
 from softfin.training.gaits import GaitTable
@@ -79,19 +79,13 @@ def show(
     states = jax.vmap(task.reset, (0, None))(jax.random.split(reset_key, config.fins), references)
     later = jax.vmap(references.draw)(jax.random.split(change_key, config.fins))
 
-    def act(state: TaskState, later: Float[Array, "2"], half: Bool[Array, ""], ticks: int) -> tuple[TaskState, Shown]:
+    def act(state: TaskState, later: Float[Array, "2"], half: Bool[Array, ""], ticks: Ticks) -> tuple[TaskState, Shown]:
         state = state._replace(reference=jnp.where(half, later, state.reference))
         action = table.gait(state.reference)[state.age % CYCLE_ACTIONS]
         return task.step(state, action, ticks)[0], Shown(task.observe(state), action)
 
-    def cycle(states: TaskState, half: Bool[Array, ""]) -> tuple[TaskState, Shown]:
-        parts = []
-        for ticks in ACTION_TICKS:
-            states, shown = jax.vmap(partial(act, ticks=ticks), (0, 0, None))(states, later, half)
-            parts.append(shown)
-        return states, jax.tree.map(lambda *x: jnp.stack(x), *parts)
-
-    cycles = config.actions // len(ACTION_TICKS)
-    _, shown = jax.lax.scan(cycle, states, jnp.arange(cycles) >= cycles // 2)
-    flat: Shown = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), shown)
-    return flat
+    ticks = jnp.asarray(ticks_of(config.actions))
+    each = jax.vmap(act, (0, 0, None, None))
+    half = jnp.arange(config.actions) >= config.actions // 2
+    _, shown = jax.lax.scan(lambda states, now: each(states, later, *now), states, (half, ticks))
+    return shown

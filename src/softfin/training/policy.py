@@ -98,7 +98,7 @@ class Policy(eqx.Module):
         """New weights; at the start the mean action is near the middle whatever is observed."""
         deviation = jnp.full(actions, jnp.log(config.deviation))
         net = Recurrent.create(key, config, observations, actions, 0.01)
-        return cls(net, deviation, Normalisation.create(observations))
+        return cls(net, jnp.asarray(deviation, jnp.float32), Normalisation.create(observations))
 
     def init(self) -> Memory:
         """Nothing remembered."""

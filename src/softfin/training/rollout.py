@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from softfin.action_clock import ACTION_TICKS
+from softfin.plant import Ticks
 from softfin.tracking.references import References
 from softfin.tracking.task import ForceTracking, TaskState
 from softfin.training.lstm import Memory, cleared
@@ -61,13 +62,10 @@ def collect(task: ForceTracking, policy: Policy, batch: Batch, key: PRNGKeyArray
     """`cycles` x 3 actions in every environment, which start again when their episodes are over."""
 
     def cycle(batch: Batch, noise: Float[Array, "3 environments actions"]) -> tuple[Batch, Rollout]:
-        steps = []
-        for ticks, now in zip(ACTION_TICKS, noise, strict=True):
-            batch, step = _act(task, policy, batch, now, ticks)
-            steps.append(step)
+        held = (noise, jnp.asarray(ACTION_TICKS))
+        batch, steps = jax.lax.scan(lambda batch, now: _act(task, policy, batch, *now), batch, held)
         batch = restart(task, batch)
-        steps[-1] = steps[-1]._replace(cut=batch.fresh)
-        return batch, jax.tree.map(lambda *parts: jnp.stack(parts), *steps)
+        return batch, steps._replace(cut=steps.cut.at[-1].set(batch.fresh))
 
     noise = jax.random.normal(key, (cycles, len(ACTION_TICKS), len(batch.fresh), len(policy.log_deviation)))
     batch, rollout = jax.lax.scan(cycle, batch, noise)
@@ -75,7 +73,7 @@ def collect(task: ForceTracking, policy: Policy, batch: Batch, key: PRNGKeyArray
 
 
 def _act(
-    task: ForceTracking, policy: Policy, batch: Batch, noise: Float[Array, "environments actions"], ticks: int
+    task: ForceTracking, policy: Policy, batch: Batch, noise: Float[Array, "environments actions"], ticks: Ticks
 ) -> tuple[Batch, Rollout]:
     memories = jax.vmap(cleared)(batch.memories, batch.fresh)
     observation = jax.vmap(task.observe)(batch.states)

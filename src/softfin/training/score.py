@@ -7,7 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from softfin.action_clock import ACTION_TICKS
+from softfin.action_clock import ticks_of
+from softfin.plant import Ticks, counted
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 from softfin.tracking.references import References
 from softfin.tracking.reward import moving_average
@@ -34,19 +35,16 @@ def score(task: ForceTracking, policy: Policy, references: Float[Array, "referen
 
     plant = task.plant if isinstance(task.plant, StreamingSurrogate) else None
 
-    def cycle(carry: tuple[Any, Any], _: None) -> tuple[tuple[Any, Any], tuple[Array, Array]]:
+    def act(carry: tuple[Any, Any], ticks: Ticks) -> tuple[tuple[Any, Any], tuple[Array, Array]]:
         states, memories = carry
-        forces, distances = [], []
-        for ticks in ACTION_TICKS:
-            memories, actions = jax.vmap(policy.act)(memories, jax.vmap(task.observe)(states))
-            states, outcome = jax.vmap(partial(task.step, ticks=ticks))(states, actions)
-            forces.append(outcome.forces)
-            distances.append(jnp.zeros(count) if plant is None else jax.vmap(plant.distance)(states.plant))
-        return (states, memories), (jnp.concatenate(forces, axis=1), jnp.stack(distances))
+        memories, actions = jax.vmap(policy.act)(memories, jax.vmap(task.observe)(states))
+        states, outcome = jax.vmap(partial(task.step, ticks=ticks))(states, actions)
+        distance = jnp.zeros(count) if plant is None else jax.vmap(plant.distance)(states.plant)
+        return (states, memories), (jnp.swapaxes(outcome.forces, 0, 1), distance)
 
-    cycles = task.config.episode_actions // len(ACTION_TICKS)
-    _, (forces, distances) = jax.lax.scan(cycle, (states, memories), None, cycles)
-    series = jnp.swapaxes(forces, 0, 1).reshape(count, -1, 2)
+    actions = task.config.episode_actions
+    _, (forces, distances) = jax.lax.scan(act, (states, memories), jnp.asarray(ticks_of(actions)))
+    series = jnp.swapaxes(counted(forces, actions), 0, 1)
     average = jax.vmap(partial(moving_average, window=window))(series)
-    beyond = None if plant is None else (distances > 1).mean(axis=(0, 1))
+    beyond = None if plant is None else (distances > 1).mean(axis=0)
     return Score(jnp.abs(average - references[:, None]).mean(axis=1), average.std(axis=1), beyond)

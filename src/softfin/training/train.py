@@ -374,16 +374,16 @@ class _Run:
     def score(self, policies: Policy, update: int) -> Score:
         """Of every lane's policy without its noise; raises RunError where the plant's forces are not finite."""
         scores = self.programs.score(self.given, policies, self.references)
-        self._check_finite("the force while the policies are scored", scores.error.sum(axis=(1, 2)), update)
+        self._check_finite("the force while the policies are scored", np.asarray(scores.error).sum(axis=(1, 2)), update)
         return scores
 
     def finite(self, metrics: Metrics, update: int) -> Metrics:
         """The metrics; raises RunError where a lane's loss or its gradient is not finite."""
-        self._check_finite("the loss", metrics["loss"] + metrics["gradient_norm"], update)
+        self._check_finite("the loss", np.asarray(metrics["loss"]) + np.asarray(metrics["gradient_norm"]), update)
         return metrics
 
-    def _check_finite(self, what: str, of_lanes: Array, update: int) -> None:
-        bad = np.flatnonzero(~np.isfinite(np.asarray(of_lanes)))
+    def _check_finite(self, what: str, of_lanes: np.ndarray, update: int) -> None:
+        bad = np.flatnonzero(~np.isfinite(of_lanes))
         if bad.size:
             seed, index = self.lanes[bad[0]]
             raise RunError(
@@ -403,12 +403,11 @@ class _Run:
         best = _summary(state.best_score)
         figures = [float(np.mean(best[f"score_{axis}_n"])) for axis in AXES]
         scored = "" if not np.isfinite(figures).all() else f", best deterministic {figures[0]:.2f}/{figures[1]:.2f} N"
-        return f"error {float(metrics['error_x_n'].mean()):.2f}/{float(metrics['error_y_n'].mean()):.2f} N{scored}"
+        return f"error {np.mean(metrics['error_x_n']):.2f}/{np.mean(metrics['error_y_n']):.2f} N{scored}"
 
     def end(self, state: TrainState) -> Trained:
         """The best policies, by seed and cell."""
-        shape = (len(self.seeds), len(self.config.cells))
-        policies, scores = jax.tree.map(lambda x: x.reshape(*shape, *x.shape[1:]), (state.best, state.best_score))
+        policies, scores = _by_seed_and_cell((state.best, state.best_score), len(self.seeds))
         return Trained(self.config, self.limits, self.seeds, policies, scores, self.known)
 
 
@@ -481,20 +480,29 @@ def _scorings(config: TrainConfig) -> set[int]:
 
 def _summary(scores: Score) -> Metrics:
     """Of each lane, the mean error over its references, and how often it left the surrogate's data, where known."""
-    beyond = {} if scores.beyond is None else {"score_beyond_data": scores.beyond.mean(axis=-1)}
-    return {f"score_{axis}_n": scores.error[..., i].mean(axis=-1) for i, axis in enumerate(AXES)} | beyond
+    beyond = {} if scores.beyond is None else {"score_beyond_data": np.asarray(scores.beyond).mean(axis=-1)}
+    return {f"score_{axis}_n": np.asarray(scores.error)[..., i].mean(axis=-1) for i, axis in enumerate(AXES)} | beyond
 
 
 def _keep_best(state: TrainState, scores: Score) -> TrainState:
-    """Lane by lane, the policy whose mean error over references and axes is least."""
-    better = scores.error.mean(axis=(1, 2)) < state.best_score.error.mean(axis=(1, 2))
-
-    def pick(new: Array, old: Array) -> Array:
-        return jnp.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old)
-
-    best = jax.tree.map(pick, state.lanes.policy, state.best)
-    best_score = jax.tree.map(pick, scores, state.best_score)
+    best, best_score = _better((state.lanes.policy, scores), (state.best, state.best_score))
     return state._replace(best=best, best_score=best_score)
+
+
+@jax.jit
+def _better(new: tuple[Policy, Score], old: tuple[Policy, Score]) -> tuple[Policy, Score]:
+    """Lane by lane, the policy whose mean error over references and axes is least."""
+    better = new[1].error.mean(axis=(1, 2)) < old[1].error.mean(axis=(1, 2))
+    chosen: tuple[Policy, Score] = jax.tree.map(
+        lambda a, b: jnp.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b), new, old
+    )
+    return chosen
+
+
+@partial(jax.jit, static_argnums=1)
+def _by_seed_and_cell(lanes: Tree, seeds: int) -> Tree:
+    """Leaves ``(lanes, ...)`` as ``(seeds, cells, ...)``."""
+    return cast(Tree, jax.tree.map(lambda x: x.reshape(seeds, -1, *x.shape[1:]), lanes))
 
 
 def _is_key(leaf: Any) -> bool:
