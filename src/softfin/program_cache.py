@@ -12,7 +12,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 VARIABLE = "SOFTFIN_CACHE"
 OFF = "off"
@@ -145,8 +145,8 @@ def use_program_cache() -> None:
     """Switch the cache on in this process, unless the user has switched it off or given JAX a folder."""
     import jax
 
-    folder = cache_folder()
-    if folder is None or jax.config.jax_compilation_cache_dir is not None:
+    folder, config = cache_folder(), cast(Any, jax.config)
+    if folder is None or config.jax_compilation_cache_dir is not None:
         return
     try:
         from jax._src import compilation_cache
@@ -160,9 +160,9 @@ def use_program_cache() -> None:
         return (ProgramStore(folder), path) if path == str(folder) else jax_store(path)
 
     compilation_cache.get_file_cache = choose_store
-    jax.config.update("jax_compilation_cache_dir", str(folder))
+    config.update("jax_compilation_cache_dir", str(folder))
     # On a GPU, XLA would write files of its own beside them, that nobody counts or deletes.
-    jax.config.update("jax_persistent_cache_enable_xla_caches", "none")
-    if jax.config.jax_persistent_cache_min_compile_time_secs == 1.0:
+    config.update("jax_persistent_cache_enable_xla_caches", "none")
+    if config.jax_persistent_cache_min_compile_time_secs == 1.0:
         # JAX's default; another value is the user's.
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", SHORTEST_COMPILATION_S)
+        config.update("jax_persistent_cache_min_compile_time_secs", SHORTEST_COMPILATION_S)
