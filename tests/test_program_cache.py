@@ -171,14 +171,14 @@ def test_what_was_not_used_for_longest_makes_room_and_no_other_file_is_touched(t
     abandoned.write_bytes(bytes(300))
     young.write_bytes(bytes(300))
     _set_time(abandoned, -1)
-    store = ProgramStore(tmp_path, largest_bytes=3 * 132)
+    store = ProgramStore(tmp_path, largest_bytes=4 * 132)
     for moment, key in enumerate(("first", "second", "third")):
         store.put(key, bytes(100))
         _set_time(tmp_path / f"{key}{SUFFIX}", moment)
     assert store.get("first") == bytes(100)
     store.put("fourth", bytes(100))
     assert [path.stem for path in programs(tmp_path)] == ["first", "fourth", "third"]
-    store.put("too large", bytes(400))
+    store.put("too large", bytes(600))
     assert [path.stem for path in programs(tmp_path)] == ["first", "fourth", "third"]
     assert (tmp_path / "notes.txt").exists()
     assert young.exists()

@@ -30,6 +30,9 @@ SUFFIX, PARTIAL = ".program", ".partial-program"
 ABANDONED_S = 3600
 """Age of a partial file whose writer must have been killed."""
 
+SPARE = 16
+"""The folder is looked through at a process's first entry, and again whenever it has written this part of the size."""
+
 DIGEST_BYTES = hashlib.sha256().digest_size
 
 
@@ -77,6 +80,7 @@ class ProgramStore:
     def __init__(self, folder: Path, largest_bytes: int = LARGEST_BYTES) -> None:
         self._path = folder
         self.largest_bytes = largest_bytes
+        self._unchecked_bytes = largest_bytes
         self._has_failed = False
 
     def get(self, key: str) -> bytes | None:
@@ -100,7 +104,10 @@ class ProgramStore:
         try:
             self._path.mkdir(mode=0o700, parents=True, exist_ok=True)
             self._write(self._place(key), hashlib.sha256(value).digest() + value)
-            self._evict()
+            self._unchecked_bytes += DIGEST_BYTES + len(value)
+            if self._unchecked_bytes > self.largest_bytes // SPARE:
+                self._evict(self.largest_bytes - self.largest_bytes // SPARE)
+                self._unchecked_bytes = 0
         except OSError as error:
             self._tell(error)
 
@@ -117,7 +124,7 @@ class ProgramStore:
             Path(name).unlink(missing_ok=True)
             raise
 
-    def _evict(self) -> None:
+    def _evict(self, allowed_bytes: int) -> None:
         """Delete what was not used for longest until the rest is small enough; others may delete at the same time."""
         entries = []
         for path in (*self._path.glob(f"*{SUFFIX}"), *self._path.glob(f"*{PARTIAL}")):
@@ -127,7 +134,7 @@ class ProgramStore:
                     entries.append((state.st_mtime_ns, state.st_size, path))
         size = sum(size for _, size, _ in entries)
         for _, bytes_, path in sorted(entries):
-            if size <= self.largest_bytes:
+            if size <= allowed_bytes:
                 break
             path.unlink(missing_ok=True)
             size -= bytes_
