@@ -1,5 +1,4 @@
 import pytest
-
 from benchmarks.compilation import HIT, LOWER, TRACE, XLA, Compilation
 
 
