@@ -95,8 +95,10 @@ def measure(words: Sequence[str], folder: Path, cache: Path) -> dict[str, Any]:
     paths = [str(root), *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = os.environ | {"SOFTFIN_CACHE": str(cache), "PYTHONPATH": os.pathsep.join(paths)}
     environment.pop("JAX_COMPILATION_CACHE_DIR", None)
-    subprocess.run([sys.executable, "-m", "benchmarks.compile", *words], check=True, cwd=folder, env=environment,
-                   stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)  # fmt: skip
+    done = subprocess.run([sys.executable, "-m", "benchmarks.compile", *words], cwd=folder, env=environment,
+                          stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)  # fmt: skip
+    if done.returncode:
+        raise SystemExit(f"softfin {' '.join(words)}: {done.stderr[-2000:]}")
     figures: dict[str, Any] = json.loads((folder / "figures.json").read_text())
     return figures
 
