@@ -22,8 +22,8 @@ LARGEST_BYTES = 2**30
 """Size that the folder may reach; the programs that were not used for longest are deleted first."""
 
 SHORTEST_COMPILATION_S = 0.0
-"""Programs that compile faster than this are not kept: none, since an evaluation in the tank has 45 small ones beside its
-large one, which take 30 ms each to compile and 6 ms to read back."""
+"""Programs that compile faster than this are not kept: none, since an evaluation in the tank has 45 small ones beside
+its large one, which take 30 ms each to compile and 6 ms to read back."""
 
 SUFFIX, PARTIAL = ".program", ".partial-program"
 """Of the files, whole and still being written; nothing else in the folder is counted or deleted."""
