@@ -91,9 +91,9 @@ def child(words: Sequence[str]) -> None:
 
 def measure(words: Sequence[str], folder: Path, cache: Path) -> dict[str, Any]:
     """The figures of a command that runs in `folder` in a fresh process."""
-    root = Path(__file__).parents[1]
-    paths = [str(root), *filter(None, [os.environ.get("PYTHONPATH")])]
-    environment = os.environ | {"SOFTFIN_CACHE": str(cache), "PYTHONPATH": os.pathsep.join(paths)}
+    # The child runs elsewhere, with the same packages.
+    paths = os.pathsep.join(str(Path(part).absolute()) for part in sys.path)
+    environment = os.environ | {"SOFTFIN_CACHE": str(cache), "PYTHONPATH": paths}
     environment.pop("JAX_COMPILATION_CACHE_DIR", None)
     done = subprocess.run([sys.executable, "-m", "benchmarks.compile", *words], cwd=folder, env=environment,
                           stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)  # fmt: skip
