@@ -12,6 +12,7 @@ NAMES = (
     "ppo",
     "controllers",
     "cells",
+    "compile",
     "memory",
     "controller_step",
     "recording",

@@ -13,7 +13,11 @@ from jaxtyping import Array, Int, PRNGKeyArray, PyTree
 
 from softfin.action_clock import MOST_TICKS, rows_of, ticks_of
 from softfin.errors import CommandError
+from softfin.program_cache import use_program_cache
 from softfin.quantities import Command, Limits, Reading
+
+# Here, as whatever compiles a program of softfin's imports this module.
+use_program_cache()
 
 State: TypeAlias = PyTree[Any]
 Output = TypeVar("Output")

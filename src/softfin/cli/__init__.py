@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from softfin.printable import printable
+from softfin.program_cache import describe_cache
 
 COMMANDS = {
     "collect": "record motions of a fin, random or chosen by a surrogate, and its force as a dataset",
@@ -109,7 +110,7 @@ def _usage() -> str:
     width = max(len(name) for name in COMMANDS)
     lines = [f"  {name:{width}}  {what}" for name, what in COMMANDS.items()]
     head = ["usage: softfin COMMAND [OPTION ...]", "", "Learn to make the force that you ask a soft fin for.", ""]
-    foot = ["", "softfin COMMAND --help tells a command's options; --debug shows tracebacks."]
+    foot = ["", "softfin COMMAND --help tells a command's options; --debug shows tracebacks.", describe_cache()]
     return "\n".join([*head, *lines, *foot])
 
 

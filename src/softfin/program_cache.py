@@ -1,0 +1,176 @@
+"""Compiled programs are kept between runs, by JAX's persistent compilation cache, in a folder of the user's.
+
+``SOFTFIN_CACHE`` moves the folder, or switches the cache off. A cache folder that JAX itself has been given wins.
+The name of an entry is JAX's: it holds the program, the versions of JAX and XLA, the flags, and the processor with its
+features. Nothing but the standard library is imported before the cache is switched on.
+"""
+
+import contextlib
+import hashlib
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any, cast
+
+VARIABLE = "SOFTFIN_CACHE"
+OFF = "off"
+JAX_VARIABLE = "JAX_COMPILATION_CACHE_DIR"
+
+LARGEST_BYTES = 2**30
+"""Size that the folder may reach; the programs that were not used for longest are deleted first."""
+
+SHORTEST_COMPILATION_S = 0.0
+"""Programs that compile faster than this are not kept: none, since an evaluation in the tank has 45 small ones beside
+its large one, which take 30 ms each to compile and 6 ms to read back."""
+
+SUFFIX, PARTIAL = ".program", ".partial-program"
+"""Of the files, whole and still being written; nothing else in the folder is counted or deleted."""
+
+ABANDONED_S = 3600
+"""Age of a partial file whose writer must have been killed."""
+
+SPARE = 16
+"""The folder is looked through at a process's first entry, and again whenever it has written this part of the size."""
+
+DIGEST_BYTES = hashlib.sha256().digest_size
+
+
+def cache_folder() -> Path | None:
+    """Where compiled programs are kept; none where that is switched off, or the user has no home."""
+    chosen = os.environ.get(VARIABLE, "")
+    if chosen == OFF:
+        return None
+    try:
+        return Path(chosen).expanduser().absolute() if chosen else _user_cache() / "softfin"
+    except RuntimeError:
+        return None
+
+
+def _user_cache() -> Path:
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches"
+    given = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    return given if given.is_absolute() else Path.home() / ".cache"
+
+
+def describe_cache() -> str:
+    """What ``softfin --help`` says of the cache."""
+    if given := os.environ.get(JAX_VARIABLE):
+        return f"Compiled programs are kept in {given} ({JAX_VARIABLE})."
+    folder = cache_folder()
+    if folder is None:
+        return f"Compiled programs are not kept; {VARIABLE}=FOLDER keeps them."
+    return (
+        f"Compiled programs are kept in {folder}, at most {LARGEST_BYTES / 2**30:g} GiB;\n"
+        f"{VARIABLE}=FOLDER moves them, {VARIABLE}={OFF} keeps none."
+    )
+
+
+class ProgramStore:
+    """Entries of JAX's cache as files, in place of JAX's own store.
+
+    JAX's store without a size limit writes in place, so that a reader may meet half an entry; with a limit it needs
+    another package, waits for a lock at each reading, and stops writing for good after a process was killed midway.
+    Here an entry is written beside its place and moved there, and holds a digest of its content.
+    """
+
+    def __init__(self, folder: Path, largest_bytes: int = LARGEST_BYTES) -> None:
+        self._path = folder
+        self.largest_bytes = largest_bytes
+        self._unchecked_bytes = largest_bytes
+        self._has_failed = False
+
+    def get(self, key: str) -> bytes | None:
+        """The content of an entry; none where it is missing or damaged."""
+        path = self._place(key)
+        try:
+            data = path.read_bytes()
+        except OSError:
+            return None
+        digest, value = data[:DIGEST_BYTES], data[DIGEST_BYTES:]
+        if digest != hashlib.sha256(value).digest():
+            return None
+        with contextlib.suppress(OSError):
+            os.utime(path)
+        return value
+
+    def put(self, key: str, value: bytes) -> None:
+        """Write an entry; where that fails, say so once and go on without."""
+        if len(value) + DIGEST_BYTES > self.largest_bytes:
+            return
+        try:
+            self._path.mkdir(mode=0o700, parents=True, exist_ok=True)
+            self._write(self._place(key), hashlib.sha256(value).digest() + value)
+            self._unchecked_bytes += DIGEST_BYTES + len(value)
+            if self._unchecked_bytes > self.largest_bytes // SPARE:
+                self._evict(self.largest_bytes - self.largest_bytes // SPARE)
+                self._unchecked_bytes = 0
+        except OSError as error:
+            self._tell(error)
+
+    def _place(self, key: str) -> Path:
+        return self._path / f"{key}{SUFFIX}"
+
+    def _write(self, place: Path, data: bytes) -> None:
+        handle, name = tempfile.mkstemp(suffix=PARTIAL, dir=self._path)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(data)
+            Path(name).replace(place)
+        except BaseException:
+            Path(name).unlink(missing_ok=True)
+            raise
+
+    def _evict(self, allowed_bytes: int) -> None:
+        """Delete what was not used for longest until the rest is small enough; others may delete at the same time."""
+        entries = []
+        for path in (*self._path.glob(f"*{SUFFIX}"), *self._path.glob(f"*{PARTIAL}")):
+            with contextlib.suppress(FileNotFoundError):
+                state = path.stat()
+                if path.suffix == SUFFIX or time.time() - state.st_mtime > ABANDONED_S:
+                    entries.append((state.st_mtime_ns, state.st_size, path))
+        size = sum(size for _, size, _ in entries)
+        for _, bytes_, path in sorted(entries):
+            if size <= allowed_bytes:
+                break
+            path.unlink(missing_ok=True)
+            size -= bytes_
+
+    def _tell(self, error: OSError) -> None:
+        if not self._has_failed:
+            self._has_failed = True
+            sys.stderr.write(
+                f"softfin: {self._path}: compiled programs cannot be kept ({error.strerror or error}); "
+                f"{VARIABLE}=FOLDER keeps them elsewhere, {VARIABLE}={OFF} keeps none\n"
+            )
+
+
+def use_program_cache() -> None:
+    """Switch the cache on in this process, unless the user has switched it off or given JAX a folder."""
+    import jax
+
+    folder, config = cache_folder(), cast(Any, jax.config)
+    if folder is None or config.jax_compilation_cache_dir is not None:
+        return
+    try:
+        from jax._src import compilation_cache
+
+        jax_store = compilation_cache.get_file_cache
+    except (ImportError, AttributeError):
+        # A JAX that chooses its store elsewhere: no cache is better than one that breaks.
+        return
+
+    def choose_store(path: str) -> Any:
+        return (ProgramStore(folder), path) if path == str(folder) else jax_store(path)
+
+    compilation_cache.get_file_cache = choose_store
+    config.update("jax_compilation_cache_dir", str(folder))
+    # On a GPU, XLA would write files of its own beside them, that nobody counts or deletes.
+    config.update("jax_persistent_cache_enable_xla_caches", "none")
+    if config.jax_persistent_cache_min_compile_time_secs == 1.0:
+        # JAX's default; another value is the user's.
+        config.update("jax_persistent_cache_min_compile_time_secs", SHORTEST_COMPILATION_S)
