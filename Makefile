@@ -30,7 +30,7 @@ day: setup ## a whole day at an emulated rig in some minutes: check, zero, colle
 	$(RUN) python examples/rig_day.py --quick --out $(OUT)
 
 test: setup ## all tests
-	$(RUN) pytest -n auto
+	$(RUN) pytest -n auto --dist loadfile
 
 lint: setup ## style and types
 	$(RUN) ruff check .

@@ -4,17 +4,20 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-# Most of the tests' time is compilation, and many compile the same programs; JAX reads these when it is imported.
-# A folder for each worker: JAX writes in place, and half a program that another worker reads ends it.
-os.environ.setdefault(
-    "JAX_COMPILATION_CACHE_DIR",
-    str(Path(__file__).parents[1] / ".pytest_cache" / "xla" / os.environ.get("PYTEST_XDIST_WORKER", "alone")),
-)
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
+# Most of the tests' time is compilation, and many compile the same programs: one cache for all workers.
+os.environ.setdefault("SOFTFIN_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "programs"))
 
 import jax
 import jaxtyping
 import pytest
+
+from tests.budget import (  # noqa: F401  # pytest finds hooks here
+    pytest_runtest_logreport,
+    pytest_runtest_makereport,
+    pytest_sessionfinish,
+    pytest_sessionstart,
+    pytest_terminal_summary,
+)
 
 jaxtyping.install_import_hook("softfin", "beartype.beartype")
 
@@ -24,13 +27,19 @@ PUBLISHED = Path(os.environ.get("SOFTFIN_PUBLISHED", Path(__file__).parents[2] /
 MAPPINGS = 30_000
 """Stretches of memory after which compiled programs are dropped: Linux gives a process 65,530, and ends it beyond."""
 
+MEMORY_BYTES = 1_500_000_000
+"""Of a worker, after which they are dropped, too."""
+
 
 @pytest.fixture(scope="module", autouse=True)
 def few_programs() -> Iterator[None]:
     """What a module has compiled is kept for the next ones as long as there is room."""
     yield
-    maps = Path("/proc/self/maps")
-    if maps.exists() and len(maps.read_bytes().splitlines()) > MAPPINGS:
+    own = Path("/proc/self")
+    if not (own / "statm").exists():
+        return
+    resident = int((own / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    if resident > MEMORY_BYTES or len((own / "maps").read_bytes().splitlines()) > MAPPINGS:
         jax.clear_caches()
 
 

@@ -1,0 +1,76 @@
+"""Hooks of pytest: which files of tests take longest, how much of it JAX compiles, and a limit that no file may pass.
+
+Counted is processor time, of child processes too, so that a busy machine fails nobody.
+"""
+
+import os
+from collections import Counter
+from typing import Any
+
+import pytest
+from benchmarks.compilation import Compilation
+
+SHOWN = 10
+BUDGET_S = 150.0
+"""Processor time of one file, on an empty cache."""
+
+_compilation = Compilation()
+_last = {"processor_s": 0.0, "compiling_s": 0.0}
+_seconds: dict[str, Counter[str]] = {name: Counter() for name in ("wall_s", *_last)}
+
+
+def _now() -> dict[str, float]:
+    return {"processor_s": sum(os.times()[:4]), "compiling_s": _compilation.seconds()}
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Any:
+    """With what was used since the last report; properties of a report come from the workers to the controller."""
+    report = yield
+    now = _now()
+    report.user_properties = [(name, now[name] - _last[name]) for name in now]
+    _last.update(now)
+    return report
+
+
+def pytest_sessionstart() -> None:
+    """What is imported before the first test is no file's."""
+    _last.update(_now())
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """Add it up by file."""
+    file = report.nodeid.partition("::")[0]
+    _seconds["wall_s"][file] += report.duration
+    for name, seconds in report.user_properties:
+        if name in _last:
+            _seconds[name][file] += float(seconds)
+
+
+def beyond_budget() -> list[str]:
+    """Files that took longer than `BUDGET_S`."""
+    return [file for file, seconds in _seconds["processor_s"].items() if seconds > BUDGET_S]
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """The slowest files, where more than one was run."""
+    files = _seconds["processor_s"]
+    if len(files) < 2:
+        return
+    shown = int(os.environ.get("SOFTFIN_SLOWEST", SHOWN))
+    terminalreporter.section(f"the {min(shown, len(files))} slowest of {len(files)} files")
+    lines = [(file, *(_seconds[name][file] for name in _seconds)) for file, _ in files.most_common(shown)]
+    lines.append(("all", *(sum(column.values()) for column in _seconds.values())))
+    for file, wall_s, processor_s, compiling_s in lines:
+        line = (
+            f"{processor_s:7.1f} s of processor time, {wall_s:7.1f} s, {compiling_s:7.1f} s of them compiling  {file}"
+        )
+        terminalreporter.write_line(line)
+    for file in beyond_budget():
+        terminalreporter.write_line(f"{file}: more than {BUDGET_S:g} s of processor time; make its tests share more")
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """A file beyond its budget fails the run."""
+    if beyond_budget() and session.exitstatus == pytest.ExitCode.OK:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
