@@ -103,7 +103,8 @@ GREATEST_ACTION = 0.97
 
 def raw_of(gaits: Float[np.ndarray, "gaits 6 2"]) -> Float[np.ndarray, "gaits 12"]:
     """The atanh of the actions."""
-    return np.arctanh(np.clip(gaits, -GREATEST_ACTION, GREATEST_ACTION)).reshape(len(gaits), -1)
+    raw: np.ndarray = np.arctanh(np.clip(gaits, -GREATEST_ACTION, GREATEST_ACTION)).reshape(len(gaits), -1)
+    return raw
 
 
 SIDE_BY_SIDE = 32

@@ -130,7 +130,7 @@ def find_gaits(
     wanted = [seen.reachable.nearest((x, y)) for x, y in table.references().reshape(-1, 2).tolist()]
     target = jnp.asarray(wanted, jnp.float32)
     nodes = response(plant, _start(seen, target, lattice.nodes), config.cycles, _key())
-    scale = np.ones(len(wanted), np.float32)
+    scale: Float[AnyArray, "nodes"] = np.ones(len(wanted), np.float32)
     for step in range(config.steps):
         exact = step >= config.steps - EXACT
         if step % 4 == 3 and not exact:
@@ -142,7 +142,7 @@ def find_gaits(
             missed = np.linalg.norm(np.asarray(nodes.out)[:, :2] - wanted, axis=1)
             report((step + 1) / config.steps, f"error {np.median(missed):.3f} N median, {missed.max():.2f} N greatest")
     shaped = (*lattice.nodes, -1)
-    actions = np.tanh(nodes.raw).reshape(*lattice.nodes, CYCLE_ACTIONS, 2)
+    actions = jnp.asarray(np.tanh(nodes.raw)).reshape(*lattice.nodes, CYCLE_ACTIONS, 2)
     return Found(table._replace(actions=actions), np.asarray(nodes.out[:, :2]).reshape(shaped),
                  np.asarray(nodes.smoothness).reshape(shaped))  # fmt: skip
 
