@@ -359,7 +359,7 @@ class _Run:
         wider = [self.config.cells[index].grown(self.config.margin_n) for _, index in self.lanes]
         boxes = stack_references(wider, self.reachable)
         lanes = self.programs.init(self.given, *self.over_devices((keys, boxes)))
-        worst = jnp.full(self.references.shape, jnp.inf)
+        worst = jnp.full(self.references.shape, jnp.inf, jnp.float32)
         beyond = worst[..., 0] if self.knows else None
         return TrainState(lanes, lanes.policy, Score(worst, worst, beyond))
 
