@@ -1,8 +1,6 @@
 """The rig as a Machine: one EPOS2 and one Axia80, read together at each tick."""
 
-import time
-from collections.abc import Callable
-
+from softfin.clock import REAL, Clock
 from softfin.deployment.machine import Sample, Target
 from softfin.errors import SoftfinError
 from softfin.quantities import Limits
@@ -20,8 +18,8 @@ BEAT_TICKS = 4
 class Rig:
     """Meets the Machine contract."""
 
-    def __init__(self, config: RigConfig, clock: Callable[[], float] = time.monotonic) -> None:
-        self.config = config
+    def __init__(self, config: RigConfig, clock: Clock = REAL) -> None:
+        self.config, self.clock = config, clock
         drive = config.drive
         self.name = f"rig of {config.fin}"
         self.limits = Limits(drive.angle_min_rad, drive.angle_max_rad, drive.slowest_rad_s, drive.fastest_rad_s)

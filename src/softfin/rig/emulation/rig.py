@@ -1,9 +1,9 @@
 """A whole emulated rig on this computer: drive, sensor and the virtual tank behind both, and the rig's file for it.
 
-Within one process softfin reaches the drive over python-can's virtual bus; another one over socketcand on loopback.
+In simulated time, the default, everything is within the process. In real time softfin reaches the drive over python-can's
+virtual bus within one process, over socketcand on loopback from another one, and the sensor over UDP and HTTP.
 """
 
-import threading
 import uuid
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from typing import Any
 import yaml
 
 from softfin import artifacts
+from softfin.clock import Clock
 from softfin.rig.config import RigConfig
 from softfin.rig.emulation.bus import SocketcandServer
 from softfin.rig.emulation.drive import EmulatedDrive
@@ -18,6 +19,7 @@ from softfin.rig.emulation.fin import EmulatedFin
 from softfin.rig.emulation.sensor import EmulatedAxia80
 from softfin.rig.emulation.tank import TankFin
 from softfin.rig.epos2_config import BusConfig, DriveConfig
+from softfin.simulated_clock import SimulatedClock
 from softfin.tank import Tank
 
 HOST = "127.0.0.1"
@@ -37,28 +39,39 @@ class EmulatedRig:
     """Serves from `start` until `close`."""
 
     def __init__(
-        self, tank: Tank | None = None, seed: int = 0, fin: EmulatedFin | None = None, channel: str | None = None
+        self,
+        tank: Tank | None = None,
+        seed: int = 0,
+        fin: EmulatedFin | None = None,
+        channel: str | None = None,
+        clock: Clock | None = None,
     ) -> None:
-        """`fin` in place of a tank; `channel` of the virtual bus, a new one for each rig by default."""
+        """`fin` in place of a tank, on the same clock; `channel` of the bus, a new one for each rig by default.
+
+        Without a clock, on a simulated one of its own.
+        """
         tank = (tank or Tank()) if fin is None else None
-        self.fin = fin or TankFin(tank, seed)
+        self.clock = clock or SimulatedClock()
+        self.fin = fin or TankFin(tank, seed, self.clock)
         channel = channel or f"emulated-{uuid.uuid4().hex[:8]}"
         drive = _drive(tank)
-        self.drive = EmulatedDrive(BusConfig(interface="virtual", channel=channel), drive, self.fin)
-        self.server = SocketcandServer(channel)
-        self.sensor = EmulatedAxia80(self.fin, HOST, frame=FRAME)
+        self.drive = EmulatedDrive(BusConfig(interface="virtual", channel=channel), drive, self.fin, self.clock)
+        self.server = None if isinstance(self.clock, SimulatedClock) else SocketcandServer(channel)
+        self.sensor = EmulatedAxia80(self.fin, HOST, frame=FRAME, clock=self.clock)
         self._channel, self._config = channel, drive
-        self._ended = threading.Event()
+        self._ended = self.clock.event()
 
     def start(self) -> None:
         """Power-up."""
         self.drive.start()
-        self.server.start()
+        if self.server is not None:
+            self.server.start()
 
     def close(self) -> None:
         """Power-down; any number of times."""
         self._ended.set()
-        self.server.close()
+        if self.server is not None:
+            self.server.close()
         self.drive.close()
         self.sensor.close()
 

@@ -7,11 +7,10 @@ import contextlib
 import select
 import socket
 import threading
-import time
-from collections.abc import Callable
 
 import numpy as np
 
+from softfin.clock import REAL, Clock
 from softfin.errors import RigError
 from softfin.rig.axia80_config import rotation
 from softfin.rig.axia80_status import OVER_RANGE
@@ -19,7 +18,9 @@ from softfin.rig.axia80_xml import FORCE_UNITS, TORQUE_UNITS
 from softfin.rig.emulation.fin import EmulatedFin
 from softfin.rig.emulation.sensor_faults import Network
 from softfin.rig.emulation.sensor_pages import PageServer, sensor_pages
+from softfin.rig.simulated_network import SimulatedPages, SimulatedSocket
 from softfin.rig.rdt import MOST_RECORDS, Counts, Order, Record, Request, decode_request, encode_record
+from softfin.simulated_clock import SimulatedClock
 
 RANGE = (500.0, 500.0, 900.0, 20.0, 20.0, 20.0)
 """Of the M20 [N, N m], from memory; what is beyond is flagged and cut to it."""
@@ -57,7 +58,7 @@ class EmulatedAxia80:
         product: str = "Emulated Axia80-M20",
         serial: str = "FT00000",
         seed: int = 0,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Clock = REAL,
     ) -> None:
         """Noise is the standard deviation [N, N m]; block the records a datagram where blocks are asked for."""
         if not 1 <= block <= MOST_RECORDS:
@@ -81,22 +82,23 @@ class EmulatedAxia80:
         self._status = self._flagged = self._adc = self._first_sequence = 0
         self._silent_until = 0.0
         self._lock = threading.Lock()
-        self._closing = threading.Event()
+        self._closing = clock.event()
         self._stream: _Stream | None = None
         self._client: tuple[str, int] | None = None
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket = _bound(host, rdt_port, clock)
         try:
-            self._socket.bind((host, rdt_port))
-            self._socket.setblocking(False)
             self.rdt_port = int(self._socket.getsockname()[1])
             pages = sensor_pages(product, serial, (force_unit, torque_unit), counts, ADC_RATE_HZ, rate_hz)
-            self.pages = PageServer(host, http_port, pages)
+            self.pages: PageServer | SimulatedPages
+            if isinstance(clock, SimulatedClock):
+                self.pages = SimulatedPages(clock, host, http_port, pages)
+            else:
+                self.pages = PageServer(host, http_port, pages)
         except BaseException:
             self._socket.close()
             raise
         self.http_port = self.pages.port
-        self._thread = threading.Thread(target=self._serve, daemon=True, name="emulated sensor's stream")
-        self._thread.start()
+        self._thread = clock.spawn(self._serve, "emulated sensor's stream")
 
     def drop(self, fraction: float) -> None:
         """Lose datagrams at random."""
@@ -148,8 +150,7 @@ class EmulatedAxia80:
 
     def _serve(self) -> None:
         while not self._closing.is_set():
-            heard, _, _ = select.select([self._socket], [], [], max(WAKE_S, 1 / self.rate_hz))
-            if heard:
+            if _heard(self._socket, max(WAKE_S, 1 / self.rate_hz)):
                 self._hear()
             self._send_due()
 
@@ -226,6 +227,26 @@ class EmulatedAxia80:
             status |= OVER_RANGE
         fx, fy, fz, tx, ty, tz = np.rint(counts).astype(int).tolist()
         return (fx, fy, fz, tx, ty, tz), status
+
+
+def _bound(host: str, port: int, clock: Clock) -> socket.socket | SimulatedSocket:
+    if isinstance(clock, SimulatedClock):
+        return SimulatedSocket(clock, host, port)
+    bound = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        bound.bind((host, port))
+        bound.setblocking(False)
+    except BaseException:
+        bound.close()
+        raise
+    return bound
+
+
+def _heard(listening: socket.socket | SimulatedSocket, seconds: float) -> bool:
+    """Whether something came meanwhile."""
+    if isinstance(listening, SimulatedSocket):
+        return listening.wait(seconds)
+    return bool(select.select([listening], [], [], seconds)[0])
 
 
 class _Stream:

@@ -4,14 +4,13 @@ Between two samples of 10 ms motion and force are interpolated, so all that is s
 """
 
 import threading
-import time
-from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softfin.clock import REAL, Clock
 from softfin.plant import rest_command
 from softfin.quantities import TICK_S, Command, Reading
 from softfin.rig.emulation.fin import Motion
@@ -27,7 +26,7 @@ LONGEST_S = 2.0
 class TankFin:
     """Meets the EmulatedFin contract."""
 
-    def __init__(self, tank: Tank | None = None, seed: int = 0, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, tank: Tank | None = None, seed: int = 0, clock: Clock = REAL) -> None:
         self.tank = tank or Tank()
         self._clock = clock
         self._lock = threading.Lock()
