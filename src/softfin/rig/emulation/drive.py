@@ -88,6 +88,14 @@ class EmulatedDrive:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def remembered(self) -> dict[str, Any]:
+        """What it would lose with its supply: its zero, for JSON."""
+        return {"zero_counts": self._motion.zero, "referenced": self._motion.referenced}
+
+    def recall(self, remembered: dict[str, Any]) -> None:
+        """As if its supply had never been off."""
+        self._motion.zero, self._motion.referenced = int(remembered["zero_counts"]), bool(remembered["referenced"])
+
     # -- what can go wrong --------------------------------------------------------------------------------------------
 
     def fault(self, code: int) -> None:

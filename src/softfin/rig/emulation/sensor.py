@@ -7,6 +7,7 @@ import contextlib
 import select
 import socket
 import threading
+from typing import Any
 
 import numpy as np
 
@@ -99,6 +100,18 @@ class EmulatedAxia80:
             raise
         self.http_port = self.pages.port
         self._thread = clock.spawn(self._serve, "emulated sensor's stream")
+
+    def remembered(self) -> dict[str, Any]:
+        """What it would lose with its supply, for JSON: its zero, in its own axes [N, N m], and its count of samples."""
+        return {"bias": self._bias.tolist(), "samples": self._adc}
+
+    def recall(self, remembered: dict[str, Any]) -> None:
+        """As if its supply had never been off."""
+        bias = np.array(remembered["bias"], float)
+        if bias.shape != (6,):
+            raise ValueError("bias must be six numbers")
+        with self._lock:
+            self._bias, self._adc = bias, int(remembered["samples"])
 
     def drop(self, fraction: float) -> None:
         """Lose datagrams at random."""

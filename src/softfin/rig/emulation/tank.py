@@ -38,6 +38,28 @@ class TankFin:
         self._before, self._after = self._after, self._step()
         self._time = clock()
 
+    def remembered(self) -> dict[str, Any]:
+        """All of its state, for JSON."""
+        with self._lock:
+            self._catch_up()
+            state = self._state._replace(key=jax.random.key_data(self._state.key))
+            leaves = [np.asarray(leaf).tolist() for leaf in jax.tree.leaves((state, self._command))]
+            return {"state": leaves, "before": self._before.tolist(), "after": self._after.tolist()}
+
+    def recall(self, remembered: dict[str, Any]) -> None:
+        """Go on from there; raises ValueError where that is the state of another tank."""
+        with self._lock:
+            bare = self._state._replace(key=jax.random.key_data(self._state.key))
+            now, tree = jax.tree.flatten((bare, self._command))
+            then = [np.asarray(leaf, like.dtype) for leaf, like in zip(remembered["state"], now, strict=True)]
+            before, after = (np.array(remembered[name], float) for name in ("before", "after"))
+            shapes = [leaf.shape for leaf in (*then, before, after)]
+            if shapes != [leaf.shape for leaf in (*now, self._before, self._after)]:
+                raise ValueError("a state of another tank")
+            state, self._command = jax.tree.unflatten(tree, [jnp.asarray(leaf) for leaf in then])
+            self._state = state._replace(key=jax.random.wrap_key_data(state.key))
+            self._before, self._after, self._time = before, after, self._clock()
+
     def move(self, angle: float, velocity: float) -> None:
         """Brought within what the tank's drive takes, as the drive's own limits would."""
         limits = self.tank.limits
