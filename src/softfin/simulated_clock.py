@@ -238,6 +238,8 @@ class _Event:
         self._queue: deque[_Turn] = deque()
 
     def set(self) -> None:
+        if self._set:
+            return
         with self._clock._guard:
             self._set = True
             waiting = list(self._queue)

@@ -21,7 +21,6 @@ from softfin.deployment.logged import GAP_S, log_of
 from softfin.deployment.loop import Acting, hold, seconds_to_actions
 from softfin.deployment.machine import Sample, Target
 from softfin.deployment.native import NativeController, load_native, trimmed
-from softfin.deployment.pace import Pace
 from softfin.deployment.recording import recording
 from softfin.deployment.safety import Guard
 from softfin.deployment.session import Session
@@ -85,7 +84,7 @@ def collect_live(
     if missing:
         request = stop or StopRequest()
         guard = Guard(bench.safety, bench.machine.limits)
-        with Session(bench.machine, guard, stop=request, pace=Pace(clock=bench.clock)) as session:
+        with Session(bench.machine, guard, stop=request) as session:
             _may_move(session, confirm, bench)
             artifacts.write_file(bags / STATE, artifacts.dump_json(same))
             for index, name in enumerate(missing):
@@ -125,7 +124,7 @@ def evaluate_live(
     request = stop or StopRequest()
     guard = Guard(bench.safety, bench.machine.limits, acting.training_range)
     bag = bags_of(out) / f"session-{datetime.now().astimezone():%Y%m%d-%H%M%S}.mcap"
-    with Session(bench.machine, guard, stop=request, pace=Pace(clock=bench.clock)) as session:
+    with Session(bench.machine, guard, stop=request) as session:
         _may_move(session, confirm, bench)
         with recording(session, bag):
             fin = LiveFin(session, acting, bench, progress)

@@ -11,7 +11,6 @@ from softfin.cli.live import Driving, on_terminal
 from softfin.deployment.bench import Bench, check_fits
 from softfin.deployment.loop import Held, References, hold, seconds_to_actions
 from softfin.deployment.native import NativeController, load_native, trimmed
-from softfin.deployment.pace import Pace
 from softfin.deployment.reach import knows_its_range
 from softfin.deployment.recording import recording
 from softfin.deployment.safety import Guard
@@ -48,7 +47,7 @@ def drive(
     bag = options.bag or Path(f"run-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
     guard = Guard(bench.safety, bench.machine.limits, controller.training_range)
     acting = trimmed(controller) if options.trim else controller
-    with Session(bench.machine, guard, stop=stop, observers=observers, pace=Pace(clock=bench.clock)) as session:
+    with Session(bench.machine, guard, stop=stop, observers=observers) as session:
         options.confirm(bench)
         if not knows_its_range(controller.training_range):
             say(f"{options.controller}: says nothing of its surrogate's data; nobody sees whether the fin leaves them")

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field
 from typing import Any
 
-from softfin.clock import REAL, Clock
 from softfin.deployment.machine import Machine
 from softfin.deployment.safety import SafetyConfig
 from softfin.errors import RigError
@@ -20,8 +19,6 @@ class Bench:
     """What this fin is called; None where nobody says."""
     settle_s: float = 5.0
     """How long the fin rests before each log or experiment [s]."""
-    clock: Clock = REAL
-    """Of the machine's times."""
     described: dict[str, Any] = field(default_factory=dict)
     """Its whole configuration, for JSON."""
 

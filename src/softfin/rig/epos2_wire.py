@@ -234,7 +234,7 @@ class _Client(SdoClient):  # type: ignore[misc]
         super().__init__(request, answer, dictionary)
         self.responses = _Answers(clock)
 
-    def request_response(self, sdo_request: bytes) -> bytes:
+    def request_response(self, sdo_request: bytes | bytearray) -> bytes:
         """Late answers to earlier questions are dropped; where there are any, canopen would put its own queue here."""
         self.responses.clear()
         answer: bytes = super().request_response(sdo_request)

@@ -23,8 +23,7 @@ def rig_bench(file: Path | None = None) -> Bench:
     from softfin.rig.rig import Rig
 
     config = load_rig(file)
-    rig = Rig(config)
-    return Bench(rig, config.safety, config.fin, config.settle_s, rig.clock, config.model_dump(mode="json"))
+    return Bench(Rig(config), config.safety, config.fin, config.settle_s, config.model_dump(mode="json"))
 
 
 def ros2_bench(file: Path | None = None) -> Bench:
@@ -34,4 +33,4 @@ def ros2_bench(file: Path | None = None) -> Bench:
 
     config = load_ros2(file)
     machine = Ros2Machine(config.topics)
-    return Bench(machine, config.safety, config.fin, config.settle_s, described=config.model_dump(mode="json"))
+    return Bench(machine, config.safety, config.fin, config.settle_s, config.model_dump(mode="json"))

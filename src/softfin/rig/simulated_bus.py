@@ -32,7 +32,7 @@ class SimulatedBus(can.BusABC):
         super().__init__(channel)
         self.channel_info = f"{SIMULATED} {channel}"
         self._clock = clock
-        self._news = clock.condition()
+        self._news = clock.event()
         self._frames: deque[can.Message] = deque()
         self._all = _channels.setdefault(clock, {}).setdefault(channel, [])
         self._all.append(self)
@@ -49,21 +49,22 @@ class SimulatedBus(can.BusABC):
         super().shutdown()
         if self in self._all:
             self._all.remove(self)
-        with self._news:
-            self._news.notify_all()
+        self._news.set()
 
     def _put(self, message: can.Message, now: float) -> None:
         message = copy.copy(message)
         message.timestamp = now
-        with self._news:
-            self._frames.append(message)
-            self._news.notify_all()
+        self._frames.append(message)
+        self._news.set()
 
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        with self._news:
-            self._news.wait_for(lambda: bool(self._frames) or self not in self._all, timeout)
-            self._check_open()
-            return (self._frames.popleft() if self._frames else None), False
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """The next frame, None where none comes in so many seconds; raises CanOperationError once it is shut down."""
+        # Cleared before the look, so that what comes in between wakes it.
+        self._news.clear()
+        if not self._frames and self in self._all:
+            self._news.wait(timeout)
+        self._check_open()
+        return self._frames.popleft() if self._frames else None
 
     def _check_open(self) -> None:
         if self not in self._all:

@@ -81,7 +81,7 @@ class SimulatedSocket:
         if self.address in self._network.sockets:
             raise OSError(f"port {port} of {host} is in use")
         self._network.sockets[self.address] = self
-        self._news = clock.condition()
+        self._news = clock.event()
         self._received: deque[_Received] = deque()
         self._bytes = 0
 
@@ -108,8 +108,9 @@ class SimulatedSocket:
 
     def wait(self, timeout: float) -> bool:
         """Until something has arrived, and may be received."""
-        with self._news:
-            return self._news.wait_for(lambda: bool(self._received), timeout)
+        # Cleared before the look, so that what comes in between wakes it.
+        self._news.clear()
+        return bool(self._received) or self._news.wait(timeout)
 
     def recvfrom(self, size: int) -> tuple[bytes, Address]:
         """Raises BlockingIOError where nothing has arrived."""
@@ -118,13 +119,12 @@ class SimulatedSocket:
 
     def recvmsg(self, size: int, ancillary: int) -> tuple[bytes, list[tuple[int, int, bytes]], int, Address]:
         """With the stamp of its arrival; likewise."""
-        with self._news:
-            if self.fileno() == -1:
-                raise OSError("the socket is closed")
-            if not self._received:
-                raise BlockingIOError
-            data, at, sender = self._received.popleft()
-            self._bytes -= _counted(data)
+        if self.fileno() == -1:
+            raise OSError("the socket is closed")
+        if not self._received:
+            raise BlockingIOError
+        data, at, sender = self._received.popleft()
+        self._bytes -= _counted(data)
         seconds = int(at)
         stamp = STAMP.pack(seconds, round((at - seconds) * 1e9))
         flags = socket.MSG_TRUNC if len(data) > size else 0
@@ -136,11 +136,10 @@ class SimulatedSocket:
             del self._network.sockets[self.address]
 
     def _put(self, data: bytes, sender: Address) -> None:
-        with self._news:
-            if self._bytes + _counted(data) <= self._buffer_bytes:
-                self._bytes += _counted(data)
-                self._received.append(_Received(bytes(data), self._clock(), sender))
-                self._news.notify_all()
+        if self._bytes + _counted(data) <= self._buffer_bytes:
+            self._bytes += _counted(data)
+            self._received.append(_Received(bytes(data), self._clock(), sender))
+            self._news.set()
 
 
 def _counted(data: bytes) -> int:

@@ -198,11 +198,13 @@ class EmulatedDrive:
         if subindex != od.subindex:
             # canopen lets every sub-index of an object without any pass.
             raise canopen.SdoAbortedError(NO_SUCH_ENTRY)
+        read = self._readings.get(index)
+        if read is None and index != objects.ERROR_COUNT.number:
+            return None
         with self._lock:
-            if index == objects.ERROR_COUNT.number:
-                return len(self._errors) if subindex == 0 else [*self._errors, *[0] * ERRORS_KEPT][subindex - 1]
-            read = self._readings.get(index)
-            return None if read is None else read()
+            if read is not None:
+                return read()
+            return len(self._errors) if subindex == 0 else [*self._errors, *[0] * ERRORS_KEPT][subindex - 1]
 
     def _written(self, index: int, subindex: int, od: Any, data: bytes | bytearray) -> None:
         if subindex != od.subindex:

@@ -6,14 +6,16 @@ the sensor's, and how much of the noise has been drawn. One process at a time us
 
 import contextlib
 import json
+from collections.abc import Callable
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 from softfin import artifacts
 from softfin.errors import ConfigurationError, RigError
 from softfin.files import read_bytes
 from softfin.rig.config import RigConfig
 from softfin.rig.emulation.rig import EmulatedRig
+from softfin.simulated_clock import SimulatedClock
 from softfin.tank import Tank, TankConfig
 
 LARGEST_STATE = 1_000_000
@@ -22,13 +24,29 @@ LARGEST_STATE = 1_000_000
 _rigs: dict[Path, "Plugged"] = {}
 
 
-def plugged(config: RigConfig) -> "Plugged":
+class Plugged(NamedTuple):
+    """An emulated rig as whoever drives it needs it."""
+
+    clock: SimulatedClock
+    """Made in the thread that uses the rig."""
+    keep: Callable[[], None]
+    """Writes down what the next command must find."""
+    close: Callable[[], None]
+    """Lets another process have it."""
+
+
+def plugged(config: RigConfig) -> Plugged:
     """The emulated rig that a file describes, as the command before has left it; raises RigError."""
-    if config.file is None or config.emulation is None:
+    if config.file is None:
         raise RigError("an emulated rig is described by a file that softfin rig emulate writes; load that")
     if config.file not in _rigs:
-        _rigs[config.file] = Plugged(config, config.file)
+        plug(config.file, _made(config, config.file))
     return _rigs[config.file]
+
+
+def plug(file: Path, rig: Plugged) -> None:
+    """From now on it stands behind that file."""
+    _rigs[file.resolve()] = rig
 
 
 def unplug() -> None:
@@ -42,55 +60,52 @@ def state_file(rig: Path) -> Path:
     return rig.with_suffix(".state.json")
 
 
-class Plugged:
-    """Made in the thread that uses it."""
+def _made(config: RigConfig, file: Path) -> Plugged:
+    assert config.emulation is not None
+    try:
+        tank = Tank(TankConfig.build(config.emulation.tank, f"{file}: emulation.tank"))
+    except ConfigurationError as error:
+        raise RigError(str(error)) from None
+    emulation = config.emulation.model_dump(mode="json")
+    lock = _locked(file)
+    rig = EmulatedRig(tank, config.emulation.seed, channel=config.bus.channel)
+    assert isinstance(rig.clock, SimulatedClock)
 
-    def __init__(self, config: RigConfig, file: Path) -> None:
-        assert config.emulation is not None
-        try:
-            tank = Tank(TankConfig.build(config.emulation.tank, f"{file}: emulation.tank"))
-        except ConfigurationError as error:
-            raise RigError(str(error)) from None
-        self._file, self._emulation = file, config.emulation.model_dump(mode="json")
-        self._lock = _locked(file)
-        self._rig = EmulatedRig(tank, config.emulation.seed, channel=config.bus.channel)
-        self.clock = self._rig.clock
-        try:
-            self._recall()
-        except BaseException:
-            self.close()
-            raise
-        self._rig.start()
+    def keep() -> None:
+        state = {"emulation": emulation} | {name: part.remembered() for name, part in _parts(rig).items()}
+        artifacts.write_file(state_file(file), json.dumps(state) + "\n")
 
-    def keep(self) -> None:
-        """What the next command must find."""
-        state = {"emulation": self._emulation}
-        state |= {name: part.remembered() for name, part in self._parts().items()}
-        artifacts.write_file(state_file(self._file), json.dumps(state) + "\n")
+    def close() -> None:
+        rig.close()
+        lock.close()
 
-    def close(self) -> None:
-        """Let another process have it."""
-        self._rig.close()
-        self._lock.close()
+    try:
+        _recall(state_file(file), emulation, rig)
+    except BaseException:
+        close()
+        raise
+    rig.start()
+    return Plugged(rig.clock, keep, close)
 
-    def _parts(self) -> dict[str, Any]:
-        return {"fin": self._rig.fin, "drive": self._rig.drive, "sensor": self._rig.sensor}
 
-    def _recall(self) -> None:
-        file = state_file(self._file)
-        if not file.exists():
-            return
-        try:
-            state = json.loads(read_bytes(file, LARGEST_STATE))
-            if state["emulation"] != self._emulation:
-                raise ValueError("of another seed or tank")
-            for name, part in self._parts().items():
-                part.recall(state[name])
-        except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-            told = " ".join(str(error).split())[:200]
-            raise RigError(
-                f"{file}: not the state of this emulated rig ({told}); remove it, and the rig begins anew, not zeroed"
-            ) from None
+def _parts(rig: EmulatedRig) -> dict[str, Any]:
+    return {"fin": rig.fin, "drive": rig.drive, "sensor": rig.sensor}
+
+
+def _recall(file: Path, emulation: dict[str, Any], rig: EmulatedRig) -> None:
+    if not file.exists():
+        return
+    try:
+        state = json.loads(read_bytes(file, LARGEST_STATE))
+        if state["emulation"] != emulation:
+            raise ValueError("of another seed or tank")
+        for name, part in _parts(rig).items():
+            part.recall(state[name])
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+        told = " ".join(str(error).split())[:200]
+        raise RigError(
+            f"{file}: not the state of this emulated rig ({told}); remove it, and the rig begins anew, not zeroed"
+        ) from None
 
 
 def _locked(file: Path) -> IO[bytes]:
