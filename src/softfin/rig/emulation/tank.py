@@ -1,4 +1,4 @@
-"""The virtual tank as the fin behind emulated devices: it moves on in real time, whoever looks.
+"""The virtual tank as the fin behind emulated devices: it moves on with the clock, whoever looks.
 
 Between two samples of 10 ms motion and force are interpolated, so all that is seen is one sample old.
 """
@@ -20,7 +20,7 @@ AMPERE_PER_NM = 1 / (111 * 0.0259)
 """Current of the emulated motor for a torque at the fin: a reduction of 111:1 and 25.9 mN m/A, both assumed."""
 
 LONGEST_S = 2.0
-"""After a longer pause of this process the fin goes on from where it was: the time in between did not happen."""
+"""In real time: after a longer pause of this process the fin goes on from where it was: the time in between did not happen."""
 
 
 class TankFin:
@@ -30,7 +30,6 @@ class TankFin:
         self.tank = tank or Tank()
         self._clock = clock
         self._lock = threading.Lock()
-        self._advance = jax.jit(self._tick)
         self._state: Any = self.tank.init(jax.random.key(seed))
         self._command = rest_command(self.tank.limits)
         # Twice, so that everything is compiled before anybody looks.
@@ -96,12 +95,15 @@ class TankFin:
             self._time += TICK_S
 
     def _step(self) -> np.ndarray:
-        self._state, seen = self._advance(self._state, self._command)
+        self._state, seen = _tick(self.tank, self._state, self._command)
         return np.asarray(seen, float)
 
-    def _tick(self, state: Any, command: Command) -> tuple[Any, Any]:
-        state, reading = self.tank.advance(state, command, 1)
-        read: Reading = jax.tree.map(lambda x: x[0], reading)
-        drive = state.drive
-        seen = [read.angle, read.velocity, drive.profile_angle, drive.torque, read.force[0], read.force[1]]
-        return state, jnp.stack([jnp.asarray(value) for value in seen])
+
+@jax.jit
+def _tick(tank: Tank, state: Any, command: Command) -> tuple[Any, Any]:
+    """One sample on: the state, and angle, velocity, the profile's angle, torque and both forces."""
+    state, reading = tank.advance(state, command, 1)
+    read: Reading = jax.tree.map(lambda x: x[0], reading)
+    drive = state.drive
+    seen = [read.angle, read.velocity, drive.profile_angle, drive.torque, read.force[0], read.force[1]]
+    return state, jnp.stack([jnp.asarray(value) for value in seen])
