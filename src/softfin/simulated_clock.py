@@ -6,7 +6,7 @@ time move on, to the earliest moment that one of them waits for. So computing ta
 nothing depends on how the operating system shares the processor out. Any other thread, such as a test's own or one that
 reads a keyboard, may use the clock too: it is woken when its time has come, but nobody waits for it.
 
-A member must not wait for another one in any other way, as by `threading.Event` or a queue: everybody would stand still.
+A member must not wait for another one in any other way, as by `threading.Event`: everybody would stand still.
 """
 
 import contextlib
@@ -193,10 +193,8 @@ class SimulatedClock:
 
     def _others(self) -> bool:
         """Whether a thread that is no member may still wake one."""
-        return any(
-            thread not in self._elders and thread not in self._members and not isinstance(thread, threading._DummyThread)
-            for thread in threading.enumerate()
-        )
+        known = self._elders | self._members
+        return any(thread not in known for thread in threading.enumerate())
 
 
 class _Thread:
@@ -276,12 +274,12 @@ class _Lock:
         end = clock() + timeout
         while True:
             with clock._guard:
-                if self._owner is None or self._reentrant and self._owner == me:
+                if self._owner is None or (self._reentrant and self._owner == me):
                     self._owner = me
                     self._count += 1
                     return True
                 left = end - clock()
-                if not blocking or 0 <= timeout and left <= 0:
+                if not blocking or (timeout >= 0 and left <= 0):
                     return False
                 turn = clock._turn(self._queue, left if timeout >= 0 else None)
             try:
@@ -291,7 +289,7 @@ class _Lock:
 
     def release(self) -> None:
         with self._clock._guard:
-            if self._owner is None or self._reentrant and self._owner != threading.get_ident():
+            if self._owner is None or (self._reentrant and self._owner != threading.get_ident()):
                 raise RuntimeError("cannot release a lock that is not held")
             self._count -= 1
             if self._count == 0:
@@ -352,4 +350,3 @@ class _Condition:
             waiting = list(self._queue)
             self._queue.clear()
             self._clock._wake(waiting)
-

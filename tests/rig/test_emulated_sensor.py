@@ -9,8 +9,8 @@ from softfin.errors import RigError
 from softfin.rig.axia80_status import OVER_RANGE
 from softfin.rig.emulation.sensor import EmulatedAxia80
 from softfin.rig.emulation.sensor_faults import Network
-from softfin.rig.simulated_network import SimulatedSocket
 from softfin.rig.rdt import Order, decode_records, encode_request
+from softfin.rig.simulated_network import SimulatedSocket
 from softfin.simulated_clock import SimulatedClock
 from tests.rig.still_fin import StillFin
 

@@ -1,6 +1,7 @@
 """The drive against its emulator: start, motion, everything that can go wrong, stop."""
 
 import struct
+
 import can
 import pytest
 

@@ -1,6 +1,7 @@
 """The contract of a fin that moves by itself: what the 100 Hz loop drives, be it a rig, topics of ROS 2 or one's own.
 
-All times are of `time.monotonic` [s], or of the machine's own `clock` where it has one. One thread, that of the loop, calls everything but `stop`.
+All times are of `time.monotonic` [s], or of the machine's own `clock` where it has one. One thread, that of the loop,
+calls everything but `stop`.
 """
 
 from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable

@@ -11,9 +11,7 @@ BINS = 1000
 class Pace:
     """Sleeps until each tick; a tick that comes late does not delay the next ones."""
 
-    def __init__(
-        self, period: float = TICK_S, clock: Clock = REAL
-    ) -> None:
+    def __init__(self, period: float = TICK_S, clock: Clock = REAL) -> None:
         self.period, self.clock = period, clock
         self.ticks = 0
         """Waited for so far."""

@@ -15,9 +15,7 @@ from softfin.deployment.safety import SafetyConfig
 class Watchdog:
     """A thread that stops the machine when the loop is silent, as where a controller waits for ever."""
 
-    def __init__(
-        self, config: SafetyConfig, bite: Callable[[float], None], clock: Clock = REAL
-    ) -> None:
+    def __init__(self, config: SafetyConfig, bite: Callable[[float], None], clock: Clock = REAL) -> None:
         self._silence, self._bite, self._clock = config.watchdog_s, bite, clock
         self._fed = clock()
         self._ended = clock.event()

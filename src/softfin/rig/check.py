@@ -38,9 +38,7 @@ Checked = Generator[Finding, None, bool]
 """Findings, and at the end whether the device answers."""
 
 
-def check_rig(
-    config: RigConfig, folder: Path, seconds: float = 3.0, clock: Clock | None = None
-) -> Iterator[Finding]:
+def check_rig(config: RigConfig, folder: Path, seconds: float = 3.0, clock: Clock | None = None) -> Iterator[Finding]:
     """Findings as they come; the loop runs for so long without moving."""
     drive, rig = config.drive, Rig(config, clock)
     yield Finding("rig file", "well", f"fin {config.fin!r}, {drive.encoder_lines} lines, gear {drive.gear_ratio:g}")

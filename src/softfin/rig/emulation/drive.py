@@ -34,9 +34,7 @@ _REGISTERS = ((0x2000, 0x02), (0x3000, 0x04), (0x4000, 0x08), (0x8600, 0x20), (0
 class EmulatedDrive:
     """Set up as `config` says a real one is; `start` it, `close` it."""
 
-    def __init__(
-        self, bus: BusConfig, config: DriveConfig, fin: EmulatedFin, clock: Clock = REAL
-    ) -> None:
+    def __init__(self, bus: BusConfig, config: DriveConfig, fin: EmulatedFin, clock: Clock = REAL) -> None:
         self._bus, self._config, self._clock = bus, config, clock
         self._lock = clock.rlock()
         self._network = DriveNetwork(self._take, self._request, lambda: self._nmt_state, clock)

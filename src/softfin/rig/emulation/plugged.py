@@ -1,7 +1,7 @@
 """The emulated rigs of this process, in simulated time: made once for each rig's file, and remembered beside it.
 
-``rig.state.json`` holds what the next command must find: where the fin stands and how the water moves, the drive's zero,
-the sensor's, and how much of the noise has been drawn. One process at a time uses a rig.
+``rig.state.json`` holds what the next command must find: where the fin stands and how the water moves, the zero of the
+drive and of the sensor, and how much of the noise has been drawn. One process at a time uses a rig.
 """
 
 import contextlib

@@ -1,7 +1,7 @@
 """A whole emulated rig on this computer: drive, sensor and the virtual tank behind both, and the rig's file for it.
 
-In simulated time, the default, everything is within the process. In real time softfin reaches the drive over python-can's
-virtual bus within one process, over socketcand on loopback from another one, and the sensor over UDP and HTTP.
+In simulated time, the default, everything is within the process. In real time softfin reaches the drive over
+python-can's virtual bus within one process, over socketcand on loopback from another, and the sensor over UDP and HTTP.
 """
 
 import uuid

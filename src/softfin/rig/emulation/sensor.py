@@ -19,8 +19,8 @@ from softfin.rig.axia80_xml import FORCE_UNITS, TORQUE_UNITS
 from softfin.rig.emulation.fin import EmulatedFin
 from softfin.rig.emulation.sensor_faults import Network
 from softfin.rig.emulation.sensor_pages import PageServer, sensor_pages
-from softfin.rig.simulated_network import SimulatedPages, SimulatedSocket
 from softfin.rig.rdt import MOST_RECORDS, Counts, Order, Record, Request, decode_request, encode_record
+from softfin.rig.simulated_network import SimulatedPages, SimulatedSocket
 from softfin.simulated_clock import SimulatedClock
 
 RANGE = (500.0, 500.0, 900.0, 20.0, 20.0, 20.0)
@@ -102,7 +102,7 @@ class EmulatedAxia80:
         self._thread = clock.spawn(self._serve, "emulated sensor's stream")
 
     def remembered(self) -> dict[str, Any]:
-        """What it would lose with its supply, for JSON: its zero, in its own axes [N, N m], and its count of samples."""
+        """What it would lose with its supply, for JSON: its zero in its own axes [N, N m], its count of samples."""
         return {"bias": self._bias.tolist(), "samples": self._adc}
 
     def recall(self, remembered: dict[str, Any]) -> None:
