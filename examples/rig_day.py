@@ -28,12 +28,12 @@ def main() -> None:
         raise SystemExit(f"{options.out}: exists already; give another --out, or remove it")
     options.out.mkdir(parents=True)
     os.chdir(options.out)
-    softfin("rig", "emulate")
     day(options.quick)
 
 
 def day(quick: bool) -> None:
     # Morning: is all well? Where is zero?
+    softfin("rig", "emulate")
     softfin("rig", "zero", *MOVES)
     softfin("rig", "check")
 

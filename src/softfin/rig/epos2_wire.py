@@ -225,45 +225,47 @@ class Wire:
             self._take(cob_id, data)
 
 
-class _Client(SdoClient):  # type: ignore[misc]
+class _Client(SdoClient):
     """canopen's, whose answers are waited for on our clock."""
 
     RESPONSE_TIMEOUT = SDO_TIMEOUT_S
 
     def __init__(self, request: int, answer: int, dictionary: ObjectDictionary, clock: Clock) -> None:
-        super().__init__(request, answer, dictionary)
-        self.responses = _Answers(clock)
+        super().__init__(request, answer, dictionary)  # type: ignore[no-untyped-call]
+        self.responses = self._answers = _Answers(clock)
 
     def request_response(self, sdo_request: bytes | bytearray) -> bytes:
         """Late answers to earlier questions are dropped; where there are any, canopen would put its own queue here."""
-        self.responses.clear()
-        answer: bytes = super().request_response(sdo_request)
+        self._answers.clear()
+        answer: bytes = super().request_response(sdo_request)  # type: ignore[no-untyped-call]
         return answer
 
 
-class _Answers:
-    """As much of `queue.Queue` as canopen's client uses."""
+class _Answers(queue.Queue[bytes]):
+    """As much of a queue as canopen's client uses."""
 
     def __init__(self, clock: Clock) -> None:
+        super().__init__()
         self._news = clock.condition()
-        self._answers: deque[bytes] = deque()
+        self._waiting: deque[bytes] = deque()
 
-    def put(self, answer: bytes) -> None:
+    def put(self, item: bytes, block: bool = True, timeout: float | None = None) -> None:
         with self._news:
-            self._answers.append(answer)
+            self._waiting.append(item)
             self._news.notify_all()
 
     def get(self, block: bool = True, timeout: float | None = None) -> bytes:
         with self._news:
-            if not self._news.wait_for(lambda: bool(self._answers), timeout):
+            if not self._news.wait_for(lambda: bool(self._waiting), timeout):
                 raise queue.Empty
-            return self._answers.popleft()
+            return self._waiting.popleft()
 
     def empty(self) -> bool:
-        return not self._answers
+        return not self._waiting
 
     def clear(self) -> None:
-        self._answers.clear()
+        """Forget what nobody has asked for."""
+        self._waiting.clear()
 
 
 def _one_line(error: Exception) -> str:

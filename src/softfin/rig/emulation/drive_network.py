@@ -56,9 +56,7 @@ class DriveNetwork(canopen.Network):
         if not self.silent and self.bus is not None:
             super().send_message(can_id, bytes(data), remote)
 
-    def send_periodic(
-        self, can_id: int, data: Any, period: float, remote: bool = False
-    ) -> Any:
+    def send_periodic(self, can_id: int, data: Any, period: float, remote: bool = False) -> Any:
         """A frame at once and then every period [s], in a thread of the clock."""
         return _Periodic(self, can_id, data, period, self._clock)
 
@@ -106,9 +104,7 @@ class DriveNetwork(canopen.Network):
 class _Periodic:
     """What canopen's heartbeat asks for."""
 
-    def __init__(
-        self, network: DriveNetwork, can_id: int, data: Any, period: float, clock: Clock
-    ) -> None:
+    def __init__(self, network: DriveNetwork, can_id: int, data: Any, period: float, clock: Clock) -> None:
         self._network, self._can_id, self._data, self._period = network, can_id, data, period
         self._ended = clock.event()
         clock.spawn(self._run, "emulated drive's heartbeat")
