@@ -198,3 +198,16 @@ def test_close_may_be_called_again_and_leaves_no_thread(tmp_path):
     recorder.close()
     assert not recorder._thread.is_alive()
     assert recorder.failure is None
+
+
+def test_two_commands_at_one_moment_keep_their_order(tmp_path):
+    recorder = BagRecorder(tmp_path / "run.mcap", clock=Hours())
+    for angle in (0.1, 0.2, 0.3):
+        recorder.command(1000.0, angle, 1.0)
+    recorder.command(1000.5, 0.4, 1.0)
+    recorder.close()
+    rows = by_rosbags(recorder.path)[DEFAULT_TOPICS["command"]]
+    stamps = [stamp for stamp, *_ in rows]
+    assert stamps[0] < stamps[1] < stamps[2]
+    assert [row[3] for row in rows] == [0.1, 0.2, 0.3, 0.4]
+    assert stamps[3] - stamps[0] == 500_000_000

@@ -31,6 +31,9 @@ STALL_S = 5.0
 CLOSE_S = 10.0
 """What `close` waits for the thread at most [s]."""
 
+APART_S = 1e-6
+"""Between two commands at least: in simulated time the next one may come at the same moment, and would hide its order."""
+
 Values = tuple[float, ...] | str
 
 
@@ -60,6 +63,7 @@ class BagRecorder:
         self._file = _create(path)
         self._flushed = clock()
         self._began: float | None = None
+        self._commanded = -float("inf")
         self._closing = clock.event()
         try:
             # Whoever opens the file before the first row finds a bag, and a disk without room is known before a motion.
@@ -97,8 +101,9 @@ class BagRecorder:
         return self._dropped
 
     def command(self, time: float, angle: float, velocity: float) -> None:
-        """What the drive was asked to do [rad, rad/s]."""
-        self._hand_in(COMMAND, time, (angle, velocity))
+        """What the drive was asked to do [rad, rad/s]; the later one of two at one moment is written a little later."""
+        self._commanded = max(time, self._commanded + APART_S)
+        self._hand_in(COMMAND, self._commanded, (angle, velocity))
 
     def joint(self, time: float, angle: float, velocity: float, current: float | None) -> None:
         """Where the shaft was [rad, rad/s], and the motor's current [A] if it is known."""
