@@ -96,7 +96,9 @@ def _loop(folder: Path, controller: NativeController) -> list[dict[str, Any]]:
 def _emulators(file: Path) -> Iterator[RigConfig]:
     """`softfin rig emulate --real-time` until the end; a rig that waits longer for it than a person should."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "softfin.cli", "rig", "emulate", "--real-time", "--rig", str(file)], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-m", "softfin.cli", "rig", "emulate", "--real-time", "--rig", str(file)],
+        stdout=subprocess.PIPE,
+        text=True,
     )
     try:
         assert process.stdout is not None

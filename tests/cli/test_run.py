@@ -159,3 +159,23 @@ def test_without_the_word_nothing_moves(answer, controller, elsewhere, tmp_path)
     assert elsewhere.fin.now().angle == 0.0
     assert elsewhere.drive.state is State.SWITCH_ON_DISABLED
     assert not list(Path(tmp_path).glob("*.mcap"))
+
+
+def test_topics_are_refused_where_time_is_simulated(controller, plant, capsys):
+    line, code = fails(capsys, "ros2", str(controller), "--plant", plant, "--reference=1,0", "--arm", "--yes")
+    assert "rig of emulated: emulated in simulated time, in which no topic can be heard; start softfin rig" in line
+    assert code == 2
+
+
+def test_a_signal_stops_a_fin_in_simulated_time_too(controller, plant, emulated, tmp_path, capsys):
+    def interrupt():
+        emulated.clock.sleep(4.0)
+        # While this thread runs, that of the loop waits.
+        signal.raise_signal(signal.SIGINT)
+
+    emulated.clock.spawn(interrupt, "somebody at the terminal")
+    with pytest.raises(SystemExit) as ended:
+        main(["run", str(controller), "--plant", plant, *LIVE[:2], "--yes", "--bag", str(tmp_path / "a.mcap")])
+    assert ended.value.code == 3
+    assert capsys.readouterr().err.rstrip().endswith("stopped, motor disabled: stopped by Ctrl-C")
+    still(emulated)

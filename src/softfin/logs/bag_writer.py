@@ -32,7 +32,7 @@ CLOSE_S = 10.0
 """What `close` waits for the thread at most [s]."""
 
 APART_S = 1e-6
-"""Between two commands at least: in simulated time the next one may come at the same moment, and would hide its order."""
+"""Between two commands at least [s]: in simulated time two may come at one moment, and their order must be seen."""
 
 Values = tuple[float, ...] | str
 
