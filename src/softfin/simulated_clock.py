@@ -188,8 +188,9 @@ class SimulatedClock:
 
     def _forget(self, queue: deque[_Turn], turn: _Turn) -> None:
         """A wait that its time has ended is still in its queue."""
-        with self._guard, contextlib.suppress(ValueError):
-            queue.remove(turn)
+        with self._guard:
+            if turn in queue:
+                queue.remove(turn)
 
     def _others(self) -> bool:
         """Whether a thread that is no member may still wake one."""

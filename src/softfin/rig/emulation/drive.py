@@ -267,8 +267,9 @@ class EmulatedDrive:
         with self._lock:
             if cob_id == objects.NMT:
                 self._follow_nmt(data[0])
-            elif cob_id == objects.HEARTBEAT + (self._value(objects.HEARTBEAT_CONSUMER) >> 16 & 0x7F):
-                self._host_beat = self._clock()
+            elif cob_id & 0x780 == objects.HEARTBEAT:
+                if cob_id & 0x7F == self._value(objects.HEARTBEAT_CONSUMER) >> 16 & 0x7F:
+                    self._host_beat = self._clock()
             elif self._is_operational and cob_id == objects.SYNC:
                 self._process_data.synchronise()
             elif self._is_operational:

@@ -77,6 +77,7 @@ class EmulatedAxia80:
         self._rotation = rotation(frame).T
         scale = np.array([counts[0] / FORCE_UNITS[force_unit], counts[1] / TORQUE_UNITS[torque_unit]])
         self._scale, self._noise = np.repeat(scale, 3), np.repeat(noise, 3)
+        self._noisy = any(noise)
         self._limits = np.minimum(np.array(RANGE) * self._scale, TOP_COUNT)
         self._random = np.random.default_rng(seed)
         self._bias = np.zeros(6)
@@ -205,12 +206,16 @@ class EmulatedAxia80:
             stream.made, stream.sequence = stream.made + skipped, stream.sequence + skipped
             due -= skipped
         felt = self._felt() if due > 0 else self._bias
+        counts: tuple[Counts, bool] | None = None
         for _ in range(due):
             if stream.left == 0:
                 return
-            counts, status = self._counts(felt)
+            # Without noise all that is due has felt the same.
+            if counts is None or self._noisy:
+                counts = self._counts(felt)
+            status = self._status_of(beyond=counts[1])
             self._adc += round(ADC_RATE_HZ / self.rate_hz) or 1
-            record = Record(stream.sequence % 2**32, self._adc % 2**32, status, counts)
+            record = Record(stream.sequence % 2**32, self._adc % 2**32, status, counts[0])
             stream.made, stream.sequence = stream.made + 1, stream.sequence + 1
             stream.pending += encode_record(record)
             stream.in_block += 1
@@ -226,20 +231,24 @@ class EmulatedAxia80:
         wrench = np.array(self._fin.now().wrench)
         return np.concatenate([self._rotation @ wrench[:3], self._rotation @ wrench[3:]])
 
-    def _counts(self, felt: np.ndarray) -> tuple[Counts, int]:
+    def _counts(self, felt: np.ndarray) -> tuple[Counts, bool]:
+        """And whether they were beyond its range."""
         values = felt - self._bias
-        if self._noise.any():
+        if self._noisy:
             values += self._noise * self._random.standard_normal(6)
         counts = values * self._scale
-        if (np.abs(counts) > self._limits).any():
+        beyond = bool((np.abs(counts) > self._limits).any())
+        fx, fy, fz, tx, ty, tz = np.rint(np.clip(counts, -self._limits, self._limits)).astype(int).tolist()
+        return (fx, fy, fz, tx, ty, tz), beyond
+
+    def _status_of(self, beyond: bool) -> int:
+        """Of one record more."""
+        if beyond:
             self._flagged = FLAGGED_RECORDS
-            counts = np.clip(counts, -self._limits, self._limits)
-        status = self._status
-        if self._flagged:
-            self._flagged -= 1
-            status |= OVER_RANGE
-        fx, fy, fz, tx, ty, tz = np.rint(counts).astype(int).tolist()
-        return (fx, fy, fz, tx, ty, tz), status
+        if not self._flagged:
+            return self._status
+        self._flagged -= 1
+        return self._status | OVER_RANGE
 
 
 def _bound(host: str, port: int, clock: Clock) -> socket.socket | SimulatedSocket:
