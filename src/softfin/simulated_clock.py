@@ -9,7 +9,6 @@ reads a keyboard, may use the clock too: it is woken when its time has come, but
 A member must not wait for another one in any other way, as by `threading.Event`: everybody would stand still.
 """
 
-import contextlib
 import heapq
 import itertools
 import threading
@@ -62,7 +61,8 @@ class SimulatedClock:
         self._running: _Turn | None = _Turn(asks_for_baton=True)
         """Who has the baton: the wait that has ended last."""
         self._member = threading.local()
-        self._member.is_one = True
+        """Of a member alone: its newest `turn`."""
+        self._member.turn = self._running
         self._members = {threading.current_thread()}
         self._elders = set(threading.enumerate())
         """Threads that were there before know nothing of this clock, until they use it."""
@@ -102,7 +102,7 @@ class SimulatedClock:
     def _turn(self, queue: deque[_Turn] | None, timeout: float | None) -> _Turn:
         """Begin a wait: in a queue of whoever may be woken, until a timeout [s]."""
         with self._guard:
-            turn = _Turn(getattr(self._member, "is_one", False))
+            turn = _Turn(asks_for_baton=hasattr(self._member, "turn"))
             if not turn.asks_for_baton:
                 self._elders.discard(threading.current_thread())
             if queue is not None:
@@ -113,28 +113,15 @@ class SimulatedClock:
 
     def _wait(self, turn: _Turn) -> bool:
         """Let others run until it is this one's turn again; whether somebody woke it, and not its time."""
-        held = self._running
+        before = getattr(self._member, "turn", None)
         try:
-            with self._guard:
-                if turn.asks_for_baton:
-                    self._waiting[turn] = None
-                    if turn.over:
-                        self._ready.append(turn)
-                    self._running = None
-                self._pass_on()
+            self._give_up(before, turn)
             self._until(turn)
         except BaseException:
-            # Ctrl-C: this wait is over, but two members must not run at once.
-            with self._guard:
-                if turn.asks_for_baton and self._running is held:
-                    self._waiting.pop(turn, None)
-                    turn.over = True
-                    raise
-                self._wake([turn])
-            while True:
-                with contextlib.suppress(BaseException):
-                    self._until(turn)
-                    break
+            # Ctrl-C: this wait is over, but two members must not run at once; a second Ctrl-C does not wait for that.
+            self._wake([turn])
+            self._give_up(before, turn)
+            self._until(turn)
             raise
         if turn.standstill:
             raise StandstillError(
@@ -142,6 +129,20 @@ class SimulatedClock:
                 f"({turn.name} was the first)"
             )
         return turn.woken
+
+    def _give_up(self, before: _Turn | None, turn: _Turn) -> None:
+        """From here on a member waits for its turn; `before` is the one that it had."""
+        with self._guard:
+            if before is not None and turn is not self._running:
+                self._member.turn = turn
+                # Of a wait that a second Ctrl-C has broken off.
+                self._waiting.pop(before, None)
+                self._waiting[turn] = None
+                if turn.over:
+                    self._ready.append(turn)
+                if self._running is before:
+                    self._running = None
+            self._pass_on()
 
     def _until(self, turn: _Turn) -> None:
         while not (self._running is turn if turn.asks_for_baton else turn.over):
@@ -161,24 +162,30 @@ class SimulatedClock:
             return len(waiting)
 
     def _end(self, turn: _Turn) -> None:
-        turn.over = True
+        # In this order, so that a Ctrl-C in between loses nobody: who is in twice has one turn all the same.
         if turn in self._waiting:
             self._ready.append(turn)
-        elif not turn.asks_for_baton:
+        turn.over = True
+        if not turn.asks_for_baton:
             turn.signal.release()
 
     def _pass_on(self) -> None:
         """Have the next one run; where all wait, move on to the earliest moment that one waits for."""
         while self._running is None:
             if self._ready:
-                turn = self._running = self._ready.popleft()
-                self._waiting.pop(turn, None)
-                turn.signal.release()
+                turn = self._ready[0]
+                if turn in self._waiting:
+                    self._running = turn
+                    del self._waiting[turn]
+                del self._ready[0]
+                if self._running is turn:
+                    turn.signal.release()
             elif self._timers:
-                at, _, turn = heapq.heappop(self._timers)
+                at, _, turn = self._timers[0]
                 if not turn.over:
                     self._now = max(self._now, at)
                     self._end(turn)
+                heapq.heappop(self._timers)
             elif self._waiting and not self._others():
                 turn = next(iter(self._waiting))
                 turn.standstill = True
@@ -213,7 +220,7 @@ class _Thread:
 
     def _run(self) -> None:
         clock = self._clock
-        clock._member.is_one = True
+        clock._member.turn = self._first
         clock._until(self._first)
         try:
             self._target()

@@ -91,7 +91,7 @@ class Rig:
         self.drive.stop()
 
     def close(self) -> None:
-        """Stop, let go of both; what an emulated rig must remember is kept."""
+        """Stop, let go of both; in simulated time raises RunError where what must be remembered cannot be written."""
         self.drive.close()
         with contextlib.suppress(OSError, SoftfinError):
             self.sensor.close()
