@@ -21,6 +21,7 @@ import can
 import yaml
 
 from benchmarks.measure import entry
+from softfin.clock import REAL
 from softfin.deployment.loop import hold
 from softfin.deployment.machine import Sample, Target
 from softfin.deployment.native import NativeController, load_native
@@ -93,9 +94,11 @@ def _loop(folder: Path, controller: NativeController) -> list[dict[str, Any]]:
 
 @contextlib.contextmanager
 def _emulators(file: Path) -> Iterator[RigConfig]:
-    """`softfin rig emulate` until the end; a rig that waits longer for it than a person should."""
+    """`softfin rig emulate --real-time` until the end; a rig that waits longer for it than a person should."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "softfin.cli", "rig", "emulate", "--rig", str(file)], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-m", "softfin.cli", "rig", "emulate", "--real-time", "--rig", str(file)],
+        stdout=subprocess.PIPE,
+        text=True,
     )
     try:
         assert process.stdout is not None
@@ -148,7 +151,7 @@ def _stops() -> list[dict[str, Any]]:
 
 
 def _stop(name: str, provoke: Callable[[EmulatedRig], None]) -> float:
-    with EmulatedRig(fin=PulledFin()) as emulated:
+    with EmulatedRig(fin=PulledFin(), clock=REAL) as emulated:
         values = emulated.values(same_process=True)
         values["safety"] = SAFETY
         values["drive"] |= {"zero_needed": False, "heartbeat_s": HEARTBEAT_S}
@@ -201,7 +204,7 @@ class _QuickStop:
 
 
 def _filter_delay() -> float:
-    with EmulatedRig(fin=SimpleFin()) as emulated:
+    with EmulatedRig(fin=SimpleFin(), clock=REAL) as emulated:
         rig = Rig(emulated.config())
         rig.sensor.open()
         delay = rig.sensor.delay_s

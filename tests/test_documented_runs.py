@@ -184,14 +184,13 @@ def test_every_entry_stands_for_a_command_that_is_shown():
 
 def test_the_day_at_the_rig_does_its_commands(monkeypatch, tmp_path):
     """With the same options, whatever their values."""
-    done = [("rig", "emulate")]
+    done = []
     monkeypatch.chdir(tmp_path)
     (tmp_path / "evaluation").mkdir()
     score = '{"error_n": 0}'
     (tmp_path / "evaluation/evaluation.json").write_text(f'{{"mean": {{"x": {score}, "y": {score}}}}}')
     script = runpy.run_path(str(ROOT / "examples/rig_day.py"))
-    assert '[*SOFTFIN, "rig", "emulate"]' in (ROOT / "examples/rig_day.py").read_text()
-    script["day"].__globals__["softfin"] = lambda *words, may_fail=False: done.append(words)
+    script["day"].__globals__["softfin"] = lambda *words: done.append(words)
     script["day"](quick=True)
     for line in IN_THE_DAY:
         names = {word.partition("=")[0] for word in line.split()}

@@ -19,7 +19,7 @@ class Terminal:
 
     def __init__(self, words: Sequence[object], folder: Path) -> None:
         self._master, slave = pty.openpty()
-        environment = os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "200"}
+        environment = os.environ | {"PYTHONPATH": f"{ROOT / 'src'}:{ROOT}", "COLUMNS": "200"}
         self._process = subprocess.Popen(
             [sys.executable, "-m", "softfin.cli", *map(str, words)],
             stdin=slave, stdout=slave, stderr=slave, cwd=folder, env=environment, start_new_session=True,

@@ -1,28 +1,27 @@
-import contextlib
 import json
 import signal
-import time
 
 import pytest
 
 from softfin.cli import main
+from softfin.deployment.safety import SafetyConfig
 from softfin.rig.cia402 import State
-from softfin.rig.emulation.rig import EmulatedRig
-from softfin.rig.emulation.simple import SimpleFin
+from softfin.rig.config import load_rig
 from tests.cli.terminal import Terminal
 from tests.cli.test_cli import fails
-from tests.rig.rigs import patient, write_wide
+from tests.rig.rigs import filed, simulated
 
 
 @pytest.fixture
 def emulated():
-    with patient(), EmulatedRig(fin=SimpleFin()) as behind:
+    with simulated() as behind:
         yield behind
 
 
 @pytest.fixture
 def file(emulated, tmp_path):
-    return str(write_wide(emulated, tmp_path / "rig.yaml"))
+    with filed(emulated, tmp_path / "rig.yaml") as written:
+        yield str(written)
 
 
 def found(capsys):
@@ -30,14 +29,14 @@ def found(capsys):
 
 
 def test_a_rig_is_checked_without_moving(file, emulated, capsys):
-    # A busy machine's loop is late, and the table says so.
-    with contextlib.suppress(SystemExit):
-        main(["rig", "check", "--rig", file, "--json"])
+    main(["rig", "check", "--rig", file, "--json"])
     rows = found(capsys)
     assert list(rows) == ["rig file", "disk", "force sensor", "force at rest", "drive", "angle", "zero", "100 Hz loop",
                           "readings"]  # fmt: skip
     for what in ("rig file", "force sensor", "force at rest", "drive", "angle", "zero"):
         assert rows[what]["state"] == "well", rows[what]
+    assert rows["100 Hz loop"]["state"] == "note"
+    assert "in simulated time nothing is late" in rows["100 Hz loop"]["text"]
     assert emulated.fin.now().angle == 0.0
     assert emulated.drive.state is State.SWITCH_ON_DISABLED
 
@@ -60,8 +59,7 @@ def test_a_fault_is_named_and_reset_when_asked(file, emulated, capsys):
     with pytest.raises(SystemExit):
         main(["rig", "check", "--rig", file, "--json"])
     assert found(capsys)["drive"]["state"] == "wrong"
-    with contextlib.suppress(SystemExit):
-        main(["rig", "check", "--rig", file, "--json", "--reset-fault"])
+    main(["rig", "check", "--rig", file, "--json", "--reset-fault"])
     said = capsys.readouterr()
     assert "reset: drive fault 0x8611, following error" in said.err
     assert '"what": "drive",\n    "state": "well"' in said.out
@@ -70,10 +68,7 @@ def test_a_fault_is_named_and_reset_when_asked(file, emulated, capsys):
 def test_zeroing_the_angle_needs_arm_and_moves_nothing(file, emulated, capsys):
     line, code = fails(capsys, "rig", "zero", "--rig", file, "--angle")
     assert (line.endswith("nothing moves without --arm"), code) == (True, 2)
-    # The drive that the refused command let go of may still come to rest, and its fin with it.
-    while emulated.fin.now().angle != 0.2:
-        emulated.fin.move(0.2, 10.0)
-        time.sleep(0.05)
+    emulated.fin.move(0.2, 10.0)
     main(["rig", "zero", "--rig", file, "--arm", "--yes", "--angle", "--json"])
     told = json.loads(capsys.readouterr().out)
     assert abs(told["angle_after_rad"]) < 1e-3
@@ -91,13 +86,27 @@ def test_a_file_that_is_not_there_says_where_to_find_one(tmp_path, capsys):
     assert code == 2
 
 
-def test_an_emulated_rig_runs_until_ctrl_c_and_never_overwrites_a_file(tmp_path):
-    with Terminal(["rig", "emulate"], tmp_path) as terminal:
+def test_an_emulated_rig_in_real_time_runs_until_ctrl_c(tmp_path):
+    with Terminal(["rig", "emulate", "--real-time"], tmp_path) as terminal:
         terminal.wait_for("pages at http://127.0.0.1:")
         assert "interface: socketcand" in (tmp_path / "rig.yaml").read_text()
         terminal.signal(signal.SIGINT)
         assert terminal.ended() == 0
         assert "Traceback" not in terminal.said
-    with Terminal(["rig", "emulate"], tmp_path) as terminal:
-        assert terminal.ended() == 2
-        assert "rig.yaml: exists; give another --rig, or --overwrite" in terminal.said
+
+
+def test_an_emulated_rig_is_a_file_that_says_so_and_never_overwrites_one(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    main(["rig", "emulate", "--seed", "3"])
+    told = capsys.readouterr().out
+    assert "Next: softfin rig zero --arm, then softfin collect --plant rig --arm" in told
+    config = load_rig(tmp_path / "rig.yaml")
+    assert config.emulation.seed == 3
+    assert config.drive.heartbeat_s == 0.2
+    assert config.safety == SafetyConfig(current_peak_a=6.0, current_sustained_a=3.0)
+    line, code = fails(capsys, "rig", "emulate")
+    assert (line.endswith("rig.yaml: exists; give another --rig, or --overwrite to replace it"), code) == (True, 2)
+    (tmp_path / "rig.state.json").write_text("of the rig before")
+    main(["rig", "emulate", "--overwrite"])
+    assert not (tmp_path / "rig.state.json").exists()
+    assert load_rig(tmp_path / "rig.yaml").emulation.seed == 0

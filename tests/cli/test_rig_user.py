@@ -18,13 +18,12 @@ from softfin.deployment.safety import Guard, SafetyConfig
 from softfin.deployment.session import Session
 from softfin.errors import ConfigurationError
 from softfin.rig.config import RigConfig
-from softfin.rig.emulation.rig import EmulatedRig
-from softfin.rig.emulation.simple import SimpleFin
 from softfin.rig.rig import Rig
 from softfin.stages_live import _differing
 from tests.cli.test_cli import fails
 from tests.deployment.machines import FreeFin
 from tests.deployment.native.folders import folder_of
+from tests.rig.rigs import simulated
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +33,7 @@ def controller(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def values():
-    with EmulatedRig(fin=SimpleFin()) as emulated:
+    with simulated() as emulated:
         return emulated.values()
 
 

@@ -3,17 +3,14 @@ import signal
 from pathlib import Path
 
 import pytest
-import yaml
 
 from softfin.cli import main
 from softfin.rig.cia402 import State
-from softfin.rig.emulation.rig import EmulatedRig
-from softfin.rig.emulation.simple import SimpleFin
 from tests.cli.terminal import Terminal
 from tests.cli.test_cli import fails
 from tests.deployment.bags import counts_of, events_of
 from tests.deployment.native.folders import folder_of
-from tests.rig.rigs import patient, wide, write_wide
+from tests.rig.rigs import filed, over_sockets, simulated
 
 
 @pytest.fixture(scope="module")
@@ -23,21 +20,22 @@ def controller(tmp_path_factory):
 
 @pytest.fixture
 def emulated():
-    with patient(), EmulatedRig(fin=SimpleFin()) as behind:
+    with simulated() as behind:
         yield behind
 
 
 @pytest.fixture
 def plant(emulated, tmp_path):
     """For this process."""
-    return f"rig:{write_wide(emulated, tmp_path / 'rig.yaml')}"
+    with filed(emulated, tmp_path / "rig.yaml") as file:
+        yield f"rig:{file}"
 
 
 @pytest.fixture
-def elsewhere(emulated, tmp_path):
-    """For another one."""
-    (tmp_path / "other.yaml").write_text(yaml.safe_dump(wide(emulated, same_process=False)))
-    return "rig:other.yaml"
+def elsewhere(tmp_path):
+    """In real time, for another process: rig:other.yaml."""
+    with over_sockets(tmp_path / "other.yaml") as behind:
+        yield behind
 
 
 def still(emulated):
@@ -86,11 +84,12 @@ def test_bad_input_is_one_line_before_anything_is_opened(words, expected, contro
 
 
 def test_a_stop_is_exit_code_three_with_the_reason_and_a_whole_bag(controller, emulated, tmp_path, capsys):
-    plant = f"rig:{write_wide(emulated, tmp_path / 'rig.yaml', force_peak_n=0.2, force_sustained_n=0.1)}"
-    bag = tmp_path / "a.mcap"
-    with pytest.raises(SystemExit) as ended:
-        # Long enough for a peak, on however busy a machine; the first one ends it.
-        main(["run", str(controller), "--plant", plant, RUN[0], "--seconds", "30", "--arm", "--yes", "--bag", str(bag)])
+    file, bag = tmp_path / "rig.yaml", tmp_path / "a.mcap"
+    narrow = {"force_peak_n": 0.2, "force_sustained_n": 0.1}
+    with filed(emulated, file, **narrow), pytest.raises(SystemExit) as ended:
+        # Long enough for a peak; the first one ends it.
+        main(["run", str(controller), "--plant", f"rig:{file}", RUN[0], "--seconds", "30", "--arm", "--yes",
+              "--bag", str(bag)])  # fmt: skip
     assert ended.value.code == 3
     said = capsys.readouterr().err.strip().splitlines()
     assert said[-1].startswith("softfin run: stopped, motor disabled: force ")
@@ -108,8 +107,8 @@ def started(terminal):
 LIVE = ("--reference=1,-1", "--arm", "--bag", "a.mcap")
 
 
-def test_enter_on_the_terminal_stops_and_a_typed_reference_is_taken(controller, elsewhere, emulated, tmp_path):
-    with Terminal(["run", controller, "--plant", elsewhere, *LIVE], tmp_path) as terminal:
+def test_enter_on_the_terminal_stops_and_a_typed_reference_is_taken(controller, elsewhere, tmp_path):
+    with Terminal(["run", controller, "--plant", "rig:other.yaml", *LIVE], tmp_path) as terminal:
         started(terminal)
         terminal.type("2,0.5\n")
         terminal.wait_for("reference (+2.00, +0.50) N")
@@ -120,21 +119,21 @@ def test_enter_on_the_terminal_stops_and_a_typed_reference_is_taken(controller, 
         assert terminal.said.rstrip().endswith("softfin run: stopped, motor disabled: stopped by a key")
         assert "Traceback" not in terminal.said
         assert "Fatal" not in terminal.said
-    still(emulated)
+    still(elsewhere)
     assert events_of(tmp_path / "a.mcap")[-1] == "stopped: emergency_stop: stopped by a key"
 
 
-def test_a_run_that_ends_by_itself_leaves_no_thread_at_the_terminal(controller, elsewhere, emulated, tmp_path):
-    with Terminal(["run", controller, "--plant", elsewhere, *LIVE, "--seconds", "1"], tmp_path) as terminal:
+def test_a_run_that_ends_by_itself_leaves_no_thread_at_the_terminal(controller, elsewhere, tmp_path):
+    with Terminal(["run", controller, "--plant", "rig:other.yaml", *LIVE, "--seconds", "1"], tmp_path) as terminal:
         started(terminal)
         assert terminal.ended() == 0, terminal.said
         assert "Fatal" not in terminal.said
-    still(emulated)
+    still(elsewhere)
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGHUP"])
-def test_signals_stop_the_fin(name, controller, elsewhere, emulated, tmp_path):
-    with Terminal(["run", controller, "--plant", elsewhere, *LIVE], tmp_path) as terminal:
+def test_signals_stop_the_fin(name, controller, elsewhere, tmp_path):
+    with Terminal(["run", controller, "--plant", "rig:other.yaml", *LIVE], tmp_path) as terminal:
         started(terminal)
         terminal.signal(getattr(signal, name))
         if name == "SIGINT":
@@ -142,13 +141,13 @@ def test_signals_stop_the_fin(name, controller, elsewhere, emulated, tmp_path):
         assert terminal.ended() == 3, terminal.said
         assert f"stopped by {'Ctrl-C' if name == 'SIGINT' else name}" in terminal.said
         assert "Traceback" not in terminal.said
-    still(emulated)
+    still(elsewhere)
     assert "stopped: emergency_stop" in events_of(tmp_path / "a.mcap")[-1]
 
 
 @pytest.mark.parametrize("answer", ["no\n", None])
-def test_without_the_word_nothing_moves(answer, controller, elsewhere, emulated, tmp_path):
-    with Terminal(["run", controller, "--plant", elsewhere, *LIVE], tmp_path) as terminal:
+def test_without_the_word_nothing_moves(answer, controller, elsewhere, tmp_path):
+    with Terminal(["run", controller, "--plant", "rig:other.yaml", *LIVE], tmp_path) as terminal:
         terminal.wait_for("Type 'move' and Enter: ")
         if answer is None:
             terminal.signal(signal.SIGINT)
@@ -157,6 +156,26 @@ def test_without_the_word_nothing_moves(answer, controller, elsewhere, emulated,
             terminal.type(answer)
             assert terminal.ended() == 2
             assert "not confirmed with 'move'; nothing moved" in terminal.said
-    assert emulated.fin.now().angle == 0.0
-    assert emulated.drive.state is State.SWITCH_ON_DISABLED
+    assert elsewhere.fin.now().angle == 0.0
+    assert elsewhere.drive.state is State.SWITCH_ON_DISABLED
     assert not list(Path(tmp_path).glob("*.mcap"))
+
+
+def test_topics_are_refused_where_time_is_simulated(controller, plant, capsys):
+    line, code = fails(capsys, "ros2", str(controller), "--plant", plant, "--reference=1,0", "--arm", "--yes")
+    assert "rig of emulated: emulated in simulated time, in which no topic can be heard; start softfin rig" in line
+    assert code == 2
+
+
+def test_a_signal_stops_a_fin_in_simulated_time_too(controller, plant, emulated, tmp_path, capsys):
+    def interrupt():
+        emulated.clock.sleep(4.0)
+        # While this thread runs, that of the loop waits.
+        signal.raise_signal(signal.SIGINT)
+
+    emulated.clock.spawn(interrupt, "somebody at the terminal")
+    with pytest.raises(SystemExit) as ended:
+        main(["run", str(controller), "--plant", plant, *LIVE[:2], "--yes", "--bag", str(tmp_path / "a.mcap")])
+    assert ended.value.code == 3
+    assert capsys.readouterr().err.rstrip().endswith("stopped, motor disabled: stopped by Ctrl-C")
+    still(emulated)

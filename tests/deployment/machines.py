@@ -2,9 +2,9 @@
 
 import math
 import threading
-import time
 from collections.abc import Callable
 
+from softfin.clock import REAL, Clock, RealClock
 from softfin.deployment.machine import Sample, Target
 from softfin.deployment.pace import Pace
 from softfin.quantities import PAPER_LIMITS, TICK_S, Limits
@@ -12,8 +12,8 @@ from softfin.quantities import PAPER_LIMITS, TICK_S, Limits
 FORCE_DELAY_S = 0.02
 
 
-class Hours:
-    """A clock, and the sleep that moves it."""
+class Hours(RealClock):
+    """A clock that the test moves, or the sleep of its loop; other threads wait in real time."""
 
     def __init__(self) -> None:
         self.now = 100.0
@@ -29,7 +29,7 @@ class Hours:
 class FreeFin:
     """Meets the Machine contract; every call is noted in `calls`, `altered` changes what is read."""
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, clock: Clock = REAL) -> None:
         self.name, self.limits = "free fin", Limits(*map(float, PAPER_LIMITS))
         self.notes: tuple[str, ...] = ()
         self.doubt: str | None = None
@@ -144,4 +144,4 @@ class Wagging:
 
 
 def quick_pace(hours: Hours) -> Pace:
-    return Pace(TICK_S, hours, hours.sleep)
+    return Pace(TICK_S, hours)

@@ -1,19 +1,19 @@
 """Bags as the recorder writes them, and what two readers that are not softfin's find in them."""
 
-import time
 from pathlib import Path
 
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
+from softfin.clock import REAL
 from softfin.logs.bag_writer import BagRecorder
+from tests.deployment.machines import Hours
 
 
 def record(path: Path, rows: int = 300, wall: bool = False) -> Path:
     """Rows at 100 Hz of a clock that need not be waited for."""
-    now = [1000.0]
-    recorder = BagRecorder(path, clock=time.monotonic if wall else lambda: now[0])
+    recorder = BagRecorder(path, clock=REAL if wall else Hours())
     for k in range(rows):
         at = 1000.0 + k / 100
         recorder.command(at, 0.1 * (k // 50), 2.0)

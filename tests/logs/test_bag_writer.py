@@ -14,6 +14,7 @@ from softfin.logs.bag_writer import BagRecorder
 from softfin.logs.recordings import open_logs
 from softfin.logs.rosbag import TYPES as READABLE
 from softfin.logs.topics import DEFAULT_TOPICS
+from tests.deployment.machines import Hours
 from tests.logs.recorded import by_mcap_ros2, by_rosbags, record
 
 
@@ -42,10 +43,11 @@ def test_two_readers_find_the_same_values_in_a_recorded_bag(tmp_path):
 
 
 def test_stamps_are_the_clock_plus_what_the_wall_clock_was_ahead_at_the_start(tmp_path, monkeypatch):
-    now = [50.0]
-    recorder = BagRecorder(tmp_path / "run.mcap", clock=lambda: now[0])
+    hours = Hours()
+    hours.now = 50.0
+    recorder = BagRecorder(tmp_path / "run.mcap", clock=hours)
     began = time.time()
-    monkeypatch.setattr(time, "time_ns", lambda: 0)
+    monkeypatch.setattr(hours, "wall", lambda: 0.0)
     recorder.event(50.0, "first")
     recorder.event(51.5, "second")
     recorder.close()
@@ -149,14 +151,15 @@ def test_a_disk_that_has_room_again_gets_the_tail(tmp_path, monkeypatch):
 
 def test_a_disk_that_hangs_is_told_and_close_gives_up(tmp_path, monkeypatch):
     hold = threading.Event()
-    now = [0.0]
-    recorder = BagRecorder(tmp_path / "run.mcap", flush_s=0.05, clock=lambda: now[0])
+    hours = Hours()
+    hours.now = 0.0
+    recorder = BagRecorder(tmp_path / "run.mcap", flush_s=0.05, clock=hours)
     fsync = os.fsync
     monkeypatch.setattr(os, "fsync", lambda file: (hold.wait(30), fsync(file)))
     monkeypatch.setattr(bag_writer, "CLOSE_S", 0.2)
-    now[0] = 1.0
+    hours.now = 1.0
     time.sleep(0.2)
-    now[0] = 20.0
+    hours.now = 20.0
     assert "the disk has taken no rows" in recorder.failure
     start = time.monotonic()
     recorder.close()
@@ -195,3 +198,16 @@ def test_close_may_be_called_again_and_leaves_no_thread(tmp_path):
     recorder.close()
     assert not recorder._thread.is_alive()
     assert recorder.failure is None
+
+
+def test_two_commands_at_one_moment_keep_their_order(tmp_path):
+    recorder = BagRecorder(tmp_path / "run.mcap", clock=Hours())
+    for angle in (0.1, 0.2, 0.3):
+        recorder.command(1000.0, angle, 1.0)
+    recorder.command(1000.5, 0.4, 1.0)
+    recorder.close()
+    rows = by_rosbags(recorder.path)[DEFAULT_TOPICS["command"]]
+    stamps = [stamp for stamp, *_ in rows]
+    assert stamps[0] < stamps[1] < stamps[2]
+    assert [row[3] for row in rows] == [0.1, 0.2, 0.3, 0.4]
+    assert stamps[3] - stamps[0] == 500_000_000

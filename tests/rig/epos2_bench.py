@@ -1,8 +1,6 @@
 """What the tests of the drive share: a configuration, a drive with its emulator behind it, frames made by hand."""
 
 import struct
-import threading
-import time
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,6 +12,8 @@ from softfin.rig.emulation.drive import EmulatedDrive
 from softfin.rig.emulation.simple import SimpleFin
 from softfin.rig.epos2 import Epos2
 from softfin.rig.epos2_config import BusConfig, DriveConfig
+from softfin.rig.simulated_bus import open_bus
+from softfin.simulated_clock import SimulatedClock
 
 NODE = 5
 LONG_S = 5.0
@@ -27,8 +27,6 @@ def drive_config(**changes: Any) -> DriveConfig:
         "acceleration_rad_s2": 30.0,
         "quick_stop_rad_s2": 60.0,
         "following_error_rad": 0.2,
-        # Generous: the machine that runs the tests is shared.
-        "heartbeat_s": 2.0,
     }
     return DriveConfig(**{**values, **changes})
 
@@ -43,6 +41,7 @@ class Bench(NamedTuple):
     fin: SimpleFin
     bus: BusConfig
     faults: list[str]
+    clock: SimulatedClock
 
     def until(self, true: Callable[[], bool]) -> bool:
         """The loop, until something is true or the time is over."""
@@ -51,17 +50,18 @@ class Bench(NamedTuple):
             self.drive.sync_and_read(0.02)
             if true():
                 return True
-            time.sleep(0.005)
+            self.clock.sleep(0.005)
         return False
 
 
 @contextmanager
 def bench(emulated: DriveConfig | None = None, **changes: Any) -> Iterator[Bench]:
-    config, bus, fin, faults = drive_config(**changes), bus_config(), SimpleFin(), []
-    with EmulatedDrive(bus, emulated or config, fin) as behind:
-        drive = Epos2(bus, config, on_fault=faults.append)
+    clock = SimulatedClock()
+    config, bus, fin, faults = drive_config(**changes), bus_config(), SimpleFin(clock), []
+    with EmulatedDrive(bus, emulated or config, fin, clock) as behind:
+        drive = Epos2(bus, config, clock, on_fault=faults.append)
         try:
-            yield Bench(drive, behind, fin, bus, faults)
+            yield Bench(drive, behind, fin, bus, faults, clock)
         finally:
             drive.close()
 
@@ -78,30 +78,26 @@ def enabled(**changes: Any) -> Iterator[Bench]:
 class Sniffer:
     """All frames of a bus, each with the time that it came."""
 
-    def __init__(self, bus: BusConfig) -> None:
-        self.frames: list[tuple[float, int, bytes]] = []
-        self._bus = can.Bus(interface=bus.interface, channel=bus.channel)
-        self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._listen, daemon=True)
+    def __init__(self, made: Bench) -> None:
+        self._bus, self._clock = open_bus(made.bus, made.clock), made.clock
+        self._frames: list[tuple[float, int, bytes]] = []
 
-    def _listen(self) -> None:
-        while not self._ending.is_set():
-            message = self._bus.recv(0.05)
-            if message:
-                self.frames.append((time.monotonic(), message.arbitration_id, bytes(message.data)))
+    @property
+    def frames(self) -> list[tuple[float, int, bytes]]:
+        """Until now."""
+        while message := self._bus.recv(0.0):
+            self._frames.append((message.timestamp, message.arbitration_id, bytes(message.data)))
+        return self._frames
 
     def send(self, cob_id: int, data: bytes) -> None:
         self._bus.send(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False))
 
     def controlwords(self) -> list[int]:
         """By process data."""
-        return [struct.unpack("<Hi", data)[0] for _, cob_id, data in list(self.frames) if cob_id == 0x200 + NODE]
+        return [struct.unpack("<Hi", data)[0] for _, cob_id, data in self.frames if cob_id == 0x200 + NODE]
 
     def __enter__(self) -> "Sniffer":
-        self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._ending.set()
-        self._thread.join()
         self._bus.shutdown()

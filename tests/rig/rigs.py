@@ -1,4 +1,4 @@
-"""Emulated rigs for tests: their limits in time are wide, because the machine that runs the tests is shared."""
+"""Emulated rigs for tests: in simulated time, but for the few that are reached over sockets from another process."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -8,48 +8,73 @@ from typing import Any
 import pytest
 import yaml
 
+from softfin.clock import REAL
 from softfin.deployment.bench import Bench
+from softfin.rig.emulation.plugged import Plugged, plug, unplug
 from softfin.rig.emulation.rig import EmulatedRig
 from softfin.rig.emulation.simple import SimpleFin
 from softfin.rig.rig import Rig
+from softfin.simulated_clock import SimulatedClock
 from softfin.tank import Tank
 
-SAFETY = {
-    "current_peak_a": 20.0, "current_sustained_a": 10.0, "overrun_s": 1.0, "stale_s": 1.0, "force_stale_s": 1.0,
-    "watchdog_s": 2.0, "acceleration_rad_s2": 1e5, "velocity_rad_s": 100.0, "following_s": 2.0,
-}  # fmt: skip
+SAFETY = {"current_peak_a": 20.0, "current_sustained_a": 10.0, "acceleration_rad_s2": 1e5}
+"""The simple fin is as fast as it likes at once."""
+
+WIDE = {"overrun_s": 1.0, "stale_s": 1.0, "force_stale_s": 1.0, "watchdog_s": 2.0, "following_s": 2.0}
+"""For real time, because the machine that runs the tests is shared."""
 
 
-def wide(emulated: EmulatedRig, same_process: bool = True, **safety: Any) -> dict[str, Any]:
-    """What its file holds."""
-    values = emulated.values(same_process, safety=SAFETY | safety, settle_s=0.1)
-    values["drive"] |= {"heartbeat_s": 3.0, "sync_s": 0.02, "zero_needed": False}
+def values_of(behind: EmulatedRig, **safety: Any) -> dict[str, Any]:
+    """What the file of an emulated rig holds, for this process."""
+    values = behind.values(True, safety=SAFETY | safety, settle_s=0.1)
+    values["drive"] |= {"zero_needed": False}
     return values
 
 
 @contextmanager
 def emulated(tank: Tank | None = None, **safety: Any) -> Iterator[tuple[EmulatedRig, Bench]]:
     """With a fin that needs no JAX, unless a tank is given."""
-    with patient(), EmulatedRig(tank, fin=None if tank else SimpleFin()) as behind:
-        values = wide(behind, **safety)
-        del values["bus"]
-        yield behind, bench_of(behind, **values)
+    with simulated(tank) as behind:
+        yield behind, bench_of(behind, **values_of(behind, **safety))
+
+
+@contextmanager
+def simulated(tank: Tank | None = None) -> Iterator[EmulatedRig]:
+    """Likewise, without the host's side."""
+    clock = SimulatedClock()
+    with EmulatedRig(tank, fin=None if tank else SimpleFin(clock), clock=clock) as behind:
+        yield behind
+
+
+def bench_of(behind: EmulatedRig, **values: Any) -> Bench:
+    config = behind.config(**values)
+    return Bench(Rig(config, behind.clock), config.safety, config.fin, config.settle_s, config.model_dump(mode="json"))
+
+
+@contextmanager
+def filed(behind: EmulatedRig, path: Path, **safety: Any) -> Iterator[Path]:
+    """Its file, for the command line in this process."""
+    path.write_text(yaml.safe_dump(values_of(behind, **safety) | {"emulation": {}}))
+    plug(path, Plugged(behind.clock, keep=lambda: None, close=lambda: None))
+    try:
+        yield path
+    finally:
+        unplug()
+
+
+@contextmanager
+def over_sockets(path: Path) -> Iterator[EmulatedRig]:
+    """A rig in real time and its file, for the command line in another process."""
+    with patient(), EmulatedRig(fin=SimpleFin(), clock=REAL) as behind:
+        values = behind.values(safety=SAFETY | WIDE, settle_s=0.1)
+        values["drive"] |= {"heartbeat_s": 3.0, "sync_s": 0.02, "zero_needed": False}
+        path.write_text(yaml.safe_dump(values))
+        yield behind
 
 
 @contextmanager
 def patient() -> Iterator[None]:
-    """On a busy machine the emulated sensor is silent at times; no more than its age is judged then."""
+    """On a busy machine an emulated sensor in real time is silent at times; no more than its age is judged then."""
     with pytest.MonkeyPatch.context() as patches:
         patches.setattr("softfin.rig.axia80.SILENT_S", 2.0)
         yield
-
-
-def bench_of(behind: EmulatedRig, **changes: Any) -> Bench:
-    config = behind.config(**changes)
-    return Bench(Rig(config), config.safety, config.fin, config.settle_s, config.model_dump(mode="json"))
-
-
-def write_wide(behind: EmulatedRig, path: Path, **safety: Any) -> Path:
-    """Its file, for the command line in this process."""
-    path.write_text(yaml.safe_dump(wide(behind, **safety)))
-    return path

@@ -1,13 +1,14 @@
 import socket
 
+from softfin.clock import REAL
 from softfin.rig.config import load_rig
-from softfin.rig.emulation.rig import EmulatedRig
+from softfin.rig.emulation.rig import EmulatedRig, write_simulated
 from softfin.rig.emulation.simple import SimpleFin
 from softfin.tank import Tank
 
 
 def test_it_writes_a_file_that_another_process_can_use_as_it_is(tmp_path):
-    with EmulatedRig(fin=SimpleFin()) as emulated:
+    with EmulatedRig(fin=SimpleFin(), clock=REAL) as emulated:
         emulated.write(tmp_path / "rig.yaml")
         config = load_rig(tmp_path / "rig.yaml")
         socket.create_connection((config.bus.options["host"], config.bus.options["port"]), timeout=5).close()
@@ -15,15 +16,15 @@ def test_it_writes_a_file_that_another_process_can_use_as_it_is(tmp_path):
         assert config.sensor.rdt_port == emulated.sensor.rdt_port
 
 
-def test_its_limits_are_the_tanks():
+def test_its_limits_are_the_tanks(tmp_path):
     tank = Tank()
-    with EmulatedRig(tank) as emulated:
-        drive = emulated.config().drive
+    write_simulated(tmp_path / "rig.yaml", tank, {}, seed=0)
+    drive = load_rig(tmp_path / "rig.yaml").drive
     assert (drive.angle_min_rad, drive.fastest_rad_s) == (tank.limits.angle_min, tank.limits.velocity_max)
 
 
 def test_it_closes_any_number_of_times_and_frees_its_ports():
-    emulated = EmulatedRig(fin=SimpleFin())
+    emulated = EmulatedRig(fin=SimpleFin(), clock=REAL)
     emulated.start()
     port = emulated.server.port
     for _ in range(3):

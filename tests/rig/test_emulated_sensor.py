@@ -1,21 +1,25 @@
 import contextlib
-import socket
 import time
 
 import pynetft
 import pytest
 
+from softfin.clock import REAL
 from softfin.errors import RigError
 from softfin.rig.axia80_status import OVER_RANGE
 from softfin.rig.emulation.sensor import EmulatedAxia80
 from softfin.rig.emulation.sensor_faults import Network
 from softfin.rig.rdt import Order, decode_records, encode_request
+from softfin.rig.simulated_network import SimulatedSocket
+from softfin.simulated_clock import SimulatedClock
 from tests.rig.still_fin import StillFin
 
 
 @contextlib.contextmanager
-def emulated(*wrench, **options):
-    sensor = EmulatedAxia80(StillFin(*wrench), **options)
+def emulated(*wrench, clock=None, **options):
+    clock = clock or SimulatedClock()
+    sensor = EmulatedAxia80(StillFin(*wrench), clock=clock, **options)
+    sensor.clock = clock
     try:
         yield sensor
     finally:
@@ -24,26 +28,35 @@ def emulated(*wrench, **options):
 
 @contextlib.contextmanager
 def client_of(sensor):
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
-        client.settimeout(5)
-        client.connect((sensor.host, sensor.rdt_port))
-        yield client
+    yield Client(sensor)
+
+
+class Client:
+    """Of its own, not softfin's."""
+
+    def __init__(self, sensor):
+        self.clock, self.sensor = sensor.clock, (sensor.host, sensor.rdt_port)
+        self.socket = SimulatedSocket(sensor.clock, sensor.host)
+
+    def send(self, data):
+        self.socket.sendto(data, self.sensor)
+
+    def recv(self):
+        assert self.socket.wait(5.0), "nothing came in 5 s"
+        return self.socket.recvfrom(4096)[0]
 
 
 def asked(client, order, wanted=0, datagrams=1):
     client.send(encode_request(order, wanted))
-    return [decode_records(client.recv(4096)) for _ in range(datagrams)]
+    return [decode_records(client.recv()) for _ in range(datagrams)]
 
 
 def silent(client):
-    client.settimeout(0.1)
-    with contextlib.suppress(TimeoutError):
+    client.clock.sleep(0.01)
+    with contextlib.suppress(BlockingIOError):
         while True:
-            client.recv(4096)
-    with pytest.raises(TimeoutError):
-        client.recv(4096)
-    client.settimeout(5)
-    return True
+            client.socket.recvfrom(4096)
+    return not client.socket.wait(1.0)
 
 
 def test_so_many_records_come_as_were_asked_for():
@@ -76,7 +89,7 @@ def test_the_stream_goes_to_whoever_asked_last():
         asked(first, Order.START)
         asked(second, Order.START)
         assert silent(first)
-        assert second.recv(4096)
+        assert second.recv()
 
 
 def test_nonsense_is_not_answered():
@@ -133,7 +146,7 @@ def test_a_fault_that_cannot_be_is_refused(verb, value):
 @pytest.mark.parametrize(("force_unit", "torque_unit"), [("N", "N-m"), ("lbf", "N-mm")])
 def test_a_client_of_somebody_else_understands_it(force_unit, torque_unit):
     units = {"force_unit": force_unit, "torque_unit": torque_unit}
-    with emulated(4.4482216152605, 0, -1, 0.25, 0, 0, counts=(1e4, 1e4), **units) as sensor:
+    with emulated(4.4482216152605, 0, -1, 0.25, 0, 0, counts=(1e4, 1e4), clock=REAL, **units) as sensor:
         client = pynetft.Client(
             pynetft.Config(
                 sensor_host="127.0.0.1",

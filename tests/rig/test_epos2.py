@@ -1,8 +1,6 @@
 """The drive against its emulator: start, motion, everything that can go wrong, stop."""
 
 import struct
-import threading
-import time
 
 import can
 import pytest
@@ -13,6 +11,7 @@ from softfin.rig import epos2_objects as objects
 from softfin.rig.cia402 import FAULTS, POWERED, State
 from softfin.rig.epos2 import Epos2
 from softfin.rig.epos2_config import BusConfig
+from softfin.simulated_clock import SimulatedClock
 from tests.rig.epos2_bench import NODE, Bench, Sniffer, bench, bus_config, drive_config, enabled
 
 AT_REST = [state for state in State if state not in POWERED]
@@ -46,7 +45,7 @@ def test_a_target_moves_the_fin_and_another_one_at_once_turns_it_back() -> None:
 
 
 def test_the_frames_of_a_target_are_golden() -> None:
-    with enabled() as made, Sniffer(made.bus) as sniffer:
+    with enabled() as made, Sniffer(made) as sniffer:
         made.drive.command(Target(1.0, 2.0))
         assert made.until(lambda: made.fin.now().angle > 0.05)
         counts, rpm = round(4 * 500 * 66 / (2 * 3.141592653589793)), round(2 * 60 * 66 / (2 * 3.141592653589793))
@@ -91,7 +90,7 @@ def test_directions_and_offsets_agree_with_the_emulated_fin(direction: int) -> N
 def test_homing_moves_nothing_and_makes_here_zero() -> None:
     with bench() as made:
         made.fin.move(0.7, 100.0)
-        time.sleep(0.05)
+        made.clock.sleep(0.05)
         made.drive.open()
         made.drive.home_here()
         assert made.fin.now().angle == pytest.approx(0.7)
@@ -127,7 +126,7 @@ def test_a_fin_outside_its_limits_is_not_enabled() -> None:
 
 @pytest.mark.parametrize("target", [(2.0, 2.0), (0.0, 4.0), (0.0, 0.1), (float("nan"), 2.0), (0.0, float("inf"))])
 def test_a_command_outside_the_limits_is_refused_and_nothing_moves(target: tuple[float, float]) -> None:
-    with enabled() as made, Sniffer(made.bus) as sniffer:
+    with enabled() as made, Sniffer(made) as sniffer:
         with pytest.raises(CommandError, match="outside"):
             made.drive.command(Target(*target))
         made.until(lambda: True)
@@ -153,7 +152,7 @@ def test_a_wrong_node_number_names_the_one_that_answers() -> None:
 
 
 def test_an_empty_bus_says_where_to_look() -> None:
-    drive = Epos2(bus_config(), drive_config())
+    drive = Epos2(bus_config(), drive_config(), SimulatedClock())
     with pytest.raises(RigError, match="no other node"):
         drive.open()
     drive.close()
@@ -198,7 +197,7 @@ def test_a_drive_in_fault_is_refused_with_its_name_and_reset_only_when_asked() -
         made.emulated.fault(0x2310)
         with pytest.raises(RigError, match=r"over-current.*--reset-fault"):
             made.drive.open()
-        time.sleep(0.02)
+        made.clock.sleep(0.02)
         assert made.emulated.state is State.FAULT
         made.drive.connect()
         fault = made.drive.reset_fault()
@@ -213,7 +212,7 @@ def test_a_drive_in_fault_is_refused_with_its_name_and_reset_only_when_asked() -
 def test_a_drive_that_another_program_has_enabled_is_left_alone() -> None:
     with enabled() as made:
         made.drive.command(Target(1.0, 1.0))
-        other = Epos2(made.bus, drive_config(host_node=126))
+        other = Epos2(made.bus, drive_config(host_node=126), made.clock)
         with pytest.raises(RigError, match="operation enabled already"):
             other.open()
         assert made.until(lambda: made.fin.now().angle > 0.9)
@@ -248,7 +247,7 @@ def test_a_missing_heartbeat_of_the_drive_is_complained_of() -> None:
 def test_a_host_that_hangs_makes_the_drive_stop_by_itself() -> None:
     with enabled(heartbeat_s=0.2) as made:
         made.drive.command(Target(1.5, 1.0))
-        time.sleep(1.0)
+        made.clock.sleep(1.0)
         stopped = made.fin.now()
         assert made.emulated.state in FAULTS
         assert stopped.velocity == 0.0
@@ -277,13 +276,13 @@ def test_a_drive_that_started_anew_is_complained_of_and_takes_no_target() -> Non
 
 
 def test_a_drive_that_was_switched_off_by_somebody_else_is_complained_of() -> None:
-    with enabled() as made, Sniffer(made.bus) as sniffer:
+    with enabled() as made, Sniffer(made) as sniffer:
         sniffer.send(0x200 + NODE, bytes(6))
         assert complaint(made, "switch on disabled though it was enabled")
 
 
 def test_a_node_that_left_the_operational_state_is_complained_of() -> None:
-    with enabled(heartbeat_s=0.5) as made, Sniffer(made.bus) as sniffer:
+    with enabled(heartbeat_s=0.5) as made, Sniffer(made) as sniffer:
         sniffer.send(0x000, bytes([0x80, NODE]))
         assert complaint(made, "left the operational state")
         made.drive.stop()
@@ -341,7 +340,7 @@ def test_an_on_fault_that_fails_does_not_end_the_receiver() -> None:
 
 
 def test_a_stop_sends_quick_stop_first_and_ends_without_voltage() -> None:
-    with enabled() as made, Sniffer(made.bus) as sniffer:
+    with enabled() as made, Sniffer(made) as sniffer:
         made.drive.command(Target(1.0, 1.0))
         assert made.until(lambda: made.fin.now().angle > 0.01)
         made.drive.stop()
@@ -373,7 +372,7 @@ def test_a_stop_is_safe_in_any_state_any_number_of_times() -> None:
 
 
 def test_a_stop_within_on_fault_brakes_at_once_and_takes_the_voltage_off() -> None:
-    with enabled() as made, Sniffer(made.bus) as sniffer:
+    with enabled() as made, Sniffer(made) as sniffer:
         made.drive._exchange._on_fault = lambda _: made.drive.stop()
         made.drive.command(Target(1.0, 1.0))
         # An emergency that only tells: the emulated drive itself goes on.
@@ -385,9 +384,7 @@ def test_a_stop_within_on_fault_brakes_at_once_and_takes_the_voltage_off() -> No
 def test_many_threads_may_stop_at_once() -> None:
     with enabled() as made:
         made.drive.command(Target(1.5, 1.0))
-        threads = [threading.Thread(target=made.drive.stop) for _ in range(8)]
-        for thread in threads:
-            thread.start()
+        threads = [made.clock.spawn(made.drive.stop, f"stop {k}") for k in range(8)]
         for thread in threads:
             thread.join(10.0)
         assert not any(thread.is_alive() for thread in threads)
@@ -415,7 +412,7 @@ def test_a_stop_while_it_is_being_enabled_wins() -> None:
 
 
 def test_a_stop_of_a_node_that_takes_no_process_data_goes_by_sdo() -> None:
-    with enabled() as made, Sniffer(made.bus) as sniffer:
+    with enabled() as made, Sniffer(made) as sniffer:
         made.drive.command(Target(1.5, 1.0))
         sniffer.send(0x000, bytes([0x80, NODE]))
         assert made.until(lambda: made.drive._exchange.seen.nmt == 0x7F)
@@ -427,7 +424,7 @@ def test_a_stop_of_a_node_that_takes_no_process_data_goes_by_sdo() -> None:
 def test_a_closed_drive_is_free_for_the_next_program_without_a_fault() -> None:
     with enabled(heartbeat_s=0.1) as made:
         made.drive.close()
-        time.sleep(0.4)
+        made.clock.sleep(0.4)
         assert made.emulated.state is State.SWITCH_ON_DISABLED
         made.drive.open()
         assert made.drive.referenced
@@ -437,23 +434,21 @@ def test_a_closed_drive_is_free_for_the_next_program_without_a_fault() -> None:
 def test_a_send_that_hangs_does_not_hang_the_stop() -> None:
     with enabled() as made:
         made.drive.command(Target(1.5, 1.0))
-        hung, free = threading.Event(), threading.Event()
+        hung, free = made.clock.event(), made.clock.event()
 
         def hang() -> None:
             with made.drive._exchange.news:
                 hung.set()
                 free.wait(20.0)
 
-        thread = threading.Thread(target=hang)
-        thread.start()
+        thread = made.clock.spawn(hang, "hanging send")
         hung.wait(5.0)
-        began = time.monotonic()
+        began = made.clock()
         made.drive.stop()
-        assert time.monotonic() - began < 5.0
+        assert made.clock() - began < 0.1
         # The quick stop went out all the same.
-        while made.fin.now().velocity:
-            assert time.monotonic() - began < 10.0
-            time.sleep(0.005)
+        made.clock.sleep(0.0)
+        assert made.fin.now().velocity == 0.0
         free.set()
         thread.join()
         assert made.until(lambda: made.emulated.state is State.SWITCH_ON_DISABLED)

@@ -12,6 +12,7 @@ def test_a_rig_is_found_by_its_file_without_being_opened(tmp_path):
     assert isinstance(bench.machine, Rig)
     assert (bench.fin, bench.machine.name) == ("blue", "rig of blue")
     assert bench.described["sensor"]["address"] == "192.168.1.1"
+    assert "emulation" not in bench.described
     assert bench.machine.counters()["drive_targets_repeated"] == 0
 
 

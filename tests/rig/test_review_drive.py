@@ -1,7 +1,6 @@
 """What a drive may do that no fault of its own tells: each must be said, or nobody knows that the fin does not obey."""
 
 import itertools
-import time
 
 import can
 import pytest
@@ -116,7 +115,7 @@ def test_a_stop_over_a_bus_that_takes_no_frames_ends_soon(monkeypatch):
 
         def send(message, timeout=None):
             tried.append(message.arbitration_id)
-            time.sleep(0.001)
+            made.clock.sleep(0.001)
             raise can.CanOperationError("transmit buffer full")
 
         monkeypatch.setattr(bus, "send", send)

@@ -1,7 +1,6 @@
 """What a review found in sessions: stops that take their time, machines in doubt, an input that ends."""
 
 import signal
-import time
 
 import pytest
 
@@ -13,12 +12,12 @@ from softfin.deployment.safety import Guard, SafetyConfig
 from softfin.deployment.session import Session
 from softfin.deployment.stop import StopRequest, stopped_by_signals
 from softfin.errors import ConfigurationError, DeviceError, SafetyStop
-from softfin.rig.emulation.rig import EmulatedRig
-from softfin.rig.emulation.simple import SimpleFin
 from softfin.rig.rig import Rig
+from softfin.simulated_clock import SimulatedClock
 from tests.deployment.machines import FreeFin, Notes
+from tests.rig.rigs import simulated
 
-CALM = SafetyConfig(overrun_s=1.0, stale_s=1.0, force_stale_s=1.0, watchdog_s=0.2)
+CALM = SafetyConfig()
 
 
 class SlowToBrake(FreeFin):
@@ -28,7 +27,7 @@ class SlowToBrake(FreeFin):
         slow = self.enabled
         super().stop()
         if slow:
-            time.sleep(0.6)
+            self.clock.sleep(0.6)
 
 
 class Unsure(FreeFin):
@@ -41,7 +40,7 @@ class Unsure(FreeFin):
 
 
 def test_a_fin_that_brakes_slowly_can_be_activated_again():
-    machine = SlowToBrake()
+    machine = SlowToBrake(SimulatedClock())
     with Session(machine, Guard(CALM, machine.limits)) as session:
         session.activate()
         session.deactivate()
@@ -51,7 +50,7 @@ def test_a_fin_that_brakes_slowly_can_be_activated_again():
 
 
 def test_the_reason_of_a_slow_stop_is_what_was_wrong_and_not_the_silence_meanwhile():
-    machine = SlowToBrake()
+    machine = SlowToBrake(SimulatedClock())
     machine.command = lambda target: (_ for _ in ()).throw(ValueError("a frame was refused"))
     made = Session(machine, Guard(CALM, machine.limits))
     with made, pytest.raises(SafetyStop, match="a frame was refused"):
@@ -60,7 +59,7 @@ def test_the_reason_of_a_slow_stop_is_what_was_wrong_and_not_the_silence_meanwhi
 
 
 def test_a_motor_that_may_be_on_is_told_and_recorded():
-    machine = Unsure()
+    machine = Unsure(SimulatedClock())
     notes = Notes(machine)
     with Session(machine, Guard(CALM, machine.limits)) as session:
         session.recorder = notes
@@ -73,7 +72,7 @@ def test_a_motor_that_may_be_on_is_told_and_recorded():
 
 
 def test_a_rest_that_was_not_confirmed_ends_the_session():
-    machine = Unsure()
+    machine = Unsure(SimulatedClock())
     with Session(machine, Guard(CALM, machine.limits)) as session:
         session.activate()
         with pytest.raises(SafetyStop, match="BUT the motor may be on"):
@@ -82,7 +81,7 @@ def test_a_rest_that_was_not_confirmed_ends_the_session():
 
 
 def test_a_machine_that_never_knows_better_may_rest():
-    machine = FreeFin()
+    machine = FreeFin(SimulatedClock())
     machine.doubt = "its driver alone knows"
     with Session(machine, Guard(CALM, machine.limits)) as session:
         session.activate()
@@ -107,7 +106,7 @@ def test_an_input_that_ends_stops_the_fin():
 
 
 def test_a_program_without_an_input_is_told_to_say_yes(monkeypatch):
-    machine = FreeFin()
+    machine = FreeFin(SimulatedClock())
     monkeypatch.setattr("sys.stdin", None)
     with pytest.raises(ConfigurationError, match="in a script add --yes"):
         Armed(arm=True).confirm(Bench(machine, CALM))
@@ -115,7 +114,7 @@ def test_a_program_without_an_input_is_told_to_say_yes(monkeypatch):
 
 
 def test_notes_are_told_before_anything_moves(capsys):
-    machine = FreeFin()
+    machine = FreeFin(SimulatedClock())
     machine.notes = ("its forces are simulated",)
     with pytest.raises(ConfigurationError, match="nothing moves without --arm"):
         Armed().confirm(Bench(machine, CALM))
@@ -130,7 +129,7 @@ def test_notes_are_told_before_anything_moves(capsys):
     ],
 )
 def test_limits_that_would_trip_at_once_are_refused(changes, words):
-    with EmulatedRig(fin=SimpleFin()) as behind:
+    with simulated() as behind:
         safety = {"current_peak_a": 6.0, "current_sustained_a": 3.0, **changes["safety"]}
         with pytest.raises(Exception, match=words) as refused:
             behind.config(safety=safety)
@@ -138,8 +137,8 @@ def test_limits_that_would_trip_at_once_are_refused(changes, words):
 
 
 def test_a_rig_tells_the_notes_of_its_sensor():
-    with EmulatedRig(fin=SimpleFin()) as behind:
-        rig = Rig(behind.config())
+    with simulated() as behind:
+        rig = Rig(behind.config(), behind.clock)
         assert isinstance(rig, Machine)
         assert rig.notes == ()
         assert rig.doubt is None
@@ -153,7 +152,7 @@ def test_a_rig_tells_the_notes_of_its_sensor():
 
 
 def test_one_reading_after_a_pause_is_no_average():
-    machine = FreeFin()
+    machine = FreeFin(SimulatedClock())
     guard = Guard(CALM, machine.limits)
 
     def felt(at: float, force: float) -> Sample:
@@ -168,7 +167,7 @@ def test_one_reading_after_a_pause_is_no_average():
 
 @pytest.mark.parametrize("error", [None, KeyboardInterrupt(), DeviceError("the drive does not enable")])
 def test_however_a_session_ends_a_motor_that_may_be_on_is_told(error):
-    machine = Unsure()
+    machine = Unsure(SimulatedClock())
     session = Session(machine, Guard(CALM, machine.limits))
 
     def work() -> None:

@@ -1,5 +1,3 @@
-import time
-
 import pytest
 
 from softfin.deployment.machine import Machine, Target
@@ -12,7 +10,7 @@ from tests.rig.rigs import emulated
 def ticks(machine, count):
     samples = []
     for _ in range(count):
-        time.sleep(0.01)
+        machine.clock.sleep(0.01)
         samples.append(machine.read())
     return samples
 
@@ -36,7 +34,7 @@ def test_angle_and_force_are_of_one_fin_in_softfins_axes():
     assert min(sample.wrench[0] for sample in samples) == pytest.approx(-0.5, abs=0.1)
     assert all(abs(sample.wrench[1]) < 1e-3 for sample in samples)
     assert samples[-1].angle > 0.3
-    assert all(sample.time - sample.force_time + 0.5 >= 0 for sample in samples)
+    assert all(0.03 < sample.time - sample.force_time < 0.045 for sample in samples)
 
 
 def test_a_sensor_that_does_not_answer_leaves_nothing_open():
@@ -58,9 +56,7 @@ def test_a_fault_stops_the_fin_before_the_loop_looks():
         machine.command(Target(1.2, 1.0))
         ticks(machine, 20)
         behind.drive.fault(0x8611)
-        deadline = time.monotonic() + 5
-        while machine.drive._exchange.armed and time.monotonic() < deadline:
-            time.sleep(0.005)
+        machine.clock.sleep(0.001)
         with pytest.raises(DeviceError, match="not enabled"):
             machine.command(Target(0.0, 1.0))
         assert any("0x8611" in line for line in machine.read().complaints)

@@ -1,6 +1,7 @@
 """Whatever goes wrong while the fin moves ends in a safe stop, or is counted and goes on; nothing moves afterwards.
 
-`SOFTFIN_LONG=1` injects faults for twenty minutes, or for as many as `SOFTFIN_SOAK_MINUTES` says.
+In simulated time; `SOFTFIN_LONG=1` injects faults in real time, too, for twenty minutes, or for as many as
+`SOFTFIN_SOAK_MINUTES` says.
 """
 
 import os
@@ -9,7 +10,6 @@ import re
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -20,6 +20,7 @@ import can
 import pytest
 import yaml
 
+from softfin.clock import REAL
 from softfin.deployment.loop import hold
 from softfin.deployment.machine import Target
 from softfin.deployment.recording import recording
@@ -30,15 +31,17 @@ from softfin.rig.cia402 import State
 from softfin.rig.emulation.rig import EmulatedRig
 from softfin.rig.emulation.simple import SimpleFin
 from softfin.rig.rig import Rig
+from softfin.simulated_clock import SimulatedClock
 from tests.deployment.bags import events_of
 from tests.deployment.machines import Wagging
+from tests.rig.rigs import SAFETY
 
 LONG = os.environ.get("SOFTFIN_LONG") == "1"
 LONG_S = 60 * float(os.environ.get("SOFTFIN_SOAK_MINUTES", "20"))
 
 WIDE = {"current_peak_a": 20.0, "current_sustained_a": 10.0, "overrun_s": 0.8, "stale_s": 0.8, "force_stale_s": 0.8,
         "watchdog_s": 1.8, "acceleration_rad_s2": 1e5, "velocity_rad_s": 100.0, "following_s": 0.2}  # fmt: skip
-"""So that a busy machine alone does not stop the fin: only what is injected does."""
+"""In real time, so that a busy machine alone does not stop the fin: only what is injected does."""
 
 BUSY = "0x8130|silent for|ms late|heartbeat is missing|no new angle for|no new force for"
 """What a machine that is too busy for a while is stopped by, before any other fault is seen."""
@@ -54,15 +57,18 @@ class Scene:
 
     def __init__(self, emulated: EmulatedRig, rig: Rig, session: Session, bag: Path) -> None:
         self.emulated, self.rig, self.session, self.bag = emulated, rig, session, bag
+        self.clock = emulated.clock
         self.patches = pytest.MonkeyPatch()
 
 
 @contextmanager
-def scene(bag: Path, **drive: Any) -> Iterator[Scene]:
-    with EmulatedRig(fin=SimpleFin()) as emulated:
-        values = emulated.values(same_process=True, safety=WIDE)
-        values["drive"] |= {"heartbeat_s": 1.5, "sync_s": 0.02, "zero_needed": False, **drive}
-        rig = Rig(emulated.config(**{name: values[name] for name in ("drive", "safety")}))
+def scene(bag: Path, real_time: bool = False, **drive: Any) -> Iterator[Scene]:
+    clock = REAL if real_time else SimulatedClock()
+    with EmulatedRig(fin=SimpleFin(clock), clock=clock) as emulated:
+        values = emulated.values(same_process=True, safety=WIDE if real_time else SAFETY)
+        patient = {"heartbeat_s": 1.5, "sync_s": 0.02} if real_time else {}
+        values["drive"] |= {**patient, "zero_needed": False, **drive}
+        rig = Rig(emulated.config(**{name: values[name] for name in ("drive", "safety")}), clock)
         made = Scene(emulated, rig, Session(rig, Guard(rig.config.safety, rig.limits)), bag)
         try:
             yield made
@@ -168,15 +174,13 @@ def stopped(at: Scene, inject: Inject, words: str, numbers: random.Random) -> No
         except BaseException as error:
             ended.append(error)
 
-    thread = threading.Thread(target=run, daemon=True)
-    thread.start()
-    thread.join(HANG_S)
+    at.clock.spawn(run, "session").join(HANG_S)
     assert ended, "the session hangs"
     error = ended[0]
     assert isinstance(error, SafetyStop), repr(error)
     assert "\n" not in str(error)
     assert at.session.trip is not None
-    assert re.search(f"{words}|{BUSY}", str(error)), error
+    assert re.search(f"{words}|{BUSY}" if at.clock is REAL else words, str(error)), error
     still(at)
     at.patches.undo()
     told = events_of(at.bag) if at.session.trip.cause != "recording" else []
@@ -185,13 +189,13 @@ def stopped(at: Scene, inject: Inject, words: str, numbers: random.Random) -> No
 
 def still(at: Scene) -> None:
     """The motor is disabled, by the host's word or by the drive's own watch, and the fin does not move."""
-    deadline = time.monotonic() + 5
+    deadline = at.clock() + 5
     off = {State.SWITCH_ON_DISABLED, State.READY, State.SWITCHED_ON, State.FAULT, State.START, State.NOT_READY}
-    while at.emulated.drive.state not in off and time.monotonic() < deadline:
-        time.sleep(0.01)
+    while at.emulated.drive.state not in off and at.clock() < deadline:
+        at.clock.sleep(0.01)
     assert at.emulated.drive.state in off, at.emulated.drive.state
     where = at.emulated.fin.now().angle
-    time.sleep(0.1)
+    at.clock.sleep(0.1)
     assert at.emulated.fin.now().angle == where
 
 
@@ -234,7 +238,7 @@ def test_disturbances_are_counted_and_the_fin_goes_on(tmp_path):
 
 
 def test_a_paused_process_finds_its_fin_stopped_when_it_goes_on(tmp_path):
-    with scene(tmp_path / "unused.mcap", heartbeat_s=0.3) as at:
+    with scene(tmp_path / "unused.mcap", real_time=True, heartbeat_s=0.3) as at:
         pausing(at, tmp_path, random.Random(2))
 
 
@@ -279,7 +283,7 @@ def test_soak(tmp_path):
         folder = tmp_path / str(rounds)
         folder.mkdir()
         rounds += 1
-        with scene(folder / "run.mcap", **({"heartbeat_s": 0.3} if name == "pause" else {})) as at:
+        with scene(folder / "run.mcap", True, **({"heartbeat_s": 0.3} if name == "pause" else {})) as at:
             try:
                 if name == "pause":
                     pausing(at, folder, numbers)

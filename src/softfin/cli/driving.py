@@ -10,15 +10,18 @@ from softfin.action_clock import CYCLE_ACTIONS
 from softfin.cli.live import Driving, on_terminal
 from softfin.deployment.bench import Bench, check_fits
 from softfin.deployment.loop import Held, References, hold, seconds_to_actions
+from softfin.deployment.machine import clock_of
 from softfin.deployment.native import NativeController, load_native, trimmed
 from softfin.deployment.reach import knows_its_range
 from softfin.deployment.recording import recording
 from softfin.deployment.safety import Guard
 from softfin.deployment.session import Observer, Session
 from softfin.deployment.stop import Keyboard, StopRequest, stopped_by_signals
+from softfin.errors import RigError
 from softfin.printable import printable
 from softfin.quantities import RATE_HZ
 from softfin.rig.find import find_bench
+from softfin.simulated_clock import SimulatedClock
 
 LINE_S = 1.0
 """Between two lines of what goes on."""
@@ -30,6 +33,15 @@ def parties(options: Driving) -> tuple[NativeController, Bench]:
     bench = find_bench(options.plant)
     check_fits(str(options.controller), controller.limits, controller.fin, bench)
     return controller, bench
+
+
+def check_real_time(bench: Bench) -> None:
+    """Raise RigError where its time is simulated: nobody outside this process lives in that."""
+    if isinstance(clock_of(bench.machine), SimulatedClock):
+        raise RigError(
+            f"{bench.machine.name}: emulated in simulated time, in which no topic can be heard; start "
+            "softfin rig emulate --real-time"
+        )
 
 
 def drive(

@@ -15,6 +15,7 @@ from softfin.printable import printable
 
 if TYPE_CHECKING:
     from softfin.rig.config import RigConfig
+    from softfin.tank import Tank
 
 ZEROING = "the motor is powered for a moment and holds where the fin stands, which becomes its zero"
 
@@ -27,7 +28,7 @@ class Arguments(Armed, Common):
 
     action: Annotated[Literal["check", "zero", "emulate"], Option(positional=True)]
     """check: a table of what is well and what is not, nothing moves; zero: set angle and force to zero where they are;
-    emulate: a drive and a sensor on this computer, until Ctrl-C."""
+    emulate: the file of a rig whose drive, sensor and tank every command emulates, as fast as the computer allows."""
     rig: File = paths.RIG_FILE
     """The rig's file: read by check and zero, written by emulate."""
     reset_fault: bool = False
@@ -40,6 +41,8 @@ class Arguments(Armed, Common):
     """Of emulate: the YAML of the tank behind it."""
     seed: int = 0
     """Of emulate: of the tank's noise."""
+    real_time: bool = False
+    """Of emulate: a drive and a sensor over sockets of this computer, in real time, until Ctrl-C."""
 
     def check(self) -> None:
         """Whether the rig's file is there, or may be written."""
@@ -75,12 +78,12 @@ class Arguments(Armed, Common):
     def _reset(self, config: "RigConfig") -> None:
         from softfin.rig.rig import Rig
 
-        drive = Rig(config).drive
+        rig = Rig(config)
         try:
-            drive.connect()
-            fault = drive.reset_fault()
+            rig.drive.connect()
+            fault = rig.drive.reset_fault()
         finally:
-            drive.close()
+            rig.close()
         sys.stderr.write(f"{'no fault to reset' if fault is None else f'reset: {printable(fault)}'}\n")
 
     def _zero(self) -> None:
@@ -101,12 +104,32 @@ class Arguments(Armed, Common):
 
     def _emulate(self) -> None:
         from softfin.configuration import read_yaml
-        from softfin.rig.emulation.rig import EmulatedRig
         from softfin.tank import Tank, TankConfig
 
-        tank = Tank() if self.tank is None else Tank(TankConfig.build(read_yaml(self.tank), str(self.tank)))
+        values = {} if self.tank is None else read_yaml(self.tank)
+        tank = Tank(TankConfig.build(values, str(self.tank)))
+        if self.real_time:
+            self._emulate_in_real_time(tank)
+            return
+        from softfin.rig.emulation.plugged import state_file
+        from softfin.rig.emulation.rig import write_simulated
+
+        # A new rig knows nothing of the one that was there.
+        state_file(self.rig).unlink(missing_ok=True)
+        write_simulated(self.rig, tank, values, self.seed)
+        plant = "rig" if self.rig == paths.RIG_FILE else f"rig:{self.rig}"
+        option = "" if self.rig == paths.RIG_FILE else f" --rig {self.rig}"
+        sys.stdout.write(
+            f"{self.rig}: written; each command emulates this rig itself, in simulated time. Next: softfin rig zero"
+            f"{option} --arm, then softfin collect --plant {plant} --arm\n"
+        )
+
+    def _emulate_in_real_time(self, tank: "Tank") -> None:
+        from softfin.clock import REAL
+        from softfin.rig.emulation.rig import EmulatedRig
+
         # Ctrl-C is expected from the moment that it says so.
-        with contextlib.suppress(KeyboardInterrupt), EmulatedRig(tank, self.seed) as emulated:
+        with contextlib.suppress(KeyboardInterrupt), EmulatedRig(tank, self.seed, clock=REAL) as emulated:
             emulated.write(self.rig)
             sys.stdout.write(
                 f"{self.rig}: written; the emulated fin moves for it until Ctrl-C\n{emulated.described()}\n"

@@ -27,7 +27,7 @@ class Arguments(Driving, Configured):
 
     def run(self) -> None:
         """Run."""
-        from softfin.cli.driving import drive, parties, say, sentence
+        from softfin.cli.driving import check_real_time, drive, parties, say, sentence
         from softfin.deployment.stop import StopRequest
         from softfin.rig.ros2_messages import Messages
         from softfin.rig.ros2_node import NodeConfig, RosBridge, check_apart
@@ -38,6 +38,7 @@ class Arguments(Driving, Configured):
         given = {name: value for name, value in options.items() if value is not None}
         topics = self.configured(NodeConfig(), connection=given or None)
         controller, bench = parties(self)
+        check_real_time(bench)
         if isinstance(bench.machine, Ros2Machine):
             check_apart(topics, bench.machine.config)
         otherwise, warning = controller.admit(self.reference, self.strict)

@@ -1,10 +1,10 @@
 """Whether a machine of one's own meets the Machine contract: tried on it, with its fin free to move."""
 
-import threading
 from collections.abc import Callable
 from typing import Any, NoReturn
 
-from softfin.deployment.machine import Machine, Sample, Target
+from softfin.clock import Clock
+from softfin.deployment.machine import Machine, Sample, Target, clock_of
 from softfin.deployment.pace import Pace
 from softfin.errors import RigError
 
@@ -40,9 +40,9 @@ def check_machine(machine: Any, pace: Pace | None = None) -> None:
         _fail(machine, f"has no {', '.join(missing)}", "softfin.deployment.machine.Machine says what they do")
     machine.stop()
     machine.close()
-    tried = _Tried(machine, pace or Pace())
+    tried = _Tried(machine, pace or Pace(clock=clock_of(machine)))
     try:
-        for stop in (machine.stop, lambda: _elsewhere(machine.stop)):
+        for stop in (machine.stop, lambda: _elsewhere(machine.stop, tried.clock)):
             machine.open()
             tried.stays_still("before it was enabled")
             machine.enable()
@@ -63,7 +63,7 @@ def check_machine(machine: Any, pace: Pace | None = None) -> None:
 
 class _Tried:
     def __init__(self, machine: Machine, pace: Pace) -> None:
-        self._machine, self._pace = machine, pace
+        self._machine, self._pace, self.clock = machine, pace, pace.clock
         self._last: Sample | None = None
 
     def watch(self, ticks: int) -> list[Sample]:
@@ -126,10 +126,8 @@ class _Tried:
                 _fail(machine, f"{what} went back by {before - at:.4f} s", "times rise")
 
 
-def _elsewhere(stop: Callable[[], None]) -> None:
-    thread = threading.Thread(target=stop, daemon=True)
-    thread.start()
-    thread.join(5.0)
+def _elsewhere(stop: Callable[[], None], clock: Clock) -> None:
+    clock.spawn(stop, "stop").join(5.0)
 
 
 def _fail(machine: Any, what: str, asked: str) -> NoReturn:

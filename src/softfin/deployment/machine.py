@@ -1,10 +1,12 @@
 """The contract of a fin that moves by itself: what the 100 Hz loop drives, be it a rig, topics of ROS 2 or one's own.
 
-All times are of `time.monotonic` [s]. One thread, that of the loop, calls everything but `stop`.
+All times are of `time.monotonic` [s], or of the machine's own `clock` where it has one. One thread, that of the loop,
+calls everything but `stop`.
 """
 
-from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
+from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
+from softfin.clock import REAL, Clock
 from softfin.quantities import Limits
 
 Wrench: TypeAlias = tuple[float, float, float, float, float, float]
@@ -99,3 +101,9 @@ class Machine(Protocol):
     def counters(self) -> dict[str, int]:
         """What was counted since `open`: packets lost, late, doubled, heartbeats missed .. by name."""
         ...
+
+
+def clock_of(machine: Any) -> Clock:
+    """That of the machine's times: its own `clock`, as an emulated rig in simulated time has one, else the real one."""
+    clock = getattr(machine, "clock", None)
+    return clock if isinstance(clock, Clock) else REAL

@@ -1,8 +1,6 @@
 """The 100 Hz clock: absolute deadlines on the monotonic clock, with lateness and skipped ticks counted."""
 
-import time
-from collections.abc import Callable
-
+from softfin.clock import REAL, Clock
 from softfin.quantities import TICK_S
 
 BIN_S = 1e-4
@@ -13,13 +11,8 @@ BINS = 1000
 class Pace:
     """Sleeps until each tick; a tick that comes late does not delay the next ones."""
 
-    def __init__(
-        self,
-        period: float = TICK_S,
-        clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
-        self.period, self.clock, self._sleep = period, clock, sleep
+    def __init__(self, period: float = TICK_S, clock: Clock = REAL) -> None:
+        self.period, self.clock = period, clock
         self.ticks = 0
         """Waited for so far."""
         self.skipped = 0
@@ -39,7 +32,7 @@ class Pace:
         due = self._next
         assert due is not None
         while (left := due - self.clock()) > 0:
-            self._sleep(left)
+            self.clock.sleep(left)
         late = self.clock() - due
         missed = int(late / self.period)
         self._next = due + (1 + missed) * self.period

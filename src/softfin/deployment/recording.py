@@ -16,7 +16,7 @@ def recording(session: Session, path: Path) -> Iterator[BagRecorder]:
     if path.exists():
         names = (path.with_name(f"{path.stem}.cut-{number}{path.suffix}") for number in count(1))
         path.rename(next(name for name in names if not name.exists()))
-    recorder = BagRecorder(path)
+    recorder = BagRecorder(path, clock=session.pace.clock)
     session.recorder = recorder
     try:
         yield recorder

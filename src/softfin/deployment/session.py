@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager, ExitStack
 from types import TracebackType
 from typing import Literal, NoReturn, Protocol, runtime_checkable
 
-from softfin.deployment.machine import Machine, Sample, Target
+from softfin.deployment.machine import Machine, Sample, Target, clock_of
 from softfin.deployment.pace import Pace
 from softfin.deployment.safety import Guard, Trip
 from softfin.deployment.stop import StopRequest
@@ -76,7 +76,7 @@ class Session:
         pace: Pace | None = None,
     ) -> None:
         self.machine, self.guard, self.stop_request = machine, guard, stop or StopRequest()
-        self.observers, self.pace = observers, pace or Pace()
+        self.observers, self.pace = observers, pace or Pace(clock=clock_of(machine))
         self._until_closed = ExitStack()
         self.recorder: Recorder | None = None
         self.state: State = "unconfigured"

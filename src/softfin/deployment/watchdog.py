@@ -6,24 +6,20 @@ loop's own thread sends the host's heartbeat, and without it for `drive.heartbea
 ROS 2's topics there is no such heartbeat: the fin's driver has to notice that commands are missing.
 """
 
-import threading
-import time
 from collections.abc import Callable
 
+from softfin.clock import REAL, Clock
 from softfin.deployment.safety import SafetyConfig
 
 
 class Watchdog:
     """A thread that stops the machine when the loop is silent, as where a controller waits for ever."""
 
-    def __init__(
-        self, config: SafetyConfig, bite: Callable[[float], None], clock: Callable[[], float] = time.monotonic
-    ) -> None:
+    def __init__(self, config: SafetyConfig, bite: Callable[[float], None], clock: Clock = REAL) -> None:
         self._silence, self._bite, self._clock = config.watchdog_s, bite, clock
         self._fed = clock()
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._watch, name="watchdog", daemon=True)
-        self._thread.start()
+        self._ended = clock.event()
+        clock.spawn(self._watch, "watchdog")
 
     def feed(self, now: float) -> None:
         """The loop is alive."""

@@ -9,11 +9,10 @@ import importlib.metadata
 import os
 import queue
 import shutil
-import threading
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
+from softfin.clock import REAL, Clock
 from softfin.errors import LogError, RunError
 from softfin.logs.bag_messages import COMMAND, CURRENT, EVENTS, JOINT, REFERENCE, SECOND_NS, WRENCH, BagWriter, Row
 
@@ -32,6 +31,9 @@ STALL_S = 5.0
 CLOSE_S = 10.0
 """What `close` waits for the thread at most [s]."""
 
+APART_S = 1e-6
+"""Between two commands at least [s]: in simulated time two may come at one moment, and their order must be seen."""
+
 Values = tuple[float, ...] | str
 
 
@@ -47,12 +49,12 @@ class BagRecorder:
         *,
         flush_s: float = 0.5,
         reserve_bytes: int = 50_000_000,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Clock = REAL,
     ) -> None:
         """Create the file, and its folder; raises LogError where it exists, RunError where it cannot be written."""
         self.path = path
         self._flush_s, self._reserve, self._clock = flush_s, reserve_bytes, clock
-        self._offset_ns = time.time_ns() - round(clock() * SECOND_NS)
+        self._offset_ns = round((clock.wall() - clock()) * SECOND_NS)
         self._queue: queue.SimpleQueue[tuple[str, float, Values]] = queue.SimpleQueue()
         self._pending = _Pending()
         self._failure: str | None = None
@@ -61,7 +63,8 @@ class BagRecorder:
         self._file = _create(path)
         self._flushed = clock()
         self._began: float | None = None
-        self._closing = threading.Event()
+        self._commanded = -float("inf")
+        self._closing = clock.event()
         try:
             # Whoever opens the file before the first row finds a bag, and a disk without room is known before a motion.
             self._flush()
@@ -71,8 +74,7 @@ class BagRecorder:
             os.close(self._file)
             path.unlink(missing_ok=True)
             raise
-        self._thread = threading.Thread(target=self._work, name="bag recorder", daemon=True)
-        self._thread.start()
+        self._thread = clock.spawn(self._work, "bag recorder")
 
     def __enter__(self) -> "BagRecorder":
         return self
@@ -99,8 +101,9 @@ class BagRecorder:
         return self._dropped
 
     def command(self, time: float, angle: float, velocity: float) -> None:
-        """What the drive was asked to do [rad, rad/s]."""
-        self._hand_in(COMMAND, time, (angle, velocity))
+        """What the drive was asked to do [rad, rad/s]; the later one of two at one moment is written a little later."""
+        self._commanded = max(time, self._commanded + APART_S)
+        self._hand_in(COMMAND, self._commanded, (angle, velocity))
 
     def joint(self, time: float, angle: float, velocity: float, current: float | None) -> None:
         """Where the shaft was [rad, rad/s], and the motor's current [A] if it is known."""

@@ -4,12 +4,12 @@ Scale and units come from the sensor's own pages, the stream is RDT (ATI manual 
 the emulator, which another program's client reads too; not against a real sensor.
 """
 
-import time
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
+from softfin.clock import REAL, Clock
 from softfin.deployment.machine import Wrench
 from softfin.errors import DeviceError, RigError
 from softfin.rig.axia80_config import SensorConfig
@@ -18,6 +18,8 @@ from softfin.rig.axia80_status import decode_status
 from softfin.rig.axia80_stream import ForceReading, ForceStream
 from softfin.rig.axia80_xml import SensorSettings, read_settings
 from softfin.rig.rdt import Order
+from softfin.rig.simulated_network import KEPT_BYTES, fetch_page
+from softfin.simulated_clock import SimulatedClock
 
 FIRST_RECORD_S = 2.0
 """Longest wait for the stream to begin; the request is sent four times meanwhile, as UDP may lose it."""
@@ -45,9 +47,6 @@ NAP_S = 0.002
 KEPT_S = 0.25
 """Of the stream, that the kernel should keep: enabling a drive and a busy computer take that long."""
 
-KEPT_BYTES = 768
-"""What Linux counts for one record."""
-
 
 class Measured(NamedTuple):
     """The unfiltered stream over a while, in softfin's axes."""
@@ -63,14 +62,14 @@ class Axia80:
     def __init__(
         self,
         config: SensorConfig,
-        clock: Callable[[], float] = time.monotonic,
-        wall: Callable[[], float] = time.time,
+        clock: Clock = REAL,
+        wall: Callable[[], float] | None = None,
         buffer_bytes: int = BUFFER_BYTES,
     ) -> None:
         self.config = config
         self.settings: SensorSettings | None = None
         """What the sensor's pages say; None until it was open."""
-        self._clock, self._wall, self._buffer_bytes = clock, wall, buffer_bytes
+        self._clock, self._wall, self._buffer_bytes = clock, wall or clock.wall, buffer_bytes
         self._name = f"force sensor {config.address}"
         self._socket: RdtSocket | None = None
         self._stream: ForceStream | None = None
@@ -99,7 +98,7 @@ class Axia80:
         """
         self.close()
         config = self.config
-        self.settings = read_settings(config.address, config.http_port)
+        self.settings = self._read_settings()
         self._check_identity(self.settings)
         self._socket = RdtSocket(config.address, config.rdt_port, self._clock, self._wall, self._buffer_bytes)
         self._stream = ForceStream(config, self.settings, self._clock())
@@ -214,6 +213,12 @@ class Axia80:
             self._socket.send(Order.STOP)
             self._socket.close()
 
+    def _read_settings(self) -> SensorSettings:
+        host, port, clock = self.config.address, self.config.http_port, self._clock
+        if isinstance(clock, SimulatedClock):
+            return read_settings(host, port, page_of=lambda path: fetch_page(clock, host, port, path))
+        return read_settings(host, port)
+
     def _check_identity(self, settings: SensorSettings) -> None:
         for name, wanted, found in (
             ("product", self.config.product, settings.product),
@@ -270,6 +275,6 @@ class Axia80:
         while not done():
             if self._clock() >= end:
                 return False
-            time.sleep(NAP_S)
+            self._clock.sleep(NAP_S)
             stream.take(receiver)
         return True

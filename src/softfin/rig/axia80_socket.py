@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 from softfin.errors import DeviceError
 from softfin.rig.axia80_clock import stamps_asked, wall_stamp
 from softfin.rig.rdt import Order, Record, decode_records, encode_request
+from softfin.rig.simulated_network import SimulatedSocket
+from softfin.simulated_clock import SimulatedClock
 
 BUFFER_BYTES = 4 * 1024 * 1024
 """Asked of the kernel: seconds of the stream, should the process be held up. Linux gives twice `net.core.rmem_max` at
@@ -34,12 +36,18 @@ class RdtSocket:
     def __init__(
         self, host: str, port: int, clock: Callable[[], float], wall: Callable[[], float], buffer_bytes: int
     ) -> None:
+        """On a simulated clock within the process, with its own time in place of `wall`."""
         self.host, self.port = host, port
         self.foreign = self.refused = self.unsent = self.crowded = 0
         self._clock, self._wall = clock, wall
+        self._socket: socket.socket | SimulatedSocket
         self.drained = self._before = clock()
         """When `drain` was last through [s]."""
         self._offset = 0.0
+        if isinstance(clock, SimulatedClock):
+            self._wall, self._sensor, self._stamped = clock, (host, port), True
+            self._socket = SimulatedSocket(clock, host, buffer_bytes=buffer_bytes)
+            return
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._sensor = _resolved(host, port)

@@ -10,6 +10,7 @@ import http.client
 import math
 import socket
 import threading
+from collections.abc import Callable
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, ParseError
 
@@ -65,12 +66,18 @@ class SensorSettings(NamedTuple):
     """Rate at which it is set to send [Hz]; None where it does not say."""
 
 
-def read_settings(host: str, port: int, timeout_s: float = 3.0) -> SensorSettings:
-    """From a sensor; raises DeviceError where it does not answer, RigError where it says what cannot be used."""
-    page = fetch(host, port, SETTINGS, timeout_s)
+def read_settings(
+    host: str, port: int, timeout_s: float = 3.0, page_of: Callable[[str], bytes | None] | None = None
+) -> SensorSettings:
+    """From a sensor; raises DeviceError where it does not answer, RigError where it says what cannot be used.
+
+    `page_of(path)` is asked in place of the network.
+    """
+    page_of = page_of or (lambda path: fetch(host, port, path, timeout_s))
+    page = page_of(SETTINGS)
     if page is None:
         raise RigError(f"http://{host}:{port}{SETTINGS}: there is no such page; is this the address of an Axia80?")
-    calibration = fetch(host, port, CALIBRATION, timeout_s)
+    calibration = page_of(CALIBRATION)
     return parse_settings(page, calibration, f"http://{host}:{port}")
 
 

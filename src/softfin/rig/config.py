@@ -1,9 +1,9 @@
 """A rig's file: which fin, which drive on which bus, which sensor, and the limits of safety. YAML in, checked whole."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 
 from softfin.configuration import Config, Configuration, read_yaml
 from softfin.deployment.safety import SafetyConfig
@@ -25,6 +25,15 @@ def _shown_as_it_is(name: str) -> str:
 FinName = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_shown_as_it_is)]
 
 
+class EmulationConfig(Configuration):
+    """Of a rig whose drive and sensor are emulated in simulated time, within each program that uses it."""
+
+    seed: int = 0
+    """Of the sensor's noise."""
+    tank: dict[str, Any] = Field(default_factory=dict)
+    """The tank behind both, where it is not the usual one: as in the file of `softfin rig emulate --tank`."""
+
+
 class RigConfig(Configuration):
     """Everything that is to know of one rig; what must not be guessed has no default."""
 
@@ -40,6 +49,14 @@ class RigConfig(Configuration):
     """When to stop."""
     settle_s: float = Field(default=5.0, ge=0, le=600)
     """How long the fin rests before each log or experiment, for the water to come to rest [s]."""
+    emulation: EmulationConfig | None = None
+    """None for a rig that is reached over its bus and network, be it emulated in real time or there."""
+    _file: Path | None = PrivateAttr(default=None)
+
+    @property
+    def file(self) -> Path | None:
+        """Where it was read from."""
+        return self._file
 
     @model_validator(mode="after")
     def _consistent(self) -> "RigConfig":
@@ -78,7 +95,10 @@ class Ros2Config(Configuration):
 
 def load_rig(path: Path | None = None) -> RigConfig:
     """The rig in a file, by default rig.yaml; raises RigError naming the key, the value and what is allowed."""
-    return _load(find_rig_file("rig", path), RigConfig)
+    file = find_rig_file("rig", path)
+    config = _load(file, RigConfig)
+    config._file = file.resolve()
+    return config
 
 
 def load_ros2(path: Path | None = None) -> Ros2Config:

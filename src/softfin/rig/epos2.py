@@ -5,10 +5,9 @@ Sources: maxon "EPOS2 Firmware Specification" (rel5466) and "Communication Guide
 """
 
 import math
-import threading
-import time
 from collections.abc import Callable
 
+from softfin.clock import REAL, Clock
 from softfin.deployment.machine import Target
 from softfin.deployment.safety import OVERSHOOT_RAD
 from softfin.errors import CommandError, DeviceError, RigError, SoftfinError
@@ -39,14 +38,14 @@ class Epos2:
         self,
         bus: BusConfig,
         config: DriveConfig,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Clock = REAL,
         on_fault: Callable[[str], None] | None = None,
     ) -> None:
         self.config, self.units = config, Units.of(config)
         self._clock = clock
         self._exchange = Exchange(bus, config, clock, on_fault)
         self._wire = self._exchange.wire
-        self._stopping = threading.Lock()
+        self._stopping = clock.lock()
         self._powered = False
 
     def connect(self) -> None:
@@ -106,7 +105,7 @@ class Epos2:
                 self._exchange.seen.emergency = None
                 self.sync_and_read()
                 return fault
-            time.sleep(STEP_S)
+            self._clock.sleep(STEP_S)
         raise DeviceError(f"drive stays in fault: {self.fault()}; the cause is still there")
 
     def sync_and_read(self, timeout: float = 0.003) -> DriveReading:
@@ -214,7 +213,7 @@ class Epos2:
                 return
             if self._wire.in_receiver or not free:
                 # The receiver's thread brings the answers that the rest needs; and nobody waits for a bus that hangs.
-                threading.Thread(target=self._come_to_rest, name="softfin drive stop", daemon=True).start()
+                self._clock.spawn(self._come_to_rest, "softfin drive stop")
             else:
                 self._come_to_rest()
         except Exception as error:
@@ -229,7 +228,7 @@ class Epos2:
         for _ in range(round((FIRST_ANSWER_S + self.config.heartbeat_s) / STEP_S)):
             if self.sync_and_read(STEP_S).new and seen.nmt == objects.OPERATIONAL:
                 return
-            time.sleep(STEP_S)
+            self._clock.sleep(STEP_S)
         raise DeviceError(
             "drive sends no process data or no heartbeat; look at the bus's load and other programs on it"
         )

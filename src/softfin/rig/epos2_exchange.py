@@ -4,10 +4,10 @@ Frames are taken in the receiver's thread, everything else is sent from the call
 sent but under the lock, with `armed` set: so nothing follows a stop.
 """
 
-import threading
 from collections.abc import Callable
 from typing import NamedTuple
 
+from softfin.clock import Clock
 from softfin.errors import DeviceError
 from softfin.rig import cia402
 from softfin.rig import epos2_objects as objects
@@ -49,11 +49,11 @@ class Exchange:
     """`on_fault(line)` is called in the receiver's thread within milliseconds of a fault."""
 
     def __init__(
-        self, bus: BusConfig, config: DriveConfig, clock: Callable[[], float], on_fault: Callable[[str], None] | None
+        self, bus: BusConfig, config: DriveConfig, clock: Clock, on_fault: Callable[[str], None] | None
     ) -> None:
-        self._config, self._units, self._clock, self._on_fault = config, Units.of(config), clock, on_fault
-        self.wire = Wire(bus, config.node, self._take, self._troubled)
-        self.news = threading.Condition(threading.RLock())
+        self._config, self._units, self.clock, self._on_fault = config, Units.of(config), clock, on_fault
+        self.wire = Wire(bus, config.node, self._take, self._troubled, clock)
+        self.news = clock.condition()
         self.reset()
 
     def reset(self) -> None:
@@ -72,7 +72,7 @@ class Exchange:
     def sync_and_read(self, timeout: float) -> DriveReading:
         """Have the drive sample, wait for the answers [s]; the newest known where they do not all come."""
         with self.news:
-            self.seen.synchronised(self._clock())
+            self.seen.synchronised(self.clock())
             self.attempt(objects.SYNC, b"")
             self.news.wait_for(lambda: self.seen.fresh == ALL, timeout)
             self._shake()
@@ -155,7 +155,7 @@ class Exchange:
 
     def _take(self, cob_id: int, data: bytes) -> None:
         with self.news:
-            trouble = self.seen.take(cob_id, data, self._clock())
+            trouble = self.seen.take(cob_id, data, self.clock())
             if cob_id == objects.TPDO[0] + self._config.node:
                 self._shake()
             self.news.notify_all()
@@ -179,7 +179,7 @@ class Exchange:
         if not self.armed:
             return
         try:
-            step = self.handshake.step(self.seen.has(Bit.ACKNOWLEDGED), self._clock())
+            step = self.handshake.step(self.seen.has(Bit.ACKNOWLEDGED), self.clock())
             if isinstance(step, Setpoint):
                 self.wire.send(objects.RPDO[1] + self._config.node, _VELOCITY.pack(step.rpm))
                 self._order(cia402.NEW_TARGET, step.counts)

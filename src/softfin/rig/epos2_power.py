@@ -1,6 +1,5 @@
 """Power to the motor and off it again, step by step with the drive's own word for each; all of it bounded in time."""
 
-import time
 from collections.abc import Callable
 
 from softfin.errors import DeviceError
@@ -61,7 +60,7 @@ def home(exchange: Exchange, config: DriveConfig, halts: int) -> None:
         # Twice: bit 12 may still stand from an earlier homing.
         if attained >= 2 and (seen.has(Bit.REFERENCED) or not config.zero_needed):
             return
-        time.sleep(STEP_S)
+        exchange.clock.sleep(STEP_S)
     raise DeviceError("drive did not take its position as home; hold the fin still and try again")
 
 
@@ -94,4 +93,4 @@ def _until(exchange: Exchange, done: Callable[[], bool], word: int, seconds: flo
         exchange.sync_and_read(tick)
         if done():
             return
-        time.sleep(tick / 2)
+        exchange.clock.sleep(tick / 2)

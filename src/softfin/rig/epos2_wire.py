@@ -6,11 +6,11 @@ one receiving error ends its thread, and every later frame, a quick stop too, th
 
 import contextlib
 import logging
+import queue
 import socket
 import struct
 import threading
-import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from typing import Any
 
@@ -18,11 +18,13 @@ import can
 from canopen import ObjectDictionary, SdoAbortedError, SdoCommunicationError
 from canopen.sdo.client import SdoClient
 
+from softfin.clock import REAL, Clock, Thread
 from softfin.errors import DeviceError, RigError
 from softfin.rig import epos2_objects as objects
 from softfin.rig.epos2_config import BusConfig
 from softfin.rig.epos2_faults import abort_line
 from softfin.rig.epos2_objects import Object
+from softfin.rig.simulated_bus import open_bus
 
 SDO_TIMEOUT_S = 0.5
 SEND_TIMEOUT_S = 0.05
@@ -42,17 +44,23 @@ class Wire:
     """To one node; `take(cob_id, data)` and `trouble(line)` are called from the receiver's thread."""
 
     def __init__(
-        self, config: BusConfig, node: int, take: Callable[[int, bytes], None], trouble: Callable[[str], None]
+        self,
+        config: BusConfig,
+        node: int,
+        take: Callable[[int, bytes], None],
+        trouble: Callable[[str], None],
+        clock: Clock = REAL,
     ) -> None:
-        self._config, self._node, self._take, self._trouble = config, node, take, trouble
+        self._config, self._node, self._take, self._trouble, self._clock = config, node, take, trouble, clock
         self._bus: can.BusABC | None = None
-        self._notifier: can.Notifier | None = None
+        self._receiving: Thread | None = None
         # Re-entrant, for a stop in a signal handler that interrupts a send.
-        self._sending, self._asking = threading.RLock(), threading.Lock()
-        client: Any = SdoClient
+        self._sending, self._asking = clock.rlock(), clock.lock()
+        self._asks = False
+        """Whether an answer is waited for."""
+        client: Any = _Client
         dictionary: Any = ObjectDictionary
-        self._sdo = client(objects.SDO_REQUEST + node, objects.SDO_ANSWER + node, dictionary())
-        self._sdo.RESPONSE_TIMEOUT = SDO_TIMEOUT_S
+        self._sdo = client(objects.SDO_REQUEST + node, objects.SDO_ANSWER + node, dictionary(), clock)
         self._sdo.network = self
         self._receiver: int | None = None
         self.heard: set[int] = set()
@@ -74,14 +82,14 @@ class Wire:
         self.heard.clear()
         # Of the bus before: another thread may have its number by now.
         self._receiver = None
-        options: dict[str, Any] = {**self._config.options, "bitrate": self._config.bitrate}
+        options = self._config.options
         try:
             if self._config.interface == "socketcand":
                 # python-can would try for ten seconds, and fill the terminal.
                 address = (str(options.get("host", "127.0.0.1")), int(options.get("port", 29536)))
                 socket.create_connection(address, timeout=2).close()
-            self._bus = can.Bus(interface=self._config.interface, channel=self._config.channel, **options)
-            self._notifier = can.Notifier(self._bus, [_Listener(self)], RECEIVER_CYCLE_S)
+            bus = self._bus = open_bus(self._config, self._clock)
+            self._receiving = self._clock.spawn(lambda: self._receive(bus), "drive receiver")
         except Exception as error:
             # Every interface of python-can has errors of its own.
             self.close()
@@ -92,11 +100,12 @@ class Wire:
 
     def close(self) -> None:
         """Any number of times; never raises."""
-        notifier, bus, self._notifier, self._bus = self._notifier, self._bus, None, None
-        for end in (notifier and (lambda: notifier.stop(CLOSE_TIMEOUT_S)), bus and bus.shutdown):
-            if end:
-                with contextlib.suppress(Exception):
-                    end()
+        receiving, bus, self._receiving, self._bus = self._receiving, self._bus, None, None
+        if receiving is not None and not self.in_receiver:
+            receiving.join(CLOSE_TIMEOUT_S)
+        if bus is not None:
+            with contextlib.suppress(Exception):
+                bus.shutdown()
 
     def send(self, cob_id: int, data: bytes) -> None:
         """One frame; raises DeviceError where the bus does not take it."""
@@ -141,14 +150,15 @@ class Wire:
         """Ask every node for its device type, so that all that are on the bus are `heard`."""
         for node in range(1, 128):
             self.send(objects.SDO_REQUEST + node, struct.pack("<BHBI", 0x40, objects.DEVICE_TYPE.number, 0, 0))
-            time.sleep(SCAN_PAUSE_S)
-        time.sleep(50 * SCAN_PAUSE_S)
+            self._clock.sleep(SCAN_PAUSE_S)
+        self._clock.sleep(50 * SCAN_PAUSE_S)
         return sorted(self.heard)
 
     def _exchange(self, entry: Object, action: Callable[[], bytes | None]) -> bytes | None:
         if self.in_receiver or not self._asking.acquire(timeout=2 * SDO_TIMEOUT_S):
             raise DeviceError(f"drive's {entry} cannot be asked for: another question is not answered yet; try again")
         try:
+            self._asks = True
             return action()
         except SdoAbortedError as error:
             raise DeviceError(f"drive refuses {entry}: {abort_line(error.code)}") from None
@@ -160,6 +170,7 @@ class Wire:
         except (struct.error, ValueError, OSError, RuntimeError) as error:
             raise DeviceError(f"drive's answer for {entry} makes no sense ({_one_line(error)}); try again") from None
         finally:
+            self._asks = False
             self._asking.release()
 
     def state(self) -> str | None:
@@ -189,7 +200,18 @@ class Wire:
         self._receiver = threading.get_ident()
         self.counters["receiving errors"] += 1
         self._trouble(f"{self.name} cannot be read ({_one_line(error)}); look at the adapter and its cable")
-        time.sleep(ERROR_PAUSE_S)
+        self._clock.sleep(ERROR_PAUSE_S)
+
+    def _receive(self, bus: can.BusABC) -> None:
+        """The receiver's thread: nothing that a frame brings can end it."""
+        while self._bus is bus:
+            try:
+                message = bus.recv(RECEIVER_CYCLE_S)
+                if message is not None and self._bus is bus:
+                    self.received(message)
+            except Exception as error:
+                if self._bus is bus:
+                    self.failed(error)
 
     def _sort(self, cob_id: int, data: bytes) -> None:
         if cob_id & 0x780 in (objects.SDO_ANSWER, objects.HEARTBEAT) and cob_id & 0x7F:
@@ -197,29 +219,53 @@ class Wire:
         if cob_id == objects.SDO_ANSWER + self._node:
             if len(data) != 8:
                 self.counters["malformed frames"] += 1
-            elif self._asking.locked():
+            elif self._asks:
                 self._sdo.on_response(cob_id, data, 0.0)
         else:
             self._take(cob_id, data)
 
 
-class _Listener(can.Listener):
-    """So that nothing that a frame brings can end the receiver's thread."""
+class _Client(SdoClient):
+    """canopen's, whose answers are waited for on our clock."""
 
-    def __init__(self, wire: Wire) -> None:
-        self._wire = wire
+    RESPONSE_TIMEOUT = SDO_TIMEOUT_S
 
-    def on_message_received(self, msg: can.Message) -> None:
-        try:
-            self._wire.received(msg)
-        except Exception as error:
-            self._wire.failed(error)
+    def __init__(self, request: int, answer: int, dictionary: ObjectDictionary, clock: Clock) -> None:
+        super().__init__(request, answer, dictionary)  # type: ignore[no-untyped-call]
+        self.responses = self._answers = _Answers(clock)
 
-    def on_error(self, exc: Exception) -> None:
-        self._wire.failed(exc)
+    def request_response(self, sdo_request: bytes | bytearray) -> bytes:
+        """Late answers to earlier questions are dropped; where there are any, canopen would put its own queue here."""
+        self._answers.clear()
+        answer: bytes = super().request_response(sdo_request)  # type: ignore[no-untyped-call]
+        return answer
 
-    def stop(self) -> None:
-        """Nothing to end."""
+
+class _Answers(queue.Queue[bytes]):
+    """As much of a queue as canopen's client uses."""
+
+    def __init__(self, clock: Clock) -> None:
+        super().__init__()
+        self._news = clock.condition()
+        self._waiting: deque[bytes] = deque()
+
+    def put(self, item: bytes, block: bool = True, timeout: float | None = None) -> None:
+        with self._news:
+            self._waiting.append(item)
+            self._news.notify_all()
+
+    def get(self, block: bool = True, timeout: float | None = None) -> bytes:
+        with self._news:
+            if not self._news.wait_for(lambda: bool(self._waiting), timeout):
+                raise queue.Empty
+            return self._waiting.popleft()
+
+    def empty(self) -> bool:
+        return not self._waiting
+
+    def clear(self) -> None:
+        """Forget what nobody has asked for."""
+        self._waiting.clear()
 
 
 def _one_line(error: Exception) -> str:

@@ -23,7 +23,9 @@ def rig_bench(file: Path | None = None) -> Bench:
     from softfin.rig.rig import Rig
 
     config = load_rig(file)
-    return Bench(Rig(config), config.safety, config.fin, config.settle_s, config.model_dump(mode="json"))
+    # A real rig is described as it always was.
+    described = config.model_dump(mode="json", exclude={"emulation"} if config.emulation is None else None)
+    return Bench(Rig(config), config.safety, config.fin, config.settle_s, described)
 
 
 def ros2_bench(file: Path | None = None) -> Bench:

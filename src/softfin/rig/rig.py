@@ -1,8 +1,9 @@
 """The rig as a Machine: one EPOS2 and one Axia80, read together at each tick."""
 
-import time
+import contextlib
 from collections.abc import Callable
 
+from softfin.clock import REAL, Clock
 from softfin.deployment.machine import Sample, Target
 from softfin.errors import SoftfinError
 from softfin.quantities import Limits
@@ -20,8 +21,17 @@ BEAT_TICKS = 4
 class Rig:
     """Meets the Machine contract."""
 
-    def __init__(self, config: RigConfig, clock: Callable[[], float] = time.monotonic) -> None:
-        self.config = config
+    def __init__(self, config: RigConfig, clock: Clock | None = None) -> None:
+        """On the clock of its emulation where it has one, else on the real one."""
+        self._kept: Callable[[], None] | None = None
+        if clock is None and config.emulation is not None:
+            # Imported here: a real rig needs no tank.
+            from softfin.rig.emulation.plugged import plugged
+
+            emulated = plugged(config)
+            clock, self._kept = emulated.clock, emulated.keep
+        clock = clock or REAL
+        self.config, self.clock = config, clock
         drive = config.drive
         self.name = f"rig of {config.fin}"
         self.limits = Limits(drive.angle_min_rad, drive.angle_max_rad, drive.slowest_rad_s, drive.fastest_rad_s)
@@ -81,12 +91,12 @@ class Rig:
         self.drive.stop()
 
     def close(self) -> None:
-        """Stop, let go of both."""
+        """Stop, let go of both; in simulated time raises RunError where what must be remembered cannot be written."""
         self.drive.close()
-        try:
+        with contextlib.suppress(OSError, SoftfinError):
             self.sensor.close()
-        except (OSError, SoftfinError):
-            return
+        if self._kept is not None:
+            self._kept()
 
     def counters(self) -> dict[str, int]:
         """Of both."""

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from softfin.clock import Clock
 from softfin.errors import DeviceError
 from softfin.rig.config import RigConfig
 from softfin.rig.rig import Rig
@@ -10,9 +11,10 @@ MOVING_N = 0.3
 """Standard deviation of the force beyond which the water, or somebody, still moves the fin [N]."""
 
 
-def zero_force(config: RigConfig, seconds: float = 2.0) -> dict[str, Any]:
+def zero_force(config: RigConfig, seconds: float = 2.0, clock: Clock | None = None) -> dict[str, Any]:
     """Set the sensor's zero to what it feels; raises DeviceError where the fin is not at rest."""
-    sensor = Rig(config).sensor
+    rig = Rig(config, clock)
+    sensor = rig.sensor
     try:
         sensor.open()
         before = sensor.measured(seconds)
@@ -24,19 +26,20 @@ def zero_force(config: RigConfig, seconds: float = 2.0) -> dict[str, Any]:
         return {"force_before_n": _rounded(before.mean[:3]), "force_after_n": _rounded(after.mean[:3]),
                 "noise_n": _rounded(after.std[:3])}  # fmt: skip
     finally:
-        sensor.close()
+        rig.close()
 
 
-def zero_angle(config: RigConfig) -> dict[str, Any]:
+def zero_angle(config: RigConfig, clock: Clock | None = None) -> dict[str, Any]:
     """Make where the fin stands its angle 0 (or `drive.zero_offset_rad`); the motor is powered, nothing moves."""
-    drive = Rig(config).drive
+    rig = Rig(config, clock)
+    drive = rig.drive
     try:
         drive.open()
         before = drive.sync_and_read(0.02).angle
         drive.home_here()
         return {"angle_before_rad": round(before, 5), "angle_after_rad": round(drive.sync_and_read(0.02).angle, 5)}
     finally:
-        drive.close()
+        rig.close()
 
 
 def _rounded(values: tuple[float, ...]) -> list[float]:

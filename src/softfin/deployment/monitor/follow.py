@@ -110,7 +110,8 @@ class Follower:
         """The recording as of the last look."""
         told = readings(self.traces)
         logged = None if told["time_s"] is None else self._start_ns * 1e-9 + told["time_s"]
-        age = None if logged is None else self._wall() - logged
+        # What is recorded in simulated time runs ahead of the day.
+        age = None if logged is None else max(0.0, self._wall() - logged)
         return Summary(
             path=self._shown(),
             number=self._number,

@@ -5,14 +5,13 @@ serves its objects. What a test wants to go wrong is a method: `fault`, `stall`,
 """
 
 import contextlib
-import threading
-import time
 from collections.abc import Callable
 from typing import Any
 
 import can
 import canopen
 
+from softfin.clock import REAL, Clock, Thread
 from softfin.rig import cia402
 from softfin.rig import epos2_objects as objects
 from softfin.rig.cia402 import Bit, State
@@ -24,6 +23,7 @@ from softfin.rig.emulation.drive_pdo import OUT_OF_RANGE, ProcessData
 from softfin.rig.emulation.fin import EmulatedFin
 from softfin.rig.epos2_config import BusConfig, DriveConfig, Units
 from softfin.rig.epos2_objects import Object
+from softfin.rig.simulated_bus import open_bus
 
 TICK_S = 0.005
 NO_SUCH_ENTRY = 0x06090011
@@ -34,12 +34,10 @@ _REGISTERS = ((0x2000, 0x02), (0x3000, 0x04), (0x4000, 0x08), (0x8600, 0x20), (0
 class EmulatedDrive:
     """Set up as `config` says a real one is; `start` it, `close` it."""
 
-    def __init__(
-        self, bus: BusConfig, config: DriveConfig, fin: EmulatedFin, clock: Callable[[], float] = time.monotonic
-    ) -> None:
+    def __init__(self, bus: BusConfig, config: DriveConfig, fin: EmulatedFin, clock: Clock = REAL) -> None:
         self._bus, self._config, self._clock = bus, config, clock
-        self._lock = threading.RLock()
-        self._network = DriveNetwork(self._take, self._request, lambda: self._nmt_state)
+        self._lock = clock.rlock()
+        self._network = DriveNetwork(self._take, self._request, lambda: self._nmt_state, clock)
         self.counters = self._network.counters
         node: Any = canopen.LocalNode
         self._node = node(config.node, dictionary(values(config)))
@@ -58,22 +56,18 @@ class EmulatedDrive:
         }
         self.state = State.START
         self._errors: list[int] = []
-        self._ending = threading.Event()
-        self._ticking: threading.Thread | None = None
+        self._ending = clock.event()
+        self._ticking: Thread | None = None
         self._power_up()
 
     # -- life ---------------------------------------------------------------------------------------------------------
 
     def start(self) -> None:
         """Power-up: boot-up message, then pre-operational and switched off."""
-        options: dict[str, Any] = {**self._bus.options, "bitrate": self._bus.bitrate}
-        self._network.bus = can.Bus(interface=self._bus.interface, channel=self._bus.channel, **options)
-        self._network.NOTIFIER_CYCLE = 0.05
-        self._network.connect()
+        self._network.receive(open_bus(self._bus, self._clock))
         self._network[self._config.node] = self._node
         self._boot()
-        self._ticking = threading.Thread(target=self._run, name="emulated drive", daemon=True)
-        self._ticking.start()
+        self._ticking = self._clock.spawn(self._run, "emulated drive")
 
     def close(self) -> None:
         """Power-down; any number of times."""
@@ -83,8 +77,7 @@ class EmulatedDrive:
             self._ticking = None
         self._motion.halt()
         self._node.nmt.stop_heartbeat()
-        if self._network.bus:
-            self._network.disconnect()
+        self._network.disconnect()
 
     def __enter__(self) -> "EmulatedDrive":
         self.start()
@@ -92,6 +85,14 @@ class EmulatedDrive:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def remembered(self) -> dict[str, Any]:
+        """What it would lose with its supply: its zero, for JSON."""
+        return {"zero_counts": self._motion.zero, "referenced": self._motion.referenced}
+
+    def recall(self, remembered: dict[str, Any]) -> None:
+        """As if its supply had never been off."""
+        self._motion.zero, self._motion.referenced = int(remembered["zero_counts"]), bool(remembered["referenced"])
 
     # -- what can go wrong --------------------------------------------------------------------------------------------
 
@@ -195,11 +196,13 @@ class EmulatedDrive:
         if subindex != od.subindex:
             # canopen lets every sub-index of an object without any pass.
             raise canopen.SdoAbortedError(NO_SUCH_ENTRY)
+        read = self._readings.get(index)
+        if read is None and index != objects.ERROR_COUNT.number:
+            return None
         with self._lock:
-            if index == objects.ERROR_COUNT.number:
-                return len(self._errors) if subindex == 0 else [*self._errors, *[0] * ERRORS_KEPT][subindex - 1]
-            read = self._readings.get(index)
-            return None if read is None else read()
+            if read is not None:
+                return read()
+            return len(self._errors) if subindex == 0 else [*self._errors, *[0] * ERRORS_KEPT][subindex - 1]
 
     def _written(self, index: int, subindex: int, od: Any, data: bytes | bytearray) -> None:
         if subindex != od.subindex:
@@ -264,8 +267,9 @@ class EmulatedDrive:
         with self._lock:
             if cob_id == objects.NMT:
                 self._follow_nmt(data[0])
-            elif cob_id == objects.HEARTBEAT + (self._value(objects.HEARTBEAT_CONSUMER) >> 16 & 0x7F):
-                self._host_beat = self._clock()
+            elif cob_id & 0x780 == objects.HEARTBEAT:
+                if cob_id & 0x7F == self._value(objects.HEARTBEAT_CONSUMER) >> 16 & 0x7F:
+                    self._host_beat = self._clock()
             elif self._is_operational and cob_id == objects.SYNC:
                 self._process_data.synchronise()
             elif self._is_operational:

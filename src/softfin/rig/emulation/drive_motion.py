@@ -31,8 +31,8 @@ class Motion:
         self._homed = self.referenced = False
         self._stalled_at: int | None = None
         self._word = 0
-        # An incremental encoder counts from wherever it wakes up.
-        self._zero = self._units.counts(self._fin.now().angle)
+        # An incremental encoder counts from wherever it wakes up; [counts] of the fin's own angle.
+        self.zero = self._units.counts(self._fin.now().angle)
         self.halt()
 
     def halt(self) -> None:
@@ -94,7 +94,7 @@ class Motion:
         is_new = bool(word & ~before & NEW_SETPOINT)
         if self._mode == objects.HOMING:
             if is_new and self._value(objects.HOMING_METHOD) == objects.HOME_HERE:
-                self._zero += self.position
+                self.zero += self.position
                 self.referenced = self._homed = True
         elif self._mode == objects.PROFILE_POSITION:
             if is_new and self.ignored:
@@ -114,7 +114,7 @@ class Motion:
             self._fault(POSITION_LIMIT)
             return
         rpm = min(self._value(objects.PROFILE_VELOCITY), self._value(objects.FASTEST))
-        self._fin.move(self._units.angle(goal + self._zero), abs(self._units.velocity(rpm)))
+        self._fin.move(self._units.angle(goal + self.zero), abs(self._units.velocity(rpm)))
 
     def _counts(self, angle: float) -> int:
-        return self._units.counts(angle) - self._zero
+        return self._units.counts(angle) - self.zero

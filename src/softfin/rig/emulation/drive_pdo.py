@@ -46,6 +46,8 @@ class ProcessData:
 
     def restart(self) -> None:
         """Nothing is counted, sent or pending: as the node is when it becomes operational."""
+        self._known: dict[int, _Pdo] = {}
+        """As set up, until one of their objects is written."""
         self._syncs = 0
         self._last: dict[int, bytes] = {}
         """What was sent last."""
@@ -97,6 +99,7 @@ class ProcessData:
 
     def check(self, index: int, subindex: int, data: bytes | bytearray) -> None:
         """Whether this may be written into an object of process data now; raises SdoAbortedError."""
+        self._known.clear()
         value, number = int.from_bytes(data, "little"), index & ~0x200
         held = self._value(number, 1, "I")
         if index != number:
@@ -140,7 +143,9 @@ class ProcessData:
 
     def _enabled(self, first: int) -> list[_Pdo]:
         numbers = range(first, first + PDOS)
-        return [self._pdo(number) for number in numbers if not self._value(number, 1, "I") & objects.INVALID]
+        if first not in self._known:
+            self._known |= {number: self._pdo(number) for number in numbers}
+        return [pdo for number in numbers if not (pdo := self._known[number]).cob_id & objects.INVALID]
 
     def _pdo(self, number: int) -> _Pdo:
         cob_id, transmission = self._value(number, 1, "I"), self._value(number, 2, "B")

@@ -7,11 +7,11 @@ import contextlib
 import select
 import socket
 import threading
-import time
-from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
+from softfin.clock import REAL, Clock
 from softfin.errors import RigError
 from softfin.rig.axia80_config import rotation
 from softfin.rig.axia80_status import OVER_RANGE
@@ -20,6 +20,8 @@ from softfin.rig.emulation.fin import EmulatedFin
 from softfin.rig.emulation.sensor_faults import Network
 from softfin.rig.emulation.sensor_pages import PageServer, sensor_pages
 from softfin.rig.rdt import MOST_RECORDS, Counts, Order, Record, Request, decode_request, encode_record
+from softfin.rig.simulated_network import SimulatedPages, SimulatedSocket
+from softfin.simulated_clock import SimulatedClock
 
 RANGE = (500.0, 500.0, 900.0, 20.0, 20.0, 20.0)
 """Of the M20 [N, N m], from memory; what is beyond is flagged and cut to it."""
@@ -57,7 +59,7 @@ class EmulatedAxia80:
         product: str = "Emulated Axia80-M20",
         serial: str = "FT00000",
         seed: int = 0,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Clock = REAL,
     ) -> None:
         """Noise is the standard deviation [N, N m]; block the records a datagram where blocks are asked for."""
         if not 1 <= block <= MOST_RECORDS:
@@ -75,28 +77,42 @@ class EmulatedAxia80:
         self._rotation = rotation(frame).T
         scale = np.array([counts[0] / FORCE_UNITS[force_unit], counts[1] / TORQUE_UNITS[torque_unit]])
         self._scale, self._noise = np.repeat(scale, 3), np.repeat(noise, 3)
+        self._noisy = any(noise)
         self._limits = np.minimum(np.array(RANGE) * self._scale, TOP_COUNT)
         self._random = np.random.default_rng(seed)
         self._bias = np.zeros(6)
         self._status = self._flagged = self._adc = self._first_sequence = 0
         self._silent_until = 0.0
         self._lock = threading.Lock()
-        self._closing = threading.Event()
+        self._closing = clock.event()
         self._stream: _Stream | None = None
         self._client: tuple[str, int] | None = None
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket = _bound(host, rdt_port, clock)
         try:
-            self._socket.bind((host, rdt_port))
-            self._socket.setblocking(False)
             self.rdt_port = int(self._socket.getsockname()[1])
             pages = sensor_pages(product, serial, (force_unit, torque_unit), counts, ADC_RATE_HZ, rate_hz)
-            self.pages = PageServer(host, http_port, pages)
+            self.pages: PageServer | SimulatedPages
+            if isinstance(clock, SimulatedClock):
+                self.pages = SimulatedPages(clock, host, http_port, pages)
+            else:
+                self.pages = PageServer(host, http_port, pages)
         except BaseException:
             self._socket.close()
             raise
         self.http_port = self.pages.port
-        self._thread = threading.Thread(target=self._serve, daemon=True, name="emulated sensor's stream")
-        self._thread.start()
+        self._thread = clock.spawn(self._serve, "emulated sensor's stream")
+
+    def remembered(self) -> dict[str, Any]:
+        """What it would lose with its supply, for JSON: its zero in its own axes [N, N m], its count of samples."""
+        return {"bias": self._bias.tolist(), "samples": self._adc}
+
+    def recall(self, remembered: dict[str, Any]) -> None:
+        """As if its supply had never been off."""
+        bias = np.array(remembered["bias"], float)
+        if bias.shape != (6,):
+            raise ValueError("bias must be six numbers")
+        with self._lock:
+            self._bias, self._adc = bias, int(remembered["samples"])
 
     def drop(self, fraction: float) -> None:
         """Lose datagrams at random."""
@@ -148,8 +164,7 @@ class EmulatedAxia80:
 
     def _serve(self) -> None:
         while not self._closing.is_set():
-            heard, _, _ = select.select([self._socket], [], [], max(WAKE_S, 1 / self.rate_hz))
-            if heard:
+            if _heard(self._socket, max(WAKE_S, 1 / self.rate_hz)):
                 self._hear()
             self._send_due()
 
@@ -191,12 +206,16 @@ class EmulatedAxia80:
             stream.made, stream.sequence = stream.made + skipped, stream.sequence + skipped
             due -= skipped
         felt = self._felt() if due > 0 else self._bias
+        counts: tuple[Counts, bool] | None = None
         for _ in range(due):
             if stream.left == 0:
                 return
-            counts, status = self._counts(felt)
+            # Without noise all that is due has felt the same.
+            if counts is None or self._noisy:
+                counts = self._counts(felt)
+            status = self._status_of(beyond=counts[1])
             self._adc += round(ADC_RATE_HZ / self.rate_hz) or 1
-            record = Record(stream.sequence % 2**32, self._adc % 2**32, status, counts)
+            record = Record(stream.sequence % 2**32, self._adc % 2**32, status, counts[0])
             stream.made, stream.sequence = stream.made + 1, stream.sequence + 1
             stream.pending += encode_record(record)
             stream.in_block += 1
@@ -212,20 +231,44 @@ class EmulatedAxia80:
         wrench = np.array(self._fin.now().wrench)
         return np.concatenate([self._rotation @ wrench[:3], self._rotation @ wrench[3:]])
 
-    def _counts(self, felt: np.ndarray) -> tuple[Counts, int]:
+    def _counts(self, felt: np.ndarray) -> tuple[Counts, bool]:
+        """And whether they were beyond its range."""
         values = felt - self._bias
-        if self._noise.any():
+        if self._noisy:
             values += self._noise * self._random.standard_normal(6)
         counts = values * self._scale
-        if (np.abs(counts) > self._limits).any():
+        beyond = bool((np.abs(counts) > self._limits).any())
+        fx, fy, fz, tx, ty, tz = np.rint(np.clip(counts, -self._limits, self._limits)).astype(int).tolist()
+        return (fx, fy, fz, tx, ty, tz), beyond
+
+    def _status_of(self, beyond: bool) -> int:
+        """Of one record more."""
+        if beyond:
             self._flagged = FLAGGED_RECORDS
-            counts = np.clip(counts, -self._limits, self._limits)
-        status = self._status
-        if self._flagged:
-            self._flagged -= 1
-            status |= OVER_RANGE
-        fx, fy, fz, tx, ty, tz = np.rint(counts).astype(int).tolist()
-        return (fx, fy, fz, tx, ty, tz), status
+        if not self._flagged:
+            return self._status
+        self._flagged -= 1
+        return self._status | OVER_RANGE
+
+
+def _bound(host: str, port: int, clock: Clock) -> socket.socket | SimulatedSocket:
+    if isinstance(clock, SimulatedClock):
+        return SimulatedSocket(clock, host, port)
+    bound = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        bound.bind((host, port))
+        bound.setblocking(False)
+    except BaseException:
+        bound.close()
+        raise
+    return bound
+
+
+def _heard(listening: socket.socket | SimulatedSocket, seconds: float) -> bool:
+    """Whether something came meanwhile."""
+    if isinstance(listening, SimulatedSocket):
+        return listening.wait(seconds)
+    return bool(select.select([listening], [], [], seconds)[0])
 
 
 class _Stream:

@@ -2,9 +2,8 @@
 
 import math
 import threading
-import time
-from collections.abc import Callable
 
+from softfin.clock import REAL, Clock
 from softfin.rig.emulation.fin import Motion
 
 FORCE_N = 0.5
@@ -14,7 +13,7 @@ FORCE_N = 0.5
 class SimpleFin:
     """Meets the EmulatedFin contract: constant velocity to the target, at once."""
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, clock: Clock = REAL) -> None:
         self._clock = clock
         self._lock = threading.Lock()
         self._start, self._began, self._target, self._velocity = 0.0, clock(), 0.0, 1.0

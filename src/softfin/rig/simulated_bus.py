@@ -1,0 +1,71 @@
+"""A CAN bus within the process, in simulated time; `open_bus` gives that or the one that python-can reaches."""
+
+import copy
+from collections import deque
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import can
+
+from softfin.clock import Clock
+from softfin.rig.epos2_config import BusConfig
+from softfin.simulated_clock import SimulatedClock
+
+SIMULATED = "simulated"
+"""Interface of a rig's file."""
+
+_channels: WeakKeyDictionary[SimulatedClock, dict[str, list["SimulatedBus"]]] = WeakKeyDictionary()
+
+
+def open_bus(config: BusConfig, clock: Clock) -> can.BusABC:
+    """On a simulated clock that of this process, whatever the interface; raises what python-can raises."""
+    if isinstance(clock, SimulatedClock):
+        return SimulatedBus(clock, config.channel)
+    options: dict[str, Any] = {**config.options, "bitrate": config.bitrate}
+    return can.Bus(interface=config.interface, channel=config.channel, **options)
+
+
+class SimulatedBus(can.BusABC):
+    """Everybody on a channel of a clock gets what the others send, at once and in order."""
+
+    def __init__(self, clock: SimulatedClock, channel: str) -> None:
+        super().__init__(channel)
+        self.channel_info = f"{SIMULATED} {channel}"
+        self._clock = clock
+        self._news = clock.event()
+        self._frames: deque[can.Message] = deque()
+        self._all = _channels.setdefault(clock, {}).setdefault(channel, [])
+        self._all.append(self)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Raises CanOperationError once it is shut down."""
+        self._check_open()
+        for bus in list(self._all):
+            if bus is not self:
+                bus._put(msg, self._clock())
+
+    def shutdown(self) -> None:
+        """Any number of times; whoever waits for a frame is woken."""
+        super().shutdown()
+        if self in self._all:
+            self._all.remove(self)
+        self._news.set()
+
+    def _put(self, message: can.Message, now: float) -> None:
+        message = copy.copy(message)
+        message.timestamp = now
+        self._frames.append(message)
+        self._news.set()
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """The next frame, None where none comes in so many seconds; raises CanOperationError once it is shut down."""
+        # Cleared before the look, so that what comes in between wakes it.
+        self._news.clear()
+        if not self._frames and self in self._all:
+            self._news.wait(timeout)
+        self._check_open()
+        return self._frames.popleft() if self._frames else None
+
+    def _check_open(self) -> None:
+        if self not in self._all:
+            raise can.CanOperationError("the bus is shut down")

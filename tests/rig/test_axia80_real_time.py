@@ -1,0 +1,68 @@
+"""The sensor over UDP and HTTP, in real time: what simulated time cannot show."""
+
+import contextlib
+import time
+
+import pytest
+
+from softfin.errors import DeviceError
+from softfin.rig import axia80
+from softfin.rig.axia80 import Axia80
+from softfin.rig.axia80_config import SensorConfig
+from softfin.rig.axia80_xml import read_settings
+from softfin.rig.emulation.sensor import EmulatedAxia80
+from tests.rig.still_fin import StillFin
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch):
+    """Opened as soon as the filter is full, and no complaint where a busy machine starves the emulator."""
+    monkeypatch.setattr(axia80, "MEASURED_S", 0.2)
+    monkeypatch.setattr(axia80, "SILENT_S", 5.0)
+
+
+@contextlib.contextmanager
+def emulated(*wrench):
+    sensor = EmulatedAxia80(StillFin(*wrench))
+    try:
+        yield sensor
+    finally:
+        sensor.close()
+
+
+def config_of(sensor):
+    return SensorConfig(address="127.0.0.1", http_port=sensor.http_port, rdt_port=sensor.rdt_port, frame="x,y")
+
+
+def test_the_force_arrives_over_sockets_too():
+    wrench = (1.5, -2.5, 3.5, 0.1, -0.2, 0.3)
+    with emulated(*wrench) as sensor:
+        client = Axia80(config_of(sensor))
+        client.open()
+        try:
+            assert client.read().wrench == pytest.approx(wrench, abs=1e-3)
+            assert client.measured(0.1).mean == pytest.approx(wrench, abs=1e-3)
+        finally:
+            client.close()
+
+
+def test_a_wall_clock_that_is_set_moves_no_force_in_time():
+    jumped = 0.0
+    with emulated() as sensor:
+        client = Axia80(config_of(sensor), wall=lambda: time.time() + jumped)
+        client.open()
+        for step in (0.0, 3600.0, -86400.0, 0.01):
+            jumped = step
+            for _ in range(5):
+                assert 0 < time.monotonic() - client.read().force_time < 1
+                time.sleep(0.01)
+        client.close()
+    assert client.counters()["sensor_lost"] == 0
+
+
+def test_a_page_that_hangs_does_not_hold_the_opening_up(monkeypatch):
+    monkeypatch.setattr(axia80, "read_settings", lambda host, port: read_settings(host, port, 0.2))
+    with emulated() as sensor:
+        sensor.pages.stalled.set()
+        with pytest.raises(DeviceError, match="no whole answer in 0"):
+            Axia80(config_of(sensor)).open()
