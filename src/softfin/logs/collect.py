@@ -85,7 +85,7 @@ def collect(
         "provenance": artifacts.provenance(seed=config.seed),
     }
     keys = _keys(config, "train", held[0], len(train)), _keys(config, "test", held[1], len(test))
-    if commands is None and alike(train + test):
+    if commands in (None, config.excitation) and alike(train + test):
         # One program for all.
         logs = simulate(train + test, keys[0] + keys[1], config.rows, config.excitation, config.batch, report)
         learning, testing = _checked(islice(logs, len(train)), "train"), _checked(logs, "test")
