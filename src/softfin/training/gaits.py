@@ -130,7 +130,7 @@ def find_gaits(
     wanted = [seen.reachable.nearest((x, y)) for x, y in table.references().reshape(-1, 2).tolist()]
     target = jnp.asarray(wanted, jnp.float32)
     nodes = response(plant, _start(seen, target, lattice.nodes), config.cycles, _key())
-    scale: Float[AnyArray, "nodes"] = np.ones(len(wanted), np.float32)
+    scale: AnyArray = np.ones(len(wanted), np.float32)
     for step in range(config.steps):
         exact = step >= config.steps - EXACT
         if step % 4 == 3 and not exact:
