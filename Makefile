@@ -10,7 +10,7 @@ RUN := $(UV) run --frozen
 OUT ?= runs/demo
 PRESET ?= demo
 
-.PHONY: setup demo day test lint bench clean
+.PHONY: setup demo day test test-long lint bench clean
 
 setup: .venv/.ready ## make the environment
 
@@ -31,6 +31,9 @@ day: setup ## a whole day at an emulated rig in some minutes: check, zero, colle
 
 test: setup ## all tests
 	$(RUN) pytest -n auto --dist loadfile
+
+test-long: setup ## all tests, with more cases of each kind and twenty minutes of faults in real time
+	SOFTFIN_LONG=1 $(RUN) pytest -n auto --dist loadfile
 
 lint: setup ## style and types
 	$(RUN) ruff check .
