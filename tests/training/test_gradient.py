@@ -86,11 +86,16 @@ class Judged(NamedTuple):
     slope: Policy
 
 
-@jax.jit
 def judged(
-    policy: Policy, batch: Batch, rounding: Any, weight: Any = (1.0, 1.0), smoothness: Any = (0.01, 0.01)
+    policy: Policy, batch: Batch, rounding: float, weight: Any = (1.0, 1.0), smoothness: Any = (0.01, 0.01)
 ) -> Judged:
-    """The loss of the learner, with settings that are values in one program."""
+    """The loss of the learner with other settings; defaults of a compiled function would be constants in it."""
+    found: Judged = _judged(policy, batch, rounding, weight, smoothness)
+    return found
+
+
+@jax.jit
+def _judged(policy: Policy, batch: Batch, rounding: Any, weight: Any, smoothness: Any) -> Judged:
     reward = QUICK.task.reward.model_copy(update={"weight": weight, "smoothness": smoothness})
     task = ForceTracking(TASK.plant, QUICK.task.model_copy(update={"reward": reward}))
     learner = Gradient(task, QUICK.gradient.model_copy(update={"rounding_n": rounding}), QUICK.policy, QUICK.updates)
