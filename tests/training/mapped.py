@@ -2,7 +2,10 @@
 
 from functools import cache
 
+import equinox as eqx
+
 from softfin.tracking.references import Cell
+from softfin.training import beat
 from softfin.training.force_map import ForceMap, MapConfig, map_forces
 from softfin.training.gaits import GaitConfig
 from softfin.training.survey import Survey, SurveyConfig, survey
@@ -13,6 +16,10 @@ SURVEY = SurveyConfig(cycles=2, batch=256, directions=16, pushes=6)
 GAITS = GaitConfig(cycles=2, steps=16)
 WITHIN = MapConfig(box=Cell(low=(0.5, -0.5), high=(1.5, 0.5)), survey=SURVEY, gaits=GAITS)
 """Three by three forces that the fin can make, each with ease."""
+
+made = eqx.filter_jit(beat.made)
+"""Compiled once for all fins of a kind."""
+steady = eqx.filter_jit(beat.steady)
 
 
 @cache

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from softfin.surrogate import import_keras
 from softfin.tracking.reachable import Reachable
 from softfin.tracking.references import Cell
-from softfin.training.beat import families, made, measured, steady
+from softfin.training.beat import families, measured, steady
 from softfin.training.gaits import GaitConfig, GaitTable, Lattice, find_gaits
 from softfin.training.survey import Survey, SurveyConfig, survey
 from tests.plants import StrokeFin
-from tests.training.mapped import FIN, GAITS, known, seen
+from tests.training.mapped import FIN, GAITS, known, made, seen
 from tests.training.test_survey import OwnFin
 
 KEY = jax.random.key(0)
@@ -134,7 +134,7 @@ def test_a_lattice_for_a_single_force_has_its_gait() -> None:
 def test_a_gait_of_the_published_fin_holds_its_force_in_the_steady_state(published: Path) -> None:
     fin = import_keras(published / "cnn_pos_net.keras", published / "lstm_force_net.keras", published / "scalers.json")
     strokes = families()[0]
-    got = jax.jit(jax.vmap(lambda gait: made(fin, gait, 2, KEY)))(jnp.asarray(strokes.gaits))
+    got = jax.jit(jax.vmap(lambda gait: measured(steady(fin, gait, 2, KEY))))(jnp.asarray(strokes.gaits))
     region = Reachable(np.array([2, 0], np.float32), np.ones(8, np.float32))
     one = Survey([strokes], np.asarray(got.force)[None], np.asarray(got.smoothness)[None], region, strokes.gaits[:8])
     found = find_gaits(fin, one, Lattice((1.5, -0.25), (2, 0), (2, 2)), GaitConfig(cycles=2, steps=8))

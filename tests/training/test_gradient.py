@@ -2,7 +2,7 @@
 
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -15,7 +15,7 @@ from softfin.errors import ConfigurationError, PlantError, RunError
 from softfin.plant import Plant
 from softfin.quantities import Command
 from softfin.tracking.reachable import Reachable
-from softfin.tracking.references import PAPER_RANGE, PAPER_REFERENCES, Cell
+from softfin.tracking.references import PAPER_RANGE, PAPER_REFERENCES, Cell, stack_references
 from softfin.tracking.task import ForceTracking, RewardConfig, TaskConfig
 from softfin.training import beat
 from softfin.training.beat import missing_gradient
@@ -24,13 +24,14 @@ from softfin.training.gradient import Gradient, GradientConfig, GradientLane
 from softfin.training.imitation import ImitationConfig
 from softfin.training.learner import Learner
 from softfin.training.policy import Policy, PolicyConfig
-from softfin.training.rollout import begin
+from softfin.training.rollout import Batch
 from softfin.training.train import (
     GRADIENT_SINGLE,
     GRID,
     STARTS,
     TrainConfig,
     Trained,
+    _Run,
     check,
     held,
     starting,
@@ -42,23 +43,64 @@ from tests.surrogate.streaming import small as streaming
 from tests.training.mapped import GAITS, SURVEY, WITHIN, known
 from tests.training.probes import Delayed, Direct
 
-SIZE = PolicyConfig(units=8, width=8)
-TASK = ForceTracking(StrokeFin(), TaskConfig(phase=True, reference_actions=45))
-LEARNER = Gradient(
-    TASK, GradientConfig(environments=4, rollout_actions=6, learning_rate=1e-2, teacher=False), SIZE, updates=40
-)
-REFERENCES = Cell(low=(1, -0.25), high=(1.5, 0.25)).references()
+QUICK = GRADIENT_SINGLE.model_copy(
+    update={
+        "cells": (WITHIN.box,),
+        "margin_n": 0.0,
+        "policy": PolicyConfig(units=8, width=8),
+        "steps": 40 * 24,
+        "scorings": 4,
+        "lattice": 1,
+        "task": TaskConfig(phase=True, episode_actions=12, reference_actions=6),
+        "gradient": GradientConfig(
+            environments=4, rollout_actions=6, learning_rate=1e-2,
+            imitation=ImitationConfig(fins=4, actions=12, steps=5, batch=4), map=MapConfig(survey=SURVEY, gaits=GAITS),
+        ),
+    }
+)  # fmt: skip
+SEEDS = (0, 1, 2, 3)
+TASK = ForceTracking(StrokeFin(), QUICK.task)
+LEARNER = Gradient(TASK, QUICK.gradient, QUICK.policy, QUICK.updates)
 
 
 @cache
-def start() -> GradientLane:
-    """With a policy that beats: where a fin rests, its force has no slope."""
-    lane = jax.jit(LEARNER.init)(jax.random.key(0), REFERENCES)
-    return lane._replace(policy=eqx.tree_at(lambda policy: policy.net.output.kernel, lane.policy, replace_fn=louder))
+def loud() -> GradientLane:
+    """Four lanes with policies that beat: where a fin rests, its force has no slope."""
+    keys = jax.random.split(jax.random.key(0), len(SEEDS))
+    references = stack_references([Cell(low=(1, -0.25), high=(1.5, 0.25))] * len(SEEDS), known().reachable)
+    lanes = jax.jit(jax.vmap(LEARNER.init))(keys, references)
+    return lanes._replace(policy=eqx.tree_at(lambda policy: policy.net.output.kernel, lanes.policy, replace_fn=louder))
 
 
 def louder(kernel: Any) -> Any:
     return 60 * kernel
+
+
+def start() -> GradientLane:
+    return jax.tree.map(lambda x: x[0], loud())
+
+
+class Judged(NamedTuple):
+    loss: Any
+    reward: Any
+    slope: Policy
+
+
+def judged(
+    policy: Policy, batch: Batch, rounding: float, weight: Any = (1.0, 1.0), smoothness: Any = (0.01, 0.01)
+) -> Judged:
+    """The loss of the learner with other settings; defaults of a compiled function would be constants in it."""
+    found: Judged = _judged(policy, batch, rounding, weight, smoothness)
+    return found
+
+
+@jax.jit
+def _judged(policy: Policy, batch: Batch, rounding: Any, weight: Any, smoothness: Any) -> Judged:
+    reward = QUICK.task.reward.model_copy(update={"weight": weight, "smoothness": smoothness})
+    task = ForceTracking(TASK.plant, QUICK.task.model_copy(update={"reward": reward}))
+    learner = Gradient(task, QUICK.gradient.model_copy(update={"rounding_n": rounding}), QUICK.policy, QUICK.updates)
+    (loss, (_, metrics)), slope = jax.value_and_grad(learner.loss, has_aux=True)(policy, batch)
+    return Judged(loss, metrics["reward"], slope)
 
 
 def test_it_meets_the_contract_of_learners() -> None:
@@ -67,14 +109,15 @@ def test_it_meets_the_contract_of_learners() -> None:
 
 def test_its_slope_is_that_of_finite_differences() -> None:
     """For the weight that the loss depends on most, and its neighbours."""
-    lane = start()
-    loss = jax.jit(lambda policy: LEARNER.loss(policy, lane.batch)[0])
-    slope = jax.jit(jax.grad(lambda policy: LEARNER.loss(policy, lane.batch)[0]))(lane.policy).net.hidden.kernel
+    lane, rounding = start(), QUICK.gradient.rounding_n
+    slope = np.asarray(judged(lane.policy, lane.batch, rounding).slope.net.hidden.kernel)
     place, step = np.unravel_index(np.argmax(np.abs(slope)), slope.shape), 3e-2
 
     def moved(by: float) -> float:
-        kernel = lane.policy.net.hidden.kernel.at[place].add(by)
-        return float(loss(eqx.tree_at(lambda policy: policy.net.hidden.kernel, lane.policy, kernel)))
+        kernel = np.array(lane.policy.net.hidden.kernel)
+        kernel[place] += by
+        there = eqx.tree_at(lambda policy: policy.net.hidden.kernel, lane.policy, jnp.asarray(kernel))
+        return float(judged(there, lane.batch, rounding).loss)
 
     assert float(slope[place]) != 0
     np.testing.assert_allclose(float(slope[place]), (moved(step) - moved(-step)) / (2 * step), rtol=0.05)
@@ -82,17 +125,15 @@ def test_its_slope_is_that_of_finite_differences() -> None:
 
 def test_no_slope_reaches_the_normalisation_and_the_noise() -> None:
     lane = start()
-    slope = jax.jit(jax.grad(lambda policy: LEARNER.loss(policy, lane.batch)[0]))(lane.policy)
-    assert all((leaf == 0).all() for leaf in jax.tree.leaves((slope.normalisation, slope.log_deviation)))
+    slope = judged(lane.policy, lane.batch, QUICK.gradient.rounding_n).slope
+    assert not any(np.any(leaf) for leaf in jax.tree.leaves((slope.normalisation, slope.log_deviation)))
 
 
 def test_updates_lower_the_loss() -> None:
     """On average over four policies: which references a short run draws weighs nearly as much as what it learns."""
-    lanes = jax.vmap(lambda key: LEARNER.init(key, REFERENCES))(jax.random.split(jax.random.key(0), 4))
-    lanes = lanes._replace(policy=eqx.tree_at(lambda policy: policy.net.output.kernel, lanes.policy, replace_fn=louder))
-    losses, update = [], jax.jit(jax.vmap(LEARNER.update))
-    for _ in range(LEARNER.updates):
-        lanes, metrics = update(lanes)
+    run, lanes, losses = _Run(StrokeFin(), QUICK, SEEDS, known()), loud(), []
+    for _ in range(QUICK.updates):
+        lanes, metrics = run.update(lanes)
         losses.append(np.asarray(metrics["loss"]))
     assert np.mean(losses[-5:]) < 0.85 * np.mean(losses[:5])
     assert {"loss", "error_x_n", "error_y_n", "reward", "gradient_norm"} <= set(metrics)
@@ -101,27 +142,16 @@ def test_updates_lower_the_loss() -> None:
 def test_a_loss_of_rounded_errors_is_the_plain_one_less_at_most_the_rounding() -> None:
     """sqrt(e^2 + r^2) - r lies between e - r and e."""
     lane = start()
-    sharp = GradientConfig(environments=4, rollout_actions=6, rounding_n=1e-6, teacher=False)
-    plain = float(Gradient(TASK, sharp, SIZE, 40).loss(lane.policy, lane.batch)[0])
-    rounded = float(LEARNER.loss(lane.policy, lane.batch)[0])
-    assert plain - 2 * LEARNER.config.rounding_n <= rounded < plain
+    plain, rounded = (float(judged(lane.policy, lane.batch, by).loss) for by in (1e-6, QUICK.gradient.rounding_n))
+    assert plain - 2 * QUICK.gradient.rounding_n <= rounded < plain
 
 
 def test_the_loss_is_the_reward_of_the_task_but_for_the_rounding() -> None:
     """The reward of each action is what PPO's rollout collects; here its weights all differ."""
-    weights = RewardConfig(weight=(2.0, 0.5), smoothness=(0.3, 0.05))
-    task = ForceTracking(Direct(), TASK.config.model_copy(update={"reward": weights}))
-    sharp = GradientConfig(environments=2, rollout_actions=3, rounding_n=1e-6, teacher=False)
-
-    @jax.jit
-    def both(key: Any) -> Any:
-        policy = Policy.create(key, SIZE, task.config.observations)
-        loss, (_, metrics) = Gradient(task, sharp, SIZE, 40).loss(policy, begin(task, policy, REFERENCES, key, 2))
-        return loss, metrics["reward"]
-
-    loss, reward = both(jax.random.key(0))
-    assert float(reward) < -0.1
-    np.testing.assert_allclose(-float(loss), float(reward), rtol=1e-5)
+    lane = start()
+    got = judged(lane.policy, lane.batch, 1e-6, (2.0, 0.5), (0.3, 0.05))
+    assert float(got.reward) < -0.1
+    np.testing.assert_allclose(-float(got.loss), float(got.reward), rtol=1e-5)
 
 
 class Numb(StrokeFin):
@@ -222,35 +252,24 @@ def test_the_gradient_is_compiled_once_for_all_who_ask() -> None:
     assert 0 < calls[1] < calls[0]
 
 
-QUICK = GRADIENT_SINGLE.model_copy(
-    update={
-        "cells": (WITHIN.box,),
-        "margin_n": 0.0,
-        "policy": SIZE,
-        "steps": 4 * 24,
-        "scorings": 4,
-        "lattice": 1,
-        "task": TaskConfig(phase=True, episode_actions=12, reference_actions=6),
-        "gradient": GradientConfig(
-            environments=4, rollout_actions=6, imitation=ImitationConfig(fins=4, actions=12, steps=5, batch=4),
-            map=MapConfig(survey=SURVEY, gaits=GAITS.model_copy(update={"steps": 2})),
-        ),
-    }
-)  # fmt: skip
-
-
 def trained(folder: Path, resume: bool = False, progress: Any = None) -> Trained:
     workspace = Workspace(folder / "out", {"of": "this"}, resume=resume)
-    return train(StrokeFin(), QUICK, (0,), workspace, progress)
+    return train(StrokeFin(), QUICK, SEEDS, workspace, progress)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Trained:
+    return trained(tmp_path_factory.mktemp("whole"))
 
 
 class Cut(Exception):
     """The power goes."""
 
 
-def test_a_run_that_was_stopped_twice_ends_with_the_weights_of_one_that_never_was(tmp_path: Path) -> None:
-    """Once between the map and the first update, once later."""
-    whole = trained(tmp_path / "whole")
+def test_a_run_that_was_stopped_twice_ends_with_the_weights_of_one_that_never_was(
+    whole: Trained, tmp_path: Path
+) -> None:
+    """Once between the map and the first checkpoint, once between two checkpoints."""
 
     def cut(at: float) -> Any:
         def progress(stage: str, done: float, note: str) -> None:
@@ -262,8 +281,8 @@ def test_a_run_that_was_stopped_twice_ends_with_the_weights_of_one_that_never_wa
     stages = []
     for resume, at in ((False, 0.2), (True, 0.7)):
         with pytest.raises(Cut):
-            trained(tmp_path / "cut", resume, cut(at))
-    resumed = trained(tmp_path / "cut", True, lambda stage, done, note: stages.append(stage))
+            trained(tmp_path, resume, cut(at))
+    resumed = trained(tmp_path, True, lambda stage, done, note: stages.append(stage))
 
     jax.tree.map(np.testing.assert_array_equal, resumed.policies, whole.policies)
     jax.tree.map(np.testing.assert_array_equal, resumed.score, whole.score)
@@ -273,14 +292,13 @@ def test_a_run_that_was_stopped_twice_ends_with_the_weights_of_one_that_never_wa
     jax.tree.map(np.testing.assert_array_equal, resumed.known, whole.known)
 
 
-def test_a_run_knows_what_the_fin_can_do_over_its_cells(tmp_path: Path) -> None:
-    found = trained(tmp_path)
-    assert found.known is not None
+def test_a_run_knows_what_the_fin_can_do_over_its_cells(whole: Trained) -> None:
+    assert whole.known is not None
     assert WITHIN.box is not None
-    table = found.known.found.table
+    table = whole.known.found.table
     assert (np.asarray(table.low) <= np.array(WITHIN.box.low) + 1e-6).all()
     assert (np.asarray(table.high) >= np.array(WITHIN.box.high) - 1e-6).all()
-    assert isinstance(found.policies, Policy)
+    assert isinstance(whole.policies, Policy)
 
 
 def test_the_table_reaches_over_all_that_is_taught() -> None:

@@ -21,7 +21,9 @@ CONFIG = ImitationConfig(fins=24, actions=24, steps=250, batch=12, learning_rate
 assert WITHIN.box is not None
 REFERENCES = WITHIN.box.references()
 KEY = jax.random.key(3)
-POLICY = Policy.create(jax.random.key(0), PolicyConfig(units=16, width=16), TASK.config.observations)
+POLICY = jax.jit(lambda key: Policy.create(key, PolicyConfig(units=16, width=16), TASK.config.observations))(
+    jax.random.key(0)
+)
 
 
 @cache
@@ -36,34 +38,39 @@ def taught() -> Policy:
     return jax.jit(lambda key: imitate(TASK, POLICY, table, REFERENCES, key, CONFIG))(KEY)
 
 
-def said(policy: Policy, observation: Any) -> np.ndarray:
-    """Actions along one fin's time."""
-    return np.asarray(jax.jit(lambda x: jax.lax.scan(lambda *now: policy.act(*now), policy.init(), x)[1])(observation))
+@jax.jit
+def said(policy: Policy, observation: Any) -> Any:
+    """Actions along the time of each fin."""
+
+    def along(x: Any) -> Any:
+        return jax.lax.scan(lambda *now: policy.act(*now), policy.init(), x)[1]
+
+    return jax.vmap(along, 1, 1)(observation)
 
 
 def unlike(policy: Policy) -> float:
     """Root of the mean square over fins that it was not taught with."""
-    squares = [(said(policy, shown().observation[:, fin]) - shown().action[:, fin]) ** 2 for fin in range(8)]
-    return float(np.sqrt(np.mean(squares)))
+    observation, action = (np.asarray(part)[:, :8] for part in shown())
+    return float(np.sqrt(np.mean((np.asarray(said(policy, observation)) - action) ** 2)))
 
 
 def test_what_is_shown_is_the_gait_of_the_observed_reference_in_its_phase() -> None:
-    observation, action = shown()
-    scale, table = TASK.config.force_scale_n, known().found.table
+    observation, action = (np.asarray(part) for part in shown())
+    table, times = known().found.table, [0, 5, 13, 23]
     assert observation.shape == (24, 24, 13)
-    for time in (0, 5, 13, 23):
-        reference = observation[time, 4, 1:3] * scale
-        np.testing.assert_allclose(action[time, 4], table.gait(reference)[time % CYCLE_ACTIONS], atol=1e-4)
+    gaits = jax.jit(jax.vmap(table.gait))(observation[times, 4, 1:3] * TASK.config.force_scale_n)
+    for time, gait in zip(times, gaits, strict=True):
+        np.testing.assert_allclose(action[time, 4], gait[time % CYCLE_ACTIONS], atol=1e-4)
 
 
 def test_what_is_observed_is_what_the_actions_before_led_to() -> None:
-    observation, action = shown()
+    observation, action = (np.asarray(part) for part in shown())
     np.testing.assert_allclose(observation[1:, :, 3:5], action[:-1], atol=1e-6)
     np.testing.assert_allclose(observation[1:, :, 0], action[:-1, :, 0], atol=1e-5)
 
 
 def test_each_fin_is_shown_two_references_and_the_box_is_filled_with_them() -> None:
-    references = shown().observation[..., 1:3] * TASK.config.force_scale_n
+    references = np.asarray(shown().observation)[..., 1:3] * TASK.config.force_scale_n
     np.testing.assert_array_equal(references[:12], np.broadcast_to(references[0], (12, 24, 2)))
     np.testing.assert_array_equal(references[12:], np.broadcast_to(references[12], (12, 24, 2)))
     assert (np.abs(references[0] - references[12]).max(axis=1) > 1e-3).all()

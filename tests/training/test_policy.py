@@ -13,9 +13,13 @@ from softfin.training.policy import Policy, PolicyConfig, named
 CONFIG = PolicyConfig(units=8, width=6)
 
 
-@pytest.fixture
+act = jax.jit(lambda policy, observation: policy.act(policy.init(), observation)[1])
+
+
+@pytest.fixture(scope="module")
 def policy() -> Policy:
-    return Policy.create(jax.random.key(0), CONFIG, 11)
+    made: Policy = jax.jit(lambda: Policy.create(jax.random.key(0), CONFIG, 11))()
+    return made
 
 
 def weights(tree: Any) -> dict[str, np.ndarray]:
@@ -23,19 +27,20 @@ def weights(tree: Any) -> dict[str, np.ndarray]:
 
 
 def test_the_deterministic_action_is_within_the_box_and_has_no_noise(policy: Policy) -> None:
-    loud = jax.tree.map(lambda x: 50 * x, policy)
-    _, action = loud.act(loud.init(), jnp.ones(11))
+    loud = jax.tree.map(lambda x: 50 * np.asarray(x), policy)
+    action = np.asarray(act(loud, np.ones(11, np.float32)))
     assert np.all(np.abs(action) <= 1)
-    np.testing.assert_array_equal(action, loud.act(loud.init(), jnp.ones(11))[1])
+    np.testing.assert_array_equal(action, act(loud, np.ones(11, np.float32)))
 
 
 def test_a_policy_steps_as_its_sequence_runs(policy: Policy) -> None:
-    x = jax.random.normal(jax.random.key(1), (9, 11))
-    memory, means = policy.init(), []
+    x = np.random.default_rng(1).normal(size=(9, 11)).astype(np.float32)
+    memory, means, step = policy.init(), [], jax.jit(lambda policy, *now: policy.step(*now))
     for observation in x:
-        memory, mean = policy.step(memory, observation)
-        means.append(mean)
-    np.testing.assert_allclose(policy.sequence(policy.init(), x, jnp.zeros(9, bool)), jnp.stack(means), atol=1e-6)
+        memory, mean = step(policy, memory, observation)
+        means.append(np.asarray(mean))
+    along = jax.jit(lambda policy, x: policy.sequence(policy.init(), x, jnp.zeros(9, bool)))(policy, x)
+    np.testing.assert_allclose(along, np.stack(means), atol=1e-6)
 
 
 def test_the_density_is_that_of_a_normal_distribution(policy: Policy) -> None:
@@ -51,7 +56,8 @@ def test_the_density_is_that_of_a_normal_distribution(policy: Policy) -> None:
 
 
 def test_weights_and_normalisation_go_by_name_and_come_back(policy: Policy) -> None:
-    policy = policy.having_seen(jax.random.normal(jax.random.key(2), (5, 11)))
+    seen = np.random.default_rng(2).normal(size=(5, 11)).astype(np.float32)
+    policy = jax.jit(Policy.having_seen)(policy, seen)
     arrays = weights(policy)
     assert {"net.lstm.kernel", "net.output.bias", "log_deviation", "normalisation.mean"} <= set(arrays)
     again = Policy.of(CONFIG, 11, arrays, "here")
@@ -59,7 +65,7 @@ def test_weights_and_normalisation_go_by_name_and_come_back(policy: Policy) -> N
 
 
 def test_many_policies_are_one_stack(policy: Policy) -> None:
-    stacked = jax.tree.map(lambda x: jnp.stack([x, 2 * x, 3 * x]), policy)
+    stacked = jax.tree.map(lambda x: np.multiply.outer(np.float32([1, 2, 3]), np.asarray(x)), policy)
     again = Policy.of(CONFIG, 11, weights(stacked), "here")
     assert again.log_deviation.shape == (3, 2)
 

@@ -3,7 +3,6 @@
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -34,9 +33,9 @@ class Carried(NamedTuple):
 
 
 def stacked(seeds: int, cells: int) -> Policy:
-    one = Policy.create(jax.random.key(0), PolicyConfig(units=2, width=2), 5)
-    places = np.arange(seeds * cells, dtype=np.float32).reshape(seeds, cells)
-    many: Policy = jax.tree.map(lambda x: jnp.asarray(np.add.outer(places, np.asarray(x))), one)
+    one = jax.eval_shape(lambda: Policy.create(jax.random.key(0), PolicyConfig(units=2, width=2), 5))
+    places, random = np.arange(seeds * cells, dtype=np.float32).reshape(seeds, cells), np.random.default_rng(0)
+    many: Policy = jax.tree.map(lambda x: np.add.outer(places, random.normal(size=x.shape).astype(x.dtype)), one)
     return many
 
 
@@ -105,7 +104,7 @@ def test_each_part_begins_with_its_parents_policy_seed_by_seed() -> None:
 
 def test_lanes_of_any_algorithm_go_on_from_the_policies_that_they_are_given() -> None:
     handed = inherited(stacked(2, 4), (0, 1, 1, 2, 3))
-    lanes = Carried({"nets": jax.tree.map(lambda x: jnp.zeros((10, *x.shape[2:])), handed)}, jnp.arange(10))
+    lanes = Carried({"nets": jax.tree.map(lambda x: np.zeros((10, *x.shape[2:])), handed)}, np.arange(10))
     begun = begun_from(lanes, handed)
     np.testing.assert_array_equal(begun.policy.net.lstm.kernel[7], handed.net.lstm.kernel[1, 2])
     np.testing.assert_array_equal(begun.steps, lanes.steps)

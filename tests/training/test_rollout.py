@@ -1,11 +1,13 @@
 """Rollouts: what the learner replays is what was lived through; resets; the clock."""
 
+from typing import Any
+
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.training.policy import ActorCritic
+from softfin.training.lstm import Memory
+from softfin.training.policy import ActorCritic, Policy
 from softfin.training.ppo import PPO, Lane
 from softfin.training.rollout import Rollout, collect
 from tests.plants import AnalyticFin
@@ -21,10 +23,10 @@ def lived() -> tuple[PPO, Lane, Lane, Rollout]:
     start = jax.jit(ppo.init)(jax.random.key(0), BOX)
     play = jax.jit(lambda lane, key: collect(ppo.task, lane.networks.policy, lane.batch, key, 4))
     batch, first = play(start, jax.random.key(1))
-    networks = ActorCritic(start.networks.policy.having_seen(first.observation), start.networks.critic)
-    before = start._replace(batch=batch, networks=networks)
+    policy = jax.jit(Policy.having_seen)(start.networks.policy, first.observation)
+    before = start._replace(batch=batch, networks=ActorCritic(policy, start.networks.critic))
     batch, rollout = play(before, jax.random.key(2))
-    return ppo, before, before._replace(batch=batch), rollout
+    return ppo, before, before._replace(batch=batch), jax.tree.map(np.asarray, rollout)
 
 
 def test_the_replay_of_a_rollout_gives_the_densities_it_was_lived_with(
@@ -33,11 +35,14 @@ def test_the_replay_of_a_rollout_gives_the_densities_it_was_lived_with(
     _, before, _, rollout = lived
     assert rollout.fresh.any()
     policy = before.networks.policy
-    for env in range(4):
-        memories = jax.tree.map(lambda x, i=env: x[i], before.batch.memories)
-        mean = policy.sequence(memories, rollout.observation[:, env], rollout.fresh[:, env])
-        density = policy.log_density(mean, rollout.raw[:, env])
-        np.testing.assert_allclose(density, rollout.log_density[:, env], atol=1e-4)
+
+    @jax.jit
+    def replayed(policy: Policy, memories: Memory, rollout: Rollout) -> Any:
+        mean = jax.vmap(policy.sequence, (0, 1, 1), 1)(memories, rollout.observation, rollout.fresh)
+        return policy.log_density(mean, rollout.raw)
+
+    density = replayed(policy, before.batch.memories, rollout)
+    np.testing.assert_allclose(density, rollout.log_density, atol=1e-4)
 
 
 def test_episodes_are_cut_once_each_at_spread_times_and_only_at_the_end_of_a_cycle(
@@ -61,8 +66,12 @@ def test_a_reset_clears_what_the_networks_remember(lived: tuple[PPO, Lane, Lane,
     _, before, _, rollout = lived
     policy = before.networks.policy
     time, env = np.argwhere(np.asarray(rollout.fresh))[0]
-    _, mean = policy.step(policy.init(), rollout.observation[time, env])
-    density = policy.log_density(mean, rollout.raw[time, env])
+
+    @jax.jit
+    def at_rest(policy: Policy, observation: Any, raw: Any) -> Any:
+        return policy.log_density(policy.step(policy.init(), observation)[1], raw)
+
+    density = at_rest(policy, rollout.observation[time, env], rollout.raw[time, env])
     np.testing.assert_allclose(density, rollout.log_density[time, env], atol=1e-4)
 
 
@@ -87,4 +96,4 @@ def test_all_environments_keep_to_the_33_33_34_clock(lived: tuple[PPO, Lane, Lan
 def test_every_environment_has_its_own_reference(lived: tuple[PPO, Lane, Lane, Rollout]) -> None:
     references = np.asarray(lived[2].batch.states.reference)
     assert len(np.unique(references, axis=0)) == 4
-    assert np.all((references >= jnp.array([1, -1])) & (references <= jnp.array([3, 1])))
+    assert np.all((references >= [1, -1]) & (references <= [3, 1]))

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from softfin.quantities import PAPER_LIMITS, Limits
-from softfin.training.beat import made
 from softfin.training.survey import SurveyConfig, _middle, survey
 from tests.plants import StrokeFin
-from tests.training.mapped import FIN, SURVEY, seen
+from tests.training.mapped import FIN, SURVEY, made, seen
 
 MOST_N = np.pi
 """Straight ahead: strokes of 180 degrees at pi rad/s."""
