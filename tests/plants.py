@@ -7,6 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from softfin.action_clock import MOST_TICKS
+from softfin.plant import Ticks
 from softfin.quantities import PAPER_LIMITS, TICK_S, Command, Limits, Reading
 
 
@@ -106,3 +108,10 @@ class StrokeFin(eqx.Module):
         times = time + TICK_S * (jnp.arange(ticks) + 1)
         reading = Reading(times, ones * command.angle, ones * stroke, ones[:, None] * force)
         return (times[-1], jnp.asarray(command.angle, jnp.float32)), reading
+
+    def hold_action(
+        self, state: tuple[Float[Array, ""], Float[Array, ""]], command: Command, ticks: Ticks
+    ) -> tuple[tuple[Float[Array, ""], Float[Array, ""]], Reading]:
+        """A stroke is one whole, which many ticks one by one are not."""
+        (_, angle), reading = self.advance(state, command, MOST_TICKS)
+        return (jnp.asarray(reading.time)[ticks - 1], angle), reading

@@ -124,7 +124,9 @@ def _program(plant: Plant, arrays: PyTree[Any], static: PyTree[Any]) -> str:
     def everything(arrays: PyTree[Any], key: PRNGKeyArray, command: Command) -> Any:
         whole: Plant = eqx.combine(arrays, static)
         state = whole.init(key)
-        return [whole.advance(state, command, ticks) for ticks in (1, ACTION_TICKS[0])]
+        own = getattr(whole, "hold_action", None)
+        held = [] if own is None else [own(state, command, jnp.int32(ACTION_TICKS[0]))]
+        return [whole.advance(state, command, ticks) for ticks in (1, ACTION_TICKS[0])] + held
 
     try:
         limits = [float(limit) for limit in plant.limits]

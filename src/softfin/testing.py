@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softfin.action_clock import ACTION_TICKS
+from softfin.action_clock import ACTION_TICKS, MOST_TICKS
 from softfin.deployment.conformance import check_machine
 from softfin.errors import PlantError
 from softfin.plant import Plant, State, roll
@@ -27,8 +27,8 @@ def check_plant(plant: Any) -> None:
 
     Checked: the members, the limits, shapes and types, time, finite readings at the corners of the limits, that the
     same state and command give the same readings (purity), that it can be told from plants with other parameters
-    (`softfin.plant_identity.identity`), that ticks held are ticks one by one, and that `jit`,
-    `vmap`, `scan` and `grad` go through.
+    (`softfin.plant_identity.identity`), that ticks held are ticks one by one, that `jit`, `vmap`, `scan` and `grad` go
+    through, and that `hold_action`, where it has one, does what `advance` does.
     """
     if not isinstance(plant, Plant):
         missing = [name for name in ("limits", "init", "advance") if not hasattr(plant, name)]
@@ -44,6 +44,7 @@ def check_plant(plant: Any) -> None:
         for velocity in (limits.velocity_min, limits.velocity_max):
             state = _check_stroke(plant, stroke, state, Command(jnp.float32(angle), jnp.float32(velocity)))
     _check_gradient(plant)
+    _check_held_action(plant)
 
 
 def _check_limits(plant: Plant) -> Limits:
@@ -126,6 +127,32 @@ def _check_batches(plant: Plant) -> None:
     if not np.allclose(together[0], alone, rtol=1e-2, atol=1e-2):
         _fail(plant, "a fin in a batch whose commands are held differs from the same fin alone, tick by tick",
               "advance by n ticks is n times advance by one, and nothing is shared between fins")  # fmt: skip
+
+
+def _check_held_action(plant: Plant) -> None:
+    own = getattr(plant, "hold_action", None)
+    if own is None:
+        return
+    command = Command(jnp.float32(0.5), jnp.float32(plant.limits.velocity_max))
+    whole = jax.jit(lambda state, ticks: own(state, command, ticks))
+    for ticks in sorted(set(ACTION_TICKS)):
+        state = plant.init(jax.random.key(0))
+        after, reading = whole(state, ticks)
+        expected_after, expected = plant.advance(state, command, ticks)
+        if jnp.shape(reading.force) != (MOST_TICKS, 2):
+            _fail(
+                plant, f"hold_action gives forces of shape {jnp.shape(reading.force)}", f"it must be ({MOST_TICKS}, 2)"
+            )
+        pairs = zip(jax.tree.leaves((after, reading.force[:ticks], reading.angle[:ticks])),
+                    jax.tree.leaves((expected_after, expected.force, expected.angle)), strict=True)  # fmt: skip
+        if not all(_close(*pair) for pair in pairs):
+            _fail(plant, f"hold_action for {ticks} ticks differs from advance by as many",
+                  "it gives 34 rows, and the state after the first `ticks` of them")  # fmt: skip
+
+
+def _close(one: Any, other: Any) -> bool:
+    is_key = jnp.issubdtype(one.dtype, jax.dtypes.prng_key)
+    return is_key or bool(np.allclose(one, other, rtol=1e-3, atol=1e-4))
 
 
 def _ask(plant: Plant, name: str, *words: Any) -> Any:

@@ -193,7 +193,7 @@ def test_a_want_of_memory_is_an_error_and_not_trained_by_another_algorithm(
     def exhausted(*_: Any) -> Any:
         raise failure
 
-    monkeypatch.setattr(beat, "_slope", exhausted)
+    monkeypatch.setattr(beat, "_respond", exhausted)
     with pytest.raises(RunError, match=r"^StrokeFin: .*(9 GiB|no memory left); --algorithm ppo trains without gradien"):
         starting(StrokeFin())
 

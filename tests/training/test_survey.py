@@ -85,6 +85,9 @@ class OwnFin:
     def advance(self, state, command, ticks):
         return StrokeFin(self.gain).advance(state, command, ticks)
 
+    def hold_action(self, state, command, ticks):
+        return StrokeFin(self.gain).hold_action(state, command, ticks)
+
 
 def test_a_plant_that_cannot_be_hashed_is_surveyed_all_the_same() -> None:
     few = SurveyConfig(cycles=2, batch=700, directions=8, pushes=0)

@@ -8,6 +8,7 @@ motions of a plate are given along n and d and about its inner end.
 from collections.abc import Callable
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -136,25 +137,42 @@ Root = Callable[[Float[Array, ""], Float[Array, ""]], Float[Array, ""]]
 def solve(matrix: Float[Array, "plates plates"], right: PerPlate, root: Root) -> PerPlate:
     """Rates of the plates, whose own equations are ``matrix @ rates = right``.
 
-    Elimination goes from the tip to the root, without pivoting, as the matrix is symmetric positive definite; what is
-    left there is one scalar equation, ``inertia * rate = impulse``, which `root` may solve with whatever holds the fin.
-    Unrolled: a batch of such small systems is a handful of long vector operations, where a call of LAPACK is one call a
-    fin.
+    All plates but the first are eliminated, as the matrix is symmetric positive definite; what is left at the root is
+    one scalar equation, ``inertia * rate = impulse``, which `root` may solve with whatever holds the fin.
     """
-    size = right.shape[0]
+    if len(right) == 1:
+        return root(matrix[0, 0], right[0])[None]
+    column = matrix[1:, 0]
+    free, dragged = _solved(matrix[1:, 1:], jnp.stack([right[1:], column]))
+    first = root(matrix[0, 0] - column @ dragged, right[0] - column @ free)
+    return jnp.concatenate([first[None], free - first * dragged])
+
+
+def _solved(matrix: Float[Array, "n n"], rights: Float[Array, "rights n"]) -> Float[Array, "rights n"]:
+    """Of ``matrix @ x = right`` for each right side; the derivative is one more solution, not that of each step."""
+    solution: Float[Array, "rights n"] = jax.lax.custom_linear_solve(
+        lambda x: x @ matrix, rights, lambda _, b: _eliminated(matrix, b), symmetric=True
+    )
+    return solution
+
+
+def _eliminated(matrix: Float[Array, "n n"], rights: Float[Array, "rights n"]) -> Float[Array, "rights n"]:
+    """Elimination without pivoting, unrolled: a batch of such small systems is a handful of long vector operations,
+    where a call of LAPACK is one call a fin."""
+    size = matrix.shape[0]
     rows = [[matrix[i, j] for j in range(size)] for i in range(size)]
-    rhs = [right[i] for i in range(size)]
+    sides = [rights[:, i] for i in range(size)]
     for k in reversed(range(1, size)):
         inverse = 1 / rows[k][k]
         for i in range(k):
             factor = rows[k][i] * inverse
             for j in range(i + 1):
                 rows[i][j] = rows[i][j] - factor * rows[k][j]
-            rhs[i] = rhs[i] - factor * rhs[k]
-    solution = [root(rows[0][0], rhs[0])]
-    for k in range(1, size):
-        rest = rhs[k]
+            sides[i] = sides[i] - factor * sides[k]
+    solution: list[Float[Array, rights]] = []
+    for k in range(size):
+        rest = sides[k]
         for j in range(k):
             rest = rest - rows[k][j] * solution[j]
         solution.append(rest / rows[k][k])
-    return jnp.stack(solution)
+    return jnp.stack(solution, axis=1)

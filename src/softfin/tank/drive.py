@@ -87,14 +87,14 @@ class Drive(eqx.Module):
     encoder_step: Float[Array, ""]
 
     def __init__(self, config: DriveConfig):
-        self.acceleration = jnp.asarray(config.acceleration_rad_s2)
-        self.dead_time = jnp.asarray(config.dead_time_s)
-        self.lag = jnp.asarray(config.lag_s)
-        self.stiffness = jnp.asarray(config.stiffness_nm_rad)
-        self.inertia = jnp.asarray(config.inertia_kg_m2)
-        self.torque_limit = jnp.asarray(config.torque_limit_nm)
-        self.backlash = jnp.asarray(config.backlash_rad)
-        self.encoder_step = jnp.asarray(config.encoder_step_rad)
+        self.acceleration = jnp.asarray(config.acceleration_rad_s2, float)
+        self.dead_time = jnp.asarray(config.dead_time_s, float)
+        self.lag = jnp.asarray(config.lag_s, float)
+        self.stiffness = jnp.asarray(config.stiffness_nm_rad, float)
+        self.inertia = jnp.asarray(config.inertia_kg_m2, float)
+        self.torque_limit = jnp.asarray(config.torque_limit_nm, float)
+        self.backlash = jnp.asarray(config.backlash_rad, float)
+        self.encoder_step = jnp.asarray(config.encoder_step_rad, float)
 
     def rest(self) -> DriveState:
         """At angle 0, still, and told to stay there."""

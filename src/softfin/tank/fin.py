@@ -79,7 +79,7 @@ class Fin(eqx.Module):
     def __init__(self, config: FinConfig):
         plate = config.length_m / config.plates
         stiffness = 1 / compliance(config)
-        self.plate_length = jnp.asarray(plate)
+        self.plate_length = jnp.asarray(plate, float)
         self.stiffness = jnp.asarray(stiffness)
         self.damping = jnp.asarray(stiffness * config.damping_s)
         zeroth, first, second = plate_moments(

@@ -110,18 +110,18 @@ class Water(eqx.Module):
         section = float(config.added_mass_coefficient * rho * np.pi / 4)
         zeroth, first, second = plate_moments(fin, lambda s: section * fin.span(s) ** 2)
         span = fin.span(inner + plate / 2)
-        self.plate_length = jnp.asarray(plate)
-        self.temperature = jnp.asarray(config.temperature_c)
+        self.plate_length = jnp.asarray(plate, float)
+        self.temperature = jnp.asarray(config.temperature_c, float)
         self.inertia = Moments(zeroth, first, second, jnp.zeros_like(zeroth))
         self.drag = jnp.asarray(0.5 * rho * config.drag_coefficient * fin.span(inner + plate * GAUSS[:, None]))
         self.friction = jnp.asarray(config.friction_coefficient * np.sqrt(nu / fin.length_m) * rho * span)
         leaving = config.tip_coefficient * section * (fin.span_m * fin.tip_span_ratio) ** 2
         self.tip = jnp.asarray(leaving * np.eye(fin.plates)[-1])
         self.span = jnp.asarray(span)
-        self.drag_exponent = jnp.asarray(config.drag_exponent)
-        self.wake_memory = jnp.asarray(config.wake_memory_s)
-        self.stream_mass = jnp.asarray(config.stream_mass_kg)
-        self.stream_decay = jnp.asarray(config.stream_decay_s)
+        self.drag_exponent = jnp.asarray(config.drag_exponent, float)
+        self.wake_memory = jnp.asarray(config.wake_memory_s, float)
+        self.stream_mass = jnp.asarray(config.stream_mass_kg, float)
+        self.stream_decay = jnp.asarray(config.stream_decay_s, float)
 
     def at(self, temperature: Float[Array, ""]) -> "Water":
         """The same fin in water of another temperature [degrees Celsius]."""

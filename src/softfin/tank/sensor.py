@@ -61,13 +61,13 @@ class Sensor(eqx.Module):
     range: Float[Array, ""]
 
     def __init__(self, config: SensorConfig):
-        self.filter_time = jnp.asarray(config.filter_s)
-        self.misalignment = jnp.asarray(config.misalignment_rad)
-        self.noise = jnp.asarray(config.noise_n)
-        self.drift = jnp.asarray(config.drift_n)
-        self.drift_time = jnp.asarray(config.drift_s)
-        self.resolution = jnp.asarray(config.resolution_n)
-        self.range = jnp.asarray(config.range_n)
+        self.filter_time = jnp.asarray(config.filter_s, float)
+        self.misalignment = jnp.asarray(config.misalignment_rad, float)
+        self.noise = jnp.asarray(config.noise_n, float)
+        self.drift = jnp.asarray(config.drift_n, float)
+        self.drift_time = jnp.asarray(config.drift_s, float)
+        self.resolution = jnp.asarray(config.resolution_n, float)
+        self.range = jnp.asarray(config.range_n, float)
 
     def rest(self, key: PRNGKeyArray) -> SensorState:
         """No force yet; the drift is wherever its past has left it."""

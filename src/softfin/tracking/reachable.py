@@ -47,7 +47,8 @@ class Reachable(NamedTuple):
 
     def pulled(self, force: Float[AnyArray, "2"]) -> Float[Array, "2"]:
         """The force, or where the line from it to the centre meets the edge; traceable."""
-        return _pulled(jnp.asarray(self.centre), jnp.asarray(self.radius), jnp.asarray(force))
+        pulled: Float[Array, "2"] = _pulled(*(jnp.asarray(each) for each in (self.centre, self.radius, force)))
+        return pulled
 
     def distances(self, centre: Float[np.ndarray, "2"]) -> Float[np.ndarray, "directions"]:
         """From a force inside to where lines in the directions of the corners first leave the region [N]."""

@@ -15,9 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from softfin.action_clock import ACTION_TICKS, CYCLE_ACTIONS, WINDOW
+from softfin.action_clock import CYCLE_ACTIONS, WINDOW
 from softfin.errors import PlantError, RunError, SoftfinError
-from softfin.plant import Plant, State, hold
+from softfin.plant import Plant, hold
 from softfin.plant_identity import jit_argument
 from softfin.quantities import AnyArray
 from softfin.tracking.reward import sobolev_mean
@@ -84,6 +84,62 @@ def families() -> list[Family]:
     return found
 
 
+class Response(NamedTuple):
+    """What gaits make, and how that changes with their numbers."""
+
+    raw: Float[AnyArray, "gaits 12"]
+    """atanh of the actions."""
+    out: Float[AnyArray, "gaits 3"]
+    """Mean force (x, y) and the sum of both Sobolev terms [N]."""
+    slope: Float[AnyArray, "gaits 3 12"]
+    """Of `out` by `raw`."""
+    smoothness: Float[AnyArray, "gaits 2"]
+    """Sobolev terms (x, y) [N]."""
+
+
+GREATEST_ACTION = 0.97
+"""Actions are moved through atanh, which has no value at 1."""
+
+
+def raw_of(gaits: Float[np.ndarray, "gaits 6 2"]) -> Float[np.ndarray, "gaits 12"]:
+    """The atanh of the actions."""
+    raw: np.ndarray = np.arctanh(np.clip(gaits, -GREATEST_ACTION, GREATEST_ACTION)).reshape(len(gaits), -1)
+    return raw
+
+
+SIDE_BY_SIDE = 32
+"""Gaits of one call of the program that finds their slopes: one size, so that all who ask share the program."""
+
+CYCLES = 3
+"""Windows that a gait is repeated for from rest, where nothing else is asked for."""
+
+
+def response(plant: Plant, raw: Float[AnyArray, "gaits 12"], cycles: int, key: PRNGKeyArray) -> Response:
+    """Mean force and Sobolev terms of gaits, with their slopes; `plant` as `jit_argument` makes it."""
+    count = len(raw)
+    padded = np.resize(np.asarray(raw), (-(-count // SIDE_BY_SIDE) * SIDE_BY_SIDE, raw.shape[1]))
+    parts = [
+        _respond(plant, jnp.asarray(padded[start : start + SIDE_BY_SIDE]), cycles, key)
+        for start in range(0, len(padded), SIDE_BY_SIDE)
+    ]
+    found: Response = jax.tree.map(lambda *x: np.concatenate(x)[:count], *parts)
+    return found
+
+
+@eqx.filter_jit
+def _respond(plant: Plant, raw: Float[Array, "gaits 12"], cycles: int, key: PRNGKeyArray) -> Response:
+    def out(raw: Float[Array, "12"]) -> tuple[Float[Array, "3"], Float[Array, "2"]]:
+        got = made(plant, jnp.tanh(raw).reshape(CYCLE_ACTIONS, 2), cycles, key)
+        return jnp.concatenate([got.force, got.smoothness.sum()[None]]), got.smoothness
+
+    def each(raw: Float[Array, "12"]) -> Response:
+        value, pull, smoothness = jax.vjp(out, raw, has_aux=True)
+        return Response(raw, value, jax.vmap(lambda way: pull(way)[0])(jnp.eye(3)), smoothness)
+
+    found: Response = jax.vmap(each)(raw)
+    return found
+
+
 def missing_gradient(plant: Plant) -> str | None:
     """Say why the force of a plant has no slope against its commands; None where it has one.
 
@@ -91,32 +147,18 @@ def missing_gradient(plant: Plant) -> str | None:
         PlantError: the plant itself fails.
         RunError: the computer fails, for want of memory for example.
     """
-    gait = jnp.asarray(families()[0].gaits[len(CENTRES) * len(AMPLITUDES) // 2])
+    gait = raw_of(families()[0].gaits[len(CENTRES) * len(AMPLITUDES) // 2][None])
     # Raises where the plant does not go forward.
     argument = jit_argument(plant)
     with _failures_named(plant):
         try:
-            slope = np.asarray(_slope(gait, argument))
+            slope = response(argument, gait, CYCLES, jax.random.key(0)).slope[:, :2]
         except (TypeError, ValueError, NotImplementedError) as error:
             # What JAX says where there is no derivative.
             return f"JAX cannot differentiate it ({type(error).__name__}: {_first_line(error)})"
     if not np.isfinite(slope).all():
         return "its slope is not finite, as of a square root at 0"
     return None if slope.any() else "its slope is 0 throughout"
-
-
-def _stroke_force(gait: Gait, plant: Plant) -> Float[Array, ""]:
-    """Mean force over six strokes from rest: one call of `advance` in a scan, so that little is compiled."""
-
-    def stroke(state: State, action: Float[Array, "2"]) -> tuple[State, Float[Array, "ticks 2"]]:
-        state, reading = plant.advance(state, command_of(plant.limits, action), ACTION_TICKS[0])
-        return state, jnp.asarray(reading.force)
-
-    _, force = jax.lax.scan(stroke, plant.init(jax.random.key(0)), jnp.asarray(gait))
-    return force.mean(axis=(0, 1)).sum()
-
-
-_slope = eqx.filter_jit(eqx.filter_grad(_stroke_force))
 
 
 @contextmanager

@@ -22,16 +22,17 @@ from softfin.action_clock import CYCLE_ACTIONS
 from softfin.configuration import Configuration
 from softfin.plant import Plant
 from softfin.plant_identity import jit_argument
+from softfin.quantities import AnyArray
 from softfin.randomness import key_of
 from softfin.tracking.references import Cell, Force
-from softfin.training.beat import measured, steady
-from softfin.training.survey import GREATEST_ACTION, Survey
+from softfin.training.beat import CYCLES, Response, raw_of, response
+from softfin.training.survey import Survey
 
 
 class GaitConfig(Configuration):
     """How gaits are found."""
 
-    cycles: int = Field(default=3, ge=2)
+    cycles: int = Field(default=CYCLES, ge=2)
     """Windows that a gait is repeated for from rest; the last one counts. The fin and its wake must settle before."""
     steps: PositiveInt = 24
     """Gauss-Newton steps; the last `EXACT` of them look at the force alone."""
@@ -114,18 +115,6 @@ class Found(NamedTuple):
         return distance
 
 
-class _Nodes(NamedTuple):
-    """All nodes at one stage; the leading axis is that of the nodes, 12 numbers each."""
-
-    raw: Float[Array, "nodes 12"]
-    """atanh of the actions."""
-    out: Float[Array, "nodes 3"]
-    """Mean force (x, y) and the sum of both Sobolev terms [N]."""
-    slope: Float[Array, "nodes 3 12"]
-    smoothness: Float[Array, "nodes 2"]
-    """Sobolev terms (x, y) [N]."""
-
-
 def find_gaits(
     plant: Plant,
     seen: Survey,
@@ -140,19 +129,20 @@ def find_gaits(
     plant, table = jit_argument(plant), lattice.table()
     wanted = [seen.reachable.nearest((x, y)) for x, y in table.references().reshape(-1, 2).tolist()]
     target = jnp.asarray(wanted, jnp.float32)
-    nodes = _look(plant, _start(seen, target, lattice.nodes), config.cycles)
-    scale = jnp.ones(len(target))
+    nodes = response(plant, _start(seen, target, lattice.nodes), config.cycles, _key())
+    scale: Float[AnyArray, "nodes"] = np.ones(len(wanted), np.float32)
     for step in range(config.steps):
         exact = step >= config.steps - EXACT
         if step % 4 == 3 and not exact:
             nodes, scale = _helped(nodes, target, scale, lattice.nodes)
-        trial = _look(plant, _moved(nodes, target, scale, lattice.nodes, config, exact), config.cycles)
+        moved = _moved(nodes, target, scale, lattice.nodes, config, exact)
+        trial = response(plant, moved, config.cycles, _key())
         nodes, scale = _kept(nodes, trial, target, scale, 0.0 if exact else config.smoothness)
         if report is not None:
-            missed = np.linalg.norm(np.asarray(nodes.out[:, :2] - target), axis=1)
+            missed = np.linalg.norm(np.asarray(nodes.out)[:, :2] - wanted, axis=1)
             report((step + 1) / config.steps, f"error {np.median(missed):.3f} N median, {missed.max():.2f} N greatest")
     shaped = (*lattice.nodes, -1)
-    actions = jnp.tanh(nodes.raw).reshape(*lattice.nodes, CYCLE_ACTIONS, 2)
+    actions = jnp.asarray(np.tanh(nodes.raw)).reshape(*lattice.nodes, CYCLE_ACTIONS, 2)
     return Found(table._replace(actions=actions), np.asarray(nodes.out[:, :2]).reshape(shaped),
                  np.asarray(nodes.smoothness).reshape(shaped))  # fmt: skip
 
@@ -162,7 +152,7 @@ def _key() -> PRNGKeyArray:
     return key_of(0, "gaits")
 
 
-def _start(seen: Survey, target: Float[Array, "nodes 2"], shape: tuple[int, int]) -> Float[Array, "nodes 12"]:
+def _start(seen: Survey, target: Float[AnyArray, "nodes 2"], shape: tuple[int, int]) -> Float[AnyArray, "nodes 12"]:
     """Of one wave, the gaits that come near and are like those of their neighbours; and the wave that comes nearest."""
     best: tuple[float, Float[np.ndarray, "nodes 12"]] | None = None
     wanted = np.asarray(target)
@@ -170,7 +160,7 @@ def _start(seen: Survey, target: Float[Array, "nodes 2"], shape: tuple[int, int]
         chosen = [i for i, family in enumerate(seen.families) if family.wave == wave]
         force = np.concatenate([seen.force[i] for i in chosen])
         gaits = np.concatenate([seen.families[i].gaits for i in chosen])
-        raw = np.arctanh(np.clip(gaits, -GREATEST_ACTION, GREATEST_ACTION)).reshape(len(gaits), -1)
+        raw = raw_of(gaits)
         apart = np.linalg.norm(force[None] - wanted[:, None], axis=-1)
         nearest = np.argmin(apart, axis=1)
         for _ in range(SWEEPS):
@@ -190,36 +180,20 @@ UNLIKE_N = 0.5
 
 
 @eqx.filter_jit
-def _look(plant: Plant, raw: Float[Array, "nodes 12"], cycles: int) -> _Nodes:
-    """What gaits make, and its slopes."""
-
-    def out(raw: Float[Array, "12"]) -> tuple[Float[Array, "3"], Float[Array, "2"]]:
-        got = measured(steady(plant, jnp.tanh(raw).reshape(CYCLE_ACTIONS, 2), cycles, _key()))
-        return jnp.concatenate([got.force, got.smoothness.sum()[None]]), got.smoothness
-
-    def each(raw: Float[Array, "12"]) -> _Nodes:
-        value, pull, smoothness = jax.vjp(out, raw, has_aux=True)
-        return _Nodes(raw, value, jax.vmap(lambda way: pull(way)[0])(jnp.eye(3)), smoothness)
-
-    nodes: _Nodes = jax.vmap(each)(raw)
-    return nodes
-
-
-@eqx.filter_jit
 def _moved(
-    nodes: _Nodes,
-    target: Float[Array, "nodes 2"],
-    scale: Float[Array, "nodes"],
+    nodes: Response,
+    target: Float[AnyArray, "nodes 2"],
+    scale: Float[AnyArray, "nodes"],
     shape: tuple[int, int],
     config: GaitConfig,
     exact: bool,
-) -> Float[Array, "nodes 12"]:
+) -> Float[AnyArray, "nodes 12"]:
     """One step of every node."""
     across = nodes.slope[:, :2]
     gram = across @ jnp.swapaxes(across, 1, 2)
     gram += (1e-3 * jnp.trace(gram, axis1=1, axis2=2)[:, None, None] + 1e-3) * jnp.eye(2)
 
-    def along(force: Float[Array, "nodes 2"]) -> Float[Array, "nodes 12"]:
+    def along(force: Float[AnyArray, "nodes 2"]) -> Float[AnyArray, "nodes 12"]:
         """The least change that changes the force so."""
         return jnp.einsum("nij,ni->nj", across, jnp.linalg.solve(gram, force[..., None])[..., 0])
 
@@ -234,11 +208,15 @@ def _moved(
 
 @eqx.filter_jit
 def _kept(
-    nodes: _Nodes, trial: _Nodes, target: Float[Array, "nodes 2"], scale: Float[Array, "nodes"], smoothness: float
-) -> tuple[_Nodes, Float[Array, "nodes"]]:
+    nodes: Response,
+    trial: Response,
+    target: Float[AnyArray, "nodes 2"],
+    scale: Float[AnyArray, "nodes"],
+    smoothness: float,
+) -> tuple[Response, Float[AnyArray, "nodes"]]:
     """Each node where it is better off, with its next step longer after a gain and shorter after none."""
 
-    def merit(nodes: _Nodes) -> Float[Array, "nodes"]:
+    def merit(nodes: Response) -> Float[AnyArray, "nodes"]:
         missed = jnp.linalg.norm(nodes.out[:, :2] - target, axis=1)
         return jnp.maximum(missed, ENOUGH_N if smoothness else 0) + smoothness * nodes.out[:, 2]
 
@@ -253,10 +231,10 @@ ENOUGH_N = 0.02
 
 
 def _helped(
-    nodes: _Nodes, target: Float[Array, "nodes 2"], scale: Float[Array, "nodes"], shape: tuple[int, int]
-) -> tuple[_Nodes, Float[Array, "nodes"]]:
+    nodes: Response, target: Float[AnyArray, "nodes 2"], scale: Float[AnyArray, "nodes"], shape: tuple[int, int]
+) -> tuple[Response, Float[AnyArray, "nodes"]]:
     """Nodes that are stuck begin again where the best of their neighbours is."""
-    missed = np.linalg.norm(np.asarray(nodes.out[:, :2] - target), axis=1).reshape(shape)
+    missed = np.linalg.norm(np.asarray(nodes.out)[:, :2] - np.asarray(target), axis=1).reshape(shape)
     source = np.arange(missed.size).reshape(shape)
     for x, y in zip(*np.nonzero(missed > MISSED_N), strict=True):
         beside = [(x + i, y + j) for i, j in ((1, 0), (-1, 0), (0, 1), (0, -1))]
@@ -264,18 +242,19 @@ def _helped(
         best = min(beside, key=lambda place: missed[place])
         if missed[best] < MISSED_N:
             source[x, y] = best[0] * shape[1] + best[1]
-    moved = jnp.asarray(source.reshape(-1) != np.arange(missed.size))
-    return jax.tree.map(lambda leaf: leaf[source.reshape(-1)], nodes), jnp.where(moved, 1.0, scale)
+    moved = source.reshape(-1) != np.arange(missed.size)
+    helped: Response = jax.tree.map(lambda leaf: np.asarray(leaf)[source.reshape(-1)], nodes)
+    return helped, np.where(moved, np.float32(1.0), scale)
 
 
 @partial(jax.jit, static_argnums=1)
-def _neighbours(raw: Float[Array, "nodes 12"], shape: tuple[int, int]) -> Float[Array, "nodes 12"]:
+def _neighbours(raw: Float[AnyArray, "nodes 12"], shape: tuple[int, int]) -> Float[AnyArray, "nodes 12"]:
     """Mean of the four neighbours; at the edge a node stands in for the one that is missing."""
     grid = jnp.pad(raw.reshape(*shape, -1), ((1, 1), (1, 1), (0, 0)), mode="edge")
     mean = (grid[2:, 1:-1] + grid[:-2, 1:-1] + grid[1:-1, 2:] + grid[1:-1, :-2]) / 4
     return mean.reshape(raw.shape)
 
 
-def _shortened(step: Float[Array, "nodes 12"], longest: float) -> Float[Array, "nodes 12"]:
+def _shortened(step: Float[AnyArray, "nodes 12"], longest: float) -> Float[AnyArray, "nodes 12"]:
     length = jnp.linalg.norm(step, axis=1, keepdims=True)
     return step * jnp.minimum(1, longest / (length + 1e-9))

@@ -5,12 +5,13 @@ A lane is one policy with its own key and its own box of references; all of it i
 
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Float, PRNGKeyArray
 
+from softfin.quantities import AnyArray
 from softfin.tracking.references import References
 from softfin.training.policy import Policy
 
-Metrics: TypeAlias = dict[str, Float[Array, "*lanes"]]
+Metrics: TypeAlias = dict[str, Float[AnyArray, "*lanes"]]
 """Scalars of an update: ``loss``, ``error_x_n``, ``error_y_n`` [N], and what else the algorithm tells."""
 
 

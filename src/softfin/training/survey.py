@@ -4,7 +4,6 @@ A plant goes in, a Survey of gaits and their mean forces and the region of reach
 """
 
 from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -19,16 +18,13 @@ from softfin.plant import Plant
 from softfin.plant_identity import jit_argument
 from softfin.randomness import key_of
 from softfin.tracking.reachable import Reachable, directions
-from softfin.training.beat import Family, Gait, Made, families, made
-
-GREATEST_ACTION = 0.97
-"""Actions are moved through atanh, which has no value at 1."""
+from softfin.training.beat import CYCLES, Family, Made, families, made, raw_of, response
 
 
 class SurveyConfig(Configuration):
     """How the reachable forces are searched for."""
 
-    cycles: int = Field(default=3, ge=2)
+    cycles: int = Field(default=CYCLES, ge=2)
     """Windows that a gait is repeated for from rest; the last one counts."""
     batch: PositiveInt = 128
     """Gaits that are tried side by side."""
@@ -85,9 +81,9 @@ def _pushed(
     along = offset @ outward.T
     aside = np.abs(offset[:, :1] * outward[:, 1] - offset[:, 1:] * outward[:, 0])
     start = gaits[np.argmax(along - ASIDE * aside, axis=0)]
-    pushed, made_there = _push(plant, jnp.asarray(start), jnp.asarray(centre), config)
-    everything = np.concatenate([force, np.asarray(made_there).reshape(-1, 2)])
-    return Reachable(centre.astype(np.float32), _radius(everything - centre, outward)), np.asarray(pushed)
+    pushed, made_there = _push(plant, start, centre, config)
+    everything = np.concatenate([force, made_there])
+    return Reachable(centre.astype(np.float32), _radius(everything - centre, outward)), pushed
 
 
 def _middle(force: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2"]:
@@ -120,25 +116,24 @@ def _made(plant: Plant, gaits: Float[Array, "n 6 2"], cycles: int) -> Made:
     return jax.vmap(lambda gait: made(plant, gait, cycles, key_of(0, "survey")))(gaits)
 
 
-@eqx.filter_jit
 def _push(
-    plant: Plant, gaits: Float[Array, "d 6 2"], centre: Float[Array, "2"], config: SurveyConfig
-) -> tuple[Float[Array, "d 6 2"], Float[Array, "pushes d 2"]]:
-    """Gradient ascent of the distance along each direction, in the atanh of the actions, by steps of a fixed length."""
-    outward = jnp.asarray(directions(config.directions))
+    plant: Plant, gaits: Float[np.ndarray, "d 6 2"], centre: Float[np.ndarray, "2"], config: SurveyConfig
+) -> tuple[Float[np.ndarray, "d 6 2"], Float[np.ndarray, "forces 2"]]:
+    """Gradient ascent of the distance along each direction, in the atanh of the actions, by steps of a fixed length.
 
-    def reach(raw: Gait, way: Float[Array, "2"]) -> tuple[Float[Array, ""], Float[Array, "2"]]:
-        force = made(plant, jnp.tanh(raw), config.cycles, key_of(0, "survey")).force
+    Also every force that was made on the way.
+    """
+    outward = directions(config.directions)
+    raw = raw_of(gaits)
+    made_there = []
+    for part in (*np.linspace(1.0, 0.2, config.pushes), 0.0):
+        found = response(plant, raw, config.cycles, key_of(0, "survey"))
+        force, slope = np.asarray(found.out)[:, :2], np.asarray(found.slope)[:, :2]
+        made_there.append(force)
         offset = force - centre
-        aside = jnp.abs(offset[0] * way[1] - offset[1] * way[0])
-        return offset @ way - ASIDE * aside, force
-
-    def step(raw: Float[Array, "d 6 2"], part: Float[Array, ""]) -> tuple[Array, Array]:
-        slope, force = jax.vmap(jax.grad(reach, has_aux=True))(raw, outward)
-        length = jnp.sqrt((slope**2).sum(axis=(1, 2), keepdims=True))
-        return raw + 0.5 * part * slope / (length + 1e-6), force
-
-    raw = jnp.arctanh(jnp.clip(gaits, -GREATEST_ACTION, GREATEST_ACTION))
-    raw, force = jax.lax.scan(step, raw, jnp.linspace(1.0, 0.2, config.pushes))
-    last = jax.vmap(partial(made, plant, cycles=config.cycles, key=key_of(0, "survey")))(jnp.tanh(raw)).force
-    return jnp.tanh(raw), jnp.concatenate([force, last[None]])
+        side = np.sign(offset[:, 0] * outward[:, 1] - offset[:, 1] * outward[:, 0])[:, None]
+        # Of the distance along the direction, less `ASIDE` times that beside it.
+        uphill = outward - ASIDE * side * np.stack([outward[:, 1], -outward[:, 0]], axis=1)
+        change = np.einsum("di,din->dn", uphill, slope)
+        raw = raw + np.float32(0.5 * part) * change / (np.linalg.norm(change, axis=1, keepdims=True) + 1e-6)
+    return np.tanh(raw).reshape(gaits.shape), np.concatenate(made_there)

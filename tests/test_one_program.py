@@ -1,0 +1,128 @@
+"""Actions of 33 and 34 ticks have one shape, so that a program holds the plant once, and is compiled once."""
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softfin.action_clock import MOST_TICKS, rows_of, ticks_of
+from softfin.errors import PlantError
+from softfin.evaluation import experiment
+from softfin.plant import Plant, counted, hold, hold_action, mean_of, roll
+from softfin.quantities import PAPER_LIMITS, Command, Reading
+from softfin.tank import Tank
+from softfin.testing import check_plant
+from softfin.tracking.references import PAPER_RANGE
+from softfin.tracking.task import ForceTracking, TaskConfig
+from softfin.training.gradient import Gradient, GradientConfig
+from softfin.training.policy import Policy, PolicyConfig
+from softfin.training.ppo import PPO, PPOConfig
+from softfin.training.rollout import begin, collect
+from softfin.training.score import score
+from tests.plants import AnalyticFin, Flapper
+
+KEY = jax.random.key(0)
+SIZE = PolicyConfig(units=4)
+MARK = "lgamma"
+
+
+class MarkedFin(AnalyticFin):
+    """Each place in a program where it moves can be counted."""
+
+    def advance(self, state: Any, command: Command, ticks: int) -> Any:
+        state, reading = super().advance(state, command, ticks)
+        return state, reading._replace(angle=jax.lax.lgamma(2 + reading.angle))
+
+
+TASK = ForceTracking(MarkedFin(), TaskConfig())
+POLICY = Policy.create(KEY, SIZE, TASK.config.observations)
+BATCH = begin(TASK, POLICY, PAPER_RANGE.references(), KEY, 2)
+LEARNERS = {
+    "ppo": PPO(TASK, PPOConfig(environments=2, rollout_actions=6, minibatches=1, epochs=1), SIZE, 2),
+    "gradient": Gradient(TASK, GradientConfig(environments=2, rollout_actions=6, teacher=False), SIZE, 2),
+}
+ACTIONS = Command(jnp.linspace(-1, 1, 7), jnp.full(7, 2.0))
+
+
+def evaluated(references: Any) -> Any:
+    return experiment._program((Flapper(), MarkedFin()), references, jax.random.split(KEY, 2))
+
+
+@pytest.mark.parametrize(
+    "program",
+    [
+        lambda: hold(MarkedFin(), MarkedFin().init(KEY), ACTIONS),
+        lambda: collect(TASK, POLICY, BATCH, KEY, 2),
+        lambda: score(TASK, POLICY, jnp.ones((2, 2)), KEY),
+        lambda: LEARNERS["gradient"].loss(POLICY, BATCH),
+        lambda: evaluated(jnp.ones((2, 9, 2))),
+    ],
+    ids=["hold", "rollout", "score", "gradient", "evaluation"],
+)
+def test_a_program_holds_the_plant_once(program: Any) -> None:
+    assert str(jax.make_jaxpr(program)()).count(MARK) == 1
+
+
+@pytest.mark.parametrize("name", LEARNERS)
+def test_an_update_takes_what_it_gives(name: str) -> None:
+    """Shapes, types and how firm these are: else it would be compiled again for its own results."""
+    learner = LEARNERS[name]
+    first = jax.eval_shape(learner.init, KEY, PAPER_RANGE.references())
+    assert jax.eval_shape(learner.update, first)[0] == first
+
+
+def test_the_tank_takes_the_state_that_it_gives() -> None:
+    tank = Tank()
+    first = jax.eval_shape(tank.init, KEY)
+    assert (
+        jax.eval_shape(partial(tank.advance, ticks=1), first, jax.tree.map(jnp.float32, Command(0.1, 2.0)))[0] == first
+    )
+
+
+def test_actions_held_are_their_commands_one_a_tick() -> None:
+    fin = AnalyticFin()
+    state, reading = hold(fin, fin.init(KEY), ACTIONS)
+    ticks = ticks_of(7)
+    assert ticks == [33, 33, 34, 33, 33, 34, 33]
+    alone, each = roll(fin, fin.init(KEY), Command(*(jnp.repeat(part, np.array(ticks)) for part in ACTIONS)))
+    jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-5), (state, reading), (alone, each))
+
+
+@pytest.mark.parametrize("ticks", [33, 34])
+def test_the_rows_of_an_action_that_count_are_those_it_is_held(ticks: int) -> None:
+    fin, command = AnalyticFin(), Command(jnp.float32(0.4), jnp.float32(2.0))
+    state, reading = jax.jit(partial(hold_action, fin))(fin.init(KEY), command, ticks)
+    expected_state, expected = fin.advance(fin.init(KEY), command, ticks)
+    assert reading.force.shape == (MOST_TICKS, 2)
+    np.testing.assert_allclose(reading.force[:ticks], expected.force, rtol=1e-5)
+    np.testing.assert_allclose(state.angle, expected_state.angle, rtol=1e-5)
+    np.testing.assert_allclose(mean_of(reading.force, ticks), expected.force.mean(axis=0), rtol=1e-5)
+
+
+def test_rows_that_count_follow_one_another() -> None:
+    rows = jnp.arange(3 * MOST_TICKS)
+    kept = counted(rows.reshape(3, MOST_TICKS), 3)
+    assert kept.tolist() == rows_of(3) == [row for row in rows.tolist() if row not in (33, 67)]
+
+
+class Careless(AnalyticFin):
+    """Forgets that the last row of a short action does not count."""
+
+    def hold_action(self, state: Any, command: Command, ticks: Any) -> tuple[Any, Reading]:
+        return self.advance(state, command, MOST_TICKS)
+
+
+class Careful(AnalyticFin):
+    def hold_action(self, state: Any, command: Command, ticks: Any) -> tuple[Any, Reading]:
+        plain: Plant = AnalyticFin()
+        return hold_action(plain, state, command, ticks)
+
+
+def test_the_conformance_kit_checks_a_plants_own_way_to_hold_an_action() -> None:
+    assert Careful().limits == PAPER_LIMITS
+    check_plant(Careful())
+    with pytest.raises(PlantError, match="Careless: hold_action for 33 ticks differs from advance by as many"):
+        check_plant(Careless())
