@@ -65,11 +65,6 @@ SIZE = {
     "task": {"episode_actions": 9},
 }
 GRADIENT = {**SIZE, "steps": 6, "gradient": {"teacher": False, "environments": 2, "rollout_actions": 3, "common": None}}
-RUN = {
-    "collect": {"logs": 3, "test_logs": 1, "rows": ROWS},
-    "evaluate": {"seconds": 3, "references": [[1, -1]]},
-    "seeds": 1,
-}
 MAP = {
     "survey": {"cycles": 2, "batch": 704, "directions": 8, "pushes": 0}, "gaits": {"cycles": 2, "steps": 6},
     "box": {"low": [1, -1], "high": [2, 0]}, "spacing_n": 1,
@@ -89,7 +84,6 @@ CONFIGURATIONS = MappingProxyType({
     "baselines.yaml": {
         "search": {"seconds": 3, "centres": 3, "amplitudes": 2, "frequencies_hz": [1], "refinements": 0, "gaits": 4}
     },
-    "best_run.yaml": {**RUN, "fit": STREAMING, "single": GRADIENT, "grid": GRADIENT},
 })  # fmt: skip
 """Files for --config that make each stage as small as it can be."""
 

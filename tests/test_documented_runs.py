@@ -47,7 +47,6 @@ TINY = {
     "evaluate --error-map": "--set error_map=2",
     "evaluate --random": "--random 2",
     "baselines": f"--config baselines.yaml --seconds 3 --seeds 1 --plant {staged.PLANT}",
-    "reproduce --preset best": f"--config best_run.yaml --plant {staged.PLANT}",
     "view": "--seconds 0.5 --plant tank.yaml",
     "monitor": "--json",
     "inspect --rows-per-log": f"--rows-per-log {staged.ROWS}",
@@ -68,6 +67,7 @@ IN_THE_DAY = (
 
 ELSEWHERE = {
     "ros2 controller --reference=2,0 --arm": "tests/cli/test_ros2.py",
+    "reproduce --preset best --plant tank --out run": "tests/end_to_end/test_stages.py",
     "reproduce --preset paper --plant tank --out run --resume": "tests/end_to_end/test_stages.py",
     "reproduce --preset paper --plant tank --out run-tank": "tests/end_to_end/test_stages.py",
 }

@@ -8,6 +8,7 @@ import yaml
 
 from softfin.cli import main
 from softfin.errors import LogError
+from softfin.reproduction import PRESETS
 from softfin.stages import TRAINING_LOG
 from softfin.training.train import _Run
 from tests.staged import FIT, ROWS, STREAMING, short_search  # noqa: F401  # pytest finds fixtures here
@@ -18,6 +19,7 @@ pytestmark = pytest.mark.usefixtures("quickly_compiled")
 PLANT = "tests.plants:PlainFin"
 LEARNER = {"environments": 4, "rollout_actions": 6, "epochs": 2, "minibatches": 2}
 TRAIN = {"steps": 48, "scorings": 2, "policy": {"units": 8, "width": 8}, "ppo": LEARNER}
+COLLECT = {"logs": 3, "test_logs": 1, "rows": ROWS}
 RECORD = ("collect", "--plant", PLANT, "--logs", "3", "--test-logs", "1", "--rows", str(ROWS), "--out")
 CELLS = [{"low": [0.5, -0.5], "high": [1.5, 0.5]}, {"low": [1.5, -0.5], "high": [2.5, 0.5]}]
 
@@ -106,7 +108,7 @@ def test_streaming_surrogates_are_fitted_and_chosen_by_their_errors(capsys, tmp_
 def reproduction(tmp_path):
     cells = [{"low": [0.5, -1.5], "high": [3.5, 1.5]}]
     config = {
-        "collect": {"logs": 3, "test_logs": 1, "rows": ROWS},
+        "collect": COLLECT,
         "fit": FIT,
         "single": {**TRAIN, "cells": cells},
         "grid": {**TRAIN, "cells": cells},
@@ -165,14 +167,16 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
     assert "holds a run with another seed" in capsys.readouterr().err
 
 
-def test_reproduce_takes_the_logs_that_it_recorded_as_they_are(capsys, tmp_path, monkeypatch):
+def test_reproduce_takes_the_logs_that_it_recorded_as_they_are_and_fits_what_its_preset_says(tmp_path, monkeypatch):
     asked = {}
 
     def fit(dataset, out, config, **options):
-        asked.update(options)
+        asked.update(options, config=config)
         raise LogError("enough")
 
     monkeypatch.setattr("softfin.stages.fit", fit)
+    small = write(tmp_path / "small.yaml", {"collect": COLLECT})
     with pytest.raises(SystemExit):
-        main(["reproduce", "--plant", PLANT, "--config", reproduction(tmp_path), "--out", str(tmp_path / "run")])
+        main(["reproduce", "--preset", "best", "--plant", PLANT, "--config", small, "--out", str(tmp_path / "run")])
     assert asked["accept"] is True
+    assert asked["config"] == PRESETS["best"].fit
