@@ -13,6 +13,7 @@ from types import MappingProxyType
 import equinox as eqx
 import numpy as np
 import pytest
+import yaml
 
 from softfin.control.map_store import save_map
 from softfin.control.store import save_controller
@@ -28,6 +29,7 @@ from softfin.training.force_map import MapConfig
 from softfin.training.train import SINGLE
 from tests.control.test_controllers import untrained
 from tests.control.test_map_store import KNOWN
+from tests.documents import ROOT
 from tests.logs import bags
 from tests.logs.faulty import columns_of
 from tests.logs.recorded import record
@@ -79,7 +81,8 @@ CONFIGURATIONS = MappingProxyType({
     "paper.yaml": FIT,
     "map.yaml": MAP,
     "train.yaml": GRADIENT,
-    "calibrate.yaml": CALIBRATE,
+    # The parameters of the document, so that one program calibrates in both.
+    "calibrate.yaml": yaml.safe_load((ROOT / "docs/calibration.yaml").read_text()) | CALIBRATE,
     "tank.yaml": COARSE,
     "baselines.yaml": {
         "search": {"seconds": 3, "centres": 3, "amplitudes": 2, "frequencies_hz": [1], "refinements": 0, "gaits": 4}

@@ -45,7 +45,7 @@ TINY = {
     "evaluate": f"--seconds 3 --seeds 1 --plant {staged.PLANT}",
     "evaluate --spread": "--plant tank.yaml",
     "evaluate --error-map": "--set error_map=2",
-    "evaluate --random": "--random 2",
+    "evaluate --random": "--random 4",
     "baselines": f"--config baselines.yaml --seconds 3 --seeds 1 --plant {staged.PLANT}",
     "view": "--seconds 0.5 --plant tank.yaml",
     "monitor": "--json",
