@@ -66,13 +66,15 @@ SIZE = {
     "policy": {"units": 8, "width": 8},
     "task": {"episode_actions": 9},
 }
-GRADIENT = {**SIZE, "steps": 6, "gradient": {"teacher": False, "environments": 2, "rollout_actions": 3, "common": None}}
+LEARNING = {"teacher": False, "environments": 2, "rollout_actions": 3, "common": None, "learning_rate": 1e-3}
+GRADIENT = {**SIZE, "steps": 6, "gradient": LEARNING}
+"""One learning rate for both kinds of controller, so that one program learns both."""
 MAP = {
-    "survey": {"cycles": 2, "batch": 704, "directions": 8, "pushes": 0}, "gaits": {"cycles": 2, "steps": 6},
+    "survey": {"batch": 704, "directions": 8, "pushes": 0}, "gaits": {"steps": 6},
     "box": {"low": [1, -1], "high": [2, 0]}, "spacing_n": 1,
 }  # fmt: skip
 CALIBRATE = {
-    "pieces": 4, "test_pieces": 1, "piece_s": 1, "warm_up_s": 0.2, "block_s": 0.04, "iterations": 1,
+    "pieces": 4, "test_pieces": 4, "piece_s": 1, "warm_up_s": 0.2, "block_s": 0.04, "iterations": 1,
     "tank": COARSE,
 }  # fmt: skip
 
