@@ -227,11 +227,11 @@ MAKERS = MappingProxyType({
     "cnn_pos_net.keras": keras_posnet, "lstm_force_net.keras": keras_forcenet, "scalers.json": scalers,
     "surrogate": surrogate, "other": surrogate, "first": surrogate,
     "streaming-0": surrogate, "streaming-1": surrogate, "streaming-2": surrogate,
-    "paper-0": paper_surrogate, "published": surrogate,
+    "paper-0": paper_surrogate, "published": paper_surrogate,
     "controller": controller, "single": controller, "run/single/seed-0": controller,
     "map": force_map,
 })  # fmt: skip
-"""By the names that the documents give; what is trained in is of one kind, so that one program trains in all."""
+"""By the names that the documents give."""
 
 
 def kind_of(maker: Callable[[Path], None]) -> str:
