@@ -12,6 +12,8 @@ from types import MappingProxyType
 
 import equinox as eqx
 import numpy as np
+import pytest
+import yaml
 
 from softfin.control.map_store import save_map
 from softfin.control.store import save_controller
@@ -22,10 +24,12 @@ from softfin.stages import identity
 from softfin.surrogate import Surrogate, save_surrogate
 from softfin.surrogate.posnet import COMMANDS
 from softfin.surrogate.scaling import ChannelScaling, Scaling
+from softfin.surrogate.streaming import identify
 from softfin.training.force_map import MapConfig
 from softfin.training.train import SINGLE
 from tests.control.test_controllers import untrained
 from tests.control.test_map_store import KNOWN
+from tests.documents import ROOT
 from tests.logs import bags
 from tests.logs.faulty import columns_of
 from tests.logs.recorded import record
@@ -34,6 +38,8 @@ from tests.surrogate.streaming import small as streaming
 from tests.surrogate.test_keras import SCALERS, WINDOW, lstm_layer, write_keras
 
 PLANT = "tests.plants:AnalyticFin"
+COARSE = {"fin": {"plates": 2}, "steps_per_tick": 4}
+"""A tank whose programs are compiled in half the time."""
 
 ROWS = 700
 """Of a log."""
@@ -60,19 +66,16 @@ SIZE = {
     "policy": {"units": 8, "width": 8},
     "task": {"episode_actions": 9},
 }
-GRADIENT = {**SIZE, "steps": 6, "gradient": {"teacher": False, "environments": 2, "rollout_actions": 3, "common": None}}
-RUN = {
-    "collect": {"logs": 3, "test_logs": 1, "rows": 400},
-    "evaluate": {"seconds": 3, "references": [[1, -1]]},
-    "seeds": 1,
-}
+LEARNING = {"teacher": False, "environments": 2, "rollout_actions": 3, "common": None, "learning_rate": 1e-3}
+GRADIENT = {**SIZE, "steps": 6, "gradient": LEARNING}
+"""One learning rate for both kinds of controller, so that one program learns both."""
 MAP = {
-    "survey": {"cycles": 2, "batch": 704, "directions": 8, "pushes": 0}, "gaits": {"cycles": 2, "steps": 6},
+    "survey": {"batch": 704, "directions": 8, "pushes": 0}, "gaits": {"steps": 6},
     "box": {"low": [1, -1], "high": [2, 0]}, "spacing_n": 1,
 }  # fmt: skip
 CALIBRATE = {
-    "pieces": 4, "test_pieces": 1, "piece_s": 1, "warm_up_s": 0.2, "block_s": 0.04, "iterations": 1,
-    "tank": {"fin": {"plates": 3}, "steps_per_tick": 4},
+    "pieces": 4, "test_pieces": 4, "piece_s": 1, "warm_up_s": 0.2, "block_s": 0.04, "iterations": 1,
+    "tank": COARSE,
 }  # fmt: skip
 
 CONFIGURATIONS = MappingProxyType({
@@ -80,13 +83,21 @@ CONFIGURATIONS = MappingProxyType({
     "paper.yaml": FIT,
     "map.yaml": MAP,
     "train.yaml": GRADIENT,
-    "calibrate.yaml": CALIBRATE,
+    # The parameters of the document, so that one program calibrates in both.
+    "calibrate.yaml": yaml.safe_load((ROOT / "docs/calibration.yaml").read_text()) | CALIBRATE,
+    "tank.yaml": COARSE,
     "baselines.yaml": {
         "search": {"seconds": 3, "centres": 3, "amplitudes": 2, "frequencies_hz": [1], "refinements": 0, "gaits": 4}
     },
-    "best_run.yaml": {**RUN, "fit": STREAMING, "single": GRADIENT, "grid": GRADIENT},
 })  # fmt: skip
 """Files for --config that make each stage as small as it can be."""
+
+
+@pytest.fixture
+def short_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a search finds is tested with it; here it only has to go through."""
+    monkeypatch.setattr(identify, "GENERATIONS", 2)
+    monkeypatch.setattr(identify, "STRETCHES", 4)
 
 
 def dataset(path: Path) -> None:
@@ -203,7 +214,7 @@ def force_map(path: Path) -> None:
     """Of the surrogate that lies beside it."""
     beside = path.with_name("surrogate")
     if not beside.exists():
-        paper_surrogate(beside)
+        surrogate(beside)
     plant = find_plant(str(beside))
     origin = {"plant": "surrogate", "plant_identity": identity(plant)}
     save_map(path, KNOWN, MapConfig(), Limits(*map(float, plant.limits)), origin)
@@ -214,7 +225,7 @@ MAKERS = MappingProxyType({
     "recordings": recordings, "authors": authors, "run.csv": run_csv, "run1": bag,
     "run.mcap": mcap, "dataset-bags/train-0000.mcap": mcap,
     "cnn_pos_net.keras": keras_posnet, "lstm_force_net.keras": keras_forcenet, "scalers.json": scalers,
-    "surrogate": paper_surrogate, "other": surrogate, "first": surrogate,
+    "surrogate": surrogate, "other": surrogate, "first": surrogate,
     "streaming-0": surrogate, "streaming-1": surrogate, "streaming-2": surrogate,
     "paper-0": paper_surrogate, "published": paper_surrogate,
     "controller": controller, "single": controller, "run/single/seed-0": controller,

@@ -1,6 +1,7 @@
 """Every command that README and docs show runs, shrunk by options that are added to it and by nothing else."""
 
 import contextlib
+import re
 import runpy
 import shlex
 import shutil
@@ -8,14 +9,15 @@ from fnmatch import fnmatch
 from itertools import pairwise
 from pathlib import Path
 
-import jax
 import pytest
 import yaml
 
 from softfin.cli import main
-from softfin.surrogate.streaming import identify
 from tests import staged
 from tests.documents import ROOT, Shown, commands, softfin_words
+from tests.staged import short_search  # noqa: F401  # pytest finds fixtures here
+
+pytestmark = pytest.mark.usefixtures("quickly_compiled")
 
 
 def flat(values, path=""):
@@ -28,24 +30,24 @@ def flat(values, path=""):
 
 
 TINY = {
-    "collect": "--logs 1 --test-logs 1 --rows 300",
+    "collect": f"--logs 1 --test-logs 1 --rows {staged.ROWS}",
+    "collect --plant tank": "--plant tank.yaml",
     "collect --excitation active": f"--plant {staged.PLANT} --test-logs 0 --set active.candidates=2",
     "fit": "--config streaming.yaml",
     "fit --model paper": "--config paper.yaml",
-    "compare": "--horizons 1",
+    "compare": f"--horizons 1 --floor {staged.PLANT}",
     "calibrate": "--config calibrate.yaml --evaluations 0",
     "calibrate --config": "--config docs/calibration.yaml "
     + " ".join(f"--set {change}" for change in flat(staged.CALIBRATE)),
     "map": "--config map.yaml",
     "train": "--config train.yaml",
-    "evaluate": "--seconds 3 --seeds 1",
-    "evaluate --plant tank": f"--plant {staged.PLANT}",
-    "evaluate --spread": "--plant tank",
+    "train --seeds": "--seeds 2",
+    "evaluate": f"--seconds 3 --seeds 1 --plant {staged.PLANT}",
+    "evaluate --spread": "--plant tank.yaml",
     "evaluate --error-map": "--set error_map=2",
-    "evaluate --random": "--random 2",
+    "evaluate --random": "--random 4",
     "baselines": f"--config baselines.yaml --seconds 3 --seeds 1 --plant {staged.PLANT}",
-    "reproduce --preset best": f"--config best_run.yaml --plant {staged.PLANT}",
-    "view": "--seconds 0.5",
+    "view": "--seconds 0.5 --plant tank.yaml",
     "monitor": "--json",
     "inspect --rows-per-log": f"--rows-per-log {staged.ROWS}",
     "import-logs --rows-per-log": f"--rows-per-log {staged.ROWS}",
@@ -65,6 +67,7 @@ IN_THE_DAY = (
 
 ELSEWHERE = {
     "ros2 controller --reference=2,0 --arm": "tests/cli/test_ros2.py",
+    "reproduce --preset best --plant tank --out run": "tests/end_to_end/test_stages.py",
     "reproduce --preset paper --plant tank --out run --resume": "tests/end_to_end/test_stages.py",
     "reproduce --preset paper --plant tank --out run-tank": "tests/end_to_end/test_stages.py",
 }
@@ -78,13 +81,18 @@ def runs(shown: Shown) -> bool:
 
 
 def kind(shown: Shown) -> tuple[str, ...]:
-    """Its words, with what they name by its kind: commands that are alike but for names are run once."""
+    """Its words, with what they name by its kind: commands that are alike but for names and numbers are run once."""
     words, named = softfin_words(shown), []
     for before, word in zip(("", *words), words, strict=False):
         maker = staged.MAKERS.get(word.rstrip("/"))
         place = before in ("--out", "--onnx")
-        named.append(Path(word).suffix if place else staged.kind_of(maker) if maker else word)
+        named.append(Path(word).suffix if place else staged.kind_of(maker) if maker else _as_kind(word))
     return tuple(named)
+
+
+def _as_kind(word: str) -> str:
+    """Numbers are alike, too."""
+    return re.sub(r"-?\d+(\.\d+)?", "0", word)
 
 
 SHOWN: dict[tuple[str, ...], Shown] = {}
@@ -99,15 +107,6 @@ HERE = [shown for shown in SHOWN.values() if shlex.join(softfin_words(shown)) no
 def added(words: tuple[str, ...]) -> list[str]:
     """What shrinks a command."""
     return [word for entry, options in TINY.items() if set(entry.split()) <= set(words) for word in options.split()]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def quickly_compiled():
-    """Programs that do next to nothing are not worth optimising."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
-    jax.clear_caches()
 
 
 @pytest.fixture(scope="module")
@@ -126,16 +125,13 @@ def made(tmp_path_factory):
 
 
 @pytest.fixture
-def place(tmp_path, monkeypatch):
+def place(tmp_path, monkeypatch, short_search):  # noqa: F811
     """The folder where one works, with the configurations that shrink."""
     for name, values in staged.CONFIGURATIONS.items():
         (tmp_path / name).write_text(yaml.safe_dump(values))
     (tmp_path / "docs").mkdir()
     shutil.copy(ROOT / "docs/calibration.yaml", tmp_path / "docs")
     monkeypatch.chdir(tmp_path)
-    # What a search finds is tested with it; here it only has to go through.
-    monkeypatch.setattr(identify, "GENERATIONS", 2)
-    monkeypatch.setattr(identify, "STRETCHES", 4)
     return tmp_path
 
 
@@ -162,8 +158,7 @@ def test_a_command_of_the_documents_runs(shown, made, place, capsys):
     words = softfin_words(shown)
     for name in named(words):
         (place / name).parent.mkdir(parents=True, exist_ok=True)
-        # Only an ensemble chooses what is recorded.
-        (place / name).symlink_to(made("first" if name == "surrogate" and "active" in words else name))
+        (place / name).symlink_to(made(name))
     expanded = [found for word in words for found in expand(word)]
     told = contextlib.nullcontext() if not shown.fails else pytest.raises(SystemExit)
     with told as stop:

@@ -54,7 +54,7 @@ def test_each_command_has_help_with_its_options(capsys, name):
         (["fit", ".", "--out", "x"], ".: holds no recordings; they are"),
         (["import-keras", "a.keras", "b.keras", "--scalers", "s.json", "--out", "x"], "s.json: cannot be read"),
         (["train", "nothing", "--out", "x"], "plant nothing: unknown (is no folder)"),
-        (["train", "tank", "--steps", "3", "--out", "x"], "steps = 3: fewer than one rollout"),
+        (["train", "tests.plants:AnalyticFin", "--steps", "3", "--out", "x"], "steps = 3: fewer than one rollout"),
         (["evaluate", "nothing", "--out", "x"], "nothing: no such folder; it should be a controller"),
         (["evaluate", ".", "--reference=1;2", "--out", "x"], "--reference=1;2: not a force; write --reference=X,Y"),
         (["reproduce", "--preset", "huge", "--out", "x"], "huge"),

@@ -2,30 +2,25 @@
 
 import json
 import signal
-import subprocess
-import sys
-import time
 
 import pytest
 import yaml
 
 from softfin.cli import main
 from softfin.errors import LogError
+from softfin.reproduction import PRESETS
 from softfin.stages import TRAINING_LOG
-from softfin.surrogate.streaming import identify
+from softfin.training.train import _Run
+from tests.staged import FIT, ROWS, STREAMING, short_search  # noqa: F401  # pytest finds fixtures here
 from tests.surrogate import small
-from tests.surrogate.streaming import small as small_streaming
+
+pytestmark = pytest.mark.usefixtures("quickly_compiled")
 
 PLANT = "tests.plants:PlainFin"
-FIT = {
-    "epochs": 1,
-    "batch": 64,
-    "posnet": small.POSNET.model_dump(mode="json"),
-    "forcenet": small.FORCENET.model_dump(mode="json"),
-}
-STREAMING = small_streaming.CONFIG.model_dump(mode="json") | {"drive_updates": 2, "force_updates": 2}
 LEARNER = {"environments": 4, "rollout_actions": 6, "epochs": 2, "minibatches": 2}
 TRAIN = {"steps": 48, "scorings": 2, "policy": {"units": 8, "width": 8}, "ppo": LEARNER}
+COLLECT = {"logs": 3, "test_logs": 1, "rows": ROWS}
+RECORD = ("collect", "--plant", PLANT, "--logs", "3", "--test-logs", "1", "--rows", str(ROWS), "--out")
 CELLS = [{"low": [0.5, -0.5], "high": [1.5, 0.5]}, {"low": [1.5, -0.5], "high": [2.5, 0.5]}]
 
 
@@ -42,11 +37,9 @@ def write(path, values):
 
 def test_each_command_reads_what_the_one_before_wrote(capsys, tmp_path, monkeypatch):
     dataset, surrogate = str(tmp_path / "dataset"), str(tmp_path / "surrogate")
-    made = run(
-        capsys, "collect", "--plant", PLANT, "--logs", "3", "--test-logs", "1", "--rows", "400", "--out", dataset
-    )
+    made = run(capsys, *RECORD, dataset)
     assert made["logs"] == 3
-    assert made["rows"] == 400
+    assert made["rows"] == ROWS
 
     config = write(tmp_path / "fit.yaml", FIT)
     fitted = run(capsys, "fit", dataset, "--model", "paper", "--config", config, "--out", surrogate)
@@ -88,12 +81,10 @@ def test_each_command_reads_what_the_one_before_wrote(capsys, tmp_path, monkeypa
     assert left_behind == []
 
 
-def test_streaming_surrogates_are_fitted_and_chosen_by_their_errors(capsys, tmp_path, monkeypatch):
-    # What a search finds is tested with it; here it only has to go through.
-    monkeypatch.setattr(identify, "GENERATIONS", 2)
-    monkeypatch.setattr(identify, "STRETCHES", 4)
+@pytest.mark.usefixtures("short_search")
+def test_streaming_surrogates_are_fitted_and_chosen_by_their_errors(capsys, tmp_path):
     dataset, surrogate = str(tmp_path / "dataset"), str(tmp_path / "surrogate")
-    run(capsys, "collect", "--plant", PLANT, "--logs", "3", "--test-logs", "1", "--rows", "400", "--out", dataset)
+    run(capsys, *RECORD, dataset)
 
     config = write(tmp_path / "streaming.yaml", STREAMING)
     fitted = run(capsys, "fit", dataset, "--config", config, "--out", surrogate)
@@ -115,20 +106,50 @@ def test_streaming_surrogates_are_fitted_and_chosen_by_their_errors(capsys, tmp_
 
 
 def reproduction(tmp_path):
+    cells = [{"low": [0.5, -1.5], "high": [3.5, 1.5]}]
     config = {
-        "collect": {"logs": 3, "test_logs": 1, "rows": 400},
+        "collect": COLLECT,
         "fit": FIT,
-        "single": {**TRAIN, "cells": [{"low": [0.5, -1.5], "high": [3.5, 1.5]}]},
-        "grid": TRAIN,
+        "single": {**TRAIN, "cells": cells},
+        "grid": {**TRAIN, "cells": cells},
         "evaluate": {"seconds": 3},
         "seeds": 2,
     }
     return write(tmp_path / "run.yaml", config)
 
 
-def test_reproduce_writes_results_and_a_report_that_needs_no_network(capsys, tmp_path):
+def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results_and_a_report(
+    capsys, tmp_path, monkeypatch
+):
+    """Stopped while the controllers train; the second call neither records nor fits again."""
     out = tmp_path / "run"
-    results = run(capsys, "reproduce", "--plant", PLANT, "--config", reproduction(tmp_path), "--out", str(out))
+    words = ("reproduce", "--plant", PLANT, "--config", reproduction(tmp_path), "--out", str(out))
+    update, updates = _Run.update, []
+
+    def counted(run, lanes):
+        updates.append(run.config.controller)
+        return update(run, lanes)
+
+    def stopped(run, lanes):
+        if updates:
+            signal.raise_signal(signal.SIGINT)
+        return counted(run, lanes)
+
+    monkeypatch.setattr(_Run, "update", stopped)
+    with pytest.raises(SystemExit) as stop:
+        main(words)
+    assert stop.value.code == 1
+    assert "stopped, nothing is half-written; the same command with --resume goes on" in capsys.readouterr().err
+    assert (out / "surrogate").is_dir()
+    assert not (out / "results.json").exists()
+
+    monkeypatch.setattr(_Run, "update", counted)
+    results = run(capsys, *words, "--resume")
+    # The update before the stop was not done again.
+    assert updates == ["single"] * 2 + ["grid"] * 2
+    assert "collect" not in results["wall_s"]
+    assert "fit" not in results["wall_s"]
+
     assert results == json.loads((out / "results.json").read_text())
     for kind in ("single", "grid"):
         rows = results["controllers"][kind]["references"]
@@ -140,41 +161,22 @@ def test_reproduce_writes_results_and_a_report_that_needs_no_network(capsys, tmp
     assert "@import" not in page
     assert results["surrogate"]["scores"]["forcenet_free_running"]["physical"]["rmse"] > 0
 
+    with pytest.raises(SystemExit) as stop:
+        main([*words, "--resume", "--seed", "7"])
+    assert stop.value.code == 2
+    assert "holds a run with another seed" in capsys.readouterr().err
 
-def test_reproduce_takes_the_logs_that_it_recorded_as_they_are(capsys, tmp_path, monkeypatch):
+
+def test_reproduce_takes_the_logs_that_it_recorded_as_they_are_and_fits_what_its_preset_says(tmp_path, monkeypatch):
     asked = {}
 
     def fit(dataset, out, config, **options):
-        asked.update(options)
+        asked.update(options, config=config)
         raise LogError("enough")
 
     monkeypatch.setattr("softfin.stages.fit", fit)
+    small = write(tmp_path / "small.yaml", {"collect": COLLECT})
     with pytest.raises(SystemExit):
-        main(["reproduce", "--plant", PLANT, "--config", reproduction(tmp_path), "--out", str(tmp_path / "run")])
+        main(["reproduce", "--preset", "best", "--plant", PLANT, "--config", small, "--out", str(tmp_path / "run")])
     assert asked["accept"] is True
-
-
-def test_a_run_that_was_killed_goes_on_where_it_was(tmp_path):
-    """Killed while the controllers train; the second call neither records nor fits again."""
-    out, config = tmp_path / "run", reproduction(tmp_path)
-    words = [sys.executable, "-m", "softfin.cli", "reproduce", "--plant", PLANT, "--config", config, "--out", str(out)]
-    process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
-    until = time.monotonic() + 300
-    while not (out / "surrogate").exists() and time.monotonic() < until:
-        time.sleep(0.05)
-    process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=60)
-    assert process.returncode == 1
-    assert "stopped, nothing is half-written; the same command with --resume goes on" in said
-    assert not (out / "results.json").exists()
-
-    again = subprocess.run([*words, "--resume"], capture_output=True, text=True, timeout=600)
-    assert again.returncode == 0, again.stderr
-    results = json.loads((out / "results.json").read_text())
-    assert "collect" not in results["wall_s"]
-    assert "fit" not in results["wall_s"]
-    assert (out / "report.html").is_file()
-
-    other = subprocess.run([*words, "--resume", "--seed", "7"], capture_output=True, text=True)
-    assert other.returncode == 2
-    assert "holds a run with another seed" in other.stderr
+    assert asked["config"] == PRESETS["best"].fit

@@ -36,7 +36,12 @@ def test_a_mirrored_command_has_the_same_lag(log):
 
 
 def test_a_slow_drive_that_is_always_on_its_way_has_the_same_dead_time():
-    slow = Tank(TankConfig().changed(["drive.slowest_rad_s=0.3", "drive.fastest_rad_s=1.57"]))
+    # Only its drive matters: two plates are compiled in half the time.
+    slow = Tank(
+        TankConfig().changed(
+            ["drive.slowest_rad_s=0.3", "drive.fastest_rad_s=1.57", "fin.plates=2", "steps_per_tick=4"]
+        )
+    )
     columns = columns_of(recorded(slow, 1, 6000)[0])
     lag = command_lag(columns["command_angle_rad"], columns["command_velocity_rad_s"], columns["angle_rad"])
     assert lag.milliseconds == pytest.approx(29, abs=6)

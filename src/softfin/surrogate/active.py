@@ -10,10 +10,10 @@ Gaussian with that variance through noise (Shannon's information; Lindley 1956, 
 how far the piece's windows are from those already taken, in the memory of the first member's force net.
 """
 
-import dataclasses
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import pydantic
@@ -104,13 +104,12 @@ class Rollout(NamedTuple):
     """At their ends, in the units of the ensemble's distance."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Chooser:
+class Chooser(eqx.Module):
     """Makes the commands of a log (`Commands`): the same key gives the same ones."""
 
     ensemble: StreamingSurrogate
-    config: ActiveConfig
-    excitation: ExcitationConfig
+    config: ActiveConfig = eqx.field(static=True)
+    excitation: ExcitationConfig = eqx.field(static=True)
 
     def __call__(self, key: PRNGKeyArray, rows: int, limits: Limits) -> Command:
         """One command a tick, fields ``(rows,)``, from rest on; pure and traceable."""

@@ -392,7 +392,7 @@ class _Run:
                 "(the last good checkpoint is kept)"
             )
 
-    def by_seed(self, metrics: Metrics) -> dict[str, float]:
+    def by_seed(self, metrics: Mapping[str, Array | np.ndarray]) -> dict[str, float]:
         """Means over the cells, named ``seedN/...``."""
         shape = (len(self.seeds), len(self.config.cells))
         means = {name: np.asarray(values).reshape(shape).mean(axis=1) for name, values in metrics.items()}
@@ -478,7 +478,7 @@ def _scorings(config: TrainConfig) -> set[int]:
     return {round(config.updates * (i + 1) / count) for i in range(count)}
 
 
-def _summary(scores: Score) -> Metrics:
+def _summary(scores: Score) -> dict[str, Float[np.ndarray, "lanes"]]:
     """Of each lane, the mean error over its references, and how often it left the surrogate's data, where known."""
     beyond = {} if scores.beyond is None else {"score_beyond_data": np.asarray(scores.beyond).mean(axis=-1)}
     return {f"score_{axis}_n": np.asarray(scores.error)[..., i].mean(axis=-1) for i, axis in enumerate(AXES)} | beyond
