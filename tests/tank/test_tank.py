@@ -155,13 +155,19 @@ def test_at_every_step_the_sensor_feels_the_loads_less_the_change_of_momentum():
     with jax.enable_x64(True):
         tank = Tank(TankConfig(drive=DriveConfig(dead_time_s=0.0), sensor=IDEAL, steps_per_tick=1))
         state = tank.init(KEY)
-        advance = jax.jit(lambda state, command: tank.advance(state, command, 1))
+
+        @jax.jit
+        def advance(state, command):
+            """With the loads of that step, which no reading shows."""
+            planned = tank.drive.plan(state.drive, command, TICK_S)
+            shaft = tank.drive.shaft(state.drive, planned, TICK_S)
+            _, _, loads = tank.fin.step(state.fin, shaft, tank.water.around(state.flow), TICK_S)
+            return tank.advance(state, command, 1), loads
+
         for tick in range(60):
             command = Command(jnp.asarray(1.0 if tick < 30 else -1.0), jnp.asarray(5.0))
-            before, around = state, tank.water.around(state.flow)
-            planned = tank.drive.plan(before.drive, command, TICK_S)
-            _, _, loads = tank.fin.step(before.fin, tank.drive.shaft(before.drive, planned, TICK_S), around, TICK_S)
-            state, reading = advance(before, command)
+            before = state
+            (state, reading), loads = advance(before, command)
             after = of_points(tank, state._replace(flow=before.flow))
             rate = (after - of_points(tank, before)) / TICK_S
             np.testing.assert_allclose(reading.force[0], loads - rate, atol=1e-9)

@@ -7,6 +7,7 @@ from typing import Any, TypeAlias
 import jax
 import numpy as np
 import pydantic
+from jaxtyping import Array, Int
 
 from softfin import artifacts
 from softfin.action_clock import ACTION_RATE_HZ
@@ -44,7 +45,7 @@ def controller_of(trained: Trained, seed: int) -> SingleController | GridControl
 
 
 @jax.jit
-def _taken(policies: Policy, index: int) -> Policy:
+def _taken(policies: Policy, index: int | Int[Array, ""]) -> Policy:
     """One along the leading axis."""
     taken: Policy = jax.tree.map(lambda leaf: leaf[index], policies)
     return taken

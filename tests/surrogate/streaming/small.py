@@ -30,8 +30,8 @@ def filled(tree, seed=0, spread=0.5):
     """With noise on every number, for nets say nothing before they have learnt something."""
     leaves, structure = jax.tree.flatten(tree)
     random = np.random.default_rng(seed)
-    noisy = [leaf + jnp.asarray(random.normal(0, spread, leaf.shape), jnp.float32) for leaf in leaves]
-    return jax.tree.unflatten(structure, noisy)
+    noisy = [np.asarray(leaf) + np.float32(random.normal(0, spread, leaf.shape)) for leaf in leaves]
+    return jax.tree.unflatten(structure, [jnp.asarray(leaf) for leaf in noisy])
 
 
 def members(count=2, drive=DRIVE, force=FORCE, profile=PROFILE, seed=0, spread=0.5):

@@ -51,7 +51,8 @@ def ensemble(
         keys = jax.random.split(key)
         return Member(drive_net(drive, profile, scales, keys[0]), ForceNet(force, scales, keys[1]))
 
-    stacked: Member = eqx.filter_vmap(one)(jax.random.split(key, count))
+    # One program: there are 50 of them otherwise, and they take ten times as long to compile.
+    stacked: Member = eqx.filter_jit(eqx.filter_vmap(one))(jax.random.split(key, count))
     return stacked
 
 
