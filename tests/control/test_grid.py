@@ -178,13 +178,17 @@ def test_many_references_at_once_are_as_each_alone() -> None:
 
 
 def test_an_action_costs_the_same_for_any_number_of_cells() -> None:
+    """Counted in the program; nothing is compiled."""
+
     def operations(columns: int) -> float:
         cells = lattice(columns, columns, Cell(low=(0, -1), high=(2, 1)))
-        controller = grid(SwitchingConfig(), cells=cells)
-        measured = Measured(jnp.float32(0), jnp.zeros(2))
-        weights, rest = eqx.partition(controller, eqx.is_array)
-        asked = jax.jit(lambda weights, *now: eqx.combine(weights, rest).act(*now))
-        cost: Any = asked.lower(weights, controller.init(), measured, jnp.zeros(2)).cost_analysis()
+
+        def action(policies: Policy, *now: Any) -> Any:
+            controller = GridController(policies, TASK, PAPER_LIMITS, cells, None, SwitchingConfig())
+            return controller.act(controller.init(), *now)
+
+        shapes = jax.eval_shape(functools.partial(policies, len(cells)), 0.1)
+        cost: Any = jax.jit(action).lower(shapes, Measured(jnp.float32(0), jnp.zeros(2)), jnp.zeros(2)).cost_analysis()
         return float(cost["flops"])
 
     assert operations(8) < 1.3 * operations(2)

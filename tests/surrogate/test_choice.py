@@ -10,6 +10,7 @@ from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig, StreamingS
 from softfin.surrogate.choice import fit_any
 from softfin.surrogate.horizons import Freed, free_running, places, take
 from softfin.surrogate.streaming import fit as module
+from softfin.surrogate.streaming.sequences import scales_of
 from tests.surrogate import small as paper
 from tests.surrogate.streaming import small
 
@@ -20,6 +21,9 @@ CONFIG = AutoConfig(
         ["drive_updates=1", "force_updates=200", "learning_rate=0.03", "members=1", "force.units=2", "drive.units=2"]
     ),
 )
+
+
+SCALES = scales_of([small.recorded(rows=600, seed=seed, sided=True, noise_n=0.05) for seed in range(3)])
 
 
 def paper_fit(logs, config, seed, workspace, progress=None):
@@ -33,7 +37,7 @@ def paper_fit(logs, config, seed, workspace, progress=None):
 def profile_known(monkeypatch):
     monkeypatch.setattr(module, "identify", lambda logs, seed: (small.PROFILE, 0.0))
     # The same for all logs, so that one program fits to any of them.
-    monkeypatch.setattr(module, "scales_of", lambda logs: small.SCALES)
+    monkeypatch.setattr(module, "scales_of", lambda logs: SCALES)
     monkeypatch.setattr("softfin.surrogate.choice.fit", paper_fit)
 
 
