@@ -67,7 +67,7 @@ def test_it_begins_at_rest_and_stays_there_until_it_is_told_otherwise(advance):
         np.testing.assert_allclose(values, np.repeat(values[:1], 99, axis=0), atol=atol)
     for one, other in zip(*(jax.tree.leaves(state.members) for state in (START, after)), strict=True):
         np.testing.assert_allclose(one, other, atol=1e-4)
-    assert float(reading.time[0]) == pytest.approx(0.01)
+    assert float(parts[0].time[0]) == pytest.approx(0.01)
 
 
 PAST = 360
