@@ -27,14 +27,19 @@ NARROW = Limits(-0.5, 0.9, 1.2, 2.0)
 
 
 @functools.cache
-def streaming(members: int = 2, limits: Limits = PAPER_LIMITS) -> StreamingSurrogate:
-    """Members that agree on slow strokes, and less and less the faster they are."""
-    config = StreamingConfig(members=members)
+def two_members():
+    """They agree on slow strokes, and less and less the faster they are."""
+    config = StreamingConfig()
     scales = Scales(angle_rad=0.8, velocity_rad_s=2.0, change_rad_s=0.25, force_n=2.0)
     drive, force = (part.model_copy(update={"units": 4, "hidden": 4}) for part in (config.drive, config.force))
-    nets = ensemble(members, drive, force, ProfileConfig(), scales, jax.random.key(0))
-    drag = jnp.arange(members, dtype=jnp.float32)
-    nets = eqx.tree_at(lambda nets: nets.force.thrust, nets, jnp.stack([drag, 0 * drag], axis=1))
+    nets = ensemble(2, drive, force, ProfileConfig(), scales, jax.random.key(0))
+    return eqx.tree_at(lambda nets: nets.force.thrust, nets, jnp.asarray([[0.0, 0.0], [1.0, 0.0]]))
+
+
+@functools.cache
+def streaming(members: int = 2, limits: Limits = PAPER_LIMITS) -> StreamingSurrogate:
+    """Of the first so many of them."""
+    nets = jax.tree.map(lambda x: jnp.asarray(np.asarray(x)[:members]), two_members())
     size = remembered(single(nets.force).start(Motion(jnp.zeros(()), jnp.zeros(())))).size
     interval = Interval(coverage=0.9, factor=1.6, floor_n=0.05, windows=1, logs=10)
     return StreamingSurrogate(nets, limits, interval, Familiarity(jnp.zeros(size), jnp.eye(size)))
