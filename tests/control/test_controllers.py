@@ -33,8 +33,8 @@ def untrained(config: TrainConfig) -> Trained:
     config = config.model_copy(update={"policy": SIZE})
     cells, points = len(config.cells), config.lattice**2
     keys = jax.random.split(jax.random.key(0), (len(SEEDS), cells))
-    policies = jax.vmap(jax.vmap(lambda key: Policy.create(key, SIZE, 11)))(keys)
-    loud = jax.tree.map(lambda x: 3 * x, policies)
+    policies = jax.jit(jax.vmap(jax.vmap(lambda key: Policy.create(key, SIZE, 11))))(keys)
+    loud = jax.tree.map(lambda x: jnp.asarray(3 * np.asarray(x)), policies)
     shape = (len(SEEDS), cells, points, 2)
     return Trained(config, PAPER_LIMITS, SEEDS, loud, Score(jnp.full(shape, 0.25), jnp.full(shape, 0.5)))
 

@@ -1,5 +1,6 @@
 """Switching between the policies of a grid: when it happens, and that it is not felt where little has changed."""
 
+import functools
 from typing import Any
 
 import equinox as eqx
@@ -29,6 +30,7 @@ FADELESS = SwitchingConfig(margin_n=0, fade_actions=0)
 SETTLED = 36
 
 
+@functools.partial(jax.jit, static_argnames="cells")
 def policies(cells: int, apart: float) -> Policy:
     """Random policies that beat with the clock and forget within a cycle; `apart` is how much neighbours differ."""
 
@@ -176,12 +178,17 @@ def test_many_references_at_once_are_as_each_alone() -> None:
 
 
 def test_an_action_costs_the_same_for_any_number_of_cells() -> None:
+    """Counted in the program; nothing is compiled."""
+
     def operations(columns: int) -> float:
         cells = lattice(columns, columns, Cell(low=(0, -1), high=(2, 1)))
-        controller = grid(SwitchingConfig(), cells=cells)
-        measured = Measured(jnp.float32(0), jnp.zeros(2))
-        asked = jax.jit(lambda *now: controller.act(*now)).lower(controller.init(), measured, jnp.zeros(2))
-        cost: Any = asked.compile().cost_analysis()
+
+        def action(policies: Policy, *now: Any) -> Any:
+            controller = GridController(policies, TASK, PAPER_LIMITS, cells, None, SwitchingConfig())
+            return controller.act(controller.init(), *now)
+
+        shapes = jax.eval_shape(functools.partial(policies, len(cells)), 0.1)
+        cost: Any = jax.jit(action).lower(shapes, Measured(jnp.float32(0), jnp.zeros(2)), jnp.zeros(2)).cost_analysis()
         return float(cost["flops"])
 
     assert operations(8) < 1.3 * operations(2)

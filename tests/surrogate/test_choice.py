@@ -10,6 +10,7 @@ from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig, StreamingS
 from softfin.surrogate.choice import fit_any
 from softfin.surrogate.horizons import Freed, free_running, places, take
 from softfin.surrogate.streaming import fit as module
+from softfin.surrogate.streaming.sequences import scales_of
 from tests.surrogate import small as paper
 from tests.surrogate.streaming import small
 
@@ -22,6 +23,9 @@ CONFIG = AutoConfig(
 )
 
 
+SCALES = scales_of([small.recorded(rows=600, seed=seed, sided=True, noise_n=0.05) for seed in range(3)])
+
+
 def paper_fit(logs, config, seed, workspace, progress=None):
     """As if they had learnt nothing: to compile them takes longer than all else."""
     if progress is not None:
@@ -32,6 +36,8 @@ def paper_fit(logs, config, seed, workspace, progress=None):
 @pytest.fixture(autouse=True)
 def profile_known(monkeypatch):
     monkeypatch.setattr(module, "identify", lambda logs, seed: (small.PROFILE, 0.0))
+    # The same for all logs, so that one program fits to any of them.
+    monkeypatch.setattr(module, "scales_of", lambda logs: SCALES)
     monkeypatch.setattr("softfin.surrogate.choice.fit", paper_fit)
 
 

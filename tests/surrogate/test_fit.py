@@ -1,3 +1,4 @@
+import jax
 import numpy as np
 import pytest
 
@@ -5,7 +6,7 @@ from softfin import artifacts
 from softfin.checkpoint import LOG, TRAINING_LOG, Workspace, read_log
 from softfin.errors import ArtifactError, LogError, RunError
 from softfin.surrogate import FitConfig, load_surrogate, save_surrogate
-from softfin.surrogate.fit import fit, window_starts
+from softfin.surrogate.fit import Learner, fit, window_starts
 from softfin.surrogate.metrics import series_scores, table_one
 from softfin.surrogate.predict import predict
 from tests.surrogate import small
@@ -26,6 +27,13 @@ class Killed(BaseException):
     pass
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A fit that was not interrupted, and its log."""
+    workspace = Workspace(tmp_path_factory.mktemp("whole") / "s", {"a": 1})
+    return fit(LOGS, CONFIG, 0, workspace), read_log(workspace.folder / LOG)
+
+
 def test_windows_never_reach_from_one_log_into_the_next():
     np.testing.assert_array_equal(window_starts([5, 2, 4], window=3), [0, 1, 7])
 
@@ -39,13 +47,17 @@ def test_fitting_learns_angle_and_forces(tmp_path):
         assert np.sqrt(np.mean(error**2)) < 0.4 * spread
 
 
-def test_held_out_logs_do_not_reach_scaling_or_training(tmp_path):
-    def with_last(factor):
-        last = LOGS[-1]
-        changed = last._replace(reading=last.reading._replace(force=last.reading.force * np.float32(factor)))
-        return fit([*LOGS[:-1], changed], CONFIG.changed(["epochs=1"]), 0, Workspace(tmp_path / str(factor), {}))
-
-    assert same_weights(with_last(1), with_last(100))
+def test_held_out_logs_do_not_reach_scaling_or_training(tmp_path, whole):
+    """They choose the epoch whose weights are kept, and nothing else: all epochs learn alike."""
+    last, workspace = LOGS[-1], Workspace(tmp_path / "s", {})
+    changed = last._replace(reading=last.reading._replace(force=last.reading.force * np.float32(100)))
+    fitted = fit([*LOGS[:-1], changed], CONFIG, 0, workspace)
+    histories = whole[1], read_log(workspace.folder / LOG)
+    for name, alike in (("train/posnet_mse", True), ("train/forcenet_mse", True), ("held_out/forcenet_mse", False)):
+        one, other = ([entry[name] for entry in history] for history in histories)
+        assert len(one) == len(other) == CONFIG.epochs
+        assert (one == other) == alike
+    assert fitted.scaling == whole[0].scaling
 
 
 def test_the_best_weights_are_kept_not_the_last(tmp_path):
@@ -60,9 +72,7 @@ def test_the_best_weights_are_kept_not_the_last(tmp_path):
     assert least < history[-1]["held_out/forcenet_mse"]
 
 
-def test_a_killed_fit_resumes_to_the_same_weights(tmp_path):
-    whole = fit(LOGS, CONFIG, 0, Workspace(tmp_path / "whole", {"a": 1}))
-
+def test_a_killed_fit_resumes_to_the_same_weights(tmp_path, whole):
     def killer(stage, done, note):
         if done > 0.6:
             raise Killed
@@ -73,7 +83,7 @@ def test_a_killed_fit_resumes_to_the_same_weights(tmp_path):
     workspace = Workspace(tmp_path / "cut", {"a": 1}, resume=True)
     resumed = fit(LOGS, CONFIG, 0, workspace, lambda stage, done, note: resumed_from.append(done))
     assert min(resumed_from) > 0.5
-    assert same_weights(whole, resumed)
+    assert same_weights(whole[0], resumed)
     assert [entry["step"] for entry in read_log(workspace.folder / LOG)] == [1, 2, 3, 4]
     assert list(workspace.folder.glob("events.*"))
 
@@ -135,9 +145,16 @@ def test_a_column_that_never_changes_is_named(tmp_path):
         fit(still, CONFIG, 0, Workspace(tmp_path / "s", {}))
 
 
-def test_a_loss_that_explodes_stops_the_fit(tmp_path):
-    with pytest.raises(RunError, match=r"lower learning_rate \(--set\), start anew"):
-        fit(LOGS, CONFIG.changed(["learning_rate=1e30"]), 0, Workspace(tmp_path / "s", {}))
+def test_a_loss_that_explodes_stops_the_fit(tmp_path, monkeypatch):
+    start = Learner.start
+
+    def far_off(learner, key):
+        state = start(learner, key)
+        return state._replace(nets=jax.tree.map(lambda x: x * np.float32(1e38), state.nets))
+
+    monkeypatch.setattr(Learner, "start", far_off)
+    with pytest.raises(RunError, match=r"the loss is not finite in epoch 1; lower learning_rate \(--set\), start anew"):
+        fit(LOGS, CONFIG, 0, Workspace(tmp_path / "s", {}))
 
 
 def test_a_stored_surrogate_is_the_same_surrogate(tmp_path):

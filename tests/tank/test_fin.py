@@ -1,3 +1,5 @@
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -37,25 +39,22 @@ def vacuum(fin, push=None):
     return Surroundings(none, jnp.zeros(2), lambda motion: (none, push or Wrench(zero, zero, zero)))
 
 
-def swing(fin, state, steps, seconds, push=lambda state: None):
-    """In vacuum with the shaft held at angle 0: the states after each step."""
+@functools.partial(jax.jit, static_argnames=("steps", "seconds"))
+def swing(fin, state, steps, seconds, tip_load=0.0):
+    """In vacuum with the shaft held at angle 0: the states after each step, and the energies from the start on.
 
-    def step(state, _):
-        state, _, _ = fin.step(state, held(), vacuum(fin, push(state)), seconds)
-        return state, state
-
-    return jax.jit(lambda state: jax.lax.scan(step, state, length=steps)[1])(state)
-
-
-def tip_load(fin, force):
-    """A dead load on the tip, along y in the axes of the tank [N]."""
+    On the tip there is a dead load along y in the axes of the tank [N].
+    """
     last = jnp.eye(fin.stiffness.size)[-1]
 
-    def push(state):
-        across, along = force * jnp.cos(state.angles) * last, force * jnp.sin(state.angles) * last
-        return Wrench(across, along, across * fin.plate_length)
+    def step(state, _):
+        across, along = tip_load * jnp.cos(state.angles) * last, tip_load * jnp.sin(state.angles) * last
+        push = Wrench(across, along, across * fin.plate_length)
+        after, _, _ = fin.step(state, held(), vacuum(fin, push), seconds)
+        return after, (after, fin.energy(state, jnp.asarray(0.0), fin.inertia))
 
-    return push
+    end, (states, energies) = jax.lax.scan(step, state, length=steps)
+    return states, jnp.append(energies, fin.energy(end, jnp.asarray(0.0), fin.inertia))
 
 
 def bent(fin, rate):
@@ -65,18 +64,14 @@ def bent(fin, rate):
 
 def test_energy_is_kept_in_vacuum_without_damping():
     fin = Fin(config_of(**UNIFORM, plates=4))
-    start = bent(fin, 20.0)
-    states = swing(fin, start, 50_000, 2e-4)
-    energy = jax.vmap(lambda state: fin.energy(state, jnp.asarray(0.0), fin.inertia))(states)
-    before = fin.energy(start, jnp.asarray(0.0), fin.inertia)
+    states, energy = swing(fin, bent(fin, 20.0), 50_000, 2e-4)
     assert np.abs(states.angles).max() > 0.2
-    np.testing.assert_allclose(energy, before, rtol=1e-3)
+    np.testing.assert_allclose(energy, energy[0], rtol=1e-3)
 
 
 def test_structural_damping_takes_energy_out():
     fin = Fin(config_of(damping_s=0.005))
-    states = swing(fin, bent(fin, 10.0), 2000, 1e-3)
-    energy = jax.vmap(lambda state: fin.energy(state, jnp.asarray(0.0), fin.inertia))(states)
+    _, energy = swing(fin, bent(fin, 10.0), 2000, 1e-3)
     assert energy[-1] < 1e-3 * energy[0]
 
 
@@ -84,10 +79,8 @@ def test_structural_damping_takes_energy_out():
 def test_at_the_default_step_energy_in_vacuum_grows_no_more_than_documented(damping, rates, growth):
     fin = Fin(FinConfig(damping_s=damping))
     for rate in rates:
-        start = bent(fin, rate)
-        states = swing(fin, start, 2000, 5e-3)
-        energy = jax.vmap(lambda state: fin.energy(state, jnp.asarray(0.0), fin.inertia))(states)
-        assert energy.max() < (1 + growth) * fin.energy(start, jnp.asarray(0.0), fin.inertia)
+        _, energy = swing(fin, bent(fin, rate), 2000, 5e-3)
+        assert energy.max() < (1 + growth) * energy[0]
 
 
 def beam_frequencies(config):
@@ -106,7 +99,7 @@ def test_the_first_two_frequencies_are_those_of_a_clamped_beam():
 def test_a_plucked_fin_rings_at_its_first_two_frequencies():
     config = config_of(**UNIFORM, plates=12)
     fin = Fin(config)
-    tip = np.asarray(swing(fin, bent(fin, 0.01), 20_000, 1e-4).angles[:, -1])
+    tip = np.asarray(swing(fin, bent(fin, 0.01), 20_000, 1e-4)[0].angles[:, -1])
     spectrum = np.abs(np.fft.rfft(tip * np.hanning(tip.size), 16 * tip.size))
     circular = 2 * np.pi * np.fft.rfftfreq(16 * tip.size, 1e-4)
     for expected in beam_frequencies(config):
@@ -118,7 +111,7 @@ def test_a_small_load_on_the_tip_deflects_a_taper_as_the_beams_integral_says():
     config = config_of(damping_s=0.5, plates=4)
     fin = Fin(config)
     force = 0.01
-    angles = swing(fin, fin.rest(), 4000, 5e-3, tip_load(fin, force)).angles[-1]
+    angles = swing(fin, fin.rest(), 4000, 5e-3, force)[0].angles[-1]
     along = np.linspace(0, config.length_m, 100_001)
     bending = config.youngs_modulus_pa * config.span_m * config.thickness(along) ** 3 / 12
     expected = force * np.trapezoid((config.length_m - along) ** 2 / bending, along)
@@ -133,8 +126,8 @@ def test_a_large_load_on_the_tip_makes_an_elastica(load, across, along):
     config = config_of(tip_thickness_ratio=1.0, damping_s=0.5, plates=12)
     fin = Fin(config)
     bending = config.youngs_modulus_pa * config.span_m * config.root_thickness_m**3 / 12
-    state = swing(fin, fin.rest(), 4000, 5e-3, tip_load(fin, load * bending / config.length_m**2))
-    x, y = fin.shape(jax.tree.map(lambda x: x[-1], state))[-1] / config.length_m
+    states, _ = swing(fin, fin.rest(), 4000, 5e-3, load * bending / config.length_m**2)
+    x, y = fin.shape(jax.tree.map(lambda x: x[-1], states))[-1] / config.length_m
     assert y == pytest.approx(across, rel=0.01)
     assert 1 + x == pytest.approx(along, rel=0.01)
 
@@ -176,23 +169,17 @@ def test_within_its_play_the_root_bears_nothing_and_at_its_edge_it_holds():
     moment = jnp.asarray([0.05, 0.0])
     shaft = held(play=play)
 
-    def pushed(seconds, sign):
-        push = Wrench(0 * moment, 0 * moment, sign * moment)
-        step = jax.jit(lambda state: fin.step(state, shaft, vacuum(fin, push), 5e-3)[0])
-        state = fin.rest()
-        for _ in range(round(seconds / 5e-3)):
-            state = step(state)
-        return float(state.angles[0])
+    @jax.jit
+    def pushed(state, steps, moment):
+        around = vacuum(fin, Wrench(0 * moment, 0 * moment, moment))
+        return jax.lax.fori_loop(0, steps, lambda _, state: fin.step(state, shaft, around, 5e-3)[0], state).angles
 
-    assert pushed(0.02, 1) == pytest.approx(pushed(0.02, -1) * -1)
-    free = jax.jit(lambda s: fin.step(s, shaft, vacuum(fin), 5e-3)[0])
-    drifting = fin.rest()._replace(rates=jnp.full(2, 0.5))
-    for _ in range(10):
-        drifting = free(drifting)
-    np.testing.assert_allclose(drifting.angles, 0.5 * 10 * 5e-3, rtol=1e-3)
+    assert pushed(fin.rest(), 4, moment)[0] == pytest.approx(pushed(fin.rest(), 4, -moment)[0] * -1)
+    drifting = pushed(fin.rest()._replace(rates=jnp.full(2, 0.5)), 10, 0 * moment)
+    np.testing.assert_allclose(drifting, 0.5 * 10 * 5e-3, rtol=1e-3)
     for sign in (1, -1):
         strained = float(moment[0] / fin.stiffness[0])
-        assert sign * pushed(20.0, sign) == pytest.approx(play / 2 + strained, rel=1e-3)
+        assert sign * pushed(fin.rest(), 4000, sign * moment)[0] == pytest.approx(play / 2 + strained, rel=1e-3)
 
 
 def test_a_fin_held_at_an_angle_ends_up_straight_along_it():

@@ -151,7 +151,7 @@ def test_a_stream_past_a_fin_held_across_it_is_drag_alone(water):
     around = water.around(flow)
     held = Shaft(jnp.asarray(0.0), jnp.asarray(0.0), lambda load, drag: jnp.zeros_like(load))
     fin = Fin(RIGID)
-    state, _, force = fin.step(fin.rest(), held, around, 1e-3)
+    state, _, force = jax.jit(lambda state: fin.step(state, held, around, 1e-3))(fin.rest())
     np.testing.assert_allclose(fin.momenta(state, around)[0], 0.0, atol=1e-4)
     pressure = 0.5 * DENSITY * 2.0 * 0.08 * 0.2 * 0.4**2
     assert force[1] == pytest.approx(pressure, rel=1e-3)

@@ -132,20 +132,21 @@ def test_a_batch_does_what_each_fin_does_alone() -> None:
     task = ForceTracking(PlainFin(), TaskConfig())
     keys = jax.random.split(jax.random.key(3), 4)
     actions = jax.random.uniform(jax.random.key(1), (4, 2), minval=-1.0)
-    states = jax.vmap(task.reset, (0, None))(keys, BOX)
-    states, outcomes = jax.vmap(partial(task.step, ticks=33))(states, actions)
+    step = jax.jit(partial(task.step, ticks=33))
+    _, outcomes = jax.vmap(step)(jax.vmap(task.reset, (0, None))(keys, BOX), actions)
     for i in range(4):
-        _, alone = task.step(task.reset(keys[i], BOX), actions[i], 33)
+        _, alone = step(task.reset(keys[i], BOX), actions[i])
         np.testing.assert_allclose(outcomes.reward[i], alone.reward, rtol=1e-5)
         np.testing.assert_allclose(outcomes.forces[i], alone.forces, atol=1e-5)
 
 
 def test_references_are_redrawn_when_they_are_due() -> None:
     task = ForceTracking(Echo(), TaskConfig(reference_actions=4))
+    step = jax.jit(task.step)
     state = task.reset(jax.random.key(0), BOX)
     references = [tuple(np.asarray(state.reference))]
     for i in range(8):
-        state, _ = task.step(state, STROKE, ACTION_TICKS[i % 3])
+        state, _ = step(state, STROKE, ACTION_TICKS[i % 3])
         references.append(tuple(np.asarray(state.reference)))
     assert [a != b for a, b in zip(references[1:], references, strict=False)] == [False] * 3 + [True] + [False] * 3 + [
         True

@@ -30,18 +30,24 @@ def filled(tree, seed=0, spread=0.5):
     """With noise on every number, for nets say nothing before they have learnt something."""
     leaves, structure = jax.tree.flatten(tree)
     random = np.random.default_rng(seed)
-    noisy = [leaf + jnp.asarray(random.normal(0, spread, leaf.shape), jnp.float32) for leaf in leaves]
-    return jax.tree.unflatten(structure, noisy)
+    noisy = [np.asarray(leaf) + np.float32(random.normal(0, spread, leaf.shape)) for leaf in leaves]
+    return jax.tree.unflatten(structure, [jnp.asarray(leaf) for leaf in noisy])
 
 
 def members(count=2, drive=DRIVE, force=FORCE, profile=PROFILE, seed=0, spread=0.5):
     """An ensemble whose weights are noise, but not the profile's coefficients and the wake's times."""
-    fresh = ensemble(count, drive, force, profile, SCALES, jax.random.key(seed))
+    # Not drawn as for a fit: to compile that takes longer than most tests.
+    shapes = jax.eval_shape(lambda key: ensemble(count, drive, force, profile, SCALES, key), jax.random.key(seed))
+    noise = filled(jax.tree.map(lambda leaf: np.zeros(leaf.shape, np.float32), shapes), seed, spread)
 
     def known(members):
         return (members.force.log_time, *([members.drive.profile] if drive.profile else []))
 
-    return eqx.tree_at(known, filled(fresh, seed, spread), known(fresh))
+    def of_each(leaf):
+        return jnp.asarray(np.stack([np.asarray(leaf, np.float32)] * count))
+
+    times = np.log(np.geomspace(0.05, 1.5, force.wake))
+    return eqx.tree_at(known, noise, jax.tree.map(of_each, (times, Profile(profile))[: 1 + drive.profile]))
 
 
 def drive_net(seed=0, **options):

@@ -83,8 +83,12 @@ def test_force_nets_see_the_measured_motion_first_and_the_foretold_one_in_the_en
     assert abs(between - free) > 1e-4
 
 
-def test_each_member_draws_and_learns_for_itself_and_the_best_weights_of_each_are_kept():
-    learner = Learner(force_loss(CONFIG), CONFIG, 8)
+@pytest.fixture(scope="module")
+def learner():
+    return Learner(force_loss(CONFIG), CONFIG, 8)
+
+
+def test_each_member_draws_and_learns_for_itself_and_the_best_weights_of_each_are_kept(learner):
     twins = jax.tree.map(lambda x: jnp.stack([x, x]), small.force_net())
     nowhere = Motion(*(jnp.zeros((2, 600)) for _ in range(2)))
     state, loss = learner.run(learner.start(twins), TABLE, nowhere, jnp.int32(0), 4, KEY)
@@ -99,18 +103,18 @@ def test_each_member_draws_and_learns_for_itself_and_the_best_weights_of_each_ar
     np.testing.assert_array_equal(later.best.offset[1], state.nets.offset[1] + 1)
 
 
-def test_two_calls_are_one_compiled_program():
-    compiled = []
+def test_two_calls_are_one_compiled_program(learner, monkeypatch):
+    compiled, loss = [], learner.loss
 
-    def loss(net, stretch, predicted, done, key):
+    def counted(*args):
         compiled.append(1)
-        return force_loss(CONFIG)(net, stretch, predicted, done, key)
+        return loss(*args)
 
-    learner = Learner(loss, CONFIG, 8)
+    monkeypatch.setattr(learner, "loss", counted)
     state = learner.start(small.members().force)
     nowhere = Motion(*(jnp.zeros((2, 600)) for _ in range(2)))
     for first in (0, 1):
-        state, _ = learner.run(state, TABLE, nowhere, jnp.int32(first), 1, KEY)
+        state, _ = learner.run(state, TABLE, nowhere, jnp.int32(first), 4, KEY)
         state = keep_best(state, jnp.asarray([1.0, 2.0], jnp.float32))
         once = len(compiled) if first == 0 else once
     assert len(compiled) == once

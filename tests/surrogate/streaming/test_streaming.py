@@ -20,6 +20,7 @@ START = PLANT.init(jax.random.key(0))
 
 @pytest.fixture(scope="module")
 def advance():
+    """Two programs for all: of one tick, and of 33."""
     return jax.jit(lambda state, command, ticks: PLANT.advance(state, command, ticks), static_argnums=2)
 
 
@@ -41,29 +42,32 @@ def test_33_ticks_are_33_times_one(advance):
 
 def test_readings_are_the_mean_of_the_members_who_disagree(advance):
     _, mean = advance(START, STROKE, 33)
-    _, each = PLANT.advance_members(START, STROKE, 33)
+    _, each = jax.jit(lambda state: PLANT.advance_members(state, STROKE, 33))(START)
     assert each.force.shape == (2, 33, 2)
     for one, other in zip(mean, each, strict=True):
         np.testing.assert_allclose(one, np.asarray(other).mean(axis=0), atol=1e-6)
     assert np.abs(each.force[0] - each.force[1]).max() > 0.1
 
 
-def test_the_state_does_not_grow_with_what_it_remembers(advance):
+def test_the_state_does_not_grow_with_what_it_remembers():
     def shapes(ticks):
-        return [leaf.shape for leaf in jax.tree.leaves(advance(START, STROKE, ticks)[0])]
+        after, _ = jax.eval_shape(lambda state: PLANT.advance(state, STROKE, ticks), START)
+        return [leaf.shape for leaf in jax.tree.leaves(after)]
 
     assert shapes(10) == shapes(1000) == [leaf.shape for leaf in jax.tree.leaves(START)]
 
 
 def test_it_begins_at_rest_and_stays_there_until_it_is_told_otherwise(advance):
-    after, reading = advance(START, rest_command(PLANT.limits), 100)
-    first = jax.tree.map(lambda x: x[:1], reading)
-    np.testing.assert_allclose(reading.force, np.repeat(first.force, 100, axis=0), atol=1e-4)
-    np.testing.assert_allclose(reading.angle, np.repeat(first.angle, 100), atol=1e-5)
-    np.testing.assert_allclose(reading.velocity, np.repeat(first.velocity, 100), atol=1e-5)
+    after, parts = START, []
+    for _ in range(3):
+        after, part = advance(after, rest_command(PLANT.limits), 33)
+        parts.append(part)
+    for each, atol in (("force", 1e-4), ("angle", 1e-5), ("velocity", 1e-5)):
+        values = np.concatenate([getattr(part, each) for part in parts])
+        np.testing.assert_allclose(values, np.repeat(values[:1], 99, axis=0), atol=atol)
     for one, other in zip(*(jax.tree.leaves(state.members) for state in (START, after)), strict=True):
         np.testing.assert_allclose(one, other, atol=1e-4)
-    assert float(reading.time[0]) == pytest.approx(0.01)
+    assert float(parts[0].time[0]) == pytest.approx(0.01)
 
 
 PAST = 360
@@ -82,16 +86,16 @@ def test_warm_is_where_following_the_log_from_there_on_comes_to():
     np.testing.assert_allclose(reading.force, said.force.mean(axis=0)[-40:], atol=1e-4)
 
 
-def test_warm_counts_on_from_the_time_of_the_last_row_and_sees_only_its_memory():
+def test_warm_counts_on_from_the_time_of_the_last_row_and_sees_only_its_memory(advance):
     long, short = PLANT.warm(LOG), PLANT.warm(small.rows_of(LOG, 400 - PLANT.memory, None))
     assert all(np.array_equal(a, b) for a, b in zip(*map(jax.tree.leaves, (long, short)), strict=True))
-    _, reading = PLANT.advance(long, STROKE, 1)
+    _, reading = advance(long, STROKE, 1)
     assert float(reading.time[0]) == pytest.approx(float(LOG.reading.time[-1]) + 0.01)
 
 
-def test_warm_takes_a_unix_clock_and_counts_within_its_day():
+def test_warm_takes_a_unix_clock_and_counts_within_its_day(advance):
     unix = LOG._replace(reading=LOG.reading._replace(time=1.7e9 + np.arange(400) / 100))
-    _, reading = PLANT.advance(PLANT.warm(unix), STROKE, 1)
+    _, reading = advance(PLANT.warm(unix), STROKE, 1)
     assert float(reading.time[0]) == pytest.approx(1.7e9 % 86400 + 4, abs=0.01)
 
 
@@ -112,13 +116,14 @@ def test_a_mirrored_fin_says_mirrored_readings():
     plant = StreamingSurrogate(members, PLANT.limits, PLANT.interval, PLANT.familiarity)
     issued = Command(*map(jnp.asarray, small.commands(200, seed=2)))
     start = plant.init(jax.random.key(0))
-    both = [roll(plant, start, one)[1] for one in (issued, issued._replace(angle=-issued.angle))]
+    rolled = jax.jit(lambda commands: roll(plant, start, commands)[1])
+    both = [rolled(one) for one in (issued, issued._replace(angle=-issued.angle))]
     np.testing.assert_allclose(both[1].angle, -both[0].angle, atol=1e-5)
     np.testing.assert_allclose(both[1].force, small.mirrored(both[0].force), atol=1e-3)
 
 
-def test_the_distance_is_that_of_the_first_members_force_net():
-    state, _ = PLANT.advance(START, STROKE, 20)
+def test_the_distance_is_that_of_the_first_members_force_net(advance):
+    state, _ = advance(START, STROKE, 33)
     memory = np.concatenate([np.ravel(leaf[0]) for leaf in jax.tree.leaves(state.members.force[:2])])
     assert float(PLANT.distance(state)) == pytest.approx(np.linalg.norm(memory), rel=1e-4)
 
@@ -127,13 +132,13 @@ def test_deviations_are_said_by_nets_that_learnt_them_and_by_no_others():
     nets = small.members(force=small.FORCE.merged({"heteroscedastic": True}, "test"))
     plant = StreamingSurrogate(nets, PAPER_LIMITS, small.interval(), small.surrogate().familiarity)
     state, command = plant.init(jax.random.key(0)), Command(jnp.float32(1.0), jnp.float32(2.0))
-    said = plant.deviation(state, command, 5)
-    each = [single(nets, member) for member in range(2)]
-    logs = []
-    for member, own in zip(each, [single(state.members, index) for index in range(2)], strict=True):
+    said = jax.jit(lambda state: plant.deviation(state, command, 5))(state)
+    step, logs = jax.jit(lambda member, state: member.step(state, command)), []
+    for index in range(2):
+        member, own = single(nets, index), single(state.members, index)
         logs.append([])
         for _ in range(5):
-            own, (_, spoken) = member.step(own, command)
+            own, (_, spoken) = step(member, own)
             logs[-1].append(float(spoken.log_deviation))
     np.testing.assert_allclose(said, 2.0 * np.sqrt(np.exp(2 * np.array(logs)).mean(axis=0)), rtol=1e-4)
     with pytest.raises(ArtifactError, match=r"learnt no deviations; fit it with --set force\.heteroscedastic=true"):

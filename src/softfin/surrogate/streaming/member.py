@@ -1,5 +1,6 @@
 """One learnt fin: drive net and force net in a row. An ensemble is a stack of these."""
 
+import functools
 from typing import NamedTuple, TypeVar
 
 import equinox as eqx
@@ -42,6 +43,7 @@ class Member(eqx.Module):
         return self.drive.products() + self.force.products()
 
 
+@functools.partial(jax.jit, static_argnames=("count", "drive", "force", "profile", "scales"))
 def ensemble(
     count: int, drive: DriveNetConfig, force: ForceNetConfig, profile: ProfileConfig, scales: Scales, key: PRNGKeyArray
 ) -> Member:
