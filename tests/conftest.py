@@ -4,7 +4,9 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-# Most of the tests' time is compilation, and many compile the same programs: one cache for all workers.
+# Most of the tests' time is compilation. They run so little of a program that optimising it takes longer, and many
+# compile the same ones, so that all workers share a cache.
+os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
 os.environ.setdefault("SOFTFIN_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "programs"))
 
 import jax
@@ -41,15 +43,6 @@ def few_programs() -> Iterator[None]:
     resident = int((own / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
     if resident > MEMORY_BYTES or len((own / "maps").read_bytes().splitlines()) > MAPPINGS:
         jax.clear_caches()
-
-
-@pytest.fixture(scope="module")
-def quickly_compiled() -> Iterator[None]:
-    """For modules whose programs do next to nothing: they are not optimised, which halves the time that they take."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
-    jax.clear_caches()
 
 
 @pytest.fixture(scope="session")

@@ -17,8 +17,6 @@ from tests import staged
 from tests.documents import ROOT, Shown, commands, softfin_words
 from tests.staged import short_search  # noqa: F401  # pytest finds fixtures here
 
-pytestmark = pytest.mark.usefixtures("quickly_compiled")
-
 
 def flat(values, path=""):
     """Nested values as what --set takes."""

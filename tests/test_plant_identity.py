@@ -18,8 +18,6 @@ from softfin.tank import Tank
 from softfin.testing import check_plant
 from tests.plants import AnalyticFin, Flapper
 
-pytestmark = pytest.mark.usefixtures("quickly_compiled")
-
 GAIN = 1.0
 
 

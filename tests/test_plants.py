@@ -13,8 +13,6 @@ from softfin.testing import check_plant
 from tests.plants import AnalyticFin, PlainFin
 from tests.surrogate import small
 
-pytestmark = pytest.mark.usefixtures("quickly_compiled")
-
 
 def test_the_tank_a_surrogate_and_ones_own_simulator_are_found(tmp_path, monkeypatch):
     save_surrogate(tmp_path / "s", small.surrogate(), None, {})

@@ -26,8 +26,6 @@ from softfin.logs.parquet import read_log
 from softfin.tank import Tank, TankConfig
 from tests.calibration.small import CONFIG, RANGES, TRUTH
 
-pytestmark = pytest.mark.usefixtures("quickly_compiled")
-
 EVEN = weights_of([1.0, 1.0, 1.0])
 
 

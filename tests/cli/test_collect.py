@@ -12,8 +12,6 @@ from tests.cli.test_cli import fails
 from tests.surrogate import small
 from tests.surrogate.test_active import streaming
 
-pytestmark = pytest.mark.usefixtures("quickly_compiled")
-
 FIN = "tests.plants:AnalyticFin"
 ACTIVE = ["--excitation", "active"]
 FEW = ["--set", "active.candidates=4", "--set", "active.piece_s=1"]

@@ -9,8 +9,6 @@ from softfin.surrogate import save_surrogate
 from tests.cli.test_cli import fails
 from tests.surrogate import small
 
-pytestmark = pytest.mark.usefixtures("quickly_compiled")
-
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory):

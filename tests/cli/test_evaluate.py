@@ -12,8 +12,6 @@ from softfin.tank import Tank, TankConfig
 from softfin.tank.geometry import FinConfig
 from tests.evaluation.test_moving import Covering
 
-pytestmark = pytest.mark.usefixtures("quickly_compiled")
-
 QUICK = ("--plant", "tests.plants:AnalyticFin", "--seconds", "3", "--seeds", "1", "--reference=1,1")
 
 TANK = Tank(TankConfig(fin=FinConfig(plates=2)))

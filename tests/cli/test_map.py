@@ -5,8 +5,6 @@ import pytest
 from softfin.cli import main
 from tests.cli.test_cli import fails
 
-pytestmark = pytest.mark.usefixtures("quickly_compiled")
-
 QUICK = [
     word
     for change in ("survey.cycles=2", "survey.batch=256", "survey.directions=8", "survey.pushes=1", "gaits.cycles=2",

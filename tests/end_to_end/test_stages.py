@@ -14,8 +14,6 @@ from softfin.training.train import _Run
 from tests.staged import FIT, ROWS, STREAMING, short_search  # noqa: F401  # pytest finds fixtures here
 from tests.surrogate import small
 
-pytestmark = pytest.mark.usefixtures("quickly_compiled")
-
 PLANT = "tests.plants:PlainFin"
 LEARNER = {"environments": 4, "rollout_actions": 6, "epochs": 2, "minibatches": 2}
 TRAIN = {"steps": 48, "scorings": 2, "policy": {"units": 8, "width": 8}, "ppo": LEARNER}

@@ -9,8 +9,6 @@ from softfin.logs.side_by_side import CHUNK_ROWS
 from softfin.quantities import PAPER_LIMITS, TICK_S, Command, Log
 from tests.plants import AnalyticFin, PlainFin
 
-pytestmark = pytest.mark.usefixtures("quickly_compiled")
-
 ROWS = CHUNK_ROWS + 501
 
 

@@ -1,6 +1,5 @@
 """Plants that each test one part of the learner, and learners small enough for tests."""
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -14,11 +13,6 @@ from softfin.training.policy import PolicyConfig
 from softfin.training.ppo import PPO, PPOConfig
 
 GAIN = 3.0
-
-quick_jit = partial(
-    jax.jit, compiler_options={"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
-)
-"""For programs that are compiled for longer than they run."""
 
 SMOOTH = RewardConfig(smoothness=(0.0, 0.0))
 

@@ -18,8 +18,6 @@ from softfin.training.train import Trained, train
 from tests.plants import AnalyticFin
 from tests.training.ray_cluster import SEEDS, SMALL, alike, workspace
 
-pytestmark = pytest.mark.usefixtures("quickly_compiled")
-
 ONE_CELL = SMALL.model_copy(update={"cells": SMALL.cells[:1]})
 """Two seeds of it are as many lanes as the two cells of `SMALL` with one seed: one compiled program does both."""
 

@@ -15,7 +15,7 @@ from softfin.training.policy import ActorCritic, Policy
 from softfin.training.ppo import PPO, Lane, Lesson, PPOConfig
 from softfin.training.rollout import Batch, Rollout, collect
 from softfin.training.score import score
-from tests.training.probes import PROBES, AnyProbe, Delayed, Direct, Late, Probe, Recall, Still, box, learner, quick_jit
+from tests.training.probes import PROBES, AnyProbe, Delayed, Direct, Late, Probe, Recall, Still, box, learner
 
 
 class Playing(Policy):
@@ -87,11 +87,11 @@ class CasePPO(PPO):
         return lane._replace(networks=networks, policy=policy, optimiser=self._optimiser().init(networks))
 
 
-begin = quick_jit(jax.vmap(lambda case, key: CasePPO.of(case).begun(case, key)))
-update = quick_jit(jax.vmap(lambda case, lane: CasePPO.of(case).update(lane)[0]))
+begin = jax.jit(jax.vmap(lambda case, key: CasePPO.of(case).begun(case, key)))
+update = jax.jit(jax.vmap(lambda case, lane: CasePPO.of(case).update(lane)[0]))
 
 
-@quick_jit
+@jax.jit
 @jax.vmap
 def played(case: Case, lane: Lane, batch: Batch, key: Any) -> tuple[Rollout, Any]:
     """A rollout, and what the critic says along it."""
@@ -99,14 +99,14 @@ def played(case: Case, lane: Lane, batch: Batch, key: Any) -> tuple[Rollout, Any
     return rollout, lane.networks.critic(rollout.seen)
 
 
-@quick_jit
+@jax.jit
 @jax.vmap
 def from_rest(case: Case, batch: Batch) -> Batch:
     again = jax.vmap(CasePPO.of(case).task.reset)(batch.states.key, batch.states.references)
     return batch._replace(states=again, fresh=jnp.ones_like(batch.fresh))
 
 
-@quick_jit
+@jax.jit
 @jax.vmap
 def errors(case: Case, policy: Policy) -> Any:
     """Deterministic, for each reference 16 fins with keys of their own."""
@@ -199,7 +199,7 @@ def test_without_normalisation_nothing_is_scaled() -> None:
 
     plain = learner(Direct(), updates=4, episode=3, rollout_actions=3, normalise=False)
     ppo = Idle(plain.task, plain.config, plain.policy, plain.updates)
-    lane = quick_jit(lambda key: ppo.update(ppo.init(key, box((1, 1), (2, 2))))[0])(jax.random.key(0))
+    lane = jax.jit(lambda key: ppo.update(ppo.init(key, box((1, 1), (2, 2))))[0])(jax.random.key(0))
     for normalisation in (lane.policy.normalisation, lane.networks.critic.reads, lane.networks.critic.says):
         assert not np.any(normalisation.mean)
         np.testing.assert_array_equal(normalisation.deviation, 1)
@@ -220,7 +220,7 @@ def test_learning_rate_and_entropy_fall_linearly_over_the_run() -> None:
 
 
 def test_entropy_is_rewarded_with_its_weight(learnt: Learnt) -> None:
-    @quick_jit
+    @jax.jit
     def slope(lane: Lane, rollout: Rollout, weight: Any) -> Any:
         ppo = CasePPO.of(CASES["direct"])
         lesson, _ = ppo.lesson(lane.networks.critic, rollout)

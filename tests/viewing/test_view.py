@@ -17,8 +17,6 @@ from softfin.viewing.view import footage_of, title_of
 from tests.plants import Flapper
 from tests.viewing.fins import BendingFin
 
-pytestmark = pytest.mark.usefixtures("quickly_compiled")
-
 PLANT = "tests.viewing.fins:BendingFin"
 
 
