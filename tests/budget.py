@@ -11,8 +11,8 @@ import pytest
 from benchmarks.compilation import Compilation
 
 SHOWN = 10
-BUDGET_S = 150.0
-"""Processor time of one file, on an empty cache."""
+BUDGET_S = 240.0
+"""Processor time of one file, on an empty cache; the commands of the documents, the largest, take 150 s."""
 
 _compilation = Compilation()
 _last = {"processor_s": 0.0, "compiling_s": 0.0}

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from softfin.calibration.determination import described, determination
+from softfin.calibration.determination import _row, described, determination
 from softfin.calibration.parameters import Parameter
 from softfin.calibration.polish import Linear
 
@@ -78,3 +78,11 @@ def test_the_poorer_the_logs_the_poorer_the_verdict(slopes):
         for found in (linear(slopes * scale, white) for scale in (1.0, 0.01, 0.001))
     ]
     assert verdicts == ["well", "roughly", "poorly"]
+
+
+def test_an_interval_has_finite_ends_whatever_the_logs_leave_open() -> None:
+    """An error of 85 widths of a range of two decades would end beyond the greatest float."""
+    row = _row(Parameter("fin.youngs_modulus_pa", 3e5, 3e7), 0.5, 85.0, None)
+    low, high = row["interval"]
+    assert 0 < low < 3e5 < 3e7 < high < np.inf
+    assert row["determined"] == "poorly"

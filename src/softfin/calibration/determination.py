@@ -25,6 +25,9 @@ VERDICTS = (("well", 0.1), ("roughly", 0.5), ("poorly", np.inf))
 IDLE = 1e-4
 """Diagonal of J^T J below which a parameter does nothing that float32 differences could tell from round-off."""
 
+FARTHEST = 10.0
+"""Ends of an interval, in widths of the range: what logs say nothing of has an error that no float could hold."""
+
 RANGE_DEVIATION = 1 / np.sqrt(12)
 """Standard deviation of a uniform draw from 0 .. 1."""
 
@@ -104,9 +107,10 @@ def _row(parameter: Parameter, at: float, error: float, fate: str | None) -> dic
     if fate is not None:
         return row | {"standard_error": None, "interval": None, "left": None, "determined": fate}
     left = float(error / RANGE_DEVIATION)
+    ends = np.clip(at + 1.96 * np.array([-error, error]), -FARTHEST, FARTHEST)
     return row | {
         "standard_error": float(error * parameter.slope(at)),
-        "interval": [parameter.value(at + sign * 1.96 * float(error)) for sign in (-1, 1)],
+        "interval": [parameter.value(float(end)) for end in ends],
         "left": left,
         "determined": next(verdict for verdict, most in VERDICTS if left < most),
     }
