@@ -30,7 +30,7 @@ day: setup ## a whole day at an emulated rig in some minutes: check, zero, colle
 	$(RUN) python examples/rig_day.py --quick --out $(OUT)
 
 test: setup ## all tests
-	$(RUN) pytest -n auto --dist loadfile
+	$(RUN) pytest -n auto --dist loadfile --no-loadscope-reorder
 
 test-long: setup ## all tests, with more cases of each kind and twenty minutes of faults in real time
 	SOFTFIN_LONG=1 $(RUN) pytest -n auto --dist loadfile
