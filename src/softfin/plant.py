@@ -4,6 +4,7 @@ A plant is pure and traceable, so that `jit`, `vmap`, `scan` and `grad` go throu
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import jax
@@ -100,16 +101,12 @@ def hold_action(plant: Plant, state: State, command: Command, ticks: Ticks) -> t
 
 def repeat(tick: Callable[[State], tuple[State, Output]], state: State, ticks: Ticks) -> tuple[State, Output]:
     """`tick` so many times; what it gives is stacked to ``(34, ...)``, of which the first `ticks` count."""
-
     # Where it is differentiated, a tick is computed again: quicker than to keep what lies within it.
     again: Callable[[State], tuple[State, Output]] = jax.checkpoint(tick, prevent_cse=False)
 
     def one(state: State, index: Int[Array, ""]) -> tuple[State, Output]:
         after, output = again(state)
-        counts = index < ticks
-        # What a tick never changes is handed on as it is.
-        kept = jax.tree.map(lambda new, old: old if new is old else jnp.where(counts, new, old), after, state)
-        return kept, output
+        return jax.tree.map(partial(jnp.where, index < ticks), after, state), output
 
     return jax.lax.scan(one, state, jnp.arange(MOST_TICKS))
 

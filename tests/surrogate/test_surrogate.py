@@ -6,8 +6,9 @@ import pytest
 from softfin.action_clock import ACTION_TICKS
 from softfin.plant import hold, roll
 from softfin.quantities import Command
+from softfin.surrogate.network import Network
 from softfin.surrogate.predict import predict
-from softfin.surrogate.surrogate import windows
+from softfin.surrogate.surrogate import Surrogate, SurrogateState, windows
 from softfin.testing import check_plant
 from tests.surrogate import small
 
@@ -32,6 +33,25 @@ def test_holding_a_command_equals_issuing_it_every_tick():
     for a, b in zip(held, reading, strict=True):
         np.testing.assert_allclose(a, b, atol=2e-4)
     assert int(state.tick) == int(held_state.tick) == 133
+
+
+@pytest.mark.parametrize("ticks", [33, 34])
+def test_after_an_action_it_remembers_the_ticks_that_were_held(ticks):
+    # Windows longer than an action, and a past in which no two samples are alike.
+    window = 60
+    nets = (
+        Network.create(config.model_copy(update={"window": window}), jax.random.key(0))
+        for config in (small.POSNET, small.FORCENET)
+    )
+    plant = Surrogate(*nets, small.scaling())
+    past = SurrogateState(jnp.int32(0), jnp.linspace(-1, 1, 2 * window).reshape(2, window), jnp.linspace(-1, 1, window))
+    command = Command(jnp.float32(0.7), jnp.float32(2.0))
+    held, _ = plant.hold_action(past, command, ticks)
+    expected, _ = plant.advance(past, command, ticks)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-6), held, expected)
+    # What one tick more would leave behind is something else.
+    more, _ = plant.advance(past, command, ticks + 1)
+    assert np.abs(more.commands - expected.commands).max() > 1e-2
 
 
 def test_the_plant_says_what_the_nets_say_of_the_windows_of_its_own_log():

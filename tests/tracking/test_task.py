@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from softfin.action_clock import ACTION_TICKS
+from softfin.plant import roll
 from softfin.quantities import PAPER_LIMITS, Command, Reading
 from softfin.tracking.references import Cell
 from softfin.tracking.task import (
@@ -113,6 +114,22 @@ def test_the_window_is_cleared_on_reset() -> None:
     assert int(again.samples) == 0
     assert int(again.age) == 0
     assert not np.any(again.forces)
+
+
+@pytest.mark.parametrize("actions", [1, 3], ids=["33 ticks", "34 ticks"])
+@pytest.mark.parametrize("delay", [0, 2])
+def test_the_angle_is_that_of_the_last_tick_that_an_action_is_held(actions: int, delay: int) -> None:
+    config = TaskConfig(sensing=SensingConfig(delay_ticks=delay))
+    task, fin = ForceTracking(AnalyticFin(), config), AnalyticFin()
+    # Slow enough to be on its way when the action ends.
+    slow = [(0.9, -1.0)] * actions
+    state, _ = played(task, slow)
+    commands = jax.tree.map(
+        lambda x: jnp.full(sum(ACTION_TICKS[:actions]), x), command_of(fin.limits, jnp.array(slow[0]))
+    )
+    _, reading = roll(fin, fin.init(jax.random.key(0)), commands)
+    assert float(state.angle) == pytest.approx(float(reading.angle[-1 - delay]), abs=1e-6)
+    assert abs(float(reading.angle[-1] - reading.angle[-2])) > 1e-3
 
 
 def test_six_actions_are_exactly_the_window() -> None:

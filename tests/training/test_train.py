@@ -153,7 +153,7 @@ def test_the_log_says_how_often_policies_leave_the_data_of_a_surrogate_that_know
     idle = {"loss": jnp.zeros(1), "gradient_norm": jnp.zeros(1)}
     monkeypatch.setattr(
         sys.modules[_Run.__module__], "_programs",
-        lambda config: _programs(config)._replace(update=lambda given, lanes: (lanes, idle)),
+        lambda *asked: _programs(*asked)._replace(update=lambda given, lanes: (lanes, idle)),
     )  # fmt: skip
     one = SMALL.model_copy(update={"cells": SMALL.cells[:1], "scorings": 1})
     trained(tmp_path, config=one, plant=streaming.surrogate())

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softfin import artifacts
-from softfin.action_clock import ACTION_TICKS
+from softfin.action_clock import ticks_of
 from softfin.calibration.config import CalibrateConfig
 from softfin.calibration.pieces import Pieces, channels, excited
 from softfin.errors import ArtifactError, ConfigurationError
@@ -112,7 +112,7 @@ def _beats(plant: Plant, seed: int) -> Pieces:
     actions = Command(jnp.asarray(angle), jnp.full(angle.shape, 0.9 * limits.velocity_max, jnp.float32))
     key = key_of(seed, "calibrate/beats")
     _, reading = jax.jit(jax.vmap(lambda command: hold(plant, plant.init(key), command)))(actions)
-    ticks = np.resize(ACTION_TICKS, BEATS)
+    ticks = ticks_of(BEATS)
     command = jax.tree.map(lambda x: jnp.asarray(np.repeat(np.asarray(x), ticks, axis=1)), actions)
     measured = np.stack([channels(jax.tree.map(lambda x, i=i: x[i], reading)) for i in range(len(CENTRES))])
     return Pieces(command, jnp.asarray(measured), 2 * RATE_HZ)

@@ -7,7 +7,6 @@ from typing import Any, TypeAlias
 import jax
 import numpy as np
 import pydantic
-from jaxtyping import Array, Int
 
 from softfin import artifacts
 from softfin.action_clock import ACTION_RATE_HZ
@@ -44,10 +43,9 @@ def controller_of(trained: Trained, seed: int) -> SingleController | GridControl
     return GridController(policies, config.task, trained.limits, config.cells, reachable, config.switching)
 
 
-@jax.jit
-def _taken(policies: Policy, index: int | Int[Array, ""]) -> Policy:
+def _taken(policies: Policy, index: int) -> Policy:
     """One along the leading axis."""
-    taken: Policy = jax.tree.map(lambda leaf: leaf[index], policies)
+    taken: Policy = jax.tree.map(lambda leaf: jax.device_put(np.asarray(leaf)[index]), policies)
     return taken
 
 

@@ -7,13 +7,13 @@ and seeds run side by side in one compiled program.
 from itertools import accumulate
 from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key, PRNGKeyArray
 
 from softfin.action_clock import ACTION_TICKS, MOST_TICKS, ticks_of
+from softfin.compiler_options import briefly_used
 from softfin.control.controller import Controller, ControllerState, Measured
 from softfin.errors import ConfigurationError, PlantError
 from softfin.plant import Plant, State, Ticks, counted, hold_action, mean_of
@@ -118,7 +118,7 @@ def alike(recording: Recording) -> bool:
     return bool((force == force[:, :1]).all())
 
 
-@eqx.filter_jit
+@briefly_used
 def _program(
     parties: tuple[Controller, Plant], references: Float[Array, "references actions 2"], keys: Key[Array, "seeds"]
 ) -> tuple[Command, Reading]:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import Field, PositiveFloat, PositiveInt
 
-from softfin.action_clock import ACTION_TICKS, CYCLE_ACTIONS
+from softfin.action_clock import CYCLE_ACTIONS, ticks_of
 from softfin.configuration import Configuration
 from softfin.control.inverse import recalibrated
 from softfin.control.sine import Sine, commanded
@@ -52,8 +52,8 @@ class Gait(NamedTuple):
 
     def commands(self, seconds: int) -> Command:
         """One a tick: fields ``(*shape, ticks)``."""
-        held = np.tile(ACTION_TICKS, CYCLE_ACTIONS // len(ACTION_TICKS))
-        cycles = -(-seconds * RATE_HZ // held.sum())
+        held = ticks_of(CYCLE_ACTIONS)
+        cycles = -(-seconds * RATE_HZ // sum(held))
 
         def series(part: Float[np.ndarray, "*shape actions"]) -> Float[np.ndarray, "*shape ticks"]:
             cycle = np.repeat(part, held, axis=-1).astype(np.float32)

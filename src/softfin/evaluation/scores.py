@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from softfin.action_clock import ACTION_TICKS, WINDOW
+from softfin.action_clock import ACTION_TICKS, WINDOW, ticks_of
 from softfin.evaluation.experiment import Recording
 from softfin.quantities import RATE_HZ
 
@@ -67,6 +67,6 @@ def moving_average(
 
 def travel(angle: Float[np.ndarray, "*batch ticks"]) -> Float[np.ndarray, "*batch"]:
     """Path length a second [rad/s], from one action's end to the next, so that no sensor noise adds to it."""
-    ends = np.cumsum(np.tile(ACTION_TICKS, angle.shape[-1] // RATE_HZ)) - 1
+    ends = np.cumsum(ticks_of(angle.shape[-1] // RATE_HZ * len(ACTION_TICKS))) - 1
     path = np.abs(np.diff(angle[..., ends], axis=-1)).sum(axis=-1)
     return np.asarray(path / ((ends[-1] - ends[0]) / RATE_HZ))

@@ -84,19 +84,16 @@ def collect(
         "plant": type(train[0]).__name__,
         "provenance": artifacts.provenance(seed=config.seed),
     }
-    keys = _keys(config, "train", held[0], len(train)), _keys(config, "test", held[1], len(test))
-    if commands in (None, config.excitation) and alike(train + test):
+    train_keys, test_keys = _keys(config, "train", held[0], len(train)), _keys(config, "test", held[1], len(test))
+    random = config.excitation
+    if commands in (None, random) and alike(train + test):
         # One program for all.
-        logs = simulate(train + test, keys[0] + keys[1], config.rows, config.excitation, config.batch, report)
+        logs = simulate(train + test, train_keys + test_keys, config.rows, random, config.batch, report)
         learning, testing = _checked(islice(logs, len(train)), "train"), _checked(logs, "test")
     else:
-        learning, testing = (
-            _checked(simulate(plants, own, config.rows, moved, config.batch, report), part)
-            for plants, own, moved, part in (
-                (train, keys[0], commands or config.excitation, "train"),
-                (test, keys[1], config.excitation, "test"),
-            )
-        )
+        logs = simulate(train, train_keys, config.rows, commands or random, config.batch, report)
+        test_logs = simulate(test, test_keys, config.rows, random, config.batch, report)
+        learning, testing = _checked(logs, "train"), _checked(test_logs, "test")
     if before is None:
         return write_dataset(out, learning, testing, described | (facts or {}), overwrite)
     return write_dataset(

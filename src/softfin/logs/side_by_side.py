@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key, PRNGKeyArray, PyTree
 
+from softfin.compiler_options import briefly_used, used_once
 from softfin.logs.excitation import Commands
 from softfin.plant import Plant, State, roll
 from softfin.plant_identity import jit_argument
@@ -54,22 +55,17 @@ def alike(plants: Sequence[Plant]) -> bool:
 
 
 class _Fleet(NamedTuple):
-    """Plants that one program serves."""
+    """Plants that one program serves: what they share, and their arrays, stacked along `axis` or shared (None)."""
 
     arrays: PyTree[Any]
-    """Stacked along a leading axis, or shared by all."""
     static: PyTree[Any]
-    shared: bool
+    axis: int | None
 
     def some(self, index: list[int]) -> "_Fleet":
         """Those at these places."""
-        if self.shared:
+        if self.axis is None:
             return self
         return self._replace(arrays=jax.tree.map(lambda x: x[np.array(index)], self.arrays))
-
-    def axes(self) -> int | None:
-        """Of the arrays, for `jax.vmap`."""
-        return None if self.shared else 0
 
 
 def _fleet(plants: Sequence[Plant]) -> _Fleet | None:
@@ -78,12 +74,12 @@ def _fleet(plants: Sequence[Plant]) -> _Fleet | None:
     parts = [eqx.partition(jit_argument(plant), eqx.is_array) for plant in (plants[:1] if same else plants)]
     if same:
         arrays, static = parts[0] if parts else (None, None)
-        return _Fleet(arrays, static, shared=True)
+        return _Fleet(arrays, static, None)
     shapes = [jax.tree.map(lambda x: (x.shape, x.dtype), arrays) for arrays, _ in parts]
     if any(shape != shapes[0] for shape in shapes) or any(not _same(static, parts[0][1]) for _, static in parts):
         return None
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[arrays for arrays, _ in parts])
-    return _Fleet(stacked, parts[0][1], shared=False)
+    return _Fleet(stacked, parts[0][1], 0)
 
 
 def _same(one: Any, other: Any) -> bool:
@@ -91,7 +87,7 @@ def _same(one: Any, other: Any) -> bool:
     return bool(flat[0] == flat[1])
 
 
-@eqx.filter_jit
+@used_once
 def _begin(fleet: _Fleet, keys: Key[Array, "logs"], rows: int, commands: Commands) -> tuple[State, Command]:
     """States and all commands of a batch."""
 
@@ -100,18 +96,18 @@ def _begin(fleet: _Fleet, keys: Key[Array, "logs"], rows: int, commands: Command
         plant_key, command_key = jax.random.split(key)
         return plant.init(plant_key), commands(command_key, rows, Limits(*plant.limits))
 
-    begun: tuple[State, Command] = jax.vmap(one, in_axes=(fleet.axes(), 0))(fleet.arrays, keys)
+    begun: tuple[State, Command] = jax.vmap(one, in_axes=(fleet.axis, 0))(fleet.arrays, keys)
     return begun
 
 
-@eqx.filter_jit
+@briefly_used
 def _advance(fleet: _Fleet, state: State, issued: Command) -> tuple[State, Reading]:
     """One piece of a batch."""
 
     def one(arrays: PyTree[Any], state: State, issued: Command) -> tuple[State, Reading]:
         return roll(eqx.combine(arrays, fleet.static), state, issued)
 
-    rolled: tuple[State, Reading] = jax.vmap(one, in_axes=(fleet.axes(), 0, 0))(fleet.arrays, state, issued)
+    rolled: tuple[State, Reading] = jax.vmap(one, in_axes=(fleet.axis, 0, 0))(fleet.arrays, state, issued)
     return rolled
 
 

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from pydantic import Field, PositiveInt
 
 from softfin.checkpoint import Workspace
+from softfin.compiler_options import used_once
 from softfin.configuration import Configuration
 from softfin.errors import LogError, RunError
 from softfin.quantities import Log
@@ -139,7 +140,7 @@ class Learner:
 
     def start(self, key: PRNGKeyArray) -> FitState:
         """Fresh weights."""
-        state: FitState = eqx.filter_jit(self._start)(key)
+        state: FitState = used_once(self._start)(key)
         return state
 
     def _start(self, key: PRNGKeyArray) -> FitState:
@@ -240,7 +241,7 @@ def _held_out_loss(net: Network, scaling: Scaling, logs: Sequence[Log]) -> float
 
 
 def _keep_best(state: FitState, validation: Nets, better: Nets) -> FitState:
-    best = Nets(*(jax.tree.map(jnp.copy, new) if b else old for new, old, b in zip(*state[::2], better, strict=True)))
+    best = Nets(*(new if b else old for new, old, b in zip(*state[::2], better, strict=True)))
     least = Nets(*(jnp.float32(v) if b else old for v, old, b in zip(validation, state.best_loss, better, strict=True)))
     return state._replace(best=best, best_loss=least)
 

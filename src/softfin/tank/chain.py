@@ -169,7 +169,7 @@ def _eliminated(matrix: Float[Array, "n n"], rights: Float[Array, "rights n"]) -
             for j in range(i + 1):
                 rows[i][j] = rows[i][j] - factor * rows[k][j]
             sides[i] = sides[i] - factor * sides[k]
-    solution: list[Float[Array, rights]] = []
+    solution: list[Array] = []
     for k in range(size):
         rest = sides[k]
         for j in range(k):

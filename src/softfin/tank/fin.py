@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
+from softfin.compiler_options import used_once
 from softfin.tank import chain
 from softfin.tank.chain import Moments, Motion, PerPlate, Scale, Wrench
 from softfin.tank.geometry import FinConfig, compliance, plate_moments
@@ -134,10 +135,8 @@ class Fin(eqx.Module):
 
     def frequencies(self, inertia: Moments) -> NDArray[np.floating[Any]]:
         """Natural frequencies about straight with that inertia, clamped and undamped, lowest first [rad/s]."""
-        straight = chain.pose(jnp.zeros_like(self.stiffness), self.plate_length)
-        factor = np.linalg.inv(np.linalg.cholesky(chain.matrix(straight, inertia)))
-        stiffness = np.array(_joint_matrix(self.stiffness))
-        stiffness[0, 0] += self.stiffness[0]
+        mass, stiffness = _vibrating(self.plate_length, self.stiffness, inertia)
+        factor = np.linalg.inv(np.linalg.cholesky(mass))
         return np.sqrt(np.linalg.eigvalsh(factor @ stiffness @ factor.T))
 
     def step(
@@ -220,6 +219,15 @@ def _held(
         tight = rates(half * joint.stiffness * (joint.bend - slack), joint.grip)
         first, rate = jnp.where(beyond, tight[0], first), jnp.where(beyond, tight[1], rate)
     return first, rate
+
+
+@used_once
+def _vibrating(
+    plate_length: Float[Array, ""], stiffness: PerPlate, inertia: Moments
+) -> tuple[Float[Array, "plates plates"], Float[Array, "plates plates"]]:
+    """Mass and stiffness about straight, clamped."""
+    straight = chain.pose(jnp.zeros_like(stiffness), plate_length)
+    return chain.matrix(straight, inertia), _joint_matrix(stiffness).at[0, 0].add(stiffness[0])
 
 
 def _bends(angles: PerPlate, shaft_angle: Float[Array, ""]) -> PerPlate:

@@ -27,9 +27,13 @@ class References(NamedTuple):
     """Mean forces that the fin can make, where that is known."""
 
     def draw(self, key: PRNGKeyArray) -> Float[Array, "2"]:
-        """One reference, uniform over the box; what lies beyond the fin's reach is brought to its edge."""
-        drawn = jax.random.uniform(key, (2,), minval=self.low, maxval=self.high)
-        return drawn if self.reachable is None else self.reachable.pulled(drawn)
+        """One reference, uniform over the box."""
+        return self.at(jax.random.uniform(key, (2,)))
+
+    def at(self, share: Float[Array, "2"]) -> Float[Array, "2"]:
+        """The reference at (0 to 1, 0 to 1) of the box; what lies beyond the fin's reach is brought to its edge."""
+        reference = self.low + share * (self.high - self.low)
+        return reference if self.reachable is None else self.reachable.pulled(reference)
 
 
 class Cell(Configuration):

@@ -23,7 +23,7 @@ from softfin.tracking.task import ForceTracking, Outcome
 from softfin.training.force_map import MapConfig
 from softfin.training.gaits import GaitTable
 from softfin.training.imitation import ImitationConfig, imitate
-from softfin.training.learner import Metrics
+from softfin.training.learner import Metrics, clipped_adam
 from softfin.training.lstm import cleared
 from softfin.training.policy import Policy, PolicyConfig
 from softfin.training.rollout import Batch, begin, restart
@@ -128,4 +128,4 @@ class Gradient:
     def _optimiser(self) -> optax.GradientTransformation:
         config = self.config
         rate = optax.cosine_decay_schedule(config.learning_rate, self.updates, config.final_learning_rate)
-        return optax.chain(optax.clip_by_global_norm(config.gradient_norm), optax.adam(rate, eps=1e-5))
+        return clipped_adam(rate, config.gradient_norm)

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from uuid import uuid4
 
 import jax
-import jax.numpy as jnp
+import numpy as np
 
 from softfin.artifacts import write_file
 from softfin.checkpoint import Workspace
@@ -175,6 +175,6 @@ def _elsewhere(workspace: Workspace, trained: Callable[[Workspace], Trained]) ->
 def _together(parts: Sequence[Any], rows: int) -> Any:
     """Trees of leaves ``(seeds, cells, ...)``, put together by `rows` of seeds."""
     cells = len(parts) // rows
-    across = [jax.tree.map(lambda *x: jnp.concatenate(x, axis=1), *parts[i * cells : (i + 1) * cells])
+    across = [jax.tree.map(lambda *x: np.concatenate(x, axis=1), *parts[i * cells : (i + 1) * cells])
               for i in range(rows)]  # fmt: skip
-    return jax.tree.map(lambda *x: jnp.concatenate(x, axis=0), *across)
+    return jax.tree.map(lambda *x: np.concatenate(x, axis=0), *across)

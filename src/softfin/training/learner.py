@@ -5,6 +5,7 @@ A lane is one policy with its own key and its own box of references; all of it i
 
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
+import optax
 from jaxtyping import Float, PRNGKeyArray
 
 from softfin.quantities import AnyArray
@@ -36,3 +37,8 @@ class Learner(Protocol):
     def update(self, lane: Any) -> tuple[Any, Metrics]:
         """One update."""
         ...
+
+
+def clipped_adam(rate: optax.Schedule, longest: float) -> optax.GradientTransformation:
+    """Adam on gradients of at most this norm, over all weights as one vector, which compiles sooner than one by one."""
+    return optax.flatten(optax.chain(optax.clip_by_global_norm(longest), optax.adam(rate, eps=1e-5)))

@@ -18,7 +18,7 @@ from softfin.configuration import Configuration
 from softfin.tracking.references import References
 from softfin.tracking.task import ForceTracking
 from softfin.training.advantage import advantages
-from softfin.training.learner import Metrics
+from softfin.training.learner import Metrics, clipped_adam
 from softfin.training.lstm import Memory
 from softfin.training.policy import ActorCritic, Critic, Policy, PolicyConfig
 from softfin.training.rollout import Batch, Rollout, begin, collect
@@ -207,4 +207,4 @@ class PPO:
 
     def _optimiser(self) -> optax.GradientTransformation:
         rate = self.config.learning_rates(self.updates)
-        return optax.chain(optax.clip_by_global_norm(self.config.gradient_norm), optax.adam(rate, eps=1e-5))
+        return clipped_adam(rate, self.config.gradient_norm)

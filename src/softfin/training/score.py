@@ -9,6 +9,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from softfin.action_clock import ticks_of
 from softfin.plant import Ticks, counted
+from softfin.quantities import AnyArray
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 from softfin.tracking.references import References
 from softfin.tracking.reward import moving_average
@@ -19,11 +20,11 @@ from softfin.training.policy import Policy
 class Score(NamedTuple):
     """Of an episode per reference."""
 
-    error: Float[Array, "references 2"]
+    error: Float[AnyArray, "references 2"]
     """Mean over all whole windows of |moving average - reference| [N]."""
-    deviation: Float[Array, "references 2"]
+    deviation: Float[AnyArray, "references 2"]
     """Standard deviation of the moving average [N]."""
-    beyond: Float[Array, "references"] | None = None
+    beyond: Float[AnyArray, "references"] | None = None
     """Share of the actions that led beyond the training data of a plant that knows its `distance`; None of others."""
 
 

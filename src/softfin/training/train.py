@@ -19,6 +19,7 @@ from pydantic import NonNegativeFloat, PositiveInt, model_validator
 from softfin.action_clock import ACTION_TICKS
 from softfin.checkpoint import Workspace
 from softfin.choices import Algorithm, AlgorithmOption, PolicyLayout
+from softfin.compiler_options import used_once
 from softfin.configuration import Configuration
 from softfin.errors import ConfigurationError, RunError
 from softfin.plant import Plant
@@ -317,22 +318,24 @@ class _Programs(NamedTuple):
 
 
 @lru_cache(maxsize=4)
-def _programs(config: TrainConfig) -> _Programs:
+def _programs(
+    learning: PPOConfig | GradientConfig, policy: PolicyConfig, task: TaskConfig, ensemble: str, updates: int
+) -> _Programs:
     """Kept for the next jobs of a run, which differ by their cells and seeds alone."""
 
-    def task(given: Given) -> ForceTracking:
-        return ForceTracking(trained_in(given.plant, config.ensemble), config.task)
-
     def learner(given: Given) -> Learner:
-        if config.algorithm == "ppo":
-            return PPO(task(given), config.ppo, config.policy, config.updates)
-        return Gradient(task(given), config.gradient, config.policy, config.updates, given.teacher)
+        tracking = ForceTracking(trained_in(given.plant, ensemble), task)
+        if isinstance(learning, PPOConfig):
+            return PPO(tracking, learning, policy, updates)
+        return Gradient(tracking, learning, policy, updates, given.teacher)
 
     def judge(given: Given, policy: Policy, references: Array) -> Score:
-        return score(ForceTracking(given.plant, config.task), policy, references, key_of(0, "score"))
+        return score(ForceTracking(given.plant, task), policy, references, key_of(0, "score"))
 
+    # To begin as a copy of gaits takes much longer than to compile that.
+    jit_init = eqx.filter_jit if isinstance(learning, GradientConfig) and learning.teacher else used_once
     return _Programs(
-        eqx.filter_jit(lambda given, keys, boxes: jax.vmap(learner(given).init)(keys, boxes)),
+        jit_init(lambda given, keys, boxes: jax.vmap(learner(given).init)(keys, boxes)),
         eqx.filter_jit(lambda given, lanes: jax.vmap(learner(given).update)(lanes)),
         eqx.filter_jit(lambda given, policies, references: jax.vmap(partial(judge, given))(policies, references)),
     )
@@ -349,8 +352,7 @@ class _Run:
         self.reachable = None if known is None else known.reachable
         taught = config.algorithm == "gradient" and config.gradient.teacher
         self.given = Given(jit_argument(plant), known.found.table if known is not None and taught else None)
-        # The programs do not depend on the cells.
-        self.programs = _programs(config.model_copy(update={"cells": ()}))
+        self.programs = _programs(config.learning, config.policy, config.task, config.ensemble, config.updates)
         self.references = jnp.asarray(np.tile(held(config, self.reachable), (len(seeds), 1, 1)))
 
     def start(self) -> TrainState:
@@ -359,7 +361,7 @@ class _Run:
         wider = [self.config.cells[index].grown(self.config.margin_n) for _, index in self.lanes]
         boxes = stack_references(wider, self.reachable)
         lanes = self.programs.init(self.given, *self.over_devices((keys, boxes)))
-        worst = jnp.full(self.references.shape, jnp.inf, jnp.float32)
+        worst = np.full(self.references.shape, np.inf, np.float32)
         beyond = worst[..., 0] if self.knows else None
         return TrainState(lanes, lanes.policy, Score(worst, worst, beyond))
 
@@ -392,7 +394,7 @@ class _Run:
                 "(the last good checkpoint is kept)"
             )
 
-    def by_seed(self, metrics: Mapping[str, Array | np.ndarray]) -> dict[str, float]:
+    def by_seed(self, metrics: Metrics) -> dict[str, float]:
         """Means over the cells, named ``seedN/...``."""
         shape = (len(self.seeds), len(self.config.cells))
         means = {name: np.asarray(values).reshape(shape).mean(axis=1) for name, values in metrics.items()}
@@ -478,7 +480,7 @@ def _scorings(config: TrainConfig) -> set[int]:
     return {round(config.updates * (i + 1) / count) for i in range(count)}
 
 
-def _summary(scores: Score) -> dict[str, Float[np.ndarray, "lanes"]]:
+def _summary(scores: Score) -> Metrics:
     """Of each lane, the mean error over its references, and how often it left the surrogate's data, where known."""
     beyond = {} if scores.beyond is None else {"score_beyond_data": np.asarray(scores.beyond).mean(axis=-1)}
     return {f"score_{axis}_n": np.asarray(scores.error)[..., i].mean(axis=-1) for i, axis in enumerate(AXES)} | beyond
@@ -489,20 +491,18 @@ def _keep_best(state: TrainState, scores: Score) -> TrainState:
     return state._replace(best=best, best_score=best_score)
 
 
-@jax.jit
 def _better(new: tuple[Policy, Score], old: tuple[Policy, Score]) -> tuple[Policy, Score]:
-    """Lane by lane, the policy whose mean error over references and axes is least."""
-    better = new[1].error.mean(axis=(1, 2)) < old[1].error.mean(axis=(1, 2))
+    """Lane by lane, the policy whose mean error over references and axes is least; NumPy arrays."""
+    better = np.asarray(new[1].error).mean(axis=(1, 2)) < np.asarray(old[1].error).mean(axis=(1, 2))
     chosen: tuple[Policy, Score] = jax.tree.map(
-        lambda a, b: jnp.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b), new, old
+        lambda a, b: np.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b), new, old
     )
     return chosen
 
 
-@partial(jax.jit, static_argnums=1)
 def _by_seed_and_cell(lanes: Tree, seeds: int) -> Tree:
-    """Leaves ``(lanes, ...)`` as ``(seeds, cells, ...)``."""
-    return cast(Tree, jax.tree.map(lambda x: x.reshape(seeds, -1, *x.shape[1:]), lanes))
+    """Leaves ``(lanes, ...)`` as ``(seeds, cells, ...)``; NumPy arrays."""
+    return cast(Tree, jax.tree.map(lambda x: np.asarray(x).reshape(seeds, -1, *x.shape[1:]), lanes))
 
 
 def _is_key(leaf: Any) -> bool:

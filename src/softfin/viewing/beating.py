@@ -6,7 +6,7 @@ A configuration and a plant's limits go in, one command a tick comes out.
 import numpy as np
 from pydantic import Field
 
-from softfin.action_clock import ACTION_RATE_HZ, ACTION_TICKS
+from softfin.action_clock import ACTION_RATE_HZ, ACTION_TICKS, ticks_of
 from softfin.configuration import Configuration
 from softfin.errors import ConfigurationError
 from softfin.quantities import Command, Limits
@@ -33,7 +33,7 @@ def beat(config: BeatConfig, limits: Limits, ticks: int) -> Command:
             "ask for a centre nearer to the middle, or for a smaller beat.amplitude_rad"
         )
     actions = -(-ticks // min(ACTION_TICKS))
-    held = np.resize(ACTION_TICKS, actions)
+    held = ticks_of(actions)
     sides = np.resize((1.0, -1.0), actions)
     angle = np.repeat(config.centre_rad + config.amplitude_rad * sides, held)[:ticks]
     velocity = np.full(ticks, velocity_of(config, limits))

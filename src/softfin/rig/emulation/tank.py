@@ -30,10 +30,7 @@ class TankFin:
         self.tank = tank or Tank()
         self._clock = clock
         self._lock = threading.Lock()
-        # Of the types that a step gives back, or the step is compiled twice.
-        self._state: Any = jax.tree.map(
-            lambda leaf: jnp.asarray(leaf, leaf.dtype), self.tank.init(jax.random.key(seed))
-        )
+        self._state: Any = self.tank.init(jax.random.key(seed))
         self._command = rest_command(self.tank.limits)
         # Twice, so that everything is compiled before anybody looks.
         self._before = self._after = self._step()

@@ -47,7 +47,7 @@ class Learner:
         """Fresh."""
         # With its type, or the second call would be compiled anew.
         worst = jnp.full(self.config.members, jnp.inf, jnp.float32)
-        return Learning(nets, jax.jit(jax.vmap(self.optimiser.init))(nets), jax.tree.map(jnp.copy, nets), worst)
+        return Learning(nets, jax.jit(jax.vmap(self.optimiser.init))(nets), nets, worst)
 
     def _run(
         self, learning: Learning, table: Table, predicted: Motion, first: Int[Array, ""], count: int, key: PRNGKeyArray
