@@ -1,5 +1,6 @@
 """Every shape and type in softfin's annotations is checked at run time in the tests."""
 
+import gc
 import os
 from collections.abc import Iterator
 from importlib.metadata import version
@@ -26,6 +27,8 @@ from tests.budget import (  # noqa: F401  # pytest finds hooks here
     pytest_terminal_summary,
 )
 
+# As in the command line: tracing makes millions of small objects.
+gc.set_threshold(50_000, 20, 10)
 jaxtyping.install_import_hook("softfin", "beartype.beartype")
 
 PUBLISHED = Path(os.environ.get("SOFTFIN_PUBLISHED", Path(__file__).parents[2] / "shared" / "published"))
