@@ -106,6 +106,20 @@ def test_the_paper_sum_form_is_the_default_and_the_mean_form_has_a_name() -> Non
     np.testing.assert_allclose(by_name["sum"].smoothness, np.sqrt(199) * by_name["mean"].smoothness, rtol=1e-5)
 
 
+def test_whether_a_reference_is_jumped_to_says_nothing_of_where_it_lies() -> None:
+    config = TaskConfig(reference_actions=1, ramps=0.5)
+    task = ForceTracking(Echo(), config)
+    start, _ = played(task, [])
+    keys = jax.random.split(jax.random.key(3), 2000)
+    reference, drift = jax.vmap(lambda key: task._moved(start, key, jnp.bool_(True)))(keys)
+    ramps = np.any(np.asarray(drift) != 0, axis=1)
+    assert ramps.mean() == pytest.approx(0.5, abs=0.05)
+    low, high = np.asarray(start.references.low), np.asarray(start.references.high)
+    for some in (ramps, ~ramps):
+        # A ramp of one action has arrived after it.
+        np.testing.assert_allclose(reference[some].mean(axis=0), (low + high) / 2, atol=0.06 * (high - low).max())
+
+
 def test_the_window_is_cleared_on_reset() -> None:
     task = ForceTracking(AnalyticFin(), TaskConfig())
     state, _ = played(task, swings(9))
