@@ -2,6 +2,7 @@
 
 import gc
 import os
+import signal
 from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
@@ -27,6 +28,8 @@ from tests.budget import (  # noqa: F401  # pytest finds hooks here
     pytest_terminal_summary,
 )
 
+# A shell's background jobs ignore Ctrl-C, and so would the processes that tests interrupt.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 # As in the command line: tracing makes millions of small objects.
 gc.set_threshold(50_000, 20, 10)
 jaxtyping.install_import_hook("softfin", "beartype.beartype")
