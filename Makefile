@@ -7,6 +7,8 @@ UV := .tools/bin/uv
 endif
 export UV_PYTHON_DOWNLOADS ?= never
 RUN := $(UV) run --frozen
+# A file's tests on one worker, the longest files first.
+PYTEST := $(RUN) pytest -n auto --dist loadfile --no-loadscope-reorder
 OUT ?= runs/demo
 PRESET ?= demo
 
@@ -30,10 +32,10 @@ day: setup ## a whole day at an emulated rig in some minutes: check, zero, colle
 	$(RUN) python examples/rig_day.py --quick --out $(OUT)
 
 test: setup ## all tests
-	$(RUN) pytest -n auto --dist loadfile --no-loadscope-reorder
+	$(PYTEST)
 
 test-long: setup ## all tests, with more cases of each kind and twenty minutes of faults in real time
-	SOFTFIN_LONG=1 $(RUN) pytest -n auto --dist loadfile
+	SOFTFIN_LONG=1 $(PYTEST)
 
 lint: setup ## style and types
 	$(RUN) ruff check .

@@ -11,8 +11,8 @@ import pytest
 from benchmarks.compilation import Compilation
 
 SHOWN = 10
-BUDGET_S = 240.0
-"""Processor time of one file, on an empty cache; the commands of the documents, the largest, take 150 s."""
+BUDGET_S = 150.0
+"""Processor time of one file, on an empty cache; the commands of the documents, the largest, take 95 to 110 s."""
 
 _compilation = Compilation()
 _last = {"processor_s": 0.0, "compiling_s": 0.0}
@@ -63,7 +63,9 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
 
 
 def beyond_budget() -> list[str]:
-    """Files that took longer than `BUDGET_S`."""
+    """Files that took longer than `BUDGET_S`; the long run has no budget."""
+    if os.environ.get("SOFTFIN_LONG") == "1":
+        return []
     return [file for file, seconds in _seconds["processor_s"].items() if seconds > BUDGET_S]
 
 

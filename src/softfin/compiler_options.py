@@ -18,7 +18,7 @@ def briefly_used(function: Function) -> Function:
 
 
 def used_once(function: Function) -> Function:
-    """A fifth of the time to compile; three times as long to run."""
+    """A third of the time to compile, or less; three times as long to run."""
     return _compiled(function, 0)
 
 

@@ -133,8 +133,7 @@ def test_a_lattice_for_a_single_force_has_its_gait() -> None:
 @pytest.mark.slow
 def test_a_gait_of_the_published_fin_holds_its_force_in_the_steady_state(published: Path) -> None:
     fin = import_keras(published / "cnn_pos_net.keras", published / "lstm_force_net.keras", published / "scalers.json")
-    strokes = families()[0]
-    strokes = strokes._replace(gaits=strokes.gaits[::9])
+    strokes = families()[0]._replace(gaits=families()[0].gaits[::9])
     got = jax.jit(jax.vmap(lambda gait: measured(steady(fin, gait, 2, KEY))))(jnp.asarray(strokes.gaits))
     region = Reachable(np.array([2, 0], np.float32), np.ones(8, np.float32))
     one = Survey([strokes], np.asarray(got.force)[None], np.asarray(got.smoothness)[None], region, strokes.gaits[:8])

@@ -45,6 +45,7 @@ def controller_of(trained: Trained, seed: int) -> SingleController | GridControl
 
 def _taken(policies: Policy, index: int) -> Policy:
     """One along the leading axis."""
+    # Each shape that JAX itself took an element of would be a program.
     taken: Policy = jax.tree.map(lambda leaf: jax.device_put(np.asarray(leaf)[index]), policies)
     return taken
 

@@ -201,7 +201,7 @@ class ForceTracking:
         self, state: TaskState, key: PRNGKeyArray, due: Bool[Array, ""]
     ) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
         """The reference of the next action and its drift; where another is `due` it is drawn, to be gone to."""
-        # One draw for all: each takes a third of a second to compile.
+        # One draw for all: each takes a quarter of a second to compile.
         chance = jax.random.uniform(key, (3,))
         drawn, ramp = state.references.at(chance[:2]), chance[2] < self.config.ramps
         towards = (drawn - state.reference) / self.config.reference_actions

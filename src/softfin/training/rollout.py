@@ -4,7 +4,6 @@ Environments are in phase on the 33/33/34 clock: a rollout is a scan over cycles
 one vmapped call of the plant.
 """
 
-import math
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -68,9 +67,7 @@ def collect(task: ForceTracking, policy: Policy, batch: Batch, key: PRNGKeyArray
         batch = restart(task, batch)
         return batch, steps._replace(cut=steps.cut.at[-1].set(batch.fresh))
 
-    shape = (cycles, len(ACTION_TICKS), len(batch.fresh), len(policy.log_deviation))
-    # Drawn flat: with all its axes the draw takes half a second more to compile.
-    noise = jax.random.normal(key, (math.prod(shape),)).reshape(shape)
+    noise = jax.random.normal(key, (cycles, len(ACTION_TICKS), len(batch.fresh), len(policy.log_deviation)))
     batch, rollout = jax.lax.scan(cycle, batch, noise)
     return batch, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), rollout)
 
