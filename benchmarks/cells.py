@@ -11,14 +11,14 @@ import jax
 
 from benchmarks.measure import entry, seconds
 from benchmarks.nets import published_layout
-from softfin.plant import Plant
-from softfin.randomness import key_of
-from softfin.tracking.cells import lattice
-from softfin.tracking.references import PAPER_RANGE, stack_references
-from softfin.tracking.task import ForceTracking
-from softfin.training.footprint import memory_of
-from softfin.training.ppo import PPO
-from softfin.training.train import GRID
+from softfin.core.plant import Plant
+from softfin.core.randomness import key_of
+from softfin.learning.footprint import memory_of
+from softfin.learning.ppo import PPO
+from softfin.learning.train import GRID
+from softfin.task.cells import lattice
+from softfin.task.references import PAPER_RANGE, stack_references
+from softfin.task.task import ForceTracking
 
 SIDES = (1, 2, 3, 5, 7)
 """Cells along x and along y."""

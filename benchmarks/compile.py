@@ -19,7 +19,7 @@ from benchmarks.compilation import LOWER, TRACE, XLA, Compilation
 from benchmarks.controllers import published
 from benchmarks.measure import entry
 from benchmarks.nets import published_layout
-from softfin import artifacts
+from softfin.storage import artifact as artifacts
 from softfin.surrogate.store import save_surrogate
 
 AGAIN_S = 3

@@ -18,18 +18,18 @@ import numpy as np
 
 from benchmarks.measure import entry
 from softfin.control.controller import Measured
+from softfin.control.native import NativeController, load_native
+from softfin.control.onnx import export_onnx
 from softfin.control.store import load_controller, save_controller, save_gaits
-from softfin.deployment.native import NativeController, load_native
-from softfin.deployment.onnx import export_onnx
-from softfin.quantities import PAPER_LIMITS
-from softfin.tracking.cells import lattice
-from softfin.tracking.reachable import Reachable
-from softfin.tracking.references import PAPER_RANGE
-from softfin.training.force_map import ForceMap, MapConfig
-from softfin.training.gaits import Found, Lattice
-from softfin.training.policy import Policy, PolicyConfig
-from softfin.training.score import Score
-from softfin.training.train import GRID, SINGLE, TrainConfig, Trained
+from softfin.core.quantities import PAPER_LIMITS
+from softfin.gaits.force_map import ForceMap, MapConfig
+from softfin.gaits.gaits import Found, Lattice
+from softfin.gaits.reachable import Reachable
+from softfin.learning.policy import Policy, PolicyConfig
+from softfin.learning.score import Score
+from softfin.learning.train import GRID, SINGLE, TrainConfig, Trained
+from softfin.task.cells import lattice
+from softfin.task.references import PAPER_RANGE
 
 WARM, STEPS = 300, 3000
 

@@ -13,13 +13,13 @@ from typing import Any
 
 from benchmarks.measure import entry
 from benchmarks.nets import published_layout
-from softfin import stages
-from softfin.checkpoint import LOG, Workspace, read_log
-from softfin.plant import Plant
+from softfin.core.plant import Plant
+from softfin.gaits.force_map import MapConfig, map_forces
+from softfin.learning.train import STARTS, TrainConfig, train
+from softfin.stages import offline as stages
+from softfin.storage.run_directory import LOG, Workspace, read_log
 from softfin.surrogate import Surrogate
-from softfin.tracking.references import PAPER_RANGE
-from softfin.training.force_map import MapConfig, map_forces
-from softfin.training.train import STARTS, TrainConfig, train
+from softfin.task.references import PAPER_RANGE
 
 GOOD_N = 0.3
 ENVIRONMENTS = (1, 4, 16, 64, 256, 1024)

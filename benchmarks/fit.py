@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.measure import entry, interleaved, matmul
-from softfin.quantities import Command
+from softfin.core.quantities import Command
 from softfin.surrogate import FitConfig, StreamingConfig
-from softfin.surrogate.fit import COLUMNS, Learner
-from softfin.surrogate.network import NetworkConfig
+from softfin.surrogate.paper.fit import COLUMNS, Learner
+from softfin.surrogate.paper.network import NetworkConfig
 from softfin.surrogate.streaming.force import Motion, Scales
 from softfin.surrogate.streaming.learner import Learner as StreamingLearner
 from softfin.surrogate.streaming.learner import force_loss

@@ -12,10 +12,10 @@ from typing import Any
 
 from benchmarks.measure import entry
 from benchmarks.nets import published_layout
-from softfin.checkpoint import Workspace
+from softfin.core.gym_registration import register
+from softfin.learning.train import GRID, SINGLE, TrainConfig, train
+from softfin.storage.run_directory import Workspace
 from softfin.surrogate import Surrogate
-from softfin.tracking.registration import register
-from softfin.training.train import GRID, SINGLE, TrainConfig, train
 
 PEER_STEPS = 512
 

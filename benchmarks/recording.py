@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.measure import entry
-from softfin.logs.bag_writer import BACKLOG, BagRecorder
+from softfin.storage.bag.writer import BACKLOG, BagRecorder
 
 NEED = 400
 """Messages a second: command, joint, current and wrench at 100 Hz."""

@@ -21,19 +21,19 @@ import can
 import yaml
 
 from benchmarks.measure import entry
-from softfin.clock import REAL
-from softfin.deployment.loop import hold
-from softfin.deployment.machine import Sample, Target
-from softfin.deployment.native import NativeController, load_native
-from softfin.deployment.recording import recording
-from softfin.deployment.safety import Guard, SafetyConfig
-from softfin.deployment.session import Session
-from softfin.errors import SafetyStop
-from softfin.rig import cia402
+from softfin.control.native import NativeController, load_native
+from softfin.core.clock import REAL
+from softfin.core.errors import SafetyStop
 from softfin.rig.config import RigConfig
 from softfin.rig.emulation.rig import EmulatedRig
 from softfin.rig.emulation.simple import SimpleFin
+from softfin.rig.epos2 import cia402
+from softfin.rig.loop import hold
+from softfin.rig.machine import Sample, Target
+from softfin.rig.recording import recording
 from softfin.rig.rig import Rig
+from softfin.rig.safety import Guard, SafetyConfig
+from softfin.rig.session import Session
 
 SECONDS = int(os.environ.get("SOFTFIN_RIG_SECONDS", "60"))
 STOPS = int(os.environ.get("SOFTFIN_RIG_STOPS", "25"))
@@ -59,7 +59,7 @@ def main() -> list[dict[str, Any]]:
 def _controller(folder: Path) -> NativeController:
     """An LSTM of 64 with random weights; speed does not depend on them."""
     from benchmarks.controller_step import write_policies
-    from softfin.training.train import SINGLE
+    from softfin.learning.train import SINGLE
 
     write_policies(folder / "controller", SINGLE, 64)
     return load_native(folder / "controller")

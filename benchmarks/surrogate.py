@@ -11,14 +11,14 @@ import jax.numpy as jnp
 from benchmarks.measure import entry, interleaved, matmul
 from benchmarks.nets import paper_layout
 from benchmarks.task import TICKS, steps
-from softfin.quantities import PAPER_LIMITS
+from softfin.core.quantities import PAPER_LIMITS
 from softfin.surrogate import StreamingConfig, StreamingSurrogate
-from softfin.surrogate.forcenet import FORCENET
+from softfin.surrogate.paper.forcenet import FORCENET
 from softfin.surrogate.streaming.force import Motion, Scales
 from softfin.surrogate.streaming.member import ensemble, single
 from softfin.surrogate.streaming.profile import ProfileConfig
 from softfin.surrogate.streaming.uncertainty import Familiarity, Interval, remembered
-from softfin.tracking.task import ForceTracking, TaskConfig
+from softfin.task.task import ForceTracking, TaskConfig
 
 BATCH, CYCLES = 256, 8
 

@@ -9,10 +9,10 @@ import jax
 import jax.numpy as jnp
 
 from benchmarks.measure import entry, interleaved, matmul
-from softfin.logs.excitation import ExcitationConfig
-from softfin.logs.side_by_side import simulate
-from softfin.plant import roll
-from softfin.quantities import TICK_S, Command
+from softfin.core.plant import roll
+from softfin.core.quantities import TICK_S, Command
+from softfin.data.checks.side_by_side import simulate
+from softfin.data.excitation import ExcitationConfig
 from softfin.tank import Tank, TankConfig
 
 TICKS = 1000

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 
 from benchmarks.measure import entry, interleaved, matmul
 from benchmarks.nets import published_layout
-from softfin.action_clock import ACTION_TICKS, ticks_of
-from softfin.tracking.references import PAPER_RANGE
-from softfin.tracking.task import ForceTracking, TaskConfig
+from softfin.core.action_clock import ACTION_TICKS, ticks_of
+from softfin.task.references import PAPER_RANGE
+from softfin.task.task import ForceTracking, TaskConfig
 
 TICKS = sum(ACTION_TICKS)
 

@@ -9,13 +9,13 @@ folder in RUN, so a stopped run goes on where it was. Without --dataset one is r
 import argparse
 from pathlib import Path
 
-from softfin import stages
-from softfin.errors import ArtifactError
-from softfin.evaluation.compare import CompareConfig
-from softfin.logs.collect import CollectConfig
-from softfin.logs.dataset import Dataset, write_dataset
-from softfin.quantities import RATE_HZ
+from softfin.core.errors import ArtifactError
+from softfin.core.quantities import RATE_HZ
+from softfin.data.collect import CollectConfig
+from softfin.stages import offline as stages
+from softfin.storage.dataset import Dataset, write_dataset
 from softfin.surrogate import StreamingConfig
+from softfin.surrogate.compare.compare import CompareConfig
 
 VARIANTS: dict[str, tuple[str, ...]] = {
     "as it is": (),

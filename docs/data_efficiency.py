@@ -20,18 +20,19 @@ import jax
 import numpy as np
 from matplotlib.ticker import LogLocator
 
-from softfin import artifacts, stages
 from softfin.cli.options import HelpRequested, Option, help_of, parse
-from softfin.evaluation.compare import half_width_of
-from softfin.evaluation.prediction_scores import judge, ranges
-from softfin.evaluation.style import BLACK, BLUE, GREEN, ORANGE, new_figure, save, styled
-from softfin.logs.collect import CollectConfig
-from softfin.logs.dataset import Dataset, write_dataset
-from softfin.quantities import RATE_HZ, Log, Reading
-from softfin.randomness import key_of
+from softfin.core.quantities import RATE_HZ, Log, Reading
+from softfin.core.randomness import key_of
+from softfin.data.collect import CollectConfig
+from softfin.stages import offline as stages
+from softfin.storage import artifact as artifacts
+from softfin.storage.dataset import Dataset, write_dataset
+from softfin.storage.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, save, styled
 from softfin.surrogate import FitConfig, StreamingConfig, load_surrogate
 from softfin.surrogate.active import ActiveCollectConfig
-from softfin.surrogate.horizons import free_running, from_rest, places, take
+from softfin.surrogate.compare.compare import half_width_of
+from softfin.surrogate.compare.horizons import free_running, from_rest, places, take
+from softfin.surrogate.compare.prediction_scores import judge, ranges
 from softfin.tank import SensorConfig, Tank, TankConfig
 
 MINUTE = 60 * RATE_HZ

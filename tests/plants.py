@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from softfin.action_clock import MOST_TICKS
-from softfin.plant import Ticks
-from softfin.quantities import PAPER_LIMITS, TICK_S, Command, Limits, Reading
+from softfin.core.action_clock import MOST_TICKS
+from softfin.core.plant import Ticks
+from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Limits, Reading
 
 
 class FinState(NamedTuple):

@@ -15,27 +15,27 @@ import numpy as np
 import pytest
 import yaml
 
-from softfin.control.map_store import save_map
 from softfin.control.store import save_controller
-from softfin.logs.dataset import write_dataset
-from softfin.plants import find_plant
-from softfin.quantities import PAPER_LIMITS, Limits
-from softfin.stages import identity
+from softfin.core.quantities import PAPER_LIMITS, Limits
+from softfin.gaits.force_map import MapConfig
+from softfin.gaits.map_store import save_map
+from softfin.learning.train import SINGLE
+from softfin.stages.offline import identity
+from softfin.storage.dataset import write_dataset
+from softfin.storage.registry import find_plant
 from softfin.surrogate import Surrogate, save_surrogate
-from softfin.surrogate.posnet import COMMANDS
-from softfin.surrogate.scaling import ChannelScaling, Scaling
+from softfin.surrogate.paper.posnet import COMMANDS
+from softfin.surrogate.paper.scaling import ChannelScaling, Scaling
 from softfin.surrogate.streaming import identify
-from softfin.training.force_map import MapConfig
-from softfin.training.train import SINGLE
 from tests.control.test_controllers import untrained
-from tests.control.test_map_store import KNOWN
+from tests.data import bags
+from tests.data.faulty import columns_of
+from tests.data.recorded import record
 from tests.documents import ROOT
-from tests.logs import bags
-from tests.logs.faulty import columns_of
-from tests.logs.recorded import record
+from tests.gaits.test_map_store import KNOWN
 from tests.surrogate import small as paper
+from tests.surrogate.paper.test_keras import SCALERS, WINDOW, lstm_layer, write_keras
 from tests.surrogate.streaming import small as streaming
-from tests.surrogate.test_keras import SCALERS, WINDOW, lstm_layer, write_keras
 
 PLANT = "tests.plants:AnalyticFin"
 COARSE = {"fin": {"plates": 2}, "steps_per_tick": 4}

@@ -21,36 +21,25 @@ import yaml
 from PIL import Image
 
 import softfin
-from softfin import stages
-from softfin.calibration.config import PRESETS as CALIBRATIONS
 from softfin.cli import COMMANDS, main
-from softfin.configuration import Configuration
-from softfin.errors import ConfigurationError
-from softfin.evaluation.baselines import BaselinesConfig
-from softfin.evaluation.compare import CompareConfig
+from softfin.core.configuration import Configuration
+from softfin.core.errors import ConfigurationError
+from softfin.data.collect import CollectConfig
+from softfin.evaluation.baselines.baselines import BaselinesConfig
 from softfin.evaluation.evaluate import EvaluateConfig
-from softfin.logs.collect import CollectConfig
-from softfin.logs.dataset import Dataset
-from softfin.reproduction import PRESETS
+from softfin.evaluation.view import ViewConfig
+from softfin.gaits.force_map import MapConfig
+from softfin.learning.train import STARTS
 from softfin.rig.config import load_rig, load_ros2
-from softfin.rig.ros2_node import NodeConfig
+from softfin.rig.ros2.node import NodeConfig
+from softfin.stages import offline as stages
+from softfin.stages.reproduce import PRESETS
+from softfin.storage.dataset import Dataset
 from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig
 from softfin.surrogate.active import ActiveCollectConfig
-from softfin.training.force_map import MapConfig
-from softfin.training.train import STARTS
-from softfin.viewing import ViewConfig
-from tests.documents import (
-    MARKDOWN,
-    ROOT,
-    Block,
-    blocks,
-    commands,
-    headings,
-    links,
-    name_of,
-    softfin_words,
-    spans,
-)
+from softfin.surrogate.compare.compare import CompareConfig
+from softfin.tank.calibration.config import PRESETS as CALIBRATIONS
+from tests.documents import MARKDOWN, ROOT, Block, blocks, commands, headings, links, name_of, softfin_words, spans
 
 CONFIGURATIONS: dict[str, tuple[Configuration, ...]] = {
     "collect": (CollectConfig(), ActiveCollectConfig()),

@@ -8,20 +8,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.action_clock import MOST_TICKS, rows_of, ticks_of
-from softfin.errors import PlantError
+from softfin.core.action_clock import MOST_TICKS, rows_of, ticks_of
+from softfin.core.errors import PlantError
+from softfin.core.plant import Plant, counted, hold, hold_action, mean_of, roll
+from softfin.core.quantities import PAPER_LIMITS, Command, Reading
 from softfin.evaluation import experiment
-from softfin.plant import Plant, counted, hold, hold_action, mean_of, roll
-from softfin.quantities import PAPER_LIMITS, Command, Reading
+from softfin.learning.gradient import Gradient, GradientConfig
+from softfin.learning.policy import Policy, PolicyConfig
+from softfin.learning.ppo import PPO, PPOConfig
+from softfin.learning.rollout import begin, collect
+from softfin.learning.score import score
 from softfin.tank import Tank
+from softfin.task.references import PAPER_RANGE
+from softfin.task.task import ForceTracking, TaskConfig
 from softfin.testing import check_plant
-from softfin.tracking.references import PAPER_RANGE
-from softfin.tracking.task import ForceTracking, TaskConfig
-from softfin.training.gradient import Gradient, GradientConfig
-from softfin.training.policy import Policy, PolicyConfig
-from softfin.training.ppo import PPO, PPOConfig
-from softfin.training.rollout import begin, collect
-from softfin.training.score import score
 from tests.plants import AnalyticFin, Flapper
 
 KEY = jax.random.key(0)

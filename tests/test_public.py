@@ -24,8 +24,8 @@ def test_importing_softfin_and_asking_for_help_imports_nothing_heavy():
 def test_importing_the_stages_and_all_of_training_computes_nothing():
     """A first computation would start JAX before the user can say on which device, and takes a second."""
     code = (
-        "import importlib, pkgutil, softfin.stages, softfin.training\n"
-        "for found in pkgutil.walk_packages(softfin.training.__path__, 'softfin.training.'):\n"
+        "import importlib, pkgutil, softfin.stages.offline, softfin.learning\n"
+        "for found in pkgutil.walk_packages(softfin.learning.__path__, 'softfin.learning.'):\n"
         "    if found.name.rpartition('.')[2] != 'ray_head': importlib.import_module(found.name)\n"
         "from jax._src import xla_bridge\n"
         "assert not xla_bridge._backends"
@@ -53,7 +53,7 @@ def test_the_environment_is_known_to_gymnasium_whichever_is_imported_first():
 def test_using_softfin_does_not_import_gymnasium_and_gymnasium_may_be_absent():
     code = (
         "import sys, softfin\n"
-        "assert softfin.Limits.__module__ == 'softfin.quantities'\n"
+        "assert softfin.Limits.__module__ == 'softfin.core.quantities'\n"
         "assert 'gymnasium' not in sys.modules\n"
         "hooks = len(sys.meta_path)\n"
         "sys.modules['gymnasium'] = None\n"

@@ -16,22 +16,21 @@ Everything is imported when it is first used, so that ``import softfin`` costs n
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from softfin.tracking.registration import register_with_gymnasium
+from softfin.core.gym_registration import register_with_gymnasium
 
 if TYPE_CHECKING:
     from softfin import testing
-    from softfin.calibration.config import CalibrateConfig
     from softfin.control.store import load_controller
-    from softfin.evaluation.baselines import BaselinesConfig
-    from softfin.evaluation.compare import CompareConfig
+    from softfin.core.quantities import Command, Limits, Log, Reading
+    from softfin.data.collect import CollectConfig
+    from softfin.data.importing.importing import ImportConfig
+    from softfin.evaluation.baselines.baselines import BaselinesConfig
     from softfin.evaluation.evaluate import EvaluateConfig
-    from softfin.logs.collect import CollectConfig
-    from softfin.logs.dataset import Dataset
-    from softfin.logs.importing import ImportConfig
-    from softfin.plants import find_plant
-    from softfin.quantities import Command, Limits, Log, Reading
-    from softfin.reproduction import PRESETS, ReproduceConfig, reproduce
-    from softfin.stages import (
+    from softfin.evaluation.view import ViewConfig
+    from softfin.gaits.force_map import MapConfig
+    from softfin.learning.train import GRID, SINGLE, TrainConfig
+    from softfin.stages.baselines import baselines
+    from softfin.stages.offline import (
         calibrate,
         collect,
         compare,
@@ -45,20 +44,14 @@ if TYPE_CHECKING:
         train,
         view,
     )
-    from softfin.stages_baselines import baselines
-    from softfin.surrogate import (
-        AutoConfig,
-        FitConfig,
-        StreamingConfig,
-        StreamingSurrogate,
-        Surrogate,
-        load_surrogate,
-    )
+    from softfin.stages.reproduce import PRESETS, ReproduceConfig, reproduce
+    from softfin.storage.dataset import Dataset
+    from softfin.storage.registry import find_plant
+    from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig, StreamingSurrogate, Surrogate, load_surrogate
     from softfin.surrogate.active import ActiveCollectConfig
+    from softfin.surrogate.compare.compare import CompareConfig
     from softfin.tank import Tank, TankConfig
-    from softfin.training.force_map import MapConfig
-    from softfin.training.train import GRID, SINGLE, TrainConfig
-    from softfin.viewing import ViewConfig
+    from softfin.tank.calibration.config import CalibrateConfig
 
 __all__ = [
     "GRID",
@@ -108,18 +101,18 @@ __all__ = [
 ]
 
 _HOMES = {
-    "softfin.calibration.config": ("CalibrateConfig",),
+    "softfin.tank.calibration.config": ("CalibrateConfig",),
     "softfin.control.store": ("load_controller",),
-    "softfin.evaluation.baselines": ("BaselinesConfig",),
-    "softfin.evaluation.compare": ("CompareConfig",),
+    "softfin.evaluation.baselines.baselines": ("BaselinesConfig",),
+    "softfin.surrogate.compare.compare": ("CompareConfig",),
     "softfin.evaluation.evaluate": ("EvaluateConfig",),
-    "softfin.logs.collect": ("CollectConfig",),
-    "softfin.logs.dataset": ("Dataset",),
-    "softfin.logs.importing": ("ImportConfig",),
-    "softfin.plants": ("find_plant",),
-    "softfin.quantities": ("Command", "Limits", "Log", "Reading"),
-    "softfin.reproduction": ("PRESETS", "ReproduceConfig", "reproduce"),
-    "softfin.stages": (
+    "softfin.data.collect": ("CollectConfig",),
+    "softfin.storage.dataset": ("Dataset",),
+    "softfin.data.importing.importing": ("ImportConfig",),
+    "softfin.storage.registry": ("find_plant",),
+    "softfin.core.quantities": ("Command", "Limits", "Log", "Reading"),
+    "softfin.stages.reproduce": ("PRESETS", "ReproduceConfig", "reproduce"),
+    "softfin.stages.offline": (
         "calibrate",
         "collect",
         "compare",
@@ -133,7 +126,7 @@ _HOMES = {
         "train",
         "view",
     ),
-    "softfin.stages_baselines": ("baselines",),
+    "softfin.stages.baselines": ("baselines",),
     "softfin.surrogate": (
         "AutoConfig",
         "FitConfig",
@@ -144,9 +137,9 @@ _HOMES = {
     ),
     "softfin.surrogate.active": ("ActiveCollectConfig",),
     "softfin.tank": ("Tank", "TankConfig"),
-    "softfin.training.force_map": ("MapConfig",),
-    "softfin.training.train": ("GRID", "SINGLE", "TrainConfig"),
-    "softfin.viewing": ("ViewConfig",),
+    "softfin.gaits.force_map": ("MapConfig",),
+    "softfin.learning.train": ("GRID", "SINGLE", "TrainConfig"),
+    "softfin.evaluation.view": ("ViewConfig",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

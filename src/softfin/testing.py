@@ -10,12 +10,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softfin.action_clock import ACTION_TICKS, MOST_TICKS
-from softfin.deployment.conformance import check_machine
-from softfin.errors import PlantError
-from softfin.plant import Plant, State, roll
-from softfin.plant_identity import identity
-from softfin.quantities import ALLOWED_LIMITS, TICK_S, Command, Limits, Reading
+from softfin.core.action_clock import ACTION_TICKS, MOST_TICKS
+from softfin.core.errors import PlantError
+from softfin.core.plant import Plant, State, roll
+from softfin.core.plant_identity import identity
+from softfin.core.quantities import ALLOWED_LIMITS, TICK_S, Command, Limits, Reading
+from softfin.rig.conformance import check_machine
 
 __all__ = ["check_machine", "check_plant"]
 
@@ -27,8 +27,8 @@ def check_plant(plant: Any) -> None:
 
     Checked: the members, the limits, shapes and types, time, finite readings at the corners of the limits, that the
     same state and command give the same readings (purity), that it can be told from plants with other parameters
-    (`softfin.plant_identity.identity`), that ticks held are ticks one by one, that `jit`, `vmap`, `scan` and `grad` go
-    through, and that `hold_action`, where it has one, does what `advance` does.
+    (`softfin.core.plant_identity.identity`), that ticks held are ticks one by one, that `jit`, `vmap`, `scan` and
+    `grad` go through, and that `hold_action`, where it has one, does what `advance` does.
     """
     if not isinstance(plant, Plant):
         missing = [name for name in ("limits", "init", "advance") if not hasattr(plant, name)]

@@ -3,8 +3,8 @@ import json
 import pytest
 
 from softfin.cli import main
-from softfin.logs.parquet import read_log
-from tests.logs.recorded import record
+from softfin.storage.log_file import read_log
+from tests.data.recorded import record
 
 
 def softfin(*words) -> int:

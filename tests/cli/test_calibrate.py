@@ -2,9 +2,9 @@ import json
 
 import pytest
 
-from softfin import stages
 from softfin.cli import main
 from softfin.cli.calibrate import table
+from softfin.stages import offline as stages
 from tests.cli.test_cli import fails
 
 

@@ -3,10 +3,10 @@ import json
 import numpy as np
 import pytest
 
-from softfin import stages
 from softfin.cli import main
-from softfin.logs.collect import CollectConfig
-from softfin.logs.dataset import Dataset
+from softfin.data.collect import CollectConfig
+from softfin.stages import offline as stages
+from softfin.storage.dataset import Dataset
 from softfin.surrogate import save_surrogate
 from tests.cli.test_cli import fails
 from tests.surrogate import small

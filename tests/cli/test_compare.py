@@ -4,7 +4,7 @@ import pytest
 
 from softfin.cli import main
 from softfin.cli.compare import tables
-from softfin.logs.dataset import write_dataset
+from softfin.storage.dataset import write_dataset
 from softfin.surrogate import save_surrogate
 from tests.cli.test_cli import fails
 from tests.surrogate import small

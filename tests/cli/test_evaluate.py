@@ -5,9 +5,9 @@ import pytest
 
 import softfin
 from softfin.cli import main
-from softfin.errors import ConfigurationError
+from softfin.core.errors import ConfigurationError
+from softfin.core.quantities import PAPER_LIMITS
 from softfin.evaluation.evaluate import EvaluateConfig
-from softfin.quantities import PAPER_LIMITS
 from softfin.tank import Tank, TankConfig
 from softfin.tank.geometry import FinConfig
 from tests.evaluation.test_moving import Covering
@@ -23,8 +23,8 @@ class Loaded(Covering):
 
 @pytest.fixture
 def controller(monkeypatch, tmp_path):
-    monkeypatch.setattr("softfin.stages.load_controller", lambda path: Loaded())
-    monkeypatch.setattr("softfin.stages.kind_of", lambda path: "single")
+    monkeypatch.setattr("softfin.stages.offline.load_controller", lambda path: Loaded())
+    monkeypatch.setattr("softfin.stages.offline.kind_of", lambda path: "single")
     (tmp_path / "controller").mkdir()
     (tmp_path / "controller" / "controller.json").touch()
     return str(tmp_path / "controller")

@@ -4,12 +4,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softfin import artifacts
 from softfin.cli import main
 from softfin.cli.fit import warning
-from softfin.logs.dataset import write_dataset
+from softfin.storage import artifact as artifacts
+from softfin.storage.dataset import write_dataset
 from softfin.surrogate import FitConfig, StreamingConfig
-from softfin.surrogate.choice import AutoConfig
+from softfin.surrogate.selection import AutoConfig
 from tests.surrogate.streaming import small
 
 
@@ -34,7 +34,7 @@ def asked(monkeypatch):
         configs.append((config, seed, len(logs)))
         return small.surrogate(), evidence if isinstance(config, AutoConfig) else None
 
-    monkeypatch.setattr("softfin.stages.fit_any", fit_any)
+    monkeypatch.setattr("softfin.stages.offline.fit_any", fit_any)
     return configs
 
 
@@ -145,7 +145,7 @@ def test_an_unfinished_run_is_not_lost(capsys, tmp_path, dataset, monkeypatch):
         workspace.save({}, {})
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("softfin.stages.fit_any", stopped)
+    monkeypatch.setattr("softfin.stages.offline.fit_any", stopped)
     words = ["fit", dataset, "--out", str(tmp_path / "s")]
     with pytest.raises(SystemExit):
         main(words)

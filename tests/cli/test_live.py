@@ -3,10 +3,10 @@ import io
 import pytest
 
 from softfin.cli.live import Armed
-from softfin.deployment.bench import Bench
-from softfin.deployment.safety import SafetyConfig
-from softfin.errors import ConfigurationError
-from tests.deployment.machines import FreeFin
+from softfin.core.errors import ConfigurationError
+from softfin.rig.bench import Bench
+from softfin.rig.safety import SafetyConfig
+from tests.rig.machines import FreeFin
 
 BENCH = Bench(FreeFin(), SafetyConfig())
 

@@ -6,8 +6,8 @@ import pyarrow.csv
 import pytest
 
 from softfin.cli import main
-from softfin.logs.dataset import Dataset
-from tests.logs.faulty import columns_of, tank_logs
+from softfin.storage.dataset import Dataset
+from tests.data.faulty import columns_of, tank_logs
 
 COLUMNS = "angle=position,command_angle=command angle,command_velocity=command velocity,force_x=force x,force_y=force y"
 

@@ -8,7 +8,7 @@ import urllib.request
 import pytest
 
 from softfin.cli import main
-from tests.deployment.monitor.bags import Recording
+from tests.rig.monitor.bags import Recording
 
 
 @pytest.fixture

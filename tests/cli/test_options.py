@@ -9,7 +9,7 @@ import pytest
 from softfin.cli import COMMANDS
 from softfin.cli.kinds import Force
 from softfin.cli.options import HelpRequested, Option, check, docstrings, fields_of, help_of, parse
-from softfin.errors import ArtifactError, ConfigurationError
+from softfin.core.errors import ArtifactError, ConfigurationError
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,9 +4,9 @@ import signal
 import pytest
 
 from softfin.cli import main
-from softfin.deployment.safety import SafetyConfig
-from softfin.rig.cia402 import State
 from softfin.rig.config import load_rig
+from softfin.rig.epos2.cia402 import State
+from softfin.rig.safety import SafetyConfig
 from tests.cli.terminal import Terminal
 from tests.cli.test_cli import fails
 from tests.rig.rigs import filed, simulated

@@ -6,23 +6,23 @@ import sys
 import pytest
 import yaml
 
-from softfin import artifacts
 from softfin.cli import driving
 from softfin.cli.common import progress
 from softfin.cli.live import Armed
-from softfin.deployment.bench import Bench
-from softfin.deployment.loop import Held
-from softfin.deployment.machine import Sample, Target
-from softfin.deployment.native import load_native
-from softfin.deployment.safety import Guard, SafetyConfig
-from softfin.deployment.session import Session
-from softfin.errors import ConfigurationError
+from softfin.control.native import load_native
+from softfin.core.errors import ConfigurationError
+from softfin.rig.bench import Bench
 from softfin.rig.config import RigConfig
+from softfin.rig.loop import Held
+from softfin.rig.machine import Sample, Target
 from softfin.rig.rig import Rig
-from softfin.stages_live import _differing
+from softfin.rig.safety import Guard, SafetyConfig
+from softfin.rig.session import Session
+from softfin.stages.live import _differing
+from softfin.storage import artifact as artifacts
 from tests.cli.test_cli import fails
-from tests.deployment.machines import FreeFin
-from tests.deployment.native.folders import folder_of
+from tests.control.native.folders import folder_of
+from tests.rig.machines import FreeFin
 from tests.rig.rigs import simulated
 
 

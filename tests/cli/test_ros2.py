@@ -6,13 +6,13 @@ import pytest
 
 from softfin import cli
 from softfin.cli import driving
-from softfin.deployment.bench import Bench
-from softfin.deployment.machine import Machine, Sample, Target
-from softfin.deployment.native import NativeController
-from softfin.deployment.safety import SafetyConfig
-from softfin.errors import CoverageError
-from softfin.quantities import Limits
-from softfin.rig.ros2_plant import Ros2Machine, Ros2PlantConfig
+from softfin.control.native import NativeController
+from softfin.core.errors import CoverageError
+from softfin.core.quantities import Limits
+from softfin.rig.bench import Bench
+from softfin.rig.machine import Machine, Sample, Target
+from softfin.rig.ros2.plant import Ros2Machine, Ros2PlantConfig
+from softfin.rig.safety import SafetyConfig
 from tests.rig.ros2_memory import MemoryTransport
 
 LIMITS = Limits(-1.5, 1.5, 1.0, 3.0)
@@ -90,7 +90,7 @@ def there(monkeypatch, tmp_path):
     assert isinstance(fin, Machine)
     monkeypatch.setattr(driving, "load_native", lambda folder: controller)
     monkeypatch.setattr(driving, "find_bench", lambda name: Bench(fin, safety, settle_s=0.0))
-    monkeypatch.setattr("softfin.rig.ros2_transport.open_transport", lambda config, messages: transport)
+    monkeypatch.setattr("softfin.rig.ros2.transport.open_transport", lambda config, messages: transport)
     return SimpleNamespace(fin=fin, controller=controller, transport=transport)
 
 

@@ -3,8 +3,8 @@
 import pytest
 
 from softfin.cli.train import asked_cells, asked_seeds
-from softfin.errors import ConfigurationError
-from softfin.tracking.references import PAPER_CELLS, Cell, least_box
+from softfin.core.errors import ConfigurationError
+from softfin.task.references import PAPER_CELLS, Cell, least_box
 
 
 def test_a_lattice_fills_the_range() -> None:

@@ -10,18 +10,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.action_clock import ACTION_TICKS
 from softfin.control.controller import Controller, Measured
 from softfin.control.grid import GridController
 from softfin.control.single import SingleController
 from softfin.control.store import controller_of, load_controller, save_controller
-from softfin.errors import ArtifactError, CoverageError
-from softfin.quantities import PAPER_LIMITS
-from softfin.tracking.references import PAPER_REFERENCES, Cell
-from softfin.tracking.task import ForceTracking, command_of
-from softfin.training.policy import Policy, PolicyConfig
-from softfin.training.score import Score
-from softfin.training.train import GRID, SINGLE, TrainConfig, Trained
+from softfin.core.action_clock import ACTION_TICKS
+from softfin.core.errors import ArtifactError, CoverageError
+from softfin.core.quantities import PAPER_LIMITS
+from softfin.learning.policy import Policy, PolicyConfig
+from softfin.learning.score import Score
+from softfin.learning.train import GRID, SINGLE, TrainConfig, Trained
+from softfin.task.references import PAPER_REFERENCES, Cell
+from softfin.task.task import ForceTracking, command_of
 from tests.plants import AnalyticFin
 
 SIZE = PolicyConfig(units=8, width=8)

@@ -10,10 +10,10 @@ import pytest
 from softfin.control.controller import Controller, Measured
 from softfin.control.gait import GaitController
 from softfin.control.trim import TrimConfig, TrimmedController
-from softfin.errors import CoverageError
-from softfin.quantities import PAPER_LIMITS
-from softfin.tracking.task import command_of
-from tests.control.test_map_store import KNOWN, TABLE
+from softfin.core.errors import CoverageError
+from softfin.core.quantities import PAPER_LIMITS
+from softfin.task.task import command_of
+from tests.gaits.test_map_store import KNOWN, TABLE
 
 CONTROLLER = GaitController(TABLE, PAPER_LIMITS, KNOWN.reachable)
 

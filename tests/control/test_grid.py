@@ -9,15 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from softfin.action_clock import CYCLE_ACTIONS
 from softfin.control.controller import Controller, Measured
 from softfin.control.grid import GridController, GridState
-from softfin.quantities import PAPER_LIMITS
-from softfin.tracking.cells import lattice
-from softfin.tracking.references import Cell
-from softfin.tracking.switching import SwitchingConfig
-from softfin.tracking.task import TaskConfig
-from softfin.training.policy import Policy, PolicyConfig
+from softfin.core.action_clock import CYCLE_ACTIONS
+from softfin.core.quantities import PAPER_LIMITS
+from softfin.learning.policy import Policy, PolicyConfig
+from softfin.task.cells import lattice
+from softfin.task.references import Cell
+from softfin.task.switching import SwitchingConfig
+from softfin.task.task import TaskConfig
 
 TASK = TaskConfig(phase=True)
 SIZE = PolicyConfig(units=8, width=8)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from softfin.control.range import admitted, check_within
-from softfin.errors import CoverageError
-from softfin.tracking.reachable import Reachable
-from softfin.tracking.references import PAPER_CELLS, Cell
+from softfin.core.errors import CoverageError
+from softfin.gaits.reachable import Reachable
+from softfin.task.references import PAPER_CELLS, Cell
 
 BOX = Cell(low=(0, -2), high=(3, 2))
 DISC = Reachable(np.array([1, 0], np.float32), np.full(360, 1.5, np.float32))

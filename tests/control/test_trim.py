@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from jaxtyping import Array, Float
 
-from softfin.action_clock import ACTION_TICKS, WINDOW
 from softfin.control.controller import Controller, Measured
 from softfin.control.trim import TrimConfig, TrimmedController
-from softfin.errors import ConfigurationError, CoverageError
-from softfin.quantities import Command
-from softfin.tracking.reachable import Reachable
-from softfin.tracking.references import Cell
+from softfin.core.action_clock import ACTION_TICKS, WINDOW
+from softfin.core.errors import ConfigurationError, CoverageError
+from softfin.core.quantities import Command
+from softfin.gaits.reachable import Reachable
+from softfin.task.references import Cell
 
 BIAS = (0.3, -0.2)
 RIPPLE = jnp.array([0.4, -0.9, 0.6, 0.1, -0.5, 0.3])

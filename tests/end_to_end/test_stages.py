@@ -7,10 +7,10 @@ import pytest
 import yaml
 
 from softfin.cli import main
-from softfin.errors import LogError
-from softfin.reproduction import PRESETS
-from softfin.stages import TRAINING_LOG
-from softfin.training.train import _Run
+from softfin.core.errors import LogError
+from softfin.learning.train import _Run
+from softfin.stages.offline import TRAINING_LOG
+from softfin.stages.reproduce import PRESETS
 from tests.staged import FIT, ROWS, STREAMING, short_search  # noqa: F401  # pytest finds fixtures here
 from tests.surrogate import small
 
@@ -172,7 +172,7 @@ def test_reproduce_takes_the_logs_that_it_recorded_as_they_are_and_fits_what_its
         asked.update(options, config=config)
         raise LogError("enough")
 
-    monkeypatch.setattr("softfin.stages.fit", fit)
+    monkeypatch.setattr("softfin.stages.offline.fit", fit)
     small = write(tmp_path / "small.yaml", {"collect": COLLECT})
     with pytest.raises(SystemExit):
         main(["reproduce", "--preset", "best", "--plant", PLANT, "--config", small, "--out", str(tmp_path / "run")])

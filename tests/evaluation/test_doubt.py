@@ -4,12 +4,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from softfin.core.plant import roll
+from softfin.core.quantities import Command
 from softfin.evaluation.doubt import Doubt, doubt
 from softfin.evaluation.evaluate import EvaluateConfig, evaluate
 from softfin.evaluation.experiment import Recording, run
 from softfin.evaluation.scores import moving_average
-from softfin.plant import roll
-from softfin.quantities import Command
 from softfin.surrogate.streaming.uncertainty import Familiarity
 from tests.evaluation.test_experiment import Echo
 from tests.plants import AnalyticFin

@@ -6,12 +6,12 @@ import jax
 import numpy as np
 import pytest
 
-from softfin.control.nearest import reached
-from softfin.errors import CoverageError
+from softfin.core.errors import CoverageError
+from softfin.core.randomness import generator_of
 from softfin.evaluation.drawn import draw, hold_drawn
-from softfin.randomness import generator_of
-from softfin.tracking.reachable import Reachable
-from softfin.tracking.references import PAPER_CELLS, Cell
+from softfin.gaits.nearest import reached
+from softfin.gaits.reachable import Reachable
+from softfin.task.references import PAPER_CELLS, Cell
 from tests.evaluation.test_moving import Covering
 from tests.plants import AnalyticFin
 

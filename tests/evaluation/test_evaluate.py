@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.errors import ArtifactError, ConfigurationError, CoverageError, PlantError
+from softfin.core.errors import ArtifactError, ConfigurationError, CoverageError, PlantError
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, evaluate, write_evaluation
 from tests.plants import AnalyticFin, Flapper, PlainFin
 

@@ -4,10 +4,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.errors import ConfigurationError
+from softfin.core.errors import ConfigurationError
+from softfin.core.plant import Plant
+from softfin.core.quantities import Command
 from softfin.evaluation.experiment import Recording, run
-from softfin.plant import Plant
-from softfin.quantities import Command
 from tests.plants import AnalyticFin, Flapper, PlainFin
 
 REFERENCES = np.array([[1, -1], [2, 0], [3, 1]], np.float32)

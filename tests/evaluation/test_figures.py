@@ -6,12 +6,12 @@ import pytest
 from matplotlib import rcParams
 from matplotlib.colors import to_rgb
 
-from softfin.errors import ConfigurationError
-from softfin.evaluation import style
-from softfin.evaluation.curves import learning_figure, prediction_figure
+from softfin.core.errors import ConfigurationError
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, evaluate
 from softfin.evaluation.figures import experiments_figure, table_two_figure
-from softfin.evaluation.style import inline_svg, save
+from softfin.storage import figures as style
+from softfin.storage.curves import learning_figure, prediction_figure
+from softfin.storage.figures import inline_svg, save
 from tests.plants import AnalyticFin, Flapper
 
 

@@ -2,11 +2,11 @@ import jax
 import numpy as np
 import pytest
 
-from softfin.errors import CoverageError
+from softfin.core.errors import CoverageError
 from softfin.evaluation.evaluate import EvaluateConfig, evaluate
 from softfin.evaluation.forceplane import error_map, error_map_figure, map_range
-from softfin.tracking.reachable import Reachable
-from softfin.tracking.references import PAPER_CELLS, Cell
+from softfin.gaits.reachable import Reachable
+from softfin.task.references import PAPER_CELLS, Cell
 from tests.evaluation.test_moving import Covering
 from tests.plants import AnalyticFin
 

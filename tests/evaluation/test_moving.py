@@ -5,15 +5,15 @@ import numpy as np
 import pytest
 
 from softfin.control.controller import Controller
-from softfin.errors import CoverageError, PlantError
+from softfin.core.errors import CoverageError, PlantError
+from softfin.core.quantities import Command
 from softfin.evaluation.coverage import bounds, covers
 from softfin.evaluation.evaluate import EvaluateConfig, evaluate, write_evaluation
 from softfin.evaluation.figures import moving_figure
 from softfin.evaluation.moving import SIGNALS, Plan, follow, planned, signals_of
-from softfin.quantities import Command
-from softfin.tracking.reachable import Reachable
-from softfin.tracking.references import PAPER_CELLS, PAPER_RANGE, Cell
-from softfin.tracking.signals import Hold, Recorded, Step
+from softfin.gaits.reachable import Reachable
+from softfin.task.references import PAPER_CELLS, PAPER_RANGE, Cell
+from softfin.task.signals import Hold, Recorded, Step
 from tests.evaluation.test_evaluate import Exploding, Untouched
 from tests.plants import AnalyticFin, Flapper
 

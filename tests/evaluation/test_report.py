@@ -6,11 +6,11 @@ import jax
 import numpy as np
 import pytest
 
-from softfin.evaluation.curves import learning_figure, prediction_figure
 from softfin.evaluation.evaluate import EvaluateConfig, evaluate
 from softfin.evaluation.experiment import Recording
 from softfin.evaluation.figures import experiments_figure
 from softfin.evaluation.report import write_report
+from softfin.storage.curves import learning_figure, prediction_figure
 from tests.plants import AnalyticFin, Flapper
 
 

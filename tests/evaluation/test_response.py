@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
+from softfin.core.quantities import Command, Reading
 from softfin.evaluation.experiment import Recording
 from softfin.evaluation.response import responses, steps_of, tracking_error
 from softfin.evaluation.scores import score
-from softfin.quantities import Command, Reading
-from softfin.tracking.signals import Ramp, Recorded, Sine, Step
+from softfin.task.signals import Ramp, Recorded, Sine, Step
 
 STEP = Step(start_n=(1, 0), to_n=(2, 0), at_s=5).sample(1500).astype(float)
 

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
+from softfin.core.quantities import Command, Reading
+from softfin.core.statistics import interval, t_quantile
 from softfin.evaluation.experiment import Recording
 from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_II, REFERENCES, recomputed_means
 from softfin.evaluation.scores import STILL_RAD_S, moving_average, score, travel
-from softfin.evaluation.statistics import interval, t_quantile
-from softfin.quantities import Command, Reading
 
 
 def record(force: np.ndarray, angle: np.ndarray | None = None, reference=(0.0, 0.0)) -> Recording:

@@ -10,10 +10,10 @@ import can
 
 from softfin.rig.emulation.drive import EmulatedDrive
 from softfin.rig.emulation.simple import SimpleFin
-from softfin.rig.epos2 import Epos2
-from softfin.rig.epos2_config import BusConfig, DriveConfig
+from softfin.rig.epos2.config import BusConfig, DriveConfig
+from softfin.rig.epos2.drive import Epos2
 from softfin.rig.simulated_bus import open_bus
-from softfin.simulated_clock import SimulatedClock
+from softfin.rig.simulated_clock import SimulatedClock
 
 NODE = 5
 LONG_S = 5.0

@@ -8,13 +8,13 @@ from typing import Any
 import pytest
 import yaml
 
-from softfin.clock import REAL
-from softfin.deployment.bench import Bench
+from softfin.core.clock import REAL
+from softfin.rig.bench import Bench
 from softfin.rig.emulation.plugged import Plugged, plug, unplug
 from softfin.rig.emulation.rig import EmulatedRig
 from softfin.rig.emulation.simple import SimpleFin
 from softfin.rig.rig import Rig
-from softfin.simulated_clock import SimulatedClock
+from softfin.rig.simulated_clock import SimulatedClock
 from softfin.tank import Tank
 
 SAFETY = {"current_peak_a": 20.0, "current_sustained_a": 10.0, "acceleration_rad_s2": 1e5}
@@ -76,5 +76,5 @@ def over_sockets(path: Path) -> Iterator[EmulatedRig]:
 def patient() -> Iterator[None]:
     """On a busy machine an emulated sensor in real time is silent at times; no more than its age is judged then."""
     with pytest.MonkeyPatch.context() as patches:
-        patches.setattr("softfin.rig.axia80.SILENT_S", 2.0)
+        patches.setattr("softfin.rig.axia80.sensor.SILENT_S", 2.0)
         yield

@@ -2,9 +2,9 @@
 
 from collections import defaultdict
 
-from softfin.errors import DeviceError
-from softfin.rig.ros2_messages import Messages
-from softfin.rig.ros2_transport import Received
+from softfin.core.errors import DeviceError
+from softfin.rig.ros2.messages import Messages
+from softfin.rig.ros2.transport import Received
 
 
 class MemoryTransport:

@@ -101,9 +101,9 @@ def within(case: str, folder: Path, seconds: float = 60.0) -> dict[str, Any]:
 
 def plant(_: Path) -> dict[str, Any]:
     """A machine of topics on the child's driver: open, read, move, stop."""
-    from softfin.deployment.machine import Target
-    from softfin.errors import DeviceError
-    from softfin.rig.ros2_plant import Ros2Machine, Ros2PlantConfig
+    from softfin.core.errors import DeviceError
+    from softfin.rig.machine import Target
+    from softfin.rig.ros2.plant import Ros2Machine, Ros2PlantConfig
 
     limits = {"angle_min_rad": -1.5, "angle_max_rad": 1.5, "velocity_min_rad_s": 1.0, "velocity_max_rad_s": 3.0}
     config = {"joint_topic": "/joint", "joint_name": "fin", "wrench_topic": "/wrench", "frame": "x,y",
@@ -142,10 +142,10 @@ def plant(_: Path) -> dict[str, Any]:
 
 def node(_: Path) -> dict[str, Any]:
     """A bridge: the child reads what it says, then asks for a force and a stop."""
-    from softfin.deployment.machine import Sample, Target
-    from softfin.rig.ros2_messages import Messages
-    from softfin.rig.ros2_node import NodeConfig, RosBridge
-    from softfin.rig.ros2_transport import TransportConfig, open_transport
+    from softfin.rig.machine import Sample, Target
+    from softfin.rig.ros2.messages import Messages
+    from softfin.rig.ros2.node import NodeConfig, RosBridge
+    from softfin.rig.ros2.transport import TransportConfig, open_transport
 
     transport = open_transport(TransportConfig(transport="dds"), Messages())
     bridge = RosBridge(transport, NodeConfig(reference_timeout_s=None))

@@ -3,14 +3,14 @@
 import sys
 from pathlib import Path
 
-from softfin.deployment.loop import hold
-from softfin.deployment.recording import recording
-from softfin.deployment.safety import Guard, SafetyConfig
-from softfin.deployment.session import Session
-from softfin.errors import SoftfinError
+from softfin.core.errors import SoftfinError
 from softfin.rig.config import load_rig
+from softfin.rig.loop import hold
+from softfin.rig.recording import recording
 from softfin.rig.rig import Rig
-from tests.deployment.machines import Wagging
+from softfin.rig.safety import Guard, SafetyConfig
+from softfin.rig.session import Session
+from tests.rig.machines import Wagging
 
 SAFETY = SafetyConfig(
     current_peak_a=20.0, current_sustained_a=10.0, overrun_s=0.25, stale_s=0.25, force_stale_s=0.3, watchdog_s=0.5,

@@ -5,11 +5,11 @@ import time
 
 import pytest
 
-from softfin.errors import DeviceError
-from softfin.rig import axia80
-from softfin.rig.axia80 import Axia80
-from softfin.rig.axia80_config import SensorConfig
-from softfin.rig.axia80_xml import read_settings
+from softfin.core.errors import DeviceError
+from softfin.rig.axia80 import sensor as axia80
+from softfin.rig.axia80.config import SensorConfig
+from softfin.rig.axia80.sensor import Axia80
+from softfin.rig.axia80.xml import read_settings
 from softfin.rig.emulation.sensor import EmulatedAxia80
 from tests.rig.still_fin import StillFin
 

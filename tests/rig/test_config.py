@@ -1,7 +1,7 @@
 import pytest
 import yaml
 
-from softfin.errors import RigError
+from softfin.core.errors import RigError
 from softfin.rig.config import load_rig, load_ros2
 
 VALUES = {

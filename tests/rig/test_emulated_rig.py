@@ -1,6 +1,6 @@
 import socket
 
-from softfin.clock import REAL
+from softfin.core.clock import REAL
 from softfin.rig.config import load_rig
 from softfin.rig.emulation.rig import EmulatedRig, write_simulated
 from softfin.rig.emulation.simple import SimpleFin

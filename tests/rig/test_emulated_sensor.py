@@ -4,14 +4,14 @@ import time
 import pynetft
 import pytest
 
-from softfin.clock import REAL
-from softfin.errors import RigError
-from softfin.rig.axia80_status import OVER_RANGE
+from softfin.core.clock import REAL
+from softfin.core.errors import RigError
+from softfin.rig.axia80.rdt import Order, decode_records, encode_request
+from softfin.rig.axia80.status import OVER_RANGE
 from softfin.rig.emulation.sensor import EmulatedAxia80
 from softfin.rig.emulation.sensor_faults import Network
-from softfin.rig.rdt import Order, decode_records, encode_request
+from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.simulated_network import SimulatedSocket
-from softfin.simulated_clock import SimulatedClock
 from tests.rig.still_fin import StillFin
 
 

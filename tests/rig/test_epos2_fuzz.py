@@ -3,8 +3,8 @@
 import os
 import random
 
-from softfin.deployment.machine import Target
-from softfin.rig.cia402 import POWERED
+from softfin.rig.epos2.cia402 import POWERED
+from softfin.rig.machine import Target
 from tests.rig.epos2_bench import NODE, Sniffer, bench, enabled
 
 CASES = 100_000 if os.environ.get("SOFTFIN_LONG") == "1" else 1_000

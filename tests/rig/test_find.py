@@ -1,7 +1,7 @@
 import pytest
 import yaml
 
-from softfin.errors import RigError
+from softfin.core.errors import RigError
 from softfin.rig.find import find_bench
 from softfin.rig.rig import Rig
 from tests.rig.test_config import VALUES, written

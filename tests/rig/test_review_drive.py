@@ -5,15 +5,15 @@ import itertools
 import can
 import pytest
 
-from softfin.deployment.machine import Target
-from softfin.deployment.safety import Guard, SafetyConfig
-from softfin.deployment.session import Session
-from softfin.errors import SafetyStop
-from softfin.quantities import Limits
+from softfin.core.errors import SafetyStop
+from softfin.core.quantities import Limits
 from softfin.rig.emulation import drive_states
-from softfin.rig.epos2_power import REFUSED
-from softfin.rig.epos2_seen import MISSING_S, Seen
-from softfin.rig.epos2_target import Handshake, Setpoint
+from softfin.rig.epos2.power import REFUSED
+from softfin.rig.epos2.seen import MISSING_S, Seen
+from softfin.rig.epos2.target import Handshake, Setpoint
+from softfin.rig.machine import Target
+from softfin.rig.safety import Guard, SafetyConfig
+from softfin.rig.session import Session
 from tests.rig.epos2_bench import NODE, drive_config, enabled
 from tests.rig.rigs import emulated
 

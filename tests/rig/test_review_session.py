@@ -6,15 +6,15 @@ import pytest
 
 from softfin.cli.driving import typed
 from softfin.cli.live import Armed
-from softfin.deployment.bench import Bench
-from softfin.deployment.machine import Machine, Sample, Target
-from softfin.deployment.safety import Guard, SafetyConfig
-from softfin.deployment.session import Session
-from softfin.deployment.stop import StopRequest, stopped_by_signals
-from softfin.errors import ConfigurationError, DeviceError, SafetyStop
+from softfin.core.errors import ConfigurationError, DeviceError, SafetyStop
+from softfin.rig.bench import Bench
+from softfin.rig.machine import Machine, Sample, Target
 from softfin.rig.rig import Rig
-from softfin.simulated_clock import SimulatedClock
-from tests.deployment.machines import FreeFin, Notes
+from softfin.rig.safety import Guard, SafetyConfig
+from softfin.rig.session import Session
+from softfin.rig.simulated_clock import SimulatedClock
+from softfin.rig.stop import StopRequest, stopped_by_signals
+from tests.rig.machines import FreeFin, Notes
 from tests.rig.rigs import simulated
 
 CALM = SafetyConfig()

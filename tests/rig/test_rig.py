@@ -1,8 +1,8 @@
 import pytest
 
-from softfin.deployment.machine import Machine, Target
-from softfin.errors import DeviceError, RigError
-from softfin.rig.cia402 import State
+from softfin.core.errors import DeviceError, RigError
+from softfin.rig.epos2.cia402 import State
+from softfin.rig.machine import Machine, Target
 from softfin.testing import check_machine
 from tests.rig.rigs import emulated
 

@@ -20,20 +20,20 @@ import can
 import pytest
 import yaml
 
-from softfin.clock import REAL
-from softfin.deployment.loop import hold
-from softfin.deployment.machine import Target
-from softfin.deployment.recording import recording
-from softfin.deployment.safety import Guard
-from softfin.deployment.session import Session
-from softfin.errors import SafetyStop
-from softfin.rig.cia402 import State
+from softfin.core.clock import REAL
+from softfin.core.errors import SafetyStop
 from softfin.rig.emulation.rig import EmulatedRig
 from softfin.rig.emulation.simple import SimpleFin
+from softfin.rig.epos2.cia402 import State
+from softfin.rig.loop import hold
+from softfin.rig.machine import Target
+from softfin.rig.recording import recording
 from softfin.rig.rig import Rig
-from softfin.simulated_clock import SimulatedClock
-from tests.deployment.bags import events_of
-from tests.deployment.machines import Wagging
+from softfin.rig.safety import Guard
+from softfin.rig.session import Session
+from softfin.rig.simulated_clock import SimulatedClock
+from tests.rig.bags import events_of
+from tests.rig.machines import Wagging
 from tests.rig.rigs import SAFETY
 
 LONG = os.environ.get("SOFTFIN_LONG") == "1"
@@ -102,7 +102,7 @@ def lost(at: Scene) -> None:
 
 
 def disk_full(at: Scene) -> None:
-    import softfin.logs.bag_writer as writer
+    import softfin.storage.bag.writer as writer
 
     def write(file: int, data: Any) -> int:
         raise OSError(28, "No space left on device")

@@ -1,8 +1,8 @@
 import pytest
 
-from softfin.deployment.machine import Target
-from softfin.errors import ConfigurationError, RigError
-from softfin.rig.ros2_messages import Messages
+from softfin.core.errors import ConfigurationError, RigError
+from softfin.rig.machine import Target
+from softfin.rig.ros2.messages import Messages
 from softfin.rig.ucat import FlipperCommands, FlipperConfig, put
 from tests.rig.ros2_memory import MemoryTransport
 

@@ -2,7 +2,7 @@ import itertools
 
 import pytest
 
-from softfin.errors import DeviceError
+from softfin.core.errors import DeviceError
 from softfin.rig.zero import zero_angle, zero_force
 from tests.rig.rigs import emulated
 

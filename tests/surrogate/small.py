@@ -3,13 +3,13 @@
 import jax
 import numpy as np
 
-from softfin.quantities import Command, Log, Reading
+from softfin.core.quantities import Command, Log, Reading
 from softfin.surrogate import Surrogate
-from softfin.surrogate.forcenet import FORCES
-from softfin.surrogate.network import LSTM, Conv1D, Dense, Dropout, Flatten, MeanPool, Network, NetworkConfig
-from softfin.surrogate.posnet import COMMANDS
-from softfin.surrogate.scaling import ChannelScaling, Scaling
-from softfin.surrogate.surrogate import ANGLE
+from softfin.surrogate.paper.forcenet import FORCES
+from softfin.surrogate.paper.network import LSTM, Conv1D, Dense, Dropout, Flatten, MeanPool, Network, NetworkConfig
+from softfin.surrogate.paper.posnet import COMMANDS
+from softfin.surrogate.paper.scaling import ChannelScaling, Scaling
+from softfin.surrogate.paper.surrogate import ANGLE
 
 WINDOW = 12
 

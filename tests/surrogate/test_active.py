@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.errors import ConfigurationError
-from softfin.logs.excitation import ExcitationConfig
-from softfin.quantities import PAPER_LIMITS, Command, Limits
+from softfin.core.errors import ConfigurationError
+from softfin.core.quantities import PAPER_LIMITS, Command, Limits
+from softfin.data.excitation import ExcitationConfig
 from softfin.surrogate import StreamingSurrogate, save_surrogate
 from softfin.surrogate.active import ActiveCollectConfig, ActiveConfig, Chooser, chooser, information, unlikeness
 from softfin.surrogate.streaming.config import StreamingConfig

@@ -5,16 +5,16 @@ import json
 import numpy as np
 import pytest
 
-from softfin import stages
-from softfin.deployment.native import load_native
-from softfin.logs.dataset import write_dataset
-from softfin.quantities import Command, Log, Reading
+from softfin.control.native import load_native
+from softfin.core.quantities import Command, Log, Reading
+from softfin.learning.train import SINGLE
+from softfin.stages import offline as stages
+from softfin.storage.dataset import write_dataset
 from softfin.surrogate import save_surrogate
 from softfin.surrogate.range import CHANNELS, UNKNOWN, learnt_from, training_range
 from softfin.surrogate.store import load_surrogate
-from softfin.training.train import SINGLE
 from tests.control.test_controllers import untrained
-from tests.control.test_map_store import KNOWN
+from tests.gaits.test_map_store import KNOWN
 from tests.surrogate import small as paper
 from tests.surrogate.streaming import small
 
@@ -70,10 +70,10 @@ def test_the_stages_hand_it_on_from_the_dataset_to_the_controllers(tmp_path, mon
         workspace.log().close()
         return untrained(SINGLE)._replace(seeds=tuple(seeds))
 
-    monkeypatch.setattr("softfin.stages.fit_any", fit_any)
-    monkeypatch.setattr("softfin.stages.train_jobs", train_jobs)
-    monkeypatch.setattr("softfin.stages.write_learning", lambda folder: None)
-    monkeypatch.setattr("softfin.stages._map_forces", lambda *asked: KNOWN)
+    monkeypatch.setattr("softfin.stages.offline.fit_any", fit_any)
+    monkeypatch.setattr("softfin.stages.offline.train_jobs", train_jobs)
+    monkeypatch.setattr("softfin.stages.offline.write_learning", lambda folder: None)
+    monkeypatch.setattr("softfin.stages.offline._map_forces", lambda *asked: KNOWN)
     surrogate = str(tmp_path / "surrogate")
     stages.fit(tmp_path / "dataset", tmp_path / "surrogate")
     stages.train(surrogate, tmp_path / "policy", SINGLE, seeds=(3, 5))

@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin import artifacts
-from softfin.errors import ArtifactError
-from softfin.plant import roll
-from softfin.plant_identity import identity
-from softfin.quantities import PAPER_LIMITS, Command
+from softfin.core.errors import ArtifactError
+from softfin.core.plant import roll
+from softfin.core.plant_identity import identity
+from softfin.core.quantities import PAPER_LIMITS, Command
+from softfin.storage import artifact as artifacts
 from softfin.surrogate import StreamingSurrogate, Surrogate, load_surrogate, save_surrogate
 from softfin.surrogate.streaming.force import Motion
 from softfin.surrogate.streaming.member import single

@@ -3,9 +3,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.errors import ConfigurationError
-from softfin.plant import roll
-from softfin.quantities import Command
+from softfin.core.errors import ConfigurationError
+from softfin.core.plant import roll
+from softfin.core.quantities import Command
 from softfin.tank import Conditions, Spread, Tank, TankConfig, draw, randomised, under
 from softfin.tank.geometry import FinConfig
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from softfin.quantities import TICK_S, Command
+from softfin.core.quantities import TICK_S, Command
 from softfin.tank.drive import DEAD_TICKS, Drive, DriveConfig
 
 STEP = 0.005

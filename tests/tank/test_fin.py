@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.errors import ConfigurationError
+from softfin.core.errors import ConfigurationError
 from softfin.tank import chain
 from softfin.tank.chain import Moments, Wrench
 from softfin.tank.fin import Fin, FinState, Shaft, Surroundings

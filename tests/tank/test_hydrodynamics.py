@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from softfin.quantities import TICK_S
+from softfin.core.quantities import TICK_S
 from softfin.tank import chain
 from softfin.tank.chain import Motion
 from softfin.tank.fin import Fin, Shaft

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from softfin.action_clock import ACTION_TICKS
-from softfin.errors import CommandError, ConfigurationError
-from softfin.plant import Plant, hold, roll
-from softfin.quantities import PAPER_LIMITS, TICK_S, Command
+from softfin.core.action_clock import ACTION_TICKS
+from softfin.core.errors import CommandError, ConfigurationError
+from softfin.core.plant import Plant, hold, roll
+from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command
 from softfin.tank import IDEAL, Conditions, SensorConfig, Tank, TankConfig, under
 from softfin.tank.drive import DriveConfig
 from softfin.tank.geometry import FinConfig

@@ -10,8 +10,8 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from softfin.printable import printable
-from softfin.program_cache import describe_cache
+from softfin.core.printable import printable
+from softfin.core.program_cache import describe_cache
 
 COMMANDS = {
     "collect": "record motions of a fin, random or chosen by a surrogate, and its force as a dataset",
@@ -75,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _run(name: str, words: list[str]) -> None:
     # Imported here: --version needs none of it.
     from softfin.cli import options
-    from softfin.errors import SoftfinError
+    from softfin.core.errors import SoftfinError
 
     debug = "--debug" in words
     # The readers of these lines want theirs, not XLA's notes on how it compiles.

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from softfin import paths
 from softfin.cli.common import Common
 from softfin.cli.kinds import File
 from softfin.cli.log_options import LogOptions, columns_read
 from softfin.cli.options import Option
-from softfin.errors import ConfigurationError
-from softfin.logs.findings import counted
+from softfin.core.errors import ConfigurationError
+from softfin.data.checks.findings import counted
+from softfin.storage import paths
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +44,7 @@ class Arguments(LogOptions, Common):
             self._convert()
 
     def _recover(self) -> None:
-        from softfin.logs.bag_recovery import recover, recovered_path
+        from softfin.storage.bag.recovery import recover, recovered_path
 
         out = self.out or recovered_path(self.path)
         recovery = recover(self.path, out, self.overwrite)
@@ -59,7 +59,7 @@ class Arguments(LogOptions, Common):
         self.tell(result, f"{out}: {span} saved; {lost:,} bytes could not be read ({reasons[:300]})")
 
     def _convert(self) -> None:
-        from softfin.logs.bag_convert import convert
+        from softfin.data.importing.bag_convert import convert
 
         assert self.out is not None
         result = convert(self.path, self.out, self.import_config(), accept=self.accept, overwrite=self.overwrite)

@@ -30,8 +30,8 @@ class Arguments(Configured):
 
     def run(self) -> None:
         """Find and judge."""
-        from softfin.evaluation.baselines import BaselinesConfig
-        from softfin.stages_baselines import baselines
+        from softfin.evaluation.baselines.baselines import BaselinesConfig
+        from softfin.stages.baselines import baselines
 
         config = self.configured(
             BaselinesConfig(), seconds=self.seconds, seeds=self.seeds, seed=self.seed, recurrent_steps=self.recurrent

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
-from softfin.choices import CalibratePreset
 from softfin.cli.common import Configured, progress
 from softfin.cli.kinds import Data, Out, numbers
 from softfin.cli.options import Option
+from softfin.core.choices import CalibratePreset
 
 VelocityRange: TypeAlias = Annotated[
     tuple[float, ...], Option("LOW,HIGH", parse=numbers("no range; write LOW,HIGH in rad/s, as 0.3,1.57", count=2))
@@ -36,8 +36,8 @@ class Arguments(Configured):
 
     def run(self) -> None:
         """Calibrate."""
-        from softfin import stages
-        from softfin.calibration.config import PRESETS
+        from softfin.stages import offline as stages
+        from softfin.tank.calibration.config import PRESETS
 
         config = self.configured(PRESETS[self.preset], evaluations=self.evaluations, velocity_rad_s=self.velocity)
         with progress() as report:

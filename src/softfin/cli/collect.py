@@ -4,16 +4,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from softfin.choices import Excitation
 from softfin.cli.common import Configured, progress
 from softfin.cli.kinds import AnyPlant, Out, folder_of
 from softfin.cli.live import Armed
-from softfin.errors import ConfigurationError
-from softfin.live import is_live
+from softfin.core.choices import Excitation
+from softfin.core.errors import ConfigurationError
+from softfin.storage.live import is_live
 
 if TYPE_CHECKING:
-    from softfin.logs.collect import CollectConfig
-    from softfin.logs.dataset import Dataset
+    from softfin.data.collect import CollectConfig
+    from softfin.storage.dataset import Dataset
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +55,7 @@ class Arguments(Armed, Configured):
 
     def run(self) -> None:
         """Collect."""
-        from softfin.logs.collect import CollectConfig
+        from softfin.data.collect import CollectConfig
         from softfin.surrogate.active import ActiveCollectConfig
 
         fewer = {} if self.extend is None else {"test_logs": 0}
@@ -68,7 +68,7 @@ class Arguments(Armed, Configured):
         self.tell(result, f"{self.out}: {config.logs} + {config.test_logs} logs of {of}")
 
     def _simulated(self, config: "CollectConfig") -> "Dataset":
-        from softfin import stages
+        from softfin.stages import offline as stages
 
         with progress() as report:
             return stages.collect(
@@ -78,7 +78,7 @@ class Arguments(Armed, Configured):
 
     def _live(self, config: "CollectConfig") -> "Dataset":
         from softfin.rig.find import find_bench
-        from softfin.stages_live import collect_live
+        from softfin.stages.live import collect_live
 
         with progress() as report:
             return collect_live(

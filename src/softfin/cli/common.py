@@ -7,23 +7,23 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
-from softfin import artifacts
-from softfin.choices import SEEDS
 from softfin.cli import options
 from softfin.cli.kinds import YamlFile
 from softfin.cli.options import Option
-from softfin.errors import ConfigurationError
-from softfin.printable import printable
+from softfin.core.choices import SEEDS
+from softfin.core.errors import ConfigurationError
+from softfin.core.printable import printable
+from softfin.storage import artifact as artifacts
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
 
-    from softfin.configuration import Configuration
+    from softfin.core.configuration import Configuration
 
 Config = TypeVar("Config", bound="Configuration")
 
 Report = Callable[[str, float, str], None]
-"""`softfin.stages.Progress`; that module needs JAX, which not every command does."""
+"""`softfin.stages.offline.Progress`; that module needs JAX, which not every command does."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +66,7 @@ class Configured(Common):
 
     def configured(self, base: Config, **options: Any) -> Config:
         """The defaults, changed by the YAML file, then by `--set`, then by the options that were given."""
-        from softfin.configuration import read_yaml
+        from softfin.core.configuration import read_yaml
 
         config = base if self.config is None else base.merged(read_yaml(self.config), str(self.config))
         given = {name: value for name, value in options.items() if value is not None}

@@ -35,8 +35,8 @@ class Arguments(Configured):
 
     def run(self) -> None:
         """Compare."""
-        from softfin import stages
-        from softfin.evaluation.compare import CompareConfig
+        from softfin.stages import offline as stages
+        from softfin.surrogate.compare.compare import CompareConfig
 
         config = self.configured(CompareConfig(), horizons_s=self.horizons, seed=self.seed)
         with progress() as report:

@@ -6,22 +6,22 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from softfin.action_clock import CYCLE_ACTIONS
 from softfin.cli.live import Driving, on_terminal
-from softfin.deployment.bench import Bench, check_fits
-from softfin.deployment.loop import Held, References, hold, seconds_to_actions
-from softfin.deployment.machine import clock_of
-from softfin.deployment.native import NativeController, load_native, trimmed
-from softfin.deployment.reach import knows_its_range
-from softfin.deployment.recording import recording
-from softfin.deployment.safety import Guard
-from softfin.deployment.session import Observer, Session
-from softfin.deployment.stop import Keyboard, StopRequest, stopped_by_signals
-from softfin.errors import RigError
-from softfin.printable import printable
-from softfin.quantities import RATE_HZ
+from softfin.control.native import NativeController, load_native, trimmed
+from softfin.core.action_clock import CYCLE_ACTIONS
+from softfin.core.errors import RigError
+from softfin.core.printable import printable
+from softfin.core.quantities import RATE_HZ
+from softfin.rig.bench import Bench, check_fits
 from softfin.rig.find import find_bench
-from softfin.simulated_clock import SimulatedClock
+from softfin.rig.loop import Held, References, hold, seconds_to_actions
+from softfin.rig.machine import clock_of
+from softfin.rig.reach import knows_its_range
+from softfin.rig.recording import recording
+from softfin.rig.safety import Guard
+from softfin.rig.session import Observer, Session
+from softfin.rig.simulated_clock import SimulatedClock
+from softfin.rig.stop import Keyboard, StopRequest, stopped_by_signals
 
 LINE_S = 1.0
 """Between two lines of what goes on."""

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from softfin.choices import MovingReference
 from softfin.cli.common import Configured, progress
 from softfin.cli.kinds import AnyPlant, Controller, Force, Out, ReferenceFile
 from softfin.cli.live import Armed
-from softfin.errors import ConfigurationError
-from softfin.live import is_live
+from softfin.core.choices import MovingReference
+from softfin.core.errors import ConfigurationError
+from softfin.storage.live import is_live
 
 if TYPE_CHECKING:
     from softfin.evaluation.evaluate import EvaluateConfig
@@ -62,11 +62,11 @@ class Arguments(Armed, Configured):
 
     def run(self) -> None:
         """Evaluate."""
-        from softfin import stages
         from softfin.cli.tables import table_two
         from softfin.evaluation.evaluate import EvaluateConfig
         from softfin.evaluation.forceplane import POINTS
-        from softfin.tracking.reference_file import read_reference_file
+        from softfin.stages import offline as stages
+        from softfin.task.reference_file import read_reference_file
 
         recorded = None if self.reference_file is None else read_reference_file(self.reference_file).model_dump()
         config = self.configured(
@@ -91,7 +91,7 @@ class Arguments(Armed, Configured):
         self.tell(summary, "\n".join(lines))
 
     def _simulated(self, config: "EvaluateConfig") -> dict[str, Any]:
-        from softfin import stages
+        from softfin.stages import offline as stages
 
         return stages.evaluate(
             self.controller, self.plant, Path(self.out), config, spread=self.spread, overwrite=self.overwrite
@@ -99,7 +99,7 @@ class Arguments(Armed, Configured):
 
     def _live(self, config: "EvaluateConfig") -> dict[str, Any]:
         from softfin.rig.find import find_bench
-        from softfin.stages_live import evaluate_live
+        from softfin.stages.live import evaluate_live
 
         with progress() as report:
             return evaluate_live(
@@ -110,7 +110,7 @@ class Arguments(Armed, Configured):
 
 def moving_table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Of every signal: errors, and how its steps are answered, the slowest of all seeds."""
-    from softfin.quantities import AXES
+    from softfin.core.quantities import AXES
 
     lines = [f"{'references that move':64}{'x error':>9}{'y error':>9}{'settles in':>14}"]
     for row in rows:
@@ -134,7 +134,7 @@ def map_line(errors: Mapping[str, Any]) -> str:
 
 def random_line(errors: Mapping[str, Any]) -> str:
     """The errors over random references in one line."""
-    from softfin.quantities import AXES
+    from softfin.core.quantities import AXES
 
     words = (f"{name} " + ", ".join(f"{errors[axis][key]:.3f}" for axis in AXES)
              for name, key in (("mean", "mean_n"), ("95% within", "p95_n"), ("worst", "worst_n")))  # fmt: skip

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-from softfin import paths
 from softfin.cli.common import Common
 from softfin.cli.kinds import Controller, File
+from softfin.storage import paths
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,8 +23,8 @@ class Arguments(Common):
 
     def run(self) -> None:
         """Export."""
-        from softfin.deployment.native import load_native
-        from softfin.deployment.onnx import EPISODE, OPSET, export_onnx
+        from softfin.control.native import load_native
+        from softfin.control.onnx import EPISODE, OPSET, export_onnx
 
         exported = export_onnx(load_native(self.controller), self.onnx, self.overwrite)
         summary = {"onnx": str(self.onnx), "opset": OPSET, **exported._asdict()}

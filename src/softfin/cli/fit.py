@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softfin.choices import Model
 from softfin.cli.common import Configured, progress
 from softfin.cli.kinds import Logs, Out
 from softfin.cli.log_options import LogOptions, columns_read
-from softfin.errors import ConfigurationError
-from softfin.printable import printable
+from softfin.core.choices import Model
+from softfin.core.errors import ConfigurationError
+from softfin.core.printable import printable
 
 if TYPE_CHECKING:
     from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig
@@ -46,8 +46,8 @@ class Arguments(LogOptions, Configured):
 
     def run(self) -> None:
         """Fit."""
-        from softfin import stages
         from softfin.cli.tables import choice, table_one
+        from softfin.stages import offline as stages
 
         config = self.configured(defaults(self.model), epochs=self.epochs)
         with progress() as report:
@@ -74,7 +74,7 @@ def defaults(model: Model) -> "StreamingConfig | FitConfig | AutoConfig":
 
 def warning(counts: Mapping[str, int], dataset: Path) -> str:
     """A line that says how much is wrong with the logs that were learnt from; none where nothing is."""
-    from softfin.logs.findings import counted
+    from softfin.data.checks.findings import counted
 
     if not counts["error"] + counts["warning"]:
         return ""

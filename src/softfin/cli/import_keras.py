@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from softfin import paths
 from softfin.cli.common import Common
 from softfin.cli.kinds import Out
 from softfin.cli.options import Option
-from softfin.errors import ArtifactError
+from softfin.core.errors import ArtifactError
+from softfin.storage import paths
 
 
 def _readable(metavar: str, positional: bool = False) -> Option:
@@ -30,7 +30,7 @@ class Arguments(Common):
 
     def run(self) -> None:
         """Import."""
-        from softfin import stages
+        from softfin.stages import offline as stages
 
         surrogate = stages.import_keras(
             self.posnet, self.forcenet, self.scalers, Path(self.out), overwrite=self.overwrite

@@ -21,8 +21,8 @@ class Arguments(LogOptions, Common):
 
     def run(self) -> None:
         """Import."""
-        from softfin import stages
-        from softfin.logs.findings import counted
+        from softfin.data.checks.findings import counted
+        from softfin.stages import offline as stages
 
         with progress() as report:
             data, inspection = stages.import_logs(

@@ -8,7 +8,7 @@ from typing import Any
 from softfin.cli.common import Common, progress
 from softfin.cli.kinds import Logs, Out
 from softfin.cli.log_options import LogOptions
-from softfin.logs.findings import counted
+from softfin.data.checks.findings import counted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +22,7 @@ class Arguments(LogOptions, Common):
 
     def run(self) -> None:
         """Inspect."""
-        from softfin import stages
+        from softfin.stages import offline as stages
 
         with progress() as report:
             result = stages.inspect_logs(

@@ -4,11 +4,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
-from softfin import artifacts, paths
 from softfin.cli.options import Option
-from softfin.errors import ConfigurationError
-from softfin.live import is_live
-from softfin.plant_names import resolve_plant
+from softfin.core.errors import ConfigurationError
+from softfin.storage import artifact as artifacts
+from softfin.storage import paths
+from softfin.storage.live import is_live
+from softfin.storage.plant_names import resolve_plant
 
 
 def folder_of(kind: str, positional: bool = False) -> Option:

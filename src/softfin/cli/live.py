@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, TextIO
 
 from softfin.cli.common import Common
 from softfin.cli.kinds import Controller, File, LivePlant
-from softfin.errors import ConfigurationError
-from softfin.printable import printable
+from softfin.core.errors import ConfigurationError
+from softfin.core.printable import printable
 
 if TYPE_CHECKING:
-    from softfin.deployment.bench import Bench
+    from softfin.rig.bench import Bench
 
 WORD = "move"
 

@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from softfin.choices import ForceUnit, TimeUnit
+from softfin.core.choices import ForceUnit, TimeUnit
 
 if TYPE_CHECKING:
-    from softfin.logs.importing import ImportConfig
+    from softfin.data.importing.importing import ImportConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +49,7 @@ class LogOptions:
 
     def import_config(self) -> "ImportConfig":
         """The options that were given, over the defaults."""
-        from softfin.logs.importing import ImportConfig
+        from softfin.data.importing.importing import ImportConfig
 
         given = {
             "columns": self.columns,

@@ -19,8 +19,8 @@ class Arguments(Configured):
 
     def run(self) -> None:
         """Map."""
-        from softfin import stages
-        from softfin.training.force_map import MapConfig
+        from softfin.gaits.force_map import MapConfig
+        from softfin.stages import offline as stages
 
         config = self.configured(MapConfig())
         with progress() as report:

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from softfin import paths
-from softfin.choices import LOOPBACK
 from softfin.cli.common import Command
 from softfin.cli.options import Option
+from softfin.core.choices import LOOPBACK
+from softfin.storage import paths
 
 if TYPE_CHECKING:
-    from softfin.deployment.monitor.follow import Follower
+    from softfin.rig.monitor.follow import Follower
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,9 +37,9 @@ class Arguments(Command):
         """Monitor."""
         from rich.console import Console
 
-        from softfin.deployment.monitor.follow import Follower
-        from softfin.deployment.monitor.terminal import watch
-        from softfin.deployment.monitor.web import Feed, Server, serve
+        from softfin.rig.monitor.follow import Follower
+        from softfin.rig.monitor.terminal import watch
+        from softfin.rig.monitor.web import Feed, Server, serve
 
         follower = Follower(self.run_folder)
         # Whoever watches has lost nothing by stopping: exit code 0.

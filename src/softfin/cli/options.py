@@ -17,7 +17,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from softfin.errors import ConfigurationError
+from softfin.core.errors import ConfigurationError
 
 Arguments = TypeVar("Arguments")
 

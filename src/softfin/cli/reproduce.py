@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from softfin.choices import ReproducePreset
 from softfin.cli.common import Configured, progress
 from softfin.cli.kinds import Out, Plant
+from softfin.core.choices import ReproducePreset
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +27,7 @@ class Arguments(Configured):
     def run(self) -> None:
         """Reproduce."""
         from softfin.cli.tables import table_one, table_two
-        from softfin.reproduction import PRESETS, reproduce
+        from softfin.stages.reproduce import PRESETS, reproduce
 
         config = self.configured(PRESETS[self.preset])
         with progress() as report:

@@ -5,13 +5,13 @@ import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from softfin import paths
 from softfin.cli.common import Common
 from softfin.cli.kinds import File, YamlFile
 from softfin.cli.live import Armed
 from softfin.cli.options import Option
-from softfin.errors import ConfigurationError, DeviceError
-from softfin.printable import printable
+from softfin.core.errors import ConfigurationError, DeviceError
+from softfin.core.printable import printable
+from softfin.storage import paths
 
 if TYPE_CHECKING:
     from softfin.rig.config import RigConfig
@@ -87,7 +87,7 @@ class Arguments(Armed, Common):
         sys.stderr.write(f"{'no fault to reset' if fault is None else f'reset: {printable(fault)}'}\n")
 
     def _zero(self) -> None:
-        from softfin.deployment.bench import Bench
+        from softfin.rig.bench import Bench
         from softfin.rig.config import load_rig
         from softfin.rig.rig import Rig
         from softfin.rig.zero import zero_angle, zero_force
@@ -103,7 +103,7 @@ class Arguments(Armed, Common):
         self.tell(result, "\n".join(f"{name}: {value}" for name, value in result.items()))
 
     def _emulate(self) -> None:
-        from softfin.configuration import read_yaml
+        from softfin.core.configuration import read_yaml
         from softfin.tank import Tank, TankConfig
 
         values = {} if self.tank is None else read_yaml(self.tank)
@@ -125,7 +125,7 @@ class Arguments(Armed, Common):
         )
 
     def _emulate_in_real_time(self, tank: "Tank") -> None:
-        from softfin.clock import REAL
+        from softfin.core.clock import REAL
         from softfin.rig.emulation.rig import EmulatedRig
 
         # Ctrl-C is expected from the moment that it says so.

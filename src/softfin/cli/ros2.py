@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass
 
-from softfin.choices import TransportName
 from softfin.cli.common import Configured
 from softfin.cli.kinds import Force
 from softfin.cli.live import Driving
+from softfin.core.choices import TransportName
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,11 +28,11 @@ class Arguments(Driving, Configured):
     def run(self) -> None:
         """Run."""
         from softfin.cli.driving import check_real_time, drive, parties, say, sentence
-        from softfin.deployment.stop import StopRequest
-        from softfin.rig.ros2_messages import Messages
-        from softfin.rig.ros2_node import NodeConfig, RosBridge, check_apart
-        from softfin.rig.ros2_plant import Ros2Machine
-        from softfin.rig.ros2_transport import open_transport
+        from softfin.rig.ros2.messages import Messages
+        from softfin.rig.ros2.node import NodeConfig, RosBridge, check_apart
+        from softfin.rig.ros2.plant import Ros2Machine
+        from softfin.rig.ros2.transport import open_transport
+        from softfin.rig.stop import StopRequest
 
         options = {"transport": self.transport, "domain": self.domain, "network": self.network}
         given = {name: value for name, value in options.items() if value is not None}

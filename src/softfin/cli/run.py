@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 from softfin.cli.common import Common
 from softfin.cli.kinds import Force, ReferenceFile
 from softfin.cli.live import Driving
-from softfin.errors import ConfigurationError
+from softfin.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from softfin.deployment.native import NativeController
-    from softfin.deployment.references import Recorded
+    from softfin.control.native import NativeController
+    from softfin.rig.references import Recorded
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,8 +32,8 @@ class Arguments(Driving, Common):
     def run(self) -> None:
         """Run."""
         from softfin.cli.driving import drive, parties, say, sentence
-        from softfin.deployment.references import Said
-        from softfin.deployment.stop import StopRequest
+        from softfin.rig.references import Said
+        from softfin.rig.stop import StopRequest
 
         controller, bench = parties(self)
         if self.reference_file is not None:
@@ -48,8 +48,8 @@ class Arguments(Driving, Common):
     def _recorded(self, controller: "NativeController", file: Path) -> "tuple[Recorded, int]":
         # Imported here: the file's reader needs more than a robot's computer may have.
         from softfin.cli.driving import say
-        from softfin.deployment.references import Recorded
-        from softfin.tracking.reference_file import read_reference_file
+        from softfin.rig.references import Recorded
+        from softfin.task.reference_file import read_reference_file
 
         rows = read_reference_file(file)
         forces = [(float(x), float(y)) for x, y in rows.force_n]

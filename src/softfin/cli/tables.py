@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from typing import Any
 
+from softfin.core.quantities import AXES
 from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_II, PaperScores
-from softfin.quantities import AXES
-from softfin.surrogate.metrics import PAPER_TABLE_I
+from softfin.surrogate.compare.metrics import PAPER_TABLE_I
 
 NETS = {
     "posnet": "PosNet 1D CNN",

@@ -5,16 +5,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from softfin.artifacts import load_description
-from softfin.choices import SEEDS, AlgorithmOption, ControllerKind, EngineName, Split
 from softfin.cli.common import Configured, progress
 from softfin.cli.kinds import Out, folder_of, plant
 from softfin.cli.options import Option
-from softfin.errors import ConfigurationError
-from softfin.tracking.notation import read_cells, read_range
+from softfin.core.choices import SEEDS, AlgorithmOption, ControllerKind, EngineName, Split
+from softfin.core.errors import ConfigurationError
+from softfin.storage.artifact import load_description
+from softfin.task.notation import read_cells, read_range
 
 if TYPE_CHECKING:
-    from softfin.tracking.references import Cell
+    from softfin.task.references import Cell
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,11 +65,11 @@ class Arguments(Configured):
 
     def run(self) -> None:
         """Train."""
-        from softfin import stages
-        from softfin.plants import find_plant
-        from softfin.tracking.references import PAPER_RANGE
-        from softfin.training.force_map import MapConfig
-        from softfin.training.train import starting
+        from softfin.gaits.force_map import MapConfig
+        from softfin.learning.train import starting
+        from softfin.stages import offline as stages
+        from softfin.storage.registry import find_plant
+        from softfin.task.references import PAPER_RANGE
 
         cells, seeds = asked_cells(self.controller, self.cells, self.range), asked_seeds(self.seed, self.seeds)
         if self.controller == "gaits":
@@ -119,7 +119,7 @@ class Arguments(Configured):
     def _told(self, folder: Path) -> tuple[list[dict[str, Any]], list[str]]:
         """The scores of one controller, and as lines for people."""
         from softfin.cli.tables import held
-        from softfin.training.footprint import Footprint
+        from softfin.learning.footprint import Footprint
 
         description = load_description(folder, "controller")
         scores: list[dict[str, Any]] = description["scores"]
@@ -159,8 +159,8 @@ def asked_seeds(first: int, text: str | None) -> tuple[int, ...]:
 
 def asked_cells(controller: str, cells: str | None, span: str | None) -> "tuple[Cell, ...] | None":
     """What ``--cells`` and ``--range`` ask for, one cell for what is no grid; None where neither is given."""
-    from softfin.tracking.cells import cells_of, range_of
-    from softfin.tracking.references import PAPER_RANGE, least_box
+    from softfin.task.cells import cells_of, range_of
+    from softfin.task.references import PAPER_RANGE, least_box
 
     within = PAPER_RANGE if span is None else range_of(span)
     if controller != "grid":

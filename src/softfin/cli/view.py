@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from softfin import paths
 from softfin.cli.common import Configured, progress
 from softfin.cli.kinds import Force, Plant, folder_of
 from softfin.cli.options import Option
+from softfin.storage import paths
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,8 +35,8 @@ class Arguments(Configured):
 
     def run(self) -> None:
         """View."""
-        from softfin import stages
-        from softfin.viewing import ViewConfig
+        from softfin.evaluation.view import ViewConfig
+        from softfin.stages import offline as stages
 
         beat = None if self.centre is None else {"centre_rad": self.centre}
         config = self.configured(

@@ -4,7 +4,7 @@ from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 from jaxtyping import Array, Float, PyTree
 
-from softfin.quantities import Command
+from softfin.core.quantities import Command
 
 ControllerState: TypeAlias = PyTree[Any]
 

@@ -10,14 +10,14 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from softfin.action_clock import CYCLE_ACTIONS
 from softfin.control.controller import Measured
 from softfin.control.range import check_within
-from softfin.quantities import Command, Limits
-from softfin.tracking.reachable import Reachable
-from softfin.tracking.references import Cell, Force
-from softfin.tracking.task import command_of
-from softfin.training.gaits import GaitTable
+from softfin.core.action_clock import CYCLE_ACTIONS
+from softfin.core.quantities import Command, Limits
+from softfin.gaits.gaits import GaitTable
+from softfin.gaits.reachable import Reachable
+from softfin.task.references import Cell, Force
+from softfin.task.task import command_of
 
 Phase: TypeAlias = Int[Array, ""]
 """Actions since the start. It goes on when the reference moves, so that the beat does not stumble."""

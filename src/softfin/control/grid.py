@@ -15,16 +15,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from softfin.action_clock import CYCLE_ACTIONS
 from softfin.control.controller import Measured
 from softfin.control.range import check_within
-from softfin.quantities import Command, Limits
-from softfin.tracking.reachable import Reachable
-from softfin.tracking.references import Cell, Force, stack_references
-from softfin.tracking.switching import SwitchingConfig
-from softfin.tracking.task import TaskConfig, command_of, observation, remember, rest_actions
-from softfin.training.lstm import Memory, cleared
-from softfin.training.policy import Policy
+from softfin.core.action_clock import CYCLE_ACTIONS
+from softfin.core.quantities import Command, Limits
+from softfin.gaits.reachable import Reachable
+from softfin.learning.lstm import Memory, cleared
+from softfin.learning.policy import Policy
+from softfin.task.references import Cell, Force, stack_references
+from softfin.task.switching import SwitchingConfig
+from softfin.task.task import TaskConfig, command_of, observation, remember, rest_actions
 
 
 class GridState(NamedTuple):

@@ -6,10 +6,10 @@ import numpy as np
 from jaxtyping import Float
 
 from softfin.control.controller import Controller
-from softfin.control.nearest import nearest_within, reached
-from softfin.errors import CoverageError
-from softfin.tracking.reachable import Reachable
-from softfin.tracking.references import Cell, Force
+from softfin.core.errors import CoverageError
+from softfin.gaits.nearest import nearest_within, reached
+from softfin.gaits.reachable import Reachable
+from softfin.task.references import Cell, Force
 
 EDGE_N = 1e-4
 """References this near to a cell are on its edge: forces are float32, and their decimals seldom come out even."""

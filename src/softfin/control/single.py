@@ -8,12 +8,12 @@ from jaxtyping import Array, Float, Int
 
 from softfin.control.controller import Measured
 from softfin.control.range import check_within
-from softfin.quantities import Command, Limits
-from softfin.tracking.reachable import Reachable
-from softfin.tracking.references import Cell, Force
-from softfin.tracking.task import TaskConfig, command_of, observation, remember, rest_actions
-from softfin.training.lstm import Memory
-from softfin.training.policy import Policy
+from softfin.core.quantities import Command, Limits
+from softfin.gaits.reachable import Reachable
+from softfin.learning.lstm import Memory
+from softfin.learning.policy import Policy
+from softfin.task.references import Cell, Force
+from softfin.task.task import TaskConfig, command_of, observation, remember, rest_actions
 
 
 class SingleState(NamedTuple):

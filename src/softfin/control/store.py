@@ -8,23 +8,23 @@ import jax
 import numpy as np
 import pydantic
 
-from softfin import artifacts
-from softfin.action_clock import ACTION_RATE_HZ
 from softfin.control.gait import GaitController
 from softfin.control.grid import GridController
-from softfin.control.map_store import arrays, described, found_of
 from softfin.control.single import SingleController
-from softfin.errors import ArtifactError
-from softfin.quantities import Limits
+from softfin.core.action_clock import ACTION_RATE_HZ
+from softfin.core.errors import ArtifactError
+from softfin.core.quantities import Limits
+from softfin.gaits.force_map import ForceMap, MapConfig
+from softfin.gaits.map_store import arrays, described, found_of
+from softfin.gaits.reachable import Reachable
+from softfin.learning.footprint import memory_of
+from softfin.learning.policy import Policy, PolicyConfig, named
+from softfin.learning.train import Trained
+from softfin.storage import artifact as artifacts
 from softfin.surrogate.range import UNKNOWN
-from softfin.tracking.reachable import Reachable
-from softfin.tracking.references import Cell
-from softfin.tracking.switching import SwitchingConfig
-from softfin.tracking.task import TaskConfig
-from softfin.training.footprint import memory_of
-from softfin.training.force_map import ForceMap, MapConfig
-from softfin.training.policy import Policy, PolicyConfig, named
-from softfin.training.train import Trained
+from softfin.task.references import Cell
+from softfin.task.switching import SwitchingConfig
+from softfin.task.task import TaskConfig
 
 KIND = "controller"
 FORMAT = 2

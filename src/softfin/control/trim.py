@@ -14,13 +14,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 from pydantic import Field, PositiveFloat, model_validator
 
-from softfin.action_clock import ACTION_TICKS, CYCLE_ACTIONS, WINDOW
-from softfin.configuration import Configuration
 from softfin.control.controller import Controller, ControllerState, Measured
 from softfin.control.range import cells_of, reachable_of
-from softfin.quantities import Command
-from softfin.tracking.reachable import Reachable
-from softfin.tracking.references import Cell, Force, least_box
+from softfin.core.action_clock import ACTION_TICKS, CYCLE_ACTIONS, WINDOW
+from softfin.core.configuration import Configuration
+from softfin.core.quantities import Command
+from softfin.gaits.reachable import Reachable
+from softfin.task.references import Cell, Force, least_box
 
 
 class TrimConfig(Configuration):

@@ -5,9 +5,9 @@ from jaxtyping import Float
 
 from softfin.control.controller import Controller
 from softfin.control.range import beyond_reach, cells_of, held
-from softfin.errors import CoverageError
-from softfin.quantities import RATE_HZ
-from softfin.tracking.references import PAPER_RANGE, Cell, Force, least_box
+from softfin.core.errors import CoverageError
+from softfin.core.quantities import RATE_HZ
+from softfin.task.references import PAPER_RANGE, Cell, Force, least_box
 
 
 def bounds(controller: Controller) -> Cell:

@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from softfin.core.quantities import AXES, Command
 from softfin.evaluation.experiment import Recording, Subject
 from softfin.evaluation.scores import moving_average
-from softfin.quantities import AXES, Command
 from softfin.surrogate.streaming.streaming import StreamingState, StreamingSurrogate
 
 

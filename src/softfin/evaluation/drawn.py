@@ -7,15 +7,15 @@ import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
 from softfin.control.controller import Controller
-from softfin.control.nearest import reached
 from softfin.control.range import cells_of, reachable_of
-from softfin.errors import CoverageError
+from softfin.core.errors import CoverageError
+from softfin.core.quantities import AXES
+from softfin.core.randomness import generator_of
 from softfin.evaluation.experiment import Subject
 from softfin.evaluation.forceplane import error_map
-from softfin.quantities import AXES
-from softfin.randomness import generator_of
-from softfin.tracking.reachable import Reachable
-from softfin.tracking.references import PAPER_RANGE, Cell
+from softfin.gaits.nearest import reached
+from softfin.gaits.reachable import Reachable
+from softfin.task.references import PAPER_RANGE, Cell
 
 MOST = 10_000
 """References that run side by side."""

@@ -11,13 +11,15 @@ import pydantic
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from softfin import artifacts
-from softfin.action_clock import ACTION_RATE_HZ, WINDOW
-from softfin.choices import MovingReference
-from softfin.configuration import Configuration
 from softfin.control.controller import Controller
 from softfin.control.range import admitted
 from softfin.control.trim import TrimConfig, TrimmedController
+from softfin.core.action_clock import ACTION_RATE_HZ, WINDOW
+from softfin.core.choices import MovingReference
+from softfin.core.configuration import Configuration
+from softfin.core.quantities import AXES, RATE_HZ
+from softfin.core.randomness import key_of
+from softfin.core.statistics import CONFIDENCE, interval
 from softfin.evaluation.doubt import Doubt, doubt
 from softfin.evaluation.drawn import MOST, Drawn, hold_drawn
 from softfin.evaluation.experiment import MIN_SECONDS, Recording, Subject, alike, check_finite, first_of, run
@@ -26,11 +28,9 @@ from softfin.evaluation.forceplane import ErrorMap, error_map_figure, map_range
 from softfin.evaluation.moving import Moving, follow, planned
 from softfin.evaluation.paper import REFERENCES
 from softfin.evaluation.scores import STILL_RAD_S, Scores, score
-from softfin.evaluation.statistics import CONFIDENCE, interval
-from softfin.evaluation.style import render
-from softfin.quantities import AXES, RATE_HZ
-from softfin.randomness import key_of
-from softfin.tracking.signals import Recorded
+from softfin.storage import artifact as artifacts
+from softfin.storage.figures import render
+from softfin.task.signals import Recorded
 
 Reference = tuple[pydantic.FiniteFloat, pydantic.FiniteFloat]
 

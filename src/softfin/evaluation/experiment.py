@@ -12,13 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key, PRNGKeyArray
 
-from softfin.action_clock import ACTION_TICKS, MOST_TICKS, ticks_of
-from softfin.compiler_options import briefly_used
 from softfin.control.controller import Controller, ControllerState, Measured
-from softfin.errors import ConfigurationError, PlantError
-from softfin.plant import Plant, State, Ticks, counted, hold_action, mean_of
-from softfin.plant_identity import jit_argument
-from softfin.quantities import RATE_HZ, AnyArray, Command, Limits, Reading
+from softfin.core.action_clock import ACTION_TICKS, MOST_TICKS, ticks_of
+from softfin.core.compilation import briefly_used
+from softfin.core.errors import ConfigurationError, PlantError
+from softfin.core.plant import Plant, State, Ticks, counted, hold_action, mean_of
+from softfin.core.plant_identity import jit_argument
+from softfin.core.quantities import RATE_HZ, AnyArray, Command, Limits, Reading
 
 ACTION_STARTS = (0, *accumulate(ACTION_TICKS[:-1]))
 """Ticks of each second at which a controller acts."""

@@ -9,14 +9,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.projections.polar import PolarAxes
 
-from softfin.action_clock import WINDOW
+from softfin.core.action_clock import WINDOW
+from softfin.core.quantities import AXES, RATE_HZ
 from softfin.evaluation.experiment import Recording
 from softfin.evaluation.moving import Moving
 from softfin.evaluation.paper import PAPER_TABLE_II
 from softfin.evaluation.response import SETTLED_N
 from softfin.evaluation.scores import moving_average
-from softfin.evaluation.style import BLACK, BLUE, GREY, ORANGE, new_figure, styled
-from softfin.quantities import AXES, RATE_HZ
+from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, styled
 
 TRAJECTORY_SECONDS = 5
 FORCE_SECONDS = 10

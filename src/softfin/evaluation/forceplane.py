@@ -14,16 +14,16 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from softfin.control.controller import Controller
-from softfin.control.nearest import reached
 from softfin.control.range import reachable_of
-from softfin.errors import CoverageError
+from softfin.core.errors import CoverageError
+from softfin.core.quantities import AXES
 from softfin.evaluation.coverage import bounds, covers
 from softfin.evaluation.experiment import Subject, check_finite, run
 from softfin.evaluation.paper import REFERENCES
 from softfin.evaluation.scores import score
-from softfin.evaluation.style import BLACK, new_figure, styled
-from softfin.quantities import AXES
-from softfin.tracking.references import Cell
+from softfin.gaits.nearest import reached
+from softfin.storage.figures import BLACK, new_figure, styled
+from softfin.task.references import Cell
 
 POINTS = 7
 """References along each side of the lattice."""

@@ -11,20 +11,20 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from softfin.choices import MovingReference
 from softfin.control.controller import Controller
-from softfin.control.nearest import nearest_within, reached
 from softfin.control.range import reachable_of
-from softfin.errors import CoverageError
+from softfin.core.choices import MovingReference
+from softfin.core.errors import CoverageError
+from softfin.core.quantities import AXES, RATE_HZ
+from softfin.core.statistics import interval
 from softfin.evaluation.coverage import admitted_series, bounds
 from softfin.evaluation.experiment import MIN_SECONDS, Recording, Subject, alike, check_finite, first_of, run
 from softfin.evaluation.response import Response, responses, tracking_error
 from softfin.evaluation.scores import score
-from softfin.evaluation.statistics import interval
-from softfin.quantities import AXES, RATE_HZ
-from softfin.tracking.reachable import Reachable
-from softfin.tracking.references import Cell
-from softfin.tracking.signals import Force, Ramp, Recorded, Signal, Sine, Step
+from softfin.gaits.nearest import nearest_within, reached
+from softfin.gaits.reachable import Reachable
+from softfin.task.references import Cell
+from softfin.task.signals import Force, Ramp, Recorded, Signal, Sine, Step
 
 At = Callable[[float, float], Force]
 """A place in a controller's range, each axis from 0 (its least reference) to 1 (its greatest)."""

@@ -13,12 +13,12 @@ import yaml
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from softfin import artifacts
+from softfin.core.quantities import AXES
 from softfin.evaluation.figures import table_two_figure
 from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_II, REFERENCES, PaperScores, recomputed_means
-from softfin.evaluation.style import inline_svg
-from softfin.quantities import AXES
-from softfin.surrogate.metrics import PAPER_TABLE_I
+from softfin.storage import artifact as artifacts
+from softfin.storage.figures import inline_svg
+from softfin.surrogate.compare.metrics import PAPER_TABLE_I
 
 Figures = Mapping[str, Figure]
 """By caption."""
@@ -46,7 +46,7 @@ def write_report(
     ================= ===============================================================================================
     ``title``         text of the heading
     ``plant``         what the controllers were evaluated on, in words
-    ``surrogate``     ``{"scores": ...}`` with what `softfin.surrogate.metrics.table_one` gives, or None (imported)
+    ``surrogate``     ``{"scores": ...}`` of `softfin.surrogate.compare.metrics.table_one`, or None (imported)
     ``controllers``   by name (``single``, ``grid``), what `write_evaluation` gives
     ``in_surrogate``  the same of these controllers in the surrogate that they were trained in
     ``configuration`` nested mappings

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from softfin.action_clock import WINDOW
+from softfin.core.action_clock import WINDOW
+from softfin.core.quantities import AXES, RATE_HZ
 from softfin.evaluation.scores import moving_average
-from softfin.quantities import AXES, RATE_HZ
 
 SETTLED_N = 0.2
 """As near to the new reference counts as there, on both axes [N]."""

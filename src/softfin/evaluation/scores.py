@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from softfin.action_clock import ACTION_TICKS, WINDOW, ticks_of
+from softfin.core.action_clock import ACTION_TICKS, WINDOW, ticks_of
+from softfin.core.quantities import RATE_HZ
 from softfin.evaluation.experiment import Recording
-from softfin.quantities import RATE_HZ
 
 STILL_RAD_S = 0.1
 """A shaft that travels less than this in the second half of the experiment stands still; a fin that works does > 1."""

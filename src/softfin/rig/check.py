@@ -8,13 +8,13 @@ from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from softfin.clock import Clock
-from softfin.deployment.pace import Pace
-from softfin.errors import SoftfinError
-from softfin.quantities import RATE_HZ
+from softfin.core.clock import Clock
+from softfin.core.errors import SoftfinError
+from softfin.core.quantities import RATE_HZ
 from softfin.rig.config import RigConfig
+from softfin.rig.pace import Pace
 from softfin.rig.rig import Rig
-from softfin.simulated_clock import SimulatedClock
+from softfin.rig.simulated_clock import SimulatedClock
 
 LATE_MS = 2.0
 """99% of all ticks should come no later than this [ms]."""

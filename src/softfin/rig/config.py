@@ -5,15 +5,15 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 
-from softfin.configuration import Config, Configuration, read_yaml
-from softfin.deployment.safety import SafetyConfig
-from softfin.errors import ConfigurationError, RigError
-from softfin.paths import find_rig_file
-from softfin.quantities import TICK_S
-from softfin.rig.axia80_config import SensorConfig
-from softfin.rig.epos2_config import BusConfig, DriveConfig
+from softfin.core.configuration import Config, Configuration, read_yaml
+from softfin.core.errors import ConfigurationError, RigError
+from softfin.core.quantities import TICK_S
+from softfin.rig.axia80.config import SensorConfig
+from softfin.rig.epos2.config import BusConfig, DriveConfig
 from softfin.rig.filter import design
-from softfin.rig.ros2_plant import Ros2PlantConfig
+from softfin.rig.ros2.plant import Ros2PlantConfig
+from softfin.rig.safety import SafetyConfig
+from softfin.storage.paths import find_rig_file
 
 
 def _shown_as_it_is(name: str) -> str:

@@ -7,7 +7,7 @@ Processing, ch. 7). Records that are missing for a moment are bridged by a strai
 import numpy as np
 from jaxtyping import Float
 
-from softfin.quantities import RATE_HZ
+from softfin.core.quantities import RATE_HZ
 
 NYQUIST_HZ = RATE_HZ / 2
 

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from softfin.deployment.bench import Bench
-from softfin.errors import RigError
-from softfin.live import LIVE
+from softfin.core.errors import RigError
+from softfin.rig.bench import Bench
+from softfin.storage.live import LIVE
 
 
 def find_bench(name: str) -> Bench:
@@ -31,7 +31,7 @@ def rig_bench(file: Path | None = None) -> Bench:
 def ros2_bench(file: Path | None = None) -> Bench:
     """The fin made of topics that a file describes."""
     from softfin.rig.config import load_ros2
-    from softfin.rig.ros2_plant import Ros2Machine
+    from softfin.rig.ros2.plant import Ros2Machine
 
     config = load_ros2(file)
     machine = Ros2Machine(config.topics)

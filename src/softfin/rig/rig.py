@@ -3,13 +3,13 @@
 import contextlib
 from collections.abc import Callable
 
-from softfin.clock import REAL, Clock
-from softfin.deployment.machine import Sample, Target
-from softfin.errors import SoftfinError
-from softfin.quantities import Limits
-from softfin.rig.axia80 import Axia80
+from softfin.core.clock import REAL, Clock
+from softfin.core.errors import SoftfinError
+from softfin.core.quantities import Limits
+from softfin.rig.axia80.sensor import Axia80
 from softfin.rig.config import RigConfig
-from softfin.rig.epos2 import Epos2
+from softfin.rig.epos2.drive import Epos2
+from softfin.rig.machine import Sample, Target
 
 ANSWER_S = 0.006
 """Longest wait for the drive's answers at a tick; on a real bus they take 1 ms, on a busy computer more."""

@@ -7,9 +7,9 @@ from weakref import WeakKeyDictionary
 
 import can
 
-from softfin.clock import Clock
-from softfin.rig.epos2_config import BusConfig
-from softfin.simulated_clock import SimulatedClock
+from softfin.core.clock import Clock
+from softfin.rig.epos2.config import BusConfig
+from softfin.rig.simulated_clock import SimulatedClock
 
 SIMULATED = "simulated"
 """Interface of a rig's file."""

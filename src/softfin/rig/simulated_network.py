@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
-from softfin.errors import DeviceError
-from softfin.rig.axia80_clock import SO_TIMESTAMPNS, STAMP
-from softfin.simulated_clock import SimulatedClock
+from softfin.core.errors import DeviceError
+from softfin.rig.axia80.clock import SO_TIMESTAMPNS, STAMP
+from softfin.rig.simulated_clock import SimulatedClock
 
 KEPT_BYTES = 768
 """What Linux counts for a datagram of one record."""

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from pydantic import Field, field_validator
 
-from softfin.configuration import Configuration
-from softfin.deployment.machine import Target
-from softfin.errors import RigError
-from softfin.rig.ros2_messages import Messages, type_name
-from softfin.rig.ros2_transport import Transport
+from softfin.core.configuration import Configuration
+from softfin.core.errors import RigError
+from softfin.rig.machine import Target
+from softfin.rig.ros2.messages import Messages, type_name
+from softfin.rig.ros2.transport import Transport
 
 Part = re.compile(r"[A-Za-z][A-Za-z0-9_]*|[0-9]{1,3}")
 

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from softfin.clock import Clock
-from softfin.errors import DeviceError
+from softfin.core.clock import Clock
+from softfin.core.errors import DeviceError
 from softfin.rig.config import RigConfig
 from softfin.rig.rig import Rig
 

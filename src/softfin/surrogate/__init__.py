@@ -1,12 +1,12 @@
 """The surrogate: nets learnt from logs that stand in for the fin (paper Sec. III-B), and nets that do so better."""
 
-from softfin.surrogate.choice import AutoConfig
-from softfin.surrogate.fit import FitConfig
-from softfin.surrogate.keras import import_keras
+from softfin.surrogate.paper.fit import FitConfig
+from softfin.surrogate.paper.keras import import_keras
+from softfin.surrogate.paper.surrogate import Surrogate
+from softfin.surrogate.selection import AutoConfig
 from softfin.surrogate.store import AnySurrogate, load_surrogate, save_surrogate
 from softfin.surrogate.streaming.config import StreamingConfig
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
-from softfin.surrogate.surrogate import Surrogate
 
 __all__ = [
     "AnySurrogate",

@@ -19,12 +19,12 @@ import jax.numpy as jnp
 import pydantic
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from softfin import artifacts
-from softfin.configuration import Configuration
-from softfin.errors import ConfigurationError
-from softfin.logs.collect import CollectConfig
-from softfin.logs.excitation import Commands, ExcitationConfig
-from softfin.quantities import RATE_HZ, Command, Limits
+from softfin.core.configuration import Configuration
+from softfin.core.errors import ConfigurationError
+from softfin.core.quantities import RATE_HZ, Command, Limits
+from softfin.data.collect import CollectConfig
+from softfin.data.excitation import Commands, ExcitationConfig
+from softfin.storage import artifact as artifacts
 from softfin.surrogate.store import load_surrogate
 from softfin.surrogate.streaming.member import single
 from softfin.surrogate.streaming.streaming import StreamingState, StreamingSurrogate

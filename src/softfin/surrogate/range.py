@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from softfin import artifacts
-from softfin.errors import LogError
-from softfin.quantities import Limits, Log
-from softfin.surrogate.forcenet import FORCES
-from softfin.surrogate.surrogate import ANGLE
+from softfin.core.errors import LogError
+from softfin.core.quantities import Limits, Log
+from softfin.storage import artifact as artifacts
+from softfin.surrogate.paper.forcenet import FORCES
+from softfin.surrogate.paper.surrogate import ANGLE
 
 Range: TypeAlias = dict[str, list[float] | None]
 """Least and greatest of each channel; None where that is not known."""

@@ -4,16 +4,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from softfin import artifacts
-from softfin.errors import ArtifactError
-from softfin.quantities import RATE_HZ, Limits
-from softfin.surrogate.forcenet import FORCES
-from softfin.surrogate.network import Network, NetworkConfig
-from softfin.surrogate.posnet import COMMANDS
-from softfin.surrogate.scaling import Scaling
+from softfin.core.errors import ArtifactError
+from softfin.core.quantities import RATE_HZ, Limits
+from softfin.storage import artifact as artifacts
+from softfin.surrogate.paper.forcenet import FORCES
+from softfin.surrogate.paper.network import Network, NetworkConfig
+from softfin.surrogate.paper.posnet import COMMANDS
+from softfin.surrogate.paper.scaling import Scaling
+from softfin.surrogate.paper.surrogate import ANGLE, Surrogate
 from softfin.surrogate.streaming.files import read_streaming, streaming_described
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
-from softfin.surrogate.surrogate import ANGLE, Surrogate
 
 KIND = "surrogate"
 FORMAT = 1

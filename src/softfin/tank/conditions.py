@@ -12,8 +12,8 @@ import jax
 from jaxtyping import Array, Float, PRNGKeyArray
 from pydantic import Field
 
-from softfin.configuration import Configuration
-from softfin.errors import ConfigurationError
+from softfin.core.configuration import Configuration
+from softfin.core.errors import ConfigurationError
 from softfin.tank.tank import Tank
 
 USUAL_PART = 0.15

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from softfin.quantities import Command, Limits, Reading
+from softfin.core.quantities import Command, Limits, Reading
 from softfin.tank.conditions import Spread, randomised
 from softfin.tank.tank import Tank, TankState
 

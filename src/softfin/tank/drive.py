@@ -13,8 +13,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from pydantic import Field, model_validator
 
-from softfin.configuration import Configuration
-from softfin.quantities import TICK_S, Command
+from softfin.core.configuration import Configuration
+from softfin.core.quantities import TICK_S, Command
 from softfin.tank.fin import Shaft
 from softfin.tank.rounding import to_multiple
 

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
-from softfin.compiler_options import used_once
+from softfin.core.compilation import used_once
 from softfin.tank import chain
 from softfin.tank.chain import Moments, Motion, PerPlate, Scale, Wrench
 from softfin.tank.geometry import FinConfig, compliance, plate_moments

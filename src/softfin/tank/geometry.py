@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from softfin.configuration import Configuration
+from softfin.core.configuration import Configuration
 from softfin.tank.chain import PerPlate
 
 

@@ -20,8 +20,8 @@ import numpy as np
 from jaxtyping import Array, Float
 from pydantic import Field
 
-from softfin.configuration import Configuration
-from softfin.quantities import TICK_S
+from softfin.core.configuration import Configuration
+from softfin.core.quantities import TICK_S
 from softfin.tank.chain import Moments, Motion, PerPlate, Scale, Wrench
 from softfin.tank.fin import Surroundings
 from softfin.tank.geometry import FinConfig, plate_moments

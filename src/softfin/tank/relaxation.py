@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from softfin.quantities import TICK_S
+from softfin.core.quantities import TICK_S
 
 SHORTEST_S = 1e-6
 """Time constants below this count as none; it keeps derivatives finite where one is zero."""

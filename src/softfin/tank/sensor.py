@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 from pydantic import Field
 
-from softfin.configuration import Configuration
-from softfin.quantities import TICK_S
+from softfin.core.configuration import Configuration
+from softfin.core.quantities import TICK_S
 from softfin.tank.relaxation import kept
 from softfin.tank.rounding import to_multiple
 

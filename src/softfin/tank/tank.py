@@ -12,10 +12,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 from pydantic import Field
 
-from softfin.configuration import Configuration
-from softfin.errors import ConfigurationError
-from softfin.plant import check_commands
-from softfin.quantities import PAPER_LIMITS, TICK_S, Command, Limits, Reading
+from softfin.core.configuration import Configuration
+from softfin.core.errors import ConfigurationError
+from softfin.core.plant import check_commands
+from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Limits, Reading
 from softfin.tank.drive import Drive, DriveConfig, DriveState
 from softfin.tank.fin import Fin, FinState
 from softfin.tank.geometry import FinConfig

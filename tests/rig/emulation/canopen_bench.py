@@ -12,8 +12,8 @@ from canopen.profiles.p402 import BaseNode402
 from softfin.rig.emulation.drive import EmulatedDrive
 from softfin.rig.emulation.drive_dictionary import dictionary, values
 from softfin.rig.emulation.simple import SimpleFin
-from tests.deployment.machines import Hours
 from tests.rig.epos2_bench import NODE, bus_config, drive_config
+from tests.rig.machines import Hours
 
 PATIENCE_S = 60.0
 """In real time: the machine that runs the tests is shared."""

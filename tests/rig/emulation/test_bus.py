@@ -14,16 +14,16 @@ from hypothesis import strategies as st
 from softfin.rig.emulation.bus import HOST, SocketcandServer, line_of, parse
 from softfin.rig.emulation.drive import EmulatedDrive
 from softfin.rig.emulation.simple import SimpleFin
-from softfin.rig.epos2_config import BusConfig
+from softfin.rig.epos2.config import BusConfig
 from tests.rig.emulation.canopen_bench import PATIENCE_S
 from tests.rig.epos2_bench import drive_config
 
 OTHER_PROCESS = """
 import json, sys, time
-from softfin.errors import DeviceError
-from softfin.deployment.machine import Target
-from softfin.rig.epos2 import Epos2
-from softfin.rig.epos2_config import BusConfig, DriveConfig
+from softfin.core.errors import DeviceError
+from softfin.rig.machine import Target
+from softfin.rig.epos2.drive import Epos2
+from softfin.rig.epos2.config import BusConfig, DriveConfig
 
 assert "jax" not in sys.modules
 given = json.loads(sys.argv[1])

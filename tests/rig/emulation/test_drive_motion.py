@@ -2,14 +2,14 @@
 
 import pytest
 
-from softfin.rig import epos2_objects as objects
 from softfin.rig.emulation.drive_dictionary import values
 from softfin.rig.emulation.drive_motion import Motion
 from softfin.rig.emulation.fin import Motion as Moving
 from softfin.rig.emulation.simple import SimpleFin
-from softfin.rig.epos2_config import Units
-from tests.deployment.machines import Hours
+from softfin.rig.epos2 import objects
+from softfin.rig.epos2.config import Units
 from tests.rig.epos2_bench import drive_config
+from tests.rig.machines import Hours
 
 ENABLED, START, HALT = 0x0F, 0x3F, 0x10F
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import canopen
 import pytest
 
-from softfin.rig.cia402 import FAULTS, State
+from softfin.rig.epos2.cia402 import FAULTS, State
 from tests.rig.emulation.canopen_bench import (
     OPERATIONAL,
     PRE_OPERATIONAL,

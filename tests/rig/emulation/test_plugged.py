@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from softfin.cli import main
-from softfin.deployment.machine import Target
-from softfin.errors import RigError
+from softfin.core.errors import RigError
 from softfin.rig.config import load_rig
 from softfin.rig.emulation.plugged import plugged, state_file, unplug
 from softfin.rig.emulation.rig import write_simulated
 from softfin.rig.emulation.tank import _tick
+from softfin.rig.machine import Target
 from softfin.rig.rig import Rig
 from softfin.rig.zero import zero_angle, zero_force
 from softfin.tank import Tank

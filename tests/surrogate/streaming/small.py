@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softfin.quantities import PAPER_LIMITS, TICK_S, Command, Log, Reading
+from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Log, Reading
 from softfin.surrogate import StreamingConfig, StreamingSurrogate
 from softfin.surrogate.streaming.drive import DriveNetConfig
 from softfin.surrogate.streaming.force import ForceNetConfig, Motion, Scales

@@ -1,6 +1,6 @@
 import pytest
 
-from softfin.errors import ConfigurationError
+from softfin.core.errors import ConfigurationError
 from softfin.surrogate import StreamingConfig
 
 

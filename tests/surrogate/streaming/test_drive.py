@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.quantities import TICK_S, Command
+from softfin.core.quantities import TICK_S, Command
 from softfin.surrogate.streaming.drive import FollowingNet, FreeNet
 from softfin.surrogate.streaming.force import Motion
 from softfin.surrogate.streaming.member import motions

@@ -2,9 +2,9 @@ import jax
 import numpy as np
 import pytest
 
-from softfin.checkpoint import LOG, Workspace, read_log
-from softfin.errors import LogError, RunError
-from softfin.randomness import key_of
+from softfin.core.errors import LogError, RunError
+from softfin.core.randomness import key_of
+from softfin.storage.run_directory import LOG, Workspace, read_log
 from softfin.surrogate.streaming import fit as module
 from softfin.surrogate.streaming.fit import fit_streaming
 from softfin.surrogate.streaming.follow import follow

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from softfin.quantities import TICK_S
+from softfin.core.quantities import TICK_S
 from softfin.surrogate.streaming.force import Motion
 from softfin.surrogate.streaming.member import forces
 from tests.surrogate.streaming import small

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.quantities import TICK_S, Command
+from softfin.core.quantities import TICK_S, Command
 from softfin.surrogate.streaming.force import Motion
 from softfin.surrogate.streaming.profile import LONGEST_DELAY, Profile, ProfileConfig
 from softfin.tank.drive import Drive, DriveConfig

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from softfin.errors import LogError
-from softfin.quantities import Command, Log, Reading
+from softfin.core.errors import LogError
+from softfin.core.quantities import Command, Log, Reading
 from softfin.surrogate.streaming.profile import LONGEST_DELAY
 from softfin.surrogate.streaming.sequences import Table, scales_of
 from tests.surrogate.streaming import small

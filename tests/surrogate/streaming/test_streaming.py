@@ -3,9 +3,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.errors import ArtifactError, LogError
-from softfin.plant import rest_command, roll
-from softfin.quantities import PAPER_LIMITS, Command
+from softfin.core.errors import ArtifactError, LogError
+from softfin.core.plant import rest_command, roll
+from softfin.core.quantities import PAPER_LIMITS, Command
 from softfin.surrogate import StreamingSurrogate
 from softfin.surrogate.streaming.follow import follow
 from softfin.surrogate.streaming.member import parameters, single

@@ -3,8 +3,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.action_clock import WINDOW
-from softfin.quantities import Command, Log, Reading
+from softfin.core.action_clock import WINDOW
+from softfin.core.quantities import Command, Log, Reading
 from softfin.surrogate.streaming.member import single
 from softfin.surrogate.streaming.uncertainty import Interval, calibrated, familiar, remembered, window_means
 from tests.surrogate.streaming import small

@@ -11,18 +11,17 @@ from typing import Any
 import can
 import canopen
 
-from softfin.clock import REAL, Clock, Thread
-from softfin.rig import cia402
-from softfin.rig import epos2_objects as objects
-from softfin.rig.cia402 import Bit, State
+from softfin.core.clock import REAL, Clock, Thread
 from softfin.rig.emulation import drive_states
 from softfin.rig.emulation.drive_dictionary import ERRORS_KEPT, dictionary, values
 from softfin.rig.emulation.drive_motion import MODES, Motion
 from softfin.rig.emulation.drive_network import NMT_RESET_COMMUNICATION, DriveNetwork
 from softfin.rig.emulation.drive_pdo import OUT_OF_RANGE, ProcessData
 from softfin.rig.emulation.fin import EmulatedFin
-from softfin.rig.epos2_config import BusConfig, DriveConfig, Units
-from softfin.rig.epos2_objects import Object
+from softfin.rig.epos2 import cia402, objects
+from softfin.rig.epos2.cia402 import Bit, State
+from softfin.rig.epos2.config import BusConfig, DriveConfig, Units
+from softfin.rig.epos2.objects import Object
 from softfin.rig.simulated_bus import open_bus
 
 TICK_S = 0.005

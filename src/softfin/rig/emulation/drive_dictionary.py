@@ -5,9 +5,9 @@ from typing import Any
 from canopen import ObjectDictionary
 from canopen import objectdictionary as od
 
-from softfin.rig import epos2_objects as objects
-from softfin.rig.epos2_config import DriveConfig
-from softfin.rig.epos2_objects import Object
+from softfin.rig.epos2 import objects
+from softfin.rig.epos2.config import DriveConfig
+from softfin.rig.epos2.objects import Object
 
 PDOS = 4
 """Of each kind, as an EPOS2 has them."""

@@ -3,11 +3,11 @@
 import math
 from collections.abc import Callable
 
-from softfin.rig import epos2_objects as objects
 from softfin.rig.emulation.drive_setpoints import HALT, NEW_SETPOINT, Setpoints
 from softfin.rig.emulation.fin import EmulatedFin
-from softfin.rig.epos2_config import Units
-from softfin.rig.epos2_objects import Object
+from softfin.rig.epos2 import objects
+from softfin.rig.epos2.config import Units
+from softfin.rig.epos2.objects import Object
 
 MODES = frozenset({objects.PROFILE_POSITION, objects.HOMING, 3, -1, -2, -3})
 POSITION_LIMIT = 0xFF09

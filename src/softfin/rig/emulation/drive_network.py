@@ -8,8 +8,8 @@ from typing import Any
 import can
 import canopen
 
-from softfin.clock import Clock, Thread
-from softfin.rig import epos2_objects as objects
+from softfin.core.clock import Clock, Thread
+from softfin.rig.epos2 import objects
 
 SDO_LENGTH = 8
 CYCLE_S = 0.05

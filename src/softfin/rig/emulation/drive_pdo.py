@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 import canopen
 
-from softfin.rig import epos2_objects as objects
 from softfin.rig.emulation.drive_dictionary import MAPPED, PDOS
-from softfin.rig.epos2_objects import Object
+from softfin.rig.epos2 import objects
+from softfin.rig.epos2.objects import Object
 
 CANNOT_BE_MAPPED, TOO_LONG, OUT_OF_RANGE, WRONG_STATE = 0x06040041, 0x06040042, 0x06090030, 0x08000022
 """Why a write is refused (SDO abort codes)."""

@@ -4,8 +4,8 @@ Transitions of CiA 402 with maxon's two states on the way to operation enabled
 ("EPOS2 Firmware Specification", rel5466).
 """
 
-from softfin.rig import cia402
-from softfin.rig.cia402 import FAULTS, State
+from softfin.rig.epos2 import cia402
+from softfin.rig.epos2.cia402 import FAULTS, State
 
 _BY_ITSELF = {
     State.START: State.NOT_READY,

@@ -2,7 +2,7 @@
 
 from typing import NamedTuple, Protocol, runtime_checkable
 
-from softfin.deployment.machine import Wrench
+from softfin.rig.machine import Wrench
 
 
 class Motion(NamedTuple):

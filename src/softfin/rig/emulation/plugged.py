@@ -10,12 +10,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
-from softfin import artifacts
-from softfin.errors import ConfigurationError, RigError
-from softfin.files import read_bytes
+from softfin.core.errors import ConfigurationError, RigError
+from softfin.core.files import read_bytes
 from softfin.rig.config import RigConfig
 from softfin.rig.emulation.rig import EmulatedRig
-from softfin.simulated_clock import SimulatedClock
+from softfin.rig.simulated_clock import SimulatedClock
+from softfin.storage import artifact as artifacts
 from softfin.tank import Tank, TankConfig
 
 LARGEST_STATE = 1_000_000

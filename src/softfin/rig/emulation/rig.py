@@ -10,17 +10,17 @@ from typing import Any
 
 import yaml
 
-from softfin import artifacts
-from softfin.clock import Clock
+from softfin.core.clock import Clock
 from softfin.rig.config import RigConfig
 from softfin.rig.emulation.bus import SocketcandServer
 from softfin.rig.emulation.drive import EmulatedDrive
 from softfin.rig.emulation.fin import EmulatedFin
 from softfin.rig.emulation.sensor import EmulatedAxia80
 from softfin.rig.emulation.tank import TankFin
-from softfin.rig.epos2_config import BusConfig, DriveConfig
+from softfin.rig.epos2.config import BusConfig, DriveConfig
 from softfin.rig.simulated_bus import SIMULATED
-from softfin.simulated_clock import SimulatedClock
+from softfin.rig.simulated_clock import SimulatedClock
+from softfin.storage import artifact as artifacts
 from softfin.tank import Tank
 
 HOST = "127.0.0.1"

@@ -11,17 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from softfin.clock import REAL, Clock
-from softfin.errors import RigError
-from softfin.rig.axia80_config import rotation
-from softfin.rig.axia80_status import OVER_RANGE
-from softfin.rig.axia80_xml import FORCE_UNITS, TORQUE_UNITS
+from softfin.core.clock import REAL, Clock
+from softfin.core.errors import RigError
+from softfin.rig.axia80.config import rotation
+from softfin.rig.axia80.rdt import MOST_RECORDS, Counts, Order, Record, Request, decode_request, encode_record
+from softfin.rig.axia80.status import OVER_RANGE
+from softfin.rig.axia80.xml import FORCE_UNITS, TORQUE_UNITS
 from softfin.rig.emulation.fin import EmulatedFin
 from softfin.rig.emulation.sensor_faults import Network
 from softfin.rig.emulation.sensor_pages import PageServer, sensor_pages
-from softfin.rig.rdt import MOST_RECORDS, Counts, Order, Record, Request, decode_request, encode_record
+from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.simulated_network import SimulatedPages, SimulatedSocket
-from softfin.simulated_clock import SimulatedClock
 
 RANGE = (500.0, 500.0, 900.0, 20.0, 20.0, 20.0)
 """Of the M20 [N, N m], from memory; what is beyond is flagged and cut to it."""

@@ -5,8 +5,8 @@ import threading
 from collections.abc import Mapping
 from xml.sax.saxutils import escape
 
-from softfin.rig.axia80_xml import CALIBRATION, SETTINGS
-from softfin.web_server import BoundedServer, OneRequest
+from softfin.rig.axia80.xml import CALIBRATION, SETTINGS
+from softfin.rig.web_server import BoundedServer, OneRequest
 
 STALLED_S = 30.0
 

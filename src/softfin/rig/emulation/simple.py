@@ -3,7 +3,7 @@
 import math
 import threading
 
-from softfin.clock import REAL, Clock
+from softfin.core.clock import REAL, Clock
 from softfin.rig.emulation.fin import Motion
 
 FORCE_N = 0.5

@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softfin.clock import REAL, Clock
-from softfin.plant import rest_command
-from softfin.quantities import TICK_S, Command, Reading
+from softfin.core.clock import REAL, Clock
+from softfin.core.plant import rest_command
+from softfin.core.quantities import TICK_S, Command, Reading
 from softfin.rig.emulation.fin import Motion
 from softfin.tank import Tank
 

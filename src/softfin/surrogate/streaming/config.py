@@ -2,7 +2,7 @@
 
 from pydantic import Field, PositiveInt, model_validator
 
-from softfin.configuration import Configuration
+from softfin.core.configuration import Configuration
 from softfin.surrogate.streaming.drive import DriveNetConfig
 from softfin.surrogate.streaming.force import ForceNetConfig
 

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 from jaxtyping import PRNGKeyArray
 from pydantic import PositiveInt
 
-from softfin.configuration import Configuration
-from softfin.quantities import TICK_S, Command
+from softfin.core.configuration import Configuration
+from softfin.core.quantities import TICK_S, Command
 from softfin.surrogate.streaming.core import MirrorCore, Parity, PlainCore
 from softfin.surrogate.streaming.force import Motion, Scales
 from softfin.surrogate.streaming.profile import Profile, ProfileConfig, ProfileState

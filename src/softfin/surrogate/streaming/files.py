@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softfin.errors import ArtifactError
-from softfin.quantities import Limits
-from softfin.surrogate.forcenet import FORCES
-from softfin.surrogate.posnet import COMMANDS
+from softfin.core.errors import ArtifactError
+from softfin.core.quantities import Limits
+from softfin.surrogate.paper.forcenet import FORCES
+from softfin.surrogate.paper.posnet import COMMANDS
 from softfin.surrogate.streaming.drive import DriveNetConfig
 from softfin.surrogate.streaming.force import ForceNetConfig, Motion, Scales
 from softfin.surrogate.streaming.member import ensemble, single

@@ -13,27 +13,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from softfin.action_clock import WINDOW
-from softfin.checkpoint import Workspace
-from softfin.errors import LogError, RunError
-from softfin.quantities import Limits, Log
-from softfin.randomness import key_of
-from softfin.surrogate.fit import Progress, check_lengths, held_out
-from softfin.surrogate.posnet import COMMANDS
-from softfin.surrogate.predict import channels_of
+from softfin.core.action_clock import WINDOW
+from softfin.core.errors import LogError, RunError
+from softfin.core.quantities import Limits, Log
+from softfin.core.randomness import key_of
+from softfin.storage.run_directory import Workspace
+from softfin.surrogate.paper.fit import Progress, check_lengths, held_out
+from softfin.surrogate.paper.posnet import COMMANDS
+from softfin.surrogate.paper.predict import channels_of
 from softfin.surrogate.streaming.config import StreamingConfig
 from softfin.surrogate.streaming.drive import DriveNet, FollowingNet
 from softfin.surrogate.streaming.follow import follow, follow_force, follow_motion
 from softfin.surrogate.streaming.force import ForceNet, Motion
 from softfin.surrogate.streaming.identify import identify
-from softfin.surrogate.streaming.learner import (
-    UPDATES_A_CALL,
-    Learner,
-    Learning,
-    drive_loss,
-    force_loss,
-    keep_best,
-)  # fmt: skip
+from softfin.surrogate.streaming.learner import UPDATES_A_CALL, Learner, Learning, drive_loss, force_loss, keep_best
 from softfin.surrogate.streaming.member import Member, ensemble
 from softfin.surrogate.streaming.profile import LONGEST_DELAY, Profile, ProfileConfig
 from softfin.surrogate.streaming.sequences import Table, scales_of

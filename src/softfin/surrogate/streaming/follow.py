@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from softfin.quantities import Command, Log
+from softfin.core.quantities import Command, Log
 from softfin.surrogate.streaming.drive import DriveNet
 from softfin.surrogate.streaming.force import ForceNet, Motion, Said
 from softfin.surrogate.streaming.member import Member, forces, motions

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 from pydantic import Field, PositiveInt
 
-from softfin.configuration import Configuration
-from softfin.quantities import TICK_S, AnyArray
+from softfin.core.configuration import Configuration
+from softfin.core.quantities import TICK_S, AnyArray
 from softfin.surrogate.streaming.core import MirrorCore, Parity, PlainCore
 
 

@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from softfin.evolution import cma_es
-from softfin.quantities import TICK_S, AnyArray, Command, Log
-from softfin.randomness import generator_of
+from softfin.core.evolution import cma_es
+from softfin.core.quantities import TICK_S, AnyArray, Command, Log
+from softfin.core.randomness import generator_of
 from softfin.surrogate.streaming.profile import LONGEST_DELAY, Profile, ProfileConfig, ProfileState
 from softfin.surrogate.streaming.sequences import Stretch, Table
 

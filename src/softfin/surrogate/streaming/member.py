@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 from jaxtyping import PRNGKeyArray
 
-from softfin.quantities import Command
+from softfin.core.quantities import Command
 from softfin.surrogate.streaming.drive import DriveNet, DriveNetConfig, DriveState, drive_net
 from softfin.surrogate.streaming.force import ForceNet, ForceNetConfig, ForceState, Motion, Said, Scales
 from softfin.surrogate.streaming.profile import ProfileConfig

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from pydantic import Field
 
-from softfin.configuration import Configuration
-from softfin.quantities import TICK_S, AnyArray, Command
+from softfin.core.configuration import Configuration
+from softfin.core.quantities import TICK_S, AnyArray, Command
 from softfin.surrogate.streaming.force import Motion
 from softfin.tank.drive import delayed, next_velocity
 

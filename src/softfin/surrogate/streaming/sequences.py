@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from softfin.errors import LogError
-from softfin.quantities import AnyArray, Command, Log
+from softfin.core.errors import LogError
+from softfin.core.quantities import AnyArray, Command, Log
 from softfin.surrogate.streaming.force import Motion, Scales
 from softfin.surrogate.streaming.profile import LONGEST_DELAY
 

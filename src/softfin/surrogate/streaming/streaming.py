@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from softfin.errors import ArtifactError, LogError
-from softfin.logs.ticks import tick_at
-from softfin.plant import rest_command
-from softfin.quantities import TICK_S, Command, Limits, Log, Reading
+from softfin.core.errors import ArtifactError, LogError
+from softfin.core.plant import rest_command
+from softfin.core.quantities import TICK_S, Command, Limits, Log, Reading
+from softfin.core.ticks import tick_at
 from softfin.surrogate.streaming.force import Motion, Said
 from softfin.surrogate.streaming.member import Member, MemberState, parameters, single
 from softfin.surrogate.streaming.profile import LONGEST_DELAY

@@ -16,9 +16,9 @@ import numpy as np
 from jaxtyping import Array, Float
 from pydantic import Field
 
-from softfin.action_clock import WINDOW
-from softfin.configuration import Configuration
-from softfin.quantities import AnyArray, Log
+from softfin.core.action_clock import WINDOW
+from softfin.core.configuration import Configuration
+from softfin.core.quantities import AnyArray, Log
 from softfin.surrogate.streaming.config import StreamingConfig
 from softfin.surrogate.streaming.follow import follow_motion
 from softfin.surrogate.streaming.force import ForceNet, ForceState, Motion

@@ -1,0 +1,51 @@
+"""Names and numbers that options and configurations accept, each defined once; no JAX here."""
+
+from typing import Literal, TypeAlias
+
+ReproducePreset: TypeAlias = Literal["demo", "best", "streaming", "paper", "tiny"]
+"""Keys of `softfin.stages.reproduce.PRESETS`."""
+
+CalibratePreset: TypeAlias = Literal["full", "quick"]
+"""Keys of `softfin.tank.calibration.config.PRESETS`."""
+
+Excitation: TypeAlias = Literal["random", "active"]
+"""How the motions of a dataset are chosen."""
+
+Model: TypeAlias = Literal["streaming", "paper", "auto"]
+"""Kinds of surrogate that are fitted; auto keeps the best on held-out logs."""
+
+PolicyLayout: TypeAlias = Literal["single", "grid"]
+"""One policy for all references, or one for each cell of a grid."""
+
+ControllerKind: TypeAlias = Literal["single", "grid", "gaits"]
+"""The same, and a table of gaits without a policy."""
+
+Algorithm: TypeAlias = Literal["gradient", "ppo"]
+"""How policies are trained."""
+
+AlgorithmOption: TypeAlias = Literal["auto", "gradient", "ppo"]
+"""The same, and auto: gradients wherever the plant has them."""
+
+EngineName: TypeAlias = Literal["local", "ray"]
+"""Where training jobs run."""
+
+Split: TypeAlias = Literal["none", "seed", "cell"]
+"""All lanes in one training job; one job for every seed; one for every cell of every seed."""
+
+MovingReference: TypeAlias = Literal["step", "ramp", "sine"]
+"""Reference forces that move, in an evaluation."""
+
+TimeUnit: TypeAlias = Literal["s", "ms", "us", "ns", "min"]
+"""Units of a column of time; `softfin.data.importing.names.UNITS` has their factors."""
+
+ForceUnit: TypeAlias = Literal["N", "mN", "kN", "gf", "kgf", "lbf"]
+"""Units of a column of force; likewise."""
+
+TransportName: TypeAlias = Literal["auto", "rclpy", "dds"]
+"""How a ROS 2 node reaches others; auto: rclpy where it is installed, else DDS."""
+
+LOOPBACK = "127.0.0.1"
+"""Address that only this computer reaches."""
+
+SEEDS = 2**31
+"""Seeds are whole numbers from 0 up to here: what every generator of random numbers takes."""

@@ -1,0 +1,131 @@
+"""The Plant contract: what moves when commanded. The virtual tank, every surrogate, one's own simulator are Plants.
+
+A plant is pure and traceable, so that `jit`, `vmap`, `scan` and `grad` go through it.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Protocol, TypeAlias, TypeVar, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Int, PRNGKeyArray, PyTree
+
+from softfin.core.action_clock import MOST_TICKS, rows_of, ticks_of
+from softfin.core.errors import CommandError
+from softfin.core.program_cache import use_program_cache
+from softfin.core.quantities import Command, Limits, Reading
+
+# Here, as whatever compiles a program of softfin's imports this module.
+use_program_cache()
+
+State: TypeAlias = PyTree[Any]
+Output = TypeVar("Output")
+
+Ticks: TypeAlias = int | Int[Array, ""]
+"""33 or 34, how long an action is held; a value in a program and not a shape."""
+
+
+@runtime_checkable
+class Plant(Protocol):
+    """A fin, real enough to learn from: one fin, no batch axes (`jax.vmap` adds them).
+
+    Programs hold an action by `advance` of one tick, in a scan. A plant that is faster with many ticks at once may have
+    a method `hold_action(state, command, ticks)`, which does what the function `hold_action` says.
+    """
+
+    @property
+    def limits(self) -> Limits:
+        """The commands that the plant takes [rad, rad/s]; beyond them its readings mean nothing."""
+        ...
+
+    def init(self, key: PRNGKeyArray) -> State:
+        """The fin at rest at angle 0, time 0. The key draws whatever is random (sensor noise, conditions)."""
+        ...
+
+    def advance(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
+        """Hold the scalar command for `ticks` samples of 10 ms (static) and read after each: fields ``(ticks,)``."""
+        ...
+
+
+def check_commands(limits: Limits, commands: Command) -> None:
+    """Refuse commands beyond the limits, where their values are known: not while a program is being compiled."""
+    for name, unit, channel, low, high in (
+        ("angle", "rad", commands.angle, limits.angle_min, limits.angle_max),
+        ("velocity", "rad/s", commands.velocity, limits.velocity_min, limits.velocity_max),
+    ):
+        if isinstance(channel, jax.core.Tracer):
+            continue
+        values = np.asarray(channel)
+        # Limits are kept in double precision, commands in single.
+        outside = ~((values >= low - 1e-6) & (values <= high + 1e-6))
+        if outside.any():
+            raise CommandError(
+                f"command {name} = {values[outside].flat[0]:g} {unit}: the plant takes {low:g} to {high:g} {unit}"
+            )
+
+
+def roll(plant: Plant, state: State, commands: Command) -> tuple[State, Reading]:
+    """Issue one command a tick, ``(ticks,)``, and read after each; raises CommandError beyond the plant's limits."""
+    check_commands(plant.limits, commands)
+
+    def tick(state: State, command: Command) -> tuple[State, Reading]:
+        state, reading = plant.advance(state, command, 1)
+        return state, jax.tree.map(lambda x: x[0], reading)
+
+    return jax.lax.scan(tick, state, commands)
+
+
+def rest_command(limits: Limits) -> Command:
+    """The command under which a fin at rest at angle 0 stays there: angle 0 at the least velocity."""
+    return Command(jnp.float32(0.0), jnp.float32(limits.velocity_min))
+
+
+def hold_action(plant: Plant, state: State, command: Command, ticks: Ticks) -> tuple[State, Reading]:
+    """Hold a command for one action of 33 or 34 ticks; fields ``(34,)``, of which the first `ticks` count.
+
+    All actions have one shape, so whatever is compiled holds the plant once.
+    """
+    own = getattr(plant, "hold_action", None)
+    if own is not None:
+        held: tuple[State, Reading] = own(state, command, ticks)
+        return held
+
+    def tick(state: State) -> tuple[State, Reading]:
+        state, reading = plant.advance(state, command, 1)
+        return state, jax.tree.map(lambda x: x[0], reading)
+
+    return repeat(tick, state, ticks)
+
+
+def repeat(tick: Callable[[State], tuple[State, Output]], state: State, ticks: Ticks) -> tuple[State, Output]:
+    """`tick` so many times; what it gives is stacked to ``(34, ...)``, of which the first `ticks` count."""
+    # Where it is differentiated, a tick is computed again: quicker than to keep what lies within it.
+    again: Callable[[State], tuple[State, Output]] = jax.checkpoint(tick, prevent_cse=False)
+
+    def one(state: State, index: Int[Array, ""]) -> tuple[State, Output]:
+        after, output = again(state)
+        return jax.tree.map(partial(jnp.where, index < ticks), after, state), output
+
+    return jax.lax.scan(one, state, jnp.arange(MOST_TICKS))
+
+
+def mean_of(rows: Array, ticks: Ticks) -> Array:
+    """Mean over those of an action's rows ``(34, ...)`` that count."""
+    counts = (jnp.arange(len(rows)) < ticks).reshape(-1, *[1] * (rows.ndim - 1))
+    return jnp.where(counts, rows, 0).sum(axis=0) / ticks
+
+
+def hold(plant: Plant, state: State, actions: Command) -> tuple[State, Reading]:
+    """Hold each of ``(actions,)`` commands on the 3.0 Hz clock; fields ``(ticks,)`` with 100 ticks for 3 actions."""
+    check_commands(plant.limits, actions)
+    count = actions.angle.shape[0]
+    held = (actions, jnp.asarray(ticks_of(count)))
+    state, reading = jax.lax.scan(lambda state, now: hold_action(plant, state, *now), state, held)
+    return state, jax.tree.map(lambda x: counted(x, count), reading)
+
+
+def counted(rows: Array, actions: int) -> Array:
+    """``(actions, 34, ...)`` rows of actions that follow one another from the clock's start, as ``(ticks, ...)``."""
+    return rows.reshape(-1, *rows.shape[2:])[np.asarray(rows_of(actions))]

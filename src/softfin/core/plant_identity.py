@@ -1,0 +1,152 @@
+"""Which plant is it? `identity` names a plant in files, `jit_argument` makes it an argument of compiled programs.
+
+softfin's own plants are pytrees of arrays and plain values, which are compared as such. Of a user's simulator only what
+it computes is known: a gain may be an attribute, a constant of its module, a closure or a file. So its `init` and
+`advance` are traced and lowered, which takes milliseconds, and the programs are compared.
+"""
+
+import hashlib
+import re
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import PRNGKeyArray, PyTree
+
+from softfin.core.action_clock import ACTION_TICKS
+from softfin.core.errors import PlantError
+from softfin.core.plant import Plant, State, Ticks, hold_action
+from softfin.core.quantities import Command, Limits, Reading
+
+PLAIN = (bool, int, float, str, type(None))
+"""Leaves of a pytree whose text says all about them."""
+
+CALLBACK = re.compile(r"custom_call @\w*python\w*callback")
+"""A call back into Python in a lowered program; what happens there is not part of the program."""
+
+
+def identity(plant: Plant) -> str:
+    """The type of a plant and a hash of what it computes: equal for equal plants in every process.
+
+    The hash of a user's simulator also depends on the version of JAX, which writes the lowered program; it is named
+    then. A simulator may state its identity itself, in an attribute `identity`.
+
+    Raises:
+        PlantError: the plant calls back into Python and states no identity, or it cannot be traced.
+    """
+    name = f"{type(plant).__module__}.{type(plant).__qualname__}"
+    stated = getattr(plant, "identity", None)
+    if isinstance(stated, str):
+        return f"{name} {stated}"
+    arrays, static = eqx.partition(plant, eqx.is_array)
+    if _is_own(plant, static):
+        leaves, structure = jax.tree.flatten(static)
+        return f"{name} {_digest(arrays, str(leaves if leaves else '') + str(structure))}"
+    program = _program(plant, arrays, static)
+    if CALLBACK.search(program):
+        raise PlantError(
+            f"plant {name}: calls back into Python, so its parameters cannot be seen in its program; give it an "
+            "attribute `identity`, a string that holds them"
+        )
+    return f"{name} {_digest(arrays, program)} (jax {jax.__version__})"
+
+
+def jit_argument(plant: Plant) -> Plant:
+    """The plant as a pytree whose arrays are traced, and whose program, once compiled, serves equal plants alone.
+
+    For `equinox.filter_jit`. A user's simulator is traced at each call of this function: a compiled program holds it as
+    it was then, and is used again only for a plant that still computes the same.
+    """
+    arrays, static = eqx.partition(plant, eqx.is_array)
+    if _is_own(plant, static):
+        return plant
+    program = _program(plant, arrays, static)
+    return TracedPlant(arrays, _Program(static, _digest(None, program), keep=bool(CALLBACK.search(program))))
+
+
+class _Program:
+    """The part of a plant that is compiled into programs; equal where these are."""
+
+    def __init__(self, static: PyTree[Any], digest: str, keep: bool) -> None:
+        self.static = static
+        # Equal programs that call back into Python call different objects.
+        self._key = (digest, id(static)) if keep else (digest, None)
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Program) and other._key == self._key
+
+
+class TracedPlant(eqx.Module):
+    """Meets the Plant contract: a user's simulator as an argument of compiled programs."""
+
+    arrays: PyTree[Any]
+    program: _Program = eqx.field(static=True)
+
+    @property
+    def _plant(self) -> Plant:
+        plant: Plant = eqx.combine(self.arrays, self.program.static)
+        return plant
+
+    @property
+    def limits(self) -> Limits:
+        """Those of the simulator."""
+        return Limits(*self._plant.limits)
+
+    def init(self, key: PRNGKeyArray) -> State:
+        """As the simulator."""
+        return self._plant.init(key)
+
+    def advance(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
+        """As the simulator."""
+        return self._plant.advance(state, command, ticks)
+
+    def hold_action(self, state: State, command: Command, ticks: Ticks) -> tuple[State, Reading]:
+        """As the simulator."""
+        return hold_action(self._plant, state, command, ticks)
+
+
+def _is_own(plant: Plant, static: PyTree[Any]) -> bool:
+    module = type(plant).__module__
+    return module.startswith("softfin.") and all(isinstance(leaf, PLAIN) for leaf in jax.tree.leaves(static))
+
+
+def _program(plant: Plant, arrays: PyTree[Any], static: PyTree[Any]) -> str:
+    """Everything that a plant does, as a lowered program; its arrays are arguments, other constants stand in it.
+
+    For one platform whatever the machine has, so that the text is the same on all.
+    """
+
+    def everything(arrays: PyTree[Any], key: PRNGKeyArray, command: Command) -> Any:
+        whole: Plant = eqx.combine(arrays, static)
+        state = whole.init(key)
+        own = getattr(whole, "hold_action", None)
+        held = [] if own is None else [own(state, command, jnp.int32(ACTION_TICKS[0]))]
+        return [whole.advance(state, command, ticks) for ticks in (1, ACTION_TICKS[0])] + held
+
+    try:
+        limits = [float(limit) for limit in plant.limits]
+        command = Command(jnp.float32(0), jnp.float32(limits[2]))
+        traced = jax.jit(everything).trace(arrays, jax.random.key(0), command)
+        return f"{limits} {traced.lower(lowering_platforms=('cpu',)).as_text()}"
+    except Exception as error:
+        # It is the user's code that runs here, and it may fail in any way.
+        reason = " ".join(str(error).split())[:300]
+        raise PlantError(
+            f"plant {type(plant).__qualname__}: cannot be traced ({type(error).__name__}: {reason}); "
+            "softfin.testing.check_plant says what a plant must do"
+        ) from error
+
+
+def _digest(arrays: PyTree[Any], text: str) -> str:
+    digest = hashlib.sha256()
+    for leaf in jax.tree.leaves(arrays):
+        # Types and shapes stand in a simulator's program, and go with the kind of softfin's own plants.
+        is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+        digest.update(np.asarray(jax.random.key_data(leaf) if is_key else leaf).tobytes())
+    digest.update(text.encode())
+    return digest.hexdigest()[:16]

@@ -1,0 +1,1 @@
+"""How logs come about: excitation and collection, import of recordings, checks."""

@@ -1,0 +1,1 @@
+"""Checks of logs before a surrogate is fitted to them."""

@@ -1,0 +1,1 @@
+"""Recordings in other formats become logs at 100 Hz."""

@@ -1,0 +1,129 @@
+"""What is shown: a plant rolled tick by tick under given commands, with the fin's shape wherever the plant knows it.
+
+Commands go in, a Footage comes out, from which film and page are drawn.
+"""
+
+from typing import Any, NamedTuple, Protocol, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from softfin.core.action_clock import WINDOW
+from softfin.core.errors import PlantError
+from softfin.core.plant import Plant, State
+from softfin.core.quantities import Command, Reading
+from softfin.evaluation.scores import moving_average
+from softfin.tank import Tank, TankConfig, TankState
+
+
+class Shaped(Protocol):
+    """A plant that knows the fin's shape, as the virtual tank does; one's own simulator may."""
+
+    def shape(self, state: State) -> Float[Array, "points 2"]:
+        """Points along the middle of the fin from the shaft to the tip, in the axes of the tank [m]."""
+        ...
+
+
+class Footage(NamedTuple):
+    """A fin in motion, in ticks of 10 ms."""
+
+    command: Command
+    """Fields ``(ticks,)``: the command under which the reading of that tick came about."""
+    reading: Reading
+    """Fields ``(ticks,)``, force ``(ticks, 2)``."""
+    average: Float[np.ndarray, "windows 2"]
+    """Mean of the force over the last 200 samples, from the first instant at which all are there [N]."""
+    shape: Float[np.ndarray, "ticks points 2"]
+    """From the shaft to the tip [m]."""
+    shape_known: bool
+    """Whether the plant told the shape; if not, it is a line at the shaft's angle, as long as the default fin."""
+    thickness: Float[np.ndarray, " points"]
+    """At the same points [m]; that of the default fin, in proportion, where the plant is no tank."""
+    stream: Float[np.ndarray, "ticks 2"] | None
+    """Velocity of the water that the fin has set moving [m/s], where the plant has it."""
+    reference: Float[np.ndarray, "ticks 2"] | None
+    """The force that a controller was asked for [N]."""
+
+
+class Shots(NamedTuple):
+    """What is seen of a plant, in ticks of 10 ms."""
+
+    reading: Reading
+    shape: Any
+    """``(ticks, points, 2)`` [m], or None where the plant does not tell it."""
+    stream: Any
+    """``(ticks, 2)`` [m/s], or None where the plant has none."""
+
+
+def film(
+    plant: Plant, key: PRNGKeyArray, commands: Command, reference: Float[np.ndarray, "ticks 2"] | None = None
+) -> Footage:
+    """Roll the plant from rest, one command a tick, ``(ticks,)``, that follow a reference where there is one."""
+    issued = Command(*(jnp.asarray(field, jnp.float32) for field in commands))
+    shots = jax.jit(lambda: shoot(plant, plant.init(key), issued))()
+    command, seen = jax.tree.map(np.asarray, (issued, shots))
+    return develop(plant, command, seen, reference)
+
+
+def shoot(plant: Plant, state: State, commands: Command) -> Shots:
+    """Roll the plant from a state, one command a tick, ``(ticks,)``, and keep what can be seen; traceable."""
+    shape_of = cast(Shaped, plant).shape if callable(getattr(plant, "shape", None)) else None
+
+    def tick(state: State, command: Command) -> tuple[State, Shots]:
+        state, reading = plant.advance(state, command, 1)
+        seen = jax.tree.map(lambda x: x[0], reading)
+        return state, Shots(seen, None if shape_of is None else shape_of(state), _stream(state))
+
+    return jax.lax.scan(tick, state, commands)[1]
+
+
+def develop(plant: Plant, command: Command, shots: Shots, reference: Float[np.ndarray, "ticks 2"] | None) -> Footage:
+    """The footage of what was shot under the commands, all as NumPy arrays; raises PlantError for what is no fin."""
+    reading, shape, stream = shots
+    _check(plant, reading, shape)
+    force = np.asarray(reading.force, np.float64)
+    known = shape is not None
+    if not known:
+        shape = straight(np.asarray(reading.angle), TankConfig().fin.length_m)
+    return Footage(
+        command=command,
+        reading=reading,
+        average=moving_average(force) if len(force) >= WINDOW else np.zeros((0, 2)),
+        shape=shape,
+        shape_known=known,
+        thickness=np.asarray(plant.fin.thickness) if isinstance(plant, Tank) else _thickness(shape[0]),
+        stream=_moved(stream),
+        reference=reference,
+    )
+
+
+def straight(angle: Float[np.ndarray, " ticks"], length_m: float) -> Float[np.ndarray, "ticks 2 2"]:
+    """A blade along (-cos, +sin) of the angle."""
+    tip = length_m * np.stack([-np.cos(angle), np.sin(angle)], axis=-1)
+    return np.stack([np.zeros_like(tip), tip], axis=1)
+
+
+def _thickness(shape: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, " points"]:
+    """Of the default fin, made as long as that one."""
+    fin, length = TankConfig().fin, float(np.linalg.norm(np.diff(shape, axis=0), axis=1).sum())
+    return fin.thickness(np.linspace(0, fin.length_m, len(shape))) * length / fin.length_m
+
+
+def _stream(state: State) -> Float[Array, "2"] | None:
+    return state.flow.stream if isinstance(state, TankState) else None
+
+
+def _moved(stream: Float[np.ndarray, "ticks 2"] | None) -> Float[np.ndarray, "ticks 2"] | None:
+    """None where the water stays still."""
+    return stream if stream is not None and stream.any() else None
+
+
+def _check(plant: Plant, reading: Reading, shape: Any) -> None:
+    name = type(plant).__name__
+    for field, values in reading._asdict().items():
+        if not np.isfinite(values).all():
+            raise PlantError(f"{name}: reading.{field} is not finite; softfin.testing.check_plant says where")
+    if shape is not None and (shape.ndim != 3 or shape.shape[1] < 2 or shape.shape[2] != 2):
+        raise PlantError(f"{name}: shape(state) has shape {shape.shape[1:]}; it must be (points, 2), 2 points or more")

@@ -1,0 +1,180 @@
+"""Gaits: six actions, again and again. What one does to a plant, and the families that a search begins with.
+
+Six actions on the 33/33/34 clock fill the window of the moving average exactly, so in the steady state a gait leaves no
+ripple in it. A gait here is actions ``(6, 2)`` in [-1, 1], (angle, velocity) over the plant's limits.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from itertools import product
+from typing import NamedTuple, TypeAlias
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from softfin.core.action_clock import CYCLE_ACTIONS, WINDOW
+from softfin.core.errors import PlantError, RunError, SoftfinError
+from softfin.core.plant import Plant, hold
+from softfin.core.plant_identity import jit_argument
+from softfin.core.quantities import AnyArray
+from softfin.task.reward import sobolev_mean
+from softfin.task.task import command_of
+
+Gait: TypeAlias = Float[AnyArray, "6 2"]
+
+WAVES: dict[str, Sequence[float]] = {
+    "two": (1, -1, 1, -1, 1, -1),
+    "three": (1, -1, -1, 1, -1, -1),
+    "six": (1, 0.5, -0.5, -1, -0.5, 0.5),
+}
+"""Angles of one gait about its centre, in units of its amplitude: strokes of 0.67 s, 1 s and 2 s."""
+
+CENTRES = np.linspace(-1, 1, 11)
+AMPLITUDES = np.linspace(0.05, 0.9, 7)
+VELOCITIES = (1.0, 0.3, -0.3)
+
+
+class Made(NamedTuple):
+    """What a gait does when it has gone on for a while."""
+
+    force: Float[Array, "2"]
+    """Mean over the last window [N]."""
+    smoothness: Float[Array, "2"]
+    """Its Sobolev term in the form `mean` [N]."""
+
+
+def made(plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray) -> Made:
+    """Of a gait that is repeated from rest; the last of `cycles` counts."""
+    return measured(steady(plant, gait, cycles, key))
+
+
+def steady(plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray) -> Float[Array, "ticks 2"]:
+    """Forces [N] of a gait that is repeated from rest."""
+    actions = jnp.tile(jnp.asarray(gait), (cycles, 1))
+    commands = jax.vmap(lambda action: command_of(plant.limits, action))(actions)
+    return jnp.asarray(hold(plant, plant.init(key), commands)[1].force)
+
+
+def measured(force: Float[Array, "ticks 2"]) -> Made:
+    """Of the last window of a force."""
+    last = force[-WINDOW:]
+    return Made(last.mean(axis=0), sobolev_mean(last, jnp.int32(WINDOW)))
+
+
+class Family(NamedTuple):
+    """Gaits of one wave and one velocity, over all centres and amplitudes."""
+
+    wave: str
+    velocity: float
+    gaits: Float[np.ndarray, "members 6 2"]
+
+
+def families() -> list[Family]:
+    """All that a survey tries: within one family, neighbouring forces come from neighbouring gaits."""
+    found = []
+    for (name, wave), velocity in product(WAVES.items(), VELOCITIES):
+        angles = np.array([c + a * np.array(wave) for c, a in product(CENTRES, AMPLITUDES)])
+        angles = np.clip(angles, -1, 1)
+        gaits = np.stack([angles, np.full_like(angles, velocity)], axis=-1)
+        assert gaits.shape[1] == CYCLE_ACTIONS
+        found.append(Family(name, velocity, gaits.astype(np.float32)))
+    return found
+
+
+class Response(NamedTuple):
+    """What gaits make, and how that changes with their numbers."""
+
+    raw: Float[AnyArray, "gaits 12"]
+    """atanh of the actions."""
+    out: Float[AnyArray, "gaits 3"]
+    """Mean force (x, y) and the sum of both Sobolev terms [N]."""
+    slope: Float[AnyArray, "gaits 3 12"]
+    """Of `out` by `raw`."""
+    smoothness: Float[AnyArray, "gaits 2"]
+    """Sobolev terms (x, y) [N]."""
+
+
+GREATEST_ACTION = 0.97
+"""Actions are moved through atanh, which has no value at 1."""
+
+
+def raw_of(gaits: Float[np.ndarray, "gaits 6 2"]) -> Float[np.ndarray, "gaits 12"]:
+    """The atanh of the actions."""
+    raw: np.ndarray = np.arctanh(np.clip(gaits, -GREATEST_ACTION, GREATEST_ACTION)).reshape(len(gaits), -1)
+    return raw
+
+
+SIDE_BY_SIDE = 32
+"""Gaits of one call of the program that finds their slopes: one size, so that all who ask share the program."""
+
+CYCLES = 3
+"""Windows that a gait is repeated for from rest, where nothing else is asked for."""
+
+
+def response(plant: Plant, raw: Float[AnyArray, "gaits 12"], cycles: int, key: PRNGKeyArray) -> Response:
+    """Mean force and Sobolev terms of gaits, with their slopes; `plant` as `jit_argument` makes it."""
+    count = len(raw)
+    padded = np.resize(np.asarray(raw), (-(-count // SIDE_BY_SIDE) * SIDE_BY_SIDE, raw.shape[1]))
+    parts = [
+        _respond(plant, jnp.asarray(padded[start : start + SIDE_BY_SIDE]), cycles, key)
+        for start in range(0, len(padded), SIDE_BY_SIDE)
+    ]
+    found: Response = jax.tree.map(lambda *x: np.concatenate(x)[:count], *parts)
+    return found
+
+
+@eqx.filter_jit
+def _respond(plant: Plant, raw: Float[Array, "gaits 12"], cycles: int, key: PRNGKeyArray) -> Response:
+    def out(raw: Float[Array, "12"]) -> tuple[Float[Array, "3"], Float[Array, "2"]]:
+        got = made(plant, jnp.tanh(raw).reshape(CYCLE_ACTIONS, 2), cycles, key)
+        return jnp.concatenate([got.force, got.smoothness.sum()[None]]), got.smoothness
+
+    def each(raw: Float[Array, "12"]) -> Response:
+        value, pull, smoothness = jax.vjp(out, raw, has_aux=True)
+        return Response(raw, value, jax.vmap(lambda way: pull(way)[0])(jnp.eye(3)), smoothness)
+
+    found: Response = jax.vmap(each)(raw)
+    return found
+
+
+def missing_gradient(plant: Plant) -> str | None:
+    """Say why the force of a plant has no slope against its commands; None where it has one.
+
+    Raises:
+        PlantError: the plant itself fails.
+        RunError: the computer fails, for want of memory for example.
+    """
+    gait = raw_of(families()[0].gaits[len(CENTRES) * len(AMPLITUDES) // 2][None])
+    # Raises where the plant does not go forward.
+    argument = jit_argument(plant)
+    with _failures_named(plant):
+        try:
+            slope = response(argument, gait, CYCLES, jax.random.key(0)).slope[:, :2]
+        except (TypeError, ValueError, NotImplementedError) as error:
+            # What JAX says where there is no derivative.
+            return f"JAX cannot differentiate it ({type(error).__name__}: {_first_line(error)})"
+    if not np.isfinite(slope).all():
+        return "its slope is not finite, as of a square root at 0"
+    return None if slope.any() else "its slope is 0 throughout"
+
+
+@contextmanager
+def _failures_named(plant: Plant) -> Iterator[None]:
+    name = f"{type(plant).__name__}: whether its force has a slope cannot be found out"
+    out = "; --algorithm ppo trains without gradients"
+    try:
+        yield
+    except SoftfinError:
+        raise
+    except (MemoryError, jax.errors.JaxRuntimeError) as error:
+        raise RunError(f"{name}: {_first_line(error) or 'no memory left'}{out}") from error
+    except Exception as error:
+        # It is the user's code that runs here, and it may fail in any way.
+        raise PlantError(f"{name}: it raises {type(error).__name__}: {_first_line(error)}{out}") from error
+
+
+def _first_line(error: BaseException) -> str:
+    return next(iter(str(error).splitlines()), "")

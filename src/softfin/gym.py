@@ -1,0 +1,145 @@
+"""The task as a Gymnasium environment, ``softfin/ForceTracking-v0``: what any reinforcement-learning library takes.
+
+gymnasium.make("softfin:softfin/ForceTracking-v0", plant=surrogate, render_mode="rgb_array")
+"""
+
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import equinox as eqx
+import gymnasium
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from softfin.core.action_clock import ACTION_RATE_HZ, ACTION_TICKS
+from softfin.core.errors import InputError
+from softfin.core.gym_registration import ID
+from softfin.core.plant import Plant
+from softfin.core.plant_identity import jit_argument
+from softfin.core.quantities import AXES
+from softfin.storage.registry import find_plant
+from softfin.task.references import PAPER_RANGE, Cell, References
+from softfin.task.task import ANGLE_SCALE_RAD, ForceTracking, Outcome, TaskConfig, TaskState, command_of
+
+if TYPE_CHECKING:
+    from softfin.evaluation.view.episode import EpisodeFilm
+
+Observation = Float[np.ndarray, "observations"]
+
+
+class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
+    """Hold a reference force. Never terminates; truncated after `config.episode_actions`.
+
+    Observations and actions are those of `ForceTracking`; `info` holds the window's ``error_n``, its Sobolev term
+    ``smoothness_n``, the ``reference_n`` (each x, y) and the ``force_n`` of every tick that the action was held.
+
+    `plant` is a Plant or the name of one: tank, a tank's YAML file, a surrogate's folder, package.module:plant. In the
+    render mode ``rgb_array``, `render` draws the fin, its force, the reference and the traces of the episode so far.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": round(ACTION_RATE_HZ)}  # noqa: RUF012
+
+    def __init__(
+        self,
+        plant: Plant | str = "tank",
+        config: TaskConfig | None = None,
+        references: Cell = PAPER_RANGE,
+        render_mode: str | None = None,
+    ) -> None:
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise InputError(f"{ID}: render_mode {render_mode!r}; there is 'rgb_array', or None")
+        self.task = ForceTracking(find_plant(plant) if isinstance(plant, str) else plant, config or TaskConfig())
+        self.references = references
+        self.render_mode = render_mode
+        high = _greatest(self.task.config, references)
+        self.observation_space = gymnasium.spaces.Box(-high, high, dtype=np.float32)
+        self.action_space = gymnasium.spaces.Box(-1, 1, (2,), np.float32)
+        self._compile(jit_argument(self.task.plant))
+        self._film = None if render_mode is None else self._new_film()
+        self._state: TaskState | None = None
+        self._actions = 0
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """The fin at rest; ``options={"reference": (x, y)}`` asks for one reference instead of a drawn one."""
+        super().reset(seed=seed)
+        if not isinstance(self.task.plant, eqx.Module):
+            # A simulator in plain Python may have been changed since the last episode; a Module is frozen.
+            plant = jit_argument(self.task.plant)
+            if not eqx.tree_equal(plant, self._compiled_for):
+                self._compile(plant)
+        key = jax.random.key(self.np_random.integers(2**31))
+        self._state = self._reset(key, self._drawn_from(options or {}))
+        self._actions = 0
+        if self._film is not None:
+            self._film.reset(self._state.plant, np.array(self._state.reference))
+        return self._observed(self._state), {"reference_n": np.array(self._state.reference)}
+
+    def step(self, action: Float[np.ndarray, "2"]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Hold an action for its 33 or 34 ticks."""
+        if self._state is None:
+            raise InputError(f"{ID}: step before reset; call reset first")
+        if not self.action_space.contains(np.asarray(action, np.float32)):
+            raise InputError(f"{ID}: action {action} is not two numbers in [-1, 1]; clip it or squash it")
+        reference = np.array(self._state.reference)
+        ticks, held = ACTION_TICKS[self._actions % len(ACTION_TICKS)], jnp.asarray(action, jnp.float32)
+        if self._film is not None:
+            self._film.add(self._state.plant, command_of(self.task.plant.limits, held), ticks, reference)
+        self._state, outcome = self._step(self._state, held, ticks)
+        self._actions += 1
+        truncated = self._actions >= self.task.config.episode_actions
+        info = _info(outcome, ticks, reference)
+        return self._observed(self._state), float(outcome.reward), False, truncated, info
+
+    def render(self) -> Any:
+        """The fin and the episode so far as an image, ``(height, width, 3)`` bytes."""
+        if self._film is None:
+            raise InputError(f'{ID}: made without a render mode; make it with render_mode="rgb_array"')
+        if self._state is None:
+            raise InputError(f"{ID}: render before reset; call reset first")
+        return self._film.frame()
+
+    def _compile(self, plant: Plant) -> None:
+        """Programs for the plant as it is now; new functions, since JAX keeps what it traced of an old one."""
+        self._compiled_for = plant
+        self._reset = jax.jit(partial(self.task.reset))
+        self._observe = jax.jit(partial(self.task.observe))
+        self._step = jax.jit(partial(self.task.step))
+
+    def _new_film(self) -> "EpisodeFilm":
+        # Who does not look at it need not wait for Matplotlib.
+        from softfin.evaluation.view.episode import EpisodeFilm
+
+        corners = np.array([self.references.low, self.references.high])
+        seconds = self.task.config.episode_actions / ACTION_RATE_HZ
+        return EpisodeFilm(self.task.plant, seconds, float(np.linalg.norm(np.abs(corners).max(axis=0))))
+
+    def _drawn_from(self, options: dict[str, Any]) -> References:
+        if "reference" not in options:
+            return self.references.references()
+        x, y = (float(value) for value in options["reference"])
+        if self.references.distance((x, y)) > 0:
+            raise InputError(f"{ID}: reference ({x:g}, {y:g}) N is outside {self.references}; make a wider environment")
+        return Cell(low=(x, y), high=(x, y)).references()
+
+    def _observed(self, state: TaskState) -> Observation:
+        return np.array(self._observe(state))
+
+
+def _greatest(config: TaskConfig, references: Cell) -> Observation:
+    """Bounds of what can be observed: half a turn of the shaft, the references, the actions."""
+    forces = [max(abs(references.low[i]), abs(references.high[i])) / config.force_scale_n for i in range(len(AXES))]
+    actions = [1.0] * (config.observations - 3)
+    return np.array([np.pi / ANGLE_SCALE_RAD, *forces, *actions], np.float32)
+
+
+def _info(outcome: Outcome, ticks: int, reference: Float[np.ndarray, "2"]) -> dict[str, Any]:
+    return {
+        "error_n": np.array(outcome.error),
+        "smoothness_n": np.array(outcome.smoothness),
+        "reference_n": reference,
+        "force_n": np.array(outcome.forces[:ticks]),
+    }

@@ -1,0 +1,179 @@
+"""The parts of a run as tasks of a Ray cluster (extra ``ray``): that of an address, or one started on this machine.
+
+A part whose worker dies runs again, and nothing else is lost. A part that fails otherwise is told of when all others
+are done, so that their results stand.
+"""
+
+import os
+import secrets
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from softfin.core.errors import ConfigurationError, RunError, SoftfinError
+from softfin.learning.engine import Item, Progress, Result, Work
+
+INSTALL = "--engine ray needs the extra: pip install 'softfin[ray]'"
+
+ATTEMPTS = 3
+"""How often a part is begun before it is given up: a worker that dies each time has a reason to."""
+
+STORE_BYTES = 256 * 2**20
+"""Of a cluster started here: plants and policies are small, and Ray would take a third of the memory."""
+
+
+class RayEngine:
+    """Meets the Engine contract."""
+
+    def __init__(self, cluster: str | None = None, attempts: int = ATTEMPTS) -> None:
+        """Raises ConfigurationError where Ray is not installed.
+
+        Args:
+            cluster: address of the cluster's head as host:port; none starts one on this machine, for the run.
+            attempts: how often a part is begun.
+        """
+        self.cluster, self.attempts, self._ray = cluster, attempts, _installed(own=cluster is None)
+
+    def map(
+        self, stage: str, work: Work[Item, Result], parts: Mapping[str, Item], progress: Progress | None
+    ) -> list[Result]:
+        """As the contract has it; raises what the first failing part raised, RunError where its worker died."""
+        with self._connected():
+            return _Map(self._ray, stage, list(parts), progress, self.attempts).over(work, list(parts.values()))
+
+    @contextmanager
+    def _connected(self) -> Iterator[None]:
+        """Within a cluster; one that the caller is in already stays as it is."""
+        ray = self._ray
+        if ray.is_initialized():
+            yield
+            return
+        with nullcontext(self.cluster) if self.cluster is not None else _started() as address:
+            try:
+                ray.init(address, log_to_driver=False, logging_level="ERROR")
+            except (ConnectionError, RuntimeError, ValueError) as error:
+                raise ConfigurationError(
+                    f"cluster {address}: Ray cannot use it ({_reason(error)}); give --cluster HOST:PORT as "
+                    "`ray start --head` tells it, or none for this machine alone"
+                ) from error
+            try:
+                yield
+            finally:
+                ray.shutdown()
+
+
+@contextmanager
+def _started() -> Iterator[str]:
+    """The address of a cluster on this machine; it ends with this process, however that ends."""
+    command = [sys.executable, "-P", str(Path(__file__).with_name("ray_head.py")), str(STORE_BYTES)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as head:
+        assert head.stdout is not None
+        address = head.stdout.readline().strip()
+        if not address:
+            raise RunError("Ray does not start on this machine, for the reason above; --engine local does without")
+        yield address
+
+
+@dataclass
+class _Map:
+    """One round over all parts."""
+
+    ray: Any
+    stage: str
+    names: list[str]
+    progress: Progress | None
+    attempts: int
+    failed: dict[str, SoftfinError] = field(default_factory=dict)
+
+    def over(self, work: Work[Item, Result], items: list[Item]) -> list[Result]:
+        """Every result in the order of the items."""
+        errors = self.ray.exceptions
+        # A task without a graphics card is shown none, and would compute on the processor what others compute on cards.
+        cards = 1 if jax.default_backend() == "gpu" else 0
+        if cards and not self.ray.cluster_resources().get("GPU"):
+            raise ConfigurationError(
+                "cluster: has no graphics card, which this machine computes on, so its tasks would wait for one for "
+                "ever; give a --cluster with cards, or set JAX_PLATFORMS=cpu"
+            )
+        # Ray's own retries would say nothing of it.
+        task = self.ray.remote(num_cpus=1, num_gpus=cards, max_retries=0)(_worked)
+        shared = self.ray.put(work)
+        running = {task.remote(shared, item): (i, 1) for i, item in enumerate(items)}
+        results: dict[int, Result] = {}
+        while running:
+            (ready,), _ = self.ray.wait(list(running), num_returns=1)
+            index, attempt = running.pop(ready)
+            name = self.names[index]
+            try:
+                outcome = self.ray.get(ready)
+            except errors.RayTaskError as error:
+                self._fails(name, RunError(f"{name}: its worker failed with {_reason(error)}"))
+            except errors.RayError as error:
+                if attempt < self.attempts:
+                    self._tell("lost worker", 1, f"{name} runs again, attempt {attempt + 1} of {self.attempts}")
+                    running[task.remote(shared, items[index])] = (index, attempt + 1)
+                else:
+                    self._fails(name, self._lost(name, error))
+            else:
+                if isinstance(outcome, SoftfinError):
+                    self._fails(name, outcome)
+                else:
+                    results[index] = outcome
+                    self._tell(self.stage, len(results) / len(items), f"{name} done, {len(running)} to go")
+        if self.failed:
+            raise next(iter(self.failed.values()))
+        return [results[i] for i in range(len(items))]
+
+    def _lost(self, name: str, error: Exception) -> RunError:
+        return RunError(
+            f"{name}: its worker died {self.attempts} times ({_reason(error)}); what is finished is kept: look after "
+            "memory and machines, and --resume"
+        )
+
+    def _fails(self, name: str, error: SoftfinError) -> None:
+        self.failed[name] = error
+        self._tell("failed", 1, str(error))
+
+    def _tell(self, stage: str, done: float, note: str) -> None:
+        if self.progress is not None:
+            self.progress(stage, done, note)
+
+
+def _worked(work: Work[Item, Result], item: Item) -> Result | SoftfinError:
+    """Runs on the worker; errors of ours come back as they are, not within a traceback."""
+    try:
+        return work(item, None)
+    except SoftfinError as error:
+        return error
+
+
+def _reason(error: Exception) -> str:
+    """In one line; of an error on a worker, the last line of its traceback."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return lines[-1 if hasattr(error, "cause") else 0] if lines else type(error).__name__
+
+
+def _installed(own: bool) -> Any:
+    """Ray; it sends no statistics, and a cluster of one's `own` takes work from this process and its children alone.
+
+    Ray reads these settings when it is imported. Without the token it would write one to the user's home.
+    """
+    for name in ("RAY_USAGE_STATS_ENABLED", "RAY_ENABLE_UV_RUN_RUNTIME_ENV"):
+        os.environ.setdefault(name, "0")
+    if own and "RAY_AUTH_MODE" not in os.environ:
+        if "ray" in sys.modules and not sys.modules["ray"].is_initialized():
+            raise ConfigurationError(
+                "ray was imported before a cluster of this machine could be set up; ray.init() first"
+            )
+        os.environ |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32)}
+    try:
+        import ray
+    except ImportError:
+        raise ConfigurationError(INSTALL) from None
+    return ray

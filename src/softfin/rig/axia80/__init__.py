@@ -1,0 +1,1 @@
+"""The force sensor: an ATI Axia80 over Ethernet."""

@@ -1,0 +1,1 @@
+"""The drive: a maxon EPOS2 over CANopen."""

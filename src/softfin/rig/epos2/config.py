@@ -1,0 +1,139 @@
+"""Configuration of the drive and of the bus to it, and the units between them: counts, rpm and rpm/s of the motor."""
+
+import math
+from typing import Literal, NamedTuple
+
+from pydantic import Field, model_validator
+
+from softfin.core.configuration import Configuration
+from softfin.core.quantities import PAPER_LIMITS, TICK_S, Limits
+
+COUNTS_A_LINE = 4
+"""Quadrature: every line of the encoder gives four edges."""
+
+LARGEST_COUNT = 2**31 - 1
+
+LONGEST_BRAKE_S = 0.5
+"""A quick stop that takes longer is none, and whoever waits for its end would give it up."""
+
+
+class BusConfig(Configuration):
+    """A CAN bus as python-can names it."""
+
+    interface: str
+    """socketcan, pcan, kvaser, slcan, socketcand, virtual ..; no default: it is that of the adapter."""
+    channel: str
+    """Such as can0; no default."""
+    bitrate: int = Field(1_000_000, gt=0, le=1_000_000)
+    """[bit/s]; an EPOS2 leaves the works with 1 Mbit/s. SocketCAN takes the one that ``ip link`` was given."""
+    options: dict[str, str | int | float | bool] = Field(default_factory=dict)
+    """What else the interface needs, such as host and port of socketcand."""
+
+
+class DriveConfig(Configuration):
+    """An EPOS2 with its motor, gear and encoder."""
+
+    node: int = Field(ge=1, le=127)
+    """Number of the drive on the bus, as its switches or EPOS Studio set it."""
+    encoder_lines: int = Field(gt=0, le=2_500_000)
+    """Lines (pulses) of the encoder in one turn of the motor; compared with the drive's own setting."""
+    gear_ratio: float = Field(gt=0)
+    """Turns of the motor in one turn of the fin; 1 without a gear."""
+    direction: Literal[1, -1] = 1
+    """-1 where positive counts turn the fin to negative angles."""
+    zero_offset_rad: float = Field(0.0, ge=-math.pi, le=math.pi)
+    """Angle of the fin where the drive counts zero [rad]."""
+    angle_min_rad: float = PAPER_LIMITS.angle_min
+    """Smallest angle that the drive itself allows [rad]; the paper's, Sec. III-A."""
+    angle_max_rad: float = PAPER_LIMITS.angle_max
+    """Largest angle that the drive itself allows [rad]; the paper's, Sec. III-A."""
+    slowest_rad_s: float = Field(PAPER_LIMITS.velocity_min, gt=0)
+    """Lowest profile velocity of a command [rad/s]; the paper's, Sec. III-A."""
+    fastest_rad_s: float = Field(PAPER_LIMITS.velocity_max, gt=0)
+    """Highest profile velocity, which the drive itself keeps [rad/s]; the paper's, Sec. III-A."""
+    acceleration_rad_s2: float = Field(gt=0)
+    """Of the profile, both ways [rad/s2]; no default: it follows from motor, gear and fin."""
+    quick_stop_rad_s2: float = Field(gt=0)
+    """Deceleration of a quick stop [rad/s2]; no default: as much as the fin's mount bears."""
+    following_error_rad: float = Field(gt=0)
+    """Distance from the profile at which the drive faults [rad]; no default: too large and a blocked fin burns."""
+    current_limit_a: float | None = Field(None, gt=0, le=10)
+    """Largest motor current [A]; written to the drive where given, else the drive's own setting stands."""
+    heartbeat_s: float = Field(0.2, ge=0.1, le=5)
+    """Silence after which each side takes the other for dead [s]: a drive whose host hangs stops this much later."""
+    host_node: int = Field(127, ge=1, le=127)
+    """Node number of the host's heartbeat, one that no device on the bus has."""
+    sync_s: float = Field(TICK_S, ge=0.001, le=0.1)
+    """Period of the loop that reads the drive [s]."""
+    zero_needed: bool = True
+    """Refuse to move before the fin was zeroed since the drive's power-up; false only for an absolute encoder."""
+
+    @model_validator(mode="after")
+    def _fits(self) -> "DriveConfig":
+        if not self.angle_min_rad < self.angle_max_rad:
+            raise ValueError(f"angle_min_rad {self.angle_min_rad:g} must be below angle_max_rad {self.angle_max_rad:g}")
+        if not self.slowest_rad_s <= self.fastest_rad_s:
+            raise ValueError(f"slowest_rad_s {self.slowest_rad_s:g} is above fastest_rad_s {self.fastest_rad_s:g}")
+        limits = Limits(self.angle_min_rad, self.angle_max_rad, self.slowest_rad_s, self.fastest_rad_s)
+        if problem := limits.problem(one_velocity=True):
+            raise ValueError(problem)
+        if self.node == self.host_node:
+            raise ValueError(f"node and host_node are both {self.node}; give host_node a number that no device has")
+        braking = self.fastest_rad_s / self.quick_stop_rad_s2
+        if braking > LONGEST_BRAKE_S:
+            raise ValueError(
+                f"quick_stop_rad_s2 {self.quick_stop_rad_s2:g} takes {braking:.1f} s to stop from fastest_rad_s: "
+                f"at most {LONGEST_BRAKE_S:g} s; give {self.fastest_rad_s / LONGEST_BRAKE_S:.1f} or more"
+            )
+        units = Units.of(self)
+        for angle in (self.angle_min_rad, self.angle_max_rad):
+            if abs(units.counts(angle)) > LARGEST_COUNT:
+                raise ValueError(f"{angle:g} rad is more counts than the drive can hold; check encoder and gear")
+        if units.rpm(self.slowest_rad_s) == 0:
+            raise ValueError(f"slowest_rad_s {self.slowest_rad_s:g} is less than 1 rpm of the motor; raise it")
+        return self
+
+
+class Units(NamedTuple):
+    """From the fin's angle to the drive's counts, rpm and rpm/s, and back."""
+
+    counts_per_rad: float
+    rpm_per_rad_s: float
+    direction: int
+    zero: float
+    """Angle where the drive counts zero [rad]."""
+
+    @classmethod
+    def of(cls, config: DriveConfig) -> "Units":
+        """Of a drive."""
+        turns_per_rad = config.gear_ratio / (2 * math.pi)
+        counts_a_turn = COUNTS_A_LINE * config.encoder_lines
+        return cls(turns_per_rad * counts_a_turn, 60 * turns_per_rad, config.direction, config.zero_offset_rad)
+
+    def counts(self, angle: float) -> int:
+        """Position at an angle [rad], to the nearest count."""
+        return self.direction * round((angle - self.zero) * self.counts_per_rad)
+
+    def angle(self, counts: int) -> float:
+        """Angle [rad] at a position."""
+        return self.direction * counts / self.counts_per_rad + self.zero
+
+    def distance(self, angle: float) -> int:
+        """Counts of a positive difference of angles [rad], at least 1."""
+        return max(1, round(angle * self.counts_per_rad))
+
+    def rpm(self, velocity: float) -> int:
+        """Of the motor, for a speed of the fin [rad/s] in either direction; its size."""
+        return round(abs(velocity) * self.rpm_per_rad_s)
+
+    def signed_rpm(self, velocity: float) -> int:
+        """Of the motor, for a velocity of the fin [rad/s]."""
+        return self.direction * round(velocity * self.rpm_per_rad_s)
+
+    def velocity(self, rpm: int) -> float:
+        """Of the fin [rad/s]."""
+        return self.direction * rpm / self.rpm_per_rad_s
+
+    def rpm_s(self, acceleration: float) -> int:
+        """Of the motor, for an acceleration of the fin [rad/s2]; at least 1."""
+        return max(1, round(acceleration * self.rpm_per_rad_s))

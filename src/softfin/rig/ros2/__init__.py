@@ -1,0 +1,1 @@
+"""A fin behind ROS 2 topics."""

@@ -1,0 +1,136 @@
+"""ROS 2's topics through rclpy, for a Python that ROS 2 is installed for; messages go in and out as bytes.
+
+Written after rclpy's documentation and tried with a stand-in for it: it has not met a real ROS 2.
+"""
+
+import contextlib
+import importlib
+import threading
+import time
+from collections import deque
+from typing import Any
+
+from softfin.core.errors import DeviceError, RigError
+from softfin.rig.ros2.transport import DEPTH, Received, TransportConfig
+
+
+class RclpyTransport:
+    """Meets the Transport contract: a context and a node of its own, and a thread that takes what comes."""
+
+    notes = ("rclpy listens as ROS 2's own settings say (ROS_LOCALHOST_ONLY, ROS_AUTOMATIC_DISCOVERY_RANGE)",)
+
+    def __init__(self, config: TransportConfig) -> None:
+        if config.network is not None:
+            raise RigError(f"--network {config.network} is for DDS; with rclpy ROS 2's own settings choose the network")
+        try:
+            self._rclpy: Any = importlib.import_module("rclpy")
+            executors = importlib.import_module("rclpy.executors")
+            signals = importlib.import_module("rclpy.signals")
+            self._context = self._rclpy.Context()
+            # Ctrl-C is softfin's: it stops the fin first. No words of the command line are ROS's either.
+            self._rclpy.init(args=[], context=self._context, domain_id=config.domain_id(),
+                             signal_handler_options=signals.SignalHandlerOptions.NO)  # fmt: skip
+            self._node = self._rclpy.create_node(config.node, context=self._context)
+            self._executor = executors.SingleThreadedExecutor(context=self._context)
+            self._executor.add_node(self._node)
+        except Exception as error:
+            # What it raises where the installation is broken is not documented.
+            raise RigError(f"rclpy cannot be used ({_reason(error)}); use transport: dds") from None
+        self._own: list[str] = []
+        self.failure: str | None = None
+        self._closed = False
+        threading.Thread(target=self._spin, name="softfin-rclpy", daemon=True).start()
+
+    def publish(self, topic: str, kind: str) -> "RclpyOutlet":
+        """A publisher of the node's."""
+        self._own.append(topic)
+        return RclpyOutlet(self._node.create_publisher(_class(kind), topic, self._quality(False)), topic)
+
+    def subscribe(self, topic: str, kind: str, best_effort: bool = False) -> "RclpyInlet":
+        """A raw subscription: the bytes as they came."""
+        inlet = RclpyInlet(self)
+        self._node.create_subscription(_class(kind), topic, inlet.put, self._quality(best_effort), raw=True)
+        return inlet
+
+    def topics(self) -> dict[str, str]:
+        """As `ros2 topic list -t` would say, without ours."""
+        found = dict(self._node.get_topic_names_and_types())
+        theirs = (name for name in sorted(found) if self._node.count_publishers(name) > self._own.count(name))
+        return {name: ", ".join(found[name]) for name in theirs}
+
+    def close(self) -> None:
+        """The thread ends with its executor."""
+        if self._closed:
+            return
+        self._closed = True
+        for step in (lambda: self._executor.shutdown(timeout_sec=1.0), self._node.destroy_node,
+                     lambda: self._rclpy.try_shutdown(context=self._context)):  # fmt: skip
+            with contextlib.suppress(Exception):
+                step()
+
+    def _spin(self) -> None:
+        try:
+            self._executor.spin()
+        except Exception as error:
+            # Whatever ends it ends the messages: those who take must hear of it.
+            self.failure = _reason(error)
+        if not self._closed and self.failure is None:
+            self.failure = "its executor has ended"
+
+    def _quality(self, best_effort: bool) -> Any:
+        qos = importlib.import_module("rclpy.qos")
+        policy = qos.ReliabilityPolicy.BEST_EFFORT if best_effort else qos.ReliabilityPolicy.RELIABLE
+        return qos.QoSProfile(depth=DEPTH, reliability=policy)
+
+
+class RclpyOutlet:
+    """Meets the Outlet contract."""
+
+    def __init__(self, publisher: Any, topic: str) -> None:
+        self._publisher, self._topic = publisher, topic
+
+    def send(self, data: bytes) -> None:
+        """A publisher takes bytes as a message that is serialized already."""
+        try:
+            self._publisher.publish(data)
+        except Exception as error:
+            # rclpy's own errors are of several modules of its C extension.
+            raise DeviceError(f"{self._topic}: not sent ({_reason(error)}); is ROS 2 still up?") from None
+
+    def listeners(self) -> int:
+        """Matched subscriptions."""
+        return int(self._publisher.get_subscription_count())
+
+
+class RclpyInlet:
+    """Meets the Inlet contract."""
+
+    def __init__(self, transport: RclpyTransport) -> None:
+        self._transport = transport
+        self._waiting: deque[Received] = deque(maxlen=DEPTH)
+
+    def put(self, data: bytes) -> None:
+        """Called by rclpy."""
+        self._waiting.append(Received(bytes(data), time.monotonic()))
+
+    def take(self) -> list[Received]:
+        """What was put, oldest first."""
+        if self._transport.failure is not None:
+            raise DeviceError(f"rclpy has stopped ({self._transport.failure}); start again")
+        taken = []
+        with contextlib.suppress(IndexError):
+            while True:
+                taken.append(self._waiting.popleft())
+        return taken
+
+
+def _class(kind: str) -> Any:
+    package, _, name = kind.split("/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), name)
+    except (ImportError, AttributeError):
+        raise RigError(f"ROS 2 has no {kind} here; build and source its package, or use transport: dds") from None
+
+
+def _reason(error: Exception) -> str:
+    return " ".join(str(error).split())[:160] or type(error).__name__

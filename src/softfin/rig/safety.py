@@ -1,0 +1,252 @@
+"""Safety: what the loop checks at every tick. Whatever is not as it should be stops the fin; nothing is clipped.
+
+The guard is pure but for what it remembers of the last moments: samples and targets go in, a reason to stop comes out.
+The drive has limits of its own below it (position, following error, current, heartbeat), and a watchdog stands above.
+"""
+
+import math
+from collections import deque
+from typing import NamedTuple, TypeAlias
+
+from pydantic import Field, PositiveFloat, model_validator
+
+from softfin.control.native.controller import TrainingRange
+from softfin.core.configuration import Configuration
+from softfin.core.quantities import Limits
+from softfin.rig.machine import Sample, Target
+from softfin.rig.reach import beyond
+
+OVERSHOOT_RAD = 0.15
+"""As far beyond the range of commands a fin may stand that was stopped in the middle of a fast stroke [rad]."""
+
+
+class SafetyConfig(Configuration):
+    """Limits; the defaults hold a fin like the paper's with room to spare (its force stays under 13 N, 7.3 rad/s)."""
+
+    angle_margin_rad: float = Field(default=OVERSHOOT_RAD, ge=0)
+    """The shaft may be beyond the range of commands by this [rad]: overshoot."""
+    velocity_rad_s: PositiveFloat = 10.0
+    """Fastest that the shaft may turn [rad/s]."""
+    acceleration_rad_s2: PositiveFloat = 200.0
+    """Most that the velocity may change, over 30 ms [rad/s2]; the drive's own ramp must not be steeper."""
+    force_peak_n: PositiveFloat = 30.0
+    """Most that any axis of the force may show at any time [N]."""
+    force_sustained_n: PositiveFloat = 15.0
+    """Most that the size of the force may be on average over `sustained_s` [N]."""
+    torque_peak_nm: PositiveFloat = 5.0
+    """Likewise of the torque [N m]."""
+    torque_sustained_nm: PositiveFloat = 3.0
+    current_peak_a: PositiveFloat | None = None
+    """Likewise of the motor's current [A]; None where the machine does not tell its current. A rig must say it."""
+    current_sustained_a: PositiveFloat | None = None
+    sustained_s: float = Field(default=0.5, ge=0.05, le=10)
+    """Time over which sustained values are averaged [s]."""
+    stale_s: float = Field(default=0.05, ge=0.02, le=1)
+    """Oldest reading of the angle that is acted on [s]."""
+    force_stale_s: float = Field(default=0.1, ge=0.02, le=1)
+    """Likewise of the force, whose filter is part of its age [s]."""
+    following_rad: PositiveFloat = 0.2
+    """Largest following error that may last for `following_s` [rad]; 0.01 in the virtual tank. A fin that is blocked
+    within a stroke of less than twice this shows in the current alone."""
+    following_s: float = Field(default=0.1, ge=0.02, le=2)
+    overrun_s: float = Field(default=0.05, ge=0.01, le=1)
+    """Latest that a tick may come [s]."""
+    watchdog_s: float = Field(default=0.15, ge=0.05, le=2)
+    """Longest silence of the loop after which another thread stops the machine [s]."""
+    training_margin: float | None = Field(default=0.5, ge=0)
+    """How far beyond the surrogate's training range angle, velocity and force may be on average over 1 s, in parts of
+    that range's width: further out nobody knows what the controller does. None does not look."""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "SafetyConfig":
+        for name in ("force", "torque", "current"):
+            unit = {"force": "n", "torque": "nm", "current": "a"}[name]
+            peak, sustained = getattr(self, f"{name}_peak_{unit}"), getattr(self, f"{name}_sustained_{unit}")
+            if (peak is None) != (sustained is None) or (peak is not None and sustained > peak):
+                raise ValueError(
+                    f"{name}_sustained_{unit} = {sustained} with {name}_peak_{unit} = {peak}: give both, the sustained "
+                    "one not above the peak"
+                )
+        return self
+
+
+class Trip(NamedTuple):
+    """Why the fin was stopped."""
+
+    cause: str
+    """A short name for records: ``force_peak``."""
+    reason: str
+    """One line for people, which ends in the way out."""
+
+
+ACCELERATION_TICKS = 3
+
+PAUSE_S = 1.0
+"""Two checks further apart than this are not of one motion [s]; within one, `overrun_s` allows no such gap."""
+
+
+class Guard:
+    """Looks at every tick; the first thing that is wrong is returned."""
+
+    def __init__(self, config: SafetyConfig, limits: Limits, trained: TrainingRange | None = None) -> None:
+        self.config, self.limits = config, limits
+        self.trained = trained if config.training_margin is not None else None
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the samples so far: what lasted before a pause of the motor has not lasted through it."""
+        config = self.config
+        self._force, self._torque = _Mean(config.sustained_s), _Mean(config.sustained_s)
+        self._current = _Mean(config.sustained_s)
+        self._outside = _Mean(1.0)
+        self._velocities: list[tuple[float, float]] = []
+        self._followed: float | None = None
+        self._checked: float | None = None
+
+    def check_target(self, target: Target) -> Trip | None:
+        """A command that is about to be issued."""
+        limits = self.limits
+        if not (math.isfinite(target.angle) and math.isfinite(target.velocity)):
+            return Trip(
+                "not_a_number",
+                f"the controller commanded angle {target.angle} rad, velocity {target.velocity} rad/s: no finite "
+                "number; its weights or what it was given are damaged: evaluate it in a surrogate first",
+            )
+        for name, unit, value, low, high in (
+            ("angle", "rad", target.angle, limits.angle_min, limits.angle_max),
+            ("velocity", "rad/s", target.velocity, limits.velocity_min, limits.velocity_max),
+        ):
+            if not low - 1e-3 <= value <= high + 1e-3:
+                return Trip(
+                    f"command_{name}",
+                    f"commanded {name} {value:.3f} {unit}: this fin takes {low:.3f} to {high:.3f} {unit}; "
+                    "train within them",
+                )
+        return None
+
+    def check(self, sample: Sample, now: float, late: float = 0.0) -> Trip | None:
+        """A sample that has just been read, `late` after its tick was due [s]."""
+        config = self.config
+        if self._checked is not None and now - self._checked > PAUSE_S:
+            self.restart()
+        self._checked = now
+        if sample.complaints:
+            return Trip("device", sample.complaints[0])
+        known = (value for value in (sample.current, sample.following_error) if value is not None)
+        numbers = (
+            sample.time,
+            sample.angle,
+            sample.velocity,
+            sample.force_time,
+            *sample.wrench,
+            *(sample.peak or ()),
+            *known,
+        )
+        if not all(map(math.isfinite, numbers)):
+            return Trip("reading", f"a reading is no finite number ({sample}); check cables and sensor")
+        if late > config.overrun_s:
+            return Trip(
+                "overrun",
+                f"the loop came {late * 1e3:.0f} ms late: at most {config.overrun_s * 1e3:.0f} ms (safety.overrun_s); "
+                "end other programs on this computer",
+            )
+        return self._stale(sample, now) or self._moving(sample) or self._loaded(sample, now) or self._known(sample, now)
+
+    def _stale(self, sample: Sample, now: float) -> Trip | None:
+        for what, age, most, way_out in (
+            ("angle", now - sample.time, self.config.stale_s, "check the drive's cable and supply"),
+            ("force", now - sample.force_time, self.config.force_stale_s, "check the sensor's cable and network"),
+        ):
+            # A time that lies ahead tells as little: what never grows old would never be missed.
+            if abs(age) > most:
+                return Trip(
+                    f"{what}_stale", f"no new {what} for {age * 1e3:.0f} ms: at most {most * 1e3:.0f} ms; {way_out}"
+                )
+        return None
+
+    def _moving(self, sample: Sample) -> Trip | None:
+        config, limits = self.config, self.limits
+        low, high = limits.angle_min - config.angle_margin_rad, limits.angle_max + config.angle_margin_rad
+        if not low <= sample.angle <= high:
+            return Trip("angle", f"the shaft is at {sample.angle:.3f} rad, beyond {low:.3f} to {high:.3f} rad; "
+                        "turn it back, and see that its zero is right (softfin rig zero)")  # fmt: skip
+        if abs(sample.velocity) > config.velocity_rad_s:
+            return Trip("velocity", f"the shaft turns at {sample.velocity:.2f} rad/s: at most "
+                        f"{config.velocity_rad_s:g} (safety.velocity_rad_s); is the gear ratio right?")  # fmt: skip
+        rate = self._acceleration(sample)
+        if rate > config.acceleration_rad_s2:
+            return Trip("acceleration", f"the shaft's velocity changed by {rate:.0f} rad/s2: at most "
+                        f"{config.acceleration_rad_s2:g} (safety.acceleration_rad_s2); was it hit?")  # fmt: skip
+        error = sample.following_error
+        if error is None or abs(error) <= config.following_rad:
+            self._followed = None
+        elif self._followed is None:
+            self._followed = sample.time
+        elif sample.time - self._followed > config.following_s:
+            return Trip("following", f"the shaft is {error:.3f} rad behind its profile for {config.following_s:g} s: "
+                        f"at most {config.following_rad:g} rad; is it blocked, or the load too high?")  # fmt: skip
+        return None
+
+    def _acceleration(self, sample: Sample) -> float:
+        if not self._velocities or sample.time > self._velocities[-1][0]:
+            self._velocities = [*self._velocities[-ACCELERATION_TICKS:], (sample.time, sample.velocity)]
+        (start, before), (end, after) = self._velocities[0], self._velocities[-1]
+        return abs(after - before) / (end - start) if len(self._velocities) > ACCELERATION_TICKS else 0.0
+
+    def _loaded(self, sample: Sample, now: float) -> Trip | None:
+        config = self.config
+        sizes, wrench = sample.peak or sample.wrench, sample.wrench
+        loads: list[tuple[str, str, _Values, _Values, _Mean, float, float]] = [
+            ("force", "N", sizes[:3], wrench[:3], self._force, config.force_peak_n, config.force_sustained_n),
+            ("torque", "N m", sizes[3:], wrench[3:], self._torque, config.torque_peak_nm, config.torque_sustained_nm),
+        ]
+        if config.current_peak_a is not None and config.current_sustained_a is not None and sample.current is not None:
+            peak, sustained = config.current_peak_a, config.current_sustained_a
+            now_a = (sample.current,)
+            loads.append(("current", "A", now_a, now_a, self._current, peak, sustained))
+        for name, unit, largest, values, mean, peak, sustained in loads:
+            worst = max(map(abs, largest))
+            if worst > peak:
+                return Trip(f"{name}_peak", f"{name} {worst:.2f} {unit}: at most {peak:g} {unit} at any time; "
+                            "look for what the fin touches")  # fmt: skip
+            average = mean.after(now, math.hypot(*values))
+            if average > sustained:
+                return Trip(f"{name}_sustained", f"{name} {average:.2f} {unit} on average over "
+                            f"{config.sustained_s:g} s: at most {sustained:g} {unit}; ask for less")  # fmt: skip
+        return None
+
+    def _known(self, sample: Sample, now: float) -> Trip | None:
+        margin = self.config.training_margin
+        if self.trained is None or margin is None:
+            return None
+        furthest, channel = beyond(self.trained, sample)
+        average = self._outside.after(now, furthest)
+        if average > margin:
+            return Trip("beyond_training", f"{channel} was {average:.2f} of its range beyond what the surrogate "
+                        f"learnt from, for 1 s: at most {margin:g} (safety.training_margin); fit anew")  # fmt: skip
+        return None
+
+
+_Values: TypeAlias = tuple[float, ...]
+
+
+class _Mean:
+    """Over the last seconds; 0 until so many have passed."""
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds = seconds
+        self._items: deque[tuple[float, float]] = deque()
+        self._began: float | None = None
+
+    def after(self, now: float, value: float) -> float:
+        """The mean with one more value."""
+        if self._began is None or now - self._items[-1][0] > self.seconds:
+            # A pause, as between two logs: what was before says nothing of now.
+            self._items.clear()
+            self._began = now
+        self._items.append((now, value))
+        while self._items[0][0] < now - self.seconds:
+            self._items.popleft()
+        if now - self._began < self.seconds:
+            return 0.0
+        return sum(value for _, value in self._items) / len(self._items)

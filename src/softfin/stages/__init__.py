@@ -1,0 +1,1 @@
+"""The stages of the main job as functions of folders: the Python API."""

@@ -1,0 +1,312 @@
+"""Folders on disk that describe themselves: a JSON beside ``weights.safetensors``, written whole or not at all.
+
+A folder is written beside its place, reaches the disk, and is exchanged with what is there in one step, so a crash
+leaves the old one or the new one. Whoever reads writes nothing. No pickle.
+NumPy and safetensors are imported where weights are read or written: the command line looks at folders without them.
+"""
+
+import contextlib
+import ctypes
+import errno
+import importlib.metadata
+import itertools
+import json
+import math
+import os
+import platform
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from softfin.core.errors import ArtifactError, RunError
+from softfin.core.files import parse_json, read_bytes, regular_file
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Array: TypeAlias = NDArray[Any]
+else:
+    Array = Any
+
+Weights = Mapping[str, Array]
+
+WEIGHTS = "weights.safetensors"
+
+LARGEST_JSON = 64 * 2**20
+LARGEST_WEIGHTS = 2**30
+"""Bytes; a dataset of 300,000 logs, a grid of 1,000 policies of the paper's size."""
+
+KINDS = (
+    "dataset", "surrogate", "controller", "controllers", "evaluation", "reproduction", "calibration", "comparison",
+    "inspection", "map", "baselines",
+)  # fmt: skip
+"""Of folders, each told by its ``KIND.json``."""
+
+
+def check_vacant(path: Path, overwrite: bool = False) -> None:
+    """Raise ArtifactError unless a folder may be written at `path`: vacant, or a softfin folder and `overwrite`.
+
+    To be called before the work whose result is written there: a place that cannot be written is refused as well.
+    """
+    check_writable(path)
+    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+        if not overwrite:
+            raise ArtifactError(f"{path}: exists already; give another --out, or --overwrite to replace it")
+        if not path.is_dir() or not any(is_kind(path, kind) for kind in KINDS):
+            raise ArtifactError(
+                f"{path}: exists and is no folder of softfin's, so it is not replaced; give another --out"
+            )
+
+
+def check_writable(path: Path) -> None:
+    """Raise ArtifactError unless a file or folder can be made at `path`; tried, since rights do not tell all."""
+    parent = path.absolute().parent
+    while not parent.exists():
+        parent = parent.parent
+    try:
+        Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=parent)).rmdir()
+    except OSError as error:
+        raise ArtifactError(f"{path}: cannot be written ({parent}: {error.strerror}); give another --out") from None
+
+
+def is_kind(path: Path, kind: str) -> bool:
+    """Whether `path` holds a ``KIND.json``."""
+    return (path / f"{kind}.json").is_file()
+
+
+def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = False) -> None:
+    """Let `write` fill a folder beside `path`, then put it in its place in one step; `overwrite` replaces a folder.
+
+    Raises:
+        ArtifactError: something is there that is not to be replaced, or the place cannot be written.
+        RunError: the folder cannot be written, or not put in its place; once filled, it is kept, and the message says
+            where.
+    """
+    check_vacant(path, overwrite)
+    path = path.resolve()
+    beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        shutil.rmtree(beside, ignore_errors=True)
+        beside.mkdir(parents=True)
+        write(beside)
+        for place in (*beside.rglob("*"), beside):
+            _sync(place)
+    except BaseException as error:
+        shutil.rmtree(beside, ignore_errors=True)
+        if isinstance(error, OSError):
+            raise RunError(f"{path}: cannot be written ({error.strerror or error}); what was there is left") from None
+        raise
+    try:
+        check_vacant(path, overwrite)
+        if path.exists():
+            _exchange(beside, path)
+        else:
+            beside.rename(path)
+        _sync(path.parent)
+    except (OSError, ArtifactError) as error:
+        kept = _unused(path, "finished")
+        beside.rename(kept)
+        reason = f"cannot be written ({error.strerror or error})" if isinstance(error, OSError) else "is in use by now"
+        raise RunError(f"{path}: {reason}; the finished result is in {kept}: move it where it is wanted") from None
+    shutil.rmtree(beside, ignore_errors=True)
+
+
+def _unused(path: Path, word: str) -> Path:
+    names = (path.with_name(f"{path.name}.{word}-{number}") for number in itertools.count(1))
+    return next(name for name in names if not name.exists())
+
+
+def _exchange(one: Path, other: Path) -> None:
+    """Swap two folders in one step; where the system has no such call, by three renames, of which no step loses one."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    names = os.fsencode(one), os.fsencode(other)
+    if hasattr(libc, "renameat2"):
+        failed = libc.renameat2(AT_FDCWD, names[0], AT_FDCWD, names[1], RENAME_EXCHANGE)
+    elif hasattr(libc, "renamex_np"):
+        failed = libc.renamex_np(*names, RENAME_EXCHANGE)
+    else:
+        failed, _ = -1, ctypes.set_errno(errno.ENOSYS)
+    if not failed:
+        return
+    if ctypes.get_errno() not in (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP):
+        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()), str(other))
+    before = _unused(other, "before")
+    other.rename(before)
+    one.rename(other)
+    before.rename(one)
+
+
+AT_FDCWD, RENAME_EXCHANGE = -100, 2
+"""Of Linux's renameat2(2); macOS's renamex_np takes the same flag."""
+
+
+def _sync(place: Path) -> None:
+    """Have a file or folder on the disk, so that a cut of power does not leave a name without its content."""
+    descriptor = os.open(place, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        # Some file systems cannot do so with folders, and do it by themselves.
+        if not (place.is_dir() and error.errno in (errno.EINVAL, errno.ENOTSUP, errno.EBADF)):
+            raise
+    finally:
+        os.close(descriptor)
+
+
+def write_file(path: Path, data: bytes | str) -> None:
+    """Write a file beside its place and, once it is on the disk, rename it into it."""
+    beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        beside.unlink(missing_ok=True)
+        # Never through a link that somebody put there.
+        with beside.open("xb") as file:
+            file.write(data if isinstance(data, bytes) else data.encode())
+        _sync(beside)
+        beside.replace(path)
+        _sync(path.parent)
+    except OSError as error:
+        raise RunError(f"{path}: cannot be written ({error.strerror or error})") from None
+    finally:
+        with contextlib.suppress(OSError):
+            beside.unlink()
+
+
+def save(
+    path: Path,
+    kind: str,
+    description: Mapping[str, Any],
+    weights: Weights,
+    also: Callable[[Path], None] | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Write ``KIND.json``, the weights and what `also` adds as one folder; likewise."""
+
+    def write(folder: Path) -> None:
+        # Bytes through Path: safetensors' own writer hides a full disk, and makes files that others cannot read.
+        (folder / WEIGHTS).write_bytes(encode(weights))
+        (folder / f"{kind}.json").write_text(dump_json(description))
+        if also is not None:
+            also(folder)
+
+    write_folder(path, write, overwrite)
+
+
+def encode(weights: Weights, metadata: dict[str, str] | None = None) -> bytes:
+    """Arrays by name as safetensors."""
+    import numpy as np
+    import safetensors.numpy
+
+    return safetensors.numpy.save({name: np.asarray(array, order="C") for name, array in weights.items()}, metadata)
+
+
+def load(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Array]]:
+    """The description and the weights of a folder that `save` wrote; raises ArtifactError for anything else."""
+    import safetensors.numpy
+
+    description = load_description(path, kind)
+    try:
+        regular_file(path / WEIGHTS, LARGEST_WEIGHTS)
+        weights = safetensors.numpy.load_file(path / WEIGHTS)
+        for name, array in weights.items():
+            if array.dtype.kind not in "fiu":
+                raise ValueError(f"{name[:80]!r} is of type {array.dtype}")
+    except FileNotFoundError:
+        raise ArtifactError(f"{path / WEIGHTS}: missing; copy the whole folder again") from None
+    except OSError as error:
+        raise ArtifactError(f"{path / WEIGHTS}: cannot be read ({error.strerror or error}); copy it again") from None
+    # Of bfloat16 and float8, which NumPy has not, safetensors says KeyError, AttributeError or TypeError.
+    except (safetensors.SafetensorError, ValueError, KeyError, AttributeError, TypeError, OverflowError) as error:
+        raise ArtifactError(f"{path / WEIGHTS}: truncated or damaged ({error}); copy it again") from None
+    return description, weights
+
+
+def load_description(path: Path, kind: str) -> dict[str, Any]:
+    """The JSON of a folder of one kind: dataset, surrogate, controller."""
+    return read_json(find_description(path, kind))
+
+
+def find_description(path: Path, kind: str) -> Path:
+    """The file that describes a folder of one kind; raises ArtifactError where `path` is no such folder."""
+    file = path / f"{kind}.json"
+    if not path.is_dir():
+        raise ArtifactError(f"{path}: no such folder; it should be a {kind}, a folder with a {kind}.json")
+    if not file.is_file():
+        raise ArtifactError(f"{path}: not a {kind}: it holds no {kind}.json")
+    return file
+
+
+def read_json(file: Path) -> dict[str, Any]:
+    """The object in a JSON file of softfin's."""
+    try:
+        description = parse_json(read_bytes(file, LARGEST_JSON))
+    except OSError as error:
+        raise ArtifactError(f"{file}: cannot be read ({error.strerror or error}); copy it again") from None
+    except ValueError as error:
+        raise ArtifactError(f"{file}: not readable as JSON ({error}); copy it again") from None
+    if not isinstance(description, dict):
+        raise ArtifactError(f"{file}: holds no object; it was not written by softfin")
+    return description
+
+
+def dump_json(value: Any) -> str:
+    """Indented JSON with a final newline, of what `plain` makes of a value."""
+    return json.dumps(plain(value), indent=2, allow_nan=False) + "\n"
+
+
+def plain(value: Any) -> Any:
+    """What JSON can say of a value: arrays as lists, numbers that are not finite as null, anything unknown as text.
+
+    JSON has no infinity and no NaN, and a result must not be lost because one number in it is missing.
+    """
+    if isinstance(value, Mapping):
+        return {name: plain(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(each) for each in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, str | int):
+        return value
+    return plain(value.tolist()) if hasattr(value, "tolist") else str(value)
+
+
+def provenance(**facts: Any) -> dict[str, Any]:
+    """Where an artifact comes from: the given facts, versions, git commit, time."""
+    return {
+        **facts,
+        "softfin": importlib.metadata.version("softfin"),
+        "jax": _version("jax"),
+        "numpy": _version("numpy"),
+        "python": platform.python_version(),
+        "git_commit": _git_commit(),
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+
+
+def _version(package: str) -> str | None:
+    """None on a computer that runs controllers without it."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def _git_commit() -> str | None:
+    """Of the checkout that softfin runs from, with ``+`` when it has uncommitted changes; None outside one."""
+
+    def git(*words: str) -> str:
+        run = subprocess.run(
+            ["git", *words], cwd=Path(__file__).parent, capture_output=True, text=True, check=True, timeout=5
+        )
+        return run.stdout.strip()
+
+    try:
+        # An environment inside somebody's repository is no checkout of softfin.
+        git("ls-files", "--error-unmatch", Path(__file__).name)
+        return git("describe", "--always", "--dirty=+", "--abbrev=12", "--exclude=*") or None
+    except (OSError, subprocess.SubprocessError):
+        return None

@@ -1,0 +1,237 @@
+"""Live recording as a ROS 2 bag in MCAP: the loop hands rows in and never waits; a thread of its own writes them.
+
+Every `flush_s` the rows so far are closed as a chunk, written and synchronised to the disk, so a kill or a cut of power
+loses what came since. What is in the file is at any time a beginning of a whole bag: `softfin bag recover` ends it.
+"""
+
+import contextlib
+import importlib.metadata
+import os
+import queue
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+from softfin.core.clock import REAL, Clock
+from softfin.core.errors import LogError, RunError
+from softfin.storage.bag.messages import COMMAND, CURRENT, EVENTS, JOINT, REFERENCE, SECOND_NS, WRENCH, BagWriter, Row
+
+POLL_S = 0.05
+"""Between two looks at the queue [s]: so few rows at a time hold the loop up by tenths of a millisecond at most."""
+
+BACKLOG = 50_000
+"""Rows that may wait for the disk: two minutes at 400 a second, some 20 MB."""
+
+PENDING_BYTES = 50_000_000
+"""What a full disk may leave unwritten in memory; beyond it rows are dropped and counted."""
+
+STALL_S = 5.0
+"""A disk that takes longer than this for one synchronisation keeps no promise [s]."""
+
+CLOSE_S = 10.0
+"""What `close` waits for the thread at most [s]."""
+
+APART_S = 1e-6
+"""Between two commands at least [s]: in simulated time two may come at one moment, and their order must be seen."""
+
+Values = tuple[float, ...] | str
+
+
+class BagRecorder:
+    """A bag that grows while the fin moves; one thread hands rows in, times are of `clock`.
+
+    Stamps are `clock` plus what the wall clock was ahead of it at the start: a jump of the wall clock harms nothing.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        flush_s: float = 0.5,
+        reserve_bytes: int = 50_000_000,
+        clock: Clock = REAL,
+    ) -> None:
+        """Create the file, and its folder; raises LogError where it exists, RunError where it cannot be written."""
+        self.path = path
+        self._flush_s, self._reserve, self._clock = flush_s, reserve_bytes, clock
+        self._offset_ns = round((clock.wall() - clock()) * SECOND_NS)
+        self._queue: queue.SimpleQueue[tuple[str, float, Values]] = queue.SimpleQueue()
+        self._pending = _Pending()
+        self._failure: str | None = None
+        self._dropped = 0
+        self._bag = BagWriter(self._pending, f"softfin {importlib.metadata.version('softfin')}")
+        self._file = _create(path)
+        self._flushed = clock()
+        self._began: float | None = None
+        self._commanded = -float("inf")
+        self._closing = clock.event()
+        try:
+            # Whoever opens the file before the first row finds a bag, and a disk without room is known before a motion.
+            self._flush()
+            if self._failure is not None:
+                raise RunError(self._failure)
+        except BaseException:
+            os.close(self._file)
+            path.unlink(missing_ok=True)
+            raise
+        self._thread = clock.spawn(self._work, "bag recorder")
+
+    def __enter__(self) -> "BagRecorder":
+        return self
+
+    def __exit__(self, *reason: object) -> None:
+        self.close()
+
+    @property
+    def failure(self) -> str | None:
+        """Why this is no whole recording, in one line that ends in the way out; None as long as all is well."""
+        began = self._began
+        if began is not None and self._clock() - began > STALL_S:
+            self._fail(f"the disk has taken no rows for {STALL_S:g} s", "record on a faster disk")
+        return self._failure
+
+    @property
+    def written(self) -> dict[str, int]:
+        """Messages by topic, of those that are in the file or wait for its disk."""
+        return dict(self._bag.written)
+
+    @property
+    def dropped(self) -> int:
+        """Messages that are not in the file: handed in after a failure, or after `close`."""
+        return self._dropped
+
+    def command(self, time: float, angle: float, velocity: float) -> None:
+        """What the drive was asked to do [rad, rad/s]; the later one of two at one moment is written a little later."""
+        self._commanded = max(time, self._commanded + APART_S)
+        self._hand_in(COMMAND, self._commanded, (angle, velocity))
+
+    def joint(self, time: float, angle: float, velocity: float, current: float | None) -> None:
+        """Where the shaft was [rad, rad/s], and the motor's current [A] if it is known."""
+        self._hand_in(JOINT, time, (angle, velocity))
+        if current is not None:
+            self._hand_in(CURRENT, time, (current,))
+
+    def wrench(self, time: float, wrench: Sequence[float]) -> None:
+        """Force [N] and torque [N m] of the fin on its mount, (x, y, z) each."""
+        self._hand_in(WRENCH, time, tuple(wrench))
+
+    def reference(self, time: float, force: Sequence[float]) -> None:
+        """The force that was asked for, (x, y) [N]."""
+        self._hand_in(REFERENCE, time, (*force, 0.0, 0.0, 0.0, 0.0))
+
+    def event(self, time: float, text: str) -> None:
+        """Anything that happened, in words."""
+        self._hand_in(EVENTS, time, text)
+
+    def close(self) -> None:
+        """Write what is left, the index and the end; any number of times, never raises, `failure` tells the rest."""
+        if self._closing.is_set():
+            return
+        self._closing.set()
+        self._thread.join(CLOSE_S)
+        self._dropped += self._queue.qsize()
+        if self._thread.is_alive():
+            self._fail(f"the disk did not end the file within {CLOSE_S:g} s", f"softfin bag recover {self.path}")
+
+    def _hand_in(self, topic: str, time: float, values: Values) -> None:
+        if self._closing.is_set() or self._queue.qsize() >= BACKLOG:
+            self._dropped += 1
+            if not self._closing.is_set():
+                self._fail(f"{BACKLOG:,} rows wait for the disk", "record on a faster disk")
+            return
+        self._queue.put((topic, time, values))
+
+    def _work(self) -> None:
+        try:
+            while not self._closing.wait(POLL_S):
+                self._take()
+                if self._clock() - self._flushed >= self._flush_s:
+                    self._flush()
+            self._take()
+            self._flush(end=True)
+        except Exception as error:
+            # Whatever it is, the loop must learn of it and go on to stop the fin.
+            self._fail(f"{type(error).__name__}: {' '.join(str(error).split())}", f"softfin bag recover {self.path}")
+        finally:
+            with contextlib.suppress(OSError):
+                os.close(self._file)
+
+    def _take(self) -> None:
+        for _ in range(self._queue.qsize()):
+            topic, seconds, values = self._queue.get()
+            if len(self._pending) > PENDING_BYTES:
+                self._dropped += 1
+                continue
+            try:
+                self._bag.write(Row(topic, self._offset_ns + round(seconds * SECOND_NS), values))
+            except Exception as error:
+                self._dropped += 1
+                self._fail(f"{topic} cannot be {values!r:.100} ({error})", "report this, it is a defect of softfin")
+
+    def _flush(self, end: bool = False) -> None:
+        (self._bag.finish if end else self._bag.flush)()
+        self._began = self._clock()
+        try:
+            if shutil.disk_usage(self.path.parent).free < self._reserve:
+                # Said while there is room for the stop, the events and the end of the file.
+                self._fail(f"less than {self._reserve / 1e6:g} MB of the disk are free", "make room")
+            self._pending.write_to(self._file)
+            os.fsync(self._file)
+        except OSError as error:
+            # What could not be written stays pending: the next flush goes on from there, should room be made.
+            self._fail(error.strerror or str(error), f"make room on its disk; softfin bag recover {self.path}")
+        self._began, self._flushed = None, self._clock()
+
+    def _fail(self, reason: str, way_out: str) -> None:
+        if self._failure is None:
+            self._failure = f"{self.path}: the recording fails: {reason}; what was written stays; {way_out}"
+
+
+class _Pending:
+    """The stream that the bag is written to: bytes that wait for the disk."""
+
+    def __init__(self) -> None:
+        self._bytes = bytearray()
+        self._gone = 0
+
+    def __len__(self) -> int:
+        return len(self._bytes)
+
+    def write(self, data: bytes) -> int:
+        self._bytes += data
+        return len(data)
+
+    def tell(self) -> int:
+        return self._gone + len(self._bytes)
+
+    def flush(self) -> None:
+        """Nothing: `write_to` is called when it is time."""
+
+    def write_to(self, file: int) -> None:
+        """Let the disk take them; raises OSError, and keeps what it did not take."""
+        while self._bytes:
+            taken = os.write(file, self._bytes)
+            del self._bytes[:taken]
+            self._gone += taken
+
+
+def _create(path: Path) -> int:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o644)
+    except FileExistsError:
+        raise LogError(f"{path}: exists already, recordings are never overwritten; give another name") from None
+    except OSError as error:
+        raise RunError(f"{path}: cannot be written ({error.strerror or error}); record elsewhere") from None
+    _sync_folder(path.parent)
+    return file
+
+
+def _sync_folder(folder: Path) -> None:
+    """Without it a cut of power may take the file's name."""
+    with contextlib.suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

@@ -1,0 +1,101 @@
+"""A dataset: a folder of Parquet logs, ``train/`` to learn from and ``test/`` to score on, with a ``dataset.json``.
+
+Whoever puts own logs there needs no more than ``{}`` in ``dataset.json``; `write_dataset` adds what is known of them.
+"""
+
+import dataclasses
+import hashlib
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from softfin.core.errors import ArtifactError
+from softfin.core.files import regular_file
+from softfin.core.quantities import RATE_HZ, Log
+from softfin.storage import artifact as artifacts
+from softfin.storage.log_file import encode_log, read_log
+from softfin.storage.parquet_file import MOST_BYTES
+from softfin.storage.paths import PARTS
+
+
+@dataclasses.dataclass(frozen=True)
+class Dataset:
+    """The logs of a folder; opening it reads and compares every file's hash, but no rows."""
+
+    path: Path
+    train: tuple[Path, ...]
+    """Logs to learn from, at least one."""
+    test: tuple[Path, ...]
+    """Logs to score on, recorded apart; none in a dataset that is only learnt from."""
+    description: dict[str, Any]
+    """``dataset.json``: rate_hz, files, data_hash, and what the writer added (configuration, plant, provenance)."""
+    data_hash: str
+    """SHA-256 over the names and contents of all logs: a surrogate names its data by it."""
+
+    @classmethod
+    def open(cls, path: Path) -> "Dataset":
+        """Raises ArtifactError for a folder that is no dataset, lacks logs, or changed since it was written."""
+        description = artifacts.load_description(path, "dataset")
+        hashes = _hash_files(path)
+        _check_files(path, description.get("files"), hashes)
+        train, test = (tuple(path / name for name in hashes if name.startswith(f"{part}/")) for part in PARTS)
+        if not train:
+            raise ArtifactError(f"{path}: holds no logs to learn from; put Parquet logs into {path / 'train'}")
+        return cls(path, train, test, description, _hash_of(hashes))
+
+    def load(self, paths: Sequence[Path]) -> Iterator[Log]:
+        """Read logs one by one; raises LogError for one that cannot be learnt from."""
+        return (read_log(path) for path in paths)
+
+
+def write_dataset(
+    path: Path, train: Iterable[Log], test: Iterable[Log], facts: dict[str, Any], overwrite: bool = False
+) -> Dataset:
+    """Write logs, taken one by one, as a dataset; `facts` go into ``dataset.json``."""
+
+    def write(folder: Path) -> None:
+        for (part, digits), logs in zip(PARTS.items(), (train, test), strict=True):
+            (folder / part).mkdir()
+            for index, log in enumerate(logs):
+                name = f"{part}/{index:0{digits}d}.parquet"
+                (folder / name).write_bytes(encode_log(log, str(path / name)))
+        hashes = _hash_files(folder)
+        description = {"rate_hz": RATE_HZ, **facts, "data_hash": _hash_of(hashes), "files": hashes}
+        (folder / "dataset.json").write_text(artifacts.dump_json(description))
+
+    artifacts.write_folder(path, write, overwrite)
+    return Dataset.open(path)
+
+
+def _hash_files(path: Path) -> dict[str, str]:
+    """SHA-256 of each log by its name within the folder, in order."""
+    files = sorted(file for part in PARTS for file in (path / part).glob("*.parquet"))
+    return {file.relative_to(path).as_posix(): _hash_file(file) for file in files}
+
+
+def _hash_file(file: Path) -> str:
+    try:
+        with regular_file(file, MOST_BYTES).open("rb") as content:
+            return hashlib.file_digest(content, "sha256").hexdigest()
+    except OSError as error:
+        raise ArtifactError(f"{file}: cannot be read ({error.strerror}); copy it again") from None
+
+
+def _hash_of(hashes: dict[str, str]) -> str:
+    lines = "".join(f"{name} {digest}\n" for name, digest in hashes.items())
+    return hashlib.sha256(lines.encode()).hexdigest()
+
+
+def _check_files(path: Path, listed: Any, found: dict[str, str]) -> None:
+    if listed is None:
+        return
+    if not isinstance(listed, dict):
+        raise ArtifactError(f"{path / 'dataset.json'}: 'files' must map names to hashes; take it out to list nothing")
+    way_out = "copy the dataset again, or take 'files' out of its dataset.json to take the logs as they are"
+    for name in sorted(listed.keys() | found.keys()):
+        if name not in found:
+            raise ArtifactError(f"{path / name}: missing, though dataset.json lists it; {way_out}")
+        if name not in listed:
+            raise ArtifactError(f"{path / name}: not among the files that dataset.json lists; {way_out}")
+        if listed[name] != found[name]:
+            raise ArtifactError(f"{path / name}: truncated or changed since dataset.json was written; {way_out}")

@@ -1,0 +1,165 @@
+"""One log as one Parquet file: seven named columns, checked whole when written and when read.
+
+A Log goes in and the same Log comes out; whatever cannot be learnt from raises a LogError that says where and why.
+"""
+
+import difflib
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from softfin.core.errors import LogError
+from softfin.core.quantities import RATE_HZ, TICK_S, Command, Log, Reading
+from softfin.storage import artifact as artifacts
+from softfin.storage.parquet_file import damaged, open_parquet
+
+SCHEMA = pa.schema(
+    [
+        # float64: a float32 resolves 10 ms no more after 36 hours, and the clock of a computer (1.7e9 s) not at all.
+        pa.field("time_s", pa.float64()),
+        pa.field("command_angle_rad", pa.float32()),
+        pa.field("command_velocity_rad_s", pa.float32()),
+        pa.field("angle_rad", pa.float32()),
+        pa.field("velocity_rad_s", pa.float32()),
+        pa.field("force_x_n", pa.float32()),
+        pa.field("force_y_n", pa.float32()),
+    ]
+)
+
+RATE_TOLERANCE = 0.01
+"""Relative error of the mean rate that is still 100 Hz."""
+
+Columns = dict[str, NDArray[np.floating]]
+
+
+def write_log(path: Path, log: Log) -> None:
+    """Write a log; raises LogError, and writes nothing, where `read_log` would refuse it."""
+    artifacts.write_file(path, encode_log(log, str(path)))
+
+
+def encode_log(log: Log, source: str) -> bytes:
+    """The bytes of a log's file; raises LogError, under the name `source`, where `read_log` would refuse it."""
+    columns = _columns(log)
+    check_columns(columns, source)
+    sink = pa.BufferOutputStream()
+    pq.write_table(pa.table(columns, schema=SCHEMA), sink, compression="zstd", write_page_checksum=True)
+    data: bytes = sink.getvalue().to_pybytes()
+    return data
+
+
+def read_log(path: Path) -> Log:
+    """Read a log, as NumPy arrays; raises LogError naming file, row, column, value and way out."""
+    columns = _read_columns(path)
+    check_columns(columns, str(path))
+    command = Command(columns["command_angle_rad"], columns["command_velocity_rad_s"])
+    force = np.stack([columns["force_x_n"], columns["force_y_n"]], axis=1)
+    return Log(command, Reading(columns["time_s"], columns["angle_rad"], columns["velocity_rad_s"], force))
+
+
+def check_columns(columns: Columns, source: str) -> None:
+    """Raise LogError unless the columns hold rows, finite values and a steady 100 Hz clock."""
+    if not columns["time_s"].size:
+        raise LogError(f"{source}: empty: it has no rows; record it again")
+    for name, values in columns.items():
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise LogError(
+                f"{source}: row {bad[0]}, column {name}: {values[bad[0]]} ({_count(bad.size)} in this column); "
+                "cut these rows off, or split the log around them"
+            )
+    _check_clock(columns["time_s"], source)
+
+
+def _check_clock(time: NDArray[np.floating], source: str) -> None:
+    steps = np.diff(time)
+    if not steps.size:
+        return
+    backward = np.flatnonzero(steps <= 0)
+    if backward.size:
+        row = backward[0] + 1
+        raise LogError(
+            f"{source}: row {row}, column time_s: {time[row]:.4f} s repeats or precedes row {row - 1} "
+            f"({time[row - 1]:.4f} s); remove repeated rows, sort by time_s"
+        )
+    # The median first: at a wrong rate every step would be called a gap.
+    if not 0.5 < np.median(steps) / TICK_S < 1.5:
+        raise _wrong_rate(1 / float(np.median(steps)), source)
+    uneven = np.flatnonzero(np.abs(steps - TICK_S) > 0.5 * TICK_S)
+    if uneven.size:
+        row = uneven[0] + 1
+        raise LogError(
+            f"{source}: row {row}, column time_s: {steps[row - 1] * 1e3:.1f} ms after row {row - 1}, must be 10 ms "
+            f"({_count(uneven.size)} in this log); split the log there, or record it again"
+        )
+    mean_rate = steps.size / float(time[-1] - time[0])
+    # A handful of rows on a clock with jitter tells no rate.
+    if steps.size >= RATE_HZ and abs(mean_rate / RATE_HZ - 1) > RATE_TOLERANCE:
+        raise _wrong_rate(mean_rate, source)
+
+
+def _wrong_rate(rate: float, source: str) -> LogError:
+    return LogError(f"{source}: column time_s: {rate:.2f} Hz, must be {RATE_HZ} Hz; resample it, time_s is in seconds")
+
+
+def _count(number: int) -> str:
+    return "the only one" if number == 1 else f"the first of {number}"
+
+
+def _columns(log: Log) -> Columns:
+    command, reading = log
+    values = {
+        "time_s": reading.time,
+        "command_angle_rad": command.angle,
+        "command_velocity_rad_s": command.velocity,
+        "angle_rad": reading.angle,
+        "velocity_rad_s": reading.velocity,
+        "force_x_n": reading.force[..., 0],
+        "force_y_n": reading.force[..., 1],
+    }
+    return {field.name: np.asarray(values[field.name], field.type.to_pandas_dtype()) for field in SCHEMA}
+
+
+def _read_columns(path: Path) -> Columns:
+    file = open_parquet(path)
+    _check_names(file.schema_arrow.names, path)
+    try:
+        with file:
+            table = file.read()
+    except (pa.ArrowException, OSError) as error:
+        raise damaged(path, error) from None
+    return {field.name: _values(table, field, path) for field in SCHEMA}
+
+
+def _check_names(names: list[str], path: Path) -> None:
+    allowed = f"a log has {', '.join(SCHEMA.names)}"
+    twice = [name for name, count in Counter(names).items() if count > 1]
+    if twice:
+        raise LogError(f"{path}: column {twice[0]!r} is there twice; {allowed}")
+    missing = [name for name in SCHEMA.names if name not in names]
+    unknown = [name for name in names if name not in SCHEMA.names]
+    for name in missing:
+        near = difflib.get_close_matches(name, unknown, n=1)
+        hint = f"rename {near[0]!r} to it; " if near else ""
+        raise LogError(f"{path}: column {name!r} is missing; {hint}{allowed}")
+    for name in unknown:
+        near = difflib.get_close_matches(name, SCHEMA.names, n=1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        raise LogError(f"{path}: unknown column {name!r}; {hint}remove it; {allowed}")
+
+
+def _values(table: pa.Table, field: pa.Field, path: Path) -> NDArray[np.floating]:
+    column = table.column(field.name)
+    if column.type != field.type:
+        raise LogError(f"{path}: column {field.name} is {column.type}, must be {field.type}; cast it")
+    if column.null_count:
+        row = column.is_null().index(True).as_py()
+        raise LogError(
+            f"{path}: row {row}, column {field.name}: no value ({_count(column.null_count)} in this column); "
+            "cut these rows off, or split the log around them"
+        )
+    values: NDArray[np.floating] = column.to_numpy()
+    return values

@@ -1,0 +1,132 @@
+"""Files and folders that a user names, looked at before any work; without NumPy and JAX, so a slip is told at once."""
+
+import errno
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Literal
+
+from softfin.core.errors import ArtifactError, ConfigurationError, LogError, RigError, SoftfinError
+from softfin.core.files import regular_file
+from softfin.storage import artifact as artifacts
+
+CSV = (".csv", ".tsv", ".txt")
+PARQUET = (".parquet",)
+PARTS = {"train": 4, "test": 3}
+"""The sub-folders of a dataset, and the digits in the names of their logs."""
+
+VIEWS = (".gif", ".mp4", ".html", ".png")
+"""What a view is written as."""
+
+RIG_FILE, ROS2_FILE = Path("rig.yaml"), Path("ros2.yaml")
+
+RIG_HINTS = {
+    "rig": "docs/rig.md has one with comments, and softfin rig emulate writes one of its own",
+    "ros2": "docs/rig.md has one with comments",
+}
+
+
+def check_readable(
+    path: Path, error: type[SoftfinError] = ConfigurationError, hint: str = "", option: str = ""
+) -> None:
+    """Raise an `error` unless there is a file that may be read."""
+    try:
+        if not os.access(regular_file(path), os.R_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    except OSError as problem:
+        raise error(f"{option}{path}: cannot be read ({problem.strerror or problem}){hint}") from None
+
+
+def find_recordings(path: Path) -> list[Path]:
+    """Tables and bags, in order of their names; raises LogError where there are none."""
+    if not path.exists():
+        raise LogError(f"{path}: no such file or folder; give a folder of CSV, Parquet or ROS 2 bags, or one of them")
+    if not path.is_dir():
+        check_readable(path, LogError, "; give a CSV or Parquet file, or a ROS 2 bag")
+    if artifacts.is_kind(path, "dataset"):
+        found = [file for part in PARTS for file in sorted((path / part).glob("*.parquet"))]
+    else:
+        found = list(_walk(path, ()))
+    if not found:
+        raise LogError(f"{path}: holds no recordings; they are {', '.join((*CSV, *PARQUET))} or ROS 2 bags (.mcap)")
+    return found
+
+
+def _walk(path: Path, within: tuple[Path, ...]) -> Iterator[Path]:
+    """Recordings below; pipes and devices are none, nor is a folder within itself by a link."""
+    if path.is_file() or is_bag(path):
+        if is_bag(path) or path.suffix.lower() in (*CSV, *PARQUET):
+            yield path
+    elif path.is_dir() and (folder := path.resolve()) not in within:
+        for entry in sorted(path.iterdir()):
+            if not entry.name.startswith("."):
+                yield from _walk(entry, (*within, folder))
+
+
+def is_bag(path: Path) -> bool:
+    """Whether `path` is a ROS 2 bag: the folder of one, or an .mcap file."""
+    return (path / "metadata.yaml").is_file() or (path.suffix == ".mcap" and path.is_file())
+
+
+def check_monitored(path: Path) -> None:
+    """Raise LogError where there is no recording to follow."""
+    if path.is_file() or path.is_dir():
+        return
+    what = "neither a file nor a folder" if path.exists() else "not there"
+    raise LogError(f"{path}: {what}; give a bag (.mcap), or the folder that bags are written to")
+
+
+def check_recoverable(path: Path) -> None:
+    """Raise LogError unless there is a file that may hold a damaged bag."""
+    if path.is_dir():
+        raise LogError(f"{path}: a folder; give the .mcap file that is in it")
+    check_readable(path, LogError, "; give the path of a .mcap file")
+
+
+def check_reference_file(path: Path) -> None:
+    """Raise ConfigurationError unless there is a .csv or .parquet file that may be read."""
+    if path.suffix not in (".csv", ".parquet"):
+        raise ConfigurationError(f"--reference-file {path}: neither .csv nor .parquet; write it as one of them")
+    check_readable(path, option="--reference-file ")
+
+
+def check_view(path: Path, overwrite: bool) -> None:
+    """Raise unless a film or a page may be written at `path`."""
+    if path.suffix not in VIEWS:
+        raise ConfigurationError(f"--out {path}: a view is written as {', '.join(VIEWS)}; name it so")
+    if path.is_dir():
+        raise ArtifactError(f"{path}: is a folder; give another --out")
+    if path.exists() and not overwrite:
+        raise ArtifactError(f"{path}: exists already; give another --out, or --overwrite to replace it")
+    if path.suffix == ".mp4":
+        find_ffmpeg(path)
+    artifacts.check_writable(path)
+
+
+def find_ffmpeg(path: Path) -> str:
+    """The program that writes the film `path`; raises ConfigurationError where there is none."""
+    program = shutil.which("ffmpeg")
+    if program is None:
+        raise ConfigurationError(
+            f"{path}: MP4 takes the program ffmpeg, which is not on PATH; install it, or write --out "
+            f"{path.with_suffix('.gif').name} or {path.with_suffix('.html').name}"
+        )
+    return program
+
+
+def check_onnx(path: Path, overwrite: bool) -> None:
+    """Raise ArtifactError unless a model may be written at `path`."""
+    if path.exists() and not (overwrite and path.is_file()):
+        what = "exists already; give another --onnx, or --overwrite to replace it"
+        raise ArtifactError(f"{path}: {what if path.is_file() else 'is no file; give another --onnx'}")
+    artifacts.check_writable(path)
+
+
+def find_rig_file(kind: Literal["rig", "ros2"], path: Path | None) -> Path:
+    """The file of a rig, by default the one in the working folder; raises RigError where there is none."""
+    path = path or (RIG_FILE if kind == "rig" else ROS2_FILE)
+    if not path.exists():
+        raise RigError(f"{path}: no such file; {RIG_HINTS[kind]}")
+    check_readable(path, RigError)
+    return path

@@ -1,0 +1,230 @@
+"""Work in progress beside its output: a folder ``.NAME.unfinished`` with the last checkpoint and the training log.
+
+A checkpoint is one safetensors file: a pytree of arrays, each by its path, and the facts that go with it as JSON in its
+metadata, the versions that wrote it among them; never pickle. It is replaced in one rename, so a kill at any moment
+leaves the one before or the new one.
+"""
+
+import copy
+import importlib.metadata
+import json
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import safetensors
+
+from softfin.core.errors import ArtifactError, RunError
+from softfin.core.files import parse_json, regular_file
+from softfin.storage import artifact as artifacts
+
+Tree = TypeVar("Tree")
+
+CHECKPOINT = "checkpoint.safetensors"
+TRAINING_LOG = "training"
+"""Sub-folder of a finished artifact: ``log.jsonl``, the event file for TensorBoard, and of which run they are."""
+RUN = "run.json"
+LOG = "log.jsonl"
+
+
+class Workspace:
+    """The unfinished work of one output folder."""
+
+    def __init__(self, out: Path, fingerprint: dict[str, Any], resume: bool = False, overwrite: bool = False) -> None:
+        """Claim ``.NAME.unfinished`` beside `out`: taken over with `resume`, emptied with `overwrite`.
+
+        Args:
+            out: where the finished artifact will stand.
+            fingerprint: what must be the same for a resumed run to be the same run: configuration, data, seed.
+            resume: go on from the checkpoint that is there, if one is; of a run that is `complete` nothing is left to
+                do.
+            overwrite: drop unfinished work.
+
+        Raises:
+            ArtifactError: unfinished work is there and neither was asked for, or it, or a part of it, is that of
+                another run.
+        """
+        self.folder = out.absolute().with_name(f".{out.absolute().name}.unfinished")
+        self.fingerprint = json.loads(artifacts.dump_json(fingerprint))
+        self.complete = resume and not overwrite and self._is_complete(out / TRAINING_LOG / RUN)
+        """Whether the finished artifact of this very run stands at `out`."""
+        if self.complete:
+            return
+        artifacts.check_vacant(out, overwrite)
+        # Also those of parts.
+        found = sorted(self.folder.rglob(CHECKPOINT))
+        if resume:
+            for path in found:
+                self._facts(path)
+        elif self.folder.exists():
+            if not overwrite and found:
+                raise ArtifactError(
+                    f"{self.folder}: holds an unfinished run; go on with --resume, or drop it with --overwrite"
+                )
+            shutil.rmtree(self.folder)
+
+    def part(self, name: str) -> "Workspace":
+        """A folder within this one, for a part of the run that has checkpoints of its own."""
+        inner = copy.copy(self)
+        inner.folder = self.folder / name
+        return inner
+
+    def save(self, tree: Any, facts: dict[str, Any]) -> None:
+        """Replace the checkpoint."""
+        leaves = {name: np.asarray(leaf) for name, leaf in _named(tree)[0].items()}
+        metadata = {"facts": json.dumps({"software": _software(), "fingerprint": self.fingerprint, **facts})}
+        artifacts.write_file(self.folder / CHECKPOINT, artifacts.encode(leaves, metadata))
+
+    def load(self, like: Tree) -> tuple[Tree, dict[str, Any]] | None:
+        """The last checkpoint, in the structure of `like`; None where there is none yet.
+
+        Raises:
+            ArtifactError: a leaf is missing, odd, or of another shape or type than in `like`.
+        """
+        path = self.folder / CHECKPOINT
+        if not path.exists():
+            return None
+        facts = self._facts(path)
+        with _reading(path), safetensors.safe_open(path, "numpy") as file:
+            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        expected, structure = _named(like)
+        for name in sorted(arrays.keys() | expected.keys()):
+            there, here = _kind(arrays.get(name)), _kind(expected.get(name))
+            if there != here:
+                raise ArtifactError(
+                    f"{path}: does not fit this training state ({name} is {there} there and {here} here); start anew "
+                    "with --overwrite"
+                )
+        return jax.tree.unflatten(structure, [jnp.asarray(arrays[name]) for name in expected]), facts
+
+    def _facts(self, path: Path) -> dict[str, Any]:
+        """Of a checkpoint, which must be one of this run."""
+        with _reading(path), safetensors.safe_open(path, "numpy") as file:
+            facts: dict[str, Any] = parse_json(file.metadata()["facts"])
+            before, software = facts.pop("fingerprint", None), facts.pop("software", "an older softfin")
+        if software != _software():
+            raise ArtifactError(
+                f"{path}: was written by {software}, and this is {_software()}; resume with that, or --overwrite"
+            )
+        if before != self.fingerprint:
+            differing = _differences(before or {}, self.fingerprint)
+            raise ArtifactError(
+                f"{path}: is of another run ({differing}); resume with the same options, or --overwrite"
+            )
+        return facts
+
+    def log(self, rewind_to: int | None = None) -> "RunLog":
+        """The training log; on resuming, entries beyond step `rewind_to` are dropped, because they will come again."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        return RunLog(self.folder, rewind_to)
+
+    def _is_complete(self, file: Path) -> bool:
+        if not file.is_file():
+            return False
+        if (before := artifacts.read_json(file)) != self.fingerprint:
+            raise ArtifactError(
+                f"{file.parents[1]}: is complete, of another run ({_differences(before, self.fingerprint)}); give the "
+                "same options, another --out, or --overwrite"
+            )
+        return True
+
+    def keep_log(self, artifact: Path) -> None:
+        """Copy the training log, and those of parts, into a finished artifact, and say there of which run it is."""
+        folder = artifact / TRAINING_LOG
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / RUN).write_text(artifacts.dump_json(self.fingerprint))
+        for log in sorted(self.folder.rglob(LOG)):
+            kept = folder / log.parent.relative_to(self.folder)
+            kept.mkdir(parents=True, exist_ok=True)
+            for file in (log, *log.parent.glob("events.*")):
+                shutil.copy(file, kept)
+
+    def finish(self) -> None:
+        """Remove the folder: the artifact stands."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+class RunLog:
+    """Scalars over a run: a line of JSON a step, always, and an event file for TensorBoard."""
+
+    def __init__(self, folder: Path, rewind_to: int | None = None) -> None:
+        # Imported here: protobuf costs every other command a third of a second.
+        from tensorboardX import SummaryWriter
+
+        self.path = folder / LOG
+        kept = [entry for entry in read_log(self.path) if rewind_to is not None and entry["step"] <= rewind_to]
+        artifacts.write_file(self.path, "".join(json.dumps(entry) + "\n" for entry in kept))
+        purge = None if rewind_to is None else rewind_to + 1
+        self._writer = SummaryWriter(str(folder), purge_step=purge, filename_suffix=".softfin")
+
+    def write(self, step: int, **scalars: float) -> None:
+        """Append the scalars of one step; those that are not finite as null."""
+        entry = {"step": step, **{name: artifacts.plain(float(value)) for name, value in scalars.items()}}
+        try:
+            with self.path.open("a") as file:
+                file.write(json.dumps(entry, allow_nan=False) + "\n")
+        except OSError as error:
+            raise RunError(
+                f"{self.path}: cannot be written ({error.strerror or error}); make room and --resume"
+            ) from None
+        for name, value in scalars.items():
+            self._writer.add_scalar(name, float(value), step)
+
+    def close(self) -> None:
+        """Flush the event file."""
+        self._writer.close()
+
+
+def read_log(path: Path) -> list[dict[str, Any]]:
+    """The entries of a ``log.jsonl``; a last line that a kill cut short is left out."""
+    if not path.is_file():
+        return []
+    entries = []
+    for line in path.read_text().splitlines():
+        try:
+            entries.append(parse_json(line))
+        except ValueError:
+            break
+    return entries
+
+
+def _software() -> str:
+    """What decides which leaves a state has, and which numbers come next."""
+    return ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("softfin", "jax"))
+
+
+def _named(tree: Any) -> tuple[dict[str, Any], Any]:
+    """The leaves by their paths, such as ``tree.lanes.policy.net.lstm.kernel``, in the order of the structure."""
+    paths, structure = jax.tree_util.tree_flatten_with_path(tree)
+    return {f"tree{jax.tree_util.keystr(path)}": leaf for path, leaf in paths}, structure
+
+
+def _kind(leaf: Any) -> str:
+    return "missing" if leaf is None else f"{np.asarray(leaf).dtype} {np.shape(leaf)}"
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    try:
+        regular_file(path)
+        yield
+    except (OSError, KeyError, TypeError, ValueError, AttributeError, safetensors.SafetensorError) as error:
+        raise ArtifactError(f"{path}: damaged ({error}); start anew with --overwrite") from None
+
+
+def _differences(before: dict[str, Any], now: dict[str, Any]) -> str:
+    flat_before, flat_now = _flat(before), _flat(now)
+    names = [n for n in sorted(flat_before | flat_now) if flat_before.get(n) != flat_now.get(n)]
+    return ", ".join(f"{n} was {flat_before.get(n)!r} and is {flat_now.get(n)!r}" for n in names[:3])
+
+
+def _flat(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in tree.items():
+        flat.update(_flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value})
+    return flat

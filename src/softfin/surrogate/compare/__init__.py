@@ -1,0 +1,1 @@
+"""Surrogates compared on test logs."""

@@ -1,0 +1,178 @@
+"""Import of Keras 2 ``.keras`` files: a zip with the layers as JSON and the weights as HDF5. No TensorFlow, no pickle.
+
+The scaler values come as a JSON file of ``{channel: {scale, offset, data_min, data_max}}``.
+"""
+
+import reprlib
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import pydantic
+
+from softfin.core.errors import ArtifactError
+from softfin.core.files import parse_json, read_bytes, regular_file
+from softfin.surrogate.paper.forcenet import FORCES
+from softfin.surrogate.paper.keras_weights import read_arrays
+from softfin.surrogate.paper.network import (
+    LSTM,
+    Conv1D,
+    Dense,
+    Dropout,
+    Flatten,
+    Layer,
+    MeanPool,
+    Network,
+    NetworkConfig,
+)
+from softfin.surrogate.paper.posnet import COMMANDS
+from softfin.surrogate.paper.scaling import Scaling
+from softfin.surrogate.paper.surrogate import ANGLE, Surrogate
+
+WEIGHT_NAMES = {"conv1d": ("kernel", "bias"), "dense": ("kernel", "bias"), "lstm": ("kernel", "recurrent", "bias")}
+"""Of Keras's ``vars/0``, ``vars/1``, ... in their order."""
+
+LARGEST_JSON = 2**20
+LARGEST_WEIGHTS = LARGEST_FILE = 32 * 2**20
+"""Bytes; the published nets have 1.8 million, of which the layers' description is 5 thousand."""
+
+MOST_LAYERS = 100
+
+_DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, LookupError, TypeError, AttributeError, ValueError,
+            ArithmeticError)  # fmt: skip
+"""What `zipfile` raises, encryption among it, and what a description raises that has other entries than Keras's."""
+
+
+def import_keras(posnet: Path, forcenet: Path, scalers: Path) -> Surrogate:
+    """A surrogate from two ``.keras`` files and the scalers' JSON; raises ArtifactError for what it cannot take."""
+    scaling = read_scalers(scalers)
+    scaling.require([ANGLE, *COMMANDS, *FORCES], str(scalers))
+    nets = read_network(posnet, COMMANDS, (ANGLE,)), read_network(forcenet, (ANGLE, *COMMANDS), FORCES)
+    surrogate = Surrogate(*nets, scaling)
+    if problem := surrogate.limits.problem():
+        raise ArtifactError(f"{scalers}: {problem}; they are data_min and data_max of the commands' channels")
+    return surrogate
+
+
+def read_scalers(path: Path) -> Scaling:
+    """The scaling of each channel."""
+    try:
+        return Scaling(channels=parse_json(read_bytes(path, LARGEST_JSON)))
+    except OSError as error:
+        raise ArtifactError(f"{path}: cannot be read ({error.strerror or error})") from None
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"][1:])) or "scalers"
+        raise ArtifactError(f"{path}: {where}: {first['msg']}") from None
+    except ValueError as error:
+        raise ArtifactError(f"{path}: not JSON ({error}); give the scalers as JSON, never as pickle") from None
+
+
+def read_network(path: Path, channels: tuple[str, ...], outputs: tuple[str, ...]) -> Network:
+    """One ``.keras`` file as a network."""
+    try:
+        regular_file(path, LARGEST_FILE)
+        with zipfile.ZipFile(path) as archive:
+            description = parse_json(_member(archive, "config.json", LARGEST_JSON))
+            weights = _member(archive, "model.weights.h5", LARGEST_WEIGHTS)
+        layers, groups, shape = _layers(path, description)
+        if shape[0] != len(channels):
+            raise ArtifactError(
+                f"{path}: takes {shape[0]} channels; this net must take {len(channels)}: {', '.join(channels)}"
+            )
+        config = NetworkConfig(channels=channels, outputs=outputs, window=shape[1], layers=tuple(layers))
+        if config.examples()[-1] != (len(outputs),):
+            raise ArtifactError(f"{path}: says {config.examples()[-1]} values; this net must say {', '.join(outputs)}")
+        places = _places(config, groups)
+    except OSError as error:
+        raise ArtifactError(f"{path}: cannot be read ({error.strerror or error})") from None
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise ArtifactError(f"{path}: a layer's {where} = {reprlib.repr(first['input'])}: {first['msg']}") from None
+    except _DAMAGED as error:
+        raise ArtifactError(f"{path}: not a whole Keras 2 .keras file ({_short(error)})") from None
+    found = read_arrays(weights, dict(places.values()), str(path))
+    return Network.of(config, {name: found[place] for name, (place, _) in places.items()}, str(path))
+
+
+def _member(archive: zipfile.ZipFile, name: str, largest: int) -> bytes:
+    """One file of the archive, as Keras packs it; raises ValueError where it would inflate to more than `largest`."""
+    entry = archive.getinfo(name)
+    if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise ValueError(f"{name} is packed in a way that Keras does not use")
+    if entry.file_size > largest:
+        raise ValueError(f"{name} inflates to {entry.file_size:,} bytes, over {largest:,}")
+    with archive.open(entry) as file:
+        # What the archive says of its size is a claim.
+        content = file.read(largest + 1)
+    if len(content) != entry.file_size:
+        raise ValueError(f"{name} has {len(content):,} bytes, and should have {entry.file_size:,}")
+    return content
+
+
+def _layers(path: Path, description: dict[str, Any]) -> tuple[list[Layer], list[str], tuple[int, int]]:
+    """The layers, the HDF5 group of each (numbered within its class, as Keras 2.15 saves them), the input's shape."""
+    if description.get("class_name") != "Sequential":
+        raise ArtifactError(f"{path}: is a {description.get('class_name')} model; only Sequential ones can be imported")
+    layers: list[Layer] = []
+    groups: list[str] = []
+    counts: dict[str, int] = {}
+    shape = (0, 0)
+    listed = description["config"]["layers"]
+    if len(listed) > MOST_LAYERS:
+        raise ArtifactError(f"{path}: has {len(listed):,} layers; at most {MOST_LAYERS} are taken")
+    for entry in listed:
+        kind, config = entry["class_name"], entry["config"]
+        batch_shape = config.get("batch_input_shape") or config.get("batch_shape")
+        if batch_shape:
+            shape = (int(batch_shape[1]), int(batch_shape[2]))
+        if kind == "InputLayer":
+            continue
+        layers.append(_layer(path, kind, config))
+        name = {"Conv1D": "conv1d", "LSTM": "lstm", "Dense": "dense"}.get(kind, kind)
+        number = counts.get(name, 0)
+        counts[name] = number + 1
+        groups.append(f"layers/{name}{f'_{number}' if number else ''}")
+    return layers, groups, shape
+
+
+def _layer(path: Path, kind: str, config: dict[str, Any]) -> Layer:
+    if kind == "Conv1D":
+        _expect(path, config, padding="same", strides=[1], dilation_rate=[1], groups=1, use_bias=True,
+                data_format="channels_last")  # fmt: skip
+        return Conv1D(filters=config["filters"], kernel=config["kernel_size"][0], activation=config["activation"])
+    if kind == "LSTM":
+        _expect(path, config, activation="tanh", recurrent_activation="sigmoid", use_bias=True, go_backwards=False)
+        return LSTM(units=config["units"], sequence=config["return_sequences"])
+    if kind == "Dense":
+        _expect(path, config, use_bias=True)
+        return Dense(units=config["units"], activation=config["activation"])
+    if kind == "Dropout":
+        return Dropout(rate=config["rate"])
+    if kind == "Flatten":
+        return Flatten()
+    if kind == "GlobalAveragePooling1D":
+        return MeanPool()
+    raise ArtifactError(f"{path}: layer {kind} is not known; known are Conv1D, LSTM, Dense, Dropout, Flatten, "
+                        "GlobalAveragePooling1D")  # fmt: skip
+
+
+def _expect(path: Path, config: dict[str, Any], **expected: Any) -> None:
+    for name, value in expected.items():
+        if config.get(name, value) != value:
+            raise ArtifactError(f"{path}: layer {config.get('name')} has {name} = {config[name]}; it must be {value}")
+
+
+def _places(config: NetworkConfig, groups: list[str]) -> dict[str, tuple[str, tuple[int, ...]]]:
+    """By the name of each weight, its place in the HDF5 and its shape."""
+    return {
+        f"{index}.{name}": (f"{group}/{'cell/vars' if layer.kind == 'lstm' else 'vars'}/{number}", shapes[name])
+        for index, (layer, group, shapes) in enumerate(zip(config.layers, groups, config.shapes(), strict=True))
+        for number, name in enumerate(WEIGHT_NAMES.get(layer.kind, ()))
+    }
+
+
+def _short(error: Exception) -> str:
+    return " ".join(str(error).split())[:300] or type(error).__name__

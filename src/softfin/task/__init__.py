@@ -1,0 +1,1 @@
+"""The force-tracking task: references, cells, reward, observation."""

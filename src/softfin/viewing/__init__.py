@@ -1,6 +1,0 @@
-"""A fin to look at: a plant is rolled and drawn, its bent shape, its force and the traces, as a film or a page."""
-
-from softfin.viewing.beating import BeatConfig
-from softfin.viewing.view import ViewConfig
-
-__all__ = ["BeatConfig", "ViewConfig"]

@@ -1,0 +1,51 @@
+"""Each list of names has one definition, and what the names stand for covers it."""
+
+import ast
+from pathlib import Path
+from typing import Any, get_args
+
+import pytest
+
+import softfin.cli
+from softfin.cli.fit import defaults
+from softfin.core import choices
+from softfin.data.importing.names import UNITS
+from softfin.evaluation.moving import SIGNALS
+from softfin.learning.train import STARTS
+from softfin.stages.reproduce import PRESETS as REPRODUCTIONS
+from softfin.tank.calibration.config import PRESETS as CALIBRATIONS
+
+COMMAND_LINE = Path(softfin.cli.__file__).parent
+
+
+@pytest.mark.parametrize(
+    ("names", "table"),
+    [
+        (choices.ReproducePreset, REPRODUCTIONS),
+        (choices.CalibratePreset, CALIBRATIONS),
+        (choices.MovingReference, SIGNALS),
+        (choices.TimeUnit, UNITS["time"]),
+        (choices.ForceUnit, UNITS["force"]),
+        (choices.Algorithm, {algorithm for algorithm, _ in STARTS}),
+        (choices.PolicyLayout, {layout for _, layout in STARTS}),
+        (choices.AlgorithmOption, {"auto", *get_args(choices.Algorithm)}),
+        (choices.ControllerKind, {"gaits", *get_args(choices.PolicyLayout)}),
+    ],
+)
+def test_every_name_that_may_be_chosen_stands_for_something(names: Any, table: Any) -> None:
+    assert set(get_args(names)) == set(table)
+
+
+def test_every_model_has_a_configuration() -> None:
+    assert len({type(defaults(model)) for model in get_args(choices.Model)}) == len(get_args(choices.Model))
+
+
+OWN_ACTIONS = {"bag", "rig"}
+"""Commands whose choices are their own actions, known nowhere else."""
+
+
+@pytest.mark.parametrize("file", sorted(COMMAND_LINE.glob("*.py")), ids=lambda file: file.stem)
+def test_no_command_types_choices_of_its_own(file: Path) -> None:
+    lists = [node for node in ast.walk(ast.parse(file.read_text()))
+             if isinstance(node, ast.Subscript) and ast.unparse(node.value) == "Literal"]  # fmt: skip
+    assert len(lists) == (file.stem in OWN_ACTIONS)

@@ -1,0 +1,58 @@
+import math
+import subprocess
+import sys
+
+import pytest
+
+from softfin.core.quantities import PAPER_LIMITS, Limits
+
+
+@pytest.mark.parametrize("order", [("softfin.core.quantities", "jax"), ("jax", "softfin.core.quantities")])
+def test_arrays_of_both_kinds_are_readings_whichever_is_imported_first(order):
+    code = (
+        "import importlib, numpy as np\n"
+        f"for name in {order}: importlib.import_module(name)\n"
+        "import jax, jax.numpy as jnp\n"
+        "from jaxtyping import Float\n"
+        "from softfin.core.quantities import AnyArray\n"
+        "kind = Float[AnyArray, '2']\n"
+        "print([isinstance(x, kind) for x in (np.zeros(2, np.float32), jnp.zeros(2), jnp.zeros(3), [0.0, 0.0])])\n"
+        "print(jax.eval_shape(lambda x: x * isinstance(x, kind), jnp.zeros(2)).shape)"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert out.split("\n")[:2] == ["[True, True, False, False]", "(2,)"]
+
+
+DESCRIBED = PAPER_LIMITS.described()
+
+
+def test_limits_come_back_as_they_were_described():
+    assert Limits.of(DESCRIBED) == PAPER_LIMITS
+    assert Limits.of({**DESCRIBED, "angle_min_rad": -2 * math.pi, "velocity_max_rad_s": 50}).velocity_max == 50
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"angle_max_rad": 100.0}, "limits: angle_max_rad is 100; a fin's are finite, with -6.283 <= angle_min"),
+        ({"velocity_max_rad_s": 9000.0}, "velocity_max_rad_s is 9000; .* velocity_max <= 50 rad/s"),
+        ({"velocity_min_rad_s": -1}, "velocity_min_rad_s is -1"),
+        ({"angle_min_rad": math.nan}, "angle_min_rad is nan"),
+        ({"velocity_max_rad_s": math.inf}, "velocity_max_rad_s is inf"),
+        ({"velocity_max_rad_s": 10**400}, "velocity_max_rad_s is too large"),
+        ({"angle_min_rad": 2.0}, "angle_min_rad is 2, angle_max_rad is 1.5708"),
+        ({"velocity_min_rad_s": math.pi}, "velocity_min < velocity_max"),
+        ({"angle_min_rad": "0"}, "angle_min_rad is '0'; it must be a number"),
+        ({"angle_min_rad": True}, "angle_min_rad is True; it must be a number"),
+        ({"angle_min_rad": None}, "angle_min_rad is missing; it must be a number"),
+    ],
+)
+def test_limits_that_no_fin_has_are_refused_with_what_is_allowed(changes, words):
+    with pytest.raises(ValueError, match=words):
+        Limits.of({**DESCRIBED, **changes})
+
+
+def test_a_fin_of_one_velocity_can_be_learnt_but_not_trained_for():
+    limits = PAPER_LIMITS._replace(velocity_min=2.0, velocity_max=2.0)
+    assert limits.problem(one_velocity=True) is None
+    assert "velocity_min < velocity_max" in (limits.problem() or "")

@@ -1,0 +1,317 @@
+import numpy as np
+import pytest
+
+from softfin.data.checks.inspection import Inspection, inspect
+from softfin.data.importing.importing import ImportConfig
+from softfin.surrogate import import_keras
+from softfin.tank import IDEAL, Tank, TankConfig
+from tests.data.faulty import ROWS, Columns, columns_of, cut, delayed, log_of, named, recorded, tank_logs
+
+
+def inspected(change=None, config: ImportConfig | None = None) -> Inspection:
+    logs = tank_logs(2)
+    if change is not None:
+        columns = [columns_of(log) for log in logs]
+        for one in columns:
+            change(one)
+        logs = [log_of(one) for one in columns]
+    return inspect(named(*logs), config=config)
+
+
+def grave(inspection: Inspection) -> dict[str, str]:
+    """Names of errors and warnings, with their ways out."""
+    return {one.name: one.remedy for one in inspection.findings if one.severity != "note"}
+
+
+def sentence(inspection: Inspection, name: str) -> str:
+    return next(one.sentence for one in inspection.findings if one.name == name)
+
+
+def test_nothing_is_wrong_with_logs_of_the_virtual_tank():
+    inspection = inspected()
+    assert inspection.findings == []
+    summary = inspection.summary()
+    assert 20 < summary["command_lag_ms"]["median"] < 45
+    assert 10 < summary["force_lag_ms"]["median"] < 35
+    assert summary["frames"]["x,y"] > 0.85
+
+
+def test_nothing_is_wrong_with_short_logs_of_the_virtual_tank():
+    assert not grave(inspect(named(*(cut(log, k, k + 700) for log in tank_logs(5) for k in (0, 700)))))
+
+
+def test_nothing_is_wrong_with_logs_of_an_ideal_tank_whose_readings_stand_still_at_rest():
+    ideal = Tank(TankConfig(sensor=IDEAL))
+    # As many and as long as those of the default tank, whose program this is; half of two are inspected.
+    logs = [cut(log, 0, 3000) for log in recorded(ideal, 5, ROWS)[:2]]
+    assert not grave(inspect(named(*logs)))
+
+
+@pytest.fixture(scope="module")
+def published_logs(published):
+    fin = import_keras(published / "cnn_pos_net.keras", published / "lstm_force_net.keras", published / "scalers.json")
+    return recorded(fin, 2, 6000)
+
+
+def test_nothing_is_wrong_with_logs_of_the_published_fin(published_logs):
+    assert not grave(inspect(named(*published_logs)))
+
+
+@pytest.mark.parametrize("ticks", [5, -8])
+def test_a_lagging_force_is_found_in_the_published_fin_too(published_logs, ticks):
+    columns = [columns_of(log) for log in published_logs]
+    for one in columns:
+        for name in ("force_x_n", "force_y_n"):
+            one[name] = delayed(one[name], ticks)
+    assert "force lag" in grave(inspect(named(*map(log_of, columns))))
+
+
+def swap(columns: Columns) -> None:
+    columns["force_x_n"], columns["force_y_n"] = columns["force_y_n"], columns["force_x_n"]
+
+
+def negate_x(columns: Columns) -> None:
+    columns["force_x_n"] *= -1
+
+
+def negate_y(columns: Columns) -> None:
+    columns["force_y_n"] *= -1
+
+
+def turn(columns: Columns) -> None:
+    columns["force_x_n"], columns["force_y_n"] = columns["force_y_n"], -columns["force_x_n"]
+
+
+def degrees(columns: Columns) -> None:
+    for name in ("angle_rad", "velocity_rad_s", "command_angle_rad", "command_velocity_rad_s"):
+        columns[name] = np.degrees(columns[name])
+
+
+def test_a_velocity_that_was_told_is_not_taken_for_degrees():
+    def change(columns: Columns) -> None:
+        for name in ("command_angle_rad", "angle_rad", "velocity_rad_s"):
+            columns[name] = np.degrees(columns[name])
+        columns["command_velocity_rad_s"][:] = 3.1
+
+    told = inspected(change, ImportConfig(velocity_rad_s=3.1)).findings[0]
+    assert told.remedy == "--angles command_angle=deg,angle=deg,velocity=deg"
+    assert inspected(change).findings[0].remedy == "--angles deg"
+
+
+def angle_in_degrees(columns: Columns) -> None:
+    columns["angle_rad"] = np.degrees(columns["angle_rad"])
+    columns["velocity_rad_s"] = np.degrees(columns["velocity_rad_s"])
+
+
+def command_in_degrees(columns: Columns) -> None:
+    columns["command_angle_rad"] = np.degrees(columns["command_angle_rad"])
+
+
+def late_force(columns: Columns) -> None:
+    for name in ("force_x_n", "force_y_n"):
+        columns[name] = delayed(columns[name], 5)
+
+
+def early_force(columns: Columns) -> None:
+    for name in ("force_x_n", "force_y_n"):
+        columns[name] = delayed(columns[name], -5)
+
+
+def late_command(columns: Columns) -> None:
+    for name in ("command_angle_rad", "command_velocity_rad_s"):
+        columns[name] = delayed(columns[name], 5)
+
+
+def early_command(columns: Columns) -> None:
+    for name in ("command_angle_rad", "command_velocity_rad_s"):
+        columns[name] = delayed(columns[name], -10)
+
+
+def mirrored_command(columns: Columns) -> None:
+    columns["command_angle_rad"] *= -1
+
+
+def mirrored_angle(columns: Columns) -> None:
+    columns["angle_rad"] *= -1
+    columns["velocity_rad_s"] *= -1
+
+
+def one_command(columns: Columns) -> None:
+    columns["command_angle_rad"][:] = 0.5
+
+
+def other_command(columns: Columns) -> None:
+    columns["command_angle_rad"] = delayed(columns["command_angle_rad"], 3000)
+
+
+def spikes(columns: Columns) -> None:
+    columns["force_x_n"][[500, 1500, 2500]] += 30
+
+
+def many_spikes(columns: Columns) -> None:
+    columns["force_y_n"][100:4000:50] -= 40
+
+
+def stuck_force(columns: Columns) -> None:
+    columns["force_y_n"][1000:1400] = columns["force_y_n"][1000]
+
+
+def dead_force(columns: Columns) -> None:
+    columns["force_x_n"][:] = 0
+
+
+def stuck_angle(columns: Columns) -> None:
+    columns["angle_rad"][2000:2500] = columns["angle_rad"][2000]
+
+
+def clipped(columns: Columns) -> None:
+    columns["force_y_n"] = np.clip(columns["force_y_n"], -4, 4)
+
+
+def coarse(columns: Columns) -> None:
+    columns["force_x_n"] = np.round(columns["force_x_n"])
+
+
+def velocity_sign(columns: Columns) -> None:
+    columns["velocity_rad_s"] *= -1
+
+
+def velocity_unit(columns: Columns) -> None:
+    columns["velocity_rad_s"] = np.degrees(columns["velocity_rad_s"]) / 3
+
+
+def velocity_of_something(columns: Columns) -> None:
+    columns["velocity_rad_s"] = columns["force_x_n"].copy()
+
+
+def still(columns: Columns) -> None:
+    for name, values in columns.items():
+        if name != "time_s":
+            values[2000:] = values[2000]
+
+
+def offset(columns: Columns) -> None:
+    columns["force_x_n"] += 0.8
+
+
+def seam(columns: Columns) -> None:
+    columns["angle_rad"][3000:] += 2.5
+    columns["angle_rad"][3300:] -= 2.5
+
+
+def no_velocity(columns: Columns) -> None:
+    columns["command_velocity_rad_s"][:] = 0
+
+
+FAULTS = [
+    (swap, "force axes", "--force=y,x"),
+    (negate_x, "force axes", "--force=-x,y"),
+    (negate_y, "force axes", "--force=x,-y"),
+    (turn, "force axes", "--force=-y,x"),
+    (degrees, "degrees", "--angles deg"),
+    (angle_in_degrees, "degrees", "--angles angle=deg,velocity=deg"),
+    (command_in_degrees, "degrees", "--angles command_angle=deg"),
+    (late_force, "force lag", "--force-lag 40"),
+    (early_force, "force lag", "--force-lag -60"),
+    (late_command, "command lag", "--command-lag 50"),
+    (early_command, "command lag", "--command-lag -100"),
+    (mirrored_command, "command sign", "--negate command_angle"),
+    (mirrored_angle, "command sign", "--negate angle"),
+    (one_command, "constant command", "map the column"),
+    (other_command, "not following", "map other columns"),
+    (spikes, "spikes", "repair"),
+    (many_spikes, "spikes", "repair"),
+    (stuck_force, "stuck", "cut"),
+    (dead_force, "stuck", "cut"),
+    (stuck_angle, "stuck", "cut"),
+    (clipped, "saturated", "wider range"),
+    (coarse, "coarse", "digits"),
+    (velocity_sign, "velocity sign", "--negate velocity"),
+    (velocity_unit, "velocity unit", "--angles velocity=deg"),
+    (velocity_of_something, "velocity", "map another column"),
+    (still, "at rest", "cut rests off"),
+    (offset, "force offset", "tare"),
+    (seam, "jumps", "--rows-per-log"),
+    (no_velocity, "command velocity", "map the column"),
+]
+
+
+@pytest.mark.parametrize(("fault", "name", "remedy"), FAULTS, ids=[fault.__name__ for fault, _, _ in FAULTS])
+def test_each_fault_is_found_by_name_with_its_way_out(fault, name, remedy):
+    found = grave(inspected(fault))
+    assert name in found
+    assert remedy in found[name]
+
+
+ALONE = [
+    swap, negate_x, negate_y, turn, degrees, late_force, late_command, mirrored_command, mirrored_angle, spikes,
+    many_spikes, clipped, velocity_sign, offset,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", ALONE, ids=[fault.__name__ for fault in ALONE])
+def test_a_fault_is_not_taken_for_others(fault):
+    assert len(grave(inspected(fault))) == 1
+
+
+def test_sentences_hold_the_numbers():
+    assert "angle spans -8" in sentence(inspected(degrees), "degrees")
+    assert "follows the angle by 7" in sentence(inspected(late_force), "force lag")
+    assert "angle is 2" in sentence(inspected(late_command), "command lag")
+    assert "correlation with what a fin does 0.0" in sentence(inspected(swap), "force axes")
+    assert sentence(inspected(spikes), "spikes").startswith("3 spikes, up to 30")
+    assert "for 4.00 s" in sentence(inspected(stuck_force), "stuck")
+    assert "+0.77 N" in sentence(inspected(offset), "force offset")
+    assert sentence(inspected(mirrored_command), "command sign").startswith("the angle goes against its command")
+
+
+def test_a_finding_says_in_how_many_logs_it_is_and_where_first():
+    finding = next(one for one in inspected(spikes).findings if one.name == "spikes")
+    assert finding.logs == ("train/0", "test/1")
+    assert finding.place == ("train/0", "force_x", 500)
+    assert str(finding.place) == "train/0, row 500, column force_x"
+
+
+def test_ways_out_go_on_from_the_options_that_were_given():
+    given = ImportConfig(force="y,x", force_lag_ms=30, negate=("command_angle",))
+    assert grave(inspected(swap, given))["force axes"] == "--force=x,y"
+    assert "--force-lag 70" in grave(inspected(late_force, given))["force lag"]
+    assert "leave --negate out" in grave(inspected(mirrored_command, given))["command sign"]
+
+
+def test_one_log_with_another_clock_and_another_offset_stands_out():
+    logs = tank_logs(4)
+    late, shifted = columns_of(logs[3]), columns_of(logs[2])
+    late_force(late)
+    shifted["force_y_n"] += 0.9
+    found = grave(inspect(named(logs[0], logs[1], log_of(shifted), log_of(late))))
+    assert {"force lag", "force drift", "force offset"} == found.keys()
+
+
+def test_few_commands_and_narrow_ones_are_told():
+    logs = []
+    for log in tank_logs(2):
+        columns = columns_of(log)
+        columns["command_angle_rad"] = 0.4 * columns["command_angle_rad"]
+        columns["angle_rad"] = 0.4 * columns["angle_rad"]
+        logs.append(log_of(columns))
+    findings = inspect(named(*logs)).findings
+    assert ("note", "coverage") in {(one.severity, one.name) for one in findings}
+    tied = []
+    for log in tank_logs(5):
+        columns = columns_of(log)
+        columns["command_velocity_rad_s"] = 3 + columns["command_angle_rad"]
+        tied.append(log_of(columns))
+    assert "coverage" in grave(inspect(named(*tied, test=0)))
+
+
+def test_no_test_logs_is_a_note():
+    findings = inspect(named(*tank_logs(2), test=0)).findings
+    assert [(one.severity, one.name) for one in findings] == [("note", "no test logs")]
+
+
+def test_described_is_json_with_lags_in_milliseconds():
+    described = inspected(late_force).described()
+    assert described["findings"][0]["name"] == "force lag"
+    assert described["logs"][0]["force_lag_ms"] == pytest.approx(72, abs=5)
+    assert described["summary"]["counts"] == {"error": 1, "warning": 0, "note": 0}

@@ -1,0 +1,61 @@
+import json
+from xml.etree import ElementTree
+
+import numpy as np
+
+from softfin.data.checks.inspection import inspect
+from softfin.data.checks.report import inspection_figure, write_inspection
+from tests.data.faulty import columns_of, log_of, named, tank_logs
+
+
+def faulty():
+    logs = []
+    for log in tank_logs(2):
+        columns = columns_of(log)
+        columns["force_x_n"][3000] += 40
+        columns["force_y_n"] *= -1
+        logs.append(log_of(columns))
+    return named(*logs)
+
+
+def axes_of(logs):
+    return inspection_figure(inspect(logs), logs).get_axes()
+
+
+def test_the_trace_is_about_the_gravest_finding_that_has_a_row():
+    logs = faulty()
+    angle, force, findings, *_ = axes_of(logs)
+    assert "about row 3000: spikes" in angle.get_title(loc="left")
+    shown = {line.get_label(): line for line in force.get_lines()}
+    time, x = shown["force x"].get_data()
+    assert len(time) == 1000
+    assert x[np.flatnonzero(np.isclose(time, 30.01))[0]] == logs[0].log.reading.force[3000, 0]
+    assert shown["spikes"].get_xdata()[0] == 30.01
+    assert force.get_ylabel() == "force [N]"
+    text = findings.texts[0].get_text().replace("\n", " ")
+    assert "force axes" in text
+    assert "--force=x,-y" in text
+
+
+def test_lags_axes_and_rest_of_all_logs_are_drawn():
+    logs = faulty()
+    inspection = inspect(logs)
+    *_, commands, lags, frames, rest = inspection_figure(inspection, logs).get_axes()
+    assert commands.get_xlabel() == "commanded angle [rad]"
+    drawn = [line.get_ydata() for line in lags.get_lines()]
+    np.testing.assert_allclose(drawn[1], [one.force_lag.milliseconds for one in inspection.logs])
+    widths = {
+        label.get_text(): bar.get_width() for label, bar in zip(frames.get_yticklabels(), frames.patches, strict=True)
+    }
+    assert max(widths, key=widths.__getitem__) == "x,-y"
+    assert len(rest.get_lines()[0].get_ydata()) == 2
+
+
+def test_the_folder_holds_json_and_both_figures(tmp_path):
+    logs = named(*tank_logs(2))
+    written = write_inspection(inspect(logs), logs, tmp_path / "i", {"source": "here"})
+    assert json.loads((tmp_path / "i" / "inspection.json").read_text()) == json.loads(json.dumps(written))
+    assert written["findings"] == []
+    ElementTree.parse(tmp_path / "i" / "inspection.svg")
+    assert (tmp_path / "i" / "inspection.png").stat().st_size > 10_000
+    assert "nothing is wrong" in (tmp_path / "i" / "inspection.svg").read_text()

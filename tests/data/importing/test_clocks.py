@@ -1,0 +1,226 @@
+import re
+
+import numpy as np
+import pytest
+
+from softfin.core.errors import LogError
+from softfin.data.importing.clocks import logs_of
+from softfin.data.importing.importing import ImportConfig
+from softfin.data.importing.recording import Recording, Track
+from softfin.storage.log_file import encode_log
+from tests.data.faulty import columns_of, tank_logs
+
+NAMES = ("command_angle", "command_velocity", "angle", "velocity", "force_x", "force_y")
+
+
+def track(rows=1000, **changes) -> Track:
+    columns = list(columns_of(tank_logs()[0]).values())
+    channels = {name: values[:rows].copy() for name, values in zip(NAMES, columns[1:], strict=True)}
+    return Track(columns[0][:rows].copy(), channels)
+
+
+def rows_of(one: Track, keep) -> Track:
+    return Track(one.time[keep], {name: values[keep] for name, values in one.channels.items()})
+
+
+def logs(*tracks: Track, **options):
+    return logs_of(Recording("run", "train", tracks), ImportConfig.build(options))
+
+
+def kinds(findings) -> list[str]:
+    return [one.name for one in findings]
+
+
+def test_a_steady_100_hz_passes_bit_by_bit_but_for_where_its_time_begins():
+    (one,), findings = logs(track(3000))
+    original = tank_logs()[0]
+    assert not findings
+    np.testing.assert_array_equal(one.log.command.angle, original.command.angle[:3000])
+    np.testing.assert_array_equal(one.log.reading.force, original.reading.force[:3000])
+    np.testing.assert_allclose(one.log.reading.time, np.arange(3000) / 100, atol=1e-9)
+    assert one.start_s == original.reading.time[0]
+
+
+@pytest.mark.parametrize("hz", [100, 1000])
+def test_a_unix_clock_loses_no_row_and_begins_at_0(hz):
+    time = 1.7e9 + np.arange(0, 10, 1 / hz)
+    (unix,), _ = logs(Track(time, {name: np.sin(time - 1.7e9 + i) for i, name in enumerate(NAMES)}))
+    np.testing.assert_allclose(unix.log.reading.time, np.arange(1000) / 100, atol=1e-6)
+    assert unix.start_s == 1.7e9
+
+
+def test_a_unix_clock_that_starts_anew_begins_at_0_both_times():
+    one = track(1200)
+    one.time[:] += 1.7e9
+    one.time[500:] -= 3600
+    pieces, _ = logs(one)
+    assert [len(piece.log.reading.time) for piece in pieces] == [500, 700]
+    assert [piece.log.reading.time[0] for piece in pieces] == [0, 0]
+    assert pieces[0].start_s - pieces[1].start_s == pytest.approx(3595)
+
+
+@pytest.mark.parametrize("gap_s", [0.3, 1e9])
+def test_nothing_of_a_fast_source_gets_across_a_gap_however_long(gap_s):
+    """A clock that was set in between, as by NTP, would be 8 TB of samples."""
+    time = np.arange(0, 6, 0.001)
+    time[3000:] += gap_s
+    level = np.repeat([1.0, 5.0], 3000)
+    before, after = logs(Track(time, dict.fromkeys(NAMES, level)))[0]
+    assert [len(piece.log.reading.time) for piece in (before, after)] == [300, 300]
+    for piece, value in ((before, 1), (after, 5)):
+        np.testing.assert_allclose(piece.log.reading.force, value, rtol=1e-6)
+        np.testing.assert_array_equal(piece.log.command.angle, value)
+
+
+def test_jitter_of_less_than_half_a_sample_passes_too():
+    one = track()
+    jitter = np.random.default_rng(0).uniform(-0.002, 0.002, 1000)
+    (log,), findings = logs(one._replace(time=one.time + jitter))
+    assert not findings
+    np.testing.assert_array_equal(log.log.reading.angle, one.channels["angle"].astype(np.float32))
+
+
+def test_a_long_gap_splits_and_is_never_bridged():
+    keep = np.r_[0:400, 430:1000]
+    pieces, findings = logs(rows_of(track(), keep))
+    assert [len(piece.log.reading.time) for piece in pieces] == [400, 570]
+    assert [piece.name for piece in pieces] == ["run, piece 1 of 2", "run, piece 2 of 2"]
+    assert pieces[1].log.reading.time[0] == pytest.approx(4.30)
+    (gap,) = findings
+    assert (gap.severity, gap.name, gap.place.row) == ("warning", "gap", 399)
+    assert "0.310 s after 3.99 s" in gap.sentence
+    for piece in pieces:
+        encode_log(piece.log, "a piece is a whole log")
+
+
+def test_a_short_gap_is_bridged_by_interpolation_and_counted():
+    one = track()
+    (log,), findings = logs(rows_of(one, np.r_[0:400, 403:1000]))
+    assert len(log.log.reading.time) == 1000
+    assert kinds(findings) == ["short gaps"]
+    assert "1 gap of up to 40 ms" in findings[0].sentence
+    angle = one.channels["angle"]
+    np.testing.assert_allclose(log.log.reading.angle[401], angle[399] + (angle[403] - angle[399]) / 2, atol=1e-6)
+    np.testing.assert_allclose(log.log.reading.angle[600:], angle[600:], atol=1e-6)
+    # The last command before the gap holds until the next.
+    assert log.log.command.angle[402] == one.channels["command_angle"].astype(np.float32)[399]
+
+
+def test_pieces_that_are_too_short_are_left_out_and_counted():
+    pieces, findings = logs(rows_of(track(), np.r_[0:400, 430:500, 530:1000]))
+    assert [len(piece.log.reading.time) for piece in pieces] == [400, 470]
+    assert "1 piece between gaps, shorter than 2 s, left out: 0.69 s" in findings[-1].sentence
+    assert len(logs(rows_of(track(), np.r_[0:400, 430:500, 530:1000]), shortest_s=0.5)[0]) == 3
+
+
+def test_rows_without_a_value_are_errors_and_split_where_there_are_many():
+    one = track()
+    one.channels["force_x"][300:320] = np.nan
+    one.channels["angle"][700] = np.inf
+    pieces, findings = logs(one)
+    assert [len(piece.log.reading.time) for piece in pieces] == [300, 680]
+    errors = [finding for finding in findings if finding.severity == "error"]
+    assert [(e.name, e.place.column, e.place.row) for e in errors] == [
+        ("not a number", "angle", 700), ("not a number", "force_x", 300),
+    ]  # fmt: skip
+    assert "20 of 1,000 rows" in errors[1].sentence
+    assert all(np.isfinite(piece.log.reading.force).all() for piece in pieces)
+
+
+def test_repeated_and_backward_times_are_errors_and_left_out():
+    one = track()
+    one.time[500] = one.time[499]
+    one.time[600] -= 0.025
+    (log,), findings = logs(one)
+    assert len(log.log.reading.time) == 1000
+    (error, *_) = findings
+    assert (error.severity, error.name, error.place.row) == ("error", "repeated time", 500)
+    assert "repeats in 1 and goes back in 1 of 1,000 rows" in error.sentence
+
+
+def test_a_clock_that_starts_anew_begins_another_log():
+    one = track(1200)
+    one.time[500:] -= one.time[500]
+    pieces, findings = logs(one)
+    assert [piece.name for piece in pieces] == ["run rows 0..499", "run rows 500..1199"]
+    assert [len(piece.log.reading.time) for piece in pieces] == [500, 700]
+    assert not findings
+
+
+def test_a_fast_source_is_resampled_and_that_is_noted():
+    time = np.arange(0, 10, 0.001)
+    channels = {name: np.sin(time + i) for i, name in enumerate(NAMES)}
+    (log,), findings = logs(Track(time, channels))
+    assert kinds(findings) == ["resampled"]
+    assert "from 1000.0 Hz" in findings[0].sentence
+    np.testing.assert_allclose(log.log.reading.time[:3], [0, 0.01, 0.02])
+    np.testing.assert_allclose(log.log.reading.force[20:-20, 0], np.sin(log.log.reading.time[20:-20] + 4), atol=1e-3)
+
+
+def test_a_slow_source_is_a_warning():
+    (log,), findings = logs(rows_of(track(), slice(0, None, 2)))
+    assert [(one.severity, one.name) for one in findings] == [("warning", "slow rate")]
+    assert len(log.log.reading.time) == 999
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms (100 Hz)"), (1e-4, "min (1.667e+04 Hz)"), (1e-9, "s or ms")])
+def test_a_clock_in_another_unit_is_refused_with_the_option(factor, unit):
+    one = track()
+    with pytest.raises(LogError, match=re.escape(f"say its unit: --time-unit {unit}")):
+        logs(one._replace(time=one.time * factor))
+
+
+def test_a_velocity_that_is_not_there_is_the_angles_central_difference():
+    one = track()
+    del one.channels["velocity"]
+    (log,), _ = logs(one)
+    angle = one.channels["angle"]
+    np.testing.assert_allclose(log.log.reading.velocity[100], (angle[101] - angle[99]) / 0.02, rtol=1e-4)
+
+
+def test_three_clocks_meet_where_all_have_begun_and_commands_hold():
+    time = np.arange(0, 10, 0.01)
+    joint = Track(time + 0.003, {"angle": time, "velocity": np.ones_like(time)})
+    wrench = Track(np.arange(0.5, 9, 0.001), {name: np.arange(0.5, 9, 0.001) for name in ("force_x", "force_y")})
+    command = Track(
+        np.array([1.0, 2.0, 5.004]), {"command_angle": np.array([1.0, 2, 3]), "command_velocity": np.ones(3)}
+    )
+    (log,), _ = logs(joint, wrench, command)
+    reading, time = log.log.reading, log.start_s + log.log.reading.time
+    assert log.start_s == 0.003
+    assert time[0] == pytest.approx(1.0)
+    assert time[-1] == pytest.approx(9.0, abs=0.011)
+    np.testing.assert_allclose(reading.angle, time - 0.003, atol=1e-5)
+    np.testing.assert_allclose(reading.force[20:-20, 0], time[20:-20], atol=1e-4)
+    assert set(log.log.command.angle) == {1, 2, 3}
+    # Issued at 5.004 s: the row of 5.00 s is over, that of 5.01 s has it.
+    assert log.log.command.angle[400] == 2
+    assert log.log.command.angle[401] == 3
+
+
+def test_clocks_that_never_meet_are_refused():
+    time = np.arange(0, 10, 0.01)
+    joint = Track(time, {"angle": time})
+    wrench = Track(time + 100, {"force_x": time, "force_y": time})
+    with pytest.raises(LogError, match="no time in common: angle"):
+        logs(joint, wrench, Track(time, {"command_angle": time, "command_velocity": time}))
+
+
+@pytest.mark.parametrize(("option", "channel"), [("force_lag_ms", "force_x"), ("command_lag_ms", "command_angle")])
+def test_a_lag_that_is_given_is_taken_out(option, channel):
+    late = track()
+    names = [name for name in NAMES if name.split("_")[0] == channel.split("_")[0]]
+    for name in names:
+        late.channels[name][5:] = late.channels[name][:-5].copy()
+    (log,), _ = logs(late, **{option: 50})
+    (plain,), _ = logs(track())
+    series = {"force_x": lambda one: one.reading.force[:, 0], "command_angle": lambda one: one.command.angle}[channel]
+    row = int(np.flatnonzero(np.isclose(plain.log.reading.time, log.log.reading.time[0]))[0])
+    count = min(len(log.log.reading.time), 900)
+    np.testing.assert_allclose(series(log.log)[:count], series(plain.log)[row : row + count], atol=1e-5)
+    np.testing.assert_allclose(log.log.reading.angle[:count], plain.log.reading.angle[row : row + count], atol=1e-5)
+
+
+def test_too_few_rows_are_refused():
+    with pytest.raises(LogError, match="1 rows"):
+        logs(track(1))

@@ -1,0 +1,208 @@
+import itertools
+import shlex
+
+import numpy as np
+import pytest
+
+from softfin.core.errors import ConfigurationError, LogError
+from softfin.data.importing.columns import choose_columns, converted, shown, suggestion
+from softfin.data.importing.importing import FORCE_FRAMES, ImportConfig, composed
+from softfin.storage.log_file import SCHEMA
+
+AUTHORS = ["command angle", "command velocity", "position", "force x", "force y"]
+MAPPED = "angle=position,command_angle=command angle,command_velocity=command velocity,force_x=force x,force_y=force y"
+
+
+def chosen(names, source="x.csv", **options) -> dict[str, str]:
+    found = choose_columns(names, ImportConfig.build({"rate_hz": 100} | options), source)
+    return {channel: column.name for channel, column in found.items()}
+
+
+def refusal(names, **options) -> str:
+    with pytest.raises(LogError) as error:
+        chosen(names, **options)
+    message = str(error.value)
+    assert message.isprintable()
+    return message
+
+
+def option_in(message: str) -> str:
+    """The value of the option --columns that a message suggests, as a shell hands it on."""
+    words = shlex.split(message[message.index("--columns ") :].split("; --velocity")[0])
+    return words[1]
+
+
+def test_softfins_own_names_need_no_mapping_and_no_note():
+    found = choose_columns(SCHEMA.names, ImportConfig(), "log")
+    assert {channel: column.name for channel, column in found.items()} == dict(zip(found, SCHEMA.names, strict=True))
+    assert shown(found) == ""
+
+
+def test_names_without_units_are_taken_as_si_and_shown():
+    names = ["time", "command_angle", "command_velocity", "angle", "force_x", "force_y"]
+    found = choose_columns(names, ImportConfig(), "log.csv")
+    assert {channel: column.name for channel, column in found.items()} == {name: name for name in names}
+    assert shown(found) == (
+        "by the names: time='time' in s (assumed), command_angle='command_angle' in rad (assumed), "
+        "command_velocity='command_velocity' in rad/s (assumed), angle='angle' in rad (assumed), "
+        "force_x='force_x' in N (assumed), force_y='force_y' in N (assumed)"
+    )
+
+
+def test_what_was_mapped_and_what_was_guessed_is_shown_apart_with_its_unit():
+    names = ["t [ms]", "cmd (deg)", "cmd vel", "blade, deg", "Fx [N]", "F_y_mN"]
+    config = ImportConfig.build({"columns": '"angle=blade, deg"', "angles": "command_velocity=rpm"})
+    found = choose_columns(names, config, "log.csv")
+    assert shown(found) == (
+        "by the names: time='t [ms]' in ms, command_angle='cmd (deg)' in deg, command_velocity='cmd vel' in rpm, "
+        "force_x='Fx [N]' in N, force_y='F_y_mN' in mN; by --columns: angle='blade, deg' in deg"
+    )
+
+
+def test_softfins_own_name_counts_before_any_that_looks_like_it():
+    assert chosen([*SCHEMA.names, "theta", "position"])["angle"] == "angle_rad"
+
+
+def test_a_mapping_counts_before_softfins_own_names_and_before_guesses():
+    assert chosen([*SCHEMA.names, "theta"], columns="angle=theta")["angle"] == "theta"
+    assert chosen([*AUTHORS, "theta"], columns="angle=theta")["angle"] == "theta"
+
+
+def test_two_columns_that_may_be_the_same_channel_are_refused_with_the_option_that_decides():
+    message = refusal([*AUTHORS, "theta [deg]"])
+    assert message == (
+        "x.csv: which column is angle? It may be 'position' or 'theta [deg]'; decide it: --columns angle=position"
+    )
+    assert chosen([*AUTHORS, "theta [deg]"], columns=option_in(message))["angle"] == "position"
+    message = refusal([*AUTHORS, "speed", "omega"])
+    assert "which column is velocity? It may be 'speed' or 'omega'" in message
+    assert "velocity" not in chosen([*AUTHORS, "speed", "omega"], columns="velocity=-")
+
+
+def test_what_no_name_says_is_asked_for_with_an_option_to_copy():
+    names = ["blade angle", "command angle", "command velocity", "force x", "force y"]
+    message = refusal(names)
+    assert "which column is angle? 'blade angle' may be, but 'blade' is no known word or unit" in message
+    assert option_in(message) == "angle=blade angle"
+    assert chosen(names, columns=option_in(message))["angle"] == "blade angle"
+    assert "say it: --columns angle=NAME" in refusal(["a", *AUTHORS[:2], *AUTHORS[3:]])
+    assert suggestion(["Fx", "Fy"], {"angle": "p", "command_angle": "q", "command_velocity": "r"}) == (
+        "--columns force_x=Fx,force_y=Fy"
+    )
+
+
+def test_a_suggestion_with_commas_and_quotes_can_be_copied():
+    names = ["fin's angle, top (deg)", "command angle", "command velocity", "force x", "force y"]
+    assert chosen(names, columns=option_in(refusal(names)))["angle"] == names[0]
+
+
+def test_a_name_with_control_characters_stays_out_of_the_suggestion():
+    assert option_in(refusal(["blade\x1b[2J angle", *AUTHORS[:2], *AUTHORS[3:]])) == "angle=NAME"
+
+
+@pytest.mark.parametrize("name", ["angle [counts]", "angle_counts", "position (m)", "theta [1/s]"])
+def test_an_unknown_unit_is_refused_with_the_known_ones(name):
+    message = refusal([name, *AUTHORS[:2], *AUTHORS[3:]])
+    assert f"{name!r} may be, but" in message
+    assert "(units: rad, mrad, deg, turn; others must be converted first)" in message
+
+
+def test_a_readable_column_is_taken_where_another_has_an_unknown_unit():
+    assert chosen([*AUTHORS, "position [counts]"])["angle"] == "position"
+
+
+def test_an_unknown_unit_of_a_column_that_was_mapped_is_known_to_be_unclear_unless_it_is_told():
+    names = ["Fx [V]", *AUTHORS[:3], AUTHORS[4]]
+    options = {"columns": "force_x=Fx [V]", "rate_hz": 100}
+    assert choose_columns(names, ImportConfig.build(options), "x.csv")["force_x"].unclear == "V"
+    told = choose_columns(names, ImportConfig.build(options | {"force_unit": "mN"}), "x.csv")["force_x"]
+    assert (told.unit, told.unclear) == ("mN", "")
+
+
+def test_a_told_unit_counts_before_the_names():
+    names = ["t_ms", "cmd_deg", "cmd_vel_deg_s", "angle_deg", "Fx [mN]", "Fy [mN]"]
+    config = ImportConfig.build({"time_unit": "s", "angles": "angle=rad,command_velocity=deg", "force_unit": "N"})
+    units = {channel: column.unit for channel, column in choose_columns(names, config, "x.csv").items()}
+    assert units == {
+        "time": "s", "command_angle": "deg", "command_velocity": "deg/s", "angle": "rad",
+        "force_x": "N", "force_y": "N",
+    }  # fmt: skip
+
+
+def test_without_a_commanded_velocity_the_option_that_tells_it_is_named():
+    names = ["time", "cmd", "angle", "velocity", "fx", "fy"]
+    message = refusal(names)
+    assert "which column is command_velocity?" in message
+    assert "--velocity 3.1 takes its place" in message
+    found = chosen(names, velocity_rad_s=3.1)
+    assert "command_velocity" not in found
+    assert found["velocity"] == "velocity"
+
+
+def test_a_rate_and_a_velocity_that_are_told_keep_columns_from_being_guessed():
+    names = ["time", *AUTHORS]
+    assert "time" not in chosen(names)
+    assert "command_velocity" not in chosen(names, velocity_rad_s=1.0)
+    assert chosen(SCHEMA.names, velocity_rad_s=1.0)["time"] == "time_s"
+
+
+def test_a_mapping_to_a_column_that_is_not_there_names_the_nearest():
+    with pytest.raises(LogError, match="did you mean 'position'"):
+        choose_columns(AUTHORS, ImportConfig.build({"columns": MAPPED.replace("=position", "=positon")}), "x.csv")
+
+
+def test_without_a_column_of_time_the_rate_must_be_told():
+    with pytest.raises(LogError, match="give --rate 100"):
+        choose_columns(AUTHORS, ImportConfig.build({"columns": MAPPED}), "x.csv")
+    with pytest.raises(LogError, match=r"'time \[h\]' may be, but 'h' is no known .* \(units: s, ms, us, ns, min; "):
+        choose_columns(["time [h]", *AUTHORS], ImportConfig(), "x.csv")
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ({"columns": "angel=position"}, "did you mean 'angle'"),
+        ({"columns": "angle"}, "write NAME=VALUE"),
+        ({"topics": "wrnch=/w"}, "did you mean 'wrench'"),
+        ({"angles": "grad"}, "'grad' is no unit of angles; say rad, mrad, deg, turn, or of each"),
+        ({"angles": "angle=grad"}, "'grad' is no unit of angles; say rad, mrad, deg, turn, or"),
+        ({"angles": "angle=rpm"}, "'rpm' is no unit of angles"),
+        ({"force_unit": "V"}, "'N', 'mN', 'kN', 'gf', 'kgf' or 'lbf'"),
+        ({"velocity_rad_s": 180}, "less than or equal to 40"),
+        ({"negate": "force_x"}, "force_x"),
+        ({"force": "x,x"}, "force"),
+        ({"rate_hz": 0}, "greater than 0"),
+    ],
+)
+def test_options_that_cannot_be_are_refused_in_a_line(option, message):
+    with pytest.raises(ConfigurationError, match=message):
+        ImportConfig.build(option)
+
+
+def test_degrees_signs_and_axes_are_converted():
+    one = np.array([1.0, 2.0])
+    channels = dict.fromkeys(("angle", "velocity", "command_angle", "command_velocity"), np.degrees(one))
+    channels |= {"force_x": one, "force_y": 10 * one}
+    config = ImportConfig.build({"angles": "deg", "negate": "angle,command_angle", "force": "y,-x"})
+    result = converted(channels, config)
+    np.testing.assert_allclose(result["angle"], -one)
+    np.testing.assert_allclose(result["velocity"], -one)
+    np.testing.assert_allclose(result["command_angle"], -one)
+    np.testing.assert_allclose(result["command_velocity"], one)
+    np.testing.assert_allclose(result["force_x"], 10 * one)
+    np.testing.assert_allclose(result["force_y"], -one)
+
+
+def test_units_can_be_told_one_by_one():
+    channels = {"angle": np.array([180.0]), "command_angle": np.array([1.0])}
+    result = converted(channels, ImportConfig.build({"angles": "angle=deg"}))
+    assert result["angle"][0] == pytest.approx(np.pi)
+    assert result["command_angle"][0] == 1.0
+
+
+@pytest.mark.parametrize(("given", "then"), list(itertools.product(FORCE_FRAMES, FORCE_FRAMES)))
+def test_two_frames_one_after_the_other_are_one(given, then):
+    channels = {"force_x": np.array([2.0]), "force_y": np.array([3.0])}
+    twice = converted(converted(channels, ImportConfig(force=given)), ImportConfig(force=then))
+    once = converted(channels, ImportConfig(force=composed(given, then)))
+    assert {name: float(value[0]) for name, value in once.items()} == {k: float(v[0]) for k, v in twice.items()}

@@ -1,0 +1,112 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from softfin.data.importing.names import (
+    COMMAND_WORDS,
+    KINDS,
+    NEUTRAL_WORDS,
+    PHRASES,
+    SPELLED,
+    UNITS,
+    read_name,
+    unit_in,
+)
+
+CASES = {"lower": str.lower, "upper": str.upper, "title": str.title, "as it is": str}
+
+SEPARATORS = (" ", "_", "-", ".", "/")
+
+UNIT_STYLES = ("{} [{}]", "{}[{}]", "{} ({})", "{}({})", "{}_{}", "{} {}", "{}, {}", "{} / {}", "{} in {}")
+
+
+@st.composite
+def meant(draw):
+    """A name, and what it means by how it was made."""
+    base = draw(st.sampled_from(sorted(PHRASES)))
+    words = draw(st.permutations(draw(st.sampled_from(PHRASES[base])).split()))
+    channel = base
+    if base in ("angle", "velocity") and draw(st.booleans()):
+        words = draw(st.permutations([*words, draw(st.sampled_from(sorted(COMMAND_WORDS)))]))
+        channel = f"command_{base}"
+    words = [*draw(st.lists(st.sampled_from(sorted(NEUTRAL_WORDS)), max_size=2)), *words]
+    separator = draw(st.sampled_from(SEPARATORS))
+    name = CASES[draw(st.sampled_from(sorted(CASES)))](separator.join(words))
+    spelled = SPELLED[KINDS[channel]]
+    text = draw(st.none() | st.sampled_from(sorted(spelled)))
+    if text is None:
+        return name, channel, None
+    style = draw(st.sampled_from(UNIT_STYLES))
+    unit = CASES[draw(st.sampled_from(["lower", "upper"]))](text)
+    return style.format(name, unit), channel, spelled[text]
+
+
+@given(meant())
+def test_every_synonym_in_every_case_with_every_separator_and_unit_is_read_as_meant(case):
+    name, channel, unit = case
+    assert read_name(name) == (channel, unit, "")
+    assert unit_in(name, KINDS[channel]) == (unit, "")
+
+
+@given(
+    st.sampled_from(sorted(PHRASES)),
+    st.sampled_from(["mm", "cm", "counts", "qc", "inc", "V", "mV", "%", "A", "Nm", "bar", "grad", "h", "hours", "-"]),
+)
+def test_a_unit_that_is_not_known_leaves_the_name_unclear(channel, unit):
+    name = f"{PHRASES[channel][0]} [{unit}]"
+    assert read_name(name) == (channel, None, unit)
+
+
+@given(st.text(max_size=30))
+def test_any_text_is_read_or_not_but_never_fails(text):
+    read = read_name(text)
+    assert read is None or read.channel in KINDS
+
+
+@pytest.mark.parametrize(
+    ("name", "channel", "unit"),
+    [
+        ("position", "angle", None), ("ActualPosition", "angle", None), ("theta_deg", "angle", "deg"),
+        ("cmd_pos", "command_angle", None), ("targetAngle", "command_angle", None),
+        ("targetangle", "command_angle", None),
+        ("desired position", "command_angle", None), ("set_point [deg]", "command_angle", "deg"),
+        ("cmd", "command_angle", None), ("cmd_rad_s", "command_velocity", "rad/s"),
+        ("target_rpm", "command_velocity", "rpm"),
+        ("speed", "velocity", None), ("vel [rad s^-1]", "velocity", "rad/s"), ("vel [rad·s⁻¹]", "velocity", "rad/s"),
+        ("omega (deg per sec)", "velocity", "deg/s"), ("velRad_per_s", "velocity", "rad/s"),
+        ("ω [°/s]", "velocity", "deg/s"),
+        ("Fx", "force_x", None), ("force_y [N]", "force_y", "N"), ("Force (x) [mN]", "force_x", "mN"),
+        ("wrench.force.x", "force_x", None), ("force_x_mN", "force_x", "mN"), ("theta(t) [deg]", "angle", "deg"),
+        ("/fin/joint_states/fin/position", "angle", None), ("timestamp_us", "time", "us"), ("t/ms", "time", "ms"),
+        ("millis", "time", "ms"), ("time [µs]", "time", "us"), ("AngleDeg", "angle", "deg"), ("timeMs", "time", "ms"),
+    ],
+)  # fmt: skip
+def test_names_as_people_write_them(name, channel, unit):
+    assert read_name(name) == (channel, unit, "")
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["temperature", "Fz", "", "torque_x", "target_force_x", "reference_x_n", "reference", "command id", "pos_x", "s",
+     "n", "min", "rad", "tin", "tread", "step", "command time", "[deg]"],
+)  # fmt: skip
+def test_what_is_no_channel_is_not_taken_for_one(name):
+    assert read_name(name) is None
+
+
+def test_the_factors_are_those_of_the_units():
+    assert 180 * UNITS["angle"]["deg"] == pytest.approx(np.pi)
+    assert 60 * UNITS["velocity"]["rpm"] == pytest.approx(UNITS["velocity"]["turn/s"])
+    assert UNITS["force"]["lbf"] == pytest.approx(0.45359237 * UNITS["force"]["kgf"])
+    assert all(next(iter(units.values())) == 1.0 for units in UNITS.values())
+
+
+@given(st.sampled_from(sorted(PHRASES)), st.sampled_from(sorted(COMMAND_WORDS)), st.booleans(), st.data())
+def test_words_without_a_separator_are_told_apart(base, command, commanded, data):
+    words = data.draw(st.sampled_from(PHRASES[base])).split()
+    channel = base
+    if commanded and base in ("angle", "velocity"):
+        words, channel = data.draw(st.permutations([*words, command])), f"command_{base}"
+    join = data.draw(st.sampled_from([lambda w: "".join(map(str.title, w)), "".join, lambda w: "".join(w).upper()]))
+    assert read_name(join(words)) == (channel, None, "")

@@ -1,0 +1,196 @@
+import shutil
+
+import numpy as np
+import pytest
+import zstandard
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
+
+from softfin.core.errors import LogError
+from softfin.data.importing import rosbag
+from softfin.data.importing.clocks import logs_of
+from softfin.data.importing.importing import ImportConfig
+from softfin.data.importing.rosbag import read_bag
+from softfin.storage.bag import chunks as mcap_chunks
+from tests.data.bags import START_S, array, joint, topics_of, wrench, write_bag
+from tests.data.faulty import columns_of, tank_logs
+
+
+@pytest.fixture(scope="module")
+def columns():
+    return columns_of(tank_logs()[0])
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory, columns):
+    path = tmp_path_factory.mktemp("bags") / "run"
+    write_bag(path, topics_of(columns))
+    return path
+
+
+def opened(path, **options):
+    config = ImportConfig.build(options)
+    recording = read_bag(path, path.name, "train", config)
+    logs, findings = logs_of(recording, config)
+    return logs, findings
+
+
+def check(one, columns):
+    log, reading = one.log, one.log.reading
+    assert reading.time[0] < 0.011
+    np.testing.assert_allclose(one.start_s + reading.time - START_S, columns["time_s"][: len(reading.time)], atol=1e-5)
+    np.testing.assert_allclose(reading.angle, columns["angle_rad"][: len(reading.time)], atol=1e-5)
+    np.testing.assert_array_equal(
+        log.command.angle, columns["command_angle_rad"][: len(reading.time)].astype(np.float32)
+    )
+    assert np.corrcoef(reading.force[:, 1], columns["force_y_n"][: len(reading.time)])[0, 1] > 0.995
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_a_bag_comes_back_as_the_log_that_it_was(tmp_path, columns, storage):
+    write_bag(tmp_path / "run", topics_of(columns), storage, delay_s=0.123)
+    (one,), findings = opened(tmp_path / "run")
+    assert len(one.log.reading.time) == 999
+    check(one, columns)
+    assert [finding.name for finding in findings] == ["resampled"]
+
+
+def test_a_lone_mcap_file_is_a_bag(tmp_path, bag, columns):
+    (file,) = bag.glob("*.mcap")
+    shutil.copy(file, tmp_path / "lone.mcap")
+    (one,), _ = opened(tmp_path / "lone.mcap")
+    check(one, columns)
+
+
+def test_without_stamps_the_time_of_logging_counts_and_is_told(tmp_path, columns):
+    write_bag(tmp_path / "run", topics_of(columns, stamped=False), delay_s=0.25)
+    (one,), findings = opened(tmp_path / "run")
+    assert one.start_s + one.log.reading.time[0] - START_S == pytest.approx(0.26, abs=1e-5)
+    assert [(f.severity, f.name) for f in findings].count(("warning", "no stamps")) == 3
+
+
+def test_a_command_may_be_an_array_of_angle_and_velocity(tmp_path, columns):
+    topics = topics_of(columns)
+    topics["/fin/command"] = [(time, array(m.position[0], m.velocity[0])) for time, m in topics["/fin/command"]]
+    write_bag(tmp_path / "run", topics)
+    (one,), _ = opened(tmp_path / "run")
+    check(one, columns)
+
+
+def test_topics_are_named_and_one_joint_of_several(tmp_path, columns):
+    plain = topics_of(columns)
+    several = [
+        (time, joint(time, one.position[0], one.velocity[0], ("tail", "fin")))
+        for time, one in plain["/fin/joint_states"]
+    ]
+    topics = {"/a": several, "/b": plain["/fin/command"], "/c": plain["/fin/wrench"]}
+    write_bag(tmp_path / "run", topics)
+    with pytest.raises(LogError, match="which joint") as error:
+        opened(tmp_path / "run", topics="joint=/a,command=/b,wrench=/c")
+    assert "tail, fin" in str(error.value)
+    (one,), _ = opened(tmp_path / "run", topics="joint=/a:fin,command=/b,wrench=/c")
+    np.testing.assert_allclose(one.log.reading.angle, columns["angle_rad"][:999] + 100, atol=1e-4)
+
+
+def test_a_joint_without_velocities_has_its_derived(tmp_path, columns):
+    topics = topics_of(columns)
+    topics["/fin/joint_states"] = [(t, joint(t, m.position[0], None)) for t, m in topics["/fin/joint_states"]]
+    write_bag(tmp_path / "run", topics)
+    (one,), findings = opened(tmp_path / "run")
+    assert "velocity derived" in [finding.name for finding in findings]
+    angle = one.log.reading.angle.astype(float)
+    np.testing.assert_allclose(one.log.reading.velocity[5:-5], (angle[6:-4] - angle[4:-6]) / 0.02, atol=1e-3)
+
+
+def test_commands_without_velocities_take_the_one_that_is_told(tmp_path, columns):
+    topics = topics_of(columns)
+    topics["/fin/command"] = [(t, joint(t, m.position[0], None)) for t, m in topics["/fin/command"]]
+    write_bag(tmp_path / "run", topics)
+    with pytest.raises(LogError, match=r"/fin/command: no velocity in the commands; --velocity 3\.1 takes its place"):
+        opened(tmp_path / "run")
+    (one,), findings = opened(tmp_path / "run", velocity_rad_s=2.5, angles="deg")
+    assert set(one.log.command.velocity.tolist()) == {2.5}
+    assert "no velocity: 2.5 rad/s throughout, by --velocity" in findings[0].sentence
+
+
+def test_a_topic_that_is_missing_or_of_another_type_is_named_with_what_there_is(tmp_path, columns, bag):
+    with pytest.raises(LogError, match="no topic /cmd for the command; it has /fin/command"):
+        opened(bag, topics="command=/cmd")
+    with pytest.raises(LogError, match="a wrench must be geometry_msgs/msg/WrenchStamped"):
+        opened(bag, topics="wrench=/fin/joint_states")
+    topics = topics_of(columns)
+    del topics["/fin/wrench"]
+    write_bag(tmp_path / "run", topics | {"/force": [(0.0, wrench(0.0, 1, 1))]})
+    with pytest.raises(LogError, match="--topics wrench=/force"):
+        opened(tmp_path / "run")
+
+
+def test_a_command_of_three_numbers_is_refused(tmp_path, columns):
+    message = array(1, 2)
+    message.data = np.zeros(3)
+    write_bag(tmp_path / "run", topics_of(columns) | {"/fin/command": [(0.0, message)]})
+    with pytest.raises(LogError, match="a command is"):
+        opened(tmp_path / "run")
+
+
+def test_what_a_bag_calls_its_topics_cannot_break_the_line(tmp_path, columns):
+    topics = topics_of(columns)
+    del topics["/fin/wrench"]
+    write_bag(tmp_path / "run", topics | {"/a\n\x1b[2J": [(0.0, wrench(0.0, 1, 1))]})
+    with pytest.raises(LogError, match="no topic /fin/wrench") as error:
+        opened(tmp_path / "run")
+    assert str(error.value).isprintable()
+
+
+def test_what_no_log_can_hold_is_found_as_no_value(tmp_path, columns):
+    topics = topics_of(columns)
+    topics["/fin/wrench"][10] = (topics["/fin/wrench"][10][0], wrench(topics["/fin/wrench"][10][0], 1e300, 0))
+    write_bag(tmp_path / "run", topics)
+    _, findings = opened(tmp_path / "run")
+    assert ("error", "not a number") in [(finding.severity, finding.name) for finding in findings]
+
+
+def test_a_damaged_bag_is_refused_in_one_line(tmp_path, bag):
+    shutil.copytree(bag, tmp_path / "run")
+    (file,) = (tmp_path / "run").glob("*.mcap")
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    with pytest.raises(LogError, match="truncated, or no ROS 2 bag") as error:
+        opened(tmp_path / "run")
+    assert str(error.value).endswith(f"softfin bag recover {file}")
+    assert "\n" not in str(error.value)
+    (tmp_path / "run" / "metadata.yaml").write_text("{")
+    with pytest.raises(LogError, match="truncated, or no ROS 2 bag"):
+        opened(tmp_path / "run")
+
+
+def test_a_bags_description_is_bounded_before_its_reader_gets_it(tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "metadata.yaml").write_text("a: [" + ",".join(["[" * 200 + "]" * 200] * 200) + "]")
+    with pytest.raises(LogError, match="nested more than 20 deep"):
+        read_bag(tmp_path / "run", "run", "train", ImportConfig())
+
+
+@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
+def test_a_bag_may_be_compressed_as_a_whole_or_message_by_message(tmp_path, columns, mode):
+    topics = topics_of(columns, rows=200)
+    write_bag(tmp_path / "plain", topics, StoragePlugin.SQLITE3)
+    write_bag(tmp_path / "packed", topics, StoragePlugin.SQLITE3, compression=mode)
+    (plain,), (packed,) = (opened(tmp_path / name)[0] for name in ("plain", "packed"))
+    np.testing.assert_array_equal(packed.log.reading.force, plain.log.reading.force)
+
+
+def test_a_file_that_inflates_without_end_is_no_bag(tmp_path, columns, monkeypatch):
+    monkeypatch.setattr(mcap_chunks, "LARGEST", 2**22)
+    write_bag(tmp_path / "run", topics_of(columns, rows=200), StoragePlugin.SQLITE3, compression=CompressionMode.FILE)
+    (file,) = (tmp_path / "run").glob("*.zstd")
+    file.write_bytes(zstandard.compress(bytes(2**24)))
+    with pytest.raises(LogError, match=r"zstd: inflates to more than 200 times its size: it is no recording"):
+        opened(tmp_path / "run")
+
+
+def test_a_message_that_inflates_without_end_is_not_read(tmp_path, columns, monkeypatch):
+    monkeypatch.setattr(rosbag, "LONGEST_MESSAGE", 20)
+    write_bag(
+        tmp_path / "run", topics_of(columns, rows=200), StoragePlugin.SQLITE3, compression=CompressionMode.MESSAGE
+    )
+    with pytest.raises(LogError, match="a message of over 20 bytes"):
+        opened(tmp_path / "run")

@@ -1,0 +1,192 @@
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet as pq
+import pytest
+
+from softfin.core.errors import LogError
+from softfin.data.importing.importing import ImportConfig
+from softfin.data.importing.tables import read_table
+from tests.data.faulty import columns_of, tank_logs
+
+AUTHORS = {
+    "command_angle_rad": "command angle", "command_velocity_rad_s": "command velocity", "angle_rad": "position",
+    "force_x_n": "force x", "force_y_n": "force y",
+}  # fmt: skip
+MAPPED = "angle=position,command_angle=command angle,command_velocity=command velocity,force_x=force x,force_y=force y"
+
+
+@pytest.fixture(scope="module")
+def columns():
+    return columns_of(tank_logs()[0])
+
+
+def write_csv(path, columns, delimiter=","):
+    options = pyarrow.csv.WriteOptions(delimiter=delimiter)
+    pyarrow.csv.write_csv(pa.table(columns), path, options)
+
+
+def authors(columns) -> dict:
+    return {name: columns[own] for own, name in AUTHORS.items()}
+
+
+def read(path, **options):
+    return read_table(path, path.name, "train", ImportConfig.build(options))
+
+
+def kinds(recording) -> list[str]:
+    return [one.name for one in recording.findings]
+
+
+def test_the_authors_csv_is_read_with_a_mapping_and_a_rate(tmp_path, columns):
+    write_csv(tmp_path / "final.csv", authors(columns))
+    (recording,) = read(tmp_path / "final.csv", columns=MAPPED, rate_hz=100)
+    (track,) = recording.tracks
+    np.testing.assert_allclose(track.channels["angle"], columns["angle_rad"])
+    np.testing.assert_allclose(track.time, np.arange(6000) / 100)
+    assert kinds(recording) == ["columns", "velocity derived"]
+    assert recording.findings[0].sentence.startswith("by --columns: command_angle='command angle' in rad (assumed), ")
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+def test_delimiters_and_a_byte_order_mark_are_understood(tmp_path, columns, delimiter):
+    write_csv(tmp_path / "a.csv", columns, delimiter)
+    (tmp_path / "b.csv").write_bytes(b"\xef\xbb\xbf" + (tmp_path / "a.csv").read_bytes())
+    (recording,) = read(tmp_path / "b.csv")
+    np.testing.assert_allclose(recording.tracks[0].channels["force_y"], columns["force_y_n"])
+    assert recording.findings == ()
+
+
+def test_a_quoted_name_may_hold_the_delimiter(tmp_path, columns):
+    write_csv(tmp_path / "a.csv", columns | {"forces, x and y": columns["time_s"]})
+    (recording,) = read(tmp_path / "a.csv")
+    assert "'forces, x and y'" in recording.findings[0].sentence
+
+
+def test_logs_end_to_end_are_parted_by_their_rows(tmp_path, columns):
+    write_csv(tmp_path / "final.csv", authors(columns))
+    recordings = read(tmp_path / "final.csv", columns=MAPPED, rate_hz=100, rows_per_log=2500)
+    assert [one.name for one in recordings] == [
+        "final.csv rows 0..2499", "final.csv rows 2500..4999", "final.csv rows 5000..5999",
+    ]  # fmt: skip
+    np.testing.assert_allclose(recordings[1].tracks[0].channels["angle"], columns["angle_rad"][2500:5000])
+
+
+def test_very_many_rows_without_a_time_are_a_warning(tmp_path, columns):
+    write_csv(tmp_path / "final.csv", {name: np.tile(values, 20) for name, values in authors(columns).items()})
+    (recording,) = read(tmp_path / "final.csv", columns=MAPPED, rate_hz=100)
+    assert ("warning", "one log") in [(one.severity, one.name) for one in recording.findings]
+
+
+def test_columns_that_are_not_read_are_named(tmp_path, columns):
+    write_csv(tmp_path / "a.csv", columns | {"temperature": columns["time_s"]})
+    (recording,) = read(tmp_path / "a.csv")
+    assert "'temperature'" in recording.findings[0].sentence
+
+
+def test_empty_cells_are_not_a_number(tmp_path):
+    (tmp_path / "a.csv").write_text("time,c,v,p,x,y\n0.00,0,1,0,,1\n0.01,0,1,nan,1,1\n0.02,0,1,NaN,1,\n")
+    (recording,) = read(
+        tmp_path / "a.csv", columns="time=time,command_angle=c,command_velocity=v,angle=p,force_x=x,force_y=y"
+    )
+    values = recording.tracks[0].channels
+    assert np.isnan(values["force_x"]).tolist() == [True, False, False]
+    assert np.isnan(values["angle"]).tolist() == [False, True, True]
+
+
+def test_a_time_in_milliseconds_is_told(tmp_path, columns):
+    write_csv(tmp_path / "a.csv", columns | {"time_s": 1000 * columns["time_s"]})
+    (recording,) = read(tmp_path / "a.csv", time_unit="ms")
+    np.testing.assert_allclose(recording.tracks[0].time, columns["time_s"])
+    assert recording.time_unit == "ms"
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_units_in_the_names_are_converted_and_a_velocity_may_be_told(tmp_path, columns, suffix):
+    table = {
+        "t [ms]": 1e3 * columns["time_s"],
+        "Cmd Angle (deg)": np.degrees(columns["command_angle_rad"]),
+        "theta_deg": np.degrees(columns["angle_rad"]),
+        "Fx [mN]": 1e3 * columns["force_x_n"],
+        "F_y (mN)": 1e3 * columns["force_y_n"],
+        "note": columns["time_s"],
+    }
+    path = tmp_path / f"a.{suffix}"
+    write_csv(path, table) if suffix == "csv" else pq.write_table(pa.table(table), path)
+    (recording,) = read(path, velocity_rad_s=3.1)
+    (track,) = recording.tracks
+    np.testing.assert_allclose(track.time, columns["time_s"])
+    for channel, own in (("command_angle", "command_angle_rad"), ("angle", "angle_rad"), ("force_y", "force_y_n")):
+        np.testing.assert_allclose(track.channels[channel], columns[own], atol=1e-12)
+    assert set(track.channels["command_velocity"]) == {3.1}
+    assert kinds(recording) == ["columns", "unread columns", "velocity derived"]
+    assert recording.findings[0].sentence == (
+        "by the names: time='t [ms]' in ms, command_angle='Cmd Angle (deg)' in deg, angle='theta_deg' in deg, "
+        "force_x='Fx [mN]' in mN, force_y='F_y (mN)' in mN; "
+        "command_velocity = 3.1 rad/s throughout, by --velocity"
+    )
+
+
+def test_a_rate_or_velocity_that_is_not_used_is_said_so(tmp_path, columns):
+    write_csv(tmp_path / "a.csv", columns)
+    (recording,) = read(tmp_path / "a.csv", velocity_rad_s=3.1, rate_hz=100)
+    np.testing.assert_array_equal(recording.tracks[0].channels["command_velocity"], columns["command_velocity_rad_s"])
+    assert recording.findings[0].sentence == (
+        "--velocity 3.1 not used: 'command_velocity_rad_s' holds it; --rate 100 not used: 'time_s' holds the time"
+    )
+
+
+def test_a_unit_that_is_not_known_is_a_warning_where_its_column_was_mapped(tmp_path, columns):
+    write_csv(tmp_path / "a.csv", {name if name != "force_x_n" else "Fx [V]": each for name, each in columns.items()})
+    (recording,) = read(tmp_path / "a.csv", columns="force_x=Fx [V]")
+    warning = recording.findings[1]
+    assert (warning.severity, warning.name) == ("warning", "unknown unit")
+    assert warning.sentence == "'V' in its name 'Fx [V]' is no known unit; taken as N"
+    assert "known are N, mN, kN, gf, kgf, lbf" in warning.remedy
+
+
+def test_parquet_with_other_names_and_types_is_read(tmp_path, columns):
+    table = pa.table({name: values.astype(np.float32) for name, values in authors(columns).items()})
+    pq.write_table(table.append_column("n", pa.array(range(6000))), tmp_path / "a.parquet")
+    (recording,) = read(tmp_path / "a.parquet", columns=MAPPED + ",time=n", time_unit="ms")
+    np.testing.assert_allclose(recording.tracks[0].channels["angle"], columns["angle_rad"])
+    assert recording.tracks[0].time[1] == pytest.approx(0.001)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "empty: it has no header"),
+        ("1,2,3\n4,5,6\n", "write the columns' names above it"),
+        ("a,a\n1,2\n", "'a' is there twice"),
+        ("command_angle_rad,command_velocity_rad_s,angle_rad,force_x_n,force_y_n\n", "empty: it has no rows"),
+        (
+            "command_angle_rad,command_velocity_rad_s,angle_rad,force_x_n,force_y_n\n1,2,3,4,x\n",
+            "not a table of numbers",
+        ),
+        ("command_angle_rad,command_velocity_rad_s,angle_rad,force_x_n,force_y_n\n1,2,3\n", "not a table of numbers"),
+    ],
+)
+def test_a_csv_that_is_no_table_is_refused_in_one_line(tmp_path, text, message):
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(LogError, match=message) as error:
+        read(tmp_path / "a.csv", rate_hz=100)
+    assert "\n" not in str(error.value)
+
+
+def test_other_files_are_refused(tmp_path):
+    (tmp_path / "a.parquet").write_bytes(b"no Parquet")
+    with pytest.raises(LogError, match="not a Parquet file"):
+        read(tmp_path / "a.parquet")
+    (tmp_path / "a.csv").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(LogError, match="cannot be read as text"):
+        read(tmp_path / "a.csv")
+    pq.write_table(pa.table({name: ["a", "b"] for name in AUTHORS}), tmp_path / "b.parquet")
+    with pytest.raises(LogError, match="must hold numbers"):
+        read(tmp_path / "b.parquet", rate_hz=100)
+
+
+def test_a_first_line_without_end_is_no_header(tmp_path):
+    (tmp_path / "zeros.csv").write_bytes(bytes(2**21))
+    with pytest.raises(LogError, match=r"its first line has over 100,000 letters; it must name the columns"):
+        read_table(tmp_path / "zeros.csv", "zeros", "train", ImportConfig())

@@ -1,0 +1,216 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softfin.core.errors import ConfigurationError, PlantError
+from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Log
+from softfin.data.checks.side_by_side import CHUNK_ROWS
+from softfin.data.collect import CollectConfig, collect
+from tests.plants import AnalyticFin, PlainFin
+
+ROWS = CHUNK_ROWS + 501
+
+
+@pytest.fixture(scope="module")
+def config() -> CollectConfig:
+    return CollectConfig(logs=4, test_logs=2, rows=ROWS, seed=3)
+
+
+@pytest.fixture(scope="module")
+def dataset(config, tmp_path_factory):
+    return collect(AnalyticFin(), config, tmp_path_factory.mktemp("collect") / "data")
+
+
+def logs_of(dataset) -> list[Log]:
+    return list(dataset.load([*dataset.train, *dataset.test]))
+
+
+def assert_same(one: Log, other: Log, tolerance: float = 0.0) -> None:
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=0, atol=tolerance), one, other)
+
+
+def test_a_dataset_holds_the_logs_that_were_asked_for(dataset, config):
+    assert (len(dataset.train), len(dataset.test)) == (4, 2)
+    for log in logs_of(dataset):
+        assert log.reading.force.shape == (ROWS, 2)
+        np.testing.assert_array_equal(log.reading.time, np.arange(1, ROWS + 1) / 100)
+    assert dataset.description["configuration"] == config.model_dump()
+    assert dataset.description["provenance"]["seed"] == 3
+    assert dataset.description["plant"] == "AnalyticFin"
+
+
+def test_no_two_logs_are_alike(dataset):
+    logs = logs_of(dataset)
+    angles = {log.command.angle[:200].tobytes() for log in logs}
+    noises = {log.reading.force[:200].tobytes() for log in logs}
+    assert len(angles) == len(noises) == len(logs)
+
+
+def test_the_command_of_a_row_shows_first_in_the_reading_of_the_next(dataset):
+    """By the equation of the analytic fin: the speed of row k + 1 follows from the angle and the command of row k."""
+    for log in logs_of(dataset):
+        speed = (log.command.angle - log.reading.angle) / AnalyticFin().lag_s
+        expected = np.clip(speed, -log.command.velocity, log.command.velocity)
+        np.testing.assert_allclose(log.reading.velocity[1:], expected[:-1], atol=1e-4)
+        assert np.abs(log.reading.velocity[1:] - expected[1:]).max() > 1
+
+
+def test_the_same_seed_gives_the_same_files_and_another_seed_others(dataset, config, tmp_path):
+    again = collect(AnalyticFin(), config, tmp_path / "again")
+    other = collect(AnalyticFin(), config.changed(["seed=4"]), tmp_path / "other")
+    assert again.data_hash == dataset.data_hash
+    assert other.data_hash != dataset.data_hash
+
+
+@pytest.mark.parametrize("batch", [1, 3])
+def test_a_log_does_not_depend_on_what_is_simulated_beside_it(dataset, config, tmp_path, batch):
+    other = collect(AnalyticFin(), config.changed([f"batch={batch}"]), tmp_path / "data")
+    for one, another in zip(logs_of(dataset), logs_of(other), strict=True):
+        assert_same(one, another, tolerance=1e-5)
+
+
+def test_test_logs_are_recorded_from_the_plants_given_for_them(dataset, config, tmp_path):
+    silent = AnalyticFin(gain=0.0, noise_n=0.0)
+    strong = AnalyticFin(gain=5.0, noise_n=0.0)
+    other = collect(AnalyticFin(), config, tmp_path / "data", test_plant=[silent, strong])
+    first, second = other.load(other.test)
+    assert not first.reading.force.any()
+    assert np.abs(second.reading.force).max() > 5
+    for one, another in zip(dataset.load(dataset.train), other.load(other.train), strict=True):
+        assert_same(one, another)
+
+
+def test_plants_that_cannot_be_stacked_run_one_after_another(tmp_path):
+    config = CollectConfig(logs=1, test_logs=2, rows=300)
+    stacked = collect(AnalyticFin(), config, tmp_path / "one", test_plant=[AnalyticFin(gain=g) for g in (0.1, 0.9)])
+    mixed = collect(AnalyticFin(), config, tmp_path / "two", test_plant=[AnalyticFin(gain=0.1), PlainFin(0.9)])
+    for one, other in zip(logs_of(stacked), logs_of(mixed), strict=True):
+        assert_same(one, other, tolerance=1e-5)
+
+
+def test_plants_that_differ_in_what_is_compiled_keep_their_difference(tmp_path):
+    config = CollectConfig(logs=1, test_logs=2, rows=300)
+    plants = [AnalyticFin(lag_s=0.05, noise_n=0.0), AnalyticFin(lag_s=0.5, noise_n=0.0)]
+    fast, slow = (log for log in logs_of(collect(AnalyticFin(), config, tmp_path / "data", plants))[-2:])
+    for log, lag in ((fast, 0.05), (slow, 0.5)):
+        expected = np.clip((log.command.angle - log.reading.angle) / lag, -log.command.velocity, log.command.velocity)
+        np.testing.assert_allclose(log.reading.velocity[1:], expected[:-1], atol=1e-4)
+
+
+def test_each_training_log_may_have_its_own_plant(tmp_path):
+    config = CollectConfig(logs=5, test_logs=0, rows=300, batch=2)
+    gains = [0.1, 0.2, 0.3, 0.4, 0.5]
+    dataset = collect([AnalyticFin(gain=gain, noise_n=0.0) for gain in gains], config, tmp_path / "data")
+    for log, gain in zip(dataset.load(dataset.train), gains, strict=True):
+        force = np.linalg.norm(log.reading.force, axis=1)
+        np.testing.assert_allclose(force, gain * log.reading.velocity**2, atol=1e-4)
+
+
+def test_a_number_of_plants_that_fits_no_logs_is_refused(config, tmp_path):
+    with pytest.raises(ConfigurationError, match="test_plant: 3 plants for 2 logs; give one plant, or one for each"):
+        collect(AnalyticFin(), config, tmp_path / "data", test_plant=[AnalyticFin()] * 3)
+
+
+def test_progress_grows_to_all_rows(config, tmp_path):
+    seen = []
+    collect(AnalyticFin(), config.changed(["batch=3"]), tmp_path / "data", progress=lambda *counts: seen.append(counts))
+    done, of = zip(*seen, strict=True)
+    assert set(of) == {6 * ROWS}
+    assert done[-1] == 6 * ROWS
+    assert all(np.diff(done) > 0)
+    assert len(seen) == 4
+
+
+def test_an_interrupt_leaves_nothing(config, tmp_path):
+    def interrupt(done: int, of: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        collect(AnalyticFin(), config, tmp_path / "data", progress=interrupt)
+    assert not any(tmp_path.iterdir())
+
+
+def swinging(key, rows, limits):
+    """To and fro each second, whatever the key."""
+    side = jnp.where(jnp.arange(rows) // 100 % 2 == 0, limits.angle_min, limits.angle_max)
+    return Command(side / 2, jnp.full(rows, limits.velocity_max))
+
+
+def test_logs_to_learn_from_are_under_the_commands_that_are_given_and_test_logs_under_random_ones(
+    dataset, config, tmp_path
+):
+    other = collect(AnalyticFin(), config, tmp_path / "data", commands=swinging)
+    for log in other.load(other.train):
+        # The command that row 0 shows was given before any log.
+        np.testing.assert_allclose(log.command.angle, swinging(None, ROWS + 1, PAPER_LIMITS).angle[1:])
+    for one, another in zip(dataset.load(dataset.test), other.load(other.test), strict=True):
+        assert_same(one, another)
+
+
+def test_logs_that_are_recorded_on_are_those_that_one_recording_would_have_given(dataset, config, tmp_path):
+    first = collect(AnalyticFin(), config.changed(["logs=1", "test_logs=1"]), tmp_path / "first")
+    more = config.changed(["logs=3", "test_logs=1"])
+    both = collect(AnalyticFin(), more, tmp_path / "both", before=first)
+    whole, joined = logs_of(dataset), logs_of(both)
+    assert (len(both.train), len(both.test)) == (4, 2)
+    for one, another in zip([*whole[1:4], whole[0], *whole[4:]], joined, strict=True):
+        assert_same(one, another, tolerance=1e-5)
+
+
+def test_what_was_known_of_a_dataset_is_kept_when_it_is_recorded_on(tmp_path):
+    config = CollectConfig(logs=1, test_logs=1, rows=300, seed=7)
+    first = collect(AnalyticFin(), config, tmp_path / "first", facts={"colour": "blue"})
+    both = collect(AnalyticFin(), config.changed(["seed=8"]), tmp_path / "both", before=first)
+    told = both.description["extends"]
+    assert (told["dataset"], told["data_hash"]) == (str(first.path), first.data_hash)
+    assert (told["logs"], told["test_logs"]) == (1, 1)
+    assert told["description"]["colour"] == "blue"
+    assert told["description"]["configuration"]["seed"] == 7
+    assert both.description["configuration"]["seed"] == 8
+
+
+def test_a_dataset_may_be_recorded_on_in_its_own_place(tmp_path):
+    config = CollectConfig(logs=1, test_logs=0, rows=300)
+    first = collect(AnalyticFin(), config, tmp_path / "data")
+    both = collect(AnalyticFin(), config, tmp_path / "data", before=first, overwrite=True)
+    assert [path.name for path in both.train] == ["0000.parquet", "0001.parquet"]
+
+
+class Broken(PlainFin):
+    """A plant whose force is lost when the fin is far out."""
+
+    def advance(self, state, command, ticks):
+        state, reading = super().advance(state, command, ticks)
+        return state, reading._replace(force=jnp.where(reading.angle[:, None] > 0.3, jnp.nan, reading.force))
+
+
+class Late(PlainFin):
+    """A plant whose clock runs three times too slow."""
+
+    def advance(self, state, command, ticks):
+        state, reading = super().advance(state, command, ticks)
+        return state, reading._replace(time=reading.time / 3)
+
+
+def test_a_plant_that_gives_nan_is_named_with_the_row(tmp_path):
+    with pytest.raises(PlantError, match=r"log train/0000, row \d+: the plant's force is nan; every reading must be"):
+        collect(Broken(), CollectConfig(logs=1, test_logs=0, rows=500), tmp_path / "data")
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_plant_whose_clock_is_wrong_is_refused(tmp_path):
+    with pytest.raises(PlantError, match=r"row 0: the plant's time is 0.0033 s, must be 0.01 s"):
+        collect(Late(), CollectConfig(logs=1, test_logs=0, rows=500), tmp_path / "data")
+
+
+def test_the_first_command_is_met_at_rest(dataset):
+    """Row 1 was read one tick after rest at angle 0, so its angle is within one tick's travel."""
+    for log in logs_of(dataset):
+        assert 0 < abs(log.reading.angle[0]) <= PAPER_LIMITS.velocity_max * TICK_S + 1e-6
+
+
+def test_the_kept_command_is_a_command(dataset):
+    command: Command = logs_of(dataset)[0].command
+    assert PAPER_LIMITS.velocity_min <= command.velocity.min()
+    assert command.velocity.max() <= PAPER_LIMITS.velocity_max

@@ -1,0 +1,29 @@
+"""A fin that knows its shape without a tank's cost: an arc whose curvature goes with the shaft's speed."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from softfin.core.quantities import Command
+from softfin.core.randomness import key_of
+from softfin.evaluation.view.beating import BeatConfig, beat
+from softfin.evaluation.view.footage import Footage, film
+from tests.plants import AnalyticFin, FinState
+
+LENGTH_M = 0.2
+
+
+class BendingFin(AnalyticFin):
+    """The analytic fin; its shape lags behind the shaft towards the tip."""
+
+    def shape(self, state: FinState) -> Float[Array, "points 2"]:
+        angles = state.angle * jnp.linspace(1.0, 0.7, 8)
+        steps = LENGTH_M / 8 * jnp.stack([-jnp.cos(angles), jnp.sin(angles)], axis=-1)
+        return jnp.concatenate([jnp.zeros((1, 2)), jnp.cumsum(steps, axis=0)])
+
+
+def beating(plant: AnalyticFin, ticks: int, reference: tuple[float, float] | None = None) -> Footage:
+    """Asked for a reference all the time."""
+    commands: Command = beat(BeatConfig(), plant.limits, ticks)
+    asked = None if reference is None else np.tile(np.float32(reference), (ticks, 1))
+    return film(plant, key_of(0, "test"), commands, asked)

@@ -1,0 +1,85 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softfin.core.action_clock import WINDOW
+from softfin.core.errors import PlantError
+from softfin.core.plant import roll
+from softfin.core.quantities import Command
+from softfin.core.randomness import key_of
+from softfin.evaluation.view.beating import BeatConfig, beat
+from softfin.evaluation.view.footage import film
+from softfin.tank import Tank, TankConfig
+from softfin.tank.geometry import FinConfig
+from softfin.tank.hydrodynamics import WaterConfig
+from tests.evaluation.view.fins import LENGTH_M, BendingFin, beating
+from tests.plants import AnalyticFin, PlainFin
+
+
+def test_the_readings_are_those_of_the_plant_rolled_with_the_same_commands():
+    fin = BendingFin()
+    footage = beating(fin, 250)
+    commands = jax.tree.map(jnp.asarray, footage.command)
+    _, reading = roll(fin, fin.init(key_of(0, "test")), commands)
+    np.testing.assert_allclose(footage.reading.force, reading.force, atol=1e-4)
+    np.testing.assert_allclose(footage.average[0], reading.force[:WINDOW].mean(axis=0), atol=1e-4)
+    assert len(footage.average) == 250 - WINDOW + 1
+
+
+def test_a_plant_that_knows_its_shape_is_drawn_in_it():
+    footage = beating(BendingFin(), 50)
+    assert footage.shape_known
+    assert footage.shape.shape == (50, 9, 2)
+    lengths = np.linalg.norm(np.diff(footage.shape, axis=1), axis=2).sum(axis=1)
+    np.testing.assert_allclose(lengths, LENGTH_M, rtol=1e-5)
+
+
+@pytest.mark.parametrize("plant", [AnalyticFin(), PlainFin()])
+def test_any_other_plant_is_drawn_straight_at_its_angle(plant):
+    footage = beating(plant, 50)
+    assert not footage.shape_known
+    assert footage.stream is None
+    angle = footage.reading.angle
+    length = FinConfig().length_m
+    np.testing.assert_allclose(footage.shape[:, 0], 0)
+    np.testing.assert_allclose(footage.shape[:, 1], length * np.stack([-np.cos(angle), np.sin(angle)], -1), rtol=1e-5)
+
+
+def test_the_tip_of_a_stiff_fin_in_the_tank_is_where_the_shaft_points_and_the_stream_is_seen():
+    fin = FinConfig(youngs_modulus_pa=1e10, plates=3)
+    tank = Tank(TankConfig(fin=fin, water=WaterConfig(stream_decay_s=5.0)))
+    commands = beat(BeatConfig(centre_rad=0.4), tank.limits, 60)
+    footage = film(tank, key_of(0, "test"), commands)
+    angle = footage.reading.angle
+    assert np.ptp(angle) > 0.2
+    pointing = fin.length_m * np.stack([-np.cos(angle), np.sin(angle)], axis=-1)
+    np.testing.assert_allclose(footage.shape[:, -1], pointing, atol=2e-3)
+    assert footage.stream is not None
+    assert footage.stream.shape == (60, 2)
+
+
+def test_a_tank_is_drawn_in_its_own_thickness():
+    fin = FinConfig(plates=2, root_thickness_m=0.03, tip_thickness_ratio=0.5)
+    np.testing.assert_allclose(beating(Tank(TankConfig(fin=fin)), 5).thickness, [0.03, 0.0225, 0.015], rtol=1e-6)
+
+
+def test_another_plant_is_drawn_in_the_default_thickness_in_proportion():
+    fin = FinConfig()
+    drawn = beating(BendingFin(), 5).thickness
+    assert len(drawn) == beating(BendingFin(), 5).shape.shape[1]
+    assert drawn[0] == pytest.approx(fin.root_thickness_m * LENGTH_M / fin.length_m, rel=0.02)
+
+
+def test_a_plant_whose_readings_are_not_finite_is_named():
+    with pytest.raises(PlantError, match=r"AnalyticFin: reading\.force is not finite; softfin\.testing\.check_plant"):
+        beating(AnalyticFin(gain=jnp.nan), 5)
+
+
+def test_a_shape_that_is_none_is_named():
+    class Flat(BendingFin):
+        def shape(self, state):
+            return jnp.zeros(3)
+
+    with pytest.raises(PlantError, match=r"Flat: shape\(state\) has shape \(3,\); it must be \(points, 2\)"):
+        film(Flat(), key_of(0, "test"), Command(np.zeros(5, np.float32), np.ones(5, np.float32)))

@@ -1,0 +1,155 @@
+import json
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import softfin
+from softfin.cli import main
+from softfin.core.errors import ConfigurationError, CoverageError
+from softfin.core.quantities import PAPER_LIMITS, Command
+from softfin.core.randomness import key_of
+from softfin.evaluation import experiment
+from softfin.evaluation.view import ViewConfig
+from softfin.evaluation.view.view import footage_of, title_of
+from softfin.gaits.reachable import Reachable
+from softfin.task.references import Cell
+from tests.evaluation.view.fins import BendingFin
+from tests.plants import Flapper
+
+PLANT = "tests.evaluation.view.fins:BendingFin"
+
+
+def fails(capsys, *words):
+    with pytest.raises(SystemExit) as stop:
+        main(["view", *words])
+    lines = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("view: ")]
+    assert len(lines) == 1
+    return lines[0], stop.value.code
+
+
+def test_under_a_controller_the_fin_moves_as_in_the_experiment_and_the_reference_is_kept():
+    fin, config = BendingFin(), ViewConfig(seconds=1.5)
+    footage = footage_of(fin, config, Flapper(), (1.0, -1.0))
+    key = key_of(0, "view/plant")[None]
+    recording = experiment.run(Flapper(), fin, jnp.asarray([[1.0, -1.0]]), 2, key)
+    np.testing.assert_array_equal(footage.command.angle, recording.command.angle[0, 0, :150])
+    np.testing.assert_allclose(footage.reading.force, recording.reading.force[0, 0, :150], atol=1e-4)
+    np.testing.assert_array_equal(footage.reference, np.tile([1.0, -1.0], (150, 1)))
+
+
+class Pointer(Flapper):
+    """Turns to the angle that is the reference in x, so that its commands tell what it was asked for."""
+
+    def act(self, state, measured, reference):
+        return state, Command(0.1 * reference[0], jnp.float32(3.0))
+
+    def check(self, reference):
+        if reference[0] > 5:
+            raise CoverageError(f"reference {reference}: not covered")
+
+
+def test_references_follow_one_another_for_equal_parts_of_the_time():
+    config = ViewConfig(seconds=6, then=((2.0, 0.0), (3.0, 1.0)))
+    footage = footage_of(BendingFin(), config, Pointer(), (1.0, -1.0))
+    np.testing.assert_array_equal(footage.reference[[0, 199, 200, 399, 400, 599], 0], [1, 1, 2, 2, 3, 3])
+    np.testing.assert_allclose(footage.command.angle, 0.1 * footage.reference[:, 0], rtol=1e-6)
+    title = title_of("tank", config, (1.0, -1.0))
+    assert title == "A soft fin in the virtual tank, asked for (1, \u22121), then (2, 0), then (3, 1) N"
+
+
+def test_a_later_reference_that_the_controller_does_not_cover_is_refused():
+    with pytest.raises(CoverageError, match="not covered"):
+        footage_of(BendingFin(), ViewConfig(then=((6.0, 0.0),)), Pointer(), (1.0, -1.0))
+
+
+def test_random_commands_depend_on_the_seed_and_stay_within_the_limits():
+    fin = BendingFin()
+    angles = [footage_of(fin, ViewConfig(seconds=3, random=True, seed=seed)).command.angle for seed in (0, 0, 1)]
+    np.testing.assert_array_equal(angles[0], angles[1])
+    assert (angles[0] != angles[2]).any()
+    assert len(np.unique(angles[0])) > 2
+    assert np.abs(angles[0]).max() <= fin.limits.angle_max
+
+
+def test_the_command_writes_a_page_and_tells_what_it_shows(capsys, tmp_path):
+    out = tmp_path / "fin.html"
+    main(["view", "--plant", PLANT, "--out", str(out), "--seconds", "2.5", "--centre", "0.4", "--json"])
+    told = json.loads(capsys.readouterr().out)
+    assert told["view"] == str(out)
+    assert told["seconds"] == 2.5
+    assert told["shape_known"] is True
+    assert told["title"] == f"A soft fin in {PLANT}, beating about 0.4 rad"
+    # Beating about a positive angle pushes towards -y.
+    assert told["mean_force_n"][1] < 0 < told["mean_force_n"][0]
+    assert told["title"] in out.read_text()
+
+
+def test_the_stage_writes_a_gif_with_the_frames_that_it_tells(tmp_path):
+    config = ViewConfig(seconds=0.4, frames_per_second=50, dots_per_inch=50)
+    told = softfin.view(BendingFin(), tmp_path / "fin.gif", config)
+    assert told["frames"] == 20
+    assert told["title"].startswith("A soft fin in BendingFin")
+    assert (tmp_path / "fin.gif").read_bytes()[:6] == b"GIF89a"
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--out", "fin.avi"], "--out fin.avi: a view is written as .gif, .mp4, .html, .png; name it so"),
+        (["--out", "fin"], "a view is written as .gif"),
+        (["--out", "there.html"], "there.html: exists already; give another --out, or --overwrite to replace it"),
+        (["--out", "folder.gif", "--overwrite"], "folder.gif: is a folder; give another --out"),
+        (["--out", "fin.mp4"], "ffmpeg, which is not on PATH"),
+        (["--out", "fin.gif", "--plant", "pool"], "plant pool: unknown (is no folder)"),
+        (["--out", "fin.gif", "--seconds", "0"], "seconds = 0.0: Input should be greater than or equal to 0.1"),
+        (["--out", "fin.gif", "--set", "frames_per_second=30"], "there are 10, 20, 25 and 50 frames a second"),
+        (["--out", "fin.gif", "--set", "dots_per_inch=75"], "it must be a multiple of 10"),
+        (["--out", "fin.gif", "--centre", "1.4"], "reaches 0.9 .. 1.9 rad; the plant takes -1.57 .. 1.57"),
+        (["--out", "fin.gif", "--reference=1,1"], "a controller and a reference belong together"),
+        (["--out", "fin.gif", "--then=1,1"], "no first one; give a controller and a reference"),
+        (["--out", "fin.gif", "--then=1"], "--then=1: not a force; write --then=X,Y in newton"),
+        (["--out", "fin.gif", "--reference=1;1"], "--reference=1;1: not a force"),
+        (["--out", "fin.gif", "--controller", "none"], "none: no such folder; it should be a controller"),
+    ],
+)
+def test_wrong_input_is_one_line_and_leaves_everything_as_it_was(capsys, tmp_path, monkeypatch, words, expected):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    (tmp_path / "there.html").write_text("mine")
+    (tmp_path / "folder.gif").mkdir()
+    line, code = fails(capsys, *(words if "--plant" in words else [*words, "--plant", PLANT]))
+    assert expected in line
+    assert code == 2
+    assert (tmp_path / "there.html").read_text() == "mine"
+    assert {path.name for path in tmp_path.iterdir()} == {"there.html", "folder.gif"}
+
+
+def test_overwrite_replaces_a_file(tmp_path):
+    out = tmp_path / "fin.html"
+    out.write_text("old")
+    softfin.view(BendingFin(), out, ViewConfig(seconds=0.2), overwrite=True)
+    assert "<canvas" in out.read_text()
+
+
+def test_a_controller_and_random_commands_at_once_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("softfin.stages.offline.load_controller", lambda path: Flapper())
+    with pytest.raises(ConfigurationError, match="random commands and a controller at once; give one of them"):
+        softfin.view(
+            BendingFin(), tmp_path / "f.gif", ViewConfig(random=True), controller=tmp_path, reference=(1.0, 0.0)
+        )
+
+
+def test_a_reference_beyond_reach_is_brought_to_it_and_told(tmp_path, monkeypatch):
+    class Weak(Pointer):
+        limits = PAPER_LIMITS
+        cell = Cell(low=(-3, -3), high=(3, 3))
+        reachable = Reachable(np.float32([0, 0]), np.full(64, 1.0, np.float32))
+
+    monkeypatch.setattr("softfin.stages.offline.load_controller", lambda path: Weak())
+    config = ViewConfig(seconds=0.2, then=((0.5, 0.0),))
+    facts = softfin.view(
+        "tests.evaluation.view.fins:BendingFin", tmp_path / "f.html", config, controller=tmp_path, reference=(2.0, 0.0)
+    )
+    assert facts["warning"].startswith("reference (2, 0) N: this fin cannot make it")
+    assert facts["title"].endswith("asked for (1, 0), then (0.5, 0) N")

@@ -1,0 +1,69 @@
+"""The figure of a map shows the region, the nodes that are held and those that are not."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from softfin.core.quantities import PAPER_LIMITS
+from softfin.evaluation.paper import REFERENCES
+from softfin.gaits.figure import map_figure, write_map
+from softfin.gaits.force_map import MapConfig
+from softfin.storage.figures import render
+from tests.gaits.test_map_store import KNOWN
+
+
+def with_missed(*nodes: tuple[int, int]):
+    force = KNOWN.found.force.copy()
+    for node in nodes:
+        force[node] += 1
+    return KNOWN._replace(found=KNOWN.found._replace(force=force))
+
+
+def drawn(known, tolerance_n=0.1):
+    """The lines by their labels, the axes, and that of the colours."""
+    axes, colours = map_figure(known, tolerance_n).get_axes()
+    return {line.get_label(): np.stack(line.get_data(), axis=1) for line in axes.get_lines()}, axes, colours
+
+
+def test_region_nodes_and_references_stand_where_they_are():
+    lines, axes, colours = drawn(with_missed((0, 0), (2, 3)))
+    outline = lines["edge of what the fin can make"]
+    np.testing.assert_allclose(outline[:-1], KNOWN.reachable.corners())
+    np.testing.assert_array_equal(outline[0], outline[-1])
+    assert len(lines["a gait makes this force"]) == 10
+    np.testing.assert_allclose(lines["no gait found makes this force"], [(0.5, -1), (2.5, 2)])
+    np.testing.assert_allclose(lines["the paper's references"], REFERENCES)
+    assert "[N]" in axes.get_xlabel()
+    assert "[N]" in axes.get_ylabel()
+    assert "[N]" in colours.get_ylabel()
+
+
+def test_where_all_are_held_no_cross_is_explained():
+    assert "no gait found makes this force" not in drawn(KNOWN)[0]
+
+
+def test_the_tolerance_says_what_is_held():
+    assert len(drawn(KNOWN, 0.001)[0]["no gait found makes this force"]) == 12
+
+
+def test_everything_is_within_the_frame():
+    _, axes, _ = drawn(KNOWN)
+    points = np.concatenate([KNOWN.reachable.corners(), KNOWN.found.table.references().reshape(-1, 2)])
+    for low_high, values in zip((axes.get_xlim(), axes.get_ylim()), points.T, strict=True):
+        assert low_high[0] < values.min()
+        assert values.max() < low_high[1]
+
+
+def test_a_fin_whose_gaits_cost_all_the_same_is_drawn_too():
+    flat = KNOWN._replace(found=KNOWN.found._replace(smoothness=np.zeros((3, 4, 2), np.float32)))
+    assert render(map_figure(flat, 0.1), "png").startswith(b"\x89PNG")
+
+
+def test_a_maps_folder_holds_both_figures_and_they_do_not_change(tmp_path: Path):
+    for name in ("a", "b"):
+        write_map(tmp_path / name, KNOWN, MapConfig(), PAPER_LIMITS, {})
+    files = sorted(file.name for file in (tmp_path / "a").iterdir())
+    assert files == ["map.json", "map.png", "map.svg", "weights.safetensors"]
+    assert (tmp_path / "a" / "map.svg").read_bytes() == (tmp_path / "b" / "map.svg").read_bytes()
+    assert json.loads((tmp_path / "a" / "map.json").read_text())["kind"] == "map"

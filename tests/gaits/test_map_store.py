@@ -1,0 +1,128 @@
+"""Maps and gaits on disk."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import safetensors.numpy
+
+from softfin.control.gait import GaitController
+from softfin.control.store import load_controller, save_gaits
+from softfin.core.errors import ArtifactError
+from softfin.core.plant_identity import identity
+from softfin.core.quantities import PAPER_LIMITS
+from softfin.gaits.force_map import ForceMap, MapConfig
+from softfin.gaits.gaits import Found, GaitTable
+from softfin.gaits.known import known_of
+from softfin.gaits.map_store import load_map, save_map
+from softfin.gaits.reachable import Reachable
+from tests.plants import AnalyticFin, StrokeFin
+
+NUMBERS = np.random.default_rng(0)
+TABLE = GaitTable(
+    jnp.array([0.5, -1.0]), jnp.array([2.5, 2.0]), jnp.asarray(NUMBERS.uniform(-1, 1, (3, 4, 6, 2)), jnp.float32)
+)
+MADE = (TABLE.references() + 0.01).astype(np.float32)
+KNOWN = ForceMap(
+    Found(TABLE, MADE, NUMBERS.uniform(0, 1, (3, 4, 2)).astype(np.float32)),
+    Reachable(np.array([1.5, 0.5], np.float32), np.linspace(1, 2, 12).astype(np.float32)),
+)
+
+
+def save(folder: Path) -> Path:
+    save_map(folder / "map", KNOWN, MapConfig(), PAPER_LIMITS, {"plant": "mine"})
+    return folder / "map"
+
+
+def save_controller(folder: Path) -> Path:
+    save_gaits(folder / "gaits", KNOWN, MapConfig(), PAPER_LIMITS, {"plant": "mine"})
+    return folder / "gaits"
+
+
+def test_a_map_comes_back_from_its_folder(tmp_path: Path) -> None:
+    again, limits = load_map(save(tmp_path))
+    jax.tree.map(np.testing.assert_array_equal, again.found, KNOWN.found)
+    np.testing.assert_allclose(again.reachable.corners(), KNOWN.reachable.corners(), atol=1e-4)
+    assert limits == PAPER_LIMITS
+
+
+def test_gaits_come_back_as_a_controller_with_the_same_table(tmp_path: Path) -> None:
+    again = load_controller(save_controller(tmp_path))
+    assert isinstance(again, GaitController)
+    jax.tree.map(np.testing.assert_array_equal, again.table, KNOWN.found.table)
+    np.testing.assert_allclose(again.reachable.corners(), KNOWN.reachable.corners(), atol=1e-4)
+    assert again.limits == PAPER_LIMITS
+
+
+def test_the_controllers_folder_says_what_each_gait_makes(tmp_path: Path) -> None:
+    description = json.loads((save_controller(tmp_path) / "controller.json").read_text())
+    assert description["controller"] == "gaits"
+    assert len(description["scores"]) == 12
+    assert description["scores"][5]["reference_n"] == pytest.approx([1.5, 0.0])
+    assert description["scores"][5]["missed_n"] == pytest.approx(0.01 * 2**0.5, abs=1e-4)
+    assert description["provenance"] == {"plant": "mine"}
+
+
+def rewrite(folder: Path, **changes: Any) -> None:
+    file = next(folder.glob("*.json"))
+    file.write_text(json.dumps(json.loads(file.read_text()) | changes))
+
+
+def weights(folder: Path, **changes: Any) -> None:
+    file = folder / "weights.safetensors"
+    arrays = safetensors.numpy.load_file(file)
+    safetensors.numpy.save_file({n: a for n, a in {**arrays, **changes}.items() if a is not None}, file)
+
+
+def lattice(**changes: Any) -> dict[str, Any]:
+    return {"low_n": [0.5, -1.0], "high_n": [2.5, 2.0], "nodes": [3, 4], **changes}
+
+
+HARMS: list[tuple[Callable[[Path], None], str]] = [
+    (lambda f: (f / "weights.safetensors").unlink(), "weights.safetensors: missing"),
+    (lambda f: (f / "weights.safetensors").write_bytes(b"12"), "truncated or damaged"),
+    (lambda f: rewrite(f, format=99), r"format 99; this softfin reads \d"),
+    (lambda f: rewrite(f, reachable=None), "description"),
+    (lambda f: rewrite(f, reachable={"centre_n": [0, 0], "radius_n": [1, -1, 1]}), "no radius under 0"),
+    (lambda f: rewrite(f, limits={}), "description"),
+    (lambda f: rewrite(f, limits=PAPER_LIMITS._replace(velocity_max=9000.0).described()), "velocity_max_rad_s is 9000"),
+    (lambda f: rewrite(f, lattice=lattice(nodes=[4, 3])), r"do not fit a lattice of \(4, 3\)"),
+    (lambda f: rewrite(f, lattice=lattice(nodes=[12])), r"a lattice of \(12,\) nodes is none"),
+    (lambda f: rewrite(f, lattice=lattice(nodes=[1, 12])), r"a lattice of \(1, 12\) nodes is none"),
+    (lambda f: rewrite(f, lattice=lattice(high_n=[2.5, -2.0])), r"a lattice from \[0.5, -1.0\] to \[2.5, -2.0\] N"),
+    (lambda f: rewrite(f, lattice=lattice(low_n=[0.5, float("nan")])), "is none"),
+    (lambda f: rewrite(f, lattice=lattice(low_n=[0.5])), "is none"),
+    (lambda f: weights(f, actions=None), "actions"),
+    (lambda f: weights(f, actions=np.full((3, 4, 6, 2), np.nan, np.float32)), "not finite"),
+    (lambda f: weights(f, force_n=np.zeros((3, 4), np.float32)), "do not fit"),
+]
+
+
+@pytest.mark.parametrize(("harm", "message"), HARMS)
+def test_a_damaged_folder_is_refused_in_one_line(harm: Any, message: str, tmp_path: Path) -> None:
+    for folder, load in ((save(tmp_path), load_map), (save_controller(tmp_path), load_controller)):
+        harm(folder)
+        with pytest.raises(ArtifactError, match=message) as raised:
+            load(folder)
+        assert "\n" not in str(raised.value)
+        assert str(folder) in str(raised.value)
+
+
+def test_a_controllers_folder_is_no_map(tmp_path: Path) -> None:
+    with pytest.raises(ArtifactError, match=r"not a map: it holds no map\.json"):
+        load_map(save_controller(tmp_path))
+
+
+def test_a_map_is_known_of_the_very_plant_that_it_was_made_of(tmp_path: Path) -> None:
+    fin, config = StrokeFin(), MapConfig(spacing_n=0.25)
+    save_map(tmp_path / "map", KNOWN, config, PAPER_LIMITS, {"plant_identity": identity(fin)})
+    known = known_of(tmp_path / "map", fin, "mine")
+    jax.tree.map(np.testing.assert_array_equal, known.found.found, KNOWN.found)
+    assert known.config == config
+    with pytest.raises(ArtifactError, match=r"a map of another plant .* than other .*: softfin map other --out DIR"):
+        known_of(tmp_path / "map", AnalyticFin(), "other")

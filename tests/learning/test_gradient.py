@@ -1,0 +1,358 @@
+"""Gradient training: its slope is the true one, it lowers its loss, and it goes on as if it had never stopped."""
+
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softfin.core.errors import ConfigurationError, PlantError, RunError
+from softfin.core.plant import Plant
+from softfin.core.quantities import Command
+from softfin.gaits import simulate as beat
+from softfin.gaits.force_map import MapConfig
+from softfin.gaits.reachable import Reachable
+from softfin.gaits.simulate import missing_gradient
+from softfin.learning.gradient import Gradient, GradientConfig, GradientLane
+from softfin.learning.imitation import ImitationConfig
+from softfin.learning.learner import Learner
+from softfin.learning.policy import Policy, PolicyConfig
+from softfin.learning.rollout import Batch
+from softfin.learning.train import (
+    GRADIENT_SINGLE,
+    GRID,
+    STARTS,
+    TrainConfig,
+    Trained,
+    _Run,
+    check,
+    held,
+    starting,
+    taught_box,
+    train,
+)
+from softfin.storage.run_directory import Workspace
+from softfin.task.references import PAPER_RANGE, PAPER_REFERENCES, Cell, stack_references
+from softfin.task.task import ForceTracking, RewardConfig, TaskConfig
+from tests.learning.mapped import GAITS, SURVEY, WITHIN, known
+from tests.learning.probes import Delayed, Direct
+from tests.plants import AnalyticFin, PlainFin, StrokeFin
+from tests.surrogate.streaming import small as streaming
+
+QUICK = GRADIENT_SINGLE.model_copy(
+    update={
+        "cells": (WITHIN.box,),
+        "margin_n": 0.0,
+        "policy": PolicyConfig(units=8, width=8),
+        "steps": 40 * 24,
+        "scorings": 4,
+        "lattice": 1,
+        "task": TaskConfig(phase=True, episode_actions=12, reference_actions=6),
+        "gradient": GradientConfig(
+            environments=4, rollout_actions=6, learning_rate=1e-2,
+            imitation=ImitationConfig(fins=4, actions=12, steps=5, batch=4), map=MapConfig(survey=SURVEY, gaits=GAITS),
+        ),
+    }
+)  # fmt: skip
+SEEDS = (0, 1, 2, 3)
+TASK = ForceTracking(StrokeFin(), QUICK.task)
+LEARNER = Gradient(TASK, QUICK.gradient, QUICK.policy, QUICK.updates)
+
+
+@cache
+def loud() -> GradientLane:
+    """Four lanes with policies that beat: where a fin rests, its force has no slope."""
+    keys = jax.random.split(jax.random.key(0), len(SEEDS))
+    references = stack_references([Cell(low=(1, -0.25), high=(1.5, 0.25))] * len(SEEDS), known().reachable)
+    lanes = jax.jit(jax.vmap(LEARNER.init))(keys, references)
+    return lanes._replace(policy=eqx.tree_at(lambda policy: policy.net.output.kernel, lanes.policy, replace_fn=louder))
+
+
+def louder(kernel: Any) -> Any:
+    return 60 * kernel
+
+
+def start() -> GradientLane:
+    return jax.tree.map(lambda x: x[0], loud())
+
+
+class Judged(NamedTuple):
+    loss: Any
+    reward: Any
+    slope: Policy
+
+
+def judged(
+    policy: Policy, batch: Batch, rounding: float, weight: Any = (1.0, 1.0), smoothness: Any = (0.01, 0.01)
+) -> Judged:
+    """The loss of the learner with other settings; defaults of a compiled function would be constants in it."""
+    found: Judged = _judged(policy, batch, rounding, weight, smoothness)
+    return found
+
+
+@jax.jit
+def _judged(policy: Policy, batch: Batch, rounding: Any, weight: Any, smoothness: Any) -> Judged:
+    reward = QUICK.task.reward.model_copy(update={"weight": weight, "smoothness": smoothness})
+    task = ForceTracking(TASK.plant, QUICK.task.model_copy(update={"reward": reward}))
+    learner = Gradient(task, QUICK.gradient.model_copy(update={"rounding_n": rounding}), QUICK.policy, QUICK.updates)
+    (loss, (_, metrics)), slope = jax.value_and_grad(learner.loss, has_aux=True)(policy, batch)
+    return Judged(loss, metrics["reward"], slope)
+
+
+def test_it_meets_the_contract_of_learners() -> None:
+    assert isinstance(LEARNER, Learner)
+
+
+def test_its_slope_is_that_of_finite_differences() -> None:
+    """For the weight that the loss depends on most, and its neighbours."""
+    lane, rounding = start(), QUICK.gradient.rounding_n
+    slope = np.asarray(judged(lane.policy, lane.batch, rounding).slope.net.hidden.kernel)
+    place, step = np.unravel_index(np.argmax(np.abs(slope)), slope.shape), 3e-2
+
+    def moved(by: float) -> float:
+        kernel = np.array(lane.policy.net.hidden.kernel)
+        kernel[place] += by
+        there = eqx.tree_at(lambda policy: policy.net.hidden.kernel, lane.policy, jnp.asarray(kernel))
+        return float(judged(there, lane.batch, rounding).loss)
+
+    assert float(slope[place]) != 0
+    np.testing.assert_allclose(float(slope[place]), (moved(step) - moved(-step)) / (2 * step), rtol=0.05)
+
+
+def test_no_slope_reaches_the_normalisation_and_the_noise() -> None:
+    lane = start()
+    slope = judged(lane.policy, lane.batch, QUICK.gradient.rounding_n).slope
+    assert not any(np.any(leaf) for leaf in jax.tree.leaves((slope.normalisation, slope.log_deviation)))
+
+
+def test_updates_lower_the_loss() -> None:
+    """On average over four policies: which references a short run draws weighs nearly as much as what it learns."""
+    run, lanes, losses = _Run(StrokeFin(), QUICK, SEEDS, known()), loud(), []
+    for _ in range(QUICK.updates):
+        lanes, metrics = run.update(lanes)
+        losses.append(np.asarray(metrics["loss"]))
+    assert np.mean(losses[-5:]) < 0.85 * np.mean(losses[:5])
+    assert {"loss", "error_x_n", "error_y_n", "reward", "gradient_norm"} <= set(metrics)
+
+
+def test_a_loss_of_rounded_errors_is_the_plain_one_less_at_most_the_rounding() -> None:
+    """sqrt(e^2 + r^2) - r lies between e - r and e."""
+    lane = start()
+    plain, rounded = (float(judged(lane.policy, lane.batch, by).loss) for by in (1e-6, QUICK.gradient.rounding_n))
+    assert plain - 2 * QUICK.gradient.rounding_n <= rounded < plain
+
+
+def test_the_loss_is_the_reward_of_the_task_but_for_the_rounding() -> None:
+    """The reward of each action is what PPO's rollout collects; here its weights all differ."""
+    lane = start()
+    got = judged(lane.policy, lane.batch, 1e-6, (2.0, 0.5), (0.3, 0.05))
+    assert float(got.reward) < -0.1
+    np.testing.assert_allclose(-float(got.loss), float(got.reward), rtol=1e-5)
+
+
+class Numb(StrokeFin):
+    """A fin whose force knows nothing of its commands, as far as slopes go."""
+
+    def advance(self, state: Any, command: Command, ticks: int) -> Any:
+        return super().advance(state, jax.lax.stop_gradient(command), ticks)
+
+
+class Foreign(StrokeFin):
+    """A fin that computes beyond JAX."""
+
+    def advance(self, state: Any, command: Command, ticks: int) -> Any:
+        angle = jax.pure_callback(np.asarray, jax.ShapeDtypeStruct((), jnp.float32), command.angle)
+        return super().advance(state, Command(angle, command.velocity), ticks)
+
+
+class Branching(StrokeFin):
+    """A fin whose own code fails: it asks for the value of what is only traced."""
+
+    def advance(self, state: Any, command: Command, ticks: int) -> Any:
+        return super().advance(state, command if command.angle > 0 else Command(*map(jnp.negative, command)), ticks)
+
+
+class Broken(StrokeFin):
+    """A fin with a bug of its own in it."""
+
+    def advance(self, state: Any, command: Command, ticks: int) -> Any:
+        raise KeyError("gear")
+
+
+@pytest.mark.parametrize(
+    ("plant", "reason"),
+    [
+        (StrokeFin(), None), (AnalyticFin(), None), (PlainFin(), None), (Direct(), None), (Delayed(), None),
+        (Numb(), "its slope is 0 throughout"),
+        (Foreign(), "JAX cannot differentiate it (ValueError: Pure callbacks do not support JVP."),
+    ],
+    ids=["strokes", "analytic", "plain", "direct", "delayed", "numb", "foreign"],
+)  # fmt: skip
+def test_a_plant_has_a_gradient_where_its_force_has_a_slope(plant: Plant, reason: str | None) -> None:
+    found = missing_gradient(plant)
+    assert found is None if reason is None else found is not None and found.startswith(reason)
+
+
+@pytest.mark.parametrize(
+    ("plant", "error", "message"),
+    [
+        (
+            Branching(),
+            PlantError,
+            "^plant Branching: cannot be traced .TracerBoolConversionError: .*check_plant says",
+        ),
+        (Broken(), PlantError, "^plant Broken: cannot be traced .KeyError: 'gear'.; .*check_plant says"),
+    ],
+    ids=["branching", "broken"],
+)
+def test_a_plant_that_fails_is_an_error_and_not_trained_by_another_algorithm(
+    plant: Plant, error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        starting(plant)
+
+
+@pytest.mark.parametrize("failure", [jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: 9 GiB"), MemoryError()])
+def test_a_want_of_memory_is_an_error_and_not_trained_by_another_algorithm(
+    monkeypatch: pytest.MonkeyPatch, failure: Exception
+) -> None:
+    def exhausted(*_: Any) -> Any:
+        raise failure
+
+    monkeypatch.setattr(beat, "_respond", exhausted)
+    with pytest.raises(RunError, match=r"^StrokeFin: .*(9 GiB|no memory left); --algorithm ppo trains without gradien"):
+        starting(StrokeFin())
+
+
+def test_ctrl_c_is_no_missing_gradient(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: Any) -> Any:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(StrokeFin, "advance", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        missing_gradient(StrokeFin())
+
+
+def test_the_gradient_is_compiled_once_for_all_who_ask() -> None:
+    """The second time the plant is traced forward alone."""
+    calls = [0]
+
+    class Counted(StrokeFin):
+        def advance(self, state: Any, command: Command, ticks: int) -> Any:
+            calls[-1] += 1
+            return super().advance(state, command, ticks)
+
+    for _ in range(2):
+        assert missing_gradient(Counted()) is None
+        calls.append(0)
+    assert 0 < calls[1] < calls[0]
+
+
+def trained(folder: Path, resume: bool = False, progress: Any = None) -> Trained:
+    workspace = Workspace(folder / "out", {"of": "this"}, resume=resume)
+    return train(StrokeFin(), QUICK, SEEDS, workspace, progress)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Trained:
+    return trained(tmp_path_factory.mktemp("whole"))
+
+
+class Cut(Exception):
+    """The power goes."""
+
+
+def test_a_run_that_was_stopped_twice_ends_with_the_weights_of_one_that_never_was(
+    whole: Trained, tmp_path: Path
+) -> None:
+    """Once between the map and the first checkpoint, once between two checkpoints."""
+
+    def cut(at: float) -> Any:
+        def progress(stage: str, done: float, note: str) -> None:
+            if stage.startswith("train") and done >= at:
+                raise Cut
+
+        return progress
+
+    stages = []
+    for resume, at in ((False, 0.2), (True, 0.7)):
+        with pytest.raises(Cut):
+            trained(tmp_path, resume, cut(at))
+    resumed = trained(tmp_path, True, lambda stage, done, note: stages.append(stage))
+
+    jax.tree.map(np.testing.assert_array_equal, resumed.policies, whole.policies)
+    jax.tree.map(np.testing.assert_array_equal, resumed.score, whole.score)
+    assert "map" not in stages
+    assert resumed.known is not None
+    assert whole.known is not None
+    jax.tree.map(np.testing.assert_array_equal, resumed.known, whole.known)
+
+
+def test_a_run_knows_what_the_fin_can_do_over_its_cells(whole: Trained) -> None:
+    assert whole.known is not None
+    assert WITHIN.box is not None
+    table = whole.known.found.table
+    assert (np.asarray(table.low) <= np.array(WITHIN.box.low) + 1e-6).all()
+    assert (np.asarray(table.high) >= np.array(WITHIN.box.high) - 1e-6).all()
+    assert isinstance(whole.policies, Policy)
+
+
+def test_the_table_reaches_over_all_that_is_taught() -> None:
+    """Also over what lies beyond the cells by the margin."""
+    wide = QUICK.changed(("margin_n=0.25",))
+    assert WITHIN.box is not None
+    assert taught_box(wide) == WITHIN.box.grown(0.25)
+    check(StrokeFin(), QUICK, (0,), known())
+    with pytest.raises(ConfigurationError, match=r"map of x 0.5 .. 1.5, y -0.5 .. 0.5 N: its gaits do not reach over"):
+        check(StrokeFin(), wide, (0,), known())
+
+
+def test_a_box_of_ones_own_for_the_table_is_refused() -> None:
+    config = QUICK.merged({"gradient": {"map": {"box": PAPER_RANGE.model_dump()}}}, "mine")
+    with pytest.raises(ConfigurationError, match=r"gradient.map.box = x 0.5 .. 3.5.*leave it out, and give --range"):
+        check(StrokeFin(), config, (0,))
+
+
+def test_a_run_begins_from_gradients_where_the_plant_has_them() -> None:
+    assert starting(StrokeFin(), "single") == (GRADIENT_SINGLE, "gradient, as the plant has gradients")
+    assert starting(Numb()) == (GRID, "ppo, as the plant has no gradient: its slope is 0 throughout")
+    assert starting(StrokeFin(), "grid", "ppo") == (GRID, "ppo, as asked")
+
+
+def test_policies_of_a_grid_are_trained_for_all_that_they_hold() -> None:
+    for config in STARTS.values():
+        assert config.controller == "single" or config.switching.margin_n <= config.margin_n
+
+
+SEVERAL = TrainConfig(task=TaskConfig(reward=RewardConfig(disagreement=0.5)))
+
+
+@pytest.mark.parametrize(
+    ("config", "plant", "message"),
+    [
+        (SEVERAL, StrokeFin(), "task.reward.disagreement = 0.5: the plant is no ensemble of two members or more"),
+        (TrainConfig(ensemble="each"), StrokeFin(), "ensemble = each: the plant is no ensemble of two members or more"),
+        (SEVERAL.changed(("ensemble=each",)), streaming.surrogate(), "a fin that is one member .* disagrees with none"),
+    ],
+)
+def test_what_only_an_ensemble_can_do_is_refused_without_one(config: TrainConfig, plant: Plant, message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        check(plant, config, (0,))
+
+
+def test_an_ensemble_takes_what_only_it_can_do() -> None:
+    for config in (SEVERAL, TrainConfig(ensemble="each")):
+        check(streaming.surrogate(), config, (0,))
+
+
+def test_references_are_scored_at_the_nearest_force_that_the_fin_can_make() -> None:
+    round_the_origin = Reachable(np.zeros(2, np.float32), np.ones(64, np.float32))
+    at = held(GRID, round_the_origin)
+    assert at.shape == (6, 1, 2)
+    for place, (x, y) in zip(at[:, 0], PAPER_REFERENCES, strict=True):
+        np.testing.assert_allclose(place, round_the_origin.nearest((x, y)), atol=1e-5)
+        assert np.hypot(*place) == pytest.approx(1, abs=3e-3)

@@ -1,0 +1,86 @@
+"""The policy: actions, densities, weights by name."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softfin.core.errors import ArtifactError
+from softfin.learning.policy import Policy, PolicyConfig, named
+
+CONFIG = PolicyConfig(units=8, width=6)
+
+
+act = jax.jit(lambda policy, observation: policy.act(policy.init(), observation)[1])
+
+
+@pytest.fixture(scope="module")
+def policy() -> Policy:
+    made: Policy = jax.jit(lambda: Policy.create(jax.random.key(0), CONFIG, 11))()
+    return made
+
+
+def weights(tree: Any) -> dict[str, np.ndarray]:
+    return {name: np.asarray(leaf) for name, leaf in named(tree).items()}
+
+
+def test_the_deterministic_action_is_within_the_box_and_has_no_noise(policy: Policy) -> None:
+    loud = jax.tree.map(lambda x: 50 * np.asarray(x), policy)
+    action = np.asarray(act(loud, np.ones(11, np.float32)))
+    assert np.all(np.abs(action) <= 1)
+    np.testing.assert_array_equal(action, act(loud, np.ones(11, np.float32)))
+
+
+def test_a_policy_steps_as_its_sequence_runs(policy: Policy) -> None:
+    x = np.random.default_rng(1).normal(size=(9, 11)).astype(np.float32)
+    memory, means, step = policy.init(), [], jax.jit(lambda policy, *now: policy.step(*now))
+    for observation in x:
+        memory, mean = step(policy, memory, observation)
+        means.append(np.asarray(mean))
+    along = jax.jit(lambda policy, x: policy.sequence(policy.init(), x, jnp.zeros(9, bool)))(policy, x)
+    np.testing.assert_allclose(along, np.stack(means), atol=1e-6)
+
+
+def test_the_density_is_that_of_a_normal_distribution(policy: Policy) -> None:
+    deviation = np.array([0.5, 2.0])
+    policy = Policy(policy.net, jnp.log(jnp.float32(deviation)), policy.normalisation)
+    mean, raw = np.array([0.3, -1.0]), np.array([0.1, 0.7])
+    density = np.exp(-0.5 * ((raw - mean) / deviation) ** 2) / (deviation * np.sqrt(2 * np.pi))
+    np.testing.assert_allclose(
+        policy.log_density(jnp.float32(mean), jnp.float32(raw)), np.log(density).sum(), rtol=1e-5
+    )
+    entropy = np.log(deviation * np.sqrt(2 * np.pi * np.e)).sum()
+    np.testing.assert_allclose(policy.entropy(), entropy, rtol=1e-5)
+
+
+def test_weights_and_normalisation_go_by_name_and_come_back(policy: Policy) -> None:
+    seen = np.random.default_rng(2).normal(size=(5, 11)).astype(np.float32)
+    policy = jax.jit(Policy.having_seen)(policy, seen)
+    arrays = weights(policy)
+    assert {"net.lstm.kernel", "net.output.bias", "log_deviation", "normalisation.mean"} <= set(arrays)
+    again = Policy.of(CONFIG, 11, arrays, "here")
+    jax.tree.map(np.testing.assert_array_equal, again, policy)
+
+
+def test_many_policies_are_one_stack(policy: Policy) -> None:
+    stacked = jax.tree.map(lambda x: np.multiply.outer(np.float32([1, 2, 3]), np.asarray(x)), policy)
+    again = Policy.of(CONFIG, 11, weights(stacked), "here")
+    assert again.log_deviation.shape == (3, 2)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda w: w.pop("net.lstm.bias"), r"here: weights net.lstm.bias are missing or unknown"),
+        (lambda w: w.update(other=np.zeros(3)), r"here: weights other are missing or unknown"),
+        (lambda w: w.update({"net.lstm.bias": np.zeros(31)}), r"net.lstm.bias has shape \(31,\); .* needs \(32,\)"),
+        (lambda w: w.update({"log_deviation": np.zeros((3, 2))}), r"has shape .* for each policy"),
+    ],
+)
+def test_weights_that_do_not_fit_are_refused(policy: Policy, change: Any, message: str) -> None:
+    arrays = weights(policy)
+    change(arrays)
+    with pytest.raises(ArtifactError, match=message):
+        Policy.of(CONFIG, 11, arrays, "here")

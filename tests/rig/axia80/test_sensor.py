@@ -1,0 +1,333 @@
+import contextlib
+import itertools
+import re
+
+import pytest
+
+from softfin.core.errors import DeviceError, RigError
+from softfin.rig.axia80.config import SensorConfig
+from softfin.rig.axia80.sensor import Axia80
+from softfin.rig.axia80.socket import MOST_DATAGRAMS
+from softfin.rig.axia80.status import BUSY, OVER_RANGE, SIMULATED
+from softfin.rig.emulation.sensor import EmulatedAxia80
+from softfin.rig.simulated_clock import SimulatedClock
+from softfin.rig.simulated_network import SimulatedSocket
+from tests.rig.still_fin import StillFin
+
+
+def config_of(sensor, **changes):
+    values = {"http_port": sensor.http_port, "rdt_port": sensor.rdt_port, "frame": "x,y", **changes}
+    return SensorConfig(address="127.0.0.1", **values)
+
+
+@contextlib.contextmanager
+def emulated(*wrench, **options):
+    fin, clock = StillFin(*wrench), SimulatedClock()
+    sensor = EmulatedAxia80(fin, clock=clock, **options)
+    sensor.fin, sensor.clock = fin, clock
+    try:
+        yield sensor
+    finally:
+        sensor.close()
+
+
+@contextlib.contextmanager
+def opened(sensor, **changes):
+    client = Axia80(config_of(sensor, **changes), sensor.clock)
+    try:
+        client.open()
+        yield client
+    finally:
+        client.close()
+
+
+@pytest.fixture
+def pair():
+    with emulated() as sensor, opened(sensor) as client:
+        yield sensor, client
+
+
+def read_for(client, seconds):
+    readings = []
+    for _ in range(round(seconds / 0.01)):
+        readings.append(client.read())
+        client._clock.sleep(0.01)
+    return readings
+
+
+def read_until(client, condition, seconds=10.0):
+    for _ in range(round(seconds / 0.01)):
+        reading = client.read()
+        if condition():
+            return reading
+        client._clock.sleep(0.01)
+    pytest.fail(f"did not come about in {seconds} s; {client.counters()}, {client.complaints()}")
+
+
+@pytest.mark.parametrize(
+    ("frame", "units"),
+    [("x,y", {}), ("y,-x", {"force_unit": "lbf", "torque_unit": "N-mm", "counts": (1e5, 1e3)}), ("-y,-x", {})],
+)
+def test_the_force_arrives_in_newton_and_in_softfins_axes(frame, units):
+    wrench = (1.5, -2.5, 3.5, 0.1, -0.2, 0.3)
+    with emulated(*wrench, frame=frame, **units) as sensor, opened(sensor, frame=frame) as client:
+        assert client.read().wrench == pytest.approx(wrench, abs=1e-3)
+        assert client.measured(0.1).mean == pytest.approx(wrench, abs=1e-3)
+
+
+def test_another_frame_than_the_sensors_turns_the_force():
+    with emulated(1, 2, 3, 0, 0, 0) as sensor, opened(sensor, frame="y,-x") as client:
+        assert client.read().wrench[:3] == pytest.approx((2, -1, 3), abs=1e-6)
+
+
+def test_nothing_is_lost_and_the_time_goes_on(pair):
+    sensor, client = pair
+    readings = read_for(client, 0.5)
+    times = [reading.force_time for reading in readings]
+    assert times == sorted(times)
+    assert readings[-1].received - times[-1] == pytest.approx(client.delay_s, abs=0.002)
+    assert times[-1] <= sensor.clock() - client.delay_s
+    counters = client.counters()
+    assert counters.pop("sensor_records") > 100
+    assert counters.pop("sensor_streams") == 1
+    assert not any(counters.values())
+    assert client.complaints() == client.notes() == ()
+    assert client.rate_hz == pytest.approx(sensor.rate_hz, rel=0.01)
+
+
+def test_a_reading_is_had_for_a_moment_before_the_newest(pair):
+    sensor, client = pair
+    newest = client.read()
+    earlier = client.read(at=newest.received - 0.05)
+    # A time that has been told is not taken back.
+    assert earlier.force_time >= newest.force_time
+    sensor.clock.sleep(0.15)
+    moment = newest.received + 0.05
+    reading = client.read(at=moment)
+    assert reading.force_time == pytest.approx(min(moment, reading.received) - client.delay_s, abs=0.004)
+
+
+def test_a_process_that_was_held_up_finds_its_records(pair):
+    sensor, client = pair
+    read_for(client, 0.05)
+    sensor.clock.sleep(0.25)
+    assert client.read().records > 100
+    assert client.counters()["sensor_lost"] == 0
+
+
+def test_a_process_that_was_held_up_for_long_does_not_take_the_sensor_for_silent(pair):
+    sensor, client = pair
+    sensor.clock.sleep(1.6)
+    assert client.read().records == MOST_DATAGRAMS
+    assert client.complaints() == ()
+    read_until(client, lambda: client.read().records < 100)
+    counters = client.counters()
+    assert (counters["sensor_streams"], counters["sensor_asked_again"], counters["sensor_lost"]) == (1, 0, 0)
+    assert counters["sensor_crowded_reads"] >= 1
+
+
+def test_records_that_nobody_took_are_counted_as_lost():
+    with emulated() as sensor:
+        client = Axia80(config_of(sensor), sensor.clock, buffer_bytes=20_000)
+        client.open()
+        sensor.clock.sleep(0.5)
+        stale = client.read()
+        fresh = read_until(client, lambda: client.counters()["sensor_gaps"] and client.read().records < 100)
+        client.close()
+    assert client.counters()["sensor_lost"] > 100
+    assert fresh.force_time >= stale.force_time
+
+
+def test_lost_records_are_counted_and_bridged(pair):
+    sensor, client = pair
+    sensor.drop(0.05)
+    read_for(client, 0.5)
+    sensor.drop(0.0)
+    read_for(client, 0.2)
+    counters = client.counters()
+    assert counters["sensor_lost"] == sensor.network.dropped > 0
+    assert counters["sensor_bridged"] == counters["sensor_lost"]
+    assert client.complaints() == ()
+
+
+def test_doubled_records_are_counted_and_used_once(pair):
+    sensor, client = pair
+    sensor.duplicate(0.1)
+    read_for(client, 0.5)
+    sensor.duplicate(0.0)
+    read_for(client, 0.1)
+    assert client.counters()["sensor_duplicates"] == sensor.network.doubled > 0
+    assert client.counters()["sensor_lost"] == 0
+
+
+def test_records_out_of_order_are_counted_and_not_lost(pair):
+    sensor, client = pair
+    sensor.reorder(0.1)
+    read_for(client, 0.5)
+    sensor.reorder(0.0)
+    read_for(client, 0.1)
+    assert client.counters()["sensor_late"] == sensor.network.swapped > 0
+    assert client.counters()["sensor_lost"] == 0
+
+
+def test_late_packets_make_a_late_force_and_nothing_else(pair):
+    sensor, client = pair
+    sensor.delay(0.1)
+    readings = read_for(client, 0.5)
+    assert all(b.force_time >= a.force_time for a, b in itertools.pairwise(readings))
+    assert client.counters()["sensor_lost"] == 0
+
+
+def test_sequences_that_roll_over_are_one_stream():
+    with emulated() as sensor:
+        sensor.rollover(200)
+        with opened(sensor) as client:
+            read_until(client, lambda: client.counters()["sensor_records"] > 300)
+            counters = client.counters()
+    assert (counters["sensor_streams"], counters["sensor_restarts"], counters["sensor_lost"]) == (1, 0, 0)
+
+
+def test_an_error_status_is_a_complaint_as_long_as_it_lasts(pair):
+    sensor, client = pair
+    sensor.status(OVER_RANGE)
+    read_until(client, client.complaints)
+    assert client.complaints() == (
+        "force sensor 127.0.0.1: force or torque is out of its range; take the load off, look at the fin's mount",
+    )
+    sensor.status(0)
+    read_until(client, lambda: not client.complaints())
+    assert client.counters()["sensor_error_records"] > 0
+
+
+def test_an_error_of_a_single_record_is_not_missed(pair):
+    sensor, client = pair
+    sensor.status(OVER_RANGE)
+    sensor.clock.sleep(0.1)
+    sensor.status(0)
+    sensor.clock.sleep(0.1)
+    client.read()
+    assert client.complaints()
+    read_until(client, lambda: not client.complaints())
+
+
+@pytest.mark.parametrize(("status", "words"), [(BUSY, "busy"), (SIMULATED, "simulated")])
+def test_what_is_no_error_is_a_note(pair, status, words):
+    sensor, client = pair
+    sensor.status(status)
+    read_until(client, client.notes)
+    assert words in client.notes()[0]
+    assert client.complaints() == ()
+    assert (client.counters()["sensor_busy_records"] > 0) == (status == BUSY)
+
+
+def test_a_force_beyond_the_range_is_a_complaint(pair):
+    sensor, client = pair
+    sensor.fin.wrench = (0.0, 0.0, 0.0, 25.0, 0.0, 0.0)
+    read_until(client, client.complaints)
+    assert "out of its range" in client.complaints()[0]
+
+
+def test_a_silent_sensor_is_a_complaint_and_is_asked_again_until_it_answers(pair):
+    sensor, client = pair
+    sensor.silence()
+    sensor.clock.sleep(0.05)
+    before = client.read()
+    read_until(client, client.complaints)
+    assert client.counters()["sensor_asked_again"]
+    assert re.search(r"nothing new for \d+\.\d s, requests repeated so far: \d", client.complaints()[0])
+    after = client.read()
+    assert (after.force_time, after.records) == (before.force_time, 0)
+    sensor.silence(0.0)
+    assert read_until(client, lambda: not client.complaints()).force_time >= before.force_time
+    assert client.counters()["sensor_restarts"] == 0
+
+
+def test_a_sensor_that_was_switched_off_and_on_complains_until_its_zero_is_set(pair):
+    sensor, client = pair
+    sensor.reboot(0.2)
+    read_until(client, lambda: client.counters()["sensor_restarts"] == 1)
+    read_for(client, 0.3)
+    assert client.complaints() == (
+        "force sensor 127.0.0.1: it was switched off and on, its zero is lost; set it with the fin at rest",
+    )
+    client.bias()
+    client.read()
+    assert client.complaints() == ()
+
+
+def test_the_zero_is_set_to_what_is_felt_now():
+    with emulated(1, 2, 3, 0.1, 0.2, 0.3, noise=(0.01, 0.001)) as sensor, opened(sensor) as client:
+        client.bias()
+        assert client.read().wrench == pytest.approx((0,) * 6, abs=0.02)
+        measured = client.measured(0.3)
+    assert measured.mean == pytest.approx((0,) * 6, abs=0.005)
+    assert measured.std[0] == pytest.approx(0.01, rel=0.3)
+    assert measured.std[5] == pytest.approx(0.001, rel=0.3)
+    assert measured.records > 100
+
+
+def test_the_zero_is_set_at_the_opening_where_that_is_asked_for():
+    with emulated(1, 2, 3, 0.1, 0.2, 0.3) as sensor, opened(sensor, bias_on_open=True) as client:
+        assert client.read().wrench == pytest.approx((0,) * 6, abs=1e-5)
+
+
+@pytest.mark.parametrize(("key", "value"), [("product", "Axia80-M8"), ("serial", "FT31415")])
+def test_another_sensor_than_the_file_says_is_refused(key, value):
+    with (
+        emulated() as sensor,
+        pytest.raises(RigError, match=f"{key} must be '{value}', it says '"),
+        opened(sensor, **{key: value}),
+    ):
+        pass
+
+
+def test_a_sensor_at_another_rate_is_refused():
+    with emulated(rate_hz=500.0) as sensor, pytest.raises(RigError, match=r"sends \d+ records a second, rate_hz is"):
+        Axia80(config_of(sensor), sensor.clock).open()
+
+
+def test_a_sensor_with_other_units_is_refused():
+    with emulated() as sensor:
+        page = sensor.pages.pages["/netftapi2.xml"]
+        sensor.pages.pages["/netftapi2.xml"] = page.replace(b">N<", b">dyn<")
+        with pytest.raises(RigError, match="<scfgfu> is 'dyn'; softfin knows N, kN"):
+            Axia80(config_of(sensor), sensor.clock).open()
+
+
+def test_a_sensor_that_sends_nothing_is_said_with_what_was_tried():
+    with emulated() as sensor:
+        deaf = SimulatedSocket(sensor.clock, "127.0.0.1")
+        port = deaf.getsockname()[1]
+        client = Axia80(config_of(sensor, rdt_port=port), sensor.clock)
+        with pytest.raises(DeviceError, match=rf"no record came from UDP port {port} .*firewall"):
+            client.open()
+        with pytest.raises(DeviceError, match="not open"):
+            client.read()
+
+
+def test_a_sensor_is_opened_again_after_it_was_closed(pair):
+    _, client = pair
+    client.close()
+    client.close()
+    with pytest.raises(DeviceError, match="not open; open it first"):
+        client.read()
+    client.open()
+    assert client.read().records >= 0
+    assert client.counters()["sensor_streams"] == 1
+
+
+def test_before_it_is_open_there_is_nothing_to_say():
+    client = Axia80(SensorConfig(address="192.0.2.1", frame="x,y"))
+    client.close()
+    assert (client.counters(), client.complaints(), client.notes()) == ({}, (), ())
+
+
+def test_a_blow_shows_at_once_unfiltered_in_softfins_axes() -> None:
+    with emulated(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, frame="y,-x") as sensor, opened(sensor, frame="y,-x") as client:
+        client.read()
+        sensor.fin.wrench = (-20.0, 3.0, 0.0, 0.0, 0.0, 0.0)
+        reading = next(r for r in read_for(client, 0.5) if max(r.peak) > 1)
+        assert reading.peak == pytest.approx((20.0, 3.0, 0.0, 0.0, 0.0, 0.0), abs=1e-3)
+        assert abs(reading.wrench[0]) < 10
+        sensor.fin.wrench = (0.0,) * 6
+        assert max(read_for(client, 0.5)[-1].peak) == pytest.approx(0.0, abs=1e-3)

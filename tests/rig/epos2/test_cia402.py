@@ -1,0 +1,81 @@
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from softfin.rig.emulation import drive_states
+from softfin.rig.epos2 import cia402
+from softfin.rig.epos2.cia402 import FAULTS, State
+
+GOLDEN = {
+    0x0000: State.START,
+    0x0100: State.NOT_READY,
+    0x0140: State.SWITCH_ON_DISABLED,
+    0x0121: State.READY,
+    0x0123: State.SWITCHED_ON,
+    0x4123: State.REFRESH,
+    0x4133: State.MEASURE_INIT,
+    0x0137: State.OPERATION_ENABLED,
+    0x0117: State.QUICK_STOP_ACTIVE,
+    0x010F: State.FAULT_REACTION_DISABLED,
+    0x011F: State.FAULT_REACTION_ENABLED,
+    0x0108: State.FAULT,
+}
+
+
+@pytest.mark.parametrize("word", GOLDEN)
+def test_the_twelve_statuswords_are_the_twelve_states(word: int) -> None:
+    assert cia402.decode(word) is GOLDEN[word]
+
+
+@given(st.sampled_from(sorted(GOLDEN)), st.integers(0, 0xFFFF))
+def test_bits_outside_the_mask_do_not_change_the_state(word: int, other: int) -> None:
+    assert cia402.decode(word | other & ~0x417F) is GOLDEN[word]
+
+
+@given(st.integers(0, 0xFFFF))
+def test_a_word_is_one_of_the_twelve_or_none(word: int) -> None:
+    state = cia402.decode(word)
+    assert (state is None) == (word & 0x417F not in GOLDEN)
+
+
+@pytest.mark.parametrize("start", [state for state in State if state not in FAULTS])
+def test_every_state_without_fault_can_be_enabled(start: State) -> None:
+    state, word = start, 0
+    for _ in range(20):
+        following = cia402.towards_enabled(state)
+        if following is not None:
+            state, word = drive_states.by_controlword(state, following, word), following
+        state = drive_states.by_itself(state)
+    assert state is State.OPERATION_ENABLED
+
+
+@pytest.mark.parametrize("state", sorted(FAULTS, key=lambda state: state.value))
+def test_a_fault_is_never_left_on_the_way_to_enabled(state: State) -> None:
+    assert cia402.towards_enabled(state) is None
+    assert cia402.towards_enabled(None) is None
+
+
+def test_a_quick_stop_is_left_only_through_disabled_voltage() -> None:
+    assert cia402.towards_enabled(State.QUICK_STOP_ACTIVE) == cia402.DISABLE_VOLTAGE
+
+
+def test_a_fault_is_reset_by_a_rising_edge_alone() -> None:
+    assert drive_states.by_controlword(State.FAULT, 0x80, 0x80) is State.FAULT
+    assert drive_states.by_controlword(State.FAULT, 0x80, 0x00) is State.SWITCH_ON_DISABLED
+    words = list(cia402.reset_edge())
+    assert [words[k] & ~words[k - 1] & 0x80 for k in range(1, len(words))].count(0x80) == 1
+
+
+@given(st.sampled_from([*State]), st.integers(0, 0xFFFF), st.integers(0, 0xFFFF))
+def test_no_single_controlword_enables_from_a_state_without_power(state: State, word: int, before: int) -> None:
+    if state not in cia402.POWERED:
+        following = drive_states.by_controlword(state, word, before)
+        assert following is not State.OPERATION_ENABLED
+        assert following not in cia402.POWERED or state is State.SWITCHED_ON
+
+
+@given(st.sampled_from([*State]), st.integers(0, 0xFFFF))
+def test_quick_stop_and_disabled_voltage_lead_out_of_motion_from_any_state(state: State, before: int) -> None:
+    moving = {State.OPERATION_ENABLED, State.REFRESH, State.MEASURE_INIT}
+    assert drive_states.by_controlword(state, cia402.QUICK_STOP, before) not in moving
+    assert drive_states.by_controlword(state, cia402.DISABLE_VOLTAGE, before) not in moving | {State.QUICK_STOP_ACTIVE}

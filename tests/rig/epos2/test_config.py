@@ -1,0 +1,73 @@
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from softfin.core.errors import ConfigurationError
+from softfin.rig.epos2.config import DriveConfig, Units
+from tests.rig.epos2_bench import drive_config
+
+units = st.builds(
+    lambda lines, gear, direction, zero: Units.of(
+        drive_config(
+            encoder_lines=lines,
+            gear_ratio=gear,
+            direction=direction,
+            zero_offset_rad=zero,
+        )
+    ),
+    st.integers(16, 5000),
+    st.floats(1.0, 1000.0),
+    st.sampled_from([1, -1]),
+    st.floats(-3.0, 3.0),
+)
+
+
+@given(units, st.floats(-4.0, 4.0))
+def test_an_angle_comes_back_from_counts_to_half_a_count(units: Units, angle: float) -> None:
+    assert abs(units.angle(units.counts(angle)) - angle) <= 0.5 / units.counts_per_rad + 1e-12
+
+
+@given(units, st.integers(-(10**6), 10**6))
+def test_counts_come_back_from_an_angle_exactly(units: Units, counts: int) -> None:
+    assert units.counts(units.angle(counts)) == counts
+
+
+@given(units, st.integers(-20000, 20000))
+def test_rpm_come_back_from_a_velocity_exactly(units: Units, rpm: int) -> None:
+    assert units.signed_rpm(units.velocity(rpm)) == rpm
+    assert units.rpm(units.velocity(rpm)) == abs(rpm)
+
+
+def test_a_turn_of_the_fin_is_four_edges_of_each_line_times_the_gear() -> None:
+    made = Units.of(drive_config(encoder_lines=500, gear_ratio=66.0))
+    assert made.counts(2 * math.pi) == 4 * 500 * 66
+    assert made.rpm(2 * math.pi) == 60 * 66
+    assert made.rpm_s(2 * math.pi) == 60 * 66
+
+
+@pytest.mark.parametrize("key", ["node", "encoder_lines", "gear_ratio", "acceleration_rad_s2", "quick_stop_rad_s2"])
+def test_what_must_not_be_guessed_has_no_default(key: str) -> None:
+    values = drive_config().model_dump()
+    del values[key]
+    with pytest.raises(ConfigurationError, match=key):
+        DriveConfig.build(values)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"node": 0}, "node"),
+        ({"node": 127}, "host_node"),
+        ({"angle_min_rad": 2.0}, "must be below"),
+        ({"slowest_rad_s": 4.0}, "is above"),
+        ({"angle_max_rad": 100.0}, "angle_max_rad is 100; a fin's are finite"),
+        ({"gear_ratio": 0.05, "slowest_rad_s": 0.01}, "less than 1 rpm"),
+        ({"encoder_lines": 2_500_000, "gear_ratio": 1e6}, "more counts"),
+        ({"direction": 2}, "direction"),
+    ],
+)
+def test_a_configuration_that_cannot_be_is_refused_with_the_reason(changes: dict[str, float], words: str) -> None:
+    with pytest.raises(ConfigurationError, match=words):
+        DriveConfig.build({**drive_config().model_dump(), **changes})

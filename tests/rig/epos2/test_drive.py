@@ -1,0 +1,465 @@
+"""The drive against its emulator: start, motion, everything that can go wrong, stop."""
+
+import struct
+
+import can
+import pytest
+
+from softfin.core.errors import CommandError, DeviceError, RigError
+from softfin.rig.epos2 import objects
+from softfin.rig.epos2.cia402 import FAULTS, POWERED, State
+from softfin.rig.epos2.config import BusConfig
+from softfin.rig.epos2.drive import Epos2
+from softfin.rig.machine import Target
+from softfin.rig.simulated_clock import SimulatedClock
+from tests.rig.epos2_bench import NODE, Bench, Sniffer, bench, bus_config, drive_config, enabled
+
+AT_REST = [state for state in State if state not in POWERED]
+
+
+def test_opening_gives_no_power_and_the_drive_holds_our_limits() -> None:
+    with bench(current_limit_a=1.5, angle_min_rad=-1.0, angle_max_rad=0.5) as made:
+        made.drive.open()
+        assert made.drive.state is State.SWITCH_ON_DISABLED
+        assert made.drive.complaints() == ()
+        assert not made.drive.referenced
+        ask = made.drive._wire.ask
+        units = made.drive.units
+        assert ask(objects.POSITION_MIN) == units.counts(-1.0)
+        assert ask(objects.POSITION_MAX) == units.counts(0.5)
+        assert ask(objects.QUICK_STOP_DECELERATION) == units.rpm_s(60.0)
+        assert ask(objects.CURRENT_LIMIT) == 1500
+        assert ask(objects.MODE_DISPLAY) == 1
+
+
+def test_a_target_moves_the_fin_and_another_one_at_once_turns_it_back() -> None:
+    with enabled() as made:
+        made.drive.command(Target(1.0, 3.0))
+        assert made.until(lambda: made.fin.now().angle > 0.3)
+        made.drive.command(Target(-0.5, 3.0))
+        assert made.until(lambda: abs(made.fin.now().angle + 0.5) < 1e-3)
+        reading = made.drive.sync_and_read(0.1)
+        assert reading.new
+        assert reading.angle == pytest.approx(-0.5, abs=1e-3)
+        assert made.drive.complaints() == ()
+
+
+def test_the_frames_of_a_target_are_golden() -> None:
+    with enabled() as made, Sniffer(made) as sniffer:
+        made.drive.command(Target(1.0, 2.0))
+        assert made.until(lambda: made.fin.now().angle > 0.05)
+        counts, rpm = round(4 * 500 * 66 / (2 * 3.141592653589793)), round(2 * 60 * 66 / (2 * 3.141592653589793))
+        assert sniffer.controlwords()[:2] == [0x003F, 0x000F]
+        sent = [(cob_id, data) for _, cob_id, data in sniffer.frames if cob_id in {0x200 + NODE, 0x300 + NODE}]
+        assert sent[0] == (0x300 + NODE, struct.pack("<I", rpm))
+        assert sent[1] == (0x200 + NODE, b"\x3f\x00" + struct.pack("<i", counts))
+
+
+def test_every_one_of_many_quick_targets_ends_at_the_last() -> None:
+    with enabled() as made:
+        for k in range(50):
+            made.drive.command(Target(0.01 * k, 3.0))
+        assert made.until(lambda: abs(made.fin.now().angle - 0.49) < 1e-3)
+        assert made.drive.counters()["targets superseded"] > 0
+
+
+def test_a_lost_acknowledge_is_asked_for_again() -> None:
+    with enabled() as made:
+        made.emulated.ignore_targets(1)
+        made.drive.command(Target(0.3, 3.0))
+        assert made.until(lambda: abs(made.fin.now().angle - 0.3) < 1e-3)
+        assert made.drive.counters()["targets repeated"] >= 1
+
+
+def test_a_drive_that_takes_no_targets_is_complained_of() -> None:
+    with enabled() as made:
+        made.emulated.ignore_targets(1000)
+        made.drive.command(Target(0.3, 3.0))
+        assert made.until(lambda: any("did not take a target" in line for line in made.drive.complaints()))
+        assert made.fin.now().angle == 0.0
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_directions_and_offsets_agree_with_the_emulated_fin(direction: int) -> None:
+    with enabled(direction=direction) as made:
+        made.drive.command(Target(0.4, 3.0))
+        assert made.until(lambda: abs(made.fin.now().angle - 0.4) < 1e-3)
+        assert made.drive.sync_and_read(0.1).angle == pytest.approx(0.4, abs=1e-3)
+
+
+def test_homing_moves_nothing_and_makes_here_zero() -> None:
+    with bench() as made:
+        made.fin.move(0.7, 100.0)
+        made.clock.sleep(0.05)
+        made.drive.open()
+        made.drive.home_here()
+        assert made.fin.now().angle == pytest.approx(0.7)
+        assert made.drive.referenced
+        assert made.drive.sync_and_read(0.1).angle == pytest.approx(0.0, abs=1e-3)
+        assert made.drive.state in AT_REST
+
+
+def test_a_fin_without_a_zero_is_not_enabled() -> None:
+    with bench() as made:
+        made.drive.open()
+        with pytest.raises(RigError, match="softfin rig zero"):
+            made.drive.enable()
+        assert made.emulated.state in AT_REST
+
+
+def test_a_fin_that_was_stopped_a_little_beyond_its_limits_is_enabled() -> None:
+    with bench(angle_min_rad=0.1, angle_max_rad=0.5, zero_offset_rad=0.0) as made:
+        made.drive.open()
+        made.drive.home_here()
+        made.drive.enable()
+        assert made.emulated.state is State.OPERATION_ENABLED
+
+
+def test_a_fin_outside_its_limits_is_not_enabled() -> None:
+    with bench(angle_min_rad=0.2, angle_max_rad=0.5, zero_offset_rad=0.0) as made:
+        made.drive.open()
+        made.drive.home_here()
+        with pytest.raises(RigError, match=r"outside 0\.2 \.\. 0\.5"):
+            made.drive.enable()
+        assert made.emulated.state in AT_REST
+
+
+@pytest.mark.parametrize("target", [(2.0, 2.0), (0.0, 4.0), (0.0, 0.1), (float("nan"), 2.0), (0.0, float("inf"))])
+def test_a_command_outside_the_limits_is_refused_and_nothing_moves(target: tuple[float, float]) -> None:
+    with enabled() as made, Sniffer(made) as sniffer:
+        with pytest.raises(CommandError, match="outside"):
+            made.drive.command(Target(*target))
+        made.until(lambda: True)
+        assert 0x003F not in sniffer.controlwords()
+
+
+def test_a_command_before_enable_and_after_stop_is_refused() -> None:
+    with bench() as made:
+        made.drive.open()
+        with pytest.raises(DeviceError, match="not enabled"):
+            made.drive.command(Target(0.1, 2.0))
+        made.drive.home_here()
+        made.drive.enable()
+        made.drive.stop()
+        with pytest.raises(DeviceError, match="not enabled"):
+            made.drive.command(Target(0.1, 2.0))
+        assert made.emulated.state in AT_REST
+
+
+def test_a_wrong_node_number_names_the_one_that_answers() -> None:
+    with bench(emulated=drive_config(node=9)) as made, pytest.raises(RigError, match=r"node 5 .* node 9 did"):
+        made.drive.open()
+
+
+def test_an_empty_bus_says_where_to_look() -> None:
+    drive = Epos2(bus_config(), drive_config(), SimulatedClock())
+    with pytest.raises(RigError, match="no other node"):
+        drive.open()
+    drive.close()
+
+
+def test_a_bus_that_does_not_exist_is_named_in_one_line() -> None:
+    for bus in (
+        BusConfig(interface="nonesuch", channel="can7"),
+        BusConfig(interface="socketcand", channel="can7", options={"host": "127.0.0.1", "port": 1}),
+    ):
+        with pytest.raises(RigError, match=r"can7 cannot be opened") as caught:
+            Epos2(bus, drive_config()).open()
+        assert "\n" not in str(caught.value)
+
+
+def test_an_encoder_with_other_lines_is_refused() -> None:
+    with bench(emulated=drive_config(encoder_lines=1024)) as made, pytest.raises(RigError, match=r"1024 lines.*500"):
+        made.drive.open()
+
+
+def test_a_motor_of_another_kind_is_refused() -> None:
+    with bench() as made:
+        made.emulated._node.sdo.download(0x6402, 0, struct.pack("<H", 1))
+        with pytest.raises(RigError, match="motor type is 1"):
+            made.drive.open()
+
+
+def test_a_limit_that_the_drive_does_not_hold_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    with bench() as made:
+        store = made.emulated._node.set_data
+
+        def forgetful(index: int, subindex: int, data: bytes, check_writable: bool = False) -> None:
+            store(index, subindex, bytes(len(data)) if index == 0x6085 else data, check_writable)
+
+        monkeypatch.setattr(made.emulated._node, "set_data", forgetful)
+        with pytest.raises(RigError, match="quick-stop deceleration"):
+            made.drive.open()
+
+
+def test_a_drive_in_fault_is_refused_with_its_name_and_reset_only_when_asked() -> None:
+    with bench() as made:
+        made.emulated.fault(0x2310)
+        with pytest.raises(RigError, match=r"over-current.*--reset-fault"):
+            made.drive.open()
+        made.clock.sleep(0.02)
+        assert made.emulated.state is State.FAULT
+        made.drive.connect()
+        fault = made.drive.reset_fault()
+        assert fault is not None
+        assert "over-current" in fault
+        assert made.drive.reset_fault() is None
+        made.drive.close()
+        made.drive.open()
+        assert made.drive.complaints() == ()
+
+
+def test_a_drive_that_another_program_has_enabled_is_left_alone() -> None:
+    with enabled() as made:
+        made.drive.command(Target(1.0, 1.0))
+        other = Epos2(made.bus, drive_config(host_node=126), made.clock)
+        with pytest.raises(RigError, match="operation enabled already"):
+            other.open()
+        assert made.until(lambda: made.fin.now().angle > 0.9)
+
+
+def complaint(made: Bench, words: str) -> bool:
+    return made.until(lambda: any(words in line for line in made.drive.complaints()))
+
+
+def test_an_emergency_is_told_at_once_and_complained_of_by_name() -> None:
+    with enabled() as made:
+        made.emulated.fault(0x8611)
+        assert complaint(made, "0x8611, following error")
+        assert "following error" in made.faults[0]
+        made.drive.stop()
+        assert made.emulated.state in FAULTS
+
+
+def test_a_blocked_fin_ends_in_a_following_error() -> None:
+    with enabled() as made:
+        made.emulated.stall()
+        made.drive.command(Target(1.0, 3.0))
+        assert complaint(made, "following error")
+
+
+def test_a_missing_heartbeat_of_the_drive_is_complained_of() -> None:
+    with enabled(heartbeat_s=0.3) as made:
+        made.emulated.drop_heartbeat()
+        assert complaint(made, "heartbeat is missing")
+
+
+def test_a_host_that_hangs_makes_the_drive_stop_by_itself() -> None:
+    with enabled(heartbeat_s=0.2) as made:
+        made.drive.command(Target(1.5, 1.0))
+        made.clock.sleep(1.0)
+        stopped = made.fin.now()
+        assert made.emulated.state in FAULTS
+        assert stopped.velocity == 0.0
+        assert stopped.angle < 1.4
+        assert complaint(made, "0x8130")
+
+
+def test_a_cut_cable_stops_the_fin_and_is_complained_of() -> None:
+    with enabled(heartbeat_s=0.3) as made:
+        made.drive.command(Target(1.5, 1.0))
+        made.emulated.go_silent()
+        assert complaint(made, "heartbeat is missing")
+        assert made.until(lambda: made.emulated.state in FAULTS)
+        assert not made.drive.sync_and_read(0.01).new
+
+
+def test_a_drive_that_started_anew_is_complained_of_and_takes_no_target() -> None:
+    with enabled() as made:
+        made.emulated.reboot()
+        assert complaint(made, "started anew")
+        assert made.emulated.state in AT_REST
+        angle = made.fin.now().angle
+        made.drive.command(Target(1.0, 3.0))
+        made.drive.stop()
+        assert made.fin.now().angle == angle
+
+
+def test_a_drive_that_was_switched_off_by_somebody_else_is_complained_of() -> None:
+    with enabled() as made, Sniffer(made) as sniffer:
+        sniffer.send(0x200 + NODE, bytes(6))
+        assert complaint(made, "switch on disabled though it was enabled")
+
+
+def test_a_node_that_left_the_operational_state_is_complained_of() -> None:
+    with enabled(heartbeat_s=0.5) as made, Sniffer(made) as sniffer:
+        sniffer.send(0x000, bytes([0x80, NODE]))
+        assert complaint(made, "left the operational state")
+        made.drive.stop()
+        assert made.emulated.state in AT_REST
+
+
+def test_a_bus_that_takes_no_frames_is_a_complaint_and_no_error_in_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    with enabled() as made:
+        bus = made.drive._wire._bus
+
+        def refuse(*_: object) -> None:
+            raise can.CanOperationError("transmit buffer full")
+
+        monkeypatch.setattr(bus, "send", refuse)
+        made.drive.beat()
+        assert not made.drive.sync_and_read(0.001).new
+        assert any("takes no frames" in line for line in made.drive.complaints())
+        made.drive.stop()
+        monkeypatch.undo()
+
+
+def test_receiving_errors_are_told_and_do_not_end_the_receiver(monkeypatch: pytest.MonkeyPatch) -> None:
+    with enabled() as made:
+        bus = made.drive._wire._bus
+        assert bus is not None
+        receive, left = bus.recv, [3]
+
+        def stumble(timeout: float | None = None) -> can.Message | None:
+            if left[0]:
+                left[0] -= 1
+                raise can.CanOperationError("bus off")
+            return receive(timeout)
+
+        monkeypatch.setattr(bus, "recv", stumble)
+        assert complaint(made, "cannot be read (bus off)")
+        assert made.until(lambda: left[0] == 0 and made.drive.sync_and_read(0.1).new)
+        assert made.faults
+
+
+@pytest.mark.parametrize(("state", "words"), [("PASSIVE", "is passive"), ("ERROR", "is off")])
+def test_the_adapters_own_word_about_the_bus_is_passed_on(
+    monkeypatch: pytest.MonkeyPatch, state: str, words: str
+) -> None:
+    with enabled() as made:
+        monkeypatch.setattr(type(made.drive._wire._bus), "state", can.BusState[state], raising=False)
+        assert any(words in line for line in made.drive.complaints())
+
+
+def test_an_on_fault_that_fails_does_not_end_the_receiver() -> None:
+    with enabled() as made:
+        made.drive._exchange._on_fault = lambda line: 1 / 0
+        made.emulated.fault(0x8611)
+        assert complaint(made, "failed: division by zero")
+        assert made.drive.sync_and_read(0.5).new
+
+
+def test_a_stop_sends_quick_stop_first_and_ends_without_voltage() -> None:
+    with enabled() as made, Sniffer(made) as sniffer:
+        made.drive.command(Target(1.0, 1.0))
+        assert made.until(lambda: made.fin.now().angle > 0.01)
+        made.drive.stop()
+        assert made.fin.now().velocity == 0.0
+        assert made.emulated.state is State.SWITCH_ON_DISABLED
+        words = sniffer.controlwords()
+        stop = words.index(0x0002)
+        assert set(words[stop:]) == {0x0002, 0x0000}
+        assert words[-1] == 0x0000
+
+
+def test_a_stop_is_safe_in_any_state_any_number_of_times() -> None:
+    with bench() as made:
+        made.drive.stop()
+        made.drive.open()
+        made.drive.stop()
+        made.drive.stop()
+        made.drive.home_here()
+        made.drive.enable()
+        made.drive.stop()
+        made.drive.stop()
+        assert made.emulated.state in AT_REST
+        made.drive.enable()
+        assert made.emulated.state is State.OPERATION_ENABLED
+        made.drive.close()
+        made.drive.close()
+        made.drive.stop()
+        assert made.emulated.state in AT_REST
+
+
+def test_a_stop_within_on_fault_brakes_at_once_and_takes_the_voltage_off() -> None:
+    with enabled() as made, Sniffer(made) as sniffer:
+        made.drive._exchange._on_fault = lambda _: made.drive.stop()
+        made.drive.command(Target(1.0, 1.0))
+        # An emergency that only tells: the emulated drive itself goes on.
+        made.emulated._emergency(0x4210, 0x01)
+        assert made.until(lambda: 0x0002 in sniffer.controlwords())
+        assert made.until(lambda: made.emulated.state is State.SWITCH_ON_DISABLED)
+
+
+def test_many_threads_may_stop_at_once() -> None:
+    with enabled() as made:
+        made.drive.command(Target(1.5, 1.0))
+        threads = [made.clock.spawn(made.drive.stop, f"stop {k}") for k in range(8)]
+        for thread in threads:
+            thread.join(10.0)
+        assert not any(thread.is_alive() for thread in threads)
+        assert made.emulated.state in AT_REST
+        assert made.fin.now().velocity == 0.0
+
+
+def test_a_stop_while_it_is_being_enabled_wins() -> None:
+    with bench() as made:
+        made.drive.open()
+        made.drive.home_here()
+        exchange = made.drive._exchange
+        read, calls = exchange.sync_and_read, [0]
+
+        def stopped_midway(timeout: float) -> object:
+            calls[0] += 1
+            if calls[0] == 3:
+                exchange.brake()
+            return read(timeout)
+
+        exchange.sync_and_read = stopped_midway  # type: ignore[method-assign, assignment]
+        with pytest.raises(DeviceError, match="stopped while it was being enabled"):
+            made.drive.enable()
+        assert made.emulated.state in AT_REST
+
+
+def test_a_stop_of_a_node_that_takes_no_process_data_goes_by_sdo() -> None:
+    with enabled() as made, Sniffer(made) as sniffer:
+        made.drive.command(Target(1.5, 1.0))
+        sniffer.send(0x000, bytes([0x80, NODE]))
+        assert made.until(lambda: made.drive._exchange.seen.nmt == 0x7F)
+        made.drive.stop()
+        assert made.emulated.state in AT_REST
+        assert (0x600 + NODE, bytes.fromhex("2b40600002000000")) in [frame[1:] for frame in sniffer.frames]
+
+
+def test_a_closed_drive_is_free_for_the_next_program_without_a_fault() -> None:
+    with enabled(heartbeat_s=0.1) as made:
+        made.drive.close()
+        made.clock.sleep(0.4)
+        assert made.emulated.state is State.SWITCH_ON_DISABLED
+        made.drive.open()
+        assert made.drive.referenced
+        made.drive.enable()
+
+
+def test_a_send_that_hangs_does_not_hang_the_stop() -> None:
+    with enabled() as made:
+        made.drive.command(Target(1.5, 1.0))
+        hung, free = made.clock.event(), made.clock.event()
+
+        def hang() -> None:
+            with made.drive._exchange.news:
+                hung.set()
+                free.wait(20.0)
+
+        thread = made.clock.spawn(hang, "hanging send")
+        hung.wait(5.0)
+        began = made.clock()
+        made.drive.stop()
+        assert made.clock() - began < 0.1
+        # The quick stop went out all the same.
+        made.clock.sleep(0.0)
+        assert made.fin.now().velocity == 0.0
+        free.set()
+        thread.join()
+        assert made.until(lambda: made.emulated.state is State.SWITCH_ON_DISABLED)
+
+
+def test_a_homing_that_failed_does_not_leave_its_mode_for_targets() -> None:
+    with bench() as made:
+        made.drive.open()
+        made.drive.home_here()
+        made.emulated._node.sdo.download(0x6060, 0, b"\x06")
+        made.drive.enable()
+        made.drive.command(Target(0.2, 3.0))
+        assert made.until(lambda: abs(made.fin.now().angle - 0.2) < 1e-3)
+        assert made.drive.sync_and_read(0.1).angle == pytest.approx(0.2, abs=1e-3)

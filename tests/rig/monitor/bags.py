@@ -1,0 +1,50 @@
+"""Bags as a run records them, with the bytes at hand."""
+
+import io
+
+from softfin.storage.bag.messages import COMMAND, CURRENT, EVENTS, JOINT, REFERENCE, WRENCH, BagWriter, Row
+
+START_NS = 1_700_000_000 * 10**9
+
+
+class Recording:
+    """Rows at 100 Hz, chunk by chunk."""
+
+    def __init__(self):
+        self.stream = io.BytesIO()
+        self.bag = BagWriter(self.stream, "test")
+        self.bag.flush()
+        self.ends = [len(self.stream.getvalue())]
+        self.tick = 0
+
+    def at(self, tick):
+        return START_NS + tick * 10_000_000
+
+    def chunk(self, ticks, force=(1.0, -0.5), reference=None, event=None):
+        if reference is not None:
+            self.bag.write(Row(REFERENCE, self.at(self.tick), (*reference, 0.0, 0.0, 0.0, 0.0)))
+        if event is not None:
+            self.bag.write(Row(EVENTS, self.at(self.tick), event))
+        for _ in range(ticks):
+            now = self.at(self.tick)
+            if self.tick % 33 == 0:
+                self.bag.write(Row(COMMAND, now, (0.5, 2.0)))
+            self.bag.write(Row(JOINT, now, (0.001 * self.tick, 0.1)))
+            self.bag.write(Row(CURRENT, now, (0.25,)))
+            self.bag.write(Row(WRENCH, now, (*force, 0.0, 0.0, 0.0, 0.0)))
+            self.tick += 1
+        self.bag.flush()
+        self.ends.append(len(self.stream.getvalue()))
+        return self
+
+    def skip(self, ticks):
+        self.tick += ticks
+        return self
+
+    def finish(self):
+        self.bag.finish()
+        return self
+
+    @property
+    def bytes(self):
+        return self.stream.getvalue()

@@ -1,0 +1,272 @@
+import os
+import struct
+import time
+import zlib
+
+import numpy as np
+import pytest
+
+from softfin.core.errors import LogError
+from softfin.rig.monitor import follow
+from softfin.rig.monitor.follow import Follower
+from softfin.rig.monitor.messages import TOPICS, decoded
+from softfin.storage.bag import chunks as mcap_chunks
+from softfin.storage.bag.chunks import CHUNK, LARGEST, inflated
+from softfin.storage.bag.chunks import records as records_of
+from softfin.storage.bag.messages import TYPES
+from tests.rig.monitor.bags import START_NS, Recording
+
+
+def follower(path, **options):
+    options.setdefault("wall", lambda: START_NS * 1e-9 + 5.0)
+    made = Follower(path, **options)
+    made.poll()
+    return made
+
+
+@pytest.fixture
+def bag(tmp_path):
+    return tmp_path / "run.mcap"
+
+
+def test_the_topics_are_those_that_are_recorded():
+    assert set(TOPICS) == set(TYPES)
+
+
+def test_a_recording_is_told_as_it_was_written(bag):
+    recording = Recording().chunk(100, reference=(1.2, -0.6), event="armed").chunk(150)
+    bag.write_bytes(recording.bytes)
+    followed = follower(bag)
+    summary = followed.summary()
+    assert (summary.rows, summary.gaps, summary.force_gaps, summary.damaged, summary.unreadable) == (250, 0, 0, 0, 0)
+    assert summary.rate_hz == pytest.approx(100)
+    assert (summary.angle_rad, summary.current_a, summary.command_angle_rad) == pytest.approx((0.249, 0.25, 0.5))
+    assert summary.mean_force_n == pytest.approx((1.0, -0.5))
+    assert summary.reference_n == pytest.approx((1.2, -0.6))
+    assert summary.events == ((0.0, "armed"),)
+    assert summary.age_s == pytest.approx(5.0 - 2.49, abs=1e-3)
+    joint = followed.traces["joint"].array()
+    np.testing.assert_allclose(joint[:, 0], np.arange(250) * 0.01, atol=1e-6)
+    np.testing.assert_allclose(joint[:, 1], np.arange(250) * 0.001, atol=1e-9)
+
+
+def test_the_mean_is_of_the_last_two_seconds_and_none_before(bag):
+    recording = Recording().chunk(199)
+    bag.write_bytes(recording.bytes)
+    followed = follower(bag)
+    assert followed.summary().mean_force_n is None
+    bag.write_bytes(recording.chunk(1).bytes)
+    followed.poll()
+    assert followed.summary().mean_force_n == pytest.approx((1.0, -0.5))
+    bag.write_bytes(recording.chunk(100, force=(3.0, -0.5)).bytes)
+    followed.poll()
+    assert followed.summary().mean_force_n == pytest.approx((2.0, -0.5))
+
+
+def test_cut_at_every_byte_only_whole_records_count_and_the_rest_is_read_when_it_comes(bag):
+    recording = Recording().chunk(1, event="hello").chunk(1).finish()
+    whole, ends = recording.bytes, recording.ends
+    step = 1 if os.environ.get("SOFTFIN_LONG") == "1" else 13
+    # Where records begin and end every byte, else some, and in the long version all.
+    edges = {cut for end in (0, ends[0], ends[1]) for cut in range(max(end - 20, 0), end + 60)}
+    for cut in sorted(edges | set(range(ends[0] if step > 1 else 0, ends[1] if step > 1 else len(whole), step))):
+        bag.write_bytes(whole[:cut])
+        followed = follower(bag)
+        summary = followed.summary()
+        # A chunk counts from the last of its bytes; its index follows it, and a second one comes before its end.
+        assert summary.problem is None
+        assert (cut >= ends[1]) + (cut >= ends[2]) <= summary.rows <= (cut > ends[0]) + (cut > ends[1])
+        with bag.open("ab") as file:
+            file.write(whole[cut:])
+        followed.poll()
+        assert (followed.summary().rows, followed.summary().state) == (2, "ended")
+
+
+def test_written_byte_by_byte_nothing_is_read_twice_or_lost(bag):
+    whole = Recording().chunk(2).finish().bytes
+    bag.touch()
+    followed = follower(bag)
+    serials = []
+    with bag.open("ab", buffering=0) as file:
+        for k in range(0, len(whole), 7):
+            file.write(whole[k : k + 7])
+            followed.poll()
+            serials += [row.serial for row in followed.traces["joint"].after(serials[-1] if serials else 0)]
+    assert followed.summary().rows == len(serials) == 2
+
+
+def test_missing_rows_are_counted(bag):
+    bag.write_bytes(Recording().chunk(10).skip(30).chunk(10).bytes)
+    summary = follower(bag).summary()
+    assert (summary.gaps, summary.missing, summary.force_gaps, summary.force_missing) == (1, 30, 1, 30)
+
+
+def test_memory_holds_the_window_and_what_was_asked_for_before_it(bag):
+    recording = Recording().chunk(50, reference=(1.0, 2.0)).chunk(1000)
+    bag.write_bytes(recording.bytes)
+    followed = follower(bag, window_s=3.0)
+    assert followed.summary().rows == 1050
+    assert len(followed.traces["joint"].rows) <= 302
+    assert followed.summary().reference_n == (1.0, 2.0)
+
+
+def test_a_damaged_chunk_is_counted_and_passed_over(bag):
+    recording = Recording().chunk(10).chunk(10).chunk(10)
+    damaged = bytearray(recording.bytes)
+    damaged[recording.ends[1] + 300] ^= 0xFF
+    bag.write_bytes(damaged)
+    summary = follower(bag).summary()
+    assert (summary.rows, summary.damaged, summary.gaps) == (20, 1, 1)
+
+
+@pytest.mark.parametrize("length", [2**63, 2**64 - 1, LARGEST + 1])
+def test_a_forged_length_ends_in_one_line_that_says_what_to_do(bag, length):
+    recording = Recording().chunk(10)
+    bag.write_bytes(recording.bytes + struct.pack("<BQ", CHUNK, length) + bytes(100))
+    summary = follower(bag).summary()
+    assert (summary.state, summary.rows) == ("damaged", 10)
+    assert f"damaged at byte {len(recording.bytes):,}" in summary.problem
+    assert "softfin bag recover" in summary.problem
+    assert "\n" not in summary.problem
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", ""])
+def test_chunks_are_unpacked_and_bombs_are_not(compression):
+    import lz4.frame
+    import zstandard
+
+    inner = struct.pack("<BQ", 0x7F, 10_000_000) + bytes(10_000_000)
+    pack = {"zstd": zstandard.ZstdCompressor().compress, "lz4": lz4.frame.compress, "": bytes}[compression]
+    packed, name = pack(inner), compression.encode()
+
+    def chunk(size):
+        head = struct.pack("<QQQII", 0, 0, size, 0, len(name))
+        return head + name + struct.pack("<Q", len(packed)) + packed
+
+    assert [opcode for opcode, _ in records_of(inflated(chunk(len(inner))))] == [0x7F]
+    for size in (100, LARGEST + 1, 2**62):
+        with pytest.raises(LogError):
+            inflated(chunk(size))
+
+
+def packed(data):
+    import zstandard
+
+    content = zstandard.compress(data)
+    head = struct.pack("<QQQII", 0, 0, len(data), zlib.crc32(data), 4) + b"zstd" + struct.pack("<Q", len(content))
+    return struct.pack("<BQ", CHUNK, len(head) + len(content)) + head + content
+
+
+def test_one_look_takes_in_so_much_and_the_next_goes_on_within_the_chunk(bag, monkeypatch):
+    """Counted in records: a chunk of tiny ones takes long, though its bytes are few."""
+    recording = Recording().chunk(100)
+    bag.write_bytes(recording.bytes + packed(2000 * struct.pack("<BQ", 0x80, 0)))
+    monkeypatch.setattr(follow, "READ_BYTES", 50_000)
+    followed, counts = follower(bag), []
+    taken = followed._record
+    monkeypatch.setattr(followed, "_record", lambda *record: counts.append(1) or taken(*record))
+    looks = 0
+    while followed.summary().state == "reading":
+        before = len(counts)
+        followed.poll()
+        looks += 1
+        assert len(counts) - before <= 1 + 50_000 // follow.RECORD_COST
+    assert looks >= 4
+    assert (followed.summary().rows, followed.summary().damaged) == (100, 0)
+
+
+def test_a_bag_that_unpacks_to_more_than_any_recording_is_left(bag, monkeypatch):
+    monkeypatch.setattr(mcap_chunks, "RECORDS", 1000)
+    bag.write_bytes(Recording().chunk(10).bytes + 20 * packed(5000 * struct.pack("<BQ", 0x80, 0)))
+    followed = follower(bag)
+    assert followed.summary().state == "damaged"
+    assert "it is no recording" in followed.summary().problem
+    monkeypatch.setattr(mcap_chunks, "RECORDS", 2**20)
+    monkeypatch.setattr(mcap_chunks, "LARGEST", 2**20)
+    zeros = struct.pack("<BQ", 0x80, 900_000) + bytes(900_000)
+    bag.write_bytes(Recording().chunk(10).bytes + 20 * packed(zeros))
+    assert "inflates to more than 200 times its size" in follower(bag).summary().problem
+
+
+def test_mutated_bags_end_in_counts_or_one_line(bag):
+    whole = Recording().chunk(5, event="x").chunk(5).finish().bytes
+    random = np.random.default_rng(1)
+    for _ in range(100_000 if os.environ.get("SOFTFIN_LONG") == "1" else 300):
+        mutated = bytearray(whole)
+        for place in random.integers(0, len(whole), random.integers(1, 8)):
+            mutated[place] = random.integers(0, 256)
+        bag.write_bytes(mutated[: random.integers(1, len(whole) + 1)])
+        summary = follower(bag).summary()
+        assert summary.rows <= 10
+        assert summary.problem is None or "\n" not in summary.problem
+
+
+def test_bytes_that_are_not_there_yet_are_waited_for(bag):
+    recording = Recording().chunk(10)
+    before = recording.bytes
+    after = recording.chunk(10).bytes
+    bag.write_bytes(before + bytes(len(after) - len(before)))
+    followed = follower(bag)
+    assert (followed.summary().rows, followed.summary().problem) == (10, None)
+    bag.write_bytes(after)
+    followed.poll()
+    assert followed.summary().rows == 20
+
+
+def test_the_state_goes_from_recording_to_silent_to_ended(bag):
+    now = [100.0]
+    recording = Recording().chunk(10)
+    bag.write_bytes(recording.bytes)
+    followed = follower(bag, clock=lambda: now[0], wall=lambda: START_NS * 1e-9 + 0.5)
+    assert followed.summary().state == "recording"
+    bag.write_bytes(recording.chunk(10).bytes)
+    followed.poll()
+    now[0] += 10
+    assert followed.summary().state == "silent"
+    bag.write_bytes(recording.finish().bytes)
+    followed.poll()
+    assert followed.summary().state == "ended"
+
+
+def test_a_folder_means_its_newest_bag_and_moves_on_to_a_newer_one(tmp_path):
+    now = [0.0]
+    old, new = tmp_path / "a.mcap", tmp_path / "run" / "b.mcap"
+    followed = follower(tmp_path, clock=lambda: now[0])
+    assert followed.summary().state == "waiting"
+    old.write_bytes(Recording().chunk(5).bytes)
+    now[0] += 2
+    followed.poll()
+    first = followed.summary()
+    assert (first.path, first.rows) == (str(old), 5)
+    new.parent.mkdir()
+    new.write_bytes(Recording().chunk(7).bytes)
+    os.utime(new, (time.time() + 10, time.time() + 10))
+    now[0] += 2
+    followed.poll()
+    second = followed.summary()
+    assert (second.path, second.rows) == (str(new), 7)
+    assert second.number > first.number
+
+
+def test_a_file_that_is_replaced_is_read_anew_and_one_that_goes_is_waited_for(bag):
+    bag.write_bytes(Recording().chunk(20).bytes)
+    followed = follower(bag)
+    bag.write_bytes(Recording().chunk(3).bytes)
+    followed.poll()
+    assert followed.summary().rows == 3
+    bag.unlink()
+    followed.poll()
+    assert "cannot be read" in followed.summary().problem
+
+
+def test_what_is_no_bag_is_said(tmp_path):
+    with pytest.raises(LogError, match="not there; give a bag"):
+        Follower(tmp_path / "none.mcap")
+    other = tmp_path / "text.mcap"
+    other.write_text("SQLite format 3")
+    assert "no MCAP file" in follower(other).summary().problem
+
+
+def test_a_message_of_another_type_is_no_message():
+    assert decoded("joint", "std_msgs/msg/String", b"") is None
+    assert decoded("joint", "sensor_msgs/msg/JointState", b"\0\1\0\0" + b"\xff" * 40) is None

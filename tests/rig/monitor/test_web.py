@@ -1,0 +1,190 @@
+import contextlib
+import http.client
+import json
+import re
+import socket
+import threading
+
+import pytest
+
+from softfin.core.errors import ConfigurationError
+from softfin.rig import web_server
+from softfin.rig.monitor import web
+from softfin.rig.monitor.follow import Follower
+from tests.rig.monitor.bags import Recording
+
+
+@contextlib.contextmanager
+def serving(folder):
+    bag = folder / "run.mcap"
+    bag.write_bytes(Recording().chunk(250, reference=(1.0, 0.5), event="</script><b>armed</b>").bytes)
+    served = web.Server(web.Feed(Follower(bag)), web.LOOPBACK, 0)
+    served.feed.poll()
+    thread = threading.Thread(target=served.serve_forever, args=(0.05,), daemon=True)
+    thread.start()
+    yield served
+    served.shutdown()
+    served.server_close()
+    thread.join(10)
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    with serving(tmp_path_factory.mktemp("bag")) as served:
+        yield served
+
+
+def ask(server, path="/", method="GET", host=None):
+    connection = http.client.HTTPConnection(web.LOOPBACK, server.server_port, timeout=20)
+    connection.request(method, path, headers={} if host is None else {"Host": host})
+    answer = connection.getresponse()
+    body = answer.read()
+    connection.close()
+    return answer, body
+
+
+def send(server, *pieces):
+    """Raw bytes, and all that comes back."""
+    with socket.create_connection((web.LOOPBACK, server.server_port), timeout=20) as connection:
+        for piece in pieces:
+            connection.sendall(piece)
+        received = b""
+        try:
+            while some := connection.recv(65536):
+                received += some
+        except ConnectionResetError:
+            pass
+        return received
+
+
+def test_the_page_fetches_nothing_from_elsewhere_and_runs_only_its_own_script(server):
+    answer, body = ask(server)
+    page, policy = body.decode(), answer.headers["Content-Security-Policy"]
+    assert answer.status == 200
+    assert not re.search(r"https?:|@import|url\(|import\s*\(|innerHTML|style=", page)
+    assert "default-src 'none'" in policy
+    assert "unsafe" not in policy
+    assert policy.count("'sha256-") == page.count("<script>") + page.count("<style>") == 2
+    assert answer.headers["X-Content-Type-Options"] == "nosniff"
+    asked = set(re.findall(r'element\("(\w+)"\)', page))
+    assert asked >= {"traces", "state", "events"}
+    assert all(f'id="{name}"' in page for name in asked)
+
+
+def test_the_data_are_what_was_recorded_and_come_once(server):
+    answer, body = ask(server, "/data?since=0")
+    data = json.loads(body)
+    assert answer.headers["Content-Type"] == "application/json"
+    assert data["columns"]["wrench"] == ["time_s", "force_x_n", "force_y_n"]
+    assert data["rows"]["wrench"][-1] == [2.49, 1.0, -0.5]
+    assert len(data["rows"]["joint"]) == 250
+    assert data["summary"]["events"] == [[0.0, "</script><b>armed</b>"]]
+    again = json.loads(ask(server, f"/data?since={data['next']}")[1])
+    assert all(not rows for rows in again["rows"].values())
+    assert again["next"] == data["next"]
+
+
+def test_head_answers_without_a_body(server):
+    answer, body = ask(server, "/", "HEAD")
+    assert answer.status == 200
+    assert int(answer.headers["Content-Length"]) > 1000
+    assert body == b""
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "OPTIONS", "PATCH", "TRACE", "CONNECT", "FOO"])
+def test_whatever_would_change_something_is_refused(server, method):
+    answer, _ = ask(server, "/", method)
+    assert answer.status == 405
+    assert answer.headers["Allow"] == "GET, HEAD"
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example", "localhost.evil.example", "evil.example:80", "", "[::1", "a b", "1.2.3"]
+)
+def test_a_name_that_is_not_ours_is_refused(server, host):
+    answer, body = ask(server, "/data", host=host)
+    assert answer.status == 403
+    assert b"force" not in body
+
+
+@pytest.mark.parametrize("host", ["localhost", "LOCALHOST:9000", "127.0.0.1:1", "[::1]:8080", "192.168.1.7:8080"])
+def test_addresses_as_numbers_and_tunnels_are_known(server, host):
+    assert ask(server, "/data", host=host)[0].status == 200
+
+
+def test_a_request_without_host_or_with_two_is_refused(server):
+    assert b" 403 " in send(server, b"GET / HTTP/1.1\r\n\r\n")
+    assert b" 403 " in send(server, b"GET / HTTP/1.1\r\nHost: localhost\r\nHost: evil.example\r\n\r\n")
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["/etc/passwd", "/../../etc/passwd", "/%2e%2e/x", "//evil.example/", "/page.html", "/data/", "/?a", "/data%00"],
+)
+def test_there_is_nothing_else(server, path):
+    assert ask(server, path)[0].status == 404
+
+
+@pytest.mark.parametrize(
+    "query", ["since=garbage", "since=-1", "since=", "since=1&since=2", "other=1", "since=" + "9" * 99]
+)
+def test_a_since_that_is_no_number_is_refused(server, query):
+    assert ask(server, f"/data?{query}")[0].status == 400
+
+
+def test_long_and_slow_requests_end(server, monkeypatch):
+    long = b"x" * 3 * web_server.MOST_REQUEST_BYTES
+    assert send(server, b"GET / HTTP/1.1\r\nHost: localhost\r\nX: " + long + b"\r\n\r\n") == b""
+    monkeypatch.setattr(web_server, "REQUEST_S", 0.2)
+    assert send(server, b"GET / HTTP/1.1\r\n") == b""
+    assert send(server, b"\x00\xff\x16\x03\r\n\r\n")[:1] in (b"", b"H", b"<")
+
+
+@contextlib.contextmanager
+def idle(server, count):
+    """Connections that never ask for anything."""
+    with contextlib.ExitStack() as stack:
+        yield [
+            stack.enter_context(socket.create_connection((web.LOOPBACK, server.server_port), timeout=20))
+            for _ in range(count)
+        ]
+
+
+def test_others_are_served_while_slow_clients_hold_connections(server):
+    with idle(server, 4 * web_server.MOST_CLIENTS) as slow:
+        slow[-1].sendall(b"GET / HTTP/1.1\r\nHost: local")
+        assert [ask(server, "/data")[0].status for _ in range(20)] == 20 * [200]
+
+
+def test_the_connection_that_is_open_for_longest_gives_way(tmp_path, monkeypatch):
+    # So that none of them ends because its time is over.
+    monkeypatch.setattr(web_server, "REQUEST_S", 60.0)
+    with serving(tmp_path) as server, idle(server, web_server.MOST_CLIENTS) as (oldest, *others):
+        assert ask(server)[0].status == 200
+        assert oldest.recv(1) == b""
+        for connection in others:
+            connection.setblocking(False)
+            with pytest.raises(BlockingIOError):
+                connection.recv(1)
+
+
+def test_a_port_that_is_taken_is_said(server):
+    with pytest.raises(ConfigurationError, match="--port 0 takes a free port"):
+        web.Server(server.feed, web.LOOPBACK, server.server_port)
+    with pytest.raises(ConfigurationError, match="from 0 to 65535"):
+        web.Server(server.feed, web.LOOPBACK, 70000)
+
+
+def test_serving_ends_with_its_watcher(tmp_path):
+    bag = tmp_path / "run.mcap"
+    bag.write_bytes(Recording().chunk(5).bytes)
+    served = web.Server(web.Feed(Follower(bag)), web.LOOPBACK, 0)
+
+    def interrupted(seconds):
+        assert ask(served, "/data")[0].status == 200
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        web.serve(served, sleep=interrupted)
+    with pytest.raises(ConnectionRefusedError):
+        ask(served)

@@ -1,0 +1,221 @@
+import json
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from softfin.core.errors import ConfigurationError, DeviceError, RigError
+from softfin.rig.ros2.messages import BOOL, JOINT, VECTOR, WRENCH, Messages, joint_of, wrench_of
+from softfin.rig.ros2.transport import TransportConfig, open_transport
+
+pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
+
+from softfin.rig.ros2 import dds
+from tests.rig.ros2_processes import within
+
+DEFINITIONS = {
+    "own/msg/Part": "string name\nfloat64 value\n",
+    "own/msg/Every": """
+std_msgs/Header header
+bool on
+int8 a
+float64 b
+uint16 c
+string<=9 bounded
+byte d
+char e
+float32[3] three
+uint8[] raw
+string[] names
+Part[] parts
+Part[2] pair
+float64[<=4] few
+int64 last
+""",
+}
+
+
+def as_idl(value, kind):
+    """rosbags' message with cyclonedds' own types."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, list):
+        element = kind.__metadata__[0].subtype
+        return [as_idl(item, element) for item in value]
+    if hasattr(value, "__msgtype__"):
+        return kind(**{name: as_idl(getattr(value, name), inner) for name, inner in kind.__annotations__.items()})
+    return value
+
+
+def messages_of(messages):
+    every = messages.blank("own/msg/Every")
+    yield every
+    part = messages.make("own/msg/Part", "höhe", 1.5)
+    full = messages.blank("own/msg/Every")
+    full.header = messages.header(1_700_000_000_123_456_789, "a frame")
+    full.on, full.a, full.b, full.c, full.bounded, full.d, full.e = True, -7, 1e-300, 65535, "nine", 127, 255
+    full.three, full.raw = np.array([1, 2, 3], np.float32), np.array([1, 2, 3], np.uint8)
+    full.names, full.parts, full.pair = ["", "b", "ccc"], [part, part, part], [part, part]
+    full.few, full.last = np.array([0.5]), -(2**62)
+    yield full
+    for frame in ("", "a", "ab", "abc", "abcd", "abcdefgh"):
+        yield messages.joint(1, frame, frame, 1.0, -2.0)
+        yield messages.wrench(2, frame, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
+        yield messages.make(
+            VECTOR, messages.header(3, frame), messages.make("geometry_msgs/msg/Vector3", 1.0, 2.0, 3.0)
+        )
+    yield messages.blank(JOINT)
+    yield messages.make(BOOL, True)
+
+
+def test_cyclonedds_writes_the_same_bytes_as_rosbags():
+    messages = Messages(DEFINITIONS)
+    count = 0
+    for message in messages_of(messages):
+        kind = dds.idl_type(message.__msgtype__, messages)
+        theirs = as_idl(message, kind).serialize(use_version_2=False)
+        assert theirs == messages.encode(message), message
+        count += 1
+    assert count == 22
+
+
+def test_names_are_ros_2s():
+    messages = Messages()
+    assert dds.dds_topic("/fin/wrench") == "rt/fin/wrench"
+    kind = dds.idl_type(WRENCH, messages, carries=True)
+    assert kind.__idl_typename__ == "geometry_msgs::msg::dds_::WrenchStamped_"
+    assert kind.__annotations__["wrench"].__idl_typename__ == "geometry_msgs::msg::dds_::Wrench_"
+
+
+def test_the_configuration_is_of_this_computer_alone():
+    assert 'address="127.0.0.1" multicast="false"' in dds.localhost()
+    assert "<AllowMulticast>false</AllowMulticast>" in dds.localhost()
+
+
+def test_a_machine_of_topics_reads_moves_and_stops_a_driver_in_another_process(tmp_path):
+    told = within("plant", tmp_path)
+    at_rest, moved, stopped = told["angles"]
+    assert set(at_rest) == {0.0}
+    assert max(moved) == pytest.approx(0.5)
+    assert moved[-1] == pytest.approx(0.5)
+    assert sorted(moved) == moved
+    # The driver braked on the stop topic, on its way to -1.
+    assert stopped[-1] == stopped[-20]
+    assert -0.9 < stopped[-1] < 0.5
+    assert all(force == pytest.approx(-0.5 * velocity, abs=1.01) for force, velocity in told["forces"])
+    assert sum(told["fresh"]) > 40
+    assert not any(told["complaints"])
+    assert told["counters"]["joint_refused"] == told["counters"]["wrench_refused"] == 0
+    assert told["counters"]["joint_received"] > 100
+    assert told["there"] == {"/joint": JOINT, "/wrench": WRENCH}
+    assert "/elsewhere: no geometry_msgs/msg/WrenchStamped in 1 s; there is" in told["silent"]
+    assert "/joint (sensor_msgs/msg/JointState), /wrench (geometry_msgs/msg/WrenchStamped)" in told["silent"]
+
+
+def test_another_process_reads_what_the_node_says_and_is_heard(tmp_path):
+    told = within("node", tmp_path)
+    assert told["reference"][:2] == [1.5, -2.5]
+    assert told["stop"] == "emergency stop on /fin/stop"
+    assert told["unsent"] == 0
+    assert told["listening"] == 1
+    messages = Messages()
+    seen = {name: bytes.fromhex(data) for name, data in json.loads((tmp_path / "seen.json").read_text()).items()}
+    joint = messages.decode(seen["joint_states"], JOINT)
+    assert joint_of(joint, "fin") == (0.25, -0.5)
+    wrench = messages.decode(seen["wrench"], WRENCH)
+    assert wrench_of(wrench) == (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+    assert abs(joint.header.stamp.sec - time.time()) < 120
+    assert joint_of(messages.decode(seen["command"], JOINT), "fin")[1] == 2.0
+    assert messages.encode(wrench) == seen["wrench"]
+
+
+def run(code):
+    """In a process of its own: Cyclone DDS reads its environment once."""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+OPEN = """
+import os
+os.environ.pop("CYCLONEDDS_URI", None)
+from softfin.core.errors import SoftfinError
+from softfin.rig.ros2.messages import Messages
+from softfin.rig.ros2.transport import TransportConfig
+from softfin.rig.ros2.dds import DdsTransport
+def opened(**options):
+    try:
+        return DdsTransport(TransportConfig(domain=231, **options), Messages())
+    except SoftfinError as error:
+        print(type(error).__name__, error)
+"""
+
+
+def test_a_process_that_opens_and_closes_leaves_its_domain():
+    code = f"""{OPEN}
+first = opened(); second = opened()
+print(first.notes)
+first.close(); first.close()
+outlet = second.publish("/fin/x", "std_msgs/msg/Bool")
+print(second.topics(), outlet.listeners())
+second.close(); del outlet
+print(opened(network="no-such").__class__.__name__)
+"""
+    lines = run(code).splitlines()
+    assert lines[:2] == ["()", "{} 0"]
+    assert lines[2].startswith("DeviceError DDS domain 231:")
+    assert lines[2].endswith("is there such a network interface, and is it up?")
+
+
+def test_one_domain_cannot_be_on_two_networks():
+    told = run(f'{OPEN}\nfirst = opened()\nopened(network="lo")')
+    assert told == "RigError DDS domain 231 is open on this computer alone, and cannot be on lo too: take another"
+
+
+def test_a_network_of_ones_own_comes_with_a_warning():
+    told = run(f'{OPEN}\nprint(opened(network="lo").notes)')
+    assert told == "('everybody on the network of lo can read these topics and write to them',)"
+
+
+def test_a_users_own_configuration_of_dds_stands():
+    code = f"""{OPEN}
+from softfin.rig.ros2.dds import localhost
+os.environ["CYCLONEDDS_URI"] = localhost()
+print(opened().notes, opened(network="eth7").notes)
+os.environ["CYCLONEDDS_URI"] = "file:///no/such"
+"""
+    assert run(code) == (
+        "('DDS is set up by CYCLONEDDS_URI',) ('DDS is set up by CYCLONEDDS_URI: --network eth7 does not count',)"
+    )
+
+
+def test_a_closed_way_is_told_and_nothing_hangs():
+    told = run(f'{OPEN}\nway = opened()\nway.close()\ntry:\n    way.publish("/x", "std_msgs/msg/Bool")\n'
+               "except SoftfinError as error:\n    print(type(error).__name__, error)")  # fmt: skip
+    assert told == f"{DeviceError.__name__} the way to ROS 2 is closed; open it again"
+
+
+@pytest.mark.parametrize("text", ["-1", "233", "abc"])
+def test_a_domain_that_is_none_is_told(monkeypatch, text):
+    monkeypatch.setenv("ROS_DOMAIN_ID", text)
+    with pytest.raises(RigError, match="a domain is a whole number from 0 to 232"):
+        TransportConfig().domain_id()
+    with pytest.raises(ConfigurationError, match="domain"):
+        TransportConfig.build({"domain": text})
+
+
+def test_rclpy_is_asked_for_only_where_it_is(monkeypatch):
+    monkeypatch.setitem(sys.modules, "rclpy", None)
+    with pytest.raises(RigError, match="rclpy is not installed in this Python; source ROS 2's setup file"):
+        open_transport(TransportConfig(transport="rclpy"), Messages())
+
+
+def test_without_cyclonedds_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "cyclonedds", None)
+    monkeypatch.delitem(sys.modules, "softfin.rig.ros2.dds")
+    for name in [name for name in sys.modules if name.startswith("cyclonedds.")]:
+        monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(RigError, match=r"install it: pip install softfin\[ros2\]"):
+        open_transport(TransportConfig(transport="dds"), Messages())

@@ -1,0 +1,291 @@
+import threading
+
+import numpy as np
+import pytest
+
+from softfin.core.errors import CommandError, ConfigurationError, DeviceError, RigError
+from softfin.rig.machine import Machine, Target
+from softfin.rig.ros2.plant import Ros2Machine, Ros2PlantConfig
+from tests.rig.ros2_memory import MemoryTransport
+
+START = 1_700_000_000 * 10**9
+
+CONFIG = {
+    "joint_topic": "/joint", "joint_name": "fin", "wrench_topic": "/wrench", "frame": "y,-x",
+    "command_topic": "/command", "wait_s": 0.05,
+    "limits": {"angle_min_rad": -1.5, "angle_max_rad": 1.5, "velocity_min_rad_s": 1.0, "velocity_max_rad_s": 3.0},
+}  # fmt: skip
+
+FLIPPER = {
+    "type": "own/msg/Flipper",
+    "definitions": {"own/msg/Flipper": "std_msgs/Header header\nfloat32 amplitude\nfloat32 zero_direction\n"},
+}
+
+
+class Rig:
+    """A machine on a transport in memory, and a clock that stands still."""
+
+    def __init__(self, **changes):
+        self.now = 10.0
+        self.transport = MemoryTransport(lambda: self.now)
+        self.machine = Ros2Machine(
+            Ros2PlantConfig.build(CONFIG | changes), lambda: self.now, lambda config, messages: self._with(messages)
+        )
+        self.stamp = START
+        self.say()
+
+    def _with(self, messages):
+        self.transport.messages = messages
+        return self.transport
+
+    def say(self, angle=0.25, velocity=0.5, wrench=(1.0, 2.0, 3.0, 4.0, 5.0, 6.0)):
+        self.stamp += 10**7
+        messages = self.transport.messages
+        self.transport.put("/joint", messages.joint(self.stamp, "", "fin", angle, velocity))
+        self.transport.put("/wrench", messages.wrench(self.stamp, "", wrench))
+
+    def commands(self):
+        return [(m.position[0], m.velocity[0]) for m in self.transport.sent["/command"]]
+
+
+@pytest.fixture
+def rig():
+    made = Rig()
+    made.machine.open()
+    return made
+
+
+def test_it_meets_the_contract(rig):
+    assert isinstance(rig.machine, Machine)
+    assert rig.machine.limits == (-1.5, 1.5, 1.0, 3.0)
+    assert rig.machine.notes == ("in memory",)
+
+
+def test_a_sample_is_the_newest_of_both_topics_in_softfins_axes(rig):
+    rig.now = 10.01
+    rig.say(0.5, 1.5)
+    sample = rig.machine.read()
+    assert (sample.angle, sample.velocity) == (0.5, 1.5)
+    assert sample.wrench == (2.0, -1.0, 3.0, 5.0, -4.0, 6.0)
+    assert sample.time == pytest.approx(10.01)
+    assert sample.complaints == ()
+    rig.now = 11.0
+    assert rig.machine.read().time == pytest.approx(10.01), "what is old says so"
+    assert rig.machine.counters() == {
+        "joint_received": 2, "joint_refused": 0, "joint_not_newer": 0,
+        "wrench_received": 2, "wrench_refused": 0, "wrench_not_newer": 0,
+    }  # fmt: skip
+
+
+def test_a_driver_that_counts_the_other_way_is_turned_round():
+    rig = Rig(negate_angle=True)
+    rig.machine.open()
+    assert rig.machine.read()[1:3] == (-0.25, -0.5)
+    rig.machine.enable()
+    rig.machine.command(Target(1.0, 2.0))
+    rig.machine.stop()
+    assert rig.commands() == [(0.25, 1.0), (-1.0, 2.0), (0.25, 3.0)]
+
+
+def test_a_velocity_that_is_not_told_is_the_difference(rig):
+    message = rig.transport.messages.joint(START + 10**9, "", "fin", 0.75, 0.0)
+    message.velocity = np.zeros(0)
+    rig.now += 0.99
+    rig.transport.put("/joint", message)
+    assert rig.machine.read().velocity == pytest.approx(0.5 / 0.99, rel=1e-2)
+
+
+def test_opening_and_closing_send_nothing(rig):
+    rig.machine.stop()
+    rig.machine.close()
+    rig.machine.close()
+    assert not rig.transport.sent
+    assert rig.transport.closed
+
+
+def test_nothing_moves_before_it_is_enabled_nor_after_a_stop(rig):
+    with pytest.raises(DeviceError, match="not enabled"):
+        rig.machine.command(Target(1.0, 2.0))
+    rig.machine.enable()
+    assert rig.commands() == [(0.25, 1.0)], "it holds where it is"
+    rig.machine.command(Target(1.0, 2.0))
+    rig.say(0.6)
+    rig.machine.read()
+    rig.machine.stop()
+    rig.machine.stop()
+    assert rig.commands() == [(0.25, 1.0), (1.0, 2.0), (0.6, 3.0)]
+    with pytest.raises(DeviceError, match="not enabled"):
+        rig.machine.command(Target(1.0, 2.0))
+    rig.machine.close()
+    assert len(rig.commands()) == 3
+
+
+def test_a_machine_that_is_closed_while_it_moves_is_stopped(rig):
+    rig.machine.enable()
+    rig.machine.close()
+    assert rig.commands()[-1] == (0.25, 3.0)
+
+
+@pytest.mark.parametrize("target", [(2.0, 2.0), (0.0, 0.5), (np.nan, 2.0), (0.0, np.inf)])
+def test_a_command_beyond_the_limits_is_refused(rig, target):
+    rig.machine.enable()
+    with pytest.raises(CommandError, match="this fin takes"):
+        rig.machine.command(Target(*target))
+    assert len(rig.commands()) == 1
+
+
+def test_a_fin_beyond_its_limits_is_not_enabled():
+    rig = Rig()
+    rig.transport.waiting.clear()
+    rig.say(1.8)
+    rig.machine.open()
+    with pytest.raises(DeviceError, match=r"at 1.800 rad, beyond -1.500 to 1.500 rad"):
+        rig.machine.enable()
+    assert not rig.transport.sent
+
+
+def test_nobody_who_obeys_is_told_before_anything_moves(rig):
+    rig.transport.readers["/command"] = 0
+    with pytest.raises(DeviceError, match="nobody reads /command"):
+        rig.machine.enable()
+
+
+def test_a_stop_goes_to_the_stop_topic_where_somebody_reads_it():
+    rig = Rig(stop_topic="/stop", stop_release=True)
+    rig.machine.open()
+    rig.machine.enable()
+    rig.machine.stop()
+    assert [message.data for message in rig.transport.sent["/stop"]] == [False, True]
+    assert len(rig.commands()) == 1
+    rig.transport.readers["/stop"] = 0
+    rig.machine.enable()
+    rig.machine.stop()
+    assert rig.commands()[-1] == (0.25, 3.0), "nobody reads it: hold"
+
+
+def test_a_stop_never_raises(rig):
+    rig.machine.enable()
+    rig.transport.failing = True
+    rig.machine.stop()
+    rig.machine.close()
+    with pytest.raises(DeviceError, match="open it first"):
+        rig.machine.read()
+    rig.machine.stop()
+
+
+def test_a_stop_in_the_middle_of_a_command_has_the_last_word(rig):
+    rig.machine.enable()
+    outlet = rig.machine._commands._outlet
+    send, rig.sends = outlet.send, 0
+
+    def interrupted(data):
+        rig.sends += 1
+        if rig.sends == 1:
+            rig.machine.stop()
+        send(data)
+
+    outlet.send = interrupted
+    rig.machine.command(Target(1.0, 2.0))
+    assert rig.commands()[-1] == (0.25, 3.0)
+
+
+def test_a_stop_from_another_thread_ends_the_commands(rig):
+    rig.machine.enable()
+    thread = threading.Thread(target=rig.machine.stop)
+    thread.start()
+    thread.join(5)
+    assert not thread.is_alive()
+    with pytest.raises(DeviceError, match="not enabled"):
+        rig.machine.command(Target(1.0, 2.0))
+
+
+def test_a_command_that_hangs_does_not_keep_a_stop_from_another_thread():
+    rig = Rig(stop_topic="/stop")
+    rig.machine.open()
+    rig.machine.enable()
+    outlet, hangs, goes_on = rig.machine._commands._outlet, threading.Event(), threading.Event()
+
+    def send(data):
+        hangs.set()
+        goes_on.wait(10)
+
+    outlet.send = send
+    thread = threading.Thread(target=rig.machine.command, args=(Target(1.0, 2.0),))
+    thread.start()
+    assert hangs.wait(10)
+    rig.machine.stop()
+    assert [message.data for message in rig.transport.sent["/stop"]] == [True]
+    goes_on.set()
+    thread.join(10)
+    assert len(rig.transport.sent["/stop"]) == 2, "and the stop has the last word"
+
+
+def test_a_reading_that_is_no_number_is_a_complaint(rig):
+    rig.say(np.nan)
+    sample = rig.machine.read()
+    assert sample.angle == 0.25
+    assert sample.complaints == ("/joint: refused: its position is nan; mend its publisher",)
+    rig.say(0.3)
+    assert rig.machine.read().complaints == ()
+
+
+def test_a_silent_topic_is_told_with_those_that_are_there():
+    rig = Rig()
+    del rig.transport.waiting["/wrench"]
+    with pytest.raises(DeviceError, match=r"/wrench: no geometry_msgs/msg/WrenchStamped in 0.05 s; there is "
+                       r"/somebody \(std_msgs/msg/Bool\); start its driver"):  # fmt: skip
+        rig.machine.open()
+    assert rig.transport.closed
+
+
+def test_another_joint_is_told_at_once_by_its_name():
+    rig = Rig(joint_name="tail")
+    with pytest.raises(DeviceError, match="no joint 'tail' in it; it has 'fin'"):
+        rig.machine.open()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"frame": "z,x"}, "frame = 'z,x'"),
+        ({"joint_topic": "joint"}, "joint_topic = 'joint'"),
+        ({"limits": CONFIG["limits"] | {"angle_min_rad": 2.0}}, "angle: min 2 is not below max 1.5"),
+        ({"limits": CONFIG["limits"] | {"velocity_max_rad_s": 9000.0}}, "velocity_max_rad_s is 9000; a fin's are"),
+        ({"joint": "/joint"}, "unknown key 'joint'; did you mean 'joint_name'"),
+    ],
+)
+def test_a_configuration_that_cannot_be_is_told_in_one_line(change, words):
+    with pytest.raises(ConfigurationError, match=words):
+        Ros2PlantConfig.build(CONFIG | change)
+
+
+@pytest.mark.parametrize("name", ["joint_topic", "joint_name", "wrench_topic", "frame", "command_topic", "limits"])
+def test_what_must_not_be_guessed_has_no_default(name):
+    with pytest.raises(ConfigurationError, match=f"{name}.*required"):
+        Ros2PlantConfig.build({key: value for key, value in CONFIG.items() if key != name})
+
+
+def test_a_flipper_follows_the_command_at_its_velocity_twenty_times_a_second():
+    rig = Rig(flipper=FLIPPER)
+    rig.machine.open()
+    rig.machine.enable()
+    rig.machine.command(Target(1.25, 2.0))
+    for _ in range(100):
+        rig.now += 0.01
+        rig.machine.read()
+    sent = rig.transport.sent["/command"][1:]
+    assert len(sent) == 21
+    angles = [message.zero_direction for message in sent]
+    np.testing.assert_allclose(angles, np.minimum(0.25 + 0.1 * np.arange(21), 1.25), atol=1e-6)
+    assert {message.amplitude for message in sent} == {0.0}
+    rig.machine.stop()
+    assert rig.transport.sent["/command"][-1].zero_direction == pytest.approx(0.25)
+    count = len(rig.transport.sent["/command"])
+    rig.now += 1.0
+    rig.machine.read()
+    assert len(rig.transport.sent["/command"]) == count, "after a stop nothing is sent"
+
+
+def test_a_flipper_that_has_no_such_message_is_told_on_opening():
+    with pytest.raises(RigError, match=r"flipper.type = own/msg/Flipper: ROS 2 has no such message"):
+        Rig(flipper={"type": "own/Flipper"}).machine.open()

@@ -1,0 +1,178 @@
+"""rclpy is not to be had here: a stand-in checks how it is called, after its documentation."""
+
+import sys
+import threading
+import time
+import types
+
+import pytest
+
+from softfin.core.errors import DeviceError, RigError
+from softfin.rig.ros2.messages import BOOL, JOINT, Messages
+from softfin.rig.ros2.node import NodeConfig, RosBridge
+from softfin.rig.ros2.transport import Transport, TransportConfig, open_transport
+
+
+class Rclpy:
+    """What softfin uses of it, and what was asked of it."""
+
+    def __init__(self, monkeypatch):
+        self.calls = []
+        self.subscriptions = {}
+        self.published = []
+        self.spinning, self.ended = threading.Event(), threading.Event()
+        self.fails = None
+        names = {"rclpy": self._top(), "rclpy.executors": types.SimpleNamespace(SingleThreadedExecutor=self.executor),
+                 "rclpy.signals": types.SimpleNamespace(SignalHandlerOptions=types.SimpleNamespace(NO="no handlers")),
+                 "rclpy.qos": types.SimpleNamespace(
+                     QoSProfile=lambda depth, reliability: (depth, reliability),
+                     ReliabilityPolicy=types.SimpleNamespace(RELIABLE="reliable", BEST_EFFORT="best effort")),
+                 "sensor_msgs.msg": types.SimpleNamespace(JointState="JointState"),
+                 "geometry_msgs.msg": types.SimpleNamespace(WrenchStamped="WrenchStamped"),
+                 "std_msgs.msg": types.SimpleNamespace(Bool="Bool")}  # fmt: skip
+        for name, fields in names.items():
+            module = types.ModuleType(name)
+            module.__dict__.update(fields.__dict__)
+            module.__spec__ = types.SimpleNamespace(name=name)
+            monkeypatch.setitem(sys.modules, name, module)
+
+    def _top(self):
+        return types.SimpleNamespace(
+            Context=lambda: "context",
+            init=self.init,
+            create_node=self.create_node,
+            try_shutdown=lambda context: self.calls.append(("try_shutdown", context)),
+        )
+
+    def init(self, *, args, context, domain_id, signal_handler_options):
+        self.calls.append(("init", args, context, domain_id, signal_handler_options))
+        if self.fails:
+            raise RuntimeError(self.fails)
+
+    def create_node(self, name, *, context):
+        self.calls.append(("create_node", name, context))
+        return self
+
+    def executor(self, *, context):
+        self.calls.append(("executor", context))
+        return types.SimpleNamespace(add_node=lambda node: None, spin=self.spin, shutdown=self.shutdown)
+
+    def spin(self):
+        self.spinning.set()
+        self.ended.wait(10)
+        if self.fails:
+            raise RuntimeError(self.fails)
+
+    def shutdown(self, timeout_sec):
+        self.calls.append(("shutdown", timeout_sec))
+        self.ended.set()
+
+    def destroy_node(self):
+        self.calls.append(("destroy_node",))
+
+    def create_publisher(self, kind, topic, quality):
+        self.calls.append(("create_publisher", kind, topic, quality))
+
+        def publish(data):
+            if self.fails:
+                raise RuntimeError(self.fails)
+            assert isinstance(data, bytes)
+            self.published.append((topic, data))
+
+        return types.SimpleNamespace(publish=publish, get_subscription_count=lambda: 3)
+
+    def create_subscription(self, kind, topic, callback, quality, *, raw):
+        assert raw
+        self.calls.append(("create_subscription", kind, topic, quality))
+        self.subscriptions[topic] = callback
+
+    def get_topic_names_and_types(self):
+        return [("/ours", [JOINT]), ("/both", [JOINT]), ("/heard", [JOINT])]
+
+    def count_publishers(self, topic):
+        return {"/ours": 1, "/both": 2, "/heard": 0}[topic]
+
+
+@pytest.fixture
+def rclpy(monkeypatch):
+    return Rclpy(monkeypatch)
+
+
+@pytest.fixture
+def transport(rclpy):
+    opened = open_transport(TransportConfig(domain=5, node="tail"), Messages())
+    assert rclpy.spinning.wait(10)
+    yield opened
+    opened.close()
+
+
+def test_it_is_taken_where_it_is_and_leaves_signals_and_the_command_line_alone(rclpy, transport):
+    assert isinstance(transport, Transport)
+    assert rclpy.calls[0] == ("init", [], "context", 5, "no handlers")
+    assert rclpy.calls[1] == ("create_node", "tail", "context")
+    assert "ROS_LOCALHOST_ONLY" in transport.notes[0]
+
+
+def test_messages_go_out_and_come_in_as_bytes(rclpy, transport):
+    outlet = transport.publish("/ours", JOINT)
+    outlet.send(b"one")
+    assert rclpy.published == [("/ours", b"one")]
+    assert outlet.listeners() == 3
+    inlet = transport.subscribe("/stop", BOOL, best_effort=True)
+    assert ("create_publisher", "JointState", "/ours", (10, "reliable")) in rclpy.calls
+    assert ("create_subscription", "Bool", "/stop", (10, "best effort")) in rclpy.calls
+    before = time.monotonic()
+    for index in range(12):
+        rclpy.subscriptions["/stop"](bytes([index]))
+    taken = inlet.take()
+    assert [data[0] for data, _ in taken] == list(range(2, 12)), "ten are kept, the newest"
+    assert before <= taken[0].time <= taken[-1].time <= time.monotonic()
+    assert inlet.take() == []
+
+
+def test_the_topics_are_those_that_somebody_else_publishes(transport):
+    transport.publish("/ours", JOINT)
+    transport.publish("/both", JOINT)
+    assert transport.topics() == {"/both": JOINT}
+
+
+def test_it_closes_once_and_its_thread_ends(rclpy, transport):
+    transport.close()
+    transport.close()
+    assert [call[0] for call in rclpy.calls[-3:]] == ["shutdown", "destroy_node", "try_shutdown"]
+    for thread in threading.enumerate():
+        if thread.name == "softfin-rclpy":
+            thread.join(10)
+            assert not thread.is_alive()
+
+
+def test_a_thread_that_failed_is_told_to_who_reads(rclpy, transport):
+    bridge = RosBridge(transport, NodeConfig())
+    rclpy.fails = "context is not\nvalid"
+    rclpy.ended.set()
+    deadline = time.monotonic() + 10
+    while transport.failure is None and time.monotonic() < deadline:
+        time.sleep(0.001)
+    assert bridge.stop_asked() == (
+        "emergency stop cannot be heard: rclpy has stopped (context is not valid); start again"
+    )
+    with pytest.raises(DeviceError, match=r"/x: not sent \(context is not valid\)"):
+        transport.publish("/x", JOINT).send(b"")
+
+
+def test_an_installation_that_does_not_start_is_told_in_one_line(rclpy):
+    rclpy.fails = "failed to load\nlibrmw"
+    with pytest.raises(RigError, match=r"rclpy cannot be used \(failed to load librmw\); use transport: dds"):
+        open_transport(TransportConfig(), Messages())
+
+
+def test_a_message_package_that_is_not_there_is_told(transport):
+    with pytest.raises(RigError, match="ROS 2 has no own/msg/Flipper here; build and source its package"):
+        transport.publish("/x", "own/msg/Flipper")
+    with pytest.raises(RigError, match="ROS 2 has no std_msgs/msg/Empty here"):
+        transport.subscribe("/x", "std_msgs/msg/Empty")
+
+
+def test_a_network_is_not_its_to_choose(rclpy):
+    with pytest.raises(RigError, match="--network eth0 is for DDS"):
+        open_transport(TransportConfig(network="eth0"), Messages())

@@ -1,0 +1,99 @@
+import pytest
+
+from softfin.core.action_clock import ACTION_TICKS
+from softfin.core.errors import RunError, SafetyStop
+from softfin.rig.loop import hold, seconds_to_actions
+from softfin.rig.machine import Target
+from softfin.rig.safety import Guard, SafetyConfig
+from softfin.rig.session import Session
+from softfin.rig.simulated_clock import SimulatedClock
+from tests.rig.machines import FreeFin, Notes, Wagging
+from tests.rig.test_session import Made
+
+
+def held(controller, actions=6, references=lambda at: (1.0, -1.0)):
+    made = Made()
+    with made.session as session:
+        session.activate()
+        return made, list(hold(session, controller, references, actions))
+
+
+def test_three_actions_take_a_second_to_the_tick():
+    _, acted = held(Wagging())
+    assert [len(one.samples) for one in acted] == [*ACTION_TICKS, *ACTION_TICKS]
+    assert sum(ACTION_TICKS) == 100
+    assert seconds_to_actions(4) == 12
+
+
+def test_the_controller_sees_the_mean_force_since_its_last_action():
+    controller = Wagging()
+    _, acted = held(controller)
+    assert controller.forces[0] == (0.0, 0.0)
+    for force, before in zip(controller.forces[1:], acted, strict=False):
+        mean = sum(sample.wrench[0] for sample in before.samples) / len(before.samples)
+        assert force == pytest.approx((mean, 0.1))
+
+
+def test_references_are_asked_for_at_the_time_of_each_action():
+    controller = Wagging()
+    held(controller, references=lambda at: (at, 0.0))
+    assert [x for x, _ in controller.asked] == pytest.approx([0, 0.33, 0.66, 1.0, 1.33, 1.66])
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [(RunError("a controller acts on finite numbers alone"), "finite numbers"), (ZeroDivisionError("by zero"), "Zero")],
+)
+def test_a_controller_that_raises_stops_the_fin(error, words):
+    def worse(action):
+        if action == 2:
+            raise error
+
+    made = Made()
+    with made.session as session:
+        session.activate()
+        with pytest.raises(SafetyStop, match=words) as raised:
+            list(hold(session, Wagging(worse), lambda at: (0.0, 0.0), 9))
+        assert raised.value.exit_code == 3
+        assert not made.machine.enabled
+        assert made.notes.events[-1].startswith("stopped: controller: ")
+
+
+def test_references_that_fail_stop_the_fin():
+    def references(at):
+        raise OSError("topic is gone")
+
+    made = Made()
+    with made.session as session:
+        session.activate()
+        with pytest.raises(SafetyStop, match="topic is gone"):
+            list(hold(session, Wagging(), references, 3))
+        assert not made.machine.enabled
+
+
+def test_a_policy_that_is_not_a_number_stops_the_fin():
+    made = Made()
+    with made.session as session:
+        session.activate()
+        with pytest.raises(SafetyStop, match="no finite number"):
+            list(hold(session, Wagging(lambda action: Target(float("nan"), 1.0)), lambda at: (0.0, 0.0), 3))
+        assert made.machine.commands[1:] == []
+
+
+def test_a_controller_that_hangs_is_stopped_while_it_hangs():
+    machine = FreeFin(SimulatedClock())
+    seen = []
+
+    def hang(action):
+        if action == 2:
+            machine.clock.sleep(0.2)
+            seen.append(machine.enabled)
+
+    safety = SafetyConfig(acceleration_rad_s2=1e6)
+    with Session(machine, Guard(safety, machine.limits)) as session:
+        notes = session.recorder = Notes(machine)
+        session.activate()
+        with pytest.raises(SafetyStop, match="silent"):
+            list(hold(session, Wagging(hang), lambda at: (0.0, 0.0), 9))
+    assert seen == [False]
+    assert sum("watchdog" in event for event in notes.events) == 1

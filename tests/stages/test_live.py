@@ -1,0 +1,154 @@
+"""Logs and judgements from a fin that moves by itself, here an emulated one."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softfin.core.errors import ArtifactError, ConfigurationError, RigError, SafetyStop
+from softfin.core.plant import roll
+from softfin.core.quantities import Command
+from softfin.data.collect import CollectConfig, collect
+from softfin.evaluation.evaluate import EvaluateConfig
+from softfin.rig.bench import Bench
+from softfin.rig.epos2.cia402 import State
+from softfin.rig.safety import SafetyConfig
+from softfin.rig.simulated_clock import SimulatedClock
+from softfin.rig.stop import StopRequest
+from softfin.stages.live import bags_of, collect_live, evaluate_live
+from softfin.storage.dataset import Dataset
+from softfin.tank import Tank
+from tests.control.native.folders import folder_of
+from tests.rig.bags import events_of
+from tests.rig.machines import FreeFin
+from tests.rig.rigs import SAFETY, emulated
+
+CONFIG = CollectConfig(logs=1, test_logs=1, rows=60, seed=3)
+
+
+def yes(bench):
+    """Nobody stands by."""
+
+
+def no(bench):
+    raise ConfigurationError("nothing moves without --arm")
+
+
+def test_logs_are_recorded_one_by_one_and_a_stopped_collection_goes_on(tmp_path):
+    out = tmp_path / "data"
+    request = StopRequest()
+
+    def stop_in_the_second(stage, done, note):
+        if "test-" in note:
+            request.ask("emergency_stop", "stopped by a key")
+
+    with emulated() as (behind, bench):
+        with pytest.raises(SafetyStop, match="stopped by a key"):
+            collect_live(bench, out, CONFIG, yes, stop=request, progress=stop_in_the_second)
+        assert behind.drive.state is State.SWITCH_ON_DISABLED
+        assert not out.exists()
+        bags = bags_of(out)
+        assert sorted(path.name for path in bags.iterdir()) == [
+            "collect.json", "test-000.mcap", "train-0000.mcap", "train-0000.parquet"
+        ]  # fmt: skip
+        assert events_of(bags / "test-000.mcap")[-1] == "stopped: emergency_stop: stopped by a key"
+        first = (bags / "train-0000.parquet").read_bytes()
+
+        with pytest.raises(ArtifactError, match="--resume"):
+            collect_live(bench, out, CONFIG, yes)
+        other = CONFIG.model_copy(update={"seed": 4})
+        with pytest.raises(ArtifactError, match="holds logs of another configuration"):
+            collect_live(bench, out, other, yes, resume=True)
+
+        told = []
+        data = collect_live(bench, out, CONFIG, yes, resume=True, progress=lambda *words: told.append(words))
+        again = collect_live(bench, out, CONFIG, yes, resume=True, progress=lambda *words: told.append("moved"))
+    assert again.data_hash == data.data_hash
+    assert "moved" not in told
+    assert (bags / "train-0000.parquet").read_bytes() == first
+    assert (bags / "test-000.cut-1.mcap").exists()
+    assert (len(data.train), len(data.test)) == (1, 1)
+    assert all(" left, test-000: (" in note and note.endswith(" rad") for _, _, note in told)
+    described = json.loads((out / "dataset.json").read_text())
+    assert described["fin"] == "emulated"
+    assert described["counters"]["sensor_records"] > 0
+    assert described["rig"]["drive"]["encoder_lines"] == 500
+    log = next(iter(Dataset.open(out).load(data.train)))
+    assert log.reading.time.shape == (60,)
+    assert np.ptp(log.reading.angle) > 0.05
+
+
+def test_nothing_moves_and_nothing_is_written_where_nobody_confirms(tmp_path):
+    with emulated() as (behind, bench):
+        with pytest.raises(ConfigurationError, match="--arm"):
+            collect_live(bench, tmp_path / "data", CONFIG, no)
+        assert behind.drive.state is State.SWITCH_ON_DISABLED
+        assert behind.fin.now().angle == 0.0
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_controller_is_judged_on_a_fin_that_moves_by_itself(tmp_path):
+    folder = folder_of("single", tmp_path)
+    config = EvaluateConfig(references=((1.0, -1.0),), seconds=3, seeds=1)
+    machine = FreeFin(SimulatedClock())
+    bench = Bench(machine, SafetyConfig.build(SAFETY, "safety"), settle_s=0.1)
+    summary = evaluate_live(folder, bench, tmp_path / "out", config, yes)
+    assert not machine.enabled
+    assert machine.calls[-1] == "close"
+    assert summary["references"][0]["reference_n"] == [1.0, -1.0]
+    assert json.loads((tmp_path / "out" / "evaluation.json").read_text())["mean"] == summary["mean"]
+    bag = next(bags_of(tmp_path / "out").glob("session-*.mcap"))
+    assert events_of(bag) == ["active: free fin", "inactive"]
+
+
+def test_a_controller_of_another_fin_is_refused_before_anything_is_opened(tmp_path, monkeypatch):
+    folder = folder_of("single", tmp_path)
+    with emulated() as (_, bench):
+        monkeypatch.setattr(bench.machine, "open", lambda: pytest.fail("opened"))
+        monkeypatch.setattr("softfin.stages.live.load_native", _of_fin("red"))
+        with pytest.raises(RigError, match="trained for the fin 'red'"):
+            evaluate_live(folder, bench, tmp_path / "out", EvaluateConfig(), yes)
+
+
+def _of_fin(fin):
+    import dataclasses
+
+    from softfin.control.native import load_native
+
+    return lambda folder: dataclasses.replace(load_native(folder), fin=fin)
+
+
+def test_a_log_through_the_emulators_is_the_tanks_own(tmp_path):
+    """The same commands to the same tank, once in a program and once behind drive and sensor."""
+    tank = Tank()
+    config = CollectConfig(logs=1, test_logs=0, rows=400, seed=5)
+    with emulated(tank) as (_, bench):
+        live = collect_live(bench, tmp_path / "live", config, yes)
+    alone = collect(tank, config, tmp_path / "alone")
+    through, planned = (next(iter(data.load(data.train))) for data in (live, alone))
+    # The commands are the same at the same rows, and nothing is ever late.
+    for sent, meant in zip(through.command, planned.command, strict=True):
+        np.testing.assert_array_equal(sent, meant)
+    commands = Command(*(jnp.asarray(channel) for channel in through.command))
+    _, own = jax.jit(lambda: roll(tank, tank.init(jax.random.key(0)), commands))()
+    # What is seen of the emulated fin is one sample old.
+    assert rmse(through.reading.angle, own.angle, 1) < 0.01
+    for axis in range(2):
+        assert alike(through.reading.force[:, axis], own.force[:, axis], 1) > 0.99
+
+
+def shifted(through, own, lag):
+    """What came through later, over what was there; the first second of both settles."""
+    return np.stack([through[100 + lag :], own[100 : len(own) - lag]])
+
+
+def rmse(through, own, lag):
+    one, other = shifted(through, own, lag)
+    return float(np.sqrt(np.mean((one - other) ** 2)))
+
+
+def alike(through, own, lag):
+    """Correlation."""
+    return float(np.corrcoef(shifted(through, own, lag))[0, 1])

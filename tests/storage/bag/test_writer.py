@@ -1,0 +1,213 @@
+import errno
+import os
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from softfin.core.errors import LogError, RunError
+from softfin.data.importing.recordings import open_logs
+from softfin.data.importing.rosbag import TYPES as READABLE
+from softfin.storage.bag import writer as bag_writer
+from softfin.storage.bag.messages import COMMAND, CURRENT, EVENTS, JOINT, REFERENCE, TYPES, WRENCH
+from softfin.storage.bag.recovery import recover
+from softfin.storage.bag.topics import DEFAULT_TOPICS
+from softfin.storage.bag.writer import BagRecorder
+from tests.data.recorded import by_mcap_ros2, by_rosbags, record
+from tests.rig.machines import Hours
+
+
+def until(true, seconds=20.0):
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.01)
+
+
+def test_two_readers_find_the_same_values_in_a_recorded_bag(tmp_path):
+    path = record(tmp_path / "run.mcap")
+    first, second = by_rosbags(path), by_mcap_ros2(path)
+    assert first == second
+    assert {topic: len(rows) for topic, rows in first.items()} == {
+        COMMAND: 300, JOINT: 300, WRENCH: 300, CURRENT: 300, REFERENCE: 3, EVENTS: 3,
+    }  # fmt: skip
+    logged, stamp, name, *numbers = first[JOINT][123]
+    assert logged == stamp
+    assert name == "fin"
+    assert numbers == [0.001 * 123, 0.1]
+    assert first[WRENCH][7][2:] == ("fin", 0.5, -0.001 * 7, 0.1, 0.2, 0.3, 0.4)
+    assert first[REFERENCE][0][3:] == (0.25, -0.5, 0.0, 0.0, 0.0, 0.0)
+    assert first[CURRENT][0][1] == 0.25
+    assert first[EVENTS][2][1] == "row 200"
+
+
+def test_stamps_are_the_clock_plus_what_the_wall_clock_was_ahead_at_the_start(tmp_path, monkeypatch):
+    hours = Hours()
+    hours.now = 50.0
+    recorder = BagRecorder(tmp_path / "run.mcap", clock=hours)
+    began = time.time()
+    monkeypatch.setattr(hours, "wall", lambda: 0.0)
+    recorder.event(50.0, "first")
+    recorder.event(51.5, "second")
+    recorder.close()
+    (first, _), (second, _) = by_rosbags(recorder.path)[EVENTS]
+    assert second - first == 1_500_000_000
+    assert abs(first / 1e9 - began) < 60
+
+
+def test_a_recorded_bag_opens_as_a_log(tmp_path):
+    path = record(tmp_path / "run.mcap")
+    opened = open_logs(path)
+    (one,) = opened.logs
+    assert len(one.log.reading.time) == 300
+    np.testing.assert_array_equal(one.log.reading.angle, np.float32(0.001 * np.arange(300)))
+    np.testing.assert_array_equal(one.log.reading.force[:, 1], np.float32(-0.001 * np.arange(300)))
+    assert not [finding for finding in opened.findings if finding.severity == "error"]
+
+
+def test_the_topics_are_those_that_are_read_by_default():
+    for role, topic in DEFAULT_TOPICS.items():
+        assert TYPES[topic] in READABLE[role]
+
+
+def test_rows_are_in_the_file_before_it_is_closed(tmp_path):
+    recorder = BagRecorder(tmp_path / "run.mcap", flush_s=0.05)
+    empty = recorder.path.stat().st_size
+    recorder.wrench(time.monotonic(), (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
+    until(lambda: recorder.path.stat().st_size > empty)
+    assert recorder.written[WRENCH] == 1
+    recovery = recover(recorder.path, tmp_path / "saved.mcap")
+    assert recovery.messages == {WRENCH: 1}
+    recorder.close()
+
+
+def test_nothing_is_overwritten_and_a_second_recorder_is_refused(tmp_path):
+    with BagRecorder(tmp_path / "new" / "run.mcap") as recorder:
+        with pytest.raises(LogError, match="exists already, recordings are never overwritten") as error:
+            BagRecorder(recorder.path)
+        assert "\n" not in str(error.value)
+    assert by_rosbags(recorder.path) == {}
+    with pytest.raises(RunError, match="cannot be written"):
+        BagRecorder(recorder.path / "below" / "run.mcap")
+
+
+def test_a_disk_without_room_is_known_before_anything_moves(tmp_path):
+    with pytest.raises(RunError, match="of the disk are free; what was written stays; make room"):
+        BagRecorder(tmp_path / "run.mcap", reserve_bytes=10**18)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EIO])
+def test_a_disk_that_fails_is_told_and_what_was_written_recovers(tmp_path, monkeypatch, number):
+    write, room = os.write, [6000]
+
+    def limited(file, data):
+        if file != recorder_file[0]:
+            return write(file, data)
+        if not room[0]:
+            raise OSError(number, os.strerror(number))
+        taken = write(file, bytes(data[: room[0]]))
+        room[0] -= taken
+        return taken
+
+    recorder = BagRecorder(tmp_path / "run.mcap", flush_s=0.05)
+    recorder_file = [recorder._file]
+    monkeypatch.setattr(os, "write", limited)
+    assert recorder.failure is None
+    for k in range(200):
+        recorder.wrench(k / 100, (float(k), 0.0, 0.0, 0.0, 0.0, 1.0))
+    until(lambda: recorder.failure is not None)
+    assert os.strerror(number) in recorder.failure
+    assert "softfin bag recover" in recorder.failure
+    assert "\n" not in recorder.failure
+    recorder.event(3.0, "stopped")
+    recorder.close()
+    monkeypatch.undo()
+    recovery = recover(recorder.path, tmp_path / "saved.mcap")
+    # Of 6 kB, definitions are less than half.
+    assert recovery.messages[WRENCH] > 15
+    assert by_rosbags(tmp_path / "saved.mcap") == by_mcap_ros2(tmp_path / "saved.mcap")
+
+
+def test_a_disk_that_has_room_again_gets_the_tail(tmp_path, monkeypatch):
+    fsync, full = os.fsync, [True]
+
+    def sync(file):
+        if full[0]:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        fsync(file)
+
+    recorder = BagRecorder(tmp_path / "run.mcap", flush_s=0.05)
+    monkeypatch.setattr(os, "fsync", sync)
+    recorder.event(1.0, "before")
+    until(lambda: recorder.failure is not None)
+    full[0] = False
+    recorder.event(2.0, "after")
+    recorder.close()
+    assert recorder.failure is not None
+    assert [row[1] for row in by_rosbags(recorder.path)[EVENTS]] == ["before", "after"]
+
+
+def test_a_disk_that_hangs_is_told_and_close_gives_up(tmp_path, monkeypatch):
+    hold = threading.Event()
+    hours = Hours()
+    hours.now = 0.0
+    recorder = BagRecorder(tmp_path / "run.mcap", flush_s=0.05, clock=hours)
+    fsync = os.fsync
+    monkeypatch.setattr(os, "fsync", lambda file: (hold.wait(30), fsync(file)))
+    monkeypatch.setattr(bag_writer, "CLOSE_S", 0.2)
+    hours.now = 1.0
+    time.sleep(0.2)
+    hours.now = 20.0
+    assert "the disk has taken no rows" in recorder.failure
+    start = time.monotonic()
+    recorder.close()
+    assert time.monotonic() - start < 10
+    hold.set()
+    recorder._thread.join(10)
+
+
+def test_rows_that_the_disk_is_too_slow_for_are_counted(tmp_path, monkeypatch):
+    monkeypatch.setattr(bag_writer, "BACKLOG", 10)
+    monkeypatch.setattr(bag_writer, "POLL_S", 30.0)
+    recorder = BagRecorder(tmp_path / "run.mcap")
+    for k in range(25):
+        recorder.event(float(k), "x")
+    assert recorder.dropped == 15
+    assert "10 rows wait for the disk" in recorder.failure
+    recorder.close()
+    assert len(by_rosbags(recorder.path)[EVENTS]) == 10
+    recorder.event(1.0, "late")
+    assert recorder.dropped == 16
+
+
+def test_a_row_that_cannot_be_written_spoils_no_other(tmp_path):
+    recorder = BagRecorder(tmp_path / "run.mcap")
+    recorder.wrench(1.0, (1.0, 2.0))
+    recorder.event(2.0, "still here")
+    recorder.close()
+    assert "/fin/wrench cannot be (1.0, 2.0)" in recorder.failure
+    assert recorder.dropped == 1
+    assert list(by_rosbags(recorder.path)) == [EVENTS]
+
+
+def test_close_may_be_called_again_and_leaves_no_thread(tmp_path):
+    recorder = BagRecorder(tmp_path / "run.mcap")
+    recorder.close()
+    recorder.close()
+    assert not recorder._thread.is_alive()
+    assert recorder.failure is None
+
+
+def test_two_commands_at_one_moment_keep_their_order(tmp_path):
+    recorder = BagRecorder(tmp_path / "run.mcap", clock=Hours())
+    for angle in (0.1, 0.2, 0.3):
+        recorder.command(1000.0, angle, 1.0)
+    recorder.command(1000.5, 0.4, 1.0)
+    recorder.close()
+    rows = by_rosbags(recorder.path)[DEFAULT_TOPICS["command"]]
+    stamps = [stamp for stamp, *_ in rows]
+    assert stamps[0] < stamps[1] < stamps[2]
+    assert [row[3] for row in rows] == [0.1, 0.2, 0.3, 0.4]
+    assert stamps[3] - stamps[0] == 500_000_000

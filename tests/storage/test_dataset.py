@@ -1,0 +1,140 @@
+import errno
+import json
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softfin.core.errors import ArtifactError, LogError, RunError
+from softfin.core.quantities import Command, Log, Reading
+from softfin.storage.dataset import Dataset, write_dataset
+
+
+def make_log(seed: int, rows: int = 40) -> Log:
+    random = np.random.default_rng(seed).normal(size=(6, rows)).astype(np.float32)
+    time = np.arange(1, rows + 1) / 100
+    return Log(Command(random[0], random[1]), Reading(time, random[2], random[3], random[4:].T.copy()))
+
+
+@pytest.fixture
+def dataset(tmp_path) -> Dataset:
+    return write_dataset(tmp_path / "data", map(make_log, range(3)), map(make_log, [7]), {"plant": "none"})
+
+
+def test_a_dataset_names_its_logs_in_order(dataset):
+    assert [path.relative_to(dataset.path).as_posix() for path in dataset.train] == [
+        "train/0000.parquet",
+        "train/0001.parquet",
+        "train/0002.parquet",
+    ]
+    assert [path.name for path in dataset.test] == ["000.parquet"]
+    for path, log in zip((*dataset.train, *dataset.test), dataset.load([*dataset.train, *dataset.test]), strict=True):
+        seed = {"train": 0, "test": 7}[path.parent.name] + int(path.stem)
+        np.testing.assert_array_equal(log.reading.force, make_log(seed).reading.force)
+
+
+def test_its_description_says_what_it_holds(dataset):
+    written = json.loads((dataset.path / "dataset.json").read_text())
+    assert written == dataset.description
+    assert written["plant"] == "none"
+    assert written["rate_hz"] == 100
+    assert written["data_hash"] == dataset.data_hash
+    assert len(written["files"]) == 4
+
+
+def test_the_same_logs_have_the_same_hash_wherever_they_lie(dataset, tmp_path):
+    again = write_dataset(tmp_path / "again", map(make_log, range(3)), map(make_log, [7]), {"plant": "another name"})
+    assert again.data_hash == dataset.data_hash
+
+
+def test_other_logs_or_another_order_have_another_hash(dataset, tmp_path):
+    other = write_dataset(tmp_path / "other", map(make_log, [0, 2, 1]), map(make_log, [7]), {})
+    fewer = write_dataset(tmp_path / "fewer", map(make_log, range(3)), [], {})
+    assert len({dataset.data_hash, other.data_hash, fewer.data_hash}) == 3
+
+
+def test_logs_of_others_need_only_an_empty_description(dataset, tmp_path):
+    mine = tmp_path / "mine"
+    (mine / "train").mkdir(parents=True)
+    shutil.copy(dataset.train[1], mine / "train" / "monday.parquet")
+    (mine / "dataset.json").write_text("{}")
+    opened = Dataset.open(mine)
+    assert [path.name for path in opened.train] == ["monday.parquet"]
+    assert opened.test == ()
+    assert len(opened.data_hash) == 64
+
+
+def test_a_folder_without_description_is_no_dataset(tmp_path):
+    with pytest.raises(ArtifactError, match=r"not a dataset: it holds no dataset\.json"):
+        Dataset.open(tmp_path)
+
+
+def test_a_folder_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(ArtifactError, match="nowhere: no such folder; it should be a dataset"):
+        Dataset.open(tmp_path / "nowhere")
+
+
+def test_a_dataset_without_logs_says_where_they_belong(tmp_path):
+    (tmp_path / "dataset.json").write_text("{}")
+    with pytest.raises(ArtifactError, match=f"holds no logs to learn from; put Parquet logs into {tmp_path / 'train'}"):
+        Dataset.open(tmp_path)
+
+
+def test_a_log_that_is_gone_is_missed(dataset):
+    dataset.train[1].unlink()
+    with pytest.raises(ArtifactError, match=r"train/0001\.parquet: missing, though dataset\.json lists it"):
+        Dataset.open(dataset.path)
+
+
+def test_a_log_that_came_later_is_noticed(dataset):
+    shutil.copy(dataset.train[0], dataset.path / "train" / "0003.parquet")
+    with pytest.raises(ArtifactError, match=r"train/0003\.parquet: not among the files that dataset\.json lists"):
+        Dataset.open(dataset.path)
+
+
+def test_a_log_that_was_cut_is_noticed(dataset):
+    dataset.test[0].write_bytes(dataset.test[0].read_bytes()[:-9])
+    with pytest.raises(ArtifactError, match=r"test/000\.parquet: truncated or changed since dataset\.json was written"):
+        Dataset.open(dataset.path)
+
+
+def test_a_list_of_files_that_is_no_list_is_refused(dataset):
+    (dataset.path / "dataset.json").write_text('{"files": 3}')
+    with pytest.raises(ArtifactError, match="'files' must map names to hashes"):
+        Dataset.open(dataset.path)
+
+
+def test_a_bad_log_leaves_no_folder(tmp_path):
+    bad = make_log(1)
+    bad.reading.angle[3] = np.nan
+    with pytest.raises(LogError, match=r"/data/train/0001\.parquet: row 3, column angle_rad"):
+        write_dataset(tmp_path / "data", [make_log(0), bad], [], {})
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_full_disk_leaves_no_folder_and_names_the_place(tmp_path, monkeypatch):
+    def full(path, data):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(RunError, match=r"/data: cannot be written \(No space left on device\)"):
+        write_dataset(tmp_path / "data", [make_log(0)], [], {})
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_folder_of_someone_else_is_not_replaced(tmp_path):
+    (tmp_path / "home").mkdir()
+    (tmp_path / "home" / "thesis.txt").write_text("years of work")
+    with pytest.raises(ArtifactError, match=r"is no folder of softfin's"):
+        write_dataset(tmp_path / "home", [make_log(0)], [], {}, overwrite=True)
+    assert (tmp_path / "home" / "thesis.txt").read_text() == "years of work"
+
+
+def test_a_log_that_is_a_pipe_is_not_waited_for(tmp_path):
+    (tmp_path / "train").mkdir()
+    (tmp_path / "dataset.json").write_text("{}")
+    os.mkfifo(tmp_path / "train" / "0000.parquet")
+    with pytest.raises(ArtifactError, match=r"0000\.parquet: cannot be read \(a pipe, not a file\)"):
+        Dataset.open(tmp_path)

@@ -1,0 +1,197 @@
+import re
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from softfin.core.errors import InputError, LogError
+from softfin.core.quantities import Command, Log, Reading
+from softfin.storage.log_file import SCHEMA, read_log, write_log
+
+
+def make_log(rows: int = 300, seed: int = 0) -> Log:
+    random = np.random.default_rng(seed).normal(size=(6, rows)).astype(np.float32)
+    time = np.arange(1, rows + 1) / 100
+    return Log(Command(random[0], random[1]), Reading(time, random[2], random[3], random[4:].T.copy()))
+
+
+@pytest.fixture
+def table(tmp_path):
+    write_log(tmp_path / "good.parquet", make_log())
+    return pq.read_table(tmp_path / "good.parquet")
+
+
+def with_column(table: pa.Table, name: str, values, kind=None) -> pa.Table:
+    return table.set_column(table.schema.get_field_index(name), name, pa.array(values, kind))
+
+
+def refusal(tmp_path, table: pa.Table) -> str:
+    pq.write_table(table, tmp_path / "bad.parquet")
+    with pytest.raises(LogError) as error:
+        read_log(tmp_path / "bad.parquet")
+    message = str(error.value)
+    assert message.startswith(f"{tmp_path / 'bad.parquet'}: ")
+    assert "\n" not in message
+    return message
+
+
+floats = st.floats(width=32, allow_nan=False, allow_infinity=False)
+
+
+@settings(max_examples=25, deadline=None)
+@given(values=hnp.arrays(np.float32, st.tuples(st.just(6), st.integers(1, 50)), elements=floats))
+def test_what_is_written_is_read_again_bit_by_bit(values, tmp_path_factory):
+    time = np.arange(1, values.shape[1] + 1) / 100
+    log = Log(Command(values[0], values[1]), Reading(time, values[2], values[3], values[4:].T))
+    path = tmp_path_factory.mktemp("log") / "log.parquet"
+    write_log(path, log)
+    again = read_log(path)
+    for one, other in zip((*log.command, *log.reading), (*again.command, *again.reading), strict=True):
+        np.testing.assert_array_equal(one, other)
+        assert one.dtype == other.dtype
+
+
+def test_columns_carry_names_with_units_and_single_precision_but_for_time(table):
+    assert table.schema.names == [
+        "time_s",
+        "command_angle_rad",
+        "command_velocity_rad_s",
+        "angle_rad",
+        "velocity_rad_s",
+        "force_x_n",
+        "force_y_n",
+    ]
+    assert [str(kind) for kind in table.schema.types] == ["double"] + ["float"] * 6
+
+
+def test_forces_keep_their_axes(tmp_path):
+    log = make_log()
+    write_log(tmp_path / "log.parquet", log)
+    columns = pq.read_table(tmp_path / "log.parquet")
+    np.testing.assert_array_equal(columns["force_x_n"], log.reading.force[:, 0])
+    np.testing.assert_array_equal(columns["force_y_n"], log.reading.force[:, 1])
+
+
+def test_columns_may_stand_in_any_order(tmp_path, table):
+    pq.write_table(table.select(SCHEMA.names[::-1]), tmp_path / "turned.parquet")
+    np.testing.assert_array_equal(read_log(tmp_path / "turned.parquet").reading.force, make_log().reading.force)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_log_with_nan_is_refused_with_its_row(tmp_path, table, value):
+    force = table["force_y_n"].to_numpy().copy()
+    force[[123, 200]] = value
+    message = refusal(tmp_path, with_column(table, "force_y_n", force))
+    assert f"row 123, column force_y_n: {value} (the first of 2 in this column); cut these rows off" in message
+
+
+def test_an_empty_cell_is_refused_with_its_row(tmp_path, table):
+    angle = table["angle_rad"].to_pylist()
+    angle[7] = None
+    message = refusal(tmp_path, with_column(table, "angle_rad", angle, pa.float32()))
+    assert "row 7, column angle_rad: no value (the only one in this column)" in message
+
+
+def test_a_gap_is_refused_with_its_row_and_length(tmp_path, table):
+    time = table["time_s"].to_numpy().copy()
+    time[50:] += 0.37
+    message = refusal(tmp_path, with_column(table, "time_s", time))
+    assert "row 50, column time_s: 380.0 ms after row 49, must be 10 ms (the only one in this log)" in message
+
+
+@pytest.mark.parametrize(
+    ("shift", "shown"), [(-0.01, "0.5000 s repeats or precedes row 49 (0.5000 s)"), (-0.1, "0.41")]
+)
+def test_time_that_repeats_or_runs_back_is_refused(tmp_path, table, shift, shown):
+    time = table["time_s"].to_numpy().copy()
+    time[50:] += shift
+    message = refusal(tmp_path, with_column(table, "time_s", time))
+    assert "row 50, column time_s: " in message
+    assert shown in message
+
+
+@pytest.mark.parametrize("rate", [1.0, 50.0, 70.0, 98.5, 103.0, 1000.0])
+def test_another_rate_is_refused_as_a_rate_and_not_as_gaps(tmp_path, table, rate):
+    message = refusal(tmp_path, with_column(table, "time_s", np.arange(300) / rate))
+    assert f"column time_s: {rate:.2f} Hz, must be 100 Hz; resample it" in message
+
+
+def test_time_in_milliseconds_is_refused(tmp_path, table):
+    message = refusal(tmp_path, with_column(table, "time_s", np.arange(300) * 10.0))
+    assert "time_s is in seconds" in message
+
+
+def test_a_clock_that_starts_anywhere_and_jitters_is_taken(tmp_path, table):
+    jitter = np.random.default_rng(1).uniform(-0.002, 0.002, 300)
+    time = 1.7e9 + np.arange(300) / 100 + jitter
+    pq.write_table(with_column(table, "time_s", time), tmp_path / "log.parquet")
+    np.testing.assert_array_equal(read_log(tmp_path / "log.parquet").reading.time, time)
+
+
+def test_a_missing_column_is_named_with_the_one_that_resembles_it(tmp_path, table):
+    message = refusal(tmp_path, table.rename_columns([name.replace("force_x_n", "force_x") for name in SCHEMA.names]))
+    assert "column 'force_x_n' is missing; rename 'force_x' to it" in message
+
+
+def test_a_missing_column_is_named(tmp_path, table):
+    message = refusal(tmp_path, table.drop_columns(["velocity_rad_s"]))
+    assert "column 'velocity_rad_s' is missing; a log has time_s, command_angle_rad" in message
+
+
+def test_an_unknown_column_is_refused(tmp_path, table):
+    message = refusal(tmp_path, table.append_column("angle_radian", table["angle_rad"]))
+    assert "unknown column 'angle_radian'; did you mean 'angle_rad'?" in message
+
+
+def test_a_column_that_is_there_twice_is_refused(tmp_path, table):
+    message = refusal(tmp_path, table.append_column("angle_rad", table["angle_rad"]))
+    assert "column 'angle_rad' is there twice" in message
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "words"),
+    [
+        ("angle_rad", pa.float64(), "column angle_rad is double, must be float; cast it"),
+        ("force_x_n", pa.string(), "column force_x_n is string, must be float; cast it"),
+        ("time_s", pa.float32(), "column time_s is float, must be double; cast it"),
+    ],
+)
+def test_another_type_is_refused(tmp_path, table, name, kind, words):
+    assert words in refusal(tmp_path, with_column(table, name, table[name].cast(kind)))
+
+
+def test_an_empty_log_is_refused(tmp_path, table):
+    assert "empty" in refusal(tmp_path, table.slice(0, 0))
+
+
+def test_a_truncated_file_is_refused_as_such(tmp_path, table):
+    whole = (tmp_path / "good.parquet").read_bytes()
+    for length in (0, 3, len(whole) // 2, len(whole) - 1):
+        (tmp_path / "cut.parquet").write_bytes(whole[:length])
+        with pytest.raises(LogError, match=r"cut\.parquet: truncated, or not a Parquet file"):
+            read_log(tmp_path / "cut.parquet")
+
+
+def test_a_damaged_file_is_refused(tmp_path, table):
+    whole = bytearray((tmp_path / "good.parquet").read_bytes())
+    whole[len(whole) // 3 : len(whole) // 3 + 200] = bytes(200)
+    (tmp_path / "bad.parquet").write_bytes(whole)
+    with pytest.raises(LogError):
+        read_log(tmp_path / "bad.parquet")
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(LogError, match=re.escape(f"{tmp_path / 'none.parquet'}: cannot be read (No such file")):
+        read_log(tmp_path / "none.parquet")
+
+
+def test_a_log_that_would_be_refused_is_not_written(tmp_path):
+    log = make_log()
+    log.reading.force[5, 0] = np.nan
+    with pytest.raises(InputError, match="row 5, column force_x_n: nan"):
+        write_log(tmp_path / "log.parquet", log)
+    assert not any(tmp_path.iterdir())

@@ -1,0 +1,150 @@
+import sys
+
+import jax.numpy as jnp
+import pytest
+
+from softfin.core.errors import ConfigurationError, PlantError
+from softfin.core.quantities import Limits
+from softfin.storage.live import is_live
+from softfin.storage.registry import find_plant, is_surrogate
+from softfin.surrogate import Surrogate, save_surrogate
+from softfin.tank import Tank, TankConfig
+from softfin.testing import check_plant
+from tests.plants import AnalyticFin, PlainFin
+from tests.surrogate import small
+
+
+def test_the_tank_a_surrogate_and_ones_own_simulator_are_found(tmp_path, monkeypatch):
+    save_surrogate(tmp_path / "s", small.surrogate(), None, {})
+    assert isinstance(find_plant(str(tmp_path / "s")), Surrogate)
+    assert isinstance(find_plant("tank"), Tank)
+    (tmp_path / "my_simulator.py").write_text("from tests.plants import PlainFin\nplant = PlainFin()\n")
+    monkeypatch.chdir(tmp_path)
+    assert isinstance(find_plant("my_simulator:plant"), PlainFin)
+    assert isinstance(find_plant("my_simulator:PlainFin"), PlainFin)
+    sys.modules.pop("my_simulator")
+
+
+def test_a_tank_of_ones_own_numbers_is_found_by_its_file(tmp_path):
+    (tmp_path / "mine.yaml").write_text("fin: {plates: 3}\n")
+    assert find_plant(str(tmp_path / "mine.yaml")).fin.stiffness.shape == (3,)
+    (tmp_path / "bad.yaml").write_text("fin: {root_thickness_m: -0.01}\n")
+    with pytest.raises(ConfigurationError, match=r"bad.yaml: fin.root_thickness_m = -0.01: .* greater than 0"):
+        find_plant(str(tmp_path / "bad.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("pool", r"plant pool: unknown \(is no folder\); give tank, the YAML file of a tank, the folder of"),
+        ("no_such_module:plant", "No module named 'no_such_module'"),
+        ("json:plant", "module json has no 'plant'"),
+        ("math:pi", "a float is no plant: it needs limits, init and advance"),
+    ],
+)
+def test_an_unknown_plant_is_refused_with_the_ways_out(name, words):
+    with pytest.raises(PlantError, match=words):
+        find_plant(name)
+
+
+@pytest.mark.parametrize("name", ["tank", "rig", "ros2"])
+def test_a_folder_hides_no_plant_and_is_found_by_its_path(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    save_surrogate(tmp_path / name, small.surrogate(), None, {})
+    assert is_live(name) is (name != "tank")
+    assert not is_surrogate(name)
+    if name == "tank":
+        assert isinstance(find_plant(name), Tank)
+    else:
+        with pytest.raises(PlantError, match=f"moves in real time .* the folder of this name is ./{name}$"):
+            find_plant(name)
+    assert isinstance(find_plant(f"./{name}"), Surrogate)
+    assert is_surrogate(f"./{name}")
+
+
+def test_a_folder_that_is_no_surrogate_is_no_plant(tmp_path):
+    with pytest.raises(PlantError, match=r"holds no surrogate\.json"):
+        find_plant(str(tmp_path))
+
+
+def test_a_simulator_with_limits_that_no_fin_has_is_refused_before_anything_is_trained_in_it(tmp_path, monkeypatch):
+    (tmp_path / "my_fast_simulator.py").write_text(
+        "from tests.plants import PlainFin\n"
+        "class Plant(PlainFin):\n    limits = PlainFin().limits._replace(velocity_max=9000.0)\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(PlantError, match=r"plant my_fast_simulator:Plant: limits: velocity_max_rad_s is 9000"):
+        find_plant("my_fast_simulator:Plant")
+    sys.modules.pop("my_fast_simulator")
+
+
+def coarse_tank():
+    """Of the same parts as the default one; its programs are compiled in half the time."""
+    return Tank(TankConfig.build({"fin": {"plates": 2}, "steps_per_tick": 4}))
+
+
+@pytest.mark.parametrize("plant", [AnalyticFin, PlainFin, coarse_tank])
+def test_good_plants_pass_the_conformance_kit(plant):
+    check_plant(plant())
+
+
+class Broken(PlainFin):
+    """A plant with one fault, given as a change of what advance returns."""
+
+    def __init__(self, fault):
+        super().__init__()
+        self._fault = fault
+
+    def advance(self, state, command, ticks):
+        return self._fault(*super().advance(state, command, ticks))
+
+
+class Forgetful(PlainFin):
+    calls = 0
+
+    def advance(self, state, command, ticks):
+        self.calls += 1
+        state, reading = super().advance(state, command, ticks)
+        return state, reading._replace(angle=reading.angle + self.calls)
+
+
+class Backwards(PlainFin):
+    limits = Limits(1.0, -1.0, 1.0, 2.0)
+
+
+class Branching(PlainFin):
+    def advance(self, state, command, ticks):
+        if command.angle > 0:
+            command = command._replace(velocity=command.velocity * 0.9)
+        return super().advance(state, command, ticks)
+
+
+@pytest.mark.parametrize(
+    ("plant", "words"),
+    [
+        (object(), "has no limits, init, advance"),
+        (Backwards(), "angle_min < angle_max"),
+        (Broken(lambda s, r: (s, r._replace(force=r.force[:, 0]))), r"reading.force has shape \(33,\) for 33 ticks"),
+        (Broken(lambda s, r: (s, r._replace(angle=r.angle.astype(jnp.float16)))), "reading.angle is float16"),
+        (Broken(lambda s, r: (s, r._replace(force=r.force / 0))), "reading.force is not finite"),
+        (Broken(lambda s, r: (s, r._replace(time=2 * r.time))), "each tick is 0.01 s"),
+        (Broken(lambda s, r: (s._replace(angle=(s.angle, s.angle)), r)), "init and advance return the same structure"),
+        (Broken(lambda s, r: (s, tuple(r))), "advance does not return a Reading"),
+        (Forgetful(), "the same state and command give other readings"),
+        (Branching(), "no Python branches on values"),
+    ],
+)
+def test_the_conformance_kit_names_the_fault(plant, words):
+    with pytest.raises(PlantError, match=words):
+        check_plant(plant)
+
+
+def test_a_simulator_may_import_its_neighbours_when_it_is_built(tmp_path, monkeypatch):
+    (tmp_path / "neighbour_of_fin.py").write_text("from tests.plants import PlainFin\n")
+    (tmp_path / "lazy_fin.py").write_text(
+        "def make():\n    import neighbour_of_fin\n    return neighbour_of_fin.PlainFin()\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    assert isinstance(find_plant("lazy_fin:make"), PlainFin)
+    for name in ("lazy_fin", "neighbour_of_fin"):
+        sys.modules.pop(name)

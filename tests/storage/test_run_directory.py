@@ -1,0 +1,79 @@
+"""Checkpoints: leaves by name, strictly, and only those of the software that reads them."""
+
+import re
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import safetensors.numpy
+
+from softfin.core.errors import ArtifactError
+from softfin.storage import run_directory as checkpoint
+from softfin.storage.run_directory import CHECKPOINT, Workspace
+
+
+class State(NamedTuple):
+    weights: dict
+    pair: tuple
+
+
+class Other(NamedTuple):
+    pair: tuple
+    weights: dict
+
+
+STATE = State({"kernel": jnp.arange(6.0).reshape(2, 3), "bias": jnp.zeros(3)}, (jnp.int32(4), jnp.ones(3)))
+
+
+@pytest.fixture
+def saved(tmp_path):
+    Workspace(tmp_path / "out", {"seed": 0}).save(STATE, {"updates": 7})
+    return Workspace(tmp_path / "out", {"seed": 0}, resume=True)
+
+
+def test_a_state_comes_back_with_its_leaves_named_by_their_paths(saved):
+    state, facts = saved.load(State({"kernel": jnp.zeros((2, 3)), "bias": jnp.ones(3)}, (jnp.int32(0), jnp.zeros(3))))
+    np.testing.assert_array_equal(state.weights["kernel"], STATE.weights["kernel"])
+    assert int(state.pair[0]) == 4
+    assert facts == {"updates": 7}
+    names = set(safetensors.numpy.load_file(saved.folder / CHECKPOINT))
+    assert names == {"tree.weights['kernel']", "tree.weights['bias']", "tree.pair[0]", "tree.pair[1]"}
+
+
+def test_the_order_of_the_leaves_does_not_matter(saved):
+    """Bias and second of the pair have the same shape: by number they would be taken for one another."""
+    state, _ = saved.load(Other((jnp.int32(0), jnp.zeros(3)), STATE.weights))
+    np.testing.assert_array_equal(state.pair[1], jnp.ones(3))
+    np.testing.assert_array_equal(state.weights["bias"], jnp.zeros(3))
+
+
+@pytest.mark.parametrize(
+    ("like", "words"),
+    [
+        (STATE._replace(pair=(jnp.int32(0),)), r"tree.pair\[1\] is float32 \(3,\) there and missing here"),
+        (STATE._replace(pair=(*STATE.pair, jnp.ones(1))), r"tree.pair\[2\] is missing there and float32 \(1,\) here"),
+        (STATE._replace(pair=(jnp.int32(0), jnp.ones(2))), r"is float32 \(3,\) there and float32 \(2,\) here"),
+        (STATE._replace(pair=(jnp.float32(0), jnp.ones(3))), r"is int32 \(\) there and float32 \(\) here"),
+    ],
+)
+def test_a_leaf_that_does_not_fit_is_named(saved, like, words):
+    with pytest.raises(ArtifactError, match=rf"does not fit this training state \(.*{words}\); start anew with --over"):
+        saved.load(like)
+
+
+def test_a_checkpoint_of_another_version_is_refused_and_both_are_named(tmp_path, saved, monkeypatch):
+    now = checkpoint._software()
+    monkeypatch.setattr(checkpoint, "_software", lambda: "softfin 99.1, jax 99.2")
+    words = rf"was written by {re.escape(now)}, and this is softfin 99.1, jax 99.2; resume with that, or --overwrite"
+    for attempt in (lambda: Workspace(tmp_path / "out", {"seed": 0}, resume=True), lambda: saved.load(STATE)):
+        with pytest.raises(ArtifactError, match=words):
+            attempt()
+
+
+def test_one_of_before_versions_were_kept_is_refused(tmp_path, saved):
+    weights = {"0": np.zeros(3, np.float32)}
+    data = safetensors.numpy.save(weights, {"facts": '{"fingerprint": {"seed": 0}}'})
+    (saved.folder / CHECKPOINT).write_bytes(data)
+    with pytest.raises(ArtifactError, match="was written by an older softfin, and this is softfin"):
+        saved.load(STATE)

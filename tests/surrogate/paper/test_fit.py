@@ -1,0 +1,204 @@
+import jax
+import numpy as np
+import pytest
+
+from softfin.core.errors import ArtifactError, LogError, RunError
+from softfin.storage import artifact as artifacts
+from softfin.storage.run_directory import LOG, TRAINING_LOG, Workspace, read_log
+from softfin.surrogate import FitConfig, load_surrogate, save_surrogate
+from softfin.surrogate.compare.metrics import series_scores, table_one
+from softfin.surrogate.paper.fit import Learner, fit, window_starts
+from softfin.surrogate.paper.predict import predict
+from tests.surrogate import small
+
+CONFIG = FitConfig(posnet=small.POSNET, forcenet=small.FORCENET, epochs=4, batch=32, learning_rate=3e-3)
+LOGS = [small.log(rows=600, seed=seed) for seed in range(5)]
+
+
+def weights_of(surrogate):
+    return [*surrogate.posnet.arrays().values(), *surrogate.forcenet.arrays().values()]
+
+
+def same_weights(one, other):
+    return all(np.array_equal(a, b) for a, b in zip(weights_of(one), weights_of(other), strict=True))
+
+
+class Killed(BaseException):
+    pass
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A fit that was not interrupted, and its log."""
+    workspace = Workspace(tmp_path_factory.mktemp("whole") / "s", {"a": 1})
+    return fit(LOGS, CONFIG, 0, workspace), read_log(workspace.folder / LOG)
+
+
+def test_windows_never_reach_from_one_log_into_the_next():
+    np.testing.assert_array_equal(window_starts([5, 2, 4], window=3), [0, 1, 7])
+
+
+def test_fitting_learns_angle_and_forces(tmp_path):
+    test = small.log(rows=600, seed=99)
+    fitted = fit(LOGS, CONFIG.changed(["epochs=24"]), 0, Workspace(tmp_path / "s", {}))
+    said = predict(fitted, test)
+    for predicted, measured in ((said.angle, test.reading.angle), (said.force, test.reading.force)):
+        error, spread = predicted - measured[small.WINDOW :], measured.std()
+        assert np.sqrt(np.mean(error**2)) < 0.4 * spread
+
+
+def test_held_out_logs_do_not_reach_scaling_or_training(tmp_path, whole):
+    """They choose the epoch whose weights are kept, and nothing else: all epochs learn alike."""
+    last, workspace = LOGS[-1], Workspace(tmp_path / "s", {})
+    changed = last._replace(reading=last.reading._replace(force=last.reading.force * np.float32(100)))
+    fitted = fit([*LOGS[:-1], changed], CONFIG, 0, workspace)
+    histories = whole[1], read_log(workspace.folder / LOG)
+    for name, alike in (("train/posnet_mse", True), ("train/forcenet_mse", True), ("held_out/forcenet_mse", False)):
+        one, other = ([entry[name] for entry in history] for history in histories)
+        assert len(one) == len(other) == CONFIG.epochs
+        assert (one == other) == alike
+    assert fitted.scaling == whole[0].scaling
+
+
+def test_the_best_weights_are_kept_not_the_last(tmp_path):
+    config = CONFIG.changed(["epochs=30", "learning_rate=0.05", "patience=2"])
+    workspace = Workspace(tmp_path / "s", {})
+    fitted = fit(LOGS, config, 0, workspace)
+    history = read_log(workspace.folder / LOG)
+    least = min(entry["held_out/forcenet_mse"] for entry in history)
+    predicted, held = predict(fitted, LOGS[-1], "measured").force, LOGS[-1].reading.force[small.WINDOW :]
+    scale = np.array([fitted.scaling.channels[name].scale for name in ("force_x_n", "force_y_n")])
+    assert np.mean(((predicted - held) * scale) ** 2) == pytest.approx(least, rel=1e-3)
+    assert least < history[-1]["held_out/forcenet_mse"]
+
+
+def test_a_killed_fit_resumes_to_the_same_weights(tmp_path, whole):
+    def killer(stage, done, note):
+        if done > 0.6:
+            raise Killed
+
+    with pytest.raises(Killed):
+        fit(LOGS, CONFIG, 0, Workspace(tmp_path / "cut", {"a": 1}), killer)
+    resumed_from = []
+    workspace = Workspace(tmp_path / "cut", {"a": 1}, resume=True)
+    resumed = fit(LOGS, CONFIG, 0, workspace, lambda stage, done, note: resumed_from.append(done))
+    assert min(resumed_from) > 0.5
+    assert same_weights(whole[0], resumed)
+    assert [entry["step"] for entry in read_log(workspace.folder / LOG)] == [1, 2, 3, 4]
+    assert list(workspace.folder.glob("events.*"))
+
+
+def test_unfinished_work_is_neither_lost_nor_mixed_up(tmp_path):
+    workspace = Workspace(tmp_path / "s", {"seed": 0})
+    workspace.save({"x": np.zeros(2)}, {"epoch": 1})
+    with pytest.raises(ArtifactError, match=r"go on with --resume, or drop it with --overwrite"):
+        Workspace(tmp_path / "s", {"seed": 0})
+    with pytest.raises(ArtifactError, match=r"of another run .seed was 0 and is 1"):
+        Workspace(tmp_path / "s", {"seed": 1}, resume=True)
+    assert Workspace(tmp_path / "s", {"seed": 1}, overwrite=True).load({"x": np.zeros(2)}) is None
+
+
+def test_unfinished_work_of_a_part_is_neither_lost_nor_mixed_up(tmp_path):
+    Workspace(tmp_path / "s", {"seed": 0}).part("1").save({"x": np.arange(2)}, {"epoch": 1})
+    with pytest.raises(ArtifactError, match=r"go on with --resume, or drop it with --overwrite"):
+        Workspace(tmp_path / "s", {"seed": 0})
+    with pytest.raises(ArtifactError, match=r"1/checkpoint\.safetensors: is of another run .seed was 0 and is 1"):
+        Workspace(tmp_path / "s", {"seed": 1}, resume=True)
+    tree, facts = Workspace(tmp_path / "s", {"seed": 0}, resume=True).part("1").load({"x": np.zeros(2, int)})
+    assert (tree["x"].tolist(), facts) == ([0, 1], {"epoch": 1})
+    assert Workspace(tmp_path / "s", {"seed": 1}, overwrite=True).part("1").load({"x": np.zeros(2)}) is None
+
+
+def test_the_training_logs_of_parts_are_kept(tmp_path):
+    workspace = Workspace(tmp_path / "s", {})
+    for part in (workspace, workspace.part("0"), workspace.part("1")):
+        record = part.log()
+        record.write(1, loss=0.5)
+        record.close()
+    workspace.keep_log(tmp_path / "kept")
+    for name in (".", "0", "1"):
+        assert read_log(tmp_path / "kept" / TRAINING_LOG / name / LOG) == [{"step": 1, "loss": 0.5}]
+        assert list((tmp_path / "kept" / TRAINING_LOG / name).glob("events.*"))
+
+
+def test_damaged_work_is_refused_by_name(tmp_path):
+    workspace = Workspace(tmp_path / "s", {})
+    workspace.save({"x": np.zeros(2)}, {})
+    (workspace.folder / "checkpoint.safetensors").write_bytes(b"short")
+    with pytest.raises(ArtifactError, match=r"checkpoint\.safetensors: damaged .*; start anew with --overwrite"):
+        Workspace(tmp_path / "s", {}, resume=True)
+
+
+def test_one_log_is_too_few(tmp_path):
+    with pytest.raises(LogError, match="1 training log: at least 2 are needed"):
+        fit(LOGS[:1], CONFIG, 0, Workspace(tmp_path / "s", {}))
+
+
+def test_logs_shorter_than_a_batch_are_refused(tmp_path):
+    with pytest.raises(LogError, match="fewer than one batch of 32"):
+        fit([small.log(rows=40), small.log(rows=40)], CONFIG, 0, Workspace(tmp_path / "s", {}))
+
+
+def test_a_column_that_never_changes_is_named(tmp_path):
+    still = [log._replace(command=log.command._replace(velocity=np.full(600, 2, np.float32))) for log in LOGS]
+    with pytest.raises(LogError, match="column command_velocity_rad_s is 2 in every training row"):
+        fit(still, CONFIG, 0, Workspace(tmp_path / "s", {}))
+
+
+def test_a_loss_that_explodes_stops_the_fit(tmp_path, monkeypatch):
+    start = Learner.start
+
+    def far_off(learner, key):
+        state = start(learner, key)
+        return state._replace(nets=jax.tree.map(lambda x: x * np.float32(1e38), state.nets))
+
+    monkeypatch.setattr(Learner, "start", far_off)
+    with pytest.raises(RunError, match=r"the loss is not finite in epoch 1; lower learning_rate \(--set\), start anew"):
+        fit(LOGS, CONFIG, 0, Workspace(tmp_path / "s", {}))
+
+
+def test_a_stored_surrogate_is_the_same_surrogate(tmp_path):
+    plant = small.surrogate()
+    save_surrogate(tmp_path / "s", plant, None, artifacts.provenance(seed=0))
+    loaded = load_surrogate(tmp_path / "s")
+    assert same_weights(plant, loaded)
+    assert loaded.scaling == plant.scaling
+    assert loaded.posnet.config == plant.posnet.config
+
+
+@pytest.mark.parametrize("cut", [0, 7, 100, 2000])
+def test_truncated_weights_are_refused_by_name(tmp_path, cut):
+    save_surrogate(tmp_path / "s", small.surrogate(), None, {})
+    weights = tmp_path / "s" / artifacts.WEIGHTS
+    weights.write_bytes(weights.read_bytes()[:cut])
+    with pytest.raises(ArtifactError, match=r"weights\.safetensors: truncated or damaged"):
+        load_surrogate(tmp_path / "s")
+
+
+def test_a_folder_that_is_no_surrogate_is_refused(tmp_path):
+    with pytest.raises(ArtifactError, match=r"not a surrogate: it holds no surrogate\.json"):
+        load_surrogate(tmp_path)
+    (tmp_path / "surrogate.json").write_text('{"rate_hz": 50}')
+    (tmp_path / artifacts.WEIGHTS).write_bytes((8).to_bytes(8, "little") + b"{}      ")
+    with pytest.raises(ArtifactError, match="made for 50 Hz; softfin runs at 100 Hz"):
+        load_surrogate(tmp_path)
+
+
+def test_scores_of_a_shifted_sine_are_those_of_the_definitions():
+    time = np.arange(1000)
+    measured, predicted = (np.sin((time - lag) / 50)[:, None] for lag in (0, 5))
+    scores = series_scores(predicted, measured)
+    error = predicted - measured
+    assert scores["rmse"] == pytest.approx(np.sqrt(np.mean(error**2)))
+    assert scores["mae"] == pytest.approx(np.mean(np.abs(error)))
+    assert scores["dtw_rms"] < 0.2 * scores["rmse"]
+    assert scores["dtw_raw"] == pytest.approx(scores["dtw_rms"] * np.sqrt(1000))
+    assert 0 < scores["dtw_mae"] < scores["mae"]
+
+
+def test_table_one_scores_each_net_in_both_units():
+    table = table_one(small.surrogate(), [small.log(rows=300, seed=s) for s in (1, 2)])
+    assert set(table) == {"posnet", "forcenet_measured", "forcenet_free_running"}
+    assert table["posnet"]["parameters"] == small.POSNET.parameters()
+    # An angle range of 3.2 rad is scaled onto 0 .. 1.
+    assert table["posnet"]["physical"]["rmse"] == pytest.approx(3.2 * table["posnet"]["scaled"]["rmse"], rel=1e-4)

@@ -1,0 +1,361 @@
+import io
+import json
+import os
+import tracemalloc
+import zipfile
+
+import h5py
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softfin.core.errors import ArtifactError
+from softfin.core.quantities import Command, Log, Reading
+from softfin.surrogate import import_keras
+from softfin.surrogate.paper.predict import predict
+from tests.surrogate.paper.test_network import convolution, lstm
+
+SCALERS = {
+    name: {"scale": scale, "offset": offset, "data_min": -offset / scale, "data_max": (1 - offset) / scale}
+    for name, scale, offset in [
+        ("command_angle_rad", 0.3, 0.5),
+        ("command_velocity_rad_s", 0.6, 0.0),
+        ("angle_rad", 0.31, 0.5),
+        ("force_x_n", 0.03, 0.4),
+        ("force_y_n", 0.026, 0.49),
+    ]
+}
+WINDOW = 10
+
+
+def write_keras(path, layers, channels, arrays):
+    """A file laid out as Keras 2.15 does: layers in JSON, weights in HDF5 groups numbered within their class."""
+    listed = [{"class_name": "InputLayer", "config": {"batch_input_shape": [None, channels, WINDOW], "name": "input"}}]
+    listed += [{"class_name": kind, "config": config} for kind, config in layers]
+    weights = io.BytesIO()
+    with h5py.File(weights, "w") as file:
+        for group, values in arrays.items():
+            for number, value in enumerate(values):
+                file[f"layers/{group}/vars/{number}"] = value
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("config.json", json.dumps({"class_name": "Sequential", "config": {"layers": listed}}))
+        archive.writestr("metadata.json", json.dumps({"keras_version": "2.15.0"}))
+        archive.writestr("model.weights.h5", weights.getvalue())
+
+
+def lstm_layer(units, sequence):
+    return "LSTM", {
+        "units": units,
+        "activation": "tanh",
+        "recurrent_activation": "sigmoid",
+        "return_sequences": sequence,
+    }
+
+
+@pytest.fixture
+def files(tmp_path):
+    random = np.random.default_rng(0)
+
+    def weights(*shapes):
+        return [random.normal(0, 0.4, shape).astype(np.float32) for shape in shapes]
+
+    pos = {
+        "conv1d": weights((5, WINDOW, 6), (6,)),
+        "conv1d_1": weights((3, 6, 4), (4,)),
+        "dense": weights((8, 5), (5,)),
+        "dense_1": weights((5, 1), (1,)),
+    }
+    force = {
+        "lstm/cell": weights((WINDOW, 24), (6, 24), (24,)),
+        "lstm_1/cell": weights((6, 12), (3, 12), (12,)),
+        "dense": weights((3, 5), (5,)),
+        "dense_1": weights((5, 2), (2,)),
+    }
+    conv = {"padding": "same", "strides": [1], "activation": "relu"}
+    write_keras(
+        tmp_path / "pos.keras",
+        [
+            ("Conv1D", {"filters": 6, "kernel_size": [5], **conv}),
+            ("Conv1D", {"filters": 4, "kernel_size": [3], **conv}),
+            ("Flatten", {}),
+            ("Dense", {"units": 5, "activation": "relu"}),
+            ("Dense", {"units": 1, "activation": "linear"}),
+        ],
+        2,
+        pos,
+    )
+    write_keras(
+        tmp_path / "force.keras",
+        [
+            lstm_layer(6, True),
+            lstm_layer(3, False),
+            ("Dense", {"units": 5, "activation": "relu"}),
+            ("Dropout", {"rate": 0.2}),
+            ("Dense", {"units": 2, "activation": "linear"}),
+        ],
+        3,
+        force,
+    )
+    (tmp_path / "scalers.json").write_text(json.dumps(SCALERS))
+    return tmp_path, pos, force
+
+
+def load(folder):
+    return import_keras(folder / "pos.keras", folder / "force.keras", folder / "scalers.json")
+
+
+def test_imported_weights_say_what_plain_numpy_says(files):
+    folder, pos, force = files
+    surrogate = load(folder)
+    x = np.random.default_rng(1).uniform(size=(4, 3, WINDOW)).astype(np.float32)
+    for one, angle, forces in zip(
+        x, surrogate.posnet(jnp.asarray(x[:, :2])), surrogate.forcenet(jnp.asarray(x)), strict=True
+    ):
+        h = np.maximum(convolution(one[:2], *pos["conv1d"]), 0)
+        h = np.maximum(convolution(h, *pos["conv1d_1"]), 0).reshape(-1)
+        h = np.maximum(h @ pos["dense"][0] + pos["dense"][1], 0)
+        np.testing.assert_allclose(angle, h @ pos["dense_1"][0] + pos["dense_1"][1], atol=1e-5)
+        h = lstm(lstm(one, *force["lstm/cell"]), *force["lstm_1/cell"])[-1]
+        h = np.maximum(h @ force["dense"][0] + force["dense"][1], 0)
+        np.testing.assert_allclose(forces, h @ force["dense_1"][0] + force["dense_1"][1], atol=1e-5)
+
+
+def test_scalers_turn_units_into_what_the_nets_see(files):
+    surrogate = load(files[0])
+    assert surrogate.scaling.scaled("angle_rad", np.ones(1)) == pytest.approx(0.81)
+    assert surrogate.limits.velocity_max == pytest.approx(1 / 0.6)
+    np.testing.assert_allclose(surrogate.scaling.physical(["force_x_n"], jnp.asarray([[0.4]])), 0.0, atol=1e-5)
+
+
+def rewrite(path, name, data):
+    with zipfile.ZipFile(path) as archive:
+        content = {entry: archive.read(entry) for entry in archive.namelist()}
+    with zipfile.ZipFile(path, "w") as archive:
+        for entry, old in content.items():
+            archive.writestr(entry, data if entry == name else old)
+
+
+def test_a_truncated_file_is_refused_by_name(files):
+    path = files[0] / "pos.keras"
+    path.write_bytes(path.read_bytes()[:-200])
+    with pytest.raises(ArtifactError, match=r"pos\.keras: not a whole Keras 2 \.keras file"):
+        load(files[0])
+
+
+def test_damaged_weights_are_refused_by_name(files):
+    rewrite(files[0] / "force.keras", "model.weights.h5", b"no HDF5")
+    with pytest.raises(ArtifactError, match=r"force\.keras: "):
+        load(files[0])
+
+
+def test_nets_in_the_wrong_order_are_told_apart(files):
+    with pytest.raises(ArtifactError, match="takes 3 channels; this net must take 2: command_angle_rad"):
+        import_keras(files[0] / "force.keras", files[0] / "pos.keras", files[0] / "scalers.json")
+
+
+def test_an_unknown_layer_is_named(files):
+    write_keras(files[0] / "pos.keras", [("GRU", {"units": 3})], 2, {})
+    with pytest.raises(ArtifactError, match="layer GRU is not known; known are Conv1D"):
+        load(files[0])
+
+
+def test_a_convolution_with_stride_is_refused(files):
+    layer = (
+        "Conv1D",
+        {"name": "c", "filters": 2, "kernel_size": [3], "padding": "same", "strides": [2], "activation": "relu"},
+    )
+    write_keras(files[0] / "pos.keras", [layer], 2, {})
+    with pytest.raises(ArtifactError, match=r"layer c has strides = \[2\]; it must be \[1\]"):
+        load(files[0])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda s: s.pop("force_y_n"), "no scaling for force_y_n"),
+        (lambda s: s["angle_rad"].update(scale=-1), "angle_rad.scale: Input should be greater than 0"),
+        (lambda s: s["angle_rad"].pop("offset"), "angle_rad.offset: Field required"),
+        (lambda s: s["command_angle_rad"].update(data_max=100.0), r"scalers\.json: limits: angle_max_rad is 100"),
+    ],
+)
+def test_scalers_that_miss_something_are_refused(files, change, words):
+    scalers = json.loads(json.dumps(SCALERS))
+    change(scalers)
+    (files[0] / "scalers.json").write_text(json.dumps(scalers))
+    with pytest.raises(ArtifactError, match=words):
+        load(files[0])
+
+
+def test_pickled_scalers_are_refused_unread(files):
+    (files[0] / "scalers.json").write_bytes(b"\x80\x04\x95")
+    with pytest.raises(ArtifactError, match="never as pickle"):
+        load(files[0])
+
+
+def test_published_nets_say_what_keras_says(published):
+    surrogate = import_keras(
+        published / "cnn_pos_net.keras", published / "lstm_force_net.keras", published / "scalers.json"
+    )
+    assert surrogate.posnet.config.parameters() == 113_601
+    assert surrogate.forcenet.config.parameters() == 144_258
+    reference = np.load(published / "keras_reference.npz")
+    np.testing.assert_allclose(
+        surrogate.posnet(jnp.asarray(reference["posnet_input"])), reference["posnet_output"], atol=1e-6
+    )
+    forces = surrogate.forcenet(jnp.asarray(reference["forcenet_input"]))
+    np.testing.assert_allclose(forces, reference["forcenet_output"], atol=1e-6)
+
+    series = {name: reference[name].astype(np.float32) for name in reference.files}
+    measured = np.stack([series["force_x"], series["force_y"]], axis=1)
+    time = np.arange(len(measured), dtype=np.float32) / 100
+    log = Log(
+        Command(series["command_angle"], series["command_velocity"]),
+        Reading(time, series["angle"], np.zeros_like(time), measured),
+    )
+    said = predict(surrogate, log)
+    np.testing.assert_allclose(said.angle, series["angle"][100:], atol=1e-5)
+    np.testing.assert_allclose(said.force, measured[100:], atol=1e-4)
+
+
+FIRST = "layers/conv1d/vars/0"
+
+
+def craft(path, change):
+    """With the HDF5 of a file changed by `change`."""
+    with zipfile.ZipFile(path) as archive:
+        content = io.BytesIO(archive.read("model.weights.h5"))
+    with h5py.File(content, "r+") as file:
+        change(file)
+    rewrite(path, "model.weights.h5", content.getvalue())
+
+
+def replaced(place, **options):
+    def change(file):
+        shape = file[place].shape
+        del file[place]
+        file.create_dataset(place, shape, "f4", **options)
+
+    return change
+
+
+def linked(place, link):
+    def change(file):
+        del file[place]
+        file[place] = link
+
+    return change
+
+
+def virtual(file):
+    del file[FIRST]
+    layout = h5py.VirtualLayout((5, WINDOW, 6), "f4")
+    layout[:] = h5py.VirtualSource("other.h5", "numbers", (5, WINDOW, 6))
+    file.create_virtual_dataset(FIRST, layout)
+
+
+def sixteen_gib(file):
+    del file[FIRST]
+    file.create_dataset(FIRST, (2**32,), "f4")
+
+
+def test_numbers_of_another_file_are_never_read_as_weights(files):
+    secret = files[0] / "secret"
+    secret.write_bytes(b"x" * 5 * WINDOW * 6 * 4)
+    craft(files[0] / "pos.keras", replaced(FIRST, external=[(str(secret), 0, 5 * WINDOW * 6 * 4)]))
+    with pytest.raises(ArtifactError, match=r"pos\.keras: weights layers/conv1d/vars/0 lie in another file"):
+        load(files[0])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            linked(FIRST, h5py.ExternalLink("/nowhere/other.h5", "numbers")),
+            "a link to elsewhere",
+        ),
+        (linked(FIRST, h5py.SoftLink(f"/{FIRST}")), "a link to elsewhere"),
+        (linked("layers", h5py.SoftLink("/layers")), "a link to elsewhere"),
+        (linked("layers/conv1d", np.zeros(3)), f"weights {FIRST} are missing"),
+        (linked(FIRST, np.array(["text"], "S4")), "have shape"),
+        (linked(FIRST, np.full((5, WINDOW, 6), b"text")), "are of type"),
+        (replaced(FIRST, compression="gzip"), "in pieces, virtual or compressed"),
+        (replaced(FIRST, chunks=(1, WINDOW, 6)), "in pieces, virtual or compressed"),
+        (virtual, "in pieces, virtual or compressed"),
+        (replaced(FIRST), "were never written"),
+        (sixteen_gib, r"have shape \(4294967296,\); its layers need \(5, 10, 6\)"),
+    ],
+)
+def test_weights_that_keras_does_not_write_are_refused_unread(files, change, words):
+    craft(files[0] / "pos.keras", change)
+    with pytest.raises(ArtifactError, match=words) as error:
+        load(files[0])
+    assert str(error.value).startswith(str(files[0] / "pos.keras"))
+
+
+def test_a_damaged_heap_is_one_line(files):
+    with zipfile.ZipFile(files[0] / "pos.keras") as archive:
+        content = archive.read("model.weights.h5")
+    rewrite(files[0] / "pos.keras", "model.weights.h5", content.replace(b"HEAP", b"PEAH"))
+    with pytest.raises(ArtifactError, match=r"pos\.keras: its weights are damaged \(.*heap") as error:
+        load(files[0])
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["config.json", "model.weights.h5"])
+def test_an_archive_that_would_inflate_beyond_all_nets_is_refused_before_it_does(files, name):
+    with (
+        zipfile.ZipFile(files[0] / "pos.keras", "a", zipfile.ZIP_DEFLATED) as archive,
+        pytest.warns(UserWarning, match="Duplicate"),
+    ):
+        archive.writestr(name, bytes(40 * 2**20))
+    with pytest.raises(ArtifactError, match=f"{name} inflates to 41,943,040 bytes, over"):
+        load(files[0])
+
+
+def test_what_an_archive_says_of_its_size_is_not_believed(files):
+    path = files[0] / "pos.keras"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("config.json", bytes(4 * 2**20))
+    # The size stands before the archive's member and in the list at its end.
+    path.write_bytes(path.read_bytes().replace((4 * 2**20).to_bytes(4, "little"), (100).to_bytes(4, "little")))
+    tracemalloc.start()
+    with pytest.raises(ArtifactError, match=r"pos\.keras: not a whole Keras 2 \.keras file"):
+        load(files[0])
+    assert tracemalloc.get_traced_memory()[1] < 3 * 2**20
+    tracemalloc.stop()
+
+
+def listing(*layers):
+    return b'{"class_name": "Sequential", "config": {"layers": [' + b", ".join(layers) + b"]}}"
+
+
+@pytest.mark.parametrize(
+    "description",
+    [
+        b"[" * 100_000,
+        b'{"a": ' * 200 + b"1" + b"}" * 200,
+        b"[]",
+        listing(b'{"class_name": "InputLayer", "config": {"batch_input_shape": [null, 1e999, 10]}}'),
+        listing(b'{"class_name": "Flatten", "config": {}}', *[b"{}"] * 100),
+        listing(b'{"class_name": "Dense", "config": {"activation": "relu", "units": 1' + b"0" * 4000 + b"}}"),
+    ],
+)
+def test_a_description_that_is_no_nets_is_one_line(files, description):
+    rewrite(files[0] / "pos.keras", "config.json", description)
+    with pytest.raises(ArtifactError, match=r"pos\.keras: ") as error:
+        load(files[0])
+    assert "\n" not in str(error.value)
+    assert len(str(error.value)) < 600
+
+
+def test_scalers_of_many_levels_are_one_line(files):
+    (files[0] / "scalers.json").write_text("[" * 100_000)
+    with pytest.raises(ArtifactError, match=r"scalers\.json: not JSON"):
+        load(files[0])
+
+
+def test_a_pipe_is_not_waited_for(files):
+    (files[0] / "pos.keras").unlink()
+    os.mkfifo(files[0] / "pos.keras")
+    with pytest.raises(ArtifactError, match=r"pos\.keras: cannot be read \(a pipe, not a file\)"):
+        load(files[0])

@@ -1,0 +1,96 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softfin.core.action_clock import ACTION_TICKS
+from softfin.core.plant import hold, roll
+from softfin.core.quantities import Command
+from softfin.surrogate.paper.network import Network
+from softfin.surrogate.paper.predict import predict
+from softfin.surrogate.paper.surrogate import Surrogate, SurrogateState, windows
+from softfin.testing import check_plant
+from tests.surrogate import small
+
+
+def test_a_surrogate_is_a_plant():
+    check_plant(small.surrogate())
+
+
+def test_windows_are_every_run_of_samples_oldest_first():
+    series = jnp.arange(10.0).reshape(2, 5)
+    expected = np.stack([np.asarray(series)[:, i : i + 3] for i in range(3)])
+    np.testing.assert_array_equal(windows(series, 3), expected)
+
+
+def test_holding_a_command_equals_issuing_it_every_tick():
+    plant = small.surrogate()
+    actions = Command(jnp.asarray([0.7, -1.2, 0.3, 0.9]), jnp.asarray([1.0, 2.5, 3.0, 1.5]))
+    start = plant.init(jax.random.key(0))
+    held_state, held = hold(plant, start, actions)
+    each = jax.tree.map(lambda x: jnp.repeat(x, np.array([*ACTION_TICKS, ACTION_TICKS[0]])), actions)
+    state, reading = roll(plant, start, each)
+    for a, b in zip(held, reading, strict=True):
+        np.testing.assert_allclose(a, b, atol=2e-4)
+    assert int(state.tick) == int(held_state.tick) == 133
+
+
+@pytest.mark.parametrize("ticks", [33, 34])
+def test_after_an_action_it_remembers_the_ticks_that_were_held(ticks):
+    # Windows longer than an action, and a past in which no two samples are alike.
+    window = 60
+    nets = (
+        Network.create(config.model_copy(update={"window": window}), jax.random.key(0))
+        for config in (small.POSNET, small.FORCENET)
+    )
+    plant = Surrogate(*nets, small.scaling())
+    past = SurrogateState(jnp.int32(0), jnp.linspace(-1, 1, 2 * window).reshape(2, window), jnp.linspace(-1, 1, window))
+    command = Command(jnp.float32(0.7), jnp.float32(2.0))
+    held, _ = plant.hold_action(past, command, ticks)
+    expected, _ = plant.advance(past, command, ticks)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-6), held, expected)
+    # What one tick more would leave behind is something else.
+    more, _ = plant.advance(past, command, ticks + 1)
+    assert np.abs(more.commands - expected.commands).max() > 1e-2
+
+
+def test_the_plant_says_what_the_nets_say_of_the_windows_of_its_own_log():
+    """Row k holds reading k and the command issued then, so window i .. i+w-1 predicts reading i+w."""
+    plant = small.surrogate()
+    log = small.log(rows=200)
+    commands = jax.tree.map(jnp.asarray, log.command)
+    _, reading = roll(plant, plant.init(jax.random.key(0)), commands)
+    # The reading after command k stands in row k + 1.
+    angle = np.concatenate([[0.0], reading.angle[:-1]]).astype(np.float32)
+    said = predict(plant, log._replace(reading=log.reading._replace(angle=angle)), "free-running")
+    np.testing.assert_allclose(said.angle, angle[small.WINDOW :], atol=1e-5)
+    np.testing.assert_allclose(said.force, reading.force[small.WINDOW - 1 : -1], atol=1e-3)
+
+
+def test_angles_given_and_angles_predicted_lead_to_other_forces():
+    plant, log = small.surrogate(), small.log(rows=100)
+    free, given = predict(plant, log, "free-running"), predict(plant, log, "measured")
+    np.testing.assert_array_equal(free.angle, given.angle)
+    assert np.abs(free.force - given.force).max() > 0.01
+
+
+def test_velocity_is_the_change_of_the_angle():
+    plant = small.surrogate()
+    _, reading = plant.advance(plant.init(jax.random.key(0)), Command(jnp.float32(1), jnp.float32(2)), 20)
+    np.testing.assert_allclose(reading.velocity[1:], np.diff(reading.angle) * 100, rtol=1e-3, atol=1e-3)
+    assert float(reading.velocity[0]) == pytest.approx(float(reading.angle[0]) * 100, rel=1e-3, abs=1e-3)
+
+
+def test_limits_are_the_range_of_the_training_commands():
+    assert small.surrogate().limits == (-1.5, 1.5, 1.0, 3.0)
+
+
+def test_gradients_go_through_a_stroke():
+    plant = small.surrogate()
+
+    def mean_force(angle):
+        return plant.advance(plant.init(jax.random.key(0)), Command(angle, jnp.float32(2)), 10)[1].force[:, 1].mean()
+
+    at, step = jnp.float32(0.5), 1e-2
+    measured = (mean_force(at + step) - mean_force(at - step)) / (2 * step)
+    assert float(jax.grad(mean_force)(at)) == pytest.approx(float(measured), rel=0.02)

@@ -1,0 +1,153 @@
+"""Cells of a grid: lattices and files; every gap and overlap is found and said where."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from softfin.core.errors import ConfigurationError
+from softfin.task.cells import cells_of, check_cells, gap, lattice, overlap, range_of
+from softfin.task.references import PAPER_CELLS, PAPER_RANGE, Cell, least_box
+
+QUARTERS = lattice(2, 2, PAPER_RANGE)
+
+
+def file_of(tmp_path: Path, text: str) -> str:
+    path = tmp_path / "cells.yaml"
+    path.write_text(text)
+    return str(path)
+
+
+@settings(deadline=None, max_examples=30)
+@given(
+    columns=st.integers(1, 9),
+    rows=st.integers(1, 9),
+    x=st.floats(-5, 5),
+    y=st.floats(-5, 5),
+    width=st.floats(0.1, 7),
+    height=st.floats(0.1, 7),
+)
+def test_a_lattice_fills_its_range_without_gap_or_overlap(
+    columns: int, rows: int, x: float, y: float, width: float, height: float
+) -> None:
+    within = Cell(low=(x, y), high=(x + width, y + height))
+    cells = cells_of(f"{columns}x{rows}", within)
+    assert len(cells) == columns * rows
+    np.testing.assert_allclose([least_box(cells).low, least_box(cells).high], [within.low, within.high])
+    check_cells(cells, False, "lattice")
+
+
+def test_columns_lie_along_x_and_rows_along_y() -> None:
+    cells = cells_of("3x1", PAPER_RANGE)
+    assert [cell.low for cell in cells] == [(0.5, -1.5), (1.5, -1.5), (2.5, -1.5)]
+    assert {cell.high[1] for cell in cells} == {1.5}
+
+
+def test_paper_is_the_six_cells_round_the_papers_references() -> None:
+    assert cells_of("paper", Cell(low=(0, 0), high=(9, 9))) == PAPER_CELLS
+
+
+def test_the_papers_cells_touch_and_leave_a_third_of_their_least_box() -> None:
+    found = gap(PAPER_CELLS)
+    assert found is not None
+    assert found[1] == pytest.approx(3.0)
+    assert all(overlap(found[0], cell) is None for cell in PAPER_CELLS)
+    check_cells(PAPER_CELLS, True, "paper")
+
+
+@pytest.mark.parametrize("missing", [4, 7], ids=["left", "right"])
+def test_a_missing_cell_is_named_with_its_place_and_size(missing: int) -> None:
+    cells = lattice(4, 3, PAPER_RANGE)
+    found = gap([cell for cell in cells if cell != cells[missing]])
+    assert found is not None
+    assert found[0] == cells[missing]
+    assert found[1] == pytest.approx(0.75)
+
+
+def test_a_file_gives_its_cells_in_their_order(tmp_path: Path) -> None:
+    text = "cells:\n  - {low: [1, -1], high: [3, 1]}\n  - {low: [0, -1], high: [1, 1]}\n"
+    cells = cells_of(file_of(tmp_path, text), PAPER_RANGE)
+    assert cells == (Cell(low=(1, -1), high=(3, 1)), Cell(low=(0, -1), high=(1, 1)))
+
+
+def test_a_file_may_leave_gaps_where_it_says_so(tmp_path: Path) -> None:
+    text = "cells: [{low: [0, 0], high: [1, 1]}, {low: [2, 0], high: [3, 1]}]\n"
+    assert len(cells_of(file_of(tmp_path, text + "allow_gaps: true\n"), PAPER_RANGE)) == 2
+    with pytest.raises(
+        ConfigurationError,
+        match=r"cells.yaml: the cells leave 1 N\^2 of their least box \(x 0 .. 3, y 0 .. 1 N\) uncovered, for example "
+        r"x 1 .. 2, y 0 .. 1 N; add cells there, or say allow_gaps: true",
+    ):
+        cells_of(file_of(tmp_path, text), PAPER_RANGE)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "cells: [{low: [0, 0], high: [2, 1]}, {low: [2, 0], high: [3, 1]}, {low: [1.5, 0], high: [2, 3]}]",
+            r"cells 1 \(x 0 .. 2, y 0 .. 1 N\) and 3 \(x 1.5 .. 2, y 0 .. 3 N\) overlap in x 1.5 .. 2, y 0 .. 1 N; ",
+        ),
+        ("cells: []", r"no cells; give at least one \{low: \[x, y\], high: \[x, y\]\}"),
+        ("cells: [{low: [0, 0], high: [0, 1]}]", r"cell 1 \(x 0 .. 0, y 0 .. 1 N\) has no width in x; let it reach"),
+        ("cells: [{low: [0, 0], high: [-1, 1]}]", "low .* is above high"),
+        ("cells: [{low: [.nan, 0], high: [1, 1]}]", r"cells.0.low.0.* = nan: .* finite"),
+        ("cells: [{low: [0, 0], high: [1, .inf]}]", r"cells.0.high.1.* = inf: .* finite"),
+        ("cells: [{low: [0], high: [1, 1]}]", r"cells.0.low.1"),
+        ("cells: [{lower: [0, 0], high: [1, 1]}]", r"cells.0"),
+        ("boxes: []", "cells"),
+        ("cells: [", "not YAML"),
+        ("- {low: [0, 0], high: [1, 1]}", "holds a list; it must be a mapping"),
+    ],
+)
+def test_a_file_that_is_no_grid_is_refused_in_one_line(text: str, message: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        cells_of(file_of(tmp_path, text), PAPER_RANGE)
+    assert "cells.yaml" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("0x3", "--cells 0x3: 0 cells; give 1 .. 1024, one or more along each axis"),
+        ("99x99", "--cells 99x99: 9801 cells"),
+        ("3x", "--cells 3x: neither paper, nor a lattice such as 3x3 .* nor a .yaml file"),
+        ("-1x3", "--cells -1x3: neither"),
+        ("", "--cells : neither"),
+        ("nowhere.yaml", "nowhere.yaml: cannot be read"),
+    ],
+)
+def test_what_is_neither_lattice_nor_file_is_refused(text: str, message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        cells_of(text, PAPER_RANGE)
+
+
+def test_a_lattice_over_a_line_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"--cells 2x2: the range \(x 0 .. 1, y 1 .. 1 N\) has no width in y"):
+        cells_of("2x2", Cell(low=(0, 1), high=(1, 1)))
+
+
+def test_a_range_is_four_numbers() -> None:
+    assert range_of("0.5, -1.5,3.5,1.5") == PAPER_RANGE
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("1,2,3", "--range 1,2,3: not four numbers X0,Y0,X1,Y1"),
+        ("1,2,3,x", "not four numbers"),
+        ("nan,0,1,1", "--range nan,0,1,1: low.0.* = nan: .* finite"),
+        ("2,0,1,1", "--range 2,0,1,1: low .* is above high"),
+    ],
+)
+def test_what_is_no_range_is_refused(text: str, message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        range_of(text)
+
+
+def test_touching_cells_do_not_overlap() -> None:
+    assert all(overlap(one, other) is None for one in QUARTERS for other in QUARTERS if one is not other)
+    assert overlap(QUARTERS[0], PAPER_RANGE) == QUARTERS[0]
