@@ -13,11 +13,11 @@ import pytest
 import softfin
 from softfin import cli
 from softfin.control.controller import Measured
-from softfin.control.map_store import load_map
-from softfin.deployment.native import load_native
-from softfin.quantities import Command
+from softfin.control.native import load_native
+from softfin.core.quantities import Command
+from softfin.gaits.map_store import load_map
 from softfin.rig.config import load_rig, load_ros2
-from softfin.tracking.reference_file import read_reference_file
+from softfin.task.reference_file import read_reference_file
 
 GOLDEN = Path(__file__).parent / "golden"
 EXPECTED = json.loads((GOLDEN / "expected.json").read_text())
