@@ -38,9 +38,9 @@ class Arguments(Armed, Configured):
     rows: int | None = None
     """Readings a log at 100 Hz (the paper's 20,000)."""
     seed: int | None = None
-    """Of commands, noise and conditions (0)."""
+    """Seed of commands, noise and conditions (0)."""
     resume: bool = False
-    """Of a real fin: go on after the logs that are finished."""
+    """Go on after the logs that are finished (real fins only)."""
 
     def check(self) -> None:
         """Whether the options go with the plant."""

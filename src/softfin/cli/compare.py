@@ -31,7 +31,7 @@ class Arguments(Configured):
     """A plant that records the same commands once more, as the tank that was recorded: what noise and drift, twice
     over, and other conditions leave."""
     seed: int | None = None
-    """Of the second recording's noise (0)."""
+    """Seed of the second recording's noise (0)."""
 
     def run(self) -> None:
         """Compare."""
@@ -48,13 +48,13 @@ class Arguments(Configured):
 
 
 class Column(NamedTuple):
-    """Of a table."""
+    """One column of a table."""
 
     title: str
     unit: str
     score: str
     factor: int = 1
-    """Of the unit shown over that of the score."""
+    """Factor from the score's unit to the unit shown."""
 
 
 ERRORS = (

@@ -107,7 +107,7 @@ def calibrate(
 
 
 def scores(modelled: Float[np.ndarray, "pieces ticks channels"], pieces: Pieces) -> dict[str, dict[str, float]]:
-    """Of each channel: pooled R2, RMSE, and mean and standard deviation of what is measured and modelled."""
+    """Return for each channel the pooled R2, RMSE, and mean and standard deviation of what is measured and modelled."""
     measured = np.asarray(pieces.compared, np.float64)
     ours = np.asarray(modelled[:, pieces.warm_up :], np.float64)
     rows = {}

@@ -75,7 +75,7 @@ class Parameter(NamedTuple):
 
     @property
     def unit(self) -> str:
-        """From the end of its name."""
+        """Unit, which is the end of the parameter's name."""
         return next((unit for suffix, unit in _UNITS.items() if self.name.endswith(suffix)), "-")
 
     def scaled(self, value: float) -> float:
@@ -90,7 +90,7 @@ class Parameter(NamedTuple):
         return float(self.low + scaled * (self.high - self.low))
 
     def slope(self, scaled: float) -> float:
-        """Of the value by the scaled coordinate."""
+        """Return the derivative of the value by the scaled coordinate."""
         width = np.log(self.high / self.low) * self.value(scaled) if self.logarithmic else self.high - self.low
         return float(width)
 

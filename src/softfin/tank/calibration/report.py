@@ -18,7 +18,7 @@ from softfin.tank.calibration.calibrate import Calibration, scores
 from softfin.tank.calibration.pieces import CHANNELS, Pieces
 
 TRACE_S = 10
-"""Of a test piece, as it is shown."""
+"""Duration of a test piece that the figure shows [s]."""
 
 WINDOW = 2 * RATE_HZ
 """Ticks over which means are taken where there are no beats: those of the paper's moving average."""
@@ -69,7 +69,7 @@ def write_calibration(
 
 
 def means(pieces: Pieces, modelled: Readings) -> tuple[Means, Means]:
-    """Of each piece behind its warm-up, measured and modelled."""
+    """Return the means of each piece behind its warm-up, measured and modelled."""
     return np.asarray(pieces.compared).mean(axis=1), modelled[:, pieces.warm_up :].mean(axis=1)
 
 
