@@ -158,7 +158,7 @@ def asked_seeds(first: int, text: str | None) -> tuple[int, ...]:
 
 
 def asked_cells(controller: str, cells: str | None, span: str | None) -> "tuple[Cell, ...] | None":
-    """What ``--cells`` and ``--range`` ask for, one cell for what is no grid; None where neither is given."""
+    """What ``--cells`` and ``--range`` ask for, one cell unless it is a grid; None where neither is given."""
     from softfin.task.cells import cells_of, range_of
     from softfin.task.references import PAPER_RANGE, least_box
 

@@ -205,7 +205,7 @@ def load_description(path: Path, kind: str) -> dict[str, Any]:
 
 
 def find_description(path: Path, kind: str) -> Path:
-    """The file that describes a folder of one kind; raises ArtifactError where `path` is no such folder."""
+    """Return the file that describes a folder of one kind; raises ArtifactError where `path` is another thing."""
     file = path / f"{kind}.json"
     if not path.is_dir():
         raise ArtifactError(f"{path}: no such folder; it should be a {kind}, a folder with a {kind}.json")

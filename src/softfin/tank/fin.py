@@ -145,11 +145,11 @@ class Fin(eqx.Module):
         """One step of time; also the mean rate of the shaft in it [rad/s] and the mean force of the loads [N]."""
         half = seconds / 2
         # The midpoint rule leaves stiff modes ringing from step to step; over two steps their accelerations cancel.
-        foretold = state.rates + half * (state.accelerations + state.earlier) / 2
-        angles = state.angles + half * (state.rates + foretold) / 2
+        predicted = state.rates + half * (state.accelerations + state.earlier) / 2
+        angles = state.angles + half * (state.rates + predicted) / 2
         pose = chain.pose(angles, self.plate_length)
         stream = chain.components(angles, around.stream)
-        motion = chain.motion(pose, foretold)
+        motion = chain.motion(pose, predicted)
         relative = motion.less(stream)
         resistance, push = around.loads(relative)
         push = jax.tree.map(jnp.add, push, resistance.times(stream))

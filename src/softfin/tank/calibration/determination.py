@@ -70,7 +70,7 @@ def determination(linear: Linear, block_ticks: int) -> Determination:
     return Determination(error, correlation, np.sqrt(np.maximum(values[::-1], 0.0)), weakest, bound, idle, blocks)
 
 
-def described(found: Determination, linear: Linear, parameters: tuple[Parameter, ...]) -> dict[str, Any]:
+def parameters_to_dict(found: Determination, linear: Linear, parameters: tuple[Parameter, ...]) -> dict[str, Any]:
     """For JSON: ``parameters`` by name, ``trades``, ``correlation``, ``singular_values``, ``weakest``, ``blocks``."""
     names = [parameter.name for parameter in parameters]
     rows = zip(parameters, linear.point, found.error, _fates(found, linear), strict=True)

@@ -112,12 +112,12 @@ def nested(ranges: Mapping[str, Any]) -> dict[str, Any]:
 
 def parameters_of(ranges: Mapping[str, Mapping[str, Range | None]]) -> Iterator[Parameter]:
     """Those that are free; raises ConfigurationError for an unknown name or a range that is none."""
-    known = {f"{group}.{name}" for group, names in every_range().items() for name in names}
+    names_allowed = {f"{group}.{name}" for group, names in every_range().items() for name in names}
     for group, names in ranges.items():
         for field, limits in names.items():
             name = f"{group}.{field}"
-            if name not in known:
-                close = difflib.get_close_matches(name, sorted(known), n=1)
+            if name not in names_allowed:
+                close = difflib.get_close_matches(name, sorted(names_allowed), n=1)
                 hint = f"; did you mean {close[0]!r}?" if close else f"; the groups are {', '.join(every_range())}"
                 raise ConfigurationError(f"parameters: there is no {name!r}{hint}")
             if limits is None:

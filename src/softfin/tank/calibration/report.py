@@ -53,7 +53,7 @@ def write_calibration(
     """
     modelled = found.read(found.test.command)
     beating = None if beats is None else means(beats, found.read(beats.command))
-    summary = {**found.summary(), "beating": None if beating is None else _described(*beating), **facts}
+    summary = {**found.summary(), "beating": None if beating is None else _means_to_list(*beating), **facts}
 
     def write(folder: Path) -> None:
         (folder / "calibration.json").write_text(artifacts.dump_json(summary))
@@ -176,7 +176,7 @@ def _windows(pieces: Pieces, modelled: Readings) -> tuple[Means, Means]:
     return over(np.asarray(pieces.compared)), over(modelled[:, pieces.warm_up :])
 
 
-def _described(measured: Means, modelled: Means) -> list[dict[str, Any]]:
+def _means_to_list(measured: Means, modelled: Means) -> list[dict[str, Any]]:
     names = ("mean_angle_rad", "mean_force_x_n", "mean_force_y_n")
     return [
         {
