@@ -126,7 +126,7 @@ def test_errors_that_an_import_accepted_do_not_stop_the_fit(capsys, tmp_path, as
 @pytest.mark.parametrize(
     ("counts", "line"),
     [
-        ({"error": 0, "warning": 2, "note": 1}, "d: 2 warnings, 1 note; softfin inspect d says which\n"),
+        ({"error": 0, "warning": 2, "note": 1}, "d: 2 warnings, 1 note; softfin inspect d lists them\n"),
         ({"error": 0, "warning": 0, "note": 3}, ""),
     ],
 )

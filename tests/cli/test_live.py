@@ -2,7 +2,7 @@ import io
 
 import pytest
 
-from softfin.cli.live import Armed
+from softfin.cli.common import Armed
 from softfin.core.errors import ConfigurationError
 from softfin.rig.bench import Bench
 from softfin.rig.safety import SafetyConfig

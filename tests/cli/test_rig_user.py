@@ -7,8 +7,7 @@ import pytest
 import yaml
 
 from softfin.cli import driving
-from softfin.cli.common import progress
-from softfin.cli.live import Armed
+from softfin.cli.common import Armed, progress
 from softfin.control.native import load_native
 from softfin.core.errors import ConfigurationError
 from softfin.rig.bench import Bench
@@ -64,7 +63,7 @@ def test_a_key_of_the_rigs_file_is_named_where_it_is_misspelt_or_missing(
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (("--plant", "rigx"), "--plant rigx: is not a real fin; give rig, ros2"),
+        (("--plant", "rigx"), "plant rigx: not a real fin; give rig or ros2"),
         (("--seconds", "0"), "--seconds 0: at least 1"),
         (("--bag", "a.txt"), "--bag a.txt: a recording is a file NAME.mcap"),
         (("--bag", "."), "--bag .: a recording is a file NAME.mcap"),

@@ -4,8 +4,8 @@ import signal
 
 import pytest
 
+from softfin.cli.common import Armed
 from softfin.cli.driving import typed
-from softfin.cli.live import Armed
 from softfin.core.errors import ConfigurationError, DeviceError, SafetyStop
 from softfin.rig.bench import Bench
 from softfin.rig.machine import Machine, Sample, Target

@@ -1,19 +1,18 @@
-"""``softfin inspect``: recordings in, all that is wrong with them out, in words."""
+"""``softfin inspect``: recordings in, a list of what is wrong with them out."""
 
 import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from softfin.cli.common import Common, progress
+from softfin.cli.common import Common, LogOptions
 from softfin.cli.kinds import Logs, Out
-from softfin.cli.log_options import LogOptions
 from softfin.data.checks.findings import counted
 
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(LogOptions, Common):
-    """Say what is wrong with logs before anyone trains on them; exit code 0 whatever is found."""
+    """Check logs before anyone trains on them; exit code 0 whatever is found."""
 
     logs: Logs
     """A dataset, a folder of CSV, Parquet or ROS 2 bags, or one of these."""
@@ -24,52 +23,36 @@ class Arguments(LogOptions, Common):
         """Inspect."""
         from softfin.stages import offline as stages
 
-        with progress() as report:
-            result = stages.inspect_logs(
-                self.logs, self.out, self.import_config(), overwrite=self.overwrite, progress=report
-            )
+        result = self.stage(stages.inspect_logs, self.logs, self.out, self.recordings)
         self.tell(result, table(result))
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """The logs in a line, and each finding in a few."""
-    summary = result["summary"]
-    minutes = summary["rows"] / 6000
+    """Return the logs in a line, and each finding in a few."""
+    summary, counts = result["summary"], result["summary"]["counts"]
     lines = [
-        f"{summary['logs']} + {summary['test_logs']} logs, {summary['rows']:,} rows at 100 Hz, {minutes:.1f} minutes",
+        f"{summary['logs']} + {summary['test_logs']} logs, {summary['rows']:,} rows at 100 Hz, "
+        f"{summary['rows'] / 6000:.1f} minutes",
         f"command to angle {_lag(summary['command_lag_ms'])}; angle to force {_lag(summary['force_lag_ms'])}",
     ]
-    if summary["frames"] is not None:
-        best = max(summary["frames"], key=summary["frames"].__getitem__)
-        given = f"correlation with what a fin does {summary['frames']['x,y']:.2f}"
-        lines.append(f"force axes: {given}" + ("" if best == "x,y" else f"; as {best} {summary['frames'][best]:.2f}"))
+    if (frames := summary["frames"]) is not None:
+        best = max(frames, key=frames.__getitem__)
+        other = "" if best == "x,y" else f"; as {best} {frames[best]:.2f}"
+        lines.append(f"force axes: correlation with what a fin does {frames['x,y']:.2f}{other}")
     lines.append("")
     for finding in result["findings"]:
-        lines += [_head(finding), *_indented(finding["finding"])]
-        lines += _indented(f"-> {finding['remedy']}") if finding["remedy"] else []
-    counts = summary["counts"]
+        row, others = finding["row"], len(finding["logs"]) - 1
+        place = [finding["log"], "" if row is None else f"row {row}", finding["column"] or ""]
+        more = f" (and {counted(others, 'more log')})" if others else ""
+        lines.append(f"{finding['severity']:8} {finding['name']:16} {', '.join(filter(None, place))}{more}")
+        for text in (finding["finding"], f"-> {finding['remedy']}" if finding["remedy"] else ""):
+            wrapped = textwrap.wrap(text, 101, break_long_words=False, break_on_hyphens=False)
+            lines += [" " * 9 + line for line in wrapped]
     lines.append(", ".join(counted(count, kind) for kind, count in counts.items()))
     if counts["error"]:
         lines.append("errors stop fit and import-logs, unless --accept")
     return "\n".join(lines)
 
 
-def _head(finding: Mapping[str, Any]) -> str:
-    place = [
-        finding["log"],
-        *([f"row {finding['row']}"] if finding["row"] is not None else []),
-        finding["column"] or "",
-    ]
-    others = len(finding["logs"]) - 1
-    more = f" (and {counted(others, 'more log')})" if others else ""
-    return f"{finding['severity']:8} {finding['name']:16} {', '.join(filter(None, place))}{more}"
-
-
-def _indented(text: str) -> list[str]:
-    return textwrap.wrap(
-        text, 110, initial_indent=" " * 9, subsequent_indent=" " * 9, break_long_words=False, break_on_hyphens=False
-    )
-
-
 def _lag(lag: Mapping[str, float] | None) -> str:
-    return "not told" if lag is None else f"{lag['median']:.0f} ms ({lag['least']:.0f} .. {lag['most']:.0f})"
+    return "not known" if lag is None else f"{lag['median']:.0f} ms ({lag['least']:.0f} .. {lag['most']:.0f})"

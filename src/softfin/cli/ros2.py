@@ -3,9 +3,17 @@
 from dataclasses import dataclass
 
 from softfin.cli.common import Configured
+from softfin.cli.driving import Driving, say
 from softfin.cli.kinds import Force
-from softfin.cli.live import Driving
 from softfin.core.choices import TransportName
+from softfin.core.errors import RigError
+from softfin.rig.machine import clock_of
+from softfin.rig.ros2.messages import Messages
+from softfin.rig.ros2.node import NodeConfig, RosBridge, check_apart
+from softfin.rig.ros2.plant import Ros2Machine
+from softfin.rig.ros2.transport import open_transport
+from softfin.rig.simulated_clock import SimulatedClock
+from softfin.rig.stop import StopRequest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,18 +35,15 @@ class Arguments(Driving, Configured):
 
     def run(self) -> None:
         """Run."""
-        from softfin.cli.driving import check_real_time, drive, parties, say, sentence
-        from softfin.rig.ros2.messages import Messages
-        from softfin.rig.ros2.node import NodeConfig, RosBridge, check_apart
-        from softfin.rig.ros2.plant import Ros2Machine
-        from softfin.rig.ros2.transport import open_transport
-        from softfin.rig.stop import StopRequest
-
         options = {"transport": self.transport, "domain": self.domain, "network": self.network}
         given = {name: value for name, value in options.items() if value is not None}
         topics = self.configured(NodeConfig(), connection=given or None)
-        controller, bench = parties(self)
-        check_real_time(bench)
+        controller, bench = self.parties()
+        if isinstance(clock_of(bench.machine), SimulatedClock):
+            raise RigError(
+                f"{bench.machine.name}: emulated in simulated time, in which no topic can be heard; start "
+                "softfin rig emulate --real-time"
+            )
         if isinstance(bench.machine, Ros2Machine):
             check_apart(topics, bench.machine.config)
         otherwise, warning = controller.admit(self.reference, self.strict)
@@ -55,13 +60,13 @@ class Arguments(Driving, Configured):
                     say(note)
                 return asked
 
-            request = StopRequest()
-            result = drive(
-                self, controller, bench, references, self.seconds,
-                stop=request, observers=(bridge.observer(request),),
-                line=lambda _: say("references come by their topic; Enter alone stops the fin"),
+            stop = StopRequest()
+            result = self.drive(
+                controller, bench, references, self.seconds,
+                lambda _: say("references come by their topic; Enter alone stops the fin"), stop,
+                (bridge.observer(stop),),
             )  # fmt: skip
             result["counters"] |= bridge.counters()
         finally:
             transport.close()
-        self.tell(result, sentence(result))
+        self.tell_errors(result)

@@ -1,63 +1,46 @@
 """``softfin run``: a controller on the real fin, references live; no JAX, and nothing of it is needed."""
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING
 
-from softfin.cli.common import Common
+from softfin.cli.driving import Driving, say
 from softfin.cli.kinds import Force, ReferenceFile
-from softfin.cli.live import Driving
 from softfin.core.errors import ConfigurationError
-
-if TYPE_CHECKING:
-    from softfin.control.native import NativeController
-    from softfin.rig.references import Recorded
+from softfin.rig.references import Recorded, Said
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments(Driving, Common):
+class Arguments(Driving):
     """Hold reference forces on the real fin; while it runs, type X,Y and Enter for another one, Enter alone to stop."""
 
     reference: Force | None = None
     """Reference force as --reference=X,Y in newton, at first."""
     reference_file: ReferenceFile | None = None
-    """One that moves, instead: .csv or .parquet with time_s, force_x_n, force_y_n, each row held until the next one."""
+    """A moving reference instead: .csv or .parquet with time_s, force_x_n, force_y_n, each row held until the next."""
 
     def check(self) -> None:
-        """Whether there is one reference."""
+        """Refuse two references, or none."""
         if (self.reference is None) == (self.reference_file is None):
             raise ConfigurationError("give --reference=X,Y or --reference-file, one of them")
         super().check()
 
     def run(self) -> None:
         """Run."""
-        from softfin.cli.driving import drive, parties, say, sentence
-        from softfin.rig.references import Said
-        from softfin.rig.stop import StopRequest
+        controller, bench = self.parties()
 
-        controller, bench = parties(self)
-        if self.reference_file is not None:
-            references, seconds = self._recorded(controller, self.reference_file)
-            result = drive(self, controller, bench, references, seconds, stop=StopRequest(), line=_deaf)
-        else:
-            assert self.reference is not None
-            said = Said(self.reference, lambda asked: controller.admit(asked, self.strict), say)
-            result = drive(self, controller, bench, said, self.seconds, stop=StopRequest(), line=said.line)
-        self.tell(result, sentence(result))
+        def admit(force: tuple[float, float]) -> tuple[tuple[float, float], str | None]:
+            return controller.admit(force, self.strict)
 
-    def _recorded(self, controller: "NativeController", file: Path) -> "tuple[Recorded, int]":
+        if self.reference is not None:
+            typed = Said(self.reference, admit, say)
+            return self.tell_errors(self.drive(controller, bench, typed, self.seconds, typed.line))
+        assert self.reference_file is not None
         # Imported here: the file's reader needs more than a robot's computer may have.
-        from softfin.cli.driving import say
-        from softfin.rig.references import Recorded
         from softfin.task.reference_file import read_reference_file
 
-        rows = read_reference_file(file)
-        forces = [(float(x), float(y)) for x, y in rows.force_n]
-        recorded = Recorded(rows.time_s, forces, lambda asked: controller.admit(asked, self.strict), say)
-        return recorded, self.seconds or rows.seconds
+        rows = read_reference_file(self.reference_file)
+        recorded = Recorded(rows.time_s, [(float(x), float(y)) for x, y in rows.force_n], admit, say)
 
+        def line(_: str) -> None:
+            say("references come from the file; Enter alone stops the fin")
 
-def _deaf(_: str) -> None:
-    from softfin.cli.driving import say
-
-    say("references come from the file; Enter alone stops the fin")
+        return self.tell_errors(self.drive(controller, bench, recorded, self.seconds or rows.seconds, line))

@@ -14,7 +14,10 @@ def find_bench(name: str) -> Bench:
         return rig_bench(Path(file) if file else None)
     if kind == "ros2":
         return ros2_bench(Path(file) if file else None)
-    raise RigError(f"{name}: no machine; give {' or '.join(LIVE)}, or one of these with :FILE")
+    raise RigError(
+        f"plant {name}: not a real fin; give {' or '.join(LIVE)}, or one of these with :FILE; softfin evaluate runs a "
+        "controller on a simulated one"
+    )
 
 
 def rig_bench(file: Path | None = None) -> Bench:
