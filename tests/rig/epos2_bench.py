@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import can
 
 from softfin.rig.emulation.drive import EmulatedDrive
-from softfin.rig.emulation.simple import SimpleFin
+from softfin.rig.emulation.fin import SimpleFin
 from softfin.rig.epos2.config import BusConfig, DriveConfig
 from softfin.rig.epos2.drive import Epos2
 from softfin.rig.simulated_bus import open_bus

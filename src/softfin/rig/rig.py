@@ -48,7 +48,7 @@ class Rig:
     @property
     def doubt(self) -> str | None:
         """Of the drive."""
-        return self.drive.doubt
+        return self.drive.stop_unconfirmed
 
     def open(self) -> None:
         """Connect to both and configure the drive, without power to the motor."""

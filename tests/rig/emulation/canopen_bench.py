@@ -10,8 +10,8 @@ import canopen
 from canopen.profiles.p402 import BaseNode402
 
 from softfin.rig.emulation.drive import EmulatedDrive
-from softfin.rig.emulation.drive_dictionary import dictionary, values
-from softfin.rig.emulation.simple import SimpleFin
+from softfin.rig.emulation.drive_objects import dictionary, values
+from softfin.rig.emulation.fin import SimpleFin
 from tests.rig.epos2_bench import NODE, bus_config, drive_config
 from tests.rig.machines import Hours
 

@@ -84,7 +84,7 @@ def test_a_sub_index_that_is_not_there_is_refused(bench: CanopenBench, index: in
         bench.write(0x6040, 1, 0, 2)
 
 
-@pytest.mark.parametrize(("index", "sub", "size"), [(0x1018, 1, 4), (0x1003, 1, 4), (0x607D, 0, 1), (0x6502, 0, 4)])
+@pytest.mark.parametrize(("index", "sub", "size"), [(0x1018, 1, 4), (0x1003, 1, 4), (0x6502, 0, 4)])
 def test_entries_that_can_only_be_read_are_not_written(bench: CanopenBench, index: int, sub: int, size: int) -> None:
     with pytest.raises(canopen.SdoAbortedError, match="06010002"):
         bench.write(index, sub, 0, size)
@@ -95,11 +95,6 @@ def test_a_value_of_another_length_and_an_object_that_is_not_there_are_refused(b
         bench.write(0x6040, 0, 0, 4)
     with pytest.raises(canopen.SdoAbortedError, match="06020000"):
         bench.read(0x2099)
-
-
-def test_the_first_entry_of_a_record_is_its_highest_sub_index(bench: CanopenBench) -> None:
-    assert [bench.read(index) for index in (0x1018, 0x6410, 0x607D, 0x1800)] == [4, 2, 2, 2]
-    assert bench.read(0x1018, 1) == 0xFB
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import numpy as np
 from softfin.core.clock import REAL, Clock
 from softfin.core.plant import rest_command
 from softfin.core.quantities import TICK_S, Command, Reading
-from softfin.rig.emulation.fin import Motion
+from softfin.rig.emulation.fin import FinMotion
 from softfin.tank import Tank
 
 AMPERE_PER_NM = 1 / (111 * 0.0259)
@@ -36,7 +36,7 @@ class TankFin:
         self._before = self._after = self._step()
         self._before, self._after = self._after, self._step()
         self._time = clock()
-        self._seen: tuple[float, Motion] | None = None
+        self._seen: tuple[float, FinMotion] | None = None
 
     def remembered(self) -> dict[str, Any]:
         """All of its state, for JSON."""
@@ -79,7 +79,7 @@ class TankFin:
             goal = min(max(angle + ahead, limits.angle_min), limits.angle_max)
             self._command = Command(jnp.float32(goal), jnp.float32(limits.velocity_max))
 
-    def now(self) -> Motion:
+    def now(self) -> FinMotion:
         """One sample ago."""
         with self._lock:
             now = self._clock()
@@ -88,11 +88,11 @@ class TankFin:
                 self._seen = (now, self._at(now))
             return self._seen[1]
 
-    def _at(self, now: float) -> Motion:
+    def _at(self, now: float) -> FinMotion:
         self._catch_up()
         part = min(max((now - self._time) / TICK_S, 0.0), 1.0)
         angle, velocity, demand, torque, x, y = ((1 - part) * self._before + part * self._after).tolist()
-        return Motion(angle, velocity, demand, torque * AMPERE_PER_NM, (x, y, 0.0, 0.0, 0.0, 0.0))
+        return FinMotion(angle, velocity, demand, torque * AMPERE_PER_NM, (x, y, 0.0, 0.0, 0.0, 0.0))
 
     def _catch_up(self) -> None:
         now = self._clock()
