@@ -46,7 +46,7 @@ class Bench(NamedTuple):
     def until(self, true: Callable[[], bool]) -> bool:
         """The loop, until something is true or the time is over."""
         for _ in range(round(LONG_S / 0.005)):
-            self.drive.beat()
+            self.drive.send_heartbeat()
             self.drive.sync_and_read(0.02)
             if true():
                 return True

@@ -62,7 +62,7 @@ class Rig:
     def read(self) -> Sample:
         """Have the drive sample now; of the force, what came until now."""
         if self._ticks % BEAT_TICKS == 0:
-            self.drive.beat()
+            self.drive.send_heartbeat()
         self._ticks += 1
         drive = self.drive.sync_and_read(ANSWER_S)
         force = self.sensor.read()

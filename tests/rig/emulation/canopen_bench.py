@@ -18,7 +18,7 @@ from tests.rig.machines import Hours
 PATIENCE_S = 60.0
 """In real time: the machine that runs the tests is shared."""
 
-PRE_OPERATIONAL, OPERATIONAL, STOPPED, RESET_NODE, RESET_COMMUNICATION = 0x80, 0x01, 0x02, 0x81, 0x82
+PRE_OPERATIONAL, OPERATIONAL, STOPPED, RESET_NODE = 0x80, 0x01, 0x02, 0x81
 
 
 class CanopenBench:

@@ -43,7 +43,7 @@ for step in (drive.open, drive.home_here, drive.enable):
 drive.command(Target(0.4, 3.0))
 while abs(drive.sync_and_read(0.05).angle - 0.4) > 1e-3:
     assert time.monotonic() < end
-    drive.beat()
+    drive.send_heartbeat()
     time.sleep(0.01)
 assert drive.complaints() == (), drive.complaints()
 drive.close()

@@ -301,7 +301,7 @@ def test_a_bus_that_takes_no_frames_is_a_complaint_and_no_error_in_the_loop(monk
             raise can.CanOperationError("transmit buffer full")
 
         monkeypatch.setattr(bus, "send", refuse)
-        made.drive.beat()
+        made.drive.send_heartbeat()
         assert not made.drive.sync_and_read(0.001).new
         assert any("takes no frames" in line for line in made.drive.complaints())
         made.drive.stop()
@@ -380,7 +380,7 @@ def test_a_stop_within_on_fault_brakes_at_once_and_takes_the_voltage_off() -> No
         made.drive._exchange._on_fault = lambda _: made.drive.stop()
         made.drive.command(Target(1.0, 1.0))
         # An emergency that only tells: the emulated drive itself goes on.
-        made.emulated._emergency(0x4210, 0x01)
+        made.emulated._emergency(0x4210)
         assert made.until(lambda: 0x0002 in sniffer.controlwords())
         assert made.until(lambda: made.emulated.state is State.SWITCH_ON_DISABLED)
 

@@ -15,9 +15,9 @@ def test_process_data_is_decoded_from_golden_bytes() -> None:
     status.synchronise(1.5)
     assert status.take(0x185, bytes.fromhex("378718fcffff"), 1.501) is None
     status.take(0x285, bytes.fromhex("6afffffff401"), 1.501)
-    assert status.fresh != ALL
+    assert status.answered != ALL
     status.take(0x385, bytes.fromhex("00010000"), 1.502)
-    assert status.fresh == ALL
+    assert status.answered == ALL
     assert (status.statusword, status.position) == (0x8737, -1000)
     assert (status.velocity, status.current, status.demand) == (-150, 500, 256)
     assert status.state is State.OPERATION_ENABLED
@@ -34,7 +34,7 @@ def test_a_new_sync_makes_everything_old_and_counts_what_is_missing() -> None:
     status.take(0x185, bytes(6), 1.0)
     status.take(0x185, bytes(6), 1.0)
     status.synchronise(2.0)
-    assert status.fresh == 0
+    assert status.answered == 0
     assert status.counters == {"syncs without all answers": 1, "doubled answers": 1}
 
 

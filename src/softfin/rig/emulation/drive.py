@@ -25,18 +25,11 @@ from softfin.rig.epos2.objects import Object
 from softfin.rig.simulated_bus import open_bus
 
 TICK_S = 0.005
-NO_SUCH_ENTRY = 0x06090011
 SDO_LENGTH = 8
-NMT_STOP, NMT_RESET_COMMUNICATION = 0x02, 0x82
-NMT_COMMANDS = (
-    objects.NMT_START,
-    NMT_STOP,
-    objects.NMT_PRE_OPERATIONAL,
-    objects.NMT_RESET,
-    NMT_RESET_COMMUNICATION,
-)
-_REGISTERS = ((0x2000, 0x02), (0x3000, 0x04), (0x4000, 0x08), (0x8600, 0x20), (0x8000, 0x10), (0xFF00, 0x80))
-"""First code of each kind of error, and its bit of the error register; all set bit 0, too (CiA 301)."""
+NMT_STOP = 0x02
+NMT_COMMANDS = (objects.NMT_START, NMT_STOP, objects.NMT_PRE_OPERATIONAL, objects.NMT_RESET)
+ERROR_REGISTER = 0x01
+"""Generic error: the bit of the error register that every error sets (CiA 301); those of its kind are not emulated."""
 
 
 class EmulatedDrive:
@@ -55,7 +48,7 @@ class EmulatedDrive:
         self._process_data = ProcessData(self._node, self._network.send_message, self.fault)
         self._readings: dict[int, Callable[[], int]] = {
             objects.STATUSWORD.number: lambda: self.statusword,
-            objects.ERROR_REGISTER.number: lambda: self._register,
+            objects.ERROR_REGISTER.number: lambda: ERROR_REGISTER * (self.state in cia402.FAULTS),
             objects.MODE_DISPLAY.number: lambda: motor.mode,
             objects.POSITION.number: lambda: motor.position,
             objects.DEMAND.number: self._demand,
@@ -108,10 +101,8 @@ class EmulatedDrive:
                 return
             powered = self.state in cia402.POWERED
             self._enter(State.FAULT_REACTION_ENABLED if powered else State.FAULT_REACTION_DISABLED)
-            kinds = (bit for first, bit in _REGISTERS if code >= first and code & 0xF000 == first & 0xF000)
-            self._register = 0x01 | next(kinds, 0)
             self._errors = [code, *self._errors][:ERRORS_KEPT]
-            self._emergency(code, self._register)
+            self._emergency(code)
 
     def drop_heartbeat(self) -> None:
         """Send no more heartbeats; all else goes on."""
@@ -161,7 +152,7 @@ class EmulatedDrive:
     def _power_up(self) -> None:
         self.state = State.START
         self._motor.power_up()
-        self._word = self._register = 0
+        self._word = 0
         self._errors = []
         self._host_beat: float | None = None
         self._node.data_store.clear()
@@ -203,17 +194,12 @@ class EmulatedDrive:
     # -- objects ------------------------------------------------------------------------------------------------------
 
     def _live(self, index: int, subindex: int, od: Any) -> int | None:
-        if subindex != od.subindex:
-            # canopen lets every sub-index of an object without any pass.
-            raise canopen.SdoAbortedError(NO_SUCH_ENTRY)
         with self._lock:
             if index == objects.ERROR_COUNT.number:
                 return len(self._errors) if subindex == 0 else [*self._errors, *[0] * ERRORS_KEPT][subindex - 1]
             return self._readings[index]() if index in self._readings else None
 
     def _written(self, index: int, subindex: int, od: Any, data: bytes | bytearray) -> None:
-        if subindex != od.subindex:
-            raise canopen.SdoAbortedError(NO_SUCH_ENTRY)
         with self._lock:
             if index == objects.CONTROLWORD.number:
                 self._controlled(objects.CONTROLWORD.layout.unpack(data)[0])
@@ -226,8 +212,6 @@ class EmulatedDrive:
                 # Watching begins with the first heartbeat after this (CiA 301).
                 self._host_beat = None
             elif index == objects.ERROR_COUNT.number:
-                if any(data):
-                    raise canopen.SdoAbortedError(OUT_OF_RANGE)
                 self._errors = []
             elif 0x1400 <= index < 0x1C00:
                 self._process_data.check(index, subindex, data)
@@ -237,8 +221,7 @@ class EmulatedDrive:
         was = self.state
         self._enter(drive_motor.next_state(was, word, before))
         if was is State.FAULT and self.state is not State.FAULT:
-            self._register = 0
-            self._emergency(0, 0)
+            self._emergency(0)
         if self.state is State.OPERATION_ENABLED:
             self._motor.control(word, before)
 
@@ -265,13 +248,7 @@ class EmulatedDrive:
     def _follow(self, cob_id: int, data: bytes) -> None:
         is_operational = self._node.nmt.state == "OPERATIONAL"
         if cob_id == objects.NMT and self._node.nmt.state == "INITIALISING":
-            if data[0] == objects.NMT_RESET:
-                self.reboot()
-                return
-            for index in [index for index in self._node.data_store if index < 0x2000]:
-                del self._node.data_store[index]
-            self._host_beat = None
-            self._boot()
+            self.reboot()
         elif cob_id == objects.NMT and not is_operational:
             self._process_data.restart()
         elif cob_id & 0x780 == objects.HEARTBEAT:
@@ -282,7 +259,7 @@ class EmulatedDrive:
         elif is_operational:
             self._process_data.take(cob_id, data)
 
-    def _emergency(self, code: int, register: int) -> None:
+    def _emergency(self, code: int) -> None:
         if self._node.nmt.state != "STOPPED":
             with contextlib.suppress(can.CanError, RuntimeError):
-                self._node.emcy.send(code, register, bytes(5))
+                self._node.emcy.send(code, ERROR_REGISTER * (code != 0), bytes(5))

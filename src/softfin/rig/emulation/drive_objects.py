@@ -38,13 +38,12 @@ READ_ONLY = frozenset(
 _TYPES = {"b": od.INTEGER8, "h": od.INTEGER16, "i": od.INTEGER32,
           "B": od.UNSIGNED8, "H": od.UNSIGNED16, "I": od.UNSIGNED32}  # fmt: skip
 
-CANNOT_BE_MAPPED, TOO_LONG, OUT_OF_RANGE, WRONG_STATE = 0x06040041, 0x06040042, 0x06090030, 0x08000022
+CANNOT_BE_MAPPED, OUT_OF_RANGE, WRONG_STATE = 0x06040041, 0x06090030, 0x08000022
 """Why a write is refused (SDO abort codes)."""
 LENGTH_ERROR = 0x8210
 """Emergency: a frame is shorter than what is mapped."""
 LAST_SYNCHRONOUS, FIRST_EVENT = 240, 254
 """Transmission types."""
-LONGEST_BITS = 64
 
 
 def values(config: DriveConfig) -> dict[Object, int]:
@@ -86,7 +85,7 @@ def values(config: DriveConfig) -> dict[Object, int]:
 def dictionary(start: dict[Object, int]) -> Any:
     """canopen's object dictionary with every object at its value."""
     library: Any = od
-    made = library.ObjectDictionary()
+    objects_by_index = library.ObjectDictionary()
     entries = Counter(entry.number for entry in start)
     for entry, value in start.items():
         variable = library.ODVariable(str(entry), entry.number, entry.sub)
@@ -94,12 +93,12 @@ def dictionary(start: dict[Object, int]) -> Any:
         is_error = entry.number == objects.NEWEST_ERROR.number and entry.sub > 0
         variable.access_type = "ro" if entry in READ_ONLY or is_error else "rw"
         if entry.sub == 0 and entries[entry.number] == 1:
-            made.add_object(variable)
+            objects_by_index.add_object(variable)
             continue
-        if entry.number not in made:
-            made.add_object(library.ODRecord(f"0x{entry.number:04X}", entry.number))
-        made[entry.number].add_member(variable)
-    return made
+        if entry.number not in objects_by_index:
+            objects_by_index.add_object(library.ODRecord(f"0x{entry.number:04X}", entry.number))
+        objects_by_index[entry.number].add_member(variable)
+    return objects_by_index
 
 
 class _Pdo(NamedTuple):
@@ -119,7 +118,7 @@ class ProcessData:
 
     def restart(self) -> None:
         """Begin to count and to compare anew, as when the node becomes operational."""
-        self._known: dict[int, list[_Pdo]] = {}
+        self._pdos: dict[int, list[_Pdo]] = {}
         """Those that are on, until one of their objects is written."""
         self._syncs = 0
         self._last: dict[int, bytes] = {}
@@ -140,7 +139,7 @@ class ProcessData:
                 self._send(pdo.cob_id & 0x7FF, data)
 
     def take(self, cob_id: int, data: bytes) -> None:
-        """Follow a frame; others than process data are left alone."""
+        """Follow a frame; frames other than process data change nothing."""
         for pdo in self._enabled(TAKEN):
             if pdo.cob_id & 0x7FF != cob_id:
                 continue
@@ -157,7 +156,7 @@ class ProcessData:
 
     def check(self, index: int, subindex: int, data: bytes | bytearray) -> None:
         """Raise SdoAbortedError where this may not be written into an object of process data now."""
-        self._known.clear()
+        self._pdos.clear()
         value, number = int.from_bytes(data, "little"), index & ~0x200
         held = self._value(number, 1, "I")
         is_on = not held & objects.INVALID
@@ -166,27 +165,19 @@ class ProcessData:
                 raise canopen.SdoAbortedError(WRONG_STATE)
             entries = [value] if subindex else [self._value(index, 1 + place, "I") for place in range(value)]
             for entry in entries:
-                self._check_entry(entry, is_sent=index >= SENT)
-            if sum(entry & 0xFF for entry in entries) > LONGEST_BITS:
-                raise canopen.SdoAbortedError(TOO_LONG)
+                found = self._node.object_dictionary.get_variable(entry >> 16, entry >> 8 & 0xFF)
+                if found is None or len(found) != entry & 0xFF:
+                    raise canopen.SdoAbortedError(CANNOT_BE_MAPPED)
         elif subindex == 1 and is_on and not value & objects.INVALID and (value ^ held) & 0x7FF:
             raise canopen.SdoAbortedError(WRONG_STATE)
         elif subindex == 2 and value < FIRST_EVENT and not (number >= SENT and 1 <= value <= LAST_SYNCHRONOUS):
             raise canopen.SdoAbortedError(OUT_OF_RANGE)
 
-    def _check_entry(self, entry: int, is_sent: bool) -> None:
-        index, subindex, bits = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
-        found = self._node.object_dictionary.get_variable(index, subindex)
-        if found is None or (found.subindex, len(found)) != (subindex, bits):
-            raise canopen.SdoAbortedError(CANNOT_BE_MAPPED)
-        if not (found.readable if is_sent else found.writable):
-            raise canopen.SdoAbortedError(CANNOT_BE_MAPPED)
-
     def _enabled(self, first: int) -> list[_Pdo]:
-        if first not in self._known:
+        if first not in self._pdos:
             pdos = map(self._pdo, range(first, first + PDOS))
-            self._known[first] = [pdo for pdo in pdos if not pdo.cob_id & objects.INVALID]
-        return self._known[first]
+            self._pdos[first] = [pdo for pdo in pdos if not pdo.cob_id & objects.INVALID]
+        return self._pdos[first]
 
     def _pdo(self, number: int) -> _Pdo:
         mapping = number + 0x200

@@ -85,7 +85,7 @@ class DriveConfig(Configuration):
 
 
 class Units(NamedTuple):
-    """From the fin's angle to the drive's counts, rpm and rpm/s, and back."""
+    """Conversion of the fin's angle to the drive's counts, rpm and rpm/s, and back."""
 
     counts_per_rad: float
     rpm_per_rad_s: float

@@ -67,7 +67,7 @@ class CanConnection:
         self._sending, self._requesting = clock.rlock(), clock.lock()
         self._answered = clock.condition()
         self._request, self._answer = b"", b""
-        self.heard: set[int] = set()
+        self.nodes: set[int] = set()
         """Nodes that sent anything."""
         self.counters: Counter[str] = Counter()
 
@@ -82,8 +82,8 @@ class CanConnection:
         return threading.current_thread() is self._receiver
 
     def open(self) -> None:
-        """Open the bus and start the receiver; raises RigError where there is no such bus."""
-        self.heard.clear()
+        """Open the bus and start the receiver; raises RigError where the bus does not exist."""
+        self.nodes.clear()
         options = self._config.options
         try:
             if self._config.interface == "socketcand":
@@ -128,30 +128,27 @@ class CanConnection:
     def read(self, entry: Object) -> int:
         """Read an object of the drive; raises DeviceError."""
         size = entry.layout.size
-        answer = self._transfer(entry, struct.pack("<BHBI", UPLOAD, entry.number, entry.sub, 0))
+        request = struct.pack("<BHBI", UPLOAD, entry.number, entry.sub, 0)
         # The answer may leave out its size.
-        if answer[0] not in (0x43 | 4 - size << 2, 0x42):
-            raise self._nonsense(entry, answer)
+        answer = self._transfer(entry, request, (0x43 | 4 - size << 2, 0x42))
         value: int = entry.layout.unpack(answer[4 : 4 + size])[0]
         return value
 
     def write(self, entry: Object, value: int) -> None:
         """Write an object of the drive; raises DeviceError."""
-        answer = self._transfer(entry, _download(entry, value))
-        if answer[0] != DOWNLOADED:
-            raise self._nonsense(entry, answer)
+        self._transfer(entry, _download(entry, value), (DOWNLOADED,))
 
     def write_unconfirmed(self, entry: Object, value: int) -> None:
         """Write an object without waiting for the answer; raises DeviceError where the bus takes no frame."""
         self.send(objects.SDO_REQUEST + self._node, _download(entry, value))
 
     def scan(self) -> list[int]:
-        """Ask every node for its device type; the nodes that were ever heard on this bus."""
+        """Ask every node for its device type; the nodes that sent anything since `open`."""
         for node in range(1, 128):
             self.send(objects.SDO_REQUEST + node, struct.pack("<BHBI", UPLOAD, objects.DEVICE_TYPE.number, 0, 0))
             self._clock.sleep(SCAN_PAUSE_S)
         self._clock.sleep(50 * SCAN_PAUSE_S)
-        return sorted(self.heard)
+        return sorted(self.nodes)
 
     def problem(self) -> str | None:
         """What the adapter reports as wrong with the bus; None when nothing is."""
@@ -163,7 +160,8 @@ class CanConnection:
             return None
         return f"{self.name} is {'off' if state is can.BusState.ERROR else 'passive'}; look at cable and termination"
 
-    def _transfer(self, entry: Object, request: bytes) -> bytes:
+    def _transfer(self, entry: Object, request: bytes, allowed: tuple[int, ...]) -> bytes:
+        """The answer to a request, which must begin with one of the allowed commands."""
         if self.in_receiver or not self._requesting.acquire(timeout=2 * SDO_TIMEOUT_S):
             raise DeviceError(f"drive's {entry} cannot be asked for: another request is not answered yet; try again")
         try:
@@ -182,10 +180,9 @@ class CanConnection:
             )
         if answer[0] == ABORTED:
             raise DeviceError(f"drive refuses {entry}: {abort_line(int.from_bytes(answer[4:], 'little'))}")
+        if answer[0] not in allowed:
+            raise DeviceError(f"drive's answer for {entry} makes no sense ({answer.hex()}); try again")
         return answer
-
-    def _nonsense(self, entry: Object, answer: bytes) -> DeviceError:
-        return DeviceError(f"drive's answer for {entry} makes no sense ({answer.hex()}); try again")
 
     def _receive(self, bus: can.BusABC) -> None:
         """The receiver's thread: nothing that a frame brings can end it."""
@@ -211,7 +208,7 @@ class CanConnection:
             return
         cob_id, data = message.arbitration_id, bytes(message.data)
         if cob_id & 0x780 in (objects.SDO_ANSWER, objects.HEARTBEAT) and cob_id & 0x7F:
-            self.heard.add(cob_id & 0x7F)
+            self.nodes.add(cob_id & 0x7F)
         if cob_id != objects.SDO_ANSWER + self._node:
             self._on_frame(cob_id, data)
         elif len(data) != 8:
@@ -226,14 +223,9 @@ class CanConnection:
 def abort_line(code: int) -> str:
     """Name and way out of an SDO abort, such as ``0x06020000, Object does not exist: check that ..``."""
     name = MAXON_ABORTS.get(code) or SdoAbortedError.CODES.get(code, "Not in softfin's list")
+    way_out = "check that the device is an EPOS2, close other programs such as EPOS Studio, switch the drive off and on"
     if 0x06090030 <= code <= 0x06090036:
         way_out = "change the value in the rig's file to one that the drive takes"
-    elif code < 0x06000000:
-        way_out = "look at the bus's load and cable, and for another program on it"
-    elif code < 0x08000000:
-        way_out = "check that the device is an EPOS2, and update its firmware"
-    else:
-        way_out = "close other programs such as EPOS Studio, then switch the drive off and on"
     return f"0x{code:08X}, {name}: {way_out}"
 
 

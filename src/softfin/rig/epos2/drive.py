@@ -104,9 +104,9 @@ class Epos2:
         """Have the drive sample, wait for the answers [s]; the newest known where they do not all come."""
         return self._exchange.sync_and_read(timeout)
 
-    def beat(self) -> None:
+    def send_heartbeat(self) -> None:
         """Send our heartbeat: a drive that is enabled stops by itself `heartbeat_s` after the last one."""
-        self._exchange.beat()
+        self._exchange.send_heartbeat()
 
     def command(self, target: Target) -> None:
         """Go there from now on; raises CommandError outside the limits, DeviceError where the drive is not enabled."""
@@ -245,7 +245,7 @@ class Epos2:
         finally:
             self._stopping.release()
         try:
-            exchange.beat()
+            exchange.send_heartbeat()
             silence = setup.milliseconds(self.config.heartbeat_s)
             setup.write(self._connection, objects.HEARTBEAT_CONSUMER, self.config.host_node << 16 | silence)
             power.reach_enabled(exchange, halts)

@@ -38,7 +38,6 @@ class DriveReading(NamedTuple):
     """Current of the motor [A]."""
     following_error: float
     """Angle demanded less angle [rad]."""
-    statusword: int
     state: State | None
     new: bool
     """Whether all of it answers the SYNC of this reading."""
@@ -140,7 +139,7 @@ class Exchange:
         with self.lock:
             status.synchronise(self.clock())
             self.attempt(objects.SYNC, b"")
-            self.lock.wait_for(lambda: status.fresh == ALL, timeout)
+            self.lock.wait_for(lambda: status.answered == ALL, timeout)
             self._carry_on()
             angle = units.angle(status.position)
             return DriveReading(
@@ -149,12 +148,11 @@ class Exchange:
                 units.velocity(status.velocity),
                 status.current / 1000,
                 units.angle(status.demand) - angle,
-                status.statusword,
                 status.state,
-                status.fresh == ALL,
+                status.answered == ALL,
             )
 
-    def beat(self) -> None:
+    def send_heartbeat(self) -> None:
         """Send the host's heartbeat."""
         self.attempt(objects.HEARTBEAT + self._config.host_node, bytes([objects.OPERATIONAL]))
 

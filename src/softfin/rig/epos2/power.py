@@ -26,7 +26,7 @@ def reach_enabled(exchange: Exchange, halts: int) -> None:
     """Bring the drive to operation enabled, as long as nothing was stopped since `halts`; raises DeviceError."""
     status = exchange.status
     for _ in range(round(ENABLE_TIMEOUT_S / STEP_S)):
-        exchange.beat()
+        exchange.send_heartbeat()
         exchange.sync_and_read(STEP_S)
         with exchange.lock:
             exchange.refuse_halted(halts)
@@ -50,7 +50,7 @@ def home(exchange: Exchange, config: DriveConfig, halts: int) -> None:
         exchange.control(cia402.START_HOMING)
     attained = 0
     for _ in range(round(ENABLE_TIMEOUT_S / (2 * STEP_S))):
-        exchange.beat()
+        exchange.send_heartbeat()
         reading = exchange.sync_and_read(STEP_S)
         if reading.new and reading.state is State.OPERATION_ENABLED and status.has(Bit.ERROR):
             break
@@ -68,11 +68,11 @@ def rest(exchange: Exchange, config: DriveConfig) -> bool:
     status = exchange.status
 
     def is_off() -> bool:
-        return bool(status.fresh & 1) and status.state in cia402.UNPOWERED
+        return bool(status.answered & 1) and status.state in cia402.UNPOWERED
 
     def stands() -> bool:
         braked = status.state is State.QUICK_STOP_ACTIVE and abs(status.velocity) <= STANDSTILL_RPM
-        return is_off() or (braked and status.fresh == ALL)
+        return is_off() or (braked and status.answered == ALL)
 
     braking = BRAKING_MARGIN * config.fastest_rad_s / config.quick_stop_rad_s2 + BRAKING_TICKS * config.sync_s
     _repeat(exchange, cia402.QUICK_STOP, stands, braking, config.sync_s)
@@ -85,7 +85,7 @@ def _repeat(exchange: Exchange, word: int, done: Callable[[], bool], seconds: fl
     """Repeat an order until it is done or the time is over; counted in ticks, so that a stopped clock ends it too."""
     refused = 0
     for _ in range(max(3, round(seconds / tick))):
-        exchange.beat()
+        exchange.send_heartbeat()
         refused = 0 if exchange.insist(word) else refused + 1
         if refused == REFUSED:
             return

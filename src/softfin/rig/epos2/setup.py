@@ -68,8 +68,8 @@ def check(connection: CanConnection, config: DriveConfig) -> None:
     """Compare motor, modes and encoder as the drive is set up with the rig's file; raises RigError."""
     motor = connection.read(objects.MOTOR_TYPE)
     if motor not in objects.BRUSHLESS:
-        known = " or ".join(f"{number} ({name})" for number, name in objects.BRUSHLESS.items())
-        raise RigError(f"drive's motor type is {motor}; an EC-max has {known}: set the motor up in EPOS Studio")
+        allowed = " or ".join(f"{number} ({name})" for number, name in objects.BRUSHLESS.items())
+        raise RigError(f"drive's motor type is {motor}; an EC-max has {allowed}: set the motor up in EPOS Studio")
     if not connection.read(objects.SUPPORTED_MODES) & 1 << objects.PROFILE_POSITION - 1:
         raise RigError("drive has no profile position mode; update its firmware")
     lines = connection.read(objects.ENCODER_LINES)

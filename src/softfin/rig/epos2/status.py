@@ -58,7 +58,7 @@ class DriveStatus:
     def __init__(self, node: int) -> None:
         self._node = node
         self.statusword = self.position = self.velocity = self.current = self.demand = 0
-        self.fresh = 0
+        self.answered = 0
         """A bit for each process datum that came since the last SYNC."""
         self.ever = 0
         """A bit for each process datum that came at all."""
@@ -105,9 +105,9 @@ class DriveStatus:
 
     def synchronise(self, now: float) -> None:
         """A SYNC is about to be sent."""
-        if self.ever == ALL and self.fresh != ALL:
+        if self.ever == ALL and self.answered != ALL:
             self.counters["syncs without all answers"] += 1
-        self.fresh, self.sync_time = 0, now
+        self.answered, self.sync_time = 0, now
 
     def take(self, cob_id: int, data: bytes, now: float) -> str | None:
         """Decode one frame of the bus; frames of other nodes change nothing."""
@@ -138,9 +138,9 @@ class DriveStatus:
             self.velocity, self.current = values
         else:
             (self.demand,) = values
-        if self.fresh & 1 << which:
+        if self.answered & 1 << which:
             self.counters["doubled answers"] += 1
-        self.fresh |= 1 << which
+        self.answered |= 1 << which
         self.ever |= 1 << which
         self.times[which] = self.sync_time
         return self.fault() if which == 0 and was_well else None
