@@ -18,7 +18,7 @@ _channels: WeakKeyDictionary[SimulatedClock, dict[str, list["SimulatedBus"]]] = 
 
 
 def open_bus(config: BusConfig, clock: Clock) -> can.BusABC:
-    """On a simulated clock that of this process, whatever the interface; raises what python-can raises."""
+    """Open a bus; on a simulated clock that of this process, whatever the interface. Raises what python-can raises."""
     if isinstance(clock, SimulatedClock):
         return SimulatedBus(clock, config.channel)
     options: dict[str, Any] = {**config.options, "bitrate": config.bitrate}
@@ -48,7 +48,7 @@ class SimulatedBus(can.BusABC):
                 bus._news.set()
 
     def shutdown(self) -> None:
-        """Any number of times; whoever waits for a frame is woken."""
+        """Shut down, any number of times; whoever waits for a frame is woken."""
         super().shutdown()
         if self in self._all:
             self._all.remove(self)

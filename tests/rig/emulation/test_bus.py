@@ -23,11 +23,11 @@ import json, sys, time
 from softfin.core.errors import DeviceError
 from softfin.rig.machine import Target
 from softfin.rig.epos2.drive import Epos2
-from softfin.rig.epos2.config import BusConfig, DriveConfig
+from softfin.rig.epos2.config import BusConfig, Epos2Config
 
 assert "jax" not in sys.modules
 given = json.loads(sys.argv[1])
-drive = Epos2(BusConfig(**given["bus"]), DriveConfig(**given["drive"]))
+drive = Epos2(BusConfig(**given["bus"]), Epos2Config(**given["drive"]))
 end = time.monotonic() + 40
 def done(step):
     try:

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from softfin.core.errors import ConfigurationError
-from softfin.rig.epos2.config import DriveConfig, Units
+from softfin.rig.epos2.config import Epos2Config, Units
 from tests.rig.epos2_bench import drive_config
 
 units = st.builds(
@@ -52,7 +52,7 @@ def test_what_must_not_be_guessed_has_no_default(key: str) -> None:
     values = drive_config().model_dump()
     del values[key]
     with pytest.raises(ConfigurationError, match=key):
-        DriveConfig.build(values)
+        Epos2Config.build(values)
 
 
 @pytest.mark.parametrize(
@@ -70,4 +70,4 @@ def test_what_must_not_be_guessed_has_no_default(key: str) -> None:
 )
 def test_a_configuration_that_cannot_be_is_refused_with_the_reason(changes: dict[str, float], words: str) -> None:
     with pytest.raises(ConfigurationError, match=words):
-        DriveConfig.build({**drive_config().model_dump(), **changes})
+        Epos2Config.build({**drive_config().model_dump(), **changes})

@@ -20,7 +20,7 @@ from softfin.rig.emulation.drive_objects import ERRORS_KEPT, OUT_OF_RANGE, Proce
 from softfin.rig.emulation.fin import EmulatedFin
 from softfin.rig.epos2 import cia402, objects
 from softfin.rig.epos2.cia402 import Bit, State
-from softfin.rig.epos2.config import BusConfig, DriveConfig, Units
+from softfin.rig.epos2.config import BusConfig, Epos2Config, Units
 from softfin.rig.epos2.objects import Object
 from softfin.rig.simulated_bus import open_bus
 
@@ -35,7 +35,7 @@ ERROR_REGISTER = 0x01
 class EmulatedDrive:
     """A drive set up as `config` describes a real one; `start` it, `close` it."""
 
-    def __init__(self, bus: BusConfig, config: DriveConfig, fin: EmulatedFin, clock: Clock = REAL) -> None:
+    def __init__(self, bus: BusConfig, config: Epos2Config, fin: EmulatedFin, clock: Clock = REAL) -> None:
         self._bus, self._config, self._clock = bus, config, clock
         self._lock = clock.rlock()
         self._network = DriveNetwork(self._take, clock)

@@ -12,7 +12,7 @@ import canopen
 from canopen import objectdictionary as od
 
 from softfin.rig.epos2 import objects
-from softfin.rig.epos2.config import DriveConfig
+from softfin.rig.epos2.config import Epos2Config
 from softfin.rig.epos2.objects import Object
 
 PDOS = 4
@@ -46,7 +46,7 @@ LAST_SYNCHRONOUS, FIRST_EVENT = 240, 254
 """Transmission types."""
 
 
-def values(config: DriveConfig) -> dict[Object, int]:
+def values(config: Epos2Config) -> dict[Object, int]:
     """The objects of a drive as delivered, set up for this motor and encoder: our limits are not in it yet."""
     start: dict[Object, int] = dict.fromkeys((*objects.OBJECTS, TARGET_VELOCITY, *IDENTITY), 0)
     start |= {

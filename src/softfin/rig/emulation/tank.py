@@ -20,7 +20,7 @@ AMPERE_PER_NM = 1 / (111 * 0.0259)
 """Current of the emulated motor for a torque at the fin: a reduction of 111:1 and 25.9 mN m/A, both assumed."""
 
 LONGEST_S = 2.0
-"""In real time: after a longer pause of this process the fin goes on from where it was, as if there had been none."""
+"""Longest pause of this process in real time; after a longer one the fin goes on as if there had been none."""
 
 
 class TankFin:

@@ -28,7 +28,7 @@ class BusConfig(Configuration):
     """Further options of the interface, such as host and port of socketcand."""
 
 
-class DriveConfig(Configuration):
+class Epos2Config(Configuration):
     """An EPOS2 with its motor, gear and encoder."""
 
     node: int = Field(ge=1, le=127)
@@ -67,7 +67,7 @@ class DriveConfig(Configuration):
     """Refuse to move before the fin was zeroed since the drive's power-up; false only for an absolute encoder."""
 
     @model_validator(mode="after")
-    def _fits(self) -> "DriveConfig":
+    def _fits(self) -> "Epos2Config":
         limits = Limits(self.angle_min_rad, self.angle_max_rad, self.slowest_rad_s, self.fastest_rad_s)
         if problem := limits.problem(one_velocity=True):
             raise ValueError(problem)
@@ -94,7 +94,7 @@ class Units(NamedTuple):
     """Angle of the fin where the drive counts zero [rad]."""
 
     @classmethod
-    def of(cls, config: DriveConfig) -> "Units":
+    def of(cls, config: Epos2Config) -> "Units":
         """Units of a drive."""
         turns_per_rad = config.gear_ratio / (2 * math.pi)
         counts_a_turn = COUNTS_A_LINE * config.encoder_lines

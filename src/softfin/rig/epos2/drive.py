@@ -11,7 +11,7 @@ from softfin.core.clock import REAL, Clock
 from softfin.core.errors import CommandError, DeviceError, RigError, SoftfinError
 from softfin.rig.epos2 import cia402, objects, power, setup
 from softfin.rig.epos2.cia402 import Bit, State
-from softfin.rig.epos2.config import BusConfig, DriveConfig, Units
+from softfin.rig.epos2.config import BusConfig, Epos2Config, Units
 from softfin.rig.epos2.exchange import DriveReading, Exchange, Setpoint
 from softfin.rig.machine import Target
 from softfin.rig.safety import OVERSHOOT_RAD
@@ -34,7 +34,7 @@ class Epos2:
     def __init__(
         self,
         bus: BusConfig,
-        config: DriveConfig,
+        config: Epos2Config,
         clock: Clock = REAL,
         on_fault: Callable[[str], None] | None = None,
     ) -> None:

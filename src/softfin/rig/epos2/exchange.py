@@ -12,7 +12,7 @@ from softfin.core.clock import Clock
 from softfin.core.errors import DeviceError
 from softfin.rig.epos2 import cia402, objects
 from softfin.rig.epos2.cia402 import Bit, State
-from softfin.rig.epos2.config import BusConfig, DriveConfig, Units
+from softfin.rig.epos2.config import BusConfig, Epos2Config, Units
 from softfin.rig.epos2.connection import CanConnection
 from softfin.rig.epos2.status import ALL, DriveStatus
 
@@ -112,7 +112,7 @@ class Exchange:
     """One drive on one bus; `on_fault(line)` is called in the receiver's thread within milliseconds of a fault."""
 
     def __init__(
-        self, bus: BusConfig, config: DriveConfig, clock: Clock, on_fault: Callable[[str], None] | None
+        self, bus: BusConfig, config: Epos2Config, clock: Clock, on_fault: Callable[[str], None] | None
     ) -> None:
         self._config, self._units, self.clock, self._on_fault = config, Units.of(config), clock, on_fault
         self.connection = CanConnection(bus, config.node, self._take, self._report, clock)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from softfin.core.errors import DeviceError
 from softfin.rig.epos2 import cia402
 from softfin.rig.epos2.cia402 import Bit, State
-from softfin.rig.epos2.config import DriveConfig
+from softfin.rig.epos2.config import Epos2Config
 from softfin.rig.epos2.exchange import Exchange
 from softfin.rig.epos2.objects import STATUSWORD
 from softfin.rig.epos2.status import ALL
@@ -42,7 +42,7 @@ def reach_enabled(exchange: Exchange, halts: int) -> None:
     raise DeviceError(f"drive stays {state} and does not enable; look at its supply and its enable input")
 
 
-def home(exchange: Exchange, config: DriveConfig, halts: int) -> None:
+def home(exchange: Exchange, config: Epos2Config, halts: int) -> None:
     """Have a drive that is enabled in homing mode take the present position as home; raises DeviceError."""
     status = exchange.status
     with exchange.lock:
@@ -63,7 +63,7 @@ def home(exchange: Exchange, config: DriveConfig, halts: int) -> None:
     raise DeviceError("drive did not take its position as home; hold the fin still and try again")
 
 
-def rest(exchange: Exchange, config: DriveConfig) -> bool:
+def rest(exchange: Exchange, config: Epos2Config) -> bool:
     """After a quick stop: wait for standstill, take the voltage off; whether the drive confirms that it is off."""
     status = exchange.status
 

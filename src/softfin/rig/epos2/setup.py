@@ -5,7 +5,7 @@ Nothing here moves the motor, and nothing is stored for good: the drive forgets 
 
 from softfin.core.errors import DeviceError, RigError
 from softfin.rig.epos2 import cia402, objects
-from softfin.rig.epos2.config import DriveConfig, Units
+from softfin.rig.epos2.config import Epos2Config, Units
 from softfin.rig.epos2.connection import CanConnection
 from softfin.rig.epos2.objects import Object
 from softfin.rig.epos2.status import fault_line
@@ -23,7 +23,7 @@ def milliseconds(seconds: float) -> int:
     return max(1, round(1000 * seconds))
 
 
-def identify(connection: CanConnection, config: DriveConfig) -> None:
+def identify(connection: CanConnection, config: Epos2Config) -> None:
     """Raise RigError where the node does not answer, naming those that do; or where it is not a drive."""
     try:
         device = connection.read(objects.DEVICE_TYPE)
@@ -64,7 +64,7 @@ def refuse_busy(connection: CanConnection) -> None:
         )
 
 
-def check(connection: CanConnection, config: DriveConfig) -> None:
+def check(connection: CanConnection, config: Epos2Config) -> None:
     """Compare motor, modes and encoder as the drive is set up with the rig's file; raises RigError."""
     motor = connection.read(objects.MOTOR_TYPE)
     if motor not in objects.BRUSHLESS:
@@ -80,7 +80,7 @@ def check(connection: CanConnection, config: DriveConfig) -> None:
         )
 
 
-def configure(connection: CanConnection, config: DriveConfig) -> None:
+def configure(connection: CanConnection, config: Epos2Config) -> None:
     """Write limits, profile, mode, heartbeat and process data; the node must be pre-operational."""
     units = Units.of(config)
     ends = sorted((units.counts(config.angle_min_rad), units.counts(config.angle_max_rad)))
