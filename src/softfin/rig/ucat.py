@@ -1,4 +1,4 @@
-"""Commands in the U-CAT family's flipper messages: a flipper that does not oscillate by itself, and whose zero moves.
+"""Commands in the U-CAT family's flipper messages: a flipper that does not beat, and whose zero direction moves.
 
 Amplitude 0, zero_direction = angle, 20 times a second. The drive takes no velocity, so the zero direction itself goes
 at the command's velocity. The messages differ between robots: their type and fields are configuration. No robot of the
@@ -8,8 +8,6 @@ family has been met.
 import math
 import re
 import time
-from functools import partial
-from operator import setitem
 from typing import Any
 
 import numpy as np
@@ -21,23 +19,23 @@ from softfin.rig.machine import Target
 from softfin.rig.ros2.messages import Messages, type_name
 from softfin.rig.ros2.transport import Transport
 
-PART = re.compile(r"[A-Za-z][A-Za-z0-9_]*|[0-9]{1,3}")
+Part = re.compile(r"[A-Za-z][A-Za-z0-9_]*|[0-9]{1,3}")
 
 EARLY_S = 1e-3
-"""How long before its time a message may go out [s]: ticks come a little early and late."""
+"""A message may go out so much before its time [s]: ticks come a little early and late."""
 
 
 class FlipperConfig(Configuration):
-    """Which message moves the flipper. A field is named by its path: ``zero_direction``, ``flippers.2.amplitude``."""
+    """Which message moves the flipper. A field is named by its way: ``zero_direction``, ``flippers.2.amplitude``."""
 
     type: str
-    """Type of the message: package/msg/Type."""
+    """package/msg/Type of the message."""
     definitions: dict[str, str] = Field(default_factory=dict)
-    """Text of the .msg file of each type that ROS 2 itself does not have, by package/msg/Type."""
+    """package/msg/Type to the text of its .msg file, for each type that ROS 2 itself does not have."""
     zero_direction: str = "zero_direction"
     """Field that takes the angle [rad]."""
     amplitude: str = "amplitude"
-    """Field that takes 0: the flipper does not oscillate by itself."""
+    """Field that takes 0: the flipper does not beat by itself."""
     constants: dict[str, float | bool | str] = Field(default_factory=dict)
     """Other fields that must not be 0 or empty, such as a frequency or the flipper's number."""
     rate_hz: float = Field(default=20.0, gt=0, le=100)
@@ -68,17 +66,17 @@ class FlipperCommands:
         self._setpoint, self._since, self._next = 0.0, 0.0, 0.0
 
     def listeners(self) -> int:
-        """Number of matched readers."""
+        """Matched readers."""
         return self._outlet.listeners()
 
     def send(self, target: Target, angle: float, now: float) -> None:
-        """Move on from where the set-point is; from the measured angle where there is none yet."""
+        """From where the set-point is; from the measured angle where there is none yet."""
         self._setpoint = angle if self._target is None else self._at(now)
         self._target, self._since, self._next = target, now, now
         self.tick(now)
 
     def tick(self, now: float) -> None:
-        """Send the next message, where it is due."""
+        """The next message, where it is due."""
         if self._target is None or now < self._next - EARLY_S:
             return
         # In step with the first one; what a late tick has missed is not made up for.
@@ -87,25 +85,25 @@ class FlipperCommands:
         self._outlet.send(self._encoded(self._at(now)))
 
     def hold(self, angle: float) -> None:
-        """Send one message, then none."""
+        """One message, then silence."""
         self._target = None
         self._outlet.send(self._encoded(angle))
 
     def _at(self, now: float) -> float:
         assert self._target is not None
-        rest = self._target.angle - self._setpoint
-        return self._setpoint + math.copysign(min(abs(rest), self._target.velocity * (now - self._since)), rest)
+        way = self._target.angle - self._setpoint
+        return self._setpoint + math.copysign(min(abs(way), self._target.velocity * (now - self._since)), way)
 
     def _encoded(self, angle: float) -> bytes:
         config, messages = self._config, self._messages
         message = messages.blank(config.type)
         if hasattr(message, "header"):
             message.header = messages.header(time.time_ns(), "")
-        for path, value in (config.constants | {config.amplitude: 0.0, config.zero_direction: angle}).items():
+        for way, value in (config.constants | {config.amplitude: 0.0, config.zero_direction: angle}).items():
             try:
-                put(messages, message, path, value)
+                put(messages, message, way, value)
             except ValueError as error:
-                raise RigError(f"flipper field {path!r} of {config.type}: {error}") from None
+                raise RigError(f"flipper field {way!r} of {config.type}: {error}") from None
         try:
             return messages.encode(message)
         except Exception as error:
@@ -115,33 +113,48 @@ class FlipperCommands:
                            "the names of the fields") from None  # fmt: skip
 
 
-def put(messages: Messages, message: Any, path: str, value: float | bool | str) -> None:
-    """Set the field at the end of a path such as ``flippers.2.amplitude``; sequences grow as far as it goes."""
-    parts = path.split(".")
-    if not all(PART.fullmatch(part) for part in parts):
-        raise ValueError("a path is names and numbers with dots between, as flippers.2.amplitude")
-    kind, detail, node = "NAME", message.__msgtype__, message
-    for part in parts:
-        if kind == "NAME":
-            fields = dict(messages.types.fielddefs[detail][1])
+def put(messages: Messages, message: Any, way: str, value: float | bool | str) -> None:
+    """Set the field at the end of a way such as ``flippers.2.amplitude``; sequences grow as far as it goes."""
+    *parents, leaf = way.split(".")
+    if not all(Part.fullmatch(part) for part in (*parents, leaf)):
+        raise ValueError("a way is names and numbers with dots between, as flippers.2.amplitude")
+    kind, node, descriptor = message.__msgtype__, message, None
+    for part in (*parents, leaf):
+        if kind is not None:
+            fields = dict(messages.types.fielddefs[kind][1])
             if part not in fields:
-                raise ValueError(f"{detail} has no field {part!r}; it has {', '.join(fields)}")
-            assign, descriptor, node = partial(setattr, node, part), fields[part], getattr(node, part)
-        elif kind == "BASE" or not part.isdecimal():
-            raise ValueError(f"{part!r} is not an element of it; a sequence's are numbers from 0 on")
+                raise ValueError(f"{kind} has no field {part!r}; it has {', '.join(fields)}")
+            holder, key, descriptor = node, part, fields[part]
+            node = getattr(node, part)
         else:
-            index, (descriptor, count) = int(part), detail
-            if count and index >= count:
-                raise ValueError(f"it has {count} elements, 0 to {count - 1}; there is no {index}")
-            if index >= len(node):
-                added = [messages.blank_value(descriptor) for _ in range(index + 1 - len(node))]
-                is_array = isinstance(node, np.ndarray)
-                node = np.concatenate([node, np.array(added, node.dtype)]) if is_array else [*node, *added]
-                assign(node)
-            assign, node = partial(setitem, node, index), node[index]
-        kind, detail = descriptor[0].name, descriptor[1]
-    if kind != "BASE":
-        raise ValueError("it is not a number, but has parts of its own; name one of them")
-    if isinstance(value, str) != (detail[0] == "string"):
-        raise ValueError(f"it is of type {detail[0]}, which {value!r} is not")
-    assign(value)
+            holder, key, node, descriptor = _element(messages, node, descriptor, part, (holder, key))
+        kind = descriptor[1] if descriptor[0].name == "NAME" else None
+    if descriptor is None or descriptor[0].name != "BASE":
+        raise ValueError("it is no number, but has parts of its own; name one of them")
+    if isinstance(value, str) != (descriptor[1][0] == "string"):
+        raise ValueError(f"it is of type {descriptor[1][0]}, which {value!r} is not")
+    _set(holder, key, value)
+
+
+def _element(messages: Messages, node: Any, descriptor: Any, part: str, place: tuple[Any, Any]) -> tuple[Any, ...]:
+    """The list or array, the index, the element there and its descriptor."""
+    if descriptor[0].name == "BASE" or not part.isdecimal():
+        raise ValueError(f"{part!r} is no element of it; a sequence's are numbers from 0 on")
+    index, (element, count) = int(part), descriptor[1]
+    fixed = descriptor[0].name == "ARRAY"
+    if count and index >= count:
+        raise ValueError(f"it has {count} elements, 0 to {count - 1}; there is no {index}")
+    if not fixed and index >= len(node):
+        if isinstance(node, np.ndarray):
+            node = np.concatenate([node, np.zeros(index + 1 - len(node), node.dtype)])
+        else:
+            node = [*node, *(messages.blank_value(element) for _ in range(index + 1 - len(node)))]
+        _set(*place, node)
+    return node, index, node[index], element
+
+
+def _set(holder: Any, key: Any, value: Any) -> None:
+    if isinstance(key, str):
+        setattr(holder, key, value)
+    else:
+        holder[key] = value
