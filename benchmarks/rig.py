@@ -25,8 +25,8 @@ from softfin.control.native import NativeController, load_native
 from softfin.core.clock import REAL
 from softfin.core.errors import SafetyStop
 from softfin.rig.config import RigConfig
+from softfin.rig.emulation.fin import SimpleFin
 from softfin.rig.emulation.rig import EmulatedRig
-from softfin.rig.emulation.simple import SimpleFin
 from softfin.rig.epos2 import cia402
 from softfin.rig.loop import hold
 from softfin.rig.machine import Sample, Target
