@@ -5,13 +5,14 @@ serves its objects. What a test wants to go wrong is a method: `fault`, `stall`,
 """
 
 import contextlib
+import threading
 from collections.abc import Callable
 from typing import Any
 
 import can
 import canopen
 
-from softfin.core.clock import REAL, Clock, Thread
+from softfin.core.clock import REAL, Clock
 from softfin.rig.emulation import drive_states
 from softfin.rig.emulation.drive_dictionary import ERRORS_KEPT, dictionary, values
 from softfin.rig.emulation.drive_motion import MODES, Motion
@@ -35,7 +36,7 @@ class EmulatedDrive:
 
     def __init__(self, bus: BusConfig, config: DriveConfig, fin: EmulatedFin, clock: Clock = REAL) -> None:
         self._bus, self._config, self._clock = bus, config, clock
-        self._lock = clock.rlock()
+        self._lock = clock.lock()
         self._network = DriveNetwork(self._take, self._request, lambda: self._nmt_state, clock)
         self.counters = self._network.counters
         node: Any = canopen.LocalNode
@@ -56,7 +57,7 @@ class EmulatedDrive:
         self.state = State.START
         self._errors: list[int] = []
         self._ending = clock.event()
-        self._ticking: Thread | None = None
+        self._ticking: threading.Thread | None = None
         self._power_up()
 
     # -- life ---------------------------------------------------------------------------------------------------------

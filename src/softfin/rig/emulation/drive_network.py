@@ -1,6 +1,7 @@
 """The emulated drive's end of the bus: canopen's network, what a node has to refuse, and a cable that can be cut."""
 
 import contextlib
+import threading
 from collections import Counter
 from collections.abc import Callable
 from typing import Any
@@ -8,7 +9,7 @@ from typing import Any
 import can
 import canopen
 
-from softfin.core.clock import Clock, Thread
+from softfin.core.clock import Clock
 from softfin.rig.epos2 import objects
 
 SDO_LENGTH = 8
@@ -36,7 +37,7 @@ class DriveNetwork(canopen.Network):
         self.counters: Counter[str] = Counter()
         self.silent = False
         self._clock = clock
-        self._receiving: Thread | None = None
+        self._receiving: threading.Thread | None = None
 
     def receive(self, bus: can.BusABC) -> None:
         """From now on, in a thread of the clock."""

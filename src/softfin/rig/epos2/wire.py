@@ -18,7 +18,7 @@ import can
 from canopen import ObjectDictionary, SdoAbortedError, SdoCommunicationError
 from canopen.sdo.client import SdoClient
 
-from softfin.core.clock import REAL, Clock, Thread
+from softfin.core.clock import REAL, Clock
 from softfin.core.errors import DeviceError, RigError
 from softfin.rig.epos2 import objects
 from softfin.rig.epos2.config import BusConfig
@@ -53,9 +53,9 @@ class Wire:
     ) -> None:
         self._config, self._node, self._take, self._trouble, self._clock = config, node, take, trouble, clock
         self._bus: can.BusABC | None = None
-        self._receiving: Thread | None = None
+        self._receiving: threading.Thread | None = None
         # Re-entrant, for a stop in a signal handler that interrupts a send.
-        self._sending, self._asking = clock.rlock(), clock.lock()
+        self._sending, self._asking = clock.lock(), clock.lock()
         self._asks = False
         """Whether an answer is waited for."""
         client: Any = _Client
