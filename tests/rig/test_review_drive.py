@@ -69,7 +69,7 @@ def test_a_stop_that_the_drive_does_not_confirm_is_in_doubt_and_a_complaint(monk
     with enabled() as made:
         assert made.until(lambda: True)
         made.drive.stop()
-        assert made.drive.doubt is None
+        assert made.drive.stop_unconfirmed is None
         made.drive.enable()
         monkeypatch.setattr(
             drive_states,
@@ -77,11 +77,11 @@ def test_a_stop_that_the_drive_does_not_confirm_is_in_doubt_and_a_complaint(monk
             lambda state, word, before: state if word in (0, 2) else obey(state, word, before),
         )
         made.drive.stop()
-        assert "press the emergency stop" in made.drive.doubt
-        assert made.drive.complaints() == (made.drive.doubt,)
+        assert "press the emergency stop" in made.drive.stop_unconfirmed
+        assert made.drive.complaints() == (made.drive.stop_unconfirmed,)
         monkeypatch.undo()
         made.drive.stop()
-        assert made.drive.doubt is None
+        assert made.drive.stop_unconfirmed is None
 
 
 def test_a_stop_over_a_cut_cable_does_not_claim_that_the_motor_is_off():
@@ -121,7 +121,7 @@ def test_a_stop_over_a_bus_that_takes_no_frames_ends_soon(monkeypatch):
         monkeypatch.setattr(bus, "send", send)
         made.drive.stop()
         assert 0 < tried.count(0x200 + NODE) <= 2 * REFUSED + 1
-        assert "press the emergency stop" in made.drive.doubt
+        assert "press the emergency stop" in made.drive.stop_unconfirmed
         monkeypatch.undo()
 
 

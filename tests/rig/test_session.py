@@ -103,7 +103,7 @@ def _late(made):
         (_altered(current=5.0), "current_peak", "5.00 A"),
         (_altered(current=3.0), "current_sustained", " A on average"),
         (_altered(following_error=0.5), "following", "0.500 rad"),
-        (_altered(wrench=(math.nan,) * 6), "reading", "no finite number"),
+        (_altered(wrench=(math.nan,) * 6), "reading", "not a finite number"),
         (_altered(time=100.0), "angle_stale", "no new angle"),
         (_altered(force_time=100.0), "force_stale", "no new force"),
         (_raising(DeviceError("drive does not answer; look at its supply")), "device", "does not answer"),

@@ -61,7 +61,7 @@ def _once(follower: "Follower") -> None:
     follower.poll()
     while (summary := follower.summary()).state == "reading" and summary.problem is None:
         follower.poll()
-    sys.stdout.write(json.dumps(summary.described(), indent=2, allow_nan=False) + "\n")
+    sys.stdout.write(json.dumps(summary.to_dict(), indent=2, allow_nan=False) + "\n")
 
 
 def _is_loopback(host: str) -> bool:

@@ -154,7 +154,7 @@ class Epos2:
             return tuple(line for line in lines if line)
 
     @property
-    def doubt(self) -> str | None:
+    def stop_unconfirmed(self) -> str | None:
         """Why the motor may still be on after a stop; None where the drive said that it is off."""
         return UNCONFIRMED if self._powered else None
 
@@ -203,8 +203,8 @@ class Epos2:
         finally:
             self.stop()
             epos2_setup.set_mode(self._wire, objects.PROFILE_POSITION)
-        if self.doubt:
-            raise DeviceError(self.doubt)
+        if self.stop_unconfirmed:
+            raise DeviceError(self.stop_unconfirmed)
 
     def stop(self) -> None:
         """Quick stop at once, then no voltage; from any thread, any number of times; never raises."""

@@ -70,7 +70,7 @@ class Summary:
     events: tuple[tuple[float, str], ...]
     """Time since the recording's first row [s] and text, the newest last."""
 
-    def described(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """For JSON."""
         return asdict(self)
 

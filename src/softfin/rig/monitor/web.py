@@ -48,7 +48,7 @@ class Feed:
             summary, traces = self._follower.summary(), self._follower.traces
             rows = {role: trace.after(since) for role, trace in traces.items() if role != "event"}
         newest = max((row.serial for found in rows.values() for row in found), default=since)
-        told: dict[str, Any] = summary.described() | {"says": STATES[summary.state], "window_s": WINDOW_S}
+        told: dict[str, Any] = summary.to_dict() | {"says": STATES[summary.state], "window_s": WINDOW_S}
         return json.dumps(
             {
                 "next": newest,
