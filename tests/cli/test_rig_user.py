@@ -107,7 +107,7 @@ def test_lines_that_nobody_reads_any_more_stop_the_fin(controller, monkeypatch):
 
     sample = Sample(0.0, 0.0, 0.0, None, None, 0.0, (0.0,) * 6, ())
     held = ActionResult((1.0, 0.0), Target(0.0, 1.0), [sample] * 100)
-    monkeypatch.setattr(driving, "hold", lambda *_: iter([held]))
+    monkeypatch.setattr(driving, "run_controller", lambda *_: iter([held]))
     monkeypatch.setattr(driving, "say", gone)
     machine = FreeFin()
     session = Session(machine, Guard(SafetyConfig(), machine.limits))
@@ -140,7 +140,7 @@ def test_the_check_of_the_disk_writes_through_no_link_either(tmp_path, monkeypat
     victim.write_text("mine")
     monkeypatch.setattr(check.os, "getpid", lambda: 7)
     (tmp_path / ".softfin-check-7").symlink_to(victim)
-    finding = next(check._disk(tmp_path))
+    finding = check._check_disk(tmp_path, False)
     assert finding.state == "wrong"
     assert victim.read_text() == "mine"
 
