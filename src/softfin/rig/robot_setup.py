@@ -8,7 +8,7 @@ from softfin.core.errors import RigError
 from softfin.core.quantities import Limits
 from softfin.rig.machine import Machine
 from softfin.rig.safety import SafetyConfig
-from softfin.storage.live import LIVE
+from softfin.storage.registry import LIVE
 
 
 @dataclass(frozen=True)
