@@ -1,7 +1,5 @@
 """What a review found in sessions: stops that take their time, machines in doubt, an input that ends."""
 
-import signal
-
 import pytest
 
 from softfin.cli.driving import typed
@@ -13,7 +11,7 @@ from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import Guard, SafetyConfig
 from softfin.rig.session import Session
 from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.stop import StopRequest, stopped_by_signals
+from softfin.rig.stop import StopRequest
 from tests.rig.machines import FreeFin, Notes
 from tests.rig.rigs import simulated
 
@@ -87,13 +85,6 @@ def test_a_machine_that_never_knows_better_may_rest():
         session.activate()
         session.deactivate()
         assert session.state == "inactive"
-
-
-def test_a_program_that_is_put_to_sleep_stops_its_fin_instead():
-    request = StopRequest()
-    with stopped_by_signals(request):
-        signal.raise_signal(signal.SIGTSTP)
-    assert request.trip.reason == "stopped by SIGTSTP"
 
 
 def test_an_input_that_ends_stops_the_fin():

@@ -111,6 +111,6 @@ def _follow(
             except OSError as error:
                 # The terminal was closed, or what the lines are piped into has ended: nobody stands by any more.
                 session.stop_request.ask("emergency_stop", f"nobody reads its lines any more ({error.strerror})")
-    made = mean_force([sample for each in window for sample in each.samples])
-    errors = [abs(force - asked) for force, asked in zip(made, window[-1].reference, strict=True)]
+    force = mean_force([sample for each in window for sample in each.samples])
+    errors = [abs(mean - asked) for mean, asked in zip(force, window[-1].reference, strict=True)]
     return {"seconds": ticks / RATE_HZ, "error_x_n": round(errors[0], 4), "error_y_n": round(errors[1], 4)}

@@ -114,9 +114,9 @@ def _check_loop(rig: Rig, seconds: float, simulated: bool) -> Iterator[CheckResu
         yield CheckResult("100 Hz loop", "note", "in simulated time nothing is late; softfin rig emulate --real-time "
                           "shows what this computer can do")  # fmt: skip
     else:
-        steady = late["late_p99_ms"] <= LATE_MS and not late["skipped_ticks"]
-        advice = "" if steady else "; end other programs, or use a quieter computer"
-        yield CheckResult("100 Hz loop", "well" if steady else "wrong", f"99% of ticks within {late['late_p99_ms']:g} "
+        in_time = late["late_p99_ms"] <= LATE_MS and not late["skipped_ticks"]
+        advice = "" if in_time else "; end other programs, or use a quieter computer"
+        yield CheckResult("100 Hz loop", "well" if in_time else "wrong", f"99% of ticks within {late['late_p99_ms']:g} "
                           f"ms, worst {late['late_max_ms']:g} ms, {load:.0%} of one core{advice}")  # fmt: skip
     lost = counted["sensor_lost"]
     text = complaints[0] if complaints else f"{lost} of {counted['sensor_records']} force records lost"

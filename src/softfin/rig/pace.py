@@ -33,10 +33,10 @@ class Pace:
         while (left := due - self.clock()) > 0:
             self.clock.sleep(left)
         late = self.clock() - due
-        missed = int(late / self.period)
-        self._next = due + (1 + missed) * self.period
+        skipped = int(late / self.period)
+        self._next = due + (1 + skipped) * self.period
         self.ticks += 1
-        self.skipped += missed
+        self.skipped += skipped
         self._late[min(BINS - 1, int(late / BIN_S))] += 1
         self._latest = max(self._latest, late)
         return late

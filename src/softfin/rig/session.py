@@ -90,7 +90,7 @@ class Session:
             raise SafetyStop(f"{reason}; BUT {unconfirmed}") from error
 
     def stop_on_signals(self) -> None:
-        """From now on Ctrl-C and its kin ask for a stop, until the machine is closed."""
+        """Have Ctrl-C and its kin ask for a stop, until the machine is closed."""
         self._until_closed.enter_context(stopped_by_signals(self.stop_request))
 
     @contextmanager

@@ -14,8 +14,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from softfin.control.native import NativeController, load_native, trimmed
-from softfin.control.trim import TrimConfig
+from softfin.control.native import load_native, trimmed
 from softfin.core.errors import ArtifactError, DeviceError
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading
 from softfin.core.randomness import key_of
@@ -69,9 +68,9 @@ def collect_live(
     """
     artifacts.check_vacant(out, overwrite or resume)
     bags, rig = bags_of(out), robot.configuration
-    facts: dict[str, Any] = {"configuration": config.model_dump(mode="json"), "fin": robot.fin, "rig": rig}
+    metadata: dict[str, Any] = {"configuration": config.model_dump(mode="json"), "fin": robot.fin, "rig": rig}
     # Where the devices are reached may change from one day to the next.
-    claim = facts | {"rig": {name: part for name, part in rig.items() if name not in ("bus", "sensor")}}
+    claim = metadata | {"rig": {name: part for name, part in rig.items() if name not in ("bus", "sensor")}}
     _check_claim(bags, claim, resume)
     if resume and not overwrite and artifacts.is_kind(out, "dataset"):
         # The recordings beside it are those of this collection, and it is written when they are complete.
@@ -90,18 +89,18 @@ def collect_live(
                 with session.recording(bags / f"{name}.mcap"):
                     log = _record(session, robot, _commands(config, name, robot.machine.limits), report)
                 write_log(bags / f"{name}.parquet", log)
-            facts["counters"] = robot.machine.counters() | {"skipped_ticks": session.pace.skipped}
-            facts["clock"] = session.pace.to_dict()
-    metadata = {
+            metadata["counters"] = robot.machine.counters() | {"skipped_ticks": session.pace.skipped}
+            metadata["clock"] = session.pace.to_dict()
+    description = {
         "plant": robot.machine.name,
         "plant_identity": robot.machine.name,
         "commands": {"excitation": "random"},
         "bags": bags.name,
         "provenance": artifacts.provenance(seed=config.seed),
-        **facts,
+        **metadata,
     }
     train, test = ([bags / f"{name}.parquet" for name in names if name.startswith(part)] for part in PARTS)
-    return write_dataset(out, map(read_log, train), map(read_log, test), metadata, overwrite)
+    return write_dataset(out, map(read_log, train), map(read_log, test), description, overwrite)
 
 
 def evaluate_live(
@@ -117,14 +116,16 @@ def evaluate_live(
 ) -> dict[str, Any]:
     """Evaluate a controller on a real fin (paper Sec. IV-B, Table II), as `softfin.evaluate` does on a plant."""
     artifacts.check_vacant(out, overwrite)
-    native = load_controller_for(controller, robot, config.trim)
-    guard = Guard(robot.safety, robot.machine.limits, native.training_range)
+    loaded = load_native(controller)
+    robot.check_fits(str(controller), loaded.limits, loaded.fin)
+    acting: RealTimeController = loaded if config.trim is None else trimmed(loaded, config.trim)
+    guard = Guard(robot.safety, robot.machine.limits, loaded.training_range)
     bag = bags_of(out) / f"session-{datetime.now().astimezone():%Y%m%d-%H%M%S}.mcap"
     with Session(robot.machine, guard, stop=stop) as session:
         confirm(robot)
         session.stop_on_signals()
         with session.recording(bag):
-            fin = LiveFin(session, native, robot, progress)
+            fin = LiveFin(session, acting, robot, progress)
             return stages.evaluate(controller, fin, out, config, overwrite=overwrite)
 
 
@@ -179,13 +180,6 @@ class LiveFin:
         command = Command(*np.array(ticks, np.float32).T)
         reading = Reading(*(field[1:] for field in log.reading))
         return command, reading._replace(time=(reading.time - reading.time[0] + 1 / RATE_HZ).astype(np.float32))
-
-
-def load_controller_for(controller: Path, robot: RobotSetup, trim: TrimConfig | None = None) -> NativeController:
-    """Load a controller to act on this machine; raises RigError where it is for another fin."""
-    native = load_native(controller)
-    robot.check_fits(str(controller), native.limits, native.fin)
-    return native if trim is None else trimmed(native, trim)
 
 
 def longest_gap(robot: RobotSetup) -> float:

@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
+import numpy as np
+
 from softfin.core.action_clock import WINDOW
 from softfin.core.quantities import TICK_S
 from softfin.rig.monitor.trace import Trace
@@ -130,25 +132,22 @@ def _pair(values: list[float | None]) -> tuple[float, float] | None:
     return None if x is None or y is None else (x, y)
 
 
-def _last_seconds(trace: Trace) -> list[tuple[float, list[float | None]]]:
-    """Return the rows within the window of the mean."""
-    if trace.newest is None:
-        return []
-    since = trace.newest.time - WINDOW_S + TICK_S / 2
-    return [(row.time, [finite(value) for value in row.values]) for row in trace.rows if row.time >= since]
+def _last_seconds(trace: Trace) -> np.ndarray:
+    """Return time and values of the rows within the window of the mean."""
+    rows = trace.array()
+    return rows[rows[:, 0] >= rows[-1, 0] - WINDOW_S + TICK_S / 2] if len(rows) else rows
 
 
 def _rate(trace: Trace) -> float | None:
-    times = [time for time, _ in _last_seconds(trace)]
-    return None if len(times) < 2 or times[-1] <= times[0] else (len(times) - 1) / (times[-1] - times[0])
+    times = _last_seconds(trace)[:, 0]
+    return None if len(times) < 2 or times[-1] <= times[0] else float((len(times) - 1) / (times[-1] - times[0]))
 
 
 def _mean_force(trace: Trace) -> tuple[float, float] | None:
     """Return None before there are 2 s, and where a force in them is not a number."""
     rows = _last_seconds(trace)
-    if not rows or trace.rows[0].time > rows[-1][0] - WINDOW_S + 1.5 * TICK_S:
+    is_whole = len(rows) > 0 and trace.rows[0].time <= rows[-1, 0] - WINDOW_S + 1.5 * TICK_S
+    if not is_whole or not (np.abs(rows[:, 1:]) < LARGEST).all():
         return None
-    forces = [force for _, values in rows if (force := _pair(values)) is not None]
-    if len(forces) < len(rows):
-        return None
-    return sum(x for x, _ in forces) / len(forces), sum(y for _, y in forces) / len(forces)
+    x, y = rows[:, 1:].mean(axis=0).tolist()
+    return x, y

@@ -1,4 +1,4 @@
-"""A recording on the terminal: a screen of 80 columns and 24 lines, or lines where the output is no terminal."""
+"""A recording on the terminal: a screen of 80 columns and 24 lines, or lines where the output is piped."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -18,7 +18,7 @@ from softfin.rig.monitor.trace import Trace
 REFRESH_S = 0.25
 
 LINE_S = 5.0
-"""Time between two lines where the output is no terminal [s]."""
+"""Time between two lines where the output is piped [s]."""
 
 SHOWN_S = 20.0
 """Time that the traces span [s]."""
@@ -62,14 +62,14 @@ def _watch_lines(
     def say(text: str) -> None:
         console.print(printable(text), markup=False, highlight=False, soft_wrap=True)
 
-    due, said, before = clock(), 0, ""
+    due, last_serial, before = clock(), 0, ""
     while True:
         follower.poll()
         summary = follower.summary()
         is_over = _is_over(follower, summary)
-        for event in follower.traces["event"].after(said):
+        for event in follower.traces["event"].after(last_serial):
             say(f"{event.time:9.2f} s  {event.values[0]}")
-            said = event.serial
+            last_serial = event.serial
         if is_over or clock() >= due:
             # Of a recording that has ended nothing changes any more.
             if (now := _describe(summary)) != before:
@@ -143,15 +143,15 @@ def _table(summary: Summary, traces: Mapping[str, Trace], levels: str) -> Table:
     ]
     for name, now, average, wanted, trace, column in rows:
         values = trace.array()
-        drawn = sparkline(values[:, 0], values[:, column], levels)
-        table.add_row(Text(name), _number(now), _number(average), _number(wanted), *drawn)
+        line = sparkline(values[:, 0], values[:, column], levels)
+        table.add_row(Text(name), _number(now), _number(average), _number(wanted), *line)
     return table
 
 
 def sparkline(
     times: Float64[np.ndarray, " rows"], values: Float64[np.ndarray, " rows"], levels: str
 ) -> tuple[str, str, str]:
-    """Return least value, means over equal times as one letter each, most; a space where there is no row."""
+    """Return least value, means over equal times as one letter each, most; a space where rows are missing."""
     shown = (np.abs(values) < LARGEST) & (times > (times.max(initial=0.0) - SHOWN_S))
     times, values = times[shown], values[shown]
     if not len(times):

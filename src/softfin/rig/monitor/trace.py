@@ -14,9 +14,6 @@ from softfin.storage.bag.messages import COMMAND, CURRENT, EVENTS, JOINT, REFERE
 MOST_ROWS = 30_000
 """Rows of one topic that are held, whatever their times say: 30 s of a sensor that streams at 1 kHz."""
 
-MOST_BYTES = 65_536
-"""Largest message that is decoded; softfin's have 100 to 300 bytes."""
-
 MOST_CHARACTERS = 300
 """Characters of an event's text that are shown."""
 
@@ -57,7 +54,7 @@ ROLES = {
 
 def decode_message(role: str, type_name: str, data: bytes) -> Values | None:
     """Return the values of a message; None where it cannot be decoded as its type."""
-    if len(data) > MOST_BYTES or type_name not in ROLES[role].types:
+    if type_name not in ROLES[role].types:
         return None
     try:
         return _DECODE[type_name](type_store().deserialize_cdr(data, type_name))
