@@ -1,7 +1,7 @@
 """A recording on the terminal: a screen of 80 columns and 24 lines, or lines where the output is piped."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 from jaxtyping import Float64
@@ -39,34 +39,17 @@ def watch(
 ) -> None:
     """Show a recording until it ends, or for ever where a newer one may come."""
     if console.is_terminal:
-        _watch_screen(follower, console, sleep)
-    else:
-        _watch_lines(follower, console, clock, sleep)
+        with Live(console=console, auto_refresh=False, vertical_overflow="crop") as live:
+            for summary, _ in _looks(follower, sleep):
+                screen = render(summary, follower.traces, ascii_only=console.options.ascii_only)
+                live.update(screen, refresh=True)
+        return
 
-
-def _watch_screen(follower: Follower, console: Console, sleep: Callable[[float], None]) -> None:
-    ascii_only = console.options.ascii_only
-    with Live(console=console, auto_refresh=False, vertical_overflow="crop") as live:
-        while True:
-            follower.poll()
-            summary = follower.summary()
-            live.update(render(summary, follower.traces, ascii_only=ascii_only), refresh=True)
-            if _is_over(follower, summary):
-                return
-            sleep(REFRESH_S)
-
-
-def _watch_lines(
-    follower: Follower, console: Console, clock: Callable[[], float], sleep: Callable[[float], None]
-) -> None:
     def say(text: str) -> None:
         console.print(printable(text), markup=False, highlight=False, soft_wrap=True)
 
     due, last_serial, before = clock(), 0, ""
-    while True:
-        follower.poll()
-        summary = follower.summary()
-        is_over = _is_over(follower, summary)
+    for summary, is_over in _looks(follower, sleep):
         for event in follower.traces["event"].after(last_serial):
             say(f"{event.time:9.2f} s  {event.values[0]}")
             last_serial = event.serial
@@ -75,13 +58,18 @@ def _watch_lines(
             if (now := _describe(summary)) != before:
                 say(now)
             due, before = clock() + LINE_S, now
-        if is_over:
-            return
-        sleep(REFRESH_S)
 
 
-def _is_over(follower: Follower, summary: Summary) -> bool:
-    return summary.state in ("ended", "damaged") and not follower.follows_folder
+def _looks(follower: Follower, sleep: Callable[[float], None]) -> Iterator[tuple[Summary, bool]]:
+    """Yield a summary after each look, and whether it is the last one."""
+    is_over = False
+    while not is_over:
+        follower.poll()
+        summary = follower.summary()
+        is_over = summary.state in ("ended", "damaged") and not follower.follows_folder
+        yield summary, is_over
+        if not is_over:
+            sleep(REFRESH_S)
 
 
 def _describe(summary: Summary) -> str:
