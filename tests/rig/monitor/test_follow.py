@@ -80,19 +80,6 @@ def test_cut_at_every_byte_only_whole_records_count_and_the_rest_is_read_when_it
         assert (followed.summary().rows, followed.summary().state) == (2, "ended")
 
 
-def test_written_byte_by_byte_nothing_is_read_twice_or_lost(bag):
-    whole = Recording().chunk(2).finish().bytes
-    bag.touch()
-    followed = follower(bag)
-    serials = []
-    with bag.open("ab", buffering=0) as file:
-        for k in range(0, len(whole), 7):
-            file.write(whole[k : k + 7])
-            followed.poll()
-            serials += [row.serial for row in followed.traces["joint"].after(serials[-1] if serials else 0)]
-    assert followed.summary().rows == len(serials) == 2
-
-
 def test_missing_rows_are_counted(bag):
     bag.write_bytes(Recording().chunk(10).skip(30).chunk(10).bytes)
     summary = follower(bag).summary()
