@@ -25,9 +25,8 @@ from softfin.core.errors import SafetyStop
 from softfin.rig.emulation.fin import SimpleFin
 from softfin.rig.emulation.rig import EmulatedRig
 from softfin.rig.epos2.cia402 import State
-from softfin.rig.loop import hold
+from softfin.rig.loop import run_controller
 from softfin.rig.machine import Target
-from softfin.rig.recording import recording
 from softfin.rig.rig import Rig
 from softfin.rig.safety import Guard
 from softfin.rig.session import Session
@@ -166,10 +165,10 @@ def stopped(at: Scene, inject: Inject, words: str, numbers: random.Random) -> No
 
     def run() -> None:
         try:
-            with at.session as session, recording(session, at.bag):
+            with at.session as session, session.recording(at.bag):
                 session.observers = [at_a_moment(lambda: inject(at), numbers)]
                 session.activate()
-                list(hold(session, Wagging(), lambda _: (0.0, 0.0)))
+                list(run_controller(session, Wagging(), lambda _: (0.0, 0.0)))
             ended.append(None)
         except BaseException as error:
             ended.append(error)
@@ -200,12 +199,12 @@ def still(at: Scene) -> None:
 
 
 def went_on(at: Scene, disturbances: list[tuple[Inject, tuple[str, ...]]], numbers: random.Random) -> None:
-    with at.session as session, recording(session, at.bag):
+    with at.session as session, session.recording(at.bag):
         session.activate()
         for inject, counters in disturbances:
             session.observers = [at_a_moment(lambda inject=inject: inject(at), numbers)]
             before = session.machine.counters()
-            list(hold(session, Wagging(), lambda _: (0.0, 0.0), actions=2))
+            list(run_controller(session, Wagging(), lambda _: (0.0, 0.0), actions=2))
             after = session.machine.counters()
             for name in counters:
                 assert after[name] > before[name], (name, after)

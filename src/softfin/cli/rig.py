@@ -87,16 +87,15 @@ class Arguments(Armed, Common):
         sys.stderr.write(f"{'no fault to reset' if fault is None else f'reset: {printable(fault)}'}\n")
 
     def _zero(self) -> None:
-        from softfin.rig.bench import Bench
         from softfin.rig.config import load_rig
-        from softfin.rig.rig import Rig
-        from softfin.rig.zero import zero_angle, zero_force
+        from softfin.rig.rig import Rig, zero_angle, zero_force
+        from softfin.rig.robot_setup import RobotSetup
 
         config = load_rig(self.rig)
         both = self.angle == self.force
         result: dict[str, Any] = {}
         if both or self.angle:
-            self.confirm(Bench(Rig(config), config.safety), ZEROING)
+            self.confirm(RobotSetup(Rig(config), config.safety), ZEROING)
             result |= zero_angle(config)
         if both or self.force:
             result |= zero_force(config)

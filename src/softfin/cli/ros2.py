@@ -37,10 +37,10 @@ class Arguments(Driving, Configured):
         options = {"transport": self.transport, "domain": self.domain, "network": self.network}
         given = {name: value for name, value in options.items() if value is not None}
         topics = self.configured(NodeConfig(), connection=given or None)
-        controller, bench = parties(self)
-        check_real_time(bench)
-        if isinstance(bench.machine, Ros2Machine):
-            check_apart(topics, bench.machine.config)
+        controller, robot = parties(self)
+        check_real_time(robot)
+        if isinstance(robot.machine, Ros2Machine):
+            check_apart(topics, robot.machine.config)
         otherwise, warning = controller.admit(self.reference, self.strict)
         transport = open_transport(topics.connection, Messages())
         try:
@@ -57,7 +57,7 @@ class Arguments(Driving, Configured):
 
             request = StopRequest()
             result = drive(
-                self, controller, bench, references, self.seconds,
+                self, controller, robot, references, self.seconds,
                 stop=request, observers=(bridge.observer(request),),
                 line=lambda _: say("references come by their topic; Enter alone stops the fin"),
             )  # fmt: skip

@@ -14,8 +14,7 @@ from softfin.rig.emulation.plugged import plugged, state_file, unplug
 from softfin.rig.emulation.rig import write_simulated
 from softfin.rig.emulation.tank import _tick
 from softfin.rig.machine import Target
-from softfin.rig.rig import Rig
-from softfin.rig.zero import zero_angle, zero_force
+from softfin.rig.rig import Rig, zero_angle, zero_force
 from softfin.tank import Tank
 
 

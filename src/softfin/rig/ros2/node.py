@@ -15,7 +15,7 @@ from softfin.core.configuration import Configuration
 from softfin.core.errors import DeviceError, RigError, SoftfinError
 from softfin.rig.loop import Force, References
 from softfin.rig.machine import Sample, Target
-from softfin.rig.references import Admit
+from softfin.rig.references import ResolveReference
 from softfin.rig.ros2.intake import Intake
 from softfin.rig.ros2.messages import BOOL, JOINT, VECTOR, WRENCH, Messages, TopicName, reference_of
 from softfin.rig.ros2.plant import Ros2PlantConfig
@@ -90,7 +90,7 @@ class RosBridge:
 
     def __init__(
         self, transport: Transport, topics: NodeConfig | None = None, clock: Callable[[], float] = time.monotonic,
-        admit: Admit = lambda force: (force, None),
+        admit: ResolveReference = lambda force: (force, None),
     ) -> None:  # fmt: skip
         self.config, self._clock, self._transport = topics or NodeConfig(), clock, transport
         self._admit, self._admitted = admit, ((math.nan, math.nan), (math.nan, math.nan))

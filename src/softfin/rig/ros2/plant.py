@@ -129,7 +129,7 @@ class Ros2Machine:
         return () if self._transport is None else self._transport.notes
 
     @property
-    def doubt(self) -> str | None:
+    def stop_unconfirmed(self) -> str | None:
         """Whatever was sent: whether the motor is off lies with its driver."""
         return "whether the motor is off lies with its driver; keep a switch of its supply at hand"
 

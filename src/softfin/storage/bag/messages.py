@@ -4,10 +4,12 @@ Times are nanoseconds since 1970. Names of types are full, as ``sensor_msgs/msg/
 """
 
 import struct
+from functools import cache
 from typing import Any, NamedTuple
 
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
 
 from softfin.storage.bag.topics import DEFAULT_TOPICS
 
@@ -56,6 +58,12 @@ _JOINT = struct.Struct(f"<{_HEADER}II4sIdI4xdI")
 _NAME = FRAME.encode() + b"\0"
 
 
+@cache
+def type_store() -> Typestore:
+    """ROS 2's own definitions of messages, which serialise and deserialise CDR."""
+    return get_typestore(Stores.ROS2_HUMBLE)
+
+
 def cdr(row: Row) -> bytes:
     """The bytes of a message, in OMG's CDR as ROS 2 uses it.
 
@@ -76,7 +84,7 @@ def cdr(row: Row) -> bytes:
 
 def definitions() -> dict[str, bytes]:
     """Of each type and of all that it is made of, as ROS 2's .msg files are joined."""
-    store = get_typestore(Stores.ROS2_HUMBLE)
+    store = type_store()
     return {kind: store.generate_msgdef(kind, ros_version=2)[0].encode() for kind in dict.fromkeys(TYPES.values())}
 
 

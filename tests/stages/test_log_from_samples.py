@@ -4,8 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from softfin.core.errors import DeviceError
-from softfin.rig.logged import log_of
 from softfin.rig.machine import Sample, Target
+from softfin.stages.live import log_from_samples
 
 ROWS = 100
 
@@ -35,7 +35,7 @@ def issued(*commands):
 def test_both_devices_come_out_on_one_grid_whatever_jitter_and_filter(seed, delay):
     jitter = np.random.default_rng(seed).uniform(0, 0.004, ROWS + 20)
     jitter[0] = 0
-    log = log_of(samples(jitter, delay), issued((49.995, 0.3)), ROWS)
+    log = log_from_samples(samples(jitter, delay), issued((49.995, 0.3)), ROWS)
     grid = 50 + 0.01 * np.arange(ROWS)
     np.testing.assert_allclose(log.reading.angle, angle(grid), atol=5e-4)
     after = round(delay * 100) + 2
@@ -45,7 +45,7 @@ def test_both_devices_come_out_on_one_grid_whatever_jitter_and_filter(seed, dela
 
 
 def test_each_row_has_the_command_in_force():
-    log = log_of(samples(), issued((49.995, 0.3), (50.495, -0.4)), ROWS)
+    log = log_from_samples(samples(), issued((49.995, 0.3), (50.495, -0.4)), ROWS)
     np.testing.assert_array_equal(log.command.angle[:50], np.float32(0.3))
     np.testing.assert_array_equal(log.command.angle[50:], np.float32(-0.4))
     assert set(log.command.velocity.tolist()) == {1.5}
@@ -53,8 +53,8 @@ def test_each_row_has_the_command_in_force():
 
 def test_a_reading_that_comes_twice_counts_once():
     twice = [one for sample in samples() for one in (sample, sample)]
-    once = log_of(samples(), issued((49.9, 0.3)), ROWS)
-    np.testing.assert_array_equal(log_of(twice, issued((49.9, 0.3)), ROWS).reading.force, once.reading.force)
+    once = log_from_samples(samples(), issued((49.9, 0.3)), ROWS)
+    np.testing.assert_array_equal(log_from_samples(twice, issued((49.9, 0.3)), ROWS).reading.force, once.reading.force)
 
 
 @pytest.mark.parametrize(
@@ -69,9 +69,9 @@ def test_a_reading_that_comes_twice_counts_once():
 )
 def test_a_gap_is_an_error_and_not_bridged(fault, words):
     with pytest.raises(DeviceError, match=words):
-        log_of(fault(samples()), issued((49.9, 0.3)), ROWS)
+        log_from_samples(fault(samples()), issued((49.9, 0.3)), ROWS)
 
 
 def test_a_wider_gap_may_be_allowed():
     with_gap = samples()[:40] + samples()[48:]
-    assert log_of(with_gap, issued((49.9, 0.3)), ROWS, gap_s=0.2).reading.angle.shape == (ROWS,)
+    assert log_from_samples(with_gap, issued((49.9, 0.3)), ROWS, gap_s=0.2).reading.angle.shape == (ROWS,)

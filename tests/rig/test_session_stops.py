@@ -1,19 +1,17 @@
 """What a review found in sessions: stops that take their time, machines in doubt, an input that ends."""
 
-import signal
-
 import pytest
 
 from softfin.cli.driving import typed
 from softfin.cli.live import Armed
 from softfin.core.errors import ConfigurationError, DeviceError, SafetyStop
-from softfin.rig.bench import Bench
 from softfin.rig.machine import Machine, Sample, Target
 from softfin.rig.rig import Rig
+from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import Guard, SafetyConfig
 from softfin.rig.session import Session
 from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.stop import StopRequest, stopped_by_signals
+from softfin.rig.stop import StopRequest
 from tests.rig.machines import FreeFin, Notes
 from tests.rig.rigs import simulated
 
@@ -35,7 +33,7 @@ class Unsure(FreeFin):
 
     def stop(self) -> None:
         if self.enabled:
-            self.doubt = "the motor may be on; pull the plug"
+            self.stop_unconfirmed = "the motor may be on; pull the plug"
         super().stop()
 
 
@@ -82,18 +80,11 @@ def test_a_rest_that_was_not_confirmed_ends_the_session():
 
 def test_a_machine_that_never_knows_better_may_rest():
     machine = FreeFin(SimulatedClock())
-    machine.doubt = "its driver alone knows"
+    machine.stop_unconfirmed = "its driver alone knows"
     with Session(machine, Guard(CALM, machine.limits)) as session:
         session.activate()
         session.deactivate()
         assert session.state == "inactive"
-
-
-def test_a_program_that_is_put_to_sleep_stops_its_fin_instead():
-    request = StopRequest()
-    with stopped_by_signals(request):
-        signal.raise_signal(signal.SIGTSTP)
-    assert request.trip.reason == "stopped by SIGTSTP"
 
 
 def test_an_input_that_ends_stops_the_fin():
@@ -109,15 +100,15 @@ def test_a_program_without_an_input_is_told_to_say_yes(monkeypatch):
     machine = FreeFin(SimulatedClock())
     monkeypatch.setattr("sys.stdin", None)
     with pytest.raises(ConfigurationError, match="in a script add --yes"):
-        Armed(arm=True).confirm(Bench(machine, CALM))
-    Armed(arm=True, yes=True).confirm(Bench(machine, CALM))
+        Armed(arm=True).confirm(RobotSetup(machine, CALM))
+    Armed(arm=True, yes=True).confirm(RobotSetup(machine, CALM))
 
 
 def test_notes_are_told_before_anything_moves(capsys):
     machine = FreeFin(SimulatedClock())
     machine.notes = ("its forces are simulated",)
     with pytest.raises(ConfigurationError, match="nothing moves without --arm"):
-        Armed().confirm(Bench(machine, CALM))
+        Armed().confirm(RobotSetup(machine, CALM))
     assert capsys.readouterr().err == "note: its forces are simulated\n"
 
 
@@ -141,7 +132,7 @@ def test_a_rig_tells_the_notes_of_its_sensor():
         rig = Rig(behind.config(), behind.clock)
         assert isinstance(rig, Machine)
         assert rig.notes == ()
-        assert rig.doubt is None
+        assert rig.stop_unconfirmed is None
         behind.sensor.status(1 << 28)
         try:
             rig.open()
