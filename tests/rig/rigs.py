@@ -10,7 +10,7 @@ import yaml
 
 from softfin.core.clock import REAL
 from softfin.rig.bench import Bench
-from softfin.rig.emulation.plugged import Plugged, plug, unplug
+from softfin.rig.emulation.kept_rig import KeptRig, close_rigs, register_rig
 from softfin.rig.emulation.rig import EmulatedRig
 from softfin.rig.emulation.simple import SimpleFin
 from softfin.rig.rig import Rig
@@ -55,11 +55,11 @@ def bench_of(behind: EmulatedRig, **values: Any) -> Bench:
 def filed(behind: EmulatedRig, path: Path, **safety: Any) -> Iterator[Path]:
     """Its file, for the command line in this process."""
     path.write_text(yaml.safe_dump(values_of(behind, **safety) | {"emulation": {}}))
-    plug(path, Plugged(behind.clock, keep=lambda: None, close=lambda: None))
+    register_rig(path, KeptRig(behind.clock, save=lambda: None, close=lambda: None))
     try:
         yield path
     finally:
-        unplug()
+        close_rigs()
 
 
 @contextmanager

@@ -3,7 +3,8 @@ import pytest
 
 from softfin.core.errors import ConfigurationError
 from softfin.data.importing.importing import FORCE_FRAMES
-from softfin.rig.axia80.config import SensorConfig, rotation
+from softfin.rig.axia80.config import SensorConfig
+from softfin.rig.frame import rotation
 
 
 @pytest.mark.parametrize("frame", FORCE_FRAMES)

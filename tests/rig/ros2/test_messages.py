@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from softfin.core.errors import RigError
 from softfin.data.importing.importing import FORCE_FRAMES
-from softfin.rig.axia80.config import rotation
+from softfin.rig.frame import rotation
 from softfin.rig.ros2.messages import (
     BOOL,
     JOINT,

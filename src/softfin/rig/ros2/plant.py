@@ -16,7 +16,7 @@ from softfin.core.configuration import Configuration
 from softfin.core.errors import CommandError, DeviceError
 from softfin.core.quantities import Limits
 from softfin.data.importing.importing import FORCE_FRAMES
-from softfin.rig.axia80.config import rotation
+from softfin.rig.frame import rotation
 from softfin.rig.machine import Sample, Target, Wrench
 from softfin.rig.ros2.commands import Commands, JointCommands
 from softfin.rig.ros2.intake import Intake, Told

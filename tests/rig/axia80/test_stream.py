@@ -1,10 +1,11 @@
 import os
 import random
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from softfin.rig.axia80.sequence import Arrival, SequenceCounter
+from softfin.rig.axia80.stream import Arrival, SequenceCounter, StreamClock
 
 CASES = 100_000 if os.environ.get("SOFTFIN_LONG") == "1" else 5_000
 
@@ -111,4 +112,47 @@ def test_any_numbers_are_counted_and_none_stops_the_count():
     for _ in range(CASES):
         arrival, _ = counter.take(draw.choice((*edges, draw.randrange(2**32))), draw.choice((*edges, 7)))
         assert isinstance(arrival, Arrival)
-    assert len(counter._seen) <= 1024
+    assert len(counter._recent) <= 1024
+
+
+def streamed(clock, rate_hz, seconds, late=lambda tick: 0.0, began=100.0):
+    for tick in range(round(seconds * 100)):
+        place = round(tick * rate_hz / 100)
+        clock.stamp(place, began + place / rate_hz + late(tick))
+    return place
+
+
+def test_the_rate_of_the_stream_is_measured():
+    clock = StreamClock(1000.0)
+    streamed(clock, 976.0, 1)
+    assert clock.rate_hz == pytest.approx(976)
+    assert clock.measured_s == pytest.approx(0.99, abs=0.01)
+
+
+def test_a_packet_that_was_held_up_moves_no_time():
+    clock = StreamClock(1000.0)
+    newest = streamed(clock, 1000.0, 1, late=lambda tick: 0.02 if tick > 95 else 0.0)
+    assert clock.time_of(newest) == pytest.approx(100 + newest / 1000, abs=1e-3)
+
+
+def test_a_stream_that_stays_late_is_followed():
+    clock = StreamClock(1000.0)
+    newest = streamed(clock, 1000.0, 5, late=lambda tick: 0.02 if tick > 300 else 0.0)
+    assert clock.time_of(newest) == pytest.approx(100.02 + newest / 1000, abs=1e-3)
+
+
+def test_a_pause_is_not_bridged():
+    clock = StreamClock(1000.0)
+    newest = streamed(clock, 1000.0, 1)
+    clock.stamp(newest + 1, 105.0)
+    assert clock.time_of(newest + 1) == 105.0
+
+
+def test_another_stream_keeps_the_rate_of_the_first():
+    clock = StreamClock(1000.0)
+    streamed(clock, 976.0, 1)
+    clock.begin()
+    assert clock.measured_s == 0
+    clock.stamp(5, 200.0)
+    assert clock.time_of(5) == 200.0
+    assert clock.rate_hz == pytest.approx(976)
