@@ -23,11 +23,18 @@ class MemoryTransport:
         self.failing = False
 
     def publish(self, topic, kind):
-        return MemoryOutlet(self, topic, kind)
+        return MemoryPublisher(self, topic, kind)
 
     def subscribe(self, topic, kind, best_effort=False):
         self.asked[topic] = (kind, best_effort)
-        return MemoryInlet(self, topic)
+
+        def take():
+            if self.failing:
+                raise DeviceError("the transport has stopped")
+            taken, self.waiting[topic] = self.waiting[topic], []
+            return taken
+
+        return take
 
     def topics(self):
         return {"/somebody": "std_msgs/msg/Bool"}
@@ -40,7 +47,7 @@ class MemoryTransport:
         self.waiting[topic].append(Received(data, self.clock() if at is None else at))
 
 
-class MemoryOutlet:
+class MemoryPublisher:
     def __init__(self, transport, topic, kind):
         self.transport, self.topic, self.kind = transport, topic, kind
 
@@ -52,16 +59,5 @@ class MemoryOutlet:
         else:
             self.transport.sent[self.topic].append(data)
 
-    def listeners(self):
+    def readers(self):
         return self.transport.readers[self.topic]
-
-
-class MemoryInlet:
-    def __init__(self, transport, topic):
-        self.transport, self.topic = transport, topic
-
-    def take(self):
-        if self.transport.failing:
-            raise DeviceError("the transport has stopped")
-        taken, self.transport.waiting[self.topic] = self.transport.waiting[self.topic], []
-        return taken

@@ -11,7 +11,7 @@ from softfin.core.quantities import TICK_S
 from softfin.rig.axia80.config import SensorConfig
 from softfin.rig.epos2.config import BusConfig, DriveConfig
 from softfin.rig.filter import design
-from softfin.rig.ros2.plant import Ros2PlantConfig
+from softfin.rig.ros2.config import Ros2PlantConfig
 from softfin.rig.safety import SafetyConfig
 from softfin.storage.paths import find_rig_file
 

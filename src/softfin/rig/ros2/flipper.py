@@ -61,13 +61,9 @@ class FlipperCommands:
             raise RigError(f"flipper.type = {config.type}: ROS 2 has no such message; give the text of its .msg file "
                            "in flipper.definitions")  # fmt: skip
         self._encoded(0.0)
-        self._outlet = transport.publish(topic, config.type)
+        self.publisher = transport.publish(topic, config.type)
         self._target: Target | None = None
         self._setpoint, self._since, self._next = 0.0, 0.0, 0.0
-
-    def listeners(self) -> int:
-        """Matched readers."""
-        return self._outlet.listeners()
 
     def send(self, target: Target, angle: float, now: float) -> None:
         """From where the set-point is; from the measured angle where there is none yet."""
@@ -82,12 +78,12 @@ class FlipperCommands:
         # In step with the first one; what a late tick has missed is not made up for.
         period = 1 / self._config.rate_hz
         self._next += period * (max(math.floor((now - self._next) / period), 0) + 1)
-        self._outlet.send(self._encoded(self._at(now)))
+        self.publisher.send(self._encoded(self._at(now)))
 
     def hold(self, angle: float) -> None:
         """One message, then silence."""
         self._target = None
-        self._outlet.send(self._encoded(angle))
+        self.publisher.send(self._encoded(angle))
 
     def _at(self, now: float) -> float:
         assert self._target is not None

@@ -2,8 +2,8 @@ import pytest
 
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.rig.machine import Target
+from softfin.rig.ros2.flipper import FlipperCommands, FlipperConfig, put
 from softfin.rig.ros2.messages import Messages
-from softfin.rig.ucat import FlipperCommands, FlipperConfig, put
 from tests.rig.ros2_memory import MemoryTransport
 
 DEFINITIONS = {
@@ -63,7 +63,7 @@ def test_a_constant_that_a_field_cannot_hold_is_told():
 
 
 def test_a_type_that_is_none_is_a_wrong_configuration():
-    with pytest.raises(ConfigurationError, match="no message type"):
+    with pytest.raises(ConfigurationError, match="is not a message type"):
         FlipperConfig.build({"type": "Flipper"})
 
 
