@@ -60,7 +60,7 @@ def test_a_stream_that_was_asked_for_anew_is_no_restart():
 def test_a_sensor_that_was_switched_off_and_on_is_noticed():
     counter, _ = taken((1, 800), (2, 808))
     counter.begin()
-    assert counter.take(1, 8) == (Arrival.RESTART, 3)
+    assert counter.take(1, 8) == (Arrival.NEW_STREAM, 3)
     assert (counter.streams, counter.restarts) == (2, 1)
 
 
@@ -72,7 +72,7 @@ def test_a_stream_that_somebody_else_asked_for_is_noticed():
 
 def test_a_restart_early_in_a_short_stream_is_noticed():
     counter, found = taken((1, 800), (2, 808), (3, 816), (1, 8), (2, 16))
-    assert [arrival for arrival, _ in found[3:]] == [Arrival.RESTART, Arrival.NEXT]
+    assert [arrival for arrival, _ in found[3:]] == [Arrival.NEW_STREAM, Arrival.NEXT]
     assert counter.restarts == 1
 
 

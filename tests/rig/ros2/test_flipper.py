@@ -42,14 +42,14 @@ def test_numbers_in_sequences_and_arrays_are_fields_too():
     [
         ("flippers.0.zero", "own/msg/Flipper has no field 'zero'; it has frequency, amplitude"),
         ("pair.2", "it has 2 elements, 0 to 1; there is no 2"),
-        ("flippers.x.amplitude", "'x' is no element of it"),
-        ("flippers.0", "it is no number"),
-        ("angles", "it is no number"),
+        ("flippers.x.amplitude", "'x' is not an element of it"),
+        ("flippers.0", "it is not a number"),
+        ("angles", "it is not a number"),
         ("flippers.0.name", "of type string"),
-        ("flippers.0.name.1", "'1' is no element of it"),
-        ("__class__", "a way is names and numbers"),
-        ("flippers.9999.amplitude", "a way is names and numbers"),
-        ("", "a way is names and numbers"),
+        ("flippers.0.name.1", "'1' is not an element of it"),
+        ("__class__", "has no field '__class__'"),
+        ("flippers.9999.amplitude", "numbers from 0 to 999"),
+        ("", "has no field ''"),
     ],
 )
 def test_a_field_that_is_not_there_is_told_before_anything_is_sent(way, words):

@@ -33,16 +33,9 @@ BASE_S = 0.3
 
 
 class Arrival(enum.Enum):
-    """How a record relates to the ones before it."""
+    """How a record relates to the ones before it; NEXT is newer than all, NEW_STREAM the first after a request."""
 
-    NEXT = "next"
-    """Newer than all before it, with or without a gap."""
-    LATE = "late"
-    DUPLICATE = "duplicate"
-    NEW_STREAM = "new stream"
-    """The first, or the first after a new request."""
-    RESTART = "restart"
-    """The first after the sensor was switched off and on."""
+    NEXT, LATE, DUPLICATE, NEW_STREAM = range(4)
 
 
 class SequenceCounter:
@@ -97,7 +90,7 @@ class SequenceCounter:
         self._newest, self._is_requested = (rdt_sequence, ft_sequence), False
         self._recent.clear()
         self._remember(rdt_sequence, ft_sequence)
-        return (Arrival.RESTART if is_restart else Arrival.NEW_STREAM), self._index
+        return Arrival.NEW_STREAM, self._index
 
     def _remember(self, rdt_sequence: int, ft_sequence: int) -> None:
         self._recent[rdt_sequence] = ft_sequence
@@ -229,7 +222,7 @@ class ForceStream:
         arrival, place = self.sequence.take(record.rdt_sequence, record.ft_sequence)
         if arrival is Arrival.DUPLICATE:
             return None
-        if arrival in (Arrival.NEW_STREAM, Arrival.RESTART):
+        if arrival is Arrival.NEW_STREAM:
             self.filter.clear()
             self.times.begin()
         values = self._scale * record.counts

@@ -12,21 +12,20 @@ from typing import Any
 
 import numpy as np
 from pydantic import Field, field_validator
+from rosbags.interfaces import Nodetype
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import RigError
 from softfin.rig.machine import Target
-from softfin.rig.ros2.messages import Messages, type_name
+from softfin.rig.ros2.messages import Messages, one_line, type_name
 from softfin.rig.ros2.transport import Transport
-
-Part = re.compile(r"[A-Za-z][A-Za-z0-9_]*|[0-9]{1,3}")
 
 EARLY_S = 1e-3
 """A message may go out so much before its time [s]: ticks come a little early and late."""
 
 
 class FlipperConfig(Configuration):
-    """Which message moves the flipper. A field is named by its way: ``zero_direction``, ``flippers.2.amplitude``."""
+    """Which message moves the flipper. A field is named by its path: ``zero_direction``, ``flippers.2.amplitude``."""
 
     type: str
     """package/msg/Type of the message."""
@@ -87,66 +86,56 @@ class FlipperCommands:
 
     def _at(self, now: float) -> float:
         assert self._target is not None
-        way = self._target.angle - self._setpoint
-        return self._setpoint + math.copysign(min(abs(way), self._target.velocity * (now - self._since)), way)
+        distance = self._target.angle - self._setpoint
+        passed = self._target.velocity * (now - self._since)
+        return self._setpoint + math.copysign(min(abs(distance), passed), distance)
 
     def _encoded(self, angle: float) -> bytes:
         config, messages = self._config, self._messages
         message = messages.blank(config.type)
         if hasattr(message, "header"):
             message.header = messages.header(time.time_ns(), "")
-        for way, value in (config.constants | {config.amplitude: 0.0, config.zero_direction: angle}).items():
+        for path, value in (config.constants | {config.amplitude: 0.0, config.zero_direction: angle}).items():
             try:
-                put(messages, message, way, value)
+                put(messages, message, path, value)
             except ValueError as error:
-                raise RigError(f"flipper field {way!r} of {config.type}: {error}") from None
+                raise RigError(f"flipper field {path!r} of {config.type}: {error}") from None
         try:
             return messages.encode(message)
         except Exception as error:
             # A constant that a field cannot hold fails in the encoder, each type in a way of its own.
-            reason = " ".join(str(error).split())[:100]
-            raise RigError(f"{config.type}: its fields cannot hold these values ({reason}); correct the constants and "
-                           "the names of the fields") from None  # fmt: skip
+            raise RigError(f"{config.type}: its fields cannot hold these values ({one_line(error)}); correct the "
+                           "constants and the names of the fields") from None  # fmt: skip
 
 
-def put(messages: Messages, message: Any, way: str, value: float | bool | str) -> None:
-    """Set the field at the end of a way such as ``flippers.2.amplitude``; sequences grow as far as it goes."""
-    *parents, leaf = way.split(".")
-    if not all(Part.fullmatch(part) for part in (*parents, leaf)):
-        raise ValueError("a way is names and numbers with dots between, as flippers.2.amplitude")
-    kind, node, descriptor = message.__msgtype__, message, None
-    for part in (*parents, leaf):
-        if kind is not None:
-            fields = dict(messages.types.fielddefs[kind][1])
+def put(messages: Messages, message: Any, path: str, value: float | bool | str) -> None:
+    """Set the field at the end of a path such as ``flippers.2.amplitude``; sequences grow as far as it goes."""
+    node, descriptor = message, (Nodetype.NAME, message.__msgtype__)
+    parent: Any = None
+    key: Any = None
+    for part in path.split("."):
+        kind, detail = descriptor
+        if kind is Nodetype.NAME:
+            fields = dict(messages.types.fielddefs[detail][1])
             if part not in fields:
-                raise ValueError(f"{kind} has no field {part!r}; it has {', '.join(fields)}")
-            holder, key, descriptor = node, part, fields[part]
-            node = getattr(node, part)
-        else:
-            holder, key, node, descriptor = _element(messages, node, descriptor, part, (holder, key))
-        kind = descriptor[1] if descriptor[0].name == "NAME" else None
-    if descriptor is None or descriptor[0].name != "BASE":
-        raise ValueError("it is no number, but has parts of its own; name one of them")
+                raise ValueError(f"{detail} has no field {part!r}; it has {', '.join(fields)}")
+            parent, key, descriptor, node = node, part, fields[part], getattr(node, part)
+            continue
+        if kind is Nodetype.BASE or not re.fullmatch("[0-9]{1,3}", part):
+            raise ValueError(f"{part!r} is not an element of it; those of a sequence are numbers from 0 to 999")
+        (element, count), index = detail, int(part)
+        if count and index >= count:
+            raise ValueError(f"it has {count} elements, 0 to {count - 1}; there is no {index}")
+        if index >= len(node):
+            more = [messages.blank_value(element) for _ in range(index + 1 - len(node))]
+            node = np.append(node, more).astype(node.dtype) if isinstance(node, np.ndarray) else [*node, *more]
+            _set(parent, key, node)
+        parent, key, descriptor, node = node, index, element, node[index]
+    if descriptor[0] is not Nodetype.BASE:
+        raise ValueError("it is not a number, but has parts of its own; name one of them")
     if isinstance(value, str) != (descriptor[1][0] == "string"):
         raise ValueError(f"it is of type {descriptor[1][0]}, which {value!r} is not")
-    _set(holder, key, value)
-
-
-def _element(messages: Messages, node: Any, descriptor: Any, part: str, place: tuple[Any, Any]) -> tuple[Any, ...]:
-    """The list or array, the index, the element there and its descriptor."""
-    if descriptor[0].name == "BASE" or not part.isdecimal():
-        raise ValueError(f"{part!r} is no element of it; a sequence's are numbers from 0 on")
-    index, (element, count) = int(part), descriptor[1]
-    fixed = descriptor[0].name == "ARRAY"
-    if count and index >= count:
-        raise ValueError(f"it has {count} elements, 0 to {count - 1}; there is no {index}")
-    if not fixed and index >= len(node):
-        if isinstance(node, np.ndarray):
-            node = np.concatenate([node, np.zeros(index + 1 - len(node), node.dtype)])
-        else:
-            node = [*node, *(messages.blank_value(element) for _ in range(index + 1 - len(node)))]
-        _set(*place, node)
-    return node, index, node[index], element
+    _set(parent, key, value)
 
 
 def _set(holder: Any, key: Any, value: Any) -> None:
