@@ -42,7 +42,7 @@ def test_a_sensor_that_does_not_answer_leaves_nothing_open():
         behind.drive.close()
         with pytest.raises(RigError, match="no drive answers"):
             bench.machine.open()
-        assert bench.machine.sensor._client.closed
+        assert bench.machine.sensor._stream.client.closed
         behind.sensor.close()
         with pytest.raises(DeviceError):
             bench.machine.open()

@@ -113,7 +113,7 @@ def disk_full(at: Scene) -> None:
 def clock_jump(at: Scene) -> None:
     ahead = time.time() + 86_400
     at.patches.setattr(time, "time", lambda: ahead)
-    at.patches.setattr(at.rig.sensor._client, "_wall", lambda: ahead)
+    at.patches.setattr(at.rig.sensor._stream.client, "_wall", lambda: ahead)
 
 
 STOPS: dict[str, tuple[Inject, str]] = {

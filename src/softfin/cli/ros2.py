@@ -45,7 +45,7 @@ class Arguments(Driving, Configured):
         otherwise, warning = controller.admit(self.reference, self.strict)
         transport = open_transport(topics.connection, Messages())
         try:
-            node = RosNode(transport, topics, admit=lambda asked: controller.admit(asked, self.strict))
+            node = RosNode(transport, topics, resolve=lambda asked: controller.admit(asked, self.strict))
             for note in (*transport.notes, *([] if warning is None else [warning])):
                 say(note)
             newest = node.references(otherwise)

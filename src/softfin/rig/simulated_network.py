@@ -33,7 +33,7 @@ def network_of(clock: SimulatedClock) -> SimulatedNetwork:
 
 
 def fetch_simulated_page(clock: SimulatedClock, host: str, port: int, path: str) -> bytes | None:
-    """A page of an emulated sensor, None where it has no such page; raises DeviceError where there is no server."""
+    """A page of an emulated sensor, None where it has no such page; raises DeviceError without a server."""
     pages = network_of(clock).pages.get((host, port))
     if pages is None:
         raise DeviceError(
@@ -73,7 +73,7 @@ class SimulatedSocket:
         return 0 if self._network.sockets.get(self.address) is self else -1
 
     def connect(self, address: Address) -> None:
-        """From now on send to this address, and receive only from it."""
+        """Send to this address from now on, and receive only from it."""
         self._peer = address
 
     def send(self, data: bytes) -> int:
@@ -107,7 +107,7 @@ class SimulatedSocket:
         return data, arrived, sender
 
     def recvfrom(self, size: int) -> tuple[bytes, Address]:
-        """A datagram and its sender; likewise."""
+        """A datagram and its sender; raises BlockingIOError where none comes in time."""
         data, _, sender = self.receive()
         return data[:size], sender
 

@@ -56,10 +56,7 @@ class BoundedServer(socketserver.ThreadingTCPServer):
 class OneRequest(BaseHTTPRequestHandler):
     """Answers one request, then the connection ends."""
 
-    def setup(self) -> None:
-        """Limit the time of each wait for the client."""
-        self.timeout = REQUEST_S
-        super().setup()
+    timeout = REQUEST_S
 
     def log_message(self, format: str, *args: Any) -> None:
         """Log nothing."""

@@ -146,7 +146,7 @@ def test_a_sensor_without_the_second_page_is_read_all_the_same():
 
 
 def test_another_device_is_told_from_a_sensor():
-    with serving({}) as port, pytest.raises(RigError, match="there is no such page"):
+    with serving({}) as port, pytest.raises(RigError, match="page not found"):
         read_settings("127.0.0.1", port)
 
 

@@ -76,14 +76,6 @@ def test_a_restart_early_in_a_short_stream_is_noticed():
     assert counter.restarts == 1
 
 
-def test_a_record_from_long_ago_changes_nothing():
-    counter, _ = taken((1, 8), (300_000, 2_400_000))
-    lost = counter.lost
-    assert counter.take(200_000, 1_600_000)[0] is Arrival.LATE
-    assert counter.take(300_001, 2_400_008)[0] is Arrival.NEXT
-    assert (counter.lost, counter.restarts) == (lost, 0)
-
-
 @settings(deadline=None)
 @given(
     st.integers(0, 2**32 - 1),

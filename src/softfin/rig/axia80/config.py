@@ -16,7 +16,7 @@ class SensorConfig(Configuration):
     """IP address or name of the sensor; a new one has 192.168.1.1."""
     frame: Literal[FORCE_FRAMES]  # type: ignore[valid-type]
     """softfin's +x (thrust that pushes the robot forward) and +y in the sensor's own axes, as ``y,-x``; z follows by
-    the right-hand rule. It depends on how the sensor is mounted, so there is no default."""
+    the right-hand rule. It depends on how the sensor is mounted, so it has no default."""
     http_port: int = pydantic.Field(default=80, ge=1, le=65535)
     """TCP port of the sensor's web pages, where its units and scale are read."""
     rdt_port: int = pydantic.Field(default=49152, ge=1, le=65535)

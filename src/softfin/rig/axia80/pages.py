@@ -88,7 +88,7 @@ def read_settings(host: str, port: int, fetch: Callable[[str, int, str], bytes |
     """Settings of a sensor; raises DeviceError where it does not answer, RigError where its pages cannot be used."""
     page, source = fetch(host, port, SETTINGS), f"http://{host}:{port}{SETTINGS}"
     if page is None:
-        raise RigError(f"{source}: there is no such page; is this the address of an Axia80?")
+        raise RigError(f"{source}: page not found; is this the address of an Axia80?")
     return parse_settings(page, fetch(host, port, CALIBRATION), source)
 
 

@@ -30,7 +30,7 @@ class RdtCommand(enum.IntEnum):
 
     STOP = 0x0000
     START_OLD = 0x0001
-    """The same as START on an Axia."""
+    """Another code of START."""
     START = 0x0002
     """One record in each datagram."""
     BIAS = 0x0042

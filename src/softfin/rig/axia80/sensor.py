@@ -66,7 +66,6 @@ class Axia80:
         """Settings on the sensor's pages; None until it was open."""
         self._clock = clock
         self._name = f"force sensor {config.address}"
-        self._client: RdtClient | None = None
         self._stream: ForceStream | None = None
         self._requested = 0.0
         self._retries = self._restarts_seen = 0
@@ -74,12 +73,12 @@ class Axia80:
     @property
     def delay_s(self) -> float:
         """Delay of the filter [s]."""
-        return self._opened()[1].delay_s
+        return self._opened().delay_s
 
     @property
     def rate_hz(self) -> float:
         """Measured rate of records [Hz]."""
-        return self._opened()[1].times.rate_hz
+        return self._opened().times.rate_hz
 
     def open(self) -> None:
         """Read its pages, start the stream, measure its rate: half a second where all is well.
@@ -95,8 +94,8 @@ class Axia80:
             wanted, found = getattr(config, name), getattr(settings, name)
             if wanted is not None and wanted != found:
                 raise RigError(f"{self._name}: {name} must be {wanted!r}, got {found!r}; check address or {name}")
-        self._client = RdtClient(config.address, config.rdt_port, clock)
-        self._stream = ForceStream(config, settings, clock())
+        client = RdtClient(config.address, config.rdt_port, clock)
+        self._stream = ForceStream(client, config, settings, clock())
         self._retries = self._restarts_seen = 0
         try:
             self._await_stream()
@@ -113,9 +112,9 @@ class Axia80:
 
         During a gap or in silence the reading is the old one and so is its time.
         """
-        client, stream = self._opened()
-        records = stream.take(client)
-        if self._clock() - max(stream.heard, self._requested) >= RETRY_S:
+        stream = self._opened()
+        records = stream.take()
+        if self._clock() - max(stream.taken, self._requested) >= RETRY_S:
             self._retries += 1
             self._request()
         reading = stream.reading(records)
@@ -128,8 +127,8 @@ class Axia80:
 
         Takes about 0.2 s; only with the fin at rest.
         """
-        client, stream = self._opened()
-        if not client.send(RdtCommand.BIAS):
+        stream = self._opened()
+        if not stream.client.send(RdtCommand.BIAS):
             raise DeviceError(f"{self._name}: the network does not take the request to set its zero; check the cable")
         self._wait(lambda: False, BIAS_S)
         stream.filter.clear()
@@ -139,8 +138,8 @@ class Axia80:
 
     def measure(self, seconds: float) -> WrenchStatistics:
         """Mean and standard deviation of all records over a while; waits for it."""
-        client, stream = self._opened()
-        stream.take(client)
+        stream = self._opened()
+        stream.take()
         collected = stream.collected = []
         try:
             self._wait(lambda: False, seconds)
@@ -159,7 +158,7 @@ class Axia80:
         lines = [f"{self._name}: {bit}" for bit in decode_status(stream.status) if bit.is_error]
         if stream.sequence.restarts > self._restarts_seen:
             lines.append(f"{self._name}: it was switched off and on, its zero is lost; set it with the fin at rest")
-        silent = self._clock() - stream.heard
+        silent = self._clock() - stream.taken
         if silent > SILENT_S:
             lines.append(
                 f"{self._name}: nothing new for {silent:.1f} s, requests repeated so far: {self._retries}; "
@@ -169,19 +168,19 @@ class Axia80:
 
     def notes(self) -> tuple[str, ...]:
         """Remarks that are no errors: busy, simulated, little room for its stream."""
-        client, stream = self._client, self._stream
-        if client is None or stream is None or client.closed:
+        stream = self._stream
+        if stream is None or stream.client.closed:
             return ()
         notes = [str(bit) for bit in decode_status(stream.status) if not bit.is_error]
-        buffered = client.buffer_bytes / DATAGRAM_COST_BYTES / stream.times.rate_hz
+        buffered = stream.client.buffer_bytes / DATAGRAM_COST_BYTES / stream.times.rate_hz
         if buffered < BUFFERED_S:
             notes.append(f"the kernel buffers only {buffered:.2f} s of its stream; raise net.core.rmem_max")
         return tuple(f"{self._name}: {note}" for note in notes)
 
     def counters(self) -> dict[str, int]:
         """Counts since it was opened; none before."""
-        client, stream = self._client, self._stream
-        if client is None or stream is None:
+        stream = self._stream
+        if stream is None:
             return {}
         return {
             "sensor_records": stream.records,
@@ -195,19 +194,19 @@ class Axia80:
             "sensor_error_records": stream.error_records,
             "sensor_busy_records": stream.busy_records,
             "sensor_asked_again": self._retries,
-            "sensor_refused_datagrams": client.refused,
-            "sensor_unsent_requests": client.unsent,
-            "sensor_crowded_reads": client.crowded,
+            "sensor_refused_datagrams": stream.client.refused,
+            "sensor_unsent_requests": stream.client.unsent,
+            "sensor_crowded_reads": stream.client.crowded,
         }
 
     def close(self) -> None:
         """Stop the stream and close the socket; any number of times, never raises."""
-        if self._client is not None and not self._client.closed:
-            self._client.send(RdtCommand.STOP)
-            self._client.close()
+        if self._stream is not None and not self._stream.client.closed:
+            self._stream.client.send(RdtCommand.STOP)
+            self._stream.client.close()
 
     def _await_stream(self) -> None:
-        client, stream = self._opened()
+        stream = self._opened()
         for _ in range(4):
             self._request()
             if self._wait(lambda: stream.records > 0, FIRST_RECORD_S / 4):
@@ -215,12 +214,12 @@ class Axia80:
         config = self.config
         raise DeviceError(
             f"{self._name}: its page at port {config.http_port} answers, but no record came from UDP port "
-            f"{config.rdt_port} in {FIRST_RECORD_S:g} s ({client.refused} malformed datagrams); check rdt_port, RDT on "
-            "the sensor's communication page, and the firewall"
+            f"{config.rdt_port} in {FIRST_RECORD_S:g} s ({stream.client.refused} malformed datagrams); check rdt_port, RDT "
+            "on the sensor's communication page, and the firewall"
         )
 
     def _check_rate(self) -> None:
-        config, (_, stream) = self.config, self._opened()
+        config, stream = self.config, self._opened()
         times = stream.times
 
         def fits() -> bool:
@@ -233,23 +232,23 @@ class Axia80:
                 "set the RDT rate on the sensor's communication page, or rate_hz to what it sends"
             )
 
-    def _opened(self) -> tuple[RdtClient, ForceStream]:
-        if self._client is None or self._stream is None or self._client.closed:
+    def _opened(self) -> ForceStream:
+        if self._stream is None or self._stream.client.closed:
             raise DeviceError(f"{self._name}: not open; open it first")
-        return self._client, self._stream
+        return self._stream
 
     def _request(self) -> None:
-        client, stream = self._opened()
-        client.send(RdtCommand.START)
+        stream = self._opened()
+        stream.client.send(RdtCommand.START)
         stream.sequence.begin()
         self._requested = self._clock()
 
     def _wait(self, done: Callable[[], bool], seconds: float) -> bool:
-        client, stream = self._opened()
+        stream = self._opened()
         end = self._clock() + seconds
         while not done():
             if self._clock() >= end:
                 return False
             self._clock.sleep(POLL_S)
-            stream.take(client)
+            stream.take()
         return True

@@ -62,35 +62,31 @@ class SequenceCounter:
         """How a record relates to those before, and its place in the row."""
         rdt, ft = self._newest or (rdt_sequence, ft_sequence)
         step, age = _difference(rdt_sequence, rdt), _difference(ft_sequence, ft)
-        if self._is_requested or (step > 0 and (age < 0 or step > MAX_GAP)):
-            return self._begin_stream(rdt_sequence, ft_sequence, age < 0)
-        if step > 0:
+        is_next = 0 < step <= MAX_GAP and age >= 0
+        is_late = -WINDOW < step <= 0 and age <= 0 and self._recent.get(rdt_sequence, ft_sequence) == ft_sequence
+        if self._is_requested or not (is_next or is_late):
+            self.streams += 1
+            self.restarts += age < 0
+            self._index += 1
+            self._first, self._is_requested = self._index, False
+            self._recent.clear()
+            arrival = Arrival.NEW_STREAM
+        elif is_next:
             self.lost += step - 1
             self._index += step
-            self._newest = rdt_sequence, ft_sequence
-            self._remember(rdt_sequence, ft_sequence)
-            return Arrival.NEXT, self._index
-        known = self._recent.get(rdt_sequence)
-        if known == ft_sequence:
+            arrival = Arrival.NEXT
+        elif rdt_sequence in self._recent:
             self.duplicates += 1
             return Arrival.DUPLICATE, self._index + step
-        if age > 0 or known is not None or (step <= -WINDOW and rdt_sequence <= WINDOW):
-            return self._begin_stream(rdt_sequence, ft_sequence, age < 0)
-        self.late += 1
-        if step > -WINDOW and self._index + step > self._first:
-            self.lost -= 1
+        else:
+            self.late += 1
+            # Nothing is missing before the first record of a stream.
+            self.lost -= self._index + step > self._first
             self._remember(rdt_sequence, ft_sequence)
-        return Arrival.LATE, self._index + step
-
-    def _begin_stream(self, rdt_sequence: int, ft_sequence: int, is_restart: bool) -> tuple[Arrival, int]:
-        self.streams += 1
-        self.restarts += is_restart
-        self._index += 1
-        self._first = self._index
-        self._newest, self._is_requested = (rdt_sequence, ft_sequence), False
-        self._recent.clear()
+            return Arrival.LATE, self._index + step
+        self._newest = rdt_sequence, ft_sequence
         self._remember(rdt_sequence, ft_sequence)
-        return Arrival.NEW_STREAM, self._index
+        return arrival, self._index
 
     def _remember(self, rdt_sequence: int, ft_sequence: int) -> None:
         self._recent[rdt_sequence] = ft_sequence
@@ -155,7 +151,8 @@ class ForceReading(NamedTuple):
 class ForceStream:
     """Everything received since the sensor was opened; several streams, where it had to be asked again."""
 
-    def __init__(self, config: SensorConfig, settings: SensorSettings, opened: float) -> None:
+    def __init__(self, client: RdtClient, config: SensorConfig, settings: SensorSettings, opened: float) -> None:
+        self.client = client
         self.sequence = SequenceCounter()
         self.filter = AntiAlias(config.rate_hz, config.cutoff_hz)
         self.times = StreamClock(config.rate_hz)
@@ -164,7 +161,7 @@ class ForceStream:
         """Every status bit that a record of the newest arrivals had set."""
         self.received = opened
         """When the newest record arrived [s]; until there is one, when the sensor was opened."""
-        self.heard = opened
+        self.taken = opened
         """When it was taken from the socket [s]: later, if the process was held up. Silence counts from here."""
         self.collected: list[Float[np.ndarray, " 6"]] | None = None
         """A list that every record is appended to, in the sensor's axes [N, N m], if a caller sets one."""
@@ -183,9 +180,9 @@ class ForceStream:
         """Whether enough records came without a gap for a filtered force."""
         return self.filter.full(self.filter.newest)
 
-    def take(self, client: RdtClient) -> int:
+    def take(self) -> int:
         """Take all that has arrived; returns the number of records."""
-        datagrams = client.drain()
+        datagrams = self.client.drain()
         newest: tuple[int, float] | None = None
         if datagrams:
             self.status = 0
@@ -196,7 +193,7 @@ class ForceStream:
                 if place is not None:
                     newest = (place, received)
         if newest is not None:
-            self.received, self.heard = newest[1], client.drained
+            self.received, self.taken = newest[1], self.client.drained
             self.times.stamp(*newest)
         return sum(len(records) for records, _ in datagrams)
 

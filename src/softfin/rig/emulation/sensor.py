@@ -117,7 +117,7 @@ class EmulatedAxia80:
             self._adc = (1 << 32) - round(records * ADC_RATE_HZ / self.rate_hz)
 
     def status(self, bits: int) -> None:
-        """Set the status of every record from now on; 0 is no error."""
+        """Set the status of every record from now on; 0 for none."""
         with self._lock:
             self._status = bits
 
@@ -179,10 +179,10 @@ class EmulatedAxia80:
             self._first_sequence = 0
 
     def _measure(self, stream: "_Stream", now: float) -> None:
-        due = int((now - stream.began) * self.rate_hz) - stream.made
+        due = int((now - stream.began) * self.rate_hz) - stream.sent
         skipped = due - round(MAX_BEHIND_S * self.rate_hz)
         if skipped > 0:
-            stream.made, stream.sequence, due = stream.made + skipped, stream.sequence + skipped, due - skipped
+            stream.sent, stream.sequence, due = stream.sent + skipped, stream.sequence + skipped, due - skipped
         felt = self._felt() if due > 0 else self._bias
         counts: tuple[Counts, bool] | None = None
         for _ in range(due):
@@ -198,7 +198,7 @@ class EmulatedAxia80:
             self._adc += round(ADC_RATE_HZ / self.rate_hz) or 1
             record = Record(stream.sequence % 2**32, self._adc % 2**32, status, counts[0])
             self.network.send(encode_record(record), now)
-            stream.made, stream.sequence, stream.left = stream.made + 1, stream.sequence + 1, stream.left - 1
+            stream.sent, stream.sequence, stream.left = stream.sent + 1, stream.sequence + 1, stream.left - 1
 
     def _felt(self) -> np.ndarray:
         return np.array(rotated(self._fin.now().wrench, self._rotation))
@@ -218,6 +218,6 @@ class _Stream:
     """The stream of one request."""
 
     def __init__(self, client: tuple[str, int], began: float, wanted: int, sequence: int) -> None:
-        self.client, self.began, self.sequence, self.made = client, began, sequence, 0
+        self.client, self.began, self.sequence, self.sent = client, began, sequence, 0
         self.left = wanted or -1
         """Records still to be sent; negative for no end."""

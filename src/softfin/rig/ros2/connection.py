@@ -43,7 +43,7 @@ class StampClock:
         self._offset = self._received = 0.0
 
     def time(self, stamp_ns: int, received: float) -> float | None:
-        """Time of our clock [s]; None where the stamp is no later than the one before."""
+        """Time of our clock [s]; None where the stamp is not later than the one before."""
         if stamp_ns == 0:
             return received
         if self._first is None:

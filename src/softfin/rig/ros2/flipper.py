@@ -8,10 +8,10 @@ family has been met.
 import math
 import re
 import time
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import AfterValidator, Field
 from rosbags.interfaces import Nodetype
 
 from softfin.core.configuration import Configuration
@@ -24,12 +24,15 @@ EARLY_S = 1e-3
 """A message may go out so much before its time [s]: ticks come a little early and late."""
 
 
+MessageType = Annotated[str, AfterValidator(type_name)]
+
+
 class FlipperConfig(Configuration):
     """Which message moves the flipper. A field is named by its path: ``zero_direction``, ``flippers.2.amplitude``."""
 
-    type: str
+    type: MessageType
     """package/msg/Type of the message."""
-    definitions: dict[str, str] = Field(default_factory=dict)
+    definitions: dict[MessageType, str] = Field(default_factory=dict)
     """package/msg/Type to the text of its .msg file, for each type that ROS 2 itself does not have."""
     zero_direction: str = "zero_direction"
     """Field that takes the angle [rad]."""
@@ -40,19 +43,9 @@ class FlipperConfig(Configuration):
     rate_hz: float = Field(default=20.0, gt=0, le=100)
     """Messages a second [Hz]."""
 
-    @field_validator("type")
-    @classmethod
-    def _kind(cls, value: str) -> str:
-        return type_name(value)
-
-    @field_validator("definitions")
-    @classmethod
-    def _kinds(cls, value: dict[str, str]) -> dict[str, str]:
-        return {type_name(kind): text for kind, text in value.items()}
-
 
 class FlipperCommands:
-    """Meets the Commands contract: a set-point that goes to the target at its velocity."""
+    """Commands as flipper messages: a set-point that goes to the target at its velocity."""
 
     def __init__(self, transport: Transport, messages: Messages, topic: str, config: FlipperConfig) -> None:
         self._messages, self._config = messages, config
@@ -65,13 +58,13 @@ class FlipperCommands:
         self._setpoint, self._since, self._next = 0.0, 0.0, 0.0
 
     def send(self, target: Target, angle: float, now: float) -> None:
-        """From where the set-point is; from the measured angle where there is none yet."""
+        """Start from where the set-point is, or from the measured angle where there is none yet."""
         self._setpoint = angle if self._target is None else self._at(now)
         self._target, self._since, self._next = target, now, now
         self.tick(now)
 
     def tick(self, now: float) -> None:
-        """The next message, where it is due."""
+        """Send the next message, where it is due."""
         if self._target is None or now < self._next - EARLY_S:
             return
         # In step with the first one; what a late tick has missed is not made up for.
@@ -80,7 +73,7 @@ class FlipperCommands:
         self.publisher.send(self._encoded(self._at(now)))
 
     def hold(self, angle: float) -> None:
-        """One message, then silence."""
+        """Send one message, then none."""
         self._target = None
         self.publisher.send(self._encoded(angle))
 

@@ -27,10 +27,10 @@ class RosNode:
 
     def __init__(
         self, transport: Transport, topics: NodeConfig | None = None, clock: Callable[[], float] = time.monotonic,
-        admit: Admit = lambda force: (force, None),
+        resolve: Admit = lambda force: (force, None),
     ) -> None:  # fmt: skip
-        """`admit` maps a reference to the one that is tracked, and a warning where that is another."""
-        self.config, self._clock, self._transport, self._admit = topics or NodeConfig(), clock, transport, admit
+        """`resolve` maps a reference to the one that is tracked, and a warning where that is another."""
+        self.config, self._clock, self._transport, self._resolve = topics or NodeConfig(), clock, transport, resolve
         config, self._messages = self.config, Messages()
         self.joint = transport.publish(config.joint_topic, JOINT)
         self._wrench = transport.publish(config.wrench_topic, WRENCH)
@@ -43,7 +43,7 @@ class RosNode:
             transport, self._messages, config.stop_topic, BOOL, lambda message: bool(message.data), stamped=False
         )
         self._newest: Stamped[Force] | None = None
-        self._admitted: tuple[Force, Force] | None = None
+        self._resolved: tuple[Force, Force] | None = None
         """The newest reference that was asked for, and the one that is tracked."""
         self._published: Target | None = None
         self._stop: str | None = None
@@ -138,15 +138,15 @@ class RosNode:
         for axis, value in zip("xy", force, strict=True):
             if abs(value) > limit:
                 raise ValueError(f"its {axis} is {value:g} N; reference_limit_n is {limit:g} N")
-        if self._admitted is None or force != self._admitted[0]:
+        if self._resolved is None or force != self._resolved[0]:
             try:
-                tracked, warning = self._admit(force)
+                tracked, warning = self._resolve(force)
             except SoftfinError as error:
                 raise ValueError(str(error)) from None
-            self._admitted = force, tracked
+            self._resolved = force, tracked
             if warning is not None:
                 self._note(warning)
-        return self._admitted[1]
+        return self._resolved[1]
 
     def _note(self, line: str) -> None:
         if len(self._noted) < MAX_NOTES and line not in self._noted:

@@ -7,7 +7,7 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 from softfin.core.errors import CommandError, DeviceError
 from softfin.core.quantities import Limits
@@ -26,27 +26,8 @@ LOCK_S = 0.02
 """Longest that a stop waits for a command that is going out [s]; over DDS that takes 5 ms at most."""
 
 
-@runtime_checkable
-class Commands(Protocol):
-    """Commands of a Ros2Machine to its drive."""
-
-    publisher: Publisher
-
-    def send(self, target: Target, angle: float, now: float) -> None:
-        """Go there from now on, from the measured angle."""
-        ...
-
-    def tick(self, now: float) -> None:
-        """Called at every tick while it is enabled, for drives that need messages more often."""
-        ...
-
-    def hold(self, angle: float) -> None:
-        """Go no further: the last message until the next `send`."""
-        ...
-
-
 class JointCommands:
-    """Commands as sensor_msgs/JointState, one message for each; the driver holds it."""
+    """Commands as sensor_msgs/JointState, one message for each; the driver holds it. FlipperCommands sends others."""
 
     def __init__(self, publisher: Publisher, messages: Messages, joint: str, velocity: float) -> None:
         """`velocity` to where the fin holds [rad/s]."""
@@ -58,10 +39,10 @@ class JointCommands:
         self.publisher.send(self._messages.encode(message))
 
     def tick(self, now: float) -> None:
-        """Send nothing."""
+        """Send nothing; called at every tick while the fin is enabled, for drives that need messages more often."""
 
     def hold(self, angle: float) -> None:
-        """Send the angle as target."""
+        """Go no further: the last message until the next `send`."""
         self.send(Target(angle, self._velocity), angle, 0.0)
 
 
@@ -72,7 +53,7 @@ class _Topics(NamedTuple):
     messages: Messages
     joint: Subscription[tuple[float, float | None]]
     wrench: Subscription[Wrench]
-    commands: Commands
+    commands: JointCommands | FlipperCommands
     stop: Publisher | None
 
     def send_stop(self, stop: bool) -> None:
@@ -136,7 +117,7 @@ class Ros2Machine:
                 transport, messages, config.wrench_topic, WRENCH,
                 lambda message: rotated(wrench_of(message), turn), best_effort=best_effort,
             )  # fmt: skip
-            commands: Commands
+            commands: JointCommands | FlipperCommands
             if config.flipper is not None:
                 commands = FlipperCommands(transport, messages, config.command_topic, config.flipper)
             else:
@@ -269,7 +250,7 @@ class Ros2Machine:
             raise DeviceError("the fin's angle is not known; open the machine first")
         return self._angle.value[0]
 
-    def _send(self, message: Callable[[Commands], None]) -> None:
+    def _send(self, message: Callable[[JointCommands | FlipperCommands], None]) -> None:
         """A message that moves; a stop in between, by a signal, has the last word."""
         if self._topics is not None:
             message(self._topics.commands)
