@@ -8,8 +8,8 @@ from weakref import WeakKeyDictionary
 from softfin.core.errors import DeviceError
 from softfin.rig.simulated_clock import SimulatedClock
 
-DATAGRAM_COST_BYTES = 768
-"""Space that Linux charges a socket's buffer for a datagram of one record."""
+CAPACITY = 5461
+"""Datagrams that a socket keeps: those of one record for which Linux has room in 4 MiB."""
 
 Address = tuple[str, int]
 
@@ -46,10 +46,8 @@ def fetch_simulated_page(clock: SimulatedClock, host: str, port: int, path: str)
 class SimulatedSocket:
     """A bound UDP socket, as far as softfin uses one; `receive` waits up to `timeout`."""
 
-    def __init__(
-        self, clock: SimulatedClock, host: str, port: int = 0, timeout: float = 0.0, buffer_bytes: int = 1 << 22
-    ) -> None:
-        self._clock, self._network, self._buffer_bytes = clock, network_of(clock), buffer_bytes
+    def __init__(self, clock: SimulatedClock, host: str, port: int = 0, timeout: float = 0.0) -> None:
+        self._clock, self._network = clock, network_of(clock)
         self.timeout = timeout
         self.address = (host, port or next(self._network.free_ports))
         if self.address in self._network.sockets:
@@ -58,15 +56,10 @@ class SimulatedSocket:
         self._peer: Address | None = None
         self._news = clock.event()
         self._received: deque[tuple[bytes, float, Address]] = deque()
-        self._bytes = 0
 
     def getsockname(self) -> Address:
         """Its host and port."""
         return self.address
-
-    def getsockopt(self, level: int, option: int) -> int:
-        """The size of its buffer, the only option there is."""
-        return self._buffer_bytes
 
     def fileno(self) -> int:
         """-1 once it is closed."""
@@ -86,12 +79,9 @@ class SimulatedSocket:
         if self.fileno() == -1:
             raise OSError("the socket is closed")
         receiver = self._network.sockets.get(address)
-        if receiver is not None and receiver._peer in (None, self.address):
-            cost = max(DATAGRAM_COST_BYTES, len(data))
-            if receiver._bytes + cost <= receiver._buffer_bytes:
-                receiver._bytes += cost
-                receiver._received.append((bytes(data), self._clock(), self.address))
-                receiver._news.set()
+        if receiver is not None and receiver._peer in (None, self.address) and len(receiver._received) < CAPACITY:
+            receiver._received.append((bytes(data), self._clock(), self.address))
+            receiver._news.set()
         return len(data)
 
     def receive(self) -> tuple[bytes, float, Address]:
@@ -102,9 +92,7 @@ class SimulatedSocket:
         self._news.clear()
         if not self._received and not (self.timeout and self._news.wait(self.timeout)):
             raise BlockingIOError
-        data, arrived, sender = self._received.popleft()
-        self._bytes -= max(DATAGRAM_COST_BYTES, len(data))
-        return data, arrived, sender
+        return self._received.popleft()
 
     def recvfrom(self, size: int) -> tuple[bytes, Address]:
         """A datagram and its sender; raises BlockingIOError where none comes in time."""

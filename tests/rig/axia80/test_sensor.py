@@ -5,8 +5,7 @@ import re
 import pytest
 
 from softfin.core.errors import DeviceError, RigError
-from softfin.rig.axia80 import client as client_module
-from softfin.rig.axia80.client import MAX_DATAGRAMS
+from softfin.rig import simulated_network
 from softfin.rig.axia80.config import SensorConfig
 from softfin.rig.axia80.rdt import OVER_RANGE
 from softfin.rig.axia80.sensor import Axia80
@@ -86,7 +85,6 @@ def test_nothing_is_lost_and_the_time_goes_on(pair):
     readings = read_for(client, 0.5)
     times = [reading.force_time for reading in readings]
     assert times == sorted(times)
-    assert readings[-1].received - times[-1] == pytest.approx(client.delay_s, abs=0.002)
     assert times[-1] <= sensor.clock() - client.delay_s
     counters = client.counters()
     assert counters.pop("sensor_records") > 100
@@ -99,30 +97,31 @@ def test_nothing_is_lost_and_the_time_goes_on(pair):
 def test_a_process_that_was_held_up_finds_its_records(pair):
     sensor, client = pair
     read_for(client, 0.05)
+    before = client.counters()["sensor_records"]
     sensor.clock.sleep(0.25)
-    assert client.read().records > 100
+    client.read()
+    assert client.counters()["sensor_records"] - before > 100
     assert client.counters()["sensor_lost"] == 0
 
 
 def test_a_process_that_was_held_up_for_long_does_not_take_the_sensor_for_silent(pair):
     sensor, client = pair
     sensor.clock.sleep(1.6)
-    assert client.read().records == MAX_DATAGRAMS
+    client.read()
     assert client.complaints() == ()
-    read_until(client, lambda: client.read().records < 100)
     counters = client.counters()
+    assert counters["sensor_records"] > 1500
     assert (counters["sensor_streams"], counters["sensor_asked_again"], counters["sensor_lost"]) == (1, 0, 0)
-    assert counters["sensor_crowded_reads"] >= 1
 
 
 def test_records_that_nobody_took_are_counted_as_lost(monkeypatch):
     with emulated() as sensor:
-        monkeypatch.setattr(client_module, "BUFFER_BYTES", 20_000)
+        monkeypatch.setattr(simulated_network, "CAPACITY", 26)
         client = Axia80(config_of(sensor), sensor.clock)
         client.open()
         sensor.clock.sleep(0.5)
         stale = client.read()
-        fresh = read_until(client, lambda: client.counters()["sensor_gaps"] and client.read().records < 100)
+        fresh = read_until(client, lambda: client.counters()["sensor_gaps"])
         client.close()
     assert client.counters()["sensor_lost"] > 100
     assert fresh.force_time >= stale.force_time
@@ -207,7 +206,6 @@ def test_what_is_no_error_is_a_note(pair, status, words):
     read_until(client, client.notes)
     assert words in client.notes()[0]
     assert client.complaints() == ()
-    assert (client.counters()["sensor_busy_records"] > 0) == (words == "busy")
 
 
 def test_a_force_beyond_the_range_is_a_complaint(pair):
@@ -226,7 +224,7 @@ def test_a_silent_sensor_is_a_complaint_and_is_asked_again_until_it_answers(pair
     assert client.counters()["sensor_asked_again"]
     assert re.search(r"nothing new for \d+\.\d s, requests repeated so far: \d", client.complaints()[0])
     after = client.read()
-    assert (after.force_time, after.records) == (before.force_time, 0)
+    assert after.force_time == before.force_time
     sensor.silence(0.0)
     assert read_until(client, lambda: not client.complaints()).force_time >= before.force_time
     assert client.counters()["sensor_restarts"] == 0
@@ -302,7 +300,7 @@ def test_a_sensor_is_opened_again_after_it_was_closed(pair):
     with pytest.raises(DeviceError, match="not open; open it first"):
         client.read()
     client.open()
-    assert client.read().records >= 0
+    client.read()
     assert client.counters()["sensor_streams"] == 1
 
 

@@ -16,9 +16,6 @@ BUFFER_BYTES = 4 * 1024 * 1024
 """Size of the kernel's buffer: seconds of the stream, should the process be held up. Linux gives twice
 `net.core.rmem_max` at most."""
 
-MAX_DATAGRAMS = 1024
-"""Most datagrams of one drain, so that a flood cannot hold the loop up; the rest waits for the next."""
-
 DATAGRAM_BYTES, ANCILLARY_BYTES = 4096, 256
 
 # Linux' own number, which Python's socket module does not name; the same on x86 and ARM.
@@ -38,7 +35,7 @@ class RdtClient:
     """Never blocks; the socket is connected, so that the kernel passes only what comes from the sensor's port."""
 
     def __init__(self, host: str, port: int, clock: Clock) -> None:
-        self.refused = self.unsent = self.crowded = 0
+        self.refused = self.unsent = 0
         self._clock = clock
         self._socket: socket.socket | SimulatedSocket
         self._stamped = False
@@ -47,7 +44,7 @@ class RdtClient:
         # Stamps of a simulated socket are of the monotonic time already.
         self._wall = clock if isinstance(clock, SimulatedClock) else clock.wall
         if isinstance(clock, SimulatedClock):
-            self._socket = SimulatedSocket(clock, host, buffer_bytes=BUFFER_BYTES)
+            self._socket = SimulatedSocket(clock, host)
             self._socket.connect((host, port))
             return
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -64,11 +61,6 @@ class RdtClient:
             with contextlib.suppress(OSError):
                 self._socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
                 self._stamped = True
-
-    @property
-    def buffer_bytes(self) -> int:
-        """Size of the kernel's buffer, its own overhead included."""
-        return self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
 
     @property
     def closed(self) -> bool:
@@ -91,7 +83,7 @@ class RdtClient:
         between the drain before and this one, and no further.
         """
         arrived: list[tuple[tuple[Record, ...], float | None]] = []
-        for _ in range(MAX_DATAGRAMS):
+        while True:
             try:
                 data, stamp = self._receive()
             except (BlockingIOError, InterruptedError):
@@ -99,14 +91,12 @@ class RdtClient:
             except OSError:
                 # The answer to an earlier request that found no listener; the silence will tell.
                 self.refused += 1
-                continue
+                break
             records = decode_records(data)
             if records is None:
                 self.refused += 1
             else:
                 arrived.append((records, stamp))
-        else:
-            self.crowded += 1
         before, self.drained = self.drained, self._clock()
         offset, now = self._wall() - self.drained, self.drained
         return [

@@ -20,7 +20,7 @@ from softfin.rig.axia80.stream import ForceReading, ForceStream
 from softfin.rig.frame import rotated
 from softfin.rig.machine import Wrench
 from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import DATAGRAM_COST_BYTES, fetch_simulated_page
+from softfin.rig.simulated_network import fetch_simulated_page
 
 FIRST_RECORD_S = 2.0
 """Longest wait for the stream to begin; the request is sent four times meanwhile, as UDP may lose it."""
@@ -44,9 +44,6 @@ BIAS_S = 0.1
 """Wait after the zero was set: records on their way still have the old one."""
 
 POLL_S = 0.002
-
-BUFFERED_S = 0.25
-"""Stretch of the stream that the kernel should keep: enabling a drive and a busy computer take that long."""
 
 
 class WrenchStatistics(NamedTuple):
@@ -113,11 +110,11 @@ class Axia80:
         During a gap or in silence the reading is the old one and so is its time.
         """
         stream = self._opened()
-        records = stream.take()
+        stream.take()
         if self._clock() - max(stream.taken, self._requested) >= RETRY_S:
             self._retries += 1
             self._request()
-        reading = stream.reading(records)
+        reading = stream.reading()
         if reading is None:
             raise DeviceError(f"{self._name}: sent {stream.records} records, too few for a force; check the network")
         return reading
@@ -167,15 +164,11 @@ class Axia80:
         return tuple(lines)
 
     def notes(self) -> tuple[str, ...]:
-        """Remarks that are no errors: busy, simulated, little room for its stream."""
+        """Remarks of its status that do not stop the fin: busy, simulated."""
         stream = self._stream
         if stream is None or stream.client.closed:
             return ()
-        notes = [str(bit) for bit in decode_status(stream.status) if not bit.is_error]
-        buffered = stream.client.buffer_bytes / DATAGRAM_COST_BYTES / stream.times.rate_hz
-        if buffered < BUFFERED_S:
-            notes.append(f"the kernel buffers only {buffered:.2f} s of its stream; raise net.core.rmem_max")
-        return tuple(f"{self._name}: {note}" for note in notes)
+        return tuple(f"{self._name}: {bit}" for bit in decode_status(stream.status) if not bit.is_error)
 
     def counters(self) -> dict[str, int]:
         """Counts since it was opened; none before."""
@@ -192,11 +185,9 @@ class Axia80:
             "sensor_bridged": stream.filter.bridged,
             "sensor_gaps": stream.filter.interrupted,
             "sensor_error_records": stream.error_records,
-            "sensor_busy_records": stream.busy_records,
             "sensor_asked_again": self._retries,
             "sensor_refused_datagrams": stream.client.refused,
             "sensor_unsent_requests": stream.client.unsent,
-            "sensor_crowded_reads": stream.client.crowded,
         }
 
     def close(self) -> None:
@@ -214,8 +205,8 @@ class Axia80:
         config = self.config
         raise DeviceError(
             f"{self._name}: its page at port {config.http_port} answers, but no record came from UDP port "
-            f"{config.rdt_port} in {FIRST_RECORD_S:g} s ({stream.client.refused} malformed datagrams); check rdt_port, RDT "
-            "on the sensor's communication page, and the firewall"
+            f"{config.rdt_port} in {FIRST_RECORD_S:g} s ({stream.client.refused} malformed datagrams); check rdt_port, "
+            "RDT on the sensor's communication page, and the firewall"
         )
 
     def _check_rate(self) -> None:

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from softfin.rig.axia80.client import RdtClient
 from softfin.rig.axia80.config import SensorConfig
 from softfin.rig.axia80.pages import SensorSettings
-from softfin.rig.axia80.rdt import BUSY_BIT, Record, decode_status
+from softfin.rig.axia80.rdt import Record, decode_status
 from softfin.rig.filter import AntiAlias
 from softfin.rig.frame import rotated, rotation
 from softfin.rig.machine import Wrench
@@ -142,10 +142,6 @@ class ForceReading(NamedTuple):
     wrench: Wrench
     peak: Wrench
     """Largest magnitudes of all unfiltered records since the read before, for safety, as the filter is slow."""
-    received: float
-    """When the newest record arrived [s]."""
-    records: int
-    """Number of records that came with this read."""
 
 
 class ForceStream:
@@ -156,11 +152,9 @@ class ForceStream:
         self.sequence = SequenceCounter()
         self.filter = AntiAlias(config.rate_hz, config.cutoff_hz)
         self.times = StreamClock(config.rate_hz)
-        self.records = self.error_records = self.busy_records = 0
+        self.records = self.error_records = 0
         self.status = 0
         """Every status bit that a record of the newest arrivals had set."""
-        self.received = opened
-        """When the newest record arrived [s]; until there is one, when the sensor was opened."""
         self.taken = opened
         """When it was taken from the socket [s]: later, if the process was held up. Silence counts from here."""
         self.collected: list[Float[np.ndarray, " 6"]] | None = None
@@ -180,8 +174,8 @@ class ForceStream:
         """Whether enough records came without a gap for a filtered force."""
         return self.filter.full(self.filter.newest)
 
-    def take(self) -> int:
-        """Take all that has arrived; returns the number of records."""
+    def take(self) -> None:
+        """Take all that has arrived."""
         datagrams = self.client.drain()
         newest: tuple[int, float] | None = None
         if datagrams:
@@ -193,11 +187,10 @@ class ForceStream:
                 if place is not None:
                     newest = (place, received)
         if newest is not None:
-            self.received, self.taken = newest[1], self.client.drained
+            self.taken = self.client.drained
             self.times.stamp(*newest)
-        return sum(len(records) for records, _ in datagrams)
 
-    def reading(self, records: int) -> ForceReading | None:
+    def reading(self) -> ForceReading | None:
         """The newest force; the old one during a gap. None before there was any."""
         if self.full and (output := self.filter.at(self.filter.newest)) is not None:
             moment = self.times.time_of(self.filter.newest) - self.delay_s
@@ -208,14 +201,13 @@ class ForceStream:
             return None
         # The rotation only swaps axes and signs, so that magnitudes stay magnitudes.
         peak, self._peak = rotated(self._peak, np.abs(self.rotation)), np.zeros(6)
-        return ForceReading(*self._force, peak, self.received, records)
+        return ForceReading(*self._force, peak)
 
     def _put(self, record: Record) -> int | None:
         """The record's place, where it is newer than all before."""
         self.records += 1
         if record.status:
             self.error_records += any(bit.is_error for bit in decode_status(record.status))
-            self.busy_records += record.status >> BUSY_BIT & 1
         arrival, place = self.sequence.take(record.rdt_sequence, record.ft_sequence)
         if arrival is Arrival.DUPLICATE:
             return None
