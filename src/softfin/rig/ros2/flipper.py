@@ -1,4 +1,4 @@
-"""Commands in the U-CAT family's flipper messages: a flipper that does not beat, and whose zero direction moves.
+"""Commands in the U-CAT family's flipper messages: a flipper that does not oscillate by itself, and whose zero moves.
 
 Amplitude 0, zero_direction = angle, 20 times a second. The drive takes no velocity, so the zero direction itself goes
 at the command's velocity. The messages differ between robots: their type and fields are configuration. No robot of the
@@ -8,11 +8,12 @@ family has been met.
 import math
 import re
 import time
+from functools import partial
+from operator import setitem
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import AfterValidator, Field
-from rosbags.interfaces import Nodetype
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import RigError
@@ -20,8 +21,10 @@ from softfin.rig.machine import Target
 from softfin.rig.ros2.messages import Messages, one_line, type_name
 from softfin.rig.ros2.transport import Transport
 
+PART = re.compile(r"[A-Za-z][A-Za-z0-9_]*|[0-9]{1,3}")
+
 EARLY_S = 1e-3
-"""A message may go out so much before its time [s]: ticks come a little early and late."""
+"""How long before its time a message may go out [s]: ticks come a little early and late."""
 
 
 MessageType = Annotated[str, AfterValidator(type_name)]
@@ -31,13 +34,13 @@ class FlipperConfig(Configuration):
     """Which message moves the flipper. A field is named by its path: ``zero_direction``, ``flippers.2.amplitude``."""
 
     type: MessageType
-    """package/msg/Type of the message."""
+    """Type of the message: package/msg/Type."""
     definitions: dict[MessageType, str] = Field(default_factory=dict)
-    """package/msg/Type to the text of its .msg file, for each type that ROS 2 itself does not have."""
+    """Text of the .msg file of each type that ROS 2 itself does not have, by package/msg/Type."""
     zero_direction: str = "zero_direction"
     """Field that takes the angle [rad]."""
     amplitude: str = "amplitude"
-    """Field that takes 0: the flipper does not beat by itself."""
+    """Field that takes 0: the flipper does not oscillate by itself."""
     constants: dict[str, float | bool | str] = Field(default_factory=dict)
     """Other fields that must not be 0 or empty, such as a frequency or the flipper's number."""
     rate_hz: float = Field(default=20.0, gt=0, le=100)
@@ -58,7 +61,7 @@ class FlipperCommands:
         self._setpoint, self._since, self._next = 0.0, 0.0, 0.0
 
     def send(self, target: Target, angle: float, now: float) -> None:
-        """Start from where the set-point is, or from the measured angle where there is none yet."""
+        """Move on from where the set-point is; from the measured angle where there is none yet."""
         self._setpoint = angle if self._target is None else self._at(now)
         self._target, self._since, self._next = target, now, now
         self.tick(now)
@@ -79,9 +82,8 @@ class FlipperCommands:
 
     def _at(self, now: float) -> float:
         assert self._target is not None
-        distance = self._target.angle - self._setpoint
-        passed = self._target.velocity * (now - self._since)
-        return self._setpoint + math.copysign(min(abs(distance), passed), distance)
+        rest = self._target.angle - self._setpoint
+        return self._setpoint + math.copysign(min(abs(rest), self._target.velocity * (now - self._since)), rest)
 
     def _encoded(self, angle: float) -> bytes:
         config, messages = self._config, self._messages
@@ -103,36 +105,31 @@ class FlipperCommands:
 
 def put(messages: Messages, message: Any, path: str, value: float | bool | str) -> None:
     """Set the field at the end of a path such as ``flippers.2.amplitude``; sequences grow as far as it goes."""
-    node, descriptor = message, (Nodetype.NAME, message.__msgtype__)
-    parent: Any = None
-    key: Any = None
-    for part in path.split("."):
-        kind, detail = descriptor
-        if kind is Nodetype.NAME:
+    parts = path.split(".")
+    if not all(PART.fullmatch(part) for part in parts):
+        raise ValueError("a path is names and numbers with dots between, as flippers.2.amplitude")
+    kind, detail, node = "NAME", message.__msgtype__, message
+    for part in parts:
+        if kind == "NAME":
             fields = dict(messages.types.fielddefs[detail][1])
             if part not in fields:
                 raise ValueError(f"{detail} has no field {part!r}; it has {', '.join(fields)}")
-            parent, key, descriptor, node = node, part, fields[part], getattr(node, part)
-            continue
-        if kind is Nodetype.BASE or not re.fullmatch("[0-9]{1,3}", part):
-            raise ValueError(f"{part!r} is not an element of it; those of a sequence are numbers from 0 to 999")
-        (element, count), index = detail, int(part)
-        if count and index >= count:
-            raise ValueError(f"it has {count} elements, 0 to {count - 1}; there is no {index}")
-        if index >= len(node):
-            more = [messages.blank_value(element) for _ in range(index + 1 - len(node))]
-            node = np.append(node, more).astype(node.dtype) if isinstance(node, np.ndarray) else [*node, *more]
-            _set(parent, key, node)
-        parent, key, descriptor, node = node, index, element, node[index]
-    if descriptor[0] is not Nodetype.BASE:
+            assign, descriptor, node = partial(setattr, node, part), fields[part], getattr(node, part)
+        elif kind == "BASE" or not part.isdecimal():
+            raise ValueError(f"{part!r} is not an element of it; a sequence's are numbers from 0 on")
+        else:
+            index, (descriptor, count) = int(part), detail
+            if count and index >= count:
+                raise ValueError(f"it has {count} elements, 0 to {count - 1}; there is no {index}")
+            if index >= len(node):
+                added = [messages.blank_value(descriptor) for _ in range(index + 1 - len(node))]
+                is_array = isinstance(node, np.ndarray)
+                node = np.concatenate([node, np.array(added, node.dtype)]) if is_array else [*node, *added]
+                assign(node)
+            assign, node = partial(setitem, node, index), node[index]
+        kind, detail = descriptor[0].name, descriptor[1]
+    if kind != "BASE":
         raise ValueError("it is not a number, but has parts of its own; name one of them")
-    if isinstance(value, str) != (descriptor[1][0] == "string"):
-        raise ValueError(f"it is of type {descriptor[1][0]}, which {value!r} is not")
-    _set(parent, key, value)
-
-
-def _set(holder: Any, key: Any, value: Any) -> None:
-    if isinstance(key, str):
-        setattr(holder, key, value)
-    else:
-        holder[key] = value
+    if isinstance(value, str) != (detail[0] == "string"):
+        raise ValueError(f"it is of type {detail[0]}, which {value!r} is not")
+    assign(value)
