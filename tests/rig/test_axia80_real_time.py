@@ -10,7 +10,7 @@ from softfin.core.clock import RealClock
 from softfin.core.errors import DeviceError
 from softfin.rig.axia80 import pages
 from softfin.rig.axia80 import sensor as axia80
-from softfin.rig.axia80.config import SensorConfig
+from softfin.rig.axia80.config import Axia80Config
 from softfin.rig.axia80.sensor import Axia80
 from softfin.rig.emulation.sensor import EmulatedAxia80
 from tests.rig.still_fin import StillFin
@@ -33,7 +33,7 @@ def emulated(*wrench):
 
 
 def config_of(sensor):
-    return SensorConfig(address="127.0.0.1", http_port=sensor.http_port, rdt_port=sensor.rdt_port, frame="x,y")
+    return Axia80Config(address="127.0.0.1", http_port=sensor.http_port, rdt_port=sensor.rdt_port, frame="x,y")
 
 
 def test_the_force_arrives_over_sockets_too():
@@ -70,6 +70,6 @@ def test_a_wall_clock_that_is_set_moves_no_force_in_time():
 def test_a_page_that_hangs_does_not_hold_the_opening_up(monkeypatch):
     monkeypatch.setattr(pages, "PAGE_TIMEOUT_S", 0.2)
     with socket.create_server(("127.0.0.1", 0)) as server:
-        config = SensorConfig(address="127.0.0.1", http_port=server.getsockname()[1], frame="x,y")
+        config = Axia80Config(address="127.0.0.1", http_port=server.getsockname()[1], frame="x,y")
         with pytest.raises(DeviceError, match=r"no answer in 0\.2 s"):
             Axia80(config).open()

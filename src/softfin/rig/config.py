@@ -8,7 +8,7 @@ from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 from softfin.core.configuration import Config, Configuration, read_yaml
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.core.quantities import TICK_S
-from softfin.rig.axia80.config import SensorConfig
+from softfin.rig.axia80.config import Axia80Config
 from softfin.rig.epos2.config import BusConfig, DriveConfig
 from softfin.rig.filter import design
 from softfin.rig.ros2.config import Ros2PlantConfig
@@ -43,7 +43,7 @@ class RigConfig(Configuration):
     """The CAN bus."""
     drive: DriveConfig
     """The EPOS2 on it."""
-    sensor: SensorConfig
+    sensor: Axia80Config
     """The Axia80."""
     safety: SafetyConfig
     """When to stop."""

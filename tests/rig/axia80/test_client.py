@@ -1,5 +1,3 @@
-import os
-import random
 import socket
 import time
 
@@ -8,9 +6,7 @@ import pytest
 from softfin.core.clock import REAL, RealClock
 from softfin.core.errors import DeviceError
 from softfin.rig.axia80.client import RdtClient
-from softfin.rig.axia80.rdt import RdtCommand, Record, encode_record
-
-CASES = 100_000 if os.environ.get("SOFTFIN_LONG") == "1" else 1_000
+from softfin.rig.axia80.rdt import RdtCommand, RdtRecord, encode_record
 
 
 class Sensor:
@@ -41,7 +37,7 @@ def sensor():
 
 
 def record(number):
-    return Record(number, 8 * number, 0, (1, 2, 3, 4, 5, 6))
+    return RdtRecord(number, 8 * number, 0, (1, 2, 3, 4, 5, 6))
 
 
 def test_the_sensor_is_asked_in_eight_bytes(sensor):
@@ -110,15 +106,3 @@ def test_a_closed_socket_sends_nothing_and_closes_again(sensor):
     sensor.client.close()
     assert sensor.client.closed
     assert not sensor.client.send(RdtCommand.STOP)
-
-
-def test_any_datagrams_are_taken_or_counted(sensor):
-    draw = random.Random(6)
-    sent = taken = 0
-    while sent < CASES:
-        for _ in range(50):
-            sensor.send(draw.randbytes(draw.choice((0, 8, 36, 36, 72, draw.randrange(1500)))))
-            sent += 1
-        taken += len(sensor.client.drain())
-    assert taken + sensor.client.refused == sent
-    assert taken

@@ -1,7 +1,7 @@
 import pytest
 
 from softfin.core.errors import ConfigurationError
-from softfin.rig.axia80.config import SensorConfig
+from softfin.rig.axia80.config import Axia80Config
 
 
 @pytest.mark.parametrize("missing", ["address", "frame"])
@@ -9,7 +9,7 @@ def test_what_must_not_be_guessed_has_no_default(missing):
     values = {"address": "192.168.1.1", "frame": "x,y"}
     del values[missing]
     with pytest.raises(ConfigurationError, match=missing):
-        SensorConfig.build(values)
+        Axia80Config.build(values)
 
 
 @pytest.mark.parametrize(
@@ -24,4 +24,4 @@ def test_what_must_not_be_guessed_has_no_default(missing):
 )
 def test_a_wrong_key_or_value_is_named(key, value, words):
     with pytest.raises(ConfigurationError, match=words):
-        SensorConfig.build({"address": "192.168.1.1", "frame": "x,y", key: value})
+        Axia80Config.build({"address": "192.168.1.1", "frame": "x,y", key: value})

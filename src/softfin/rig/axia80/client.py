@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from softfin.core.clock import Clock
 from softfin.core.errors import DeviceError
-from softfin.rig.axia80.rdt import RdtCommand, Record, decode_records, encode_request
+from softfin.rig.axia80.rdt import RdtCommand, RdtRecord, decode_records, encode_request
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.simulated_network import SimulatedSocket
 
@@ -26,7 +26,7 @@ STAMP = struct.Struct("@ll")
 class Datagram(NamedTuple):
     """What the sensor sent at once."""
 
-    records: tuple[Record, ...]
+    records: tuple[RdtRecord, ...]
     received: float
     """Monotonic time of its arrival [s]."""
 
@@ -82,7 +82,7 @@ class RdtClient:
         The kernel stamps with the wall clock, which may be set at any moment; so a stamp moves the time of arrival
         between the drain before and this one, and no further.
         """
-        arrived: list[tuple[tuple[Record, ...], float | None]] = []
+        arrived: list[tuple[tuple[RdtRecord, ...], float | None]] = []
         while True:
             try:
                 data, stamp = self._receive()

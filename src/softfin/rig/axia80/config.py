@@ -9,7 +9,7 @@ from softfin.data.importing.importing import FORCE_FRAMES
 from softfin.rig import filter as anti_alias
 
 
-class SensorConfig(Configuration):
+class Axia80Config(Configuration):
     """An ATI Axia80 with an Ethernet socket; the defaults are those of the sensor as it is delivered."""
 
     address: str = pydantic.Field(min_length=1)
@@ -35,7 +35,7 @@ class SensorConfig(Configuration):
     """Set the sensor's zero when it is opened: only with the fin at rest in still water."""
 
     @pydantic.model_validator(mode="after")
-    def _filterable(self) -> "SensorConfig":
+    def _filterable(self) -> "Axia80Config":
         if len(anti_alias.design(self.rate_hz, self.cutoff_hz)) / self.rate_hz > 0.25:
             raise ValueError(f"cutoff_hz = {self.cutoff_hz} delays the force too much; use 12 to 40")
         return self

@@ -36,7 +36,7 @@ class RdtCommand(enum.IntEnum):
     BIAS = 0x0042
 
 
-class Record(NamedTuple):
+class RdtRecord(NamedTuple):
     """One reading of the sensor."""
 
     rdt_sequence: int
@@ -60,17 +60,17 @@ def decode_request(datagram: bytes) -> tuple[RdtCommand, int] | None:
     return (RdtCommand(command), count) if header == HEADER and command in set(RdtCommand) else None
 
 
-def encode_record(record: Record) -> bytes:
+def encode_record(record: RdtRecord) -> bytes:
     """The bytes of one record as the sensor sends it."""
     return RECORD.pack(record.rdt_sequence, record.ft_sequence, record.status, *record.counts)
 
 
-def decode_records(datagram: bytes) -> tuple[Record, ...] | None:
+def decode_records(datagram: bytes) -> tuple[RdtRecord, ...] | None:
     """The records in a datagram; None if its size is not that of 1 to `MAX_RECORDS` records."""
     if not datagram or len(datagram) % RECORD.size or len(datagram) > MAX_RECORDS * RECORD.size:
         return None
     return tuple(
-        Record(rdt, ft, status, (fx, fy, fz, tx, ty, tz))
+        RdtRecord(rdt, ft, status, (fx, fy, fz, tx, ty, tz))
         for rdt, ft, status, fx, fy, fz, tx, ty, tz in RECORD.iter_unpack(datagram)
     )
 

@@ -13,7 +13,7 @@ import numpy as np
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import DeviceError, RigError
 from softfin.rig.axia80.client import RdtClient
-from softfin.rig.axia80.config import SensorConfig
+from softfin.rig.axia80.config import Axia80Config
 from softfin.rig.axia80.pages import SensorSettings, fetch_page, read_settings
 from softfin.rig.axia80.rdt import RdtCommand, decode_status
 from softfin.rig.axia80.stream import ForceReading, ForceStream
@@ -34,8 +34,8 @@ SILENT_S = 1.5
 MEASURED_S = 0.5
 """Stretch of the stream that shows its rate and fills the filter."""
 
-SECOND_LOOK_S = 3.0
-"""Longer stretch where the rate does not fit: a busy computer delivers in bursts, whose mean rate fits in the end."""
+LONGEST_MEASURED_S = 5.0
+"""Longest wait for a rate that fits: a busy computer delivers in bursts, whose mean rate fits in the end."""
 
 RATE_TOLERANCE = 0.1
 """Relative tolerance of the rate; the filter is built for the configured one, and its delay is counted in records."""
@@ -57,7 +57,7 @@ class WrenchStatistics(NamedTuple):
 class Axia80:
     """One sensor; one thread calls it."""
 
-    def __init__(self, config: SensorConfig, clock: Clock = REAL) -> None:
+    def __init__(self, config: Axia80Config, clock: Clock = REAL) -> None:
         self.config = config
         self.settings: SensorSettings | None = None
         """Settings on the sensor's pages; None until it was open."""
@@ -214,10 +214,10 @@ class Axia80:
         times = stream.times
 
         def fits() -> bool:
-            return abs(times.rate_hz / config.rate_hz - 1) <= RATE_TOLERANCE
+            is_measured = times.measured_s >= MEASURED_S and stream.full
+            return is_measured and abs(times.rate_hz / config.rate_hz - 1) <= RATE_TOLERANCE
 
-        self._wait(lambda: times.measured_s >= MEASURED_S and stream.full, 4 * MEASURED_S)
-        if not fits() and not self._wait(fits, SECOND_LOOK_S):
+        if not self._wait(fits, LONGEST_MEASURED_S):
             raise RigError(
                 f"{self._name}: sends {times.rate_hz:.0f} records a second, rate_hz is {config.rate_hz:g}; "
                 "set the RDT rate on the sensor's communication page, or rate_hz to what it sends"

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 from softfin.rig.axia80.client import RdtClient
-from softfin.rig.axia80.config import SensorConfig
+from softfin.rig.axia80.config import Axia80Config
 from softfin.rig.axia80.pages import SensorSettings
-from softfin.rig.axia80.rdt import Record, decode_status
+from softfin.rig.axia80.rdt import RdtRecord, decode_status
 from softfin.rig.filter import AntiAlias
 from softfin.rig.frame import rotated, rotation
 from softfin.rig.machine import Wrench
@@ -147,7 +147,7 @@ class ForceReading(NamedTuple):
 class ForceStream:
     """Everything received since the sensor was opened; several streams, where it had to be asked again."""
 
-    def __init__(self, client: RdtClient, config: SensorConfig, settings: SensorSettings, opened: float) -> None:
+    def __init__(self, client: RdtClient, config: Axia80Config, settings: SensorSettings, opened: float) -> None:
         self.client = client
         self.sequence = SequenceCounter()
         self.filter = AntiAlias(config.rate_hz, config.cutoff_hz)
@@ -203,7 +203,7 @@ class ForceStream:
         peak, self._peak = rotated(self._peak, np.abs(self.rotation)), np.zeros(6)
         return ForceReading(*self._force, peak)
 
-    def _put(self, record: Record) -> int | None:
+    def _put(self, record: RdtRecord) -> int | None:
         """The record's place, where it is newer than all before."""
         self.records += 1
         if record.status:

@@ -12,7 +12,7 @@ import numpy as np
 
 from softfin.core.clock import REAL, Clock
 from softfin.rig.axia80.pages import FORCE_UNITS, TORQUE_UNITS
-from softfin.rig.axia80.rdt import OVER_RANGE, Counts, RdtCommand, Record, decode_request, encode_record
+from softfin.rig.axia80.rdt import OVER_RANGE, Counts, RdtCommand, RdtRecord, decode_request, encode_record
 from softfin.rig.emulation.fin import EmulatedFin
 from softfin.rig.emulation.sensor_faults import FaultyNetwork
 from softfin.rig.emulation.sensor_pages import sensor_pages, serve_pages
@@ -196,7 +196,7 @@ class EmulatedAxia80:
             status = self._status | (OVER_RANGE if self._flagged else 0)
             self._flagged = max(0, self._flagged - 1)
             self._adc += round(ADC_RATE_HZ / self.rate_hz) or 1
-            record = Record(stream.sequence % 2**32, self._adc % 2**32, status, counts[0])
+            record = RdtRecord(stream.sequence % 2**32, self._adc % 2**32, status, counts[0])
             self.network.send(encode_record(record), now)
             stream.sent, stream.sequence, stream.left = stream.sent + 1, stream.sequence + 1, stream.left - 1
 
