@@ -80,7 +80,10 @@ class SimulatedSocket:
             raise OSError("the socket is closed")
         receiver = self._network.sockets.get(address)
         if receiver is not None and receiver._peer in (None, self.address) and len(receiver._received) < CAPACITY:
-            receiver._received.append((bytes(data), self._clock(), self.address))
+            # In whole nanoseconds, as a kernel's stamp.
+            seconds = int(self._clock())
+            arrived = seconds + round((self._clock() - seconds) * 1e9) * 1e-9
+            receiver._received.append((bytes(data), arrived, self.address))
             receiver._news.set()
         return len(data)
 
