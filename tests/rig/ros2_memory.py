@@ -4,7 +4,7 @@ from collections import defaultdict
 
 from softfin.core.errors import DeviceError
 from softfin.rig.ros2.messages import Messages
-from softfin.rig.ros2.transport import Received
+from softfin.rig.ros2.transport import Publisher, Received
 
 
 class MemoryTransport:
@@ -23,7 +23,13 @@ class MemoryTransport:
         self.failing = False
 
     def publish(self, topic, kind):
-        return MemoryPublisher(self, topic, kind)
+        def send(data):
+            if self.failing:
+                raise DeviceError(f"{topic}: not sent")
+            known = kind in self.messages.types.fielddefs
+            self.sent[topic].append(self.messages.decode(data, kind) if known else data)
+
+        return Publisher(send, lambda: self.readers[topic])
 
     def subscribe(self, topic, kind, best_effort=False):
         self.asked[topic] = (kind, best_effort)
@@ -45,19 +51,3 @@ class MemoryTransport:
     def put(self, topic, message, at=None):
         data = message if isinstance(message, bytes) else self.messages.encode(message)
         self.waiting[topic].append(Received(data, self.clock() if at is None else at))
-
-
-class MemoryPublisher:
-    def __init__(self, transport, topic, kind):
-        self.transport, self.topic, self.kind = transport, topic, kind
-
-    def send(self, data):
-        if self.transport.failing:
-            raise DeviceError(f"{self.topic}: not sent")
-        if self.kind in self.transport.messages.types.fielddefs:
-            self.transport.sent[self.topic].append(self.transport.messages.decode(data, self.kind))
-        else:
-            self.transport.sent[self.topic].append(data)
-
-    def readers(self):
-        return self.transport.readers[self.topic]

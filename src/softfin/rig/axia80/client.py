@@ -4,7 +4,6 @@ import contextlib
 import socket
 import struct
 import sys
-from typing import NamedTuple
 
 from softfin.core.clock import Clock
 from softfin.core.errors import DeviceError
@@ -21,14 +20,6 @@ DATAGRAM_BYTES, ANCILLARY_BYTES = 4096, 256
 # Linux' own number, which Python's socket module does not name; the same on x86 and ARM.
 SO_TIMESTAMPNS = 35
 STAMP = struct.Struct("@ll")
-
-
-class Datagram(NamedTuple):
-    """What the sensor sent at once."""
-
-    records: tuple[RdtRecord, ...]
-    received: float
-    """Monotonic time of its arrival [s]."""
 
 
 class RdtClient:
@@ -76,8 +67,8 @@ class RdtClient:
             return False
         return True
 
-    def drain(self) -> list[Datagram]:
-        """Everything that has arrived, in the order of arrival.
+    def drain(self) -> list[tuple[tuple[RdtRecord, ...], float]]:
+        """The records of each datagram that has arrived, and the monotonic time of its arrival [s], in that order.
 
         The kernel stamps with the wall clock, which may be set at any moment; so a stamp moves the time of arrival
         between the drain before and this one, and no further.
@@ -100,8 +91,7 @@ class RdtClient:
         before, self.drained = self.drained, self._clock()
         offset, now = self._wall() - self.drained, self.drained
         return [
-            Datagram(records, now if stamp is None else min(max(stamp - offset, before), now))
-            for records, stamp in arrived
+            (records, now if stamp is None else min(max(stamp - offset, before), now)) for records, stamp in arrived
         ]
 
     def close(self) -> None:

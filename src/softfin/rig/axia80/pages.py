@@ -29,23 +29,13 @@ PAGE_TIMEOUT_S = 3.0
 POUND_FORCE_N, KILOGRAM_FORCE_N = 4.4482216152605, 9.80665
 INCH_M, FOOT_M = 0.0254, 0.3048
 
-FORCE_UNITS = {
-    "N": 1.0,
-    "kN": 1e3,
-    "lbf": POUND_FORCE_N,
-    "klbf": 1e3 * POUND_FORCE_N,
-    "kgf": KILOGRAM_FORCE_N,
-}
+FORCE_UNITS = {"N": 1.0, "kN": 1e3, "lbf": POUND_FORCE_N, "klbf": 1e3 * POUND_FORCE_N, "kgf": KILOGRAM_FORCE_N}
 """Units of force in newton."""
 
 TORQUE_UNITS = {
-    "N-m": 1.0,
-    "N-mm": 1e-3,
-    "kN-m": 1e3,
-    "lbf-in": POUND_FORCE_N * INCH_M,
-    "lbf-ft": POUND_FORCE_N * FOOT_M,
+    "N-m": 1.0, "N-mm": 1e-3, "kN-m": 1e3, "lbf-in": POUND_FORCE_N * INCH_M, "lbf-ft": POUND_FORCE_N * FOOT_M,
     "kgf-cm": KILOGRAM_FORCE_N / 100,
-}
+}  # fmt: skip
 """Units of torque in newton metre."""
 
 

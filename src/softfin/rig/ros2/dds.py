@@ -18,7 +18,7 @@ from rosbags.interfaces import Nodetype
 from softfin.core.errors import DeviceError, RigError
 from softfin.rig.ros2.config import TransportConfig
 from softfin.rig.ros2.messages import Messages, one_line
-from softfin.rig.ros2.transport import DEPTH, Received, Take
+from softfin.rig.ros2.transport import DEPTH, Publisher, Received, Take
 
 try:
     from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
@@ -107,12 +107,19 @@ class DdsTransport:
         self._own: set[str] = set()
         self._seen: dict[str, tuple[str, str]] = {}
 
-    def publish(self, topic: str, kind: str) -> "DdsPublisher":
+    def publish(self, topic: str, kind: str) -> Publisher:
         """A writer of its own."""
         carrier, quality = idl_type(kind, self._messages, carries=True), _quality()
-        writer = DataWriter(self._open(), Topic(self._open(), f"rt{topic}", carrier, qos=quality), qos=quality)
+        writer: Any = DataWriter(self._open(), Topic(self._open(), f"rt{topic}", carrier, qos=quality), qos=quality)
         self._own.add(str(writer.get_guid()))
-        return DdsPublisher(writer, carrier, topic)
+
+        def send(data: bytes) -> None:
+            try:
+                writer.write(carrier(data))
+            except DDSException as error:
+                raise DeviceError(f"{topic}: not sent ({one_line(error)}); is its reader too slow?") from None
+
+        return Publisher(send, lambda: int(writer.get_publication_matched_status().current_count))
 
     def subscribe(self, topic: str, kind: str, best_effort: bool = False) -> Take:
         """A reader of its own, which keeps the last messages."""
@@ -151,24 +158,6 @@ class DdsTransport:
         if self._participant is None:
             raise DeviceError("the way to ROS 2 is closed; open it again")
         return self._participant
-
-
-class DdsPublisher:
-    """Meets the Publisher contract."""
-
-    def __init__(self, writer: Any, carrier: Any, topic: str) -> None:
-        self._writer, self._carrier, self._topic = writer, carrier, topic
-
-    def send(self, data: bytes) -> None:
-        """Write it to the network before returning."""
-        try:
-            self._writer.write(self._carrier(data))
-        except DDSException as error:
-            raise DeviceError(f"{self._topic}: not sent ({one_line(error)}); is its reader too slow?") from None
-
-    def readers(self) -> int:
-        """Number of matched readers."""
-        return int(self._writer.get_publication_matched_status().current_count)
 
 
 def _quality(best_effort: bool = False) -> Any:

@@ -13,7 +13,7 @@ from typing import Any
 from softfin.core.errors import DeviceError, RigError
 from softfin.rig.ros2.config import TransportConfig
 from softfin.rig.ros2.messages import one_line
-from softfin.rig.ros2.transport import DEPTH, Received, Take
+from softfin.rig.ros2.transport import DEPTH, Publisher, Received, Take
 
 
 class RclpyTransport:
@@ -43,10 +43,20 @@ class RclpyTransport:
         self._closed = False
         threading.Thread(target=self._spin, name="softfin-rclpy", daemon=True).start()
 
-    def publish(self, topic: str, kind: str) -> "RclpyPublisher":
+    def publish(self, topic: str, kind: str) -> Publisher:
         """A publisher of the node's."""
         self._own.append(topic)
-        return RclpyPublisher(self._node.create_publisher(_class(kind), topic, self._quality(False)), topic)
+        publisher = self._node.create_publisher(_class(kind), topic, self._quality(False))
+
+        def send(data: bytes) -> None:
+            try:
+                # It takes bytes as a message that is serialized already.
+                publisher.publish(data)
+            except Exception as error:
+                # rclpy's own errors are of several modules of its C extension.
+                raise DeviceError(f"{topic}: not sent ({one_line(error)}); is ROS 2 still up?") from None
+
+        return Publisher(send, lambda: int(publisher.get_subscription_count()))
 
     def subscribe(self, topic: str, kind: str, best_effort: bool = False) -> Take:
         """A raw subscription: the bytes as they came."""
@@ -93,25 +103,6 @@ class RclpyTransport:
         qos = importlib.import_module("rclpy.qos")
         policy = qos.ReliabilityPolicy.BEST_EFFORT if best_effort else qos.ReliabilityPolicy.RELIABLE
         return qos.QoSProfile(depth=DEPTH, reliability=policy)
-
-
-class RclpyPublisher:
-    """Meets the Publisher contract."""
-
-    def __init__(self, publisher: Any, topic: str) -> None:
-        self._publisher, self._topic = publisher, topic
-
-    def send(self, data: bytes) -> None:
-        """A publisher takes bytes as a message that is serialized already."""
-        try:
-            self._publisher.publish(data)
-        except Exception as error:
-            # rclpy's own errors are of several modules of its C extension.
-            raise DeviceError(f"{self._topic}: not sent ({one_line(error)}); is ROS 2 still up?") from None
-
-    def readers(self) -> int:
-        """Number of matched subscriptions."""
-        return int(self._publisher.get_subscription_count())
 
 
 def _class(kind: str) -> Any:

@@ -1,6 +1,7 @@
 """The contract of a way to other nodes: messages go out and come in as CDR. rclpy and DDS meet it alike."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 DEPTH = 10
@@ -20,17 +21,14 @@ Take: TypeAlias = Callable[[], list[Received]]
 """Returns what has come since the last call, oldest first; never waits. Raises DeviceError where nothing can come."""
 
 
-@runtime_checkable
-class Publisher(Protocol):
+@dataclass
+class Publisher:
     """A topic that we write to."""
 
-    def send(self, data: bytes) -> None:
-        """Send one message as CDR; raises DeviceError where it cannot go out at once."""
-        ...
-
-    def readers(self) -> int:
-        """Number of nodes that read it now."""
-        ...
+    send: Callable[[bytes], None]
+    """Sends one message as CDR; raises DeviceError where it cannot go out at once."""
+    readers: Callable[[], int]
+    """Number of nodes that read it now."""
 
 
 @runtime_checkable
