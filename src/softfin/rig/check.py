@@ -60,7 +60,7 @@ def _sensor(rig: Rig) -> Checked:
         product = "sensor" if settings is None else settings.product
         yield Finding("force sensor", "well", f"{product}, {rig.sensor.rate_hz:.0f} records/s, filter delays "
                       f"{rig.sensor.delay_s * 1e3:.1f} ms")  # fmt: skip
-        still = rig.sensor.measure(1.0)
+        still = rig.sensor.measured(1.0)
         force, noise = still.mean[:3], still.std[:3]
         size = max(map(abs, force))
         zero: Literal["well", "note"] = "well" if size < 0.2 else "note"

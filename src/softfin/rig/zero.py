@@ -17,12 +17,12 @@ def zero_force(config: RigConfig, seconds: float = 2.0, clock: Clock | None = No
     sensor = rig.sensor
     try:
         sensor.open()
-        before = sensor.measure(seconds)
+        before = sensor.measured(seconds)
         worst = max(before.std[:3])
         if worst > MOVING_N:
             raise DeviceError(f"force varies by {worst:.2f} N (deviation): at most {MOVING_N:g} N; let the water rest")
         sensor.bias()
-        after = sensor.measure(seconds)
+        after = sensor.measured(seconds)
         return {"force_before_n": _rounded(before.mean[:3]), "force_after_n": _rounded(after.mean[:3]),
                 "noise_n": _rounded(after.std[:3])}  # fmt: skip
     finally:

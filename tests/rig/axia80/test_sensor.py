@@ -72,7 +72,7 @@ def test_the_force_arrives_in_newton_and_in_softfins_axes(frame, units):
     wrench = (1.5, -2.5, 3.5, 0.1, -0.2, 0.3)
     with emulated(*wrench, frame=frame, **units) as sensor, opened(sensor, frame=frame) as client:
         assert client.read().wrench == pytest.approx(wrench, abs=1e-3)
-        assert client.measure(0.1).mean == pytest.approx(wrench, abs=1e-3)
+        assert client.measured(0.1).mean == pytest.approx(wrench, abs=1e-3)
 
 
 def test_nothing_is_lost_and_the_time_goes_on(pair):
@@ -242,7 +242,7 @@ def test_the_zero_is_set_to_what_is_felt_now():
     with emulated(1, 2, 3, 0.1, 0.2, 0.3, noise=(0.01, 0.001)) as sensor, opened(sensor) as client:
         client.bias()
         assert client.read().wrench == pytest.approx((0,) * 6, abs=0.02)
-        measured = client.measure(0.3)
+        measured = client.measured(0.3)
     assert measured.mean == pytest.approx((0,) * 6, abs=0.005)
     assert measured.std[0] == pytest.approx(0.01, rel=0.3)
     assert measured.std[5] == pytest.approx(0.001, rel=0.3)

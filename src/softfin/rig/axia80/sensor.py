@@ -120,7 +120,7 @@ class Axia80:
         return reading
 
     def bias(self) -> None:
-        """Set the sensor's zero to the present load; it does not answer, so use `measure` to see whether it did.
+        """Set the sensor's zero to the present load; it does not answer, so use `measured` to see whether it did.
 
         Takes about 0.2 s; only with the fin at rest.
         """
@@ -133,7 +133,7 @@ class Axia80:
             raise DeviceError(f"{self._name}: its stream stopped while its zero was set; check its power and cable")
         self._restarts_seen = stream.sequence.restarts
 
-    def measure(self, seconds: float) -> WrenchStatistics:
+    def measured(self, seconds: float) -> WrenchStatistics:
         """Mean and standard deviation of all records over a while; waits for it."""
         stream = self._opened()
         stream.take()
