@@ -11,7 +11,8 @@ from softfin.core.errors import CoverageError
 from softfin.core.quantities import Limits
 from softfin.rig.machine import Machine, Sample, Target
 from softfin.rig.robot_setup import RobotSetup
-from softfin.rig.ros2.plant import Ros2Machine, Ros2PlantConfig
+from softfin.rig.ros2.config import Ros2PlantConfig
+from softfin.rig.ros2.plant import Ros2Machine
 from softfin.rig.safety import SafetyConfig
 from tests.rig.ros2_memory import MemoryTransport
 
@@ -90,7 +91,7 @@ def there(monkeypatch, tmp_path):
     assert isinstance(fin, Machine)
     monkeypatch.setattr(driving, "load_native", lambda folder: controller)
     monkeypatch.setattr(driving, "find_robot", lambda name: RobotSetup(fin, safety, settle_s=0.0))
-    monkeypatch.setattr("softfin.rig.ros2.transport.open_transport", lambda config, messages: transport)
+    monkeypatch.setattr("softfin.rig.ros2.connection.open_transport", lambda config, messages: transport)
     return SimpleNamespace(fin=fin, controller=controller, transport=transport)
 
 

@@ -10,7 +10,7 @@ import yaml
 
 from softfin.core.clock import REAL
 from softfin.rig.emulation.fin import SimpleFin
-from softfin.rig.emulation.plugged import Plugged, plug, unplug
+from softfin.rig.emulation.kept_rig import KeptRig, close_rigs, register_rig
 from softfin.rig.emulation.rig import EmulatedRig
 from softfin.rig.rig import Rig
 from softfin.rig.robot_setup import RobotSetup
@@ -57,11 +57,11 @@ def robot_of(behind: EmulatedRig, **values: Any) -> RobotSetup:
 def filed(behind: EmulatedRig, path: Path, **safety: Any) -> Iterator[Path]:
     """Its file, for the command line in this process."""
     path.write_text(yaml.safe_dump(values_of(behind, **safety) | {"emulation": {}}))
-    plug(path, Plugged(behind.clock, keep=lambda: None, close=lambda: None))
+    register_rig(path, KeptRig(behind.clock, save=lambda: None, close=lambda: None))
     try:
         yield path
     finally:
-        unplug()
+        close_rigs()
 
 
 @contextmanager

@@ -47,7 +47,7 @@ def test_a_sensor_that_does_not_answer_leaves_nothing_open():
         behind.drive.close()
         with pytest.raises(RigError, match="no drive answers"):
             robot.machine.open()
-        assert robot.machine.sensor._socket.closed
+        assert robot.machine.sensor._stream.client.closed
         behind.sensor.close()
         with pytest.raises(DeviceError):
             robot.machine.open()

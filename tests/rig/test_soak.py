@@ -85,19 +85,19 @@ def bus_lost(at: Scene) -> None:
 
 
 def reordered(at: Scene) -> None:
-    at.emulated.sensor.reorder(0.2)
+    at.emulated.sensor.disturb(reorder=0.2)
 
 
 def doubled(at: Scene) -> None:
-    at.emulated.sensor.duplicate(0.2)
+    at.emulated.sensor.disturb(duplicate=0.2)
 
 
 def late(at: Scene) -> None:
-    at.emulated.sensor.delay(0.03)
+    at.emulated.sensor.disturb(delay_s=0.03)
 
 
 def lost(at: Scene) -> None:
-    at.emulated.sensor.drop(0.1)
+    at.emulated.sensor.disturb(drop=0.1)
 
 
 def disk_full(at: Scene) -> None:
@@ -112,7 +112,7 @@ def disk_full(at: Scene) -> None:
 def clock_jump(at: Scene) -> None:
     ahead = time.time() + 86_400
     at.patches.setattr(time, "time", lambda: ahead)
-    at.patches.setattr(at.rig.sensor._socket, "_wall", lambda: ahead)
+    at.patches.setattr(at.rig.sensor._stream.client, "_wall", lambda: ahead)
 
 
 STOPS: dict[str, tuple[Inject, str]] = {
@@ -128,7 +128,7 @@ STOPS: dict[str, tuple[Inject, str]] = {
     "broken gage": (lambda at: at.emulated.sensor.status(0x88000000), "force sensor 127.0.0.1"),
     "sensor silent": (lambda at: at.emulated.sensor.silence(), "nothing new|no new force"),
     "sensor starts anew": (lambda at: at.emulated.sensor.reboot(0.1), "switched off and on|nothing new|no new force"),
-    "all packets lost": (lambda at: at.emulated.sensor.drop(1.0), "nothing new|no new force"),
+    "all packets lost": (lambda at: at.emulated.sensor.disturb(drop=1.0), "nothing new|no new force"),
     "disk full": (disk_full, "No space left on device"),
 }
 """Each ends in a safe stop whose reason matches."""
@@ -217,9 +217,7 @@ def went_on(at: Scene, disturbances: list[tuple[Inject, tuple[str, ...]]], numbe
 def quiet(at: Scene) -> None:
     """No disturbance any more."""
     at.patches.undo()
-    sensor = at.emulated.sensor
-    for setting in (sensor.drop, sensor.delay, sensor.duplicate, sensor.reorder):
-        setting(0.0)
+    at.emulated.sensor.disturb()
 
 
 @pytest.mark.parametrize("name", STOPS)

@@ -2,6 +2,7 @@
 
 import contextlib
 import sys
+import threading
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -110,7 +111,7 @@ class Arguments(Armed, Common):
         if self.real_time:
             self._emulate_in_real_time(tank)
             return
-        from softfin.rig.emulation.plugged import state_file
+        from softfin.rig.emulation.kept_rig import state_file
         from softfin.rig.emulation.rig import write_simulated
 
         # A new rig knows nothing of the one that was there.
@@ -131,7 +132,7 @@ class Arguments(Armed, Common):
         with contextlib.suppress(KeyboardInterrupt), EmulatedRig(tank, self.seed, clock=REAL) as emulated:
             emulated.write(self.rig)
             sys.stdout.write(
-                f"{self.rig}: written; the emulated fin moves for it until Ctrl-C\n{emulated.described()}\n"
+                f"{self.rig}: written; the emulated fin moves for it until Ctrl-C\n{emulated.description()}\n"
             )
             sys.stdout.flush()
-            emulated.wait()
+            threading.Event().wait()

@@ -8,10 +8,10 @@ from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 from softfin.core.configuration import Config, Configuration, read_yaml
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.core.quantities import TICK_S
-from softfin.rig.axia80.config import SensorConfig
+from softfin.rig.axia80.config import Axia80Config
 from softfin.rig.epos2.config import BusConfig, Epos2Config
 from softfin.rig.filter import design
-from softfin.rig.ros2.plant import Ros2PlantConfig
+from softfin.rig.ros2.config import Ros2PlantConfig
 from softfin.rig.safety import SafetyConfig
 from softfin.storage.paths import find_rig_file
 
@@ -49,7 +49,7 @@ class RigConfig(RealFinConfig):
     """The CAN bus."""
     drive: Epos2Config
     """The EPOS2 on the bus."""
-    sensor: SensorConfig
+    sensor: Axia80Config
     """The Axia80."""
     safety: SafetyConfig
     """Safety limits; a rig's must include the current."""

@@ -27,13 +27,13 @@ class Rig:
 
     def __init__(self, config: RigConfig, clock: Clock | None = None) -> None:
         """Use the clock of the rig's emulation where it has one, else the real one."""
-        self._kept: Callable[[], None] | None = None
+        self._save: Callable[[], None] | None = None
         if clock is None and config.emulation is not None:
             # Imported here: a real rig needs no tank.
-            from softfin.rig.emulation.plugged import plugged
+            from softfin.rig.emulation.kept_rig import kept_rig
 
-            emulated = plugged(config)
-            clock, self._kept = emulated.clock, emulated.keep
+            emulated = kept_rig(config)
+            clock, self._save = emulated.clock, emulated.save
         clock = clock or REAL
         self.config, self.clock = config, clock
         drive = config.drive
@@ -99,8 +99,8 @@ class Rig:
         self.drive.close()
         with contextlib.suppress(OSError, SoftfinError):
             self.sensor.close()
-        if self._kept is not None:
-            self._kept()
+        if self._save is not None:
+            self._save()
 
     def counters(self) -> dict[str, int]:
         """Return the counters of both devices."""

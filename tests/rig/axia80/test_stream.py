@@ -1,10 +1,11 @@
 import os
 import random
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from softfin.rig.axia80.sequence import Arrival, SequenceCounter
+from softfin.rig.axia80.stream import Arrival, SequenceCounter, StreamClock
 
 CASES = 100_000 if os.environ.get("SOFTFIN_LONG") == "1" else 5_000
 
@@ -59,7 +60,7 @@ def test_a_stream_that_was_asked_for_anew_is_no_restart():
 def test_a_sensor_that_was_switched_off_and_on_is_noticed():
     counter, _ = taken((1, 800), (2, 808))
     counter.begin()
-    assert counter.take(1, 8) == (Arrival.RESTART, 3)
+    assert counter.take(1, 8) == (Arrival.NEW_STREAM, 3)
     assert (counter.streams, counter.restarts) == (2, 1)
 
 
@@ -71,16 +72,8 @@ def test_a_stream_that_somebody_else_asked_for_is_noticed():
 
 def test_a_restart_early_in_a_short_stream_is_noticed():
     counter, found = taken((1, 800), (2, 808), (3, 816), (1, 8), (2, 16))
-    assert [arrival for arrival, _ in found[3:]] == [Arrival.RESTART, Arrival.NEXT]
+    assert [arrival for arrival, _ in found[3:]] == [Arrival.NEW_STREAM, Arrival.NEXT]
     assert counter.restarts == 1
-
-
-def test_a_record_from_long_ago_changes_nothing():
-    counter, _ = taken((1, 8), (300_000, 2_400_000))
-    lost = counter.lost
-    assert counter.take(200_000, 1_600_000)[0] is Arrival.LATE
-    assert counter.take(300_001, 2_400_008)[0] is Arrival.NEXT
-    assert (counter.lost, counter.restarts) == (lost, 0)
 
 
 @settings(deadline=None)
@@ -111,4 +104,47 @@ def test_any_numbers_are_counted_and_none_stops_the_count():
     for _ in range(CASES):
         arrival, _ = counter.take(draw.choice((*edges, draw.randrange(2**32))), draw.choice((*edges, 7)))
         assert isinstance(arrival, Arrival)
-    assert len(counter._seen) <= 1024
+    assert len(counter._recent) <= 1024
+
+
+def streamed(clock, rate_hz, seconds, late=lambda tick: 0.0, began=100.0):
+    for tick in range(round(seconds * 100)):
+        place = round(tick * rate_hz / 100)
+        clock.stamp(place, began + place / rate_hz + late(tick))
+    return place
+
+
+def test_the_rate_of_the_stream_is_measured():
+    clock = StreamClock(1000.0)
+    streamed(clock, 976.0, 1)
+    assert clock.rate_hz == pytest.approx(976)
+    assert clock.measured_s == pytest.approx(0.99, abs=0.01)
+
+
+def test_a_packet_that_was_held_up_moves_no_time():
+    clock = StreamClock(1000.0)
+    newest = streamed(clock, 1000.0, 1, late=lambda tick: 0.02 if tick > 95 else 0.0)
+    assert clock.time_of(newest) == pytest.approx(100 + newest / 1000, abs=1e-3)
+
+
+def test_a_stream_that_stays_late_is_followed():
+    clock = StreamClock(1000.0)
+    newest = streamed(clock, 1000.0, 5, late=lambda tick: 0.02 if tick > 300 else 0.0)
+    assert clock.time_of(newest) == pytest.approx(100.02 + newest / 1000, abs=1e-3)
+
+
+def test_a_pause_is_not_bridged():
+    clock = StreamClock(1000.0)
+    newest = streamed(clock, 1000.0, 1)
+    clock.stamp(newest + 1, 105.0)
+    assert clock.time_of(newest + 1) == 105.0
+
+
+def test_another_stream_keeps_the_rate_of_the_first():
+    clock = StreamClock(1000.0)
+    streamed(clock, 976.0, 1)
+    clock.begin()
+    assert clock.measured_s == 0
+    clock.stamp(5, 200.0)
+    assert clock.time_of(5) == 200.0
+    assert clock.rate_hz == pytest.approx(976)

@@ -2,8 +2,8 @@ import pytest
 
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.rig.machine import Target
+from softfin.rig.ros2.flipper import FlipperCommands, FlipperConfig, put
 from softfin.rig.ros2.messages import Messages
-from softfin.rig.ucat import FlipperCommands, FlipperConfig, put
 from tests.rig.ros2_memory import MemoryTransport
 
 DEFINITIONS = {
@@ -21,7 +21,7 @@ def encoded(**changes):
     return transport.sent["/flippers"][0]
 
 
-def test_fields_are_found_by_their_way_and_sequences_grow():
+def test_fields_are_found_by_their_path_and_sequences_grow():
     constants = {"flippers.2.frequency": 1.5, "flippers.2.name": "left", "flippers.2.on": True}
     ways = {name: f"flippers.2.{name}" for name in ("zero_direction", "amplitude")}
     message = encoded(constants=constants, **ways)
@@ -42,14 +42,14 @@ def test_numbers_in_sequences_and_arrays_are_fields_too():
     [
         ("flippers.0.zero", "own/msg/Flipper has no field 'zero'; it has frequency, amplitude"),
         ("pair.2", "it has 2 elements, 0 to 1; there is no 2"),
-        ("flippers.x.amplitude", "'x' is no element of it"),
-        ("flippers.0", "it is no number"),
-        ("angles", "it is no number"),
+        ("flippers.x.amplitude", "'x' is not an element of it"),
+        ("flippers.0", "it is not a number"),
+        ("angles", "it is not a number"),
         ("flippers.0.name", "of type string"),
-        ("flippers.0.name.1", "'1' is no element of it"),
-        ("__class__", "a way is names and numbers"),
-        ("flippers.9999.amplitude", "a way is names and numbers"),
-        ("", "a way is names and numbers"),
+        ("flippers.0.name.1", "'1' is not an element of it"),
+        ("__class__", "a path is names and numbers"),
+        ("flippers.9999.amplitude", "a path is names and numbers"),
+        ("", "a path is names and numbers"),
     ],
 )
 def test_a_field_that_is_not_there_is_told_before_anything_is_sent(way, words):
@@ -63,7 +63,7 @@ def test_a_constant_that_a_field_cannot_hold_is_told():
 
 
 def test_a_type_that_is_none_is_a_wrong_configuration():
-    with pytest.raises(ConfigurationError, match="no message type"):
+    with pytest.raises(ConfigurationError, match="is not a message type"):
         FlipperConfig.build({"type": "Flipper"})
 
 

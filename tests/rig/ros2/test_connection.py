@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softfin.rig.ros2.intake import CREEP, Intake, StampClock, Told
+from softfin.rig.ros2.connection import CREEP, StampClock, Stamped, Subscription
 from softfin.rig.ros2.messages import JOINT, WRENCH, Messages, joint_of, wrench_of
 from tests.rig.ros2_memory import MemoryTransport
 
@@ -49,19 +49,21 @@ def test_messages_without_stamps_count_from_when_they_come():
 
 def test_what_cannot_be_used_is_counted_and_told_until_the_next_that_can():
     transport, messages = MemoryTransport(), Messages()
-    intake = Intake(transport, messages, "/joint", JOINT, lambda message: joint_of(message, "fin"), best_effort=True)
+    subscription = Subscription(
+        transport, messages, "/joint", JOINT, lambda message: joint_of(message, "fin"), best_effort=True
+    )
     assert transport.asked == {"/joint": (JOINT, True)}
     transport.put("/joint", messages.joint(START, "", "fin", 1.0, 2.0), 5.0)
     transport.put("/joint", messages.joint(START, "", "fin", 1.0, 2.0), 5.0)
     transport.put("/joint", messages.joint(START + 1, "", "fin", np.nan, 2.0), 5.0)
     transport.put("/joint", b"\x00\x01\x00\x00no", 5.0)
-    assert intake.take() == [Told(5.0, 5.0, (1.0, 2.0))]
-    assert (intake.received, intake.refused, intake.not_newer) == (4, 2, 1)
-    assert intake.refusal is not None
-    assert intake.refusal.startswith("/joint: refused: 6 bytes that are no sensor_msgs/msg/JointState")
+    assert subscription.take() == [Stamped(5.0, 5.0, (1.0, 2.0))]
+    assert (subscription.received, subscription.refused, subscription.not_newer) == (4, 2, 1)
+    assert subscription.refusal is not None
+    assert subscription.refusal.startswith("/joint: refused: 6 bytes that are no sensor_msgs/msg/JointState")
     transport.put("/joint", messages.joint(START + 2, "", "fin", 1.0, 2.0), 6.0)
-    assert len(intake.take()) == 1
-    assert intake.refusal is None
+    assert len(subscription.take()) == 1
+    assert subscription.refusal is None
 
 
 def test_damaged_messages_are_told_or_refused_and_nothing_else():
@@ -70,15 +72,15 @@ def test_damaged_messages_are_told_or_refused_and_nothing_else():
     kinds = {JOINT: lambda message: joint_of(message, "fin"), WRENCH: wrench_of}
     whole = {JOINT: messages.joint(START, "fin_mount", "fin", 1.0, 2.0),
              WRENCH: messages.wrench(START, "fin_mount", (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))}  # fmt: skip
-    intakes = [Intake(transport, messages, f"/{kind}", kind, value) for kind, value in kinds.items()]
+    subscriptions = [Subscription(transport, messages, f"/{kind}", kind, value) for kind, value in kinds.items()]
     for case in range(cases):
-        intake = intakes[case % 2]
-        data = bytearray(messages.encode(whole[intake.kind]))
+        subscription = subscriptions[case % 2]
+        data = bytearray(messages.encode(whole[subscription.kind]))
         for _ in range(generator.integers(1, 6)):
             data[generator.integers(len(data))] = generator.choice([0, 1, 127, 128, 255, generator.integers(256)])
-        transport.put(intake.topic, bytes(data[: generator.integers(len(data) + 1)]), 1.0 + case)
-        for told in intake.take():
+        transport.put(subscription.topic, bytes(data[: generator.integers(len(data) + 1)]), 1.0 + case)
+        for told in subscription.take():
             assert np.isfinite([number for number in told.value if number is not None]).all()
             assert told.time <= told.received
-    assert sum(intake.received for intake in intakes) == cases
-    assert all(intake.refused > intake.received / 4 for intake in intakes)
+    assert sum(subscription.received for subscription in subscriptions) == cases
+    assert all(subscription.refused > subscription.received / 4 for subscription in subscriptions)

@@ -10,7 +10,7 @@ import pytest
 from softfin.cli import main
 from softfin.core.errors import RigError
 from softfin.rig.config import load_rig
-from softfin.rig.emulation.plugged import plugged, state_file, unplug
+from softfin.rig.emulation.kept_rig import close_rigs, kept_rig, state_file
 from softfin.rig.emulation.rig import write_simulated
 from softfin.rig.emulation.tank import _tick
 from softfin.rig.machine import Target
@@ -21,7 +21,7 @@ from softfin.tank import Tank
 @pytest.fixture(autouse=True)
 def pulled_out_after_all():
     yield
-    unplug()
+    close_rigs()
 
 
 @pytest.fixture(scope="module")
@@ -49,14 +49,14 @@ def moved(file, goal=0.8, ticks=60):
         rig.stop()
     finally:
         rig.close()
-        unplug()
+        close_rigs()
     return np.array([(s.time, s.angle, s.velocity, s.current, s.force_time, *s.wrench) for s in samples])
 
 
 def zeroed(file):
     zero_angle(load_rig(file))
     zero_force(load_rig(file), seconds=0.2)
-    unplug()
+    close_rigs()
 
 
 def test_the_same_seed_and_commands_give_the_same_readings_and_another_seed_others(tmp_path, tank):
@@ -89,7 +89,7 @@ def test_what_a_command_leaves_is_what_the_next_one_finds(tmp_path, tank):
 
 def test_one_process_opens_it_many_times_and_it_is_one_rig(tmp_path, tank):
     file, programs = made(tmp_path, tank), _tick._cache_size()
-    one, other = plugged(load_rig(file)), plugged(load_rig(file))
+    one, other = kept_rig(load_rig(file)), kept_rig(load_rig(file))
     assert one is other
     # Whatever the tank and its state, one program moves it.
     assert _tick._cache_size() - programs <= 1
@@ -98,7 +98,7 @@ def test_one_process_opens_it_many_times_and_it_is_one_rig(tmp_path, tank):
 
 def test_two_commands_at_once_on_one_rig_are_told(tmp_path, tank):
     file = made(tmp_path, tank)
-    plugged(load_rig(file))
+    kept_rig(load_rig(file))
     program = (
         "import fcntl, sys\n"
         "held = open(sys.argv[1], 'rb')\n"
@@ -107,7 +107,7 @@ def test_two_commands_at_once_on_one_rig_are_told(tmp_path, tank):
     )
     ran = subprocess.run([sys.executable, "-c", program, str(file)], capture_output=True, text=True, check=True)
     assert ran.stdout == "taken\n"
-    unplug()
+    close_rigs()
     holder = "import fcntl, sys\nheld = open(sys.argv[1], 'rb')\nfcntl.flock(held, fcntl.LOCK_EX)\nprint('has it')\n"
     with subprocess.Popen(
         [sys.executable, "-uc", holder + "sys.stdin.read()", str(file)],
@@ -115,9 +115,9 @@ def test_two_commands_at_once_on_one_rig_are_told(tmp_path, tank):
     ) as process:  # fmt: skip
         assert process.stdout.readline() == "has it\n"
         with pytest.raises(RigError, match=r"another command uses this emulated rig; wait for its end, or .*--rig"):
-            plugged(load_rig(file))
+            kept_rig(load_rig(file))
         process.stdin.close()
-    assert plugged(load_rig(file)).clock() == 1000.0
+    assert kept_rig(load_rig(file)).clock() == 1000.0
 
 
 @pytest.mark.parametrize(
@@ -132,13 +132,13 @@ def test_two_commands_at_once_on_one_rig_are_told(tmp_path, tank):
 )
 def test_a_state_that_cannot_be_is_refused_in_one_line(tmp_path, tank, change, words):
     file = made(tmp_path, tank)
-    rig = plugged(load_rig(file))
-    rig.keep()
-    unplug()
+    rig = kept_rig(load_rig(file))
+    rig.save()
+    close_rigs()
     state = json.loads(state_file(file).read_text())
     state_file(file).write_text(change(state))
     with pytest.raises(RigError, match=words) as told:
-        plugged(load_rig(file))
+        kept_rig(load_rig(file))
     assert "remove it, and the rig begins anew, not zeroed" in str(told.value)
     assert "\n" not in str(told.value)
 
@@ -152,4 +152,4 @@ def test_a_tank_that_cannot_be_is_refused_and_the_tank_of_the_file_is_the_one_be
     text = (tmp_path / "rig.yaml").read_text().replace("    fastest_rad_s", "    fastest_rat_s")
     (tmp_path / "rig.yaml").write_text(text)
     with pytest.raises(RigError, match=r"emulation\.tank: unknown key 'drive\.fastest_rat_s'"):
-        plugged(load_rig(tmp_path / "rig.yaml"))
+        kept_rig(load_rig(tmp_path / "rig.yaml"))
