@@ -78,7 +78,7 @@ def test_a_folder_that_is_not_there_is_named(tmp_path):
 
 def test_a_dataset_without_logs_says_where_they_belong(tmp_path):
     (tmp_path / "dataset.json").write_text("{}")
-    with pytest.raises(ArtifactError, match=f"holds no logs to learn from; put Parquet logs into {tmp_path / 'train'}"):
+    with pytest.raises(ArtifactError, match=f"holds no training logs; put Parquet logs into {tmp_path / 'train'}"):
         Dataset.open(tmp_path)
 
 

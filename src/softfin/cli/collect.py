@@ -32,9 +32,9 @@ class Arguments(Armed, Configured):
     extend: Annotated[Path, folder_of("dataset")] | None = None
     """Folder of a dataset of this fin whose logs are taken over: the new one holds both."""
     logs: int | None = None
-    """Logs to learn from that are recorded (the paper's 100)."""
+    """Number of training logs (the paper's 100)."""
     test_logs: int | None = None
-    """Logs to score on, under other conditions (the paper's 3; none more with --extend)."""
+    """Number of test logs, under other conditions (the paper's 3; none more with --extend)."""
     rows: int | None = None
     """Readings a log at 100 Hz (the paper's 20,000)."""
     seed: int | None = None

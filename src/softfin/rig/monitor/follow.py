@@ -10,25 +10,15 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from mcap.records import Channel, Footer, Message, Schema
+
 from softfin.core.errors import LogError
 from softfin.core.printable import printable
-from softfin.rig.monitor import choice, records
+from softfin.rig.monitor import choice
 from softfin.rig.monitor.messages import MOST_CHARACTERS, TOPICS, TYPES, decoded
 from softfin.rig.monitor.summary import State, Summary, readings
 from softfin.rig.monitor.trace import Trace
-from softfin.storage.bag.chunks import (
-    CHANNEL,
-    CHUNK,
-    FOOTER,
-    MAGIC,
-    MESSAGE,
-    SCHEMA,
-    bytes_held,
-    check_cost,
-    inflated,
-    promised,
-)
-from softfin.storage.bag.chunks import records as records_of
+from softfin.storage.bag.records import MAGIC, RawRecord, Record, decode, read_records
 from softfin.storage.paths import check_monitored
 
 READ_BYTES = 16 * 2**20
@@ -77,9 +67,8 @@ class Follower:
         self._kinds: dict[int, str] = {}
         self._channels: dict[int, tuple[Trace, str]] = {}
         self._offset = self._size = self._damaged = self._taken = 0
-        self._held = self._inflated = self._records = 0
-        self._chunk: Iterator[tuple[int, memoryview]] = iter(())
-        """What is still to be taken in of a chunk."""
+        self._waiting: Iterator[Record] = iter(())
+        """Decoded records of a chunk that are still to be taken in."""
         self._start_ns = 0
         self._identity: tuple[int, int] | None = None
         self._problem: str | None = None
@@ -141,7 +130,6 @@ class Follower:
                 # Another file by the same name, as a copy or a repair leaves it.
                 self._begin()
             self._identity, self._size = identity, status.st_size
-            self._held = bytes_held(file, self._size)
             try:
                 self._take_in(file)
             except LogError as error:
@@ -159,16 +147,16 @@ class Follower:
             self._offset = len(magic)
         known, before, self._taken = self._caught_up, self._counted(), 0
         try:
-            if not self._take_chunk():
+            if not self._take_waiting():
                 return
-            for record in records.whole_records(file, self._offset, self._size):
+            for record in read_records(file, self._offset, self._size):
                 self._offset = record.end
-                self._record(record.opcode, record.body)
-                self._taken += RECORD_COST + len(record.body)
-                check_cost(self._held, self._inflated, self._records)
-                if not self._take_chunk() or self._ended or self._taken >= READ_BYTES:
+                self._decode(record)
+                if not self._take_waiting() or self._ended or self._taken >= READ_BYTES:
                     return
             self._caught_up = True
+        except LogError as error:
+            raise LogError(f"damaged ({error}); softfin bag recover saves what is whole") from None
         finally:
             # Of the joint where there is one: no other topic's wrong stamps empty all traces.
             lasts = [trace.last for trace in self.traces.values() if trace.last is not None]
@@ -182,48 +170,38 @@ class Follower:
     def _counted(self) -> int:
         return sum(trace.count for trace in self.traces.values())
 
-    def _take_chunk(self) -> bool:
+    def _take_waiting(self) -> bool:
         """Whether all of the chunk was taken in at this look."""
-        for opcode, content in self._chunk:
-            if opcode != CHUNK and opcode != FOOTER:
-                self._record(opcode, content)
-            self._taken += RECORD_COST + len(content)
+        for record in self._waiting:
+            self._take(record)
+            self._taken += RECORD_COST
             if self._taken >= READ_BYTES:
                 return False
         return True
 
-    def _record(self, opcode: int, content: bytes | memoryview) -> None:
-        """One that cannot be read is counted and passed over."""
-        self._records += 1
+    def _decode(self, record: RawRecord) -> None:
+        """Decode a record; one that is damaged is counted and passed over."""
+        self._taken += RECORD_COST + len(record.content)
         try:
-            if opcode == MESSAGE:
-                self._message(content)
-            elif opcode == CHUNK:
-                chunk = bytes(content)
-                self._inflated += promised(chunk)
-                self._chunk = records_of(inflated(chunk))
-            elif opcode == SCHEMA:
-                number, name = records.schema_of(content)
-                if any(name in kinds for kinds in TYPES.values()):
-                    self._kinds[number] = name
-            elif opcode == CHANNEL:
-                channel = records.channel_of(content)
-                if channel.topic in TOPICS:
-                    kind = self._kinds.get(channel.schema, "") if channel.encoding == "cdr" else ""
-                    self._channels[channel.number] = (self.traces[TOPICS[channel.topic]], kind)
-            elif opcode == FOOTER:
-                self._ended = True
-            elif opcode == 0:
-                raise LogError("a chunk that ends within a record")
+            self._waiting = iter(decode(record))
         except LogError:
             self._damaged += 1
 
-    def _message(self, content: bytes | memoryview) -> None:
-        number, logged_ns = records.message_of(content)
-        if number in self._channels:
-            trace, kind = self._channels[number]
-            self._start_ns = self._start_ns or logged_ns
-            trace.offer((logged_ns - self._start_ns) * 1e-9, kind, bytes(content[records.MESSAGE_HEAD :]))
+    def _take(self, record: Record) -> None:
+        if isinstance(record, Message):
+            if record.channel_id in self._channels:
+                trace, kind = self._channels[record.channel_id]
+                self._start_ns = self._start_ns or record.log_time
+                trace.offer((record.log_time - self._start_ns) * 1e-9, kind, record.data)
+        elif isinstance(record, Schema):
+            if any(record.name in kinds for kinds in TYPES.values()):
+                self._kinds[record.id] = record.name
+        elif isinstance(record, Channel):
+            if record.topic in TOPICS:
+                kind = self._kinds.get(record.schema_id, "") if record.message_encoding == "cdr" else ""
+                self._channels[record.id] = (self.traces[TOPICS[record.topic]], kind)
+        elif isinstance(record, Footer):
+            self._ended = True
 
     def _state(self, age: float | None) -> State:
         if self._broken:

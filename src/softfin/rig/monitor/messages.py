@@ -1,13 +1,10 @@
 """A ROS 2 message of a recording in, the numbers that the monitor shows out, or the text of an event."""
 
 from collections.abc import Callable
-from functools import cache
 from typing import Any, TypeAlias
 
-from rosbags.typesys import Stores, get_typestore
-from rosbags.typesys.store import Typestore
-
 from softfin.core.printable import printable
+from softfin.storage.bag.messages import type_store
 
 Values: TypeAlias = tuple[float | str, ...]
 
@@ -56,15 +53,10 @@ def decoded(role: str, kind: str, data: bytes) -> Values | None:
     if len(data) > MOST_BYTES or kind not in TYPES[role]:
         return None
     try:
-        return _VALUES[kind](_types().deserialize_cdr(data, kind))
+        return _VALUES[kind](type_store().deserialize_cdr(data, kind))
     except Exception:
         # Generated code reads what a stranger may have written, and fails in ways of its own; the caller counts it.
         return None
-
-
-@cache
-def _types() -> Typestore:
-    return get_typestore(Stores.ROS2_HUMBLE)
 
 
 def _joint(message: Any) -> Values:

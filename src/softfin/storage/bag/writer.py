@@ -5,7 +5,6 @@ loses what came since. What is in the file is at any time a beginning of a whole
 """
 
 import contextlib
-import importlib.metadata
 import os
 import queue
 import shutil
@@ -44,12 +43,7 @@ class BagRecorder:
     """
 
     def __init__(
-        self,
-        path: Path,
-        *,
-        flush_s: float = 0.5,
-        reserve_bytes: int = 50_000_000,
-        clock: Clock = REAL,
+        self, path: Path, *, flush_s: float = 0.5, reserve_bytes: int = 50_000_000, clock: Clock = REAL
     ) -> None:
         """Create the file, and its folder; raises LogError where it exists, RunError where it cannot be written."""
         self.path = path
@@ -59,7 +53,7 @@ class BagRecorder:
         self._pending = _Pending()
         self._failure: str | None = None
         self._dropped = 0
-        self._bag = BagWriter(self._pending, f"softfin {importlib.metadata.version('softfin')}")
+        self._bag = BagWriter(self._pending)
         self._file = _create(path)
         self._flushed = clock()
         self._began: float | None = None
@@ -223,15 +217,11 @@ def _create(path: Path) -> int:
         raise LogError(f"{path}: exists already, recordings are never overwritten; give another name") from None
     except OSError as error:
         raise RunError(f"{path}: cannot be written ({error.strerror or error}); record elsewhere") from None
-    _sync_folder(path.parent)
-    return file
-
-
-def _sync_folder(folder: Path) -> None:
-    """Without it a cut of power may take the file's name."""
+    # Without it a cut of power may take the file's name.
     with contextlib.suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY)
+        folder = os.open(path.parent, os.O_RDONLY)
         try:
-            os.fsync(descriptor)
+            os.fsync(folder)
         finally:
-            os.close(descriptor)
+            os.close(folder)
+    return file
