@@ -9,7 +9,7 @@ from softfin.cli.kinds import File
 from softfin.cli.log_options import LogOptions, columns_read
 from softfin.cli.options import Option
 from softfin.core.errors import ConfigurationError
-from softfin.data.checks.issues import counted
+from softfin.data.issues import counted
 from softfin.storage import paths
 
 
@@ -59,7 +59,7 @@ class Arguments(LogOptions, Common):
         self.tell(result, f"{out}: {span} saved; {lost:,} bytes could not be read ({reasons[:300]})")
 
     def _convert(self) -> None:
-        from softfin.data.importing.bag_convert import convert
+        from softfin.data.convert import convert
 
         assert self.out is not None
         result = convert(

@@ -74,7 +74,7 @@ def defaults(model: Model) -> "StreamingConfig | FitConfig | AutoConfig":
 
 def warning(counts: Mapping[str, int], dataset: Path) -> str:
     """A line that says how much is wrong with the logs that were learnt from; none where nothing is."""
-    from softfin.data.checks.issues import counted
+    from softfin.data.issues import counted
 
     if not counts["error"] + counts["warning"]:
         return ""

@@ -21,7 +21,7 @@ class Arguments(LogOptions, Common):
 
     def run(self) -> None:
         """Import."""
-        from softfin.data.checks.issues import counted
+        from softfin.data.issues import counted
         from softfin.stages import offline as stages
 
         with progress() as report:

@@ -8,7 +8,7 @@ from typing import Any
 from softfin.cli.common import Common, progress
 from softfin.cli.kinds import Logs, Out
 from softfin.cli.log_options import LogOptions
-from softfin.data.checks.issues import counted
+from softfin.data.issues import counted
 
 
 @dataclass(frozen=True, kw_only=True)

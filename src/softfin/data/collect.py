@@ -93,9 +93,9 @@ def collect(
     }
     if before is not None:
         new_train, new_test = chain(new_train, before.load(before.train)), chain(before.load(before.test), new_test)
-        known = {name: value for name, value in before.description.items() if name not in ("files", "data_hash")}
+        earlier = {name: value for name, value in before.description.items() if name not in ("files", "data_hash")}
         counts = {"logs": len(before.train), "test_logs": len(before.test)}
-        extends = {"dataset": str(before.path), "data_hash": before.data_hash, **counts, "description": known}
+        extends = {"dataset": str(before.path), "data_hash": before.data_hash, **counts, "description": earlier}
         description["extends"] = extends
     return write_dataset(out, new_train, new_test, description | (metadata or {}), overwrite)
 

@@ -18,13 +18,13 @@ from softfin.core.plant_identity import identity
 from softfin.core.quantities import Limits
 from softfin.core.randomness import key_of
 from softfin.data.checks.inspection import Inspection
-from softfin.data.checks.issues import check_issues
 from softfin.data.checks.report import write_inspection
 from softfin.data.collect import CollectConfig, open_to_extend
 from softfin.data.collect import collect as _collect
 from softfin.data.excitation import Commands
 from softfin.data.importing.importing import ImportConfig
-from softfin.data.importing.recordings import OpenedLogs, check_train, open_logs
+from softfin.data.issues import check_issues
+from softfin.data.recordings import OpenedLogs, check_train, open_logs
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, write_evaluation
 from softfin.evaluation.evaluate import evaluate as _evaluate
 from softfin.evaluation.experiment import Subject

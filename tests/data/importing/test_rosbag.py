@@ -159,13 +159,6 @@ def test_a_damaged_bag_is_refused_in_one_line(tmp_path, bag):
         opened(tmp_path / "run")
 
 
-def test_a_bags_description_is_bounded_before_its_reader_gets_it(tmp_path):
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run" / "metadata.yaml").write_text("a: [" + ",".join(["[" * 200 + "]" * 200] * 200) + "]")
-    with pytest.raises(LogError, match="nested more than 20 deep"):
-        read_bag(tmp_path / "run", "run", "train", ImportConfig())
-
-
 @pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
 def test_a_bag_may_be_compressed_as_a_whole_or_message_by_message(tmp_path, columns, mode):
     topics = topics_of(columns, rows=200)

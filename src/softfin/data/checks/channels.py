@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from softfin.core.quantities import RATE_HZ, TICK_S, Log
-from softfin.data.importing.alignment import SHORTEST_S
+from softfin.data.checks.alignment import SHORTEST_S
 
 MOST_RADIANS = {"command_angle": 2 * np.pi, "angle": 2 * np.pi, "command_velocity": 40.0}
 """Sizes beyond which values are degrees: a fin does not turn round, and no drive of one makes 6 turns a second. The

@@ -6,12 +6,12 @@ from typing import NamedTuple
 import numpy as np
 
 from softfin.core.quantities import AXES, RATE_HZ, TICK_S
+from softfin.data.checks.alignment import COMMAND_LAG_MS, FORCE_LAG_MS, SHORTEST_S, motion
 from softfin.data.checks.channels import Columns, channels_in_degrees, constant_runs, find_spikes, velocity_slope
-from softfin.data.checks.issues import Issue, Severity, counted
 from softfin.data.checks.statistics import LogStatistics
-from softfin.data.importing.alignment import COMMAND_LAG_MS, FORCE_LAG_MS, SHORTEST_S, motion
 from softfin.data.importing.importing import ANGLES, ImportConfig, compose_frames
 from softfin.data.importing.recording import NamedLog
+from softfin.data.issues import Issue, Severity, counted
 
 MANY_SPIKES = 1e-3
 """Fraction of samples from which spikes are an error."""
@@ -237,15 +237,15 @@ def check_lags(statistics: Sequence[LogStatistics], config: ImportConfig) -> Ite
     """Clocks that lie where no fin and drive put them, and clocks that differ between logs."""
     for name, (least, most) in (("command", COMMAND_LAG_MS), ("force", FORCE_LAG_MS)):
         lags = [(one.command_lag if name == "command" else one.force_lag, one.name) for one in statistics]
-        known = [(lag.milliseconds, log) for lag, log in lags if lag is not None]
+        measured = [(lag.milliseconds, log) for lag, log in lags if lag is not None]
         low, high, usual = (
             least - LAG_TOLERANCE_MS,
             most + LAG_TOLERANCE_MS,
-            np.median([lag for lag, _ in known] or [0]),
+            np.median([lag for lag, _ in measured] or [0]),
         )
-        far = [one for one in known if abs(one[0] - usual) > LAG_SPREAD_MS[name]]
+        far = [one for one in measured if abs(one[0] - usual) > LAG_SPREAD_MS[name]]
         # A log is wrong where all are, or where it stands out; a rough one may show its lag badly.
-        wrong = [one for one in known if not low <= one[0] <= high and (one in far or not low <= usual <= high)]
+        wrong = [one for one in measured if not low <= one[0] <= high and (one in far or not low <= usual <= high)]
         for lag, log in wrong:
             first, second = ("the angle", "its command") if name == "command" else ("the force", "the angle")
             message = f"{first} follows {second} by {lag:.0f} ms" if lag >= 0 else (
@@ -258,7 +258,7 @@ def check_lags(statistics: Sequence[LogStatistics], config: ImportConfig) -> Ite
             yield Issue("error", f"{name} lag", log, message, fix, LAGGING[name])
         if others := [one for one in far if one not in wrong]:
             lag, log = max(others, key=lambda one: abs(one[0] - usual))
-            message = f"the {name}'s lag is {lag:.0f} ms, where the median of {len(known)} logs is {usual:.0f} ms"
+            message = f"the {name}'s lag is {lag:.0f} ms, where the median of {len(measured)} logs is {usual:.0f} ms"
             fix = f"import these logs by themselves with --{name}-lag, or leave them out"
             names = tuple(log for _, log in others)
             yield Issue("warning", "lags differ", log, message, fix, LAGGING[name], logs=names)

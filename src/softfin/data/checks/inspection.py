@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from softfin.data.checks.alignment import Lag
 from softfin.data.checks.channels import channels_in_degrees, columns_of, without_spikes
 from softfin.data.checks.checks import CHANNEL_CHECKS, DATASET_CHECKS, STATISTICS_CHECKS, CheckedLog, check_lags
-from softfin.data.checks.issues import SEVERITIES, Issue, merge_issues
 from softfin.data.checks.statistics import LogStatistics, measure, measure_together
-from softfin.data.importing.alignment import Lag
 from softfin.data.importing.importing import FORCE_FRAMES, ImportConfig
 from softfin.data.importing.recording import NamedLog
+from softfin.data.issues import SEVERITIES, Issue, merge_issues
 
 Progress = Callable[[int, int], None]
 
@@ -87,8 +87,8 @@ def _prepared(named: NamedLog, config: ImportConfig) -> CheckedLog:
 
 
 def _spread(lags: Sequence[Lag | None]) -> dict[str, float] | None:
-    known = np.array([lag.milliseconds for lag in lags if lag is not None])
-    if not known.size:
+    values = np.array([lag.milliseconds for lag in lags if lag is not None])
+    if not values.size:
         return None
-    values = {"median": np.median(known), "least": known.min(), "most": known.max(), "std": known.std()}
-    return {name: round(float(value), 1) for name, value in values.items()}
+    spread = {"median": np.median(values), "least": values.min(), "most": values.max(), "std": values.std()}
+    return {name: round(float(value), 1) for name, value in spread.items()}

@@ -11,11 +11,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from softfin.core.quantities import AXES, RATE_HZ
+from softfin.data.checks.alignment import COMMAND_LAG_MS, FORCE_LAG_MS
 from softfin.data.checks.inspection import Inspection
-from softfin.data.checks.issues import Issue, counted
-from softfin.data.importing.alignment import COMMAND_LAG_MS, FORCE_LAG_MS
 from softfin.data.importing.importing import FORCE_FRAMES
 from softfin.data.importing.recording import NamedLog
+from softfin.data.issues import Issue, counted
 from softfin.storage import artifact as artifacts
 from softfin.storage.figures import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, render, styled
 
@@ -120,10 +120,10 @@ def _draw_lags(axes: Axes, inspection: Inspection) -> None:
     for place, (name, plausible) in enumerate((("command", COMMAND_LAG_MS), ("force", FORCE_LAG_MS))):
         axes.fill_between([place - 0.35, place + 0.35], *plausible, color=BAND, label=None if place else "plausible")
         lags = [one.command_lag if name == "command" else one.force_lag for one in inspection.logs]
-        known = [lag.milliseconds for lag in lags if lag is not None]
-        spread = np.linspace(-0.25, 0.25, len(known)) if len(known) > 1 else np.zeros(len(known))
-        axes.plot(place + spread, known, ".", color=BLUE, label=None if place else "a log")
-        if not known:
+        found = [lag.milliseconds for lag in lags if lag is not None]
+        spread = np.linspace(-0.25, 0.25, len(found)) if len(found) > 1 else np.zeros(len(found))
+        axes.plot(place + spread, found, ".", color=BLUE, label=None if place else "a log")
+        if not found:
             axes.text(place, sum(plausible) / 2, "not\nknown", ha="center", va="center", color=GREY)
     axes.set_xticks([0, 1], ["command\nto angle", "angle\nto force"])
     axes.set(title="clocks", ylabel="lag [ms]", xlim=(-0.5, 1.5))
@@ -146,12 +146,12 @@ def _draw_frames(axes: Axes, inspection: Inspection) -> None:
 
 
 def _draw_rest(axes: Axes, inspection: Inspection) -> None:
-    known = [one.offset_n for one in inspection.logs if one.offset_n is not None]
+    found = [one.offset_n for one in inspection.logs if one.offset_n is not None]
     for index, (axis, colour, marker) in enumerate(zip(AXES, (BLUE, GREEN), ("o", "^"), strict=True)):
-        axes.plot(range(len(known)), [offset[index] for offset in known], marker, color=colour, markersize=3,
+        axes.plot(range(len(found)), [offset[index] for offset in found], marker, color=colour, markersize=3,
                   linestyle="", label=f"force {axis}")  # fmt: skip
-    if known:
-        most = max(0.5, 1.1 * float(np.abs(known).max()))
+    if found:
+        most = max(0.5, 1.1 * float(np.abs(found).max()))
         axes.set(ylim=(-most, most))
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=2)
     else:

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 from softfin.core.quantities import RATE_HZ, TICK_S
+from softfin.data.checks.alignment import FOLLOWING_TICKS, SHORTEST_S, Lag, command_lag, force_lag, motion
 from softfin.data.checks.channels import Columns, true_runs
-from softfin.data.importing.alignment import FOLLOWING_TICKS, SHORTEST_S, Lag, command_lag, force_lag, motion
-from softfin.data.importing.frame import frame_correlations
+from softfin.data.checks.frame import frame_correlations
 from softfin.data.importing.recording import Part
 
 STILL_RAD_S = 0.05

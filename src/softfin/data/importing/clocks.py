@@ -1,22 +1,21 @@
-"""From a recording to logs at 100 Hz: rows without a valid time or value are left out and counted, gaps split it.
+"""Conversion of a recording to logs at 100 Hz: rows without a valid time or value are left out, gaps split it.
 
 Time begins at 0. A piece on a steady 100 Hz clock passes unchanged otherwise; any other is
 resampled.
 """
 
 import itertools
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from softfin.core.errors import LogError
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Log, Reading
-from softfin.data.checks.issues import Issue, counted
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.importing.names import UNITS
 from softfin.data.importing.recording import Channels, NamedLog, Recording, Track
 from softfin.data.importing.resample import EARLY_S, held, interpolated
+from softfin.data.issues import Issue, counted
 from softfin.storage.log_file import RATE_TOLERANCE
 
 COMMANDS = ("command_angle", "command_velocity")
@@ -28,11 +27,8 @@ RATES_HZ = (5.0, 20_000.0)
 """Plausible rates; beyond them the unit of the time must be wrong."""
 
 
-class Piece(NamedTuple):
-    """From one gap to the next."""
-
-    start: float
-    end: float
+Span = tuple[float, float]
+"""Time from one gap to the next [s]."""
 
 
 def logs_of(recording: Recording, config: ImportConfig) -> tuple[list[NamedLog], list[Issue]]:
@@ -50,11 +46,11 @@ def logs_of(recording: Recording, config: ImportConfig) -> tuple[list[NamedLog],
             valid, found = _valid_rows(track._replace(time=track.time - start), run, config)
             issues += found
             tracks += _shifted(valid, config)
-        pieces, found = _split_at_gaps(tracks, run.name, config)
+        spans, found = _split_at_gaps(tracks, run.name, config)
         issues += found
-        for number, piece in enumerate(pieces):
-            name = f"{run.name}, piece {number + 1} of {len(pieces)}" if len(pieces) > 1 else run.name
-            logs.append(NamedLog(name, run.part, _at_100_hz(tracks, piece), start))
+        for number, span in enumerate(spans):
+            name = f"{run.name}, piece {number + 1} of {len(spans)}" if len(spans) > 1 else run.name
+            logs.append(NamedLog(name, run.part, _at_100_hz(tracks, span), start))
     return logs, issues
 
 
@@ -133,7 +129,7 @@ def _shifted(track: Track, config: ImportConfig) -> list[Track]:
     return [Track(track.time - lag, channels) for lag, channels in groups.items()]
 
 
-def _split_at_gaps(tracks: list[Track], name: str, config: ImportConfig) -> tuple[list[Piece], list[Issue]]:
+def _split_at_gaps(tracks: list[Track], name: str, config: ImportConfig) -> tuple[list[Span], list[Issue]]:
     """Find where all clocks have readings; only gaps in readings count, since a command holds until the next."""
     reading = [track for track in tracks if track.channels.keys() - set(COMMANDS)]
     begin = max(float(track.time[0]) for track in tracks)
@@ -158,13 +154,13 @@ def _split_at_gaps(tracks: list[Track], name: str, config: ImportConfig) -> tupl
         )
         fix = f"record again if much is lost; --gap {1.01 * (b - a):.2g} would bridge the first"
         issues.append(Issue("warning", "gap", name, message, fix, "time", row))
-    pieces, edge = [], begin
+    spans, edge = list[Span](), begin
     for a, b, _ in wide:
-        pieces.append(Piece(edge, a))
+        spans.append((edge, a))
         edge = max(edge, b)
-    pieces.append(Piece(edge, end))
-    kept = [piece for piece in pieces if len(pieces) == 1 or piece.end - piece.start >= config.shortest_s]
-    dropped = [piece.end - piece.start for piece in pieces if piece not in kept and piece.end > piece.start]
+    spans.append((edge, end))
+    kept = [(a, b) for a, b in spans if len(spans) == 1 or b - a >= config.shortest_s]
+    dropped = [b - a for a, b in spans if (a, b) not in kept and b > a]
     if dropped:
         message = (
             f"{counted(len(dropped), 'piece')} between gaps, shorter than {config.shortest_s:g} s, left out: "
@@ -182,8 +178,8 @@ def _gaps(time: Float[np.ndarray, "rows"]) -> list[tuple[float, float, int]]:
     return [(float(time[row]), float(time[row + 1]), int(row)) for row in rows]
 
 
-def _at_100_hz(tracks: list[Track], piece: Piece) -> Log:
-    columns = _unchanged(tracks, piece) or _resampled(tracks, piece)
+def _at_100_hz(tracks: list[Track], span: Span) -> Log:
+    columns = _unchanged(tracks, span) or _resampled(tracks, span)
     if "velocity" not in columns:
         columns["velocity"] = (
             np.gradient(columns["angle"], TICK_S) if len(columns["angle"]) > 1 else columns["angle"] * 0
@@ -194,29 +190,30 @@ def _at_100_hz(tracks: list[Track], piece: Piece) -> Log:
     return Log(Command(single["command_angle"], single["command_velocity"]), reading)
 
 
-def _unchanged(tracks: list[Track], piece: Piece) -> dict[str, Float[np.ndarray, "rows"]] | None:
+def _unchanged(tracks: list[Track], span: Span) -> dict[str, Float[np.ndarray, "rows"]] | None:
     """Take the rows themselves, where they share one steady clock of 100 Hz."""
     if len(tracks) > 1:
         return None
     track = tracks[0]
-    rows = slice(int(np.searchsorted(track.time, piece.start)), int(np.searchsorted(track.time, piece.end, "right")))
+    rows = slice(int(np.searchsorted(track.time, span[0])), int(np.searchsorted(track.time, span[1], "right")))
     time, channels = track.take(rows)
     steps = np.diff(time)
     even = len(steps) > 0 and bool((np.abs(steps - TICK_S) <= 0.5 * TICK_S).all())
     # As `read_log`: a handful of rows on a clock with jitter does not show a rate.
-    steady = len(steps) < RATE_HZ or abs(len(steps) / float(time[-1] - time[0]) / RATE_HZ - 1) <= RATE_TOLERANCE
-    return {"time": time, **channels} if even and steady else None
+    is_100_hz = len(steps) < RATE_HZ or abs(len(steps) / float(time[-1] - time[0]) / RATE_HZ - 1) <= RATE_TOLERANCE
+    return {"time": time, **channels} if even and is_100_hz else None
 
 
-def _resampled(tracks: list[Track], piece: Piece) -> dict[str, Float[np.ndarray, "ticks"]]:
-    count = int((piece.end - piece.start + EARLY_S) * RATE_HZ) + 1
-    grid = piece.start + np.arange(count) / RATE_HZ
+def _resampled(tracks: list[Track], span: Span) -> dict[str, Float[np.ndarray, "ticks"]]:
+    start, end = span
+    count = int((end - start + EARLY_S) * RATE_HZ) + 1
+    grid = start + np.arange(count) / RATE_HZ
     columns = {"time": grid}
     for track in tracks:
-        # The low-pass must see nothing from beyond a gap: from the last row by the piece's start to the first from its
+        # The low-pass must see nothing from beyond a gap: from the last row by the start to the first from its
         # end on, between which no wide gap lies. A command holds, however long ago it was issued.
-        first = int(np.searchsorted(track.time, piece.start, "right")) - 1
-        within = track.take(slice(max(0, first), int(np.searchsorted(track.time, piece.end)) + 1))
+        first = int(np.searchsorted(track.time, start, "right")) - 1
+        within = track.take(slice(max(0, first), int(np.searchsorted(track.time, end)) + 1))
         for name, values in track.channels.items():
             columns[name] = (
                 held(track.time, values, grid)

@@ -76,8 +76,8 @@ def choose_columns(names: Sequence[str], config: ImportConfig, source: str) -> d
     return columns
 
 
-def _check_complete(names: Sequence[str], known: set[str], source: str) -> None:
-    missing = [channel for channel in REQUIRED if channel not in known]
+def _check_complete(names: Sequence[str], found: set[str], source: str) -> None:
+    missing = [channel for channel in REQUIRED if channel not in found]
     if missing:
         way_out = f"name it: --columns {_quoted(dict.fromkeys(missing, 'NAME'))}"
         if "command_velocity" in missing:
@@ -87,7 +87,7 @@ def _check_complete(names: Sequence[str], known: set[str], source: str) -> None:
             f"{source}: which column is {missing[0]}? Of {_listed(names)} none has a name of known words and units "
             f"({units}) that means it; {way_out}"
         )
-    if "time" not in known:
+    if "time" not in found:
         raise LogError(
             f"{source}: no column of time in a known unit ({', '.join(UNITS['time'])}); give --rate 100 if a row was "
             f"written every 10 ms, or name it: --columns time=NAME (it has {_listed(names)})"

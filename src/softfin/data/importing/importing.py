@@ -38,9 +38,9 @@ class ImportConfig(Configuration):
     """Topics of a ROS 2 bag: command, joint, wrench; by default /fin/command, /fin/joint_states, /fin/wrench. A joint
     among several is named behind a colon, as ``joint=/joint_states:fin``."""
     rate_hz: float | None = pydantic.Field(default=None, gt=0)
-    """Rows per second [Hz], where there is no column of time."""
+    """Rows per second [Hz], where no column holds the time."""
     velocity_rad_s: float | None = pydantic.Field(default=None, gt=0, le=40)
-    """Velocity of all commands [rad/s], where there is no column of it."""
+    """Velocity of all commands [rad/s], where no column holds it."""
     time_unit: TimeUnit | None = None
     """Unit of the column of time; by default the one in its name, else s."""
     angles: dict[str, str] = pydantic.Field(default_factory=dict)
@@ -79,7 +79,7 @@ class ImportConfig(Configuration):
 
     @pydantic.field_validator("columns", "topics", "angles", "negate")
     @classmethod
-    def _known(cls, value: Any, info: Any) -> Any:
+    def _allowed(cls, value: Any, info: Any) -> Any:
         allowed = {"columns": CHANNELS, "topics": TOPICS}.get(info.field_name or "", ANGLES)
         for name in value:
             if name not in allowed:

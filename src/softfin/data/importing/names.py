@@ -83,13 +83,13 @@ _BRACKETS = re.compile(r"[\[({<]([^\])}>]*)[\])}>]")
 
 
 def _spellings(kind: str) -> dict[str, str]:
-    known = {text: unit for unit, texts in SPELLINGS.items() if unit in UNITS[kind] for text in texts.split()}
+    spelled = {text: unit for unit, texts in SPELLINGS.items() if unit in UNITS[kind] for text in texts.split()}
     if kind == "velocity":
         for unit in UNITS["angle"]:
             angles = SPELLINGS[unit].split()
-            known |= {f"{text}/{second}": f"{unit}/s" for text in angles for second in SPELLINGS["s"].split()}
-        known |= {"dps": "deg/s", "degps": "deg/s", "radps": "rad/s", "rps": "turn/s"}
-    return known
+            spelled |= {f"{text}/{second}": f"{unit}/s" for text in angles for second in SPELLINGS["s"].split()}
+        spelled |= {"dps": "deg/s", "degps": "deg/s", "radps": "rad/s", "rps": "turn/s"}
+    return spelled
 
 
 SPELLED = {kind: _spellings(kind) for kind in UNITS}

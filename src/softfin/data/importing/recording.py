@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from softfin.core.quantities import Log
-from softfin.data.checks.issues import Issue
+from softfin.data.issues import Issue
 
 Part = Literal["train", "test"]
 

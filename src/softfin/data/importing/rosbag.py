@@ -10,15 +10,14 @@ from typing import Any
 import numpy as np
 from rosbags.rosbag2 import Reader
 
-from softfin.core.configuration import parse_yaml
 from softfin.core.errors import LogError
-from softfin.core.files import read_bytes, regular_file
+from softfin.core.files import regular_file
 from softfin.core.printable import printable
-from softfin.data.checks.issues import Issue
 from softfin.data.importing.columns import converted
 from softfin.data.importing.importing import TOPICS, ImportConfig
 from softfin.data.importing.recording import Part, Recording, Track
 from softfin.data.importing.tables import derived_velocity
+from softfin.data.issues import Issue
 from softfin.storage.bag.messages import DEFAULT_TOPICS, type_store
 from softfin.storage.bag.scan import check_bag
 
@@ -37,17 +36,12 @@ CHANNELS = {
 LISTED = 12
 """Most topics that a message lists."""
 
-LARGEST_METADATA = 300_000
-"""Bytes of a bag's ``metadata.yaml``: three hundred topics."""
-
 Values = Callable[[Any], tuple[float, float]]
 
 
 def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recording:
     """Read one bag; raises LogError where it is damaged, lacks a topic, or a topic has messages of another type."""
     try:
-        if path.is_dir():
-            parse_yaml(read_bytes(path / "metadata.yaml", LARGEST_METADATA).decode())
         for file in [path] if not path.is_dir() else sorted(path.iterdir()):
             if file.suffix == ".mcap":
                 check_bag(file)

@@ -10,10 +10,10 @@ from jaxtyping import Float
 
 from softfin.core.errors import LogError
 from softfin.core.files import regular_file
-from softfin.data.checks.issues import Issue
 from softfin.data.importing.columns import Column, choose_columns, converted, describe_columns
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.importing.recording import Part, Recording, Track
+from softfin.data.issues import Issue
 from softfin.storage.parquet_file import damaged, open_parquet
 from softfin.storage.paths import CSV
 

@@ -29,7 +29,7 @@ class Recovery(NamedTuple):
     """Parts that could not be read."""
 
     def to_dict(self) -> dict[str, Any]:
-        """The same for JSON."""
+        """Recovery for JSON."""
         damages = [{"byte": one.start, "bytes": one.length, "reason": one.reason} for one in self.damages]
         return {**self._asdict(), "damages": damages}
 

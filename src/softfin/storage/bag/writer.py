@@ -78,7 +78,7 @@ class BagRecorder:
 
     @property
     def failure(self) -> str | None:
-        """Why this is no whole recording, in one line that ends in the way out; None as long as all is well."""
+        """Reason why this recording is not whole, in one line that ends in the way out; None as long as all is well."""
         began = self._began
         if began is not None and self._clock() - began > STALL_S:
             self._fail(f"the disk has taken no rows for {STALL_S:g} s", "record on a faster disk")

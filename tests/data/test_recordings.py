@@ -7,9 +7,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from softfin.core.errors import ArtifactError, ConfigurationError, LogError
-from softfin.data.checks.issues import Issue, check_issues
 from softfin.data.importing.importing import ImportConfig
-from softfin.data.importing.recordings import check_train, find_recordings, open_logs
+from softfin.data.issues import Issue, check_issues
+from softfin.data.recordings import check_train, find_recordings, open_logs
 from softfin.storage.dataset import Dataset, write_dataset
 from tests.data.bags import topics_of, write_bag
 from tests.data.faulty import columns_of, cut, tank_logs, write_parquet

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import ConfigurationError, LogError
-from softfin.data.importing.bag_convert import convert, encode_bag
+from softfin.data.convert import convert, encode_bag
 from softfin.data.importing.importing import ImportConfig
-from softfin.data.importing.recordings import open_logs
+from softfin.data.recordings import open_logs
 from softfin.storage.bag.messages import COMMAND, JOINT, WRENCH
 from softfin.storage.log_file import read_log, write_log
 from tests.data.faulty import cut, tank_logs

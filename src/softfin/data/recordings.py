@@ -13,11 +13,11 @@ from typing import Any
 from softfin.core.errors import ConfigurationError, LogError
 from softfin.core.quantities import Log
 from softfin.data.checks.inspection import Inspection, inspect
-from softfin.data.checks.issues import Issue, counted
 from softfin.data.importing.clocks import logs_of
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.importing.recording import NamedLog, Part, Recording
 from softfin.data.importing.tables import read_table
+from softfin.data.issues import Issue, counted
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset
 from softfin.storage.paths import find_recordings, is_bag

@@ -12,9 +12,9 @@ import numpy as np
 
 from softfin.core.errors import ConfigurationError, LogError
 from softfin.core.quantities import Log
-from softfin.data.checks.issues import check_issues
 from softfin.data.importing.importing import ImportConfig
-from softfin.data.importing.recordings import open_logs
+from softfin.data.issues import check_issues
+from softfin.data.recordings import open_logs
 from softfin.storage import artifact as artifacts
 from softfin.storage.bag.messages import COMMAND, JOINT, SECOND_NS, WRENCH, BagWriter, Row
 from softfin.storage.log_file import write_log
