@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pydantic
-from jaxtyping import PRNGKeyArray
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError, PlantError
@@ -76,8 +75,9 @@ def collect(
         if progress:
             progress(done, all_rows)
 
-    first = (0, 0) if before is None else (len(before.train), len(before.test))
-    train_keys, test_keys = _keys(config, "train", first[0], len(train)), _keys(config, "test", first[1], len(test))
+    first, first_test = (0, 0) if before is None else (len(before.train), len(before.test))
+    train_keys = [key_of(config.seed, f"collect/train/{first + index}") for index in range(len(train))]
+    test_keys = [key_of(config.seed, f"collect/test/{first_test + index}") for index in range(len(test))]
     random = config.excitation
     if commands in (None, random):
         # One program for all.
@@ -130,16 +130,12 @@ def _one_per_log(plant: Plant | Sequence[Plant], count: int, name: str) -> list[
     return list(plant)
 
 
-def _keys(config: CollectConfig, part: str, first: int, count: int) -> list[PRNGKeyArray]:
-    return [key_of(config.seed, f"collect/{part}/{first + index}") for index in range(count)]
-
-
 def _checked(logs: Iterator[Log], part: str) -> Iterator[Log]:
     for index, log in enumerate(logs):
-        yield _with_counted_time(log, f"{part}/{index:0{PARTS[part]}d}")
+        yield _with_exact_time(log, f"{part}/{index:0{PARTS[part]}d}")
 
 
-def _with_counted_time(log: Log, name: str) -> Log:
+def _with_exact_time(log: Log, name: str) -> Log:
     """Count the time in float64; raises PlantError where the plant's own time or readings are not valid."""
     time = np.arange(1, log.reading.time.shape[0] + 1) / RATE_HZ
     for field, values in zip(log.reading._fields, log.reading, strict=True):

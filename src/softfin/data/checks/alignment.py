@@ -60,7 +60,7 @@ class Lag(NamedTuple):
 
     milliseconds: float
     strength: float
-    """Correlation with a profile, or the response's peak over the rate's deviation; of the force the fraction explained."""
+    """Correlation with a profile, or the response's peak over the rate's deviation, or the fraction explained."""
 
 
 def motion(angle: Float[np.ndarray, "ticks"]) -> Motion:

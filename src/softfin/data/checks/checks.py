@@ -50,6 +50,8 @@ FRAME_LEAST = 0.12
 FEW_CELLS = 0.5
 """Fraction of a 6 x 6 grid of commanded angles and velocities that must be filled."""
 
+UNITS = {"angle": "rad", "force_x": "N", "force_y": "N"}
+
 COVERED_STEPS = 300
 """Number of commands from which empty cells mean something: 36 random cells then stay empty with odds of 1 in 4000."""
 
@@ -74,11 +76,6 @@ class CheckedLog(NamedTuple):
         """Make an issue of this log."""
         return Issue(severity, name, self.statistics.name, message, fix, column, row)
 
-    @property
-    def is_long(self) -> bool:
-        """Whether the log is long enough to judge how channels follow one another."""
-        return self.statistics.rows >= SHORTEST_S * RATE_HZ
-
 
 def check_degrees(log: CheckedLog) -> Iterator[Issue]:
     """Angles in degrees that were read as radians."""
@@ -92,12 +89,12 @@ def check_degrees(log: CheckedLog) -> Iterator[Issue]:
 
 def check_spikes(log: CheckedLog) -> Iterator[Issue]:
     """Outliers of one or two samples."""
-    for channel in ("angle", "force_x", "force_y"):
+    for channel, unit in UNITS.items():
         values = getattr(log.columns, channel)
         rows, calm = find_spikes(values)
         if rows.size:
             message = (
-                f"{counted(rows.size, 'spike')}, up to {np.abs(values - calm)[rows].max():.3g} {_unit(channel)} "
+                f"{counted(rows.size, 'spike')}, up to {np.abs(values - calm)[rows].max():.3g} {unit} "
                 f"off the samples beside, where 98% of all lie within {np.ptp(np.percentile(values, [1, 99])):.3g}"
             )
             fix = "check the cable and the sensor's range; repair these samples in the file, or record again"
@@ -120,7 +117,7 @@ def check_stuck(log: CheckedLog) -> Iterator[Issue]:
     columns = log.columns
     moving = np.abs(motion(columns.angle).velocity) > MOVING_RAD_S
     behind = np.abs(columns.command_angle - columns.angle) > DRIVEN_RAD
-    for channel in ("angle", "force_x", "force_y"):
+    for channel, unit in UNITS.items():
         driven, cause = (behind, "the command is elsewhere") if channel == "angle" else (moving, "the fin moves")
         # A fifth of a second for the dead time, and for the force a drive may press in vain.
         runs = [
@@ -131,7 +128,7 @@ def check_stuck(log: CheckedLog) -> Iterator[Issue]:
         if runs:
             start, end = max(runs, key=lambda run: run[1] - run[0])
             message = (
-                f"stuck at {getattr(columns, channel)[start]:.4g} {_unit(channel)} for {(end - start) * TICK_S:.2f} s "
+                f"stuck at {getattr(columns, channel)[start]:.4g} {unit} for {(end - start) * TICK_S:.2f} s "
                 f"while {cause}; {counted(len(runs), 'such run')}, {sum(b - a for a, b in runs) * TICK_S:.2f} s in all"
             )
             fix = "check sensor and drive; cut these rows off, or record again"
@@ -180,7 +177,7 @@ def check_commanded_velocity(log: CheckedLog) -> Iterator[Issue]:
 def check_following(log: CheckedLog) -> Iterator[Issue]:
     """An angle that does not follow its command."""
     found, column = log.statistics, "command_angle"
-    if not log.is_long:
+    if found.rows < SHORTEST_S * RATE_HZ:
         return
     if found.command_steps == 0:
         message = f"the commanded angle is {found.command_angle_rad[0]:.3g} rad throughout"
@@ -248,9 +245,8 @@ def check_lags(statistics: Sequence[LogStatistics], config: ImportConfig) -> Ite
         wrong = [one for one in measured if not low <= one[0] <= high and (one in far or not low <= usual <= high)]
         for lag, log in wrong:
             first, second = ("the angle", "its command") if name == "command" else ("the force", "the angle")
-            message = f"{first} follows {second} by {lag:.0f} ms" if lag >= 0 else (
-                f"{first} is {-lag:.0f} ms ahead of {second}")  # fmt: skip
-            message += f"; plausible are {least:.0f} to {most:.0f} ms: a clock is off"
+            relation = f"follows {second} by {lag:.0f} ms" if lag >= 0 else f"is {-lag:.0f} ms ahead of {second}"
+            message = f"{first} {relation}; plausible are {least:.0f} to {most:.0f} ms: a clock is off"
             # A command that is stamped late makes the angle early, a force that is stamped late is late itself.
             late = lag - USUAL_LAG_MS if name == "force" else USUAL_LAG_MS - lag
             late += config.command_lag_ms if name == "command" else config.force_lag_ms
@@ -284,10 +280,6 @@ def check_test_logs(logs: Sequence[NamedLog]) -> Iterator[Issue]:
     if not any(one.part == "test" for one in logs):
         fix = "choose some: --test PATTERN; or put them into a folder test"
         yield Issue("note", "no test logs", "all logs", "no test logs", fix)
-
-
-def _unit(channel: str) -> str:
-    return "rad" if channel == "angle" else "N"
 
 
 def _is_mirrored(found: LogStatistics) -> bool:

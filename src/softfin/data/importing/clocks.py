@@ -135,10 +135,10 @@ def _split_at_gaps(tracks: list[Track], name: str, config: ImportConfig) -> tupl
     begin = max(float(track.time[0]) for track in tracks)
     end = min(float(track.time[-1]) for track in reading)
     if end - begin < TICK_S:
-        spans = "; ".join(
+        times = "; ".join(
             f"{'/'.join(track.channels)} {track.time[0]:.2f} .. {track.time[-1]:.2f} s" for track in tracks
         )
-        raise LogError(f"{name}: no time in common: {spans}; stamp all with one clock")
+        raise LogError(f"{name}: no time in common: {times}; stamp all with one clock")
     gaps = [gap for track in reading for gap in _gaps(track.time) if gap[1] > begin and gap[0] < end]
     wide = sorted(gap for gap in gaps if gap[1] - gap[0] > config.gap_s + 1e-9)
     narrow = [b - a for a, b, _ in gaps if b - a <= config.gap_s + 1e-9]
