@@ -18,8 +18,8 @@ from tests.rig.monitor.bags import Recording
 def serving(folder):
     bag = folder / "run.mcap"
     bag.write_bytes(Recording().chunk(250, reference=(1.0, 0.5), event="</script><b>armed</b>").bytes)
-    served = web.Server(web.Feed(Follower(bag)), web.LOOPBACK, 0)
-    served.feed.poll()
+    served = web.Server(Follower(bag), web.LOOPBACK, 0)
+    served.poll()
     thread = threading.Thread(target=served.serve_forever, args=(0.05,), daemon=True)
     thread.start()
     yield served
@@ -35,7 +35,7 @@ def server(tmp_path_factory):
 
 
 def ask(server, path="/", method="GET", host=None):
-    connection = http.client.HTTPConnection(web.LOOPBACK, server.server_port, timeout=20)
+    connection = http.client.HTTPConnection(web.LOOPBACK, server.server_address[1], timeout=20)
     connection.request(method, path, headers={} if host is None else {"Host": host})
     answer = connection.getresponse()
     body = answer.read()
@@ -45,7 +45,7 @@ def ask(server, path="/", method="GET", host=None):
 
 def send(server, *pieces):
     """Raw bytes, and all that comes back."""
-    with socket.create_connection((web.LOOPBACK, server.server_port), timeout=20) as connection:
+    with socket.create_connection((web.LOOPBACK, server.server_address[1]), timeout=20) as connection:
         for piece in pieces:
             connection.sendall(piece)
         received = b""
@@ -145,7 +145,7 @@ def idle(server, count):
     """Connections that never ask for anything."""
     with contextlib.ExitStack() as stack:
         yield [
-            stack.enter_context(socket.create_connection((web.LOOPBACK, server.server_port), timeout=20))
+            stack.enter_context(socket.create_connection((web.LOOPBACK, server.server_address[1]), timeout=20))
             for _ in range(count)
         ]
 
@@ -170,21 +170,21 @@ def test_the_connection_that_is_open_for_longest_gives_way(tmp_path, monkeypatch
 
 def test_a_port_that_is_taken_is_said(server):
     with pytest.raises(ConfigurationError, match="--port 0 takes a free port"):
-        web.Server(server.feed, web.LOOPBACK, server.server_port)
+        web.Server(server._follower, web.LOOPBACK, server.server_address[1])
     with pytest.raises(ConfigurationError, match="from 0 to 65535"):
-        web.Server(server.feed, web.LOOPBACK, 70000)
+        web.Server(server._follower, web.LOOPBACK, 70000)
 
 
 def test_serving_ends_with_its_watcher(tmp_path):
     bag = tmp_path / "run.mcap"
     bag.write_bytes(Recording().chunk(5).bytes)
-    served = web.Server(web.Feed(Follower(bag)), web.LOOPBACK, 0)
+    served = web.Server(Follower(bag), web.LOOPBACK, 0)
 
     def interrupted(seconds):
         assert ask(served, "/data")[0].status == 200
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        web.serve(served, sleep=interrupted)
+        served.run(sleep=interrupted)
     with pytest.raises(ConnectionRefusedError):
         ask(served)

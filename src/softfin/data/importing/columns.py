@@ -50,9 +50,8 @@ def choose_columns(names: Sequence[str], config: ImportConfig, source: str) -> d
             raise LogError(f"{source}: --columns {channel}={name}: no such column; {hint}it has {_listed(names)}")
         found[channel] = name
     # What an option states for the whole file is not guessed.
-    stated = [
-        c for c in ("time", "command_velocity") if (config.rate_hz, config.velocity_rad_s)[c != "time"] is not None
-    ]
+    options = {"time": config.rate_hz, "command_velocity": config.velocity_rad_s}
+    stated = [channel for channel, value in options.items() if value is not None]
     settled = {*found, *config.columns, *stated}
     candidates: dict[str, list[str]] = {}
     for name in names:

@@ -62,7 +62,7 @@ def read_records(file: io.BufferedIOBase, start: int, size: int) -> Iterator[Raw
             # Over a network, and after a power cut, the length of a file can be seen before its bytes.
             return
         is_read = opcode in READ
-        if not opcode or (is_read and length > LARGEST_BYTES):
+        if not opcode or (opcode != Opcode.ATTACHMENT and length > LARGEST_BYTES):
             raise LogError(f"a record of kind {opcode} and {length:,} bytes at byte {start:,}")
         end = start + HEAD.size + length
         if end > size:
