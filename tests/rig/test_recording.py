@@ -2,8 +2,7 @@ import pytest
 
 from softfin.core.errors import RunError, SafetyStop, SoftfinError
 from softfin.rig.machine import Target
-from softfin.storage.bag.messages import CURRENT, EVENTS
-from softfin.storage.bag.topics import DEFAULT_TOPICS
+from softfin.storage.bag.messages import CURRENT, DEFAULT_TOPICS, EVENTS
 from tests.rig.bags import counts_of, events_of
 from tests.rig.test_session import Made
 

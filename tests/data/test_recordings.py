@@ -7,9 +7,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from softfin.core.errors import ArtifactError, ConfigurationError, LogError
-from softfin.data.checks.findings import Finding, Place, check_accepted
 from softfin.data.importing.importing import ImportConfig
-from softfin.data.importing.recordings import check_train, find_recordings, open_logs
+from softfin.data.issues import Issue, check_issues
+from softfin.data.recordings import check_train, find_recordings, open_logs
 from softfin.storage.dataset import Dataset, write_dataset
 from tests.data.bags import topics_of, write_bag
 from tests.data.faulty import columns_of, cut, tank_logs, write_parquet
@@ -40,7 +40,7 @@ def folder_of(path, logs):
 
 def test_a_dataset_opens_as_it_is_and_keeps_its_hash(dataset, logs):
     opened = open_logs(dataset)
-    assert opened.findings == []
+    assert opened.issues == []
     assert [one.name for one in opened.logs] == ["train/0000.parquet", "train/0001.parquet", "test/000.parquet"]
     assert opened.data_hash == Dataset.open(dataset).data_hash
     np.testing.assert_array_equal(opened.train[1].reading.force, logs[1].reading.force)
@@ -54,15 +54,15 @@ def test_a_dataset_that_was_changed_is_refused_as_ever(tmp_path, logs):
         open_logs(tmp_path / "d")
 
 
-def test_faulty_files_put_into_a_dataset_are_findings_not_the_first_error(tmp_path, logs):
+def test_faulty_files_put_into_a_dataset_are_issues_not_the_first_error(tmp_path, logs):
     for index, log in enumerate(logs[:2]):
         columns = columns_of(log)
         columns["force_x_n"][5 + index] = np.nan
         write_parquet(tmp_path / "train" / f"{index}.parquet", columns)
     (tmp_path / "dataset.json").write_text("{}")
-    findings = open_logs(tmp_path).findings
-    assert findings[0].name == "not a number"
-    assert findings[0].logs == ("train/0.parquet", "train/1.parquet")
+    issues = open_logs(tmp_path).issues
+    assert issues[0].name == "not a number"
+    assert issues[0].logs == ("train/0.parquet", "train/1.parquet")
 
 
 def test_a_folder_of_all_kinds_opens_as_one_set_of_logs(tmp_path, logs):
@@ -70,11 +70,11 @@ def test_a_folder_of_all_kinds_opens_as_one_set_of_logs(tmp_path, logs):
     assert [(one.name, one.part) for one in opened.logs] == [
         ("Test_a.parquet", "test"), ("run0.csv", "train"), ("run1.csv", "train"), ("test/bag", "test"),
     ]  # fmt: skip
-    assert not [one for one in opened.findings if one.severity != "note"]
-    assert "1 file not read" in next(one.sentence for one in opened.findings if one.name == "other files")
+    assert not [one for one in opened.issues if one.severity != "note"]
+    assert "1 file not read" in next(one.message for one in opened.issues if one.name == "other files")
     np.testing.assert_allclose(opened.train[0].reading.angle, logs[0].reading.angle, atol=1e-6)
-    assert opened.facts["imported_from"]["files"] == ["Test_a.parquet", "run0.csv", "run1.csv", "test/bag"]
-    assert opened.facts["logs"][0] == {"log": "Test_a.parquet", "part": "test", "rows": 2000, "start_s": 0.01}
+    assert opened.metadata["imported_from"]["files"] == ["Test_a.parquet", "run0.csv", "run1.csv", "test/bag"]
+    assert opened.metadata["logs"][0] == {"log": "Test_a.parquet", "part": "test", "rows": 2000, "start_s": 0.01}
 
 
 def test_one_file_is_enough(tmp_path, logs):
@@ -90,7 +90,7 @@ def test_test_logs_are_chosen_by_a_pattern(tmp_path, logs):
         open_logs(path, ImportConfig(test="walk"))
     opened = open_logs(path, ImportConfig(test="*"))
     assert opened.train == []
-    with pytest.raises(LogError, match="runs: no logs to learn from: all of its 4 are to score on; see --test"):
+    with pytest.raises(LogError, match="runs: no training logs: all of its 4 logs are test logs; see --test"):
         check_train(opened, "runs")
 
 
@@ -112,7 +112,7 @@ def test_files_whose_columns_are_read_in_another_way_are_each_shown(tmp_path, lo
         "a.parquet": "by the names: angle='theta' in rad (assumed)",
         "c.parquet": "by the names: angle='pos [rad]' in rad",
     }
-    assert [one.logs for one in opened.findings if one.name == "columns"] == [
+    assert [one.logs for one in opened.issues if one.name == "columns"] == [
         ("a.parquet", "b.parquet"),
         ("c.parquet",),
     ]
@@ -141,18 +141,18 @@ def test_nothing_to_read_is_refused(tmp_path):
 
 
 def test_errors_stop_unless_they_are_accepted_and_warnings_do_not():
-    def finding(severity, name):
-        return Finding(severity, name, Place("run.csv", "angle", 7), "spans -90 .. 90: degrees", "--angles deg")
+    def issue(severity, name):
+        return Issue(severity, name, "run.csv", "spans -90 .. 90: degrees", "--angles deg", "angle", 7)
 
-    check_accepted([finding("warning", "a"), finding("note", "b")], "runs")
-    errors = [finding("error", "a"), finding("error", "b"), finding("error", "c")]
-    check_accepted(errors, "runs", accept=True)
+    check_issues([issue("warning", "a"), issue("note", "b")], "runs")
+    errors = [issue("error", "a"), issue("error", "b"), issue("error", "c")]
+    check_issues(errors, "runs", ignore_errors=True)
     with pytest.raises(LogError) as error:
-        check_accepted(errors, "runs")
+        check_issues(errors, "runs")
     message = str(error.value)
     assert message.startswith("runs: run.csv, row 7, column angle: spans -90 .. 90: degrees; --angles deg")
     assert "2 more" in message
-    assert "--accept" in message
+    assert "--ignore-errors" in message
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="without pipes in folders")

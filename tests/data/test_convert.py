@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import ConfigurationError, LogError
-from softfin.data.importing.bag_convert import convert, encode_bag
+from softfin.data.convert import convert, encode_bag
 from softfin.data.importing.importing import ImportConfig
-from softfin.data.importing.recordings import open_logs
+from softfin.data.recordings import open_logs
 from softfin.storage.bag.messages import COMMAND, JOINT, WRENCH
 from softfin.storage.log_file import read_log, write_log
 from tests.data.faulty import cut, tank_logs
@@ -34,7 +34,7 @@ def test_a_log_comes_back_from_a_bag_as_it_was(tmp_path, log, start):
     back = convert(tmp_path / "one.mcap", tmp_path / "back.parquet")
     assert back["files"] == [str(tmp_path / "back.parquet")]
     check_equal(read_log(tmp_path / "back.parquet"), log, tolerance_s=1e-6)
-    severities = {finding.severity for finding in open_logs(tmp_path / "one.mcap").findings}
+    severities = {issue.severity for issue in open_logs(tmp_path / "one.mcap").issues}
     assert severities == {"note"}
 
 
@@ -70,7 +70,7 @@ def test_what_is_at_out_stays_unless_it_is_said(tmp_path, log):
 
 
 def test_another_kind_than_two_is_refused(tmp_path):
-    with pytest.raises(ConfigurationError, match=r"neither \.mcap nor \.parquet"):
+    with pytest.raises(ConfigurationError, match=r"must end in \.mcap or \.parquet"):
         convert(tmp_path / "one.parquet", tmp_path / "one.csv")
 
 
@@ -79,7 +79,7 @@ def test_errors_stop_it_unless_they_are_accepted(tmp_path, log):
     (tmp_path / "one.mcap").write_bytes(encode_bag(degrees, "one"))
     with pytest.raises(LogError, match="degrees"):
         convert(tmp_path / "one.mcap", tmp_path / "one.parquet")
-    convert(tmp_path / "one.mcap", tmp_path / "one.parquet", accept=True)
+    convert(tmp_path / "one.mcap", tmp_path / "one.parquet", ignore_errors=True)
     convert(tmp_path / "one.mcap", tmp_path / "two.parquet", ImportConfig.build({"angles": "angle=deg"}))
     np.testing.assert_allclose(read_log(tmp_path / "two.parquet").reading.angle, log.reading.angle, rtol=1e-6)
 

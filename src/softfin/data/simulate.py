@@ -1,4 +1,4 @@
-"""Many plants under commands of their own at once: one compiled program over the logs, run piece by piece in time."""
+"""Simulate many plants under commands of their own: one compiled program over all, run piece by piece in time."""
 
 import functools
 import math
@@ -18,10 +18,10 @@ from softfin.core.quantities import Command, Limits, Log, Reading
 from softfin.data.excitation import Commands
 
 CHUNK_ROWS = 1000
-"""Rows of a log between two reports, about: 10 s, long beside the cost of one call."""
+"""Approximate number of rows between two reports: 10 s, long beside the cost of one call."""
 
 Report = Callable[[int], None]
-"""Called with the rows that were done since the last call."""
+"""Function that is called with the number of rows done since the last call."""
 
 
 def simulate(
@@ -32,7 +32,10 @@ def simulate(
     batch: int,
     report: Report,
 ) -> Iterator[Log]:
-    """One log a plant and key, in order, `rows` long, as NumPy arrays; at most `batch` at once."""
+    """Yield one log of each plant and key, `rows` long, as NumPy arrays; at most `batch` run at once.
+
+    Plants that are pytrees alike but for their arrays run side by side, others one after another.
+    """
     fleet = _fleet(plants)
     if fleet is None:
         for plant, key in zip(plants, keys, strict=True):
@@ -44,14 +47,12 @@ def simulate(
         # The last batch is filled up with logs that are thrown away, so that one compiled program serves all.
         index = [i % count for i in range(start, start + batch)]
         wanted = min(batch, count - start)
-        some = fleet.some(index)
+        arrays = fleet.arrays
+        if fleet.axis is not None:
+            arrays = jax.tree.map(lambda x, index=index: x[np.array(index)], arrays)
+        some = fleet._replace(arrays=arrays)
         state, issued = _begin(some, jnp.stack([keys[i] for i in index]), rows + 1, commands)
         yield from _logs(functools.partial(_advance, some), state, issued, rows, wanted, report)
-
-
-def alike(plants: Sequence[Plant]) -> bool:
-    """Whether the plants run side by side."""
-    return _fleet(plants) is not None
 
 
 class _Fleet(NamedTuple):
@@ -61,30 +62,20 @@ class _Fleet(NamedTuple):
     static: PyTree[Any]
     axis: int | None
 
-    def some(self, index: list[int]) -> "_Fleet":
-        """Those at these places."""
-        if self.axis is None:
-            return self
-        return self._replace(arrays=jax.tree.map(lambda x: x[np.array(index)], self.arrays))
-
 
 def _fleet(plants: Sequence[Plant]) -> _Fleet | None:
-    """None where the plants differ in more than their arrays."""
+    """Stack plants; None where they differ in more than their arrays."""
     same = all(plant is plants[0] for plant in plants)
     parts = [eqx.partition(jit_argument(plant), eqx.is_array) for plant in (plants[:1] if same else plants)]
     if same:
         arrays, static = parts[0] if parts else (None, None)
         return _Fleet(arrays, static, None)
     shapes = [jax.tree.map(lambda x: (x.shape, x.dtype), arrays) for arrays, _ in parts]
-    if any(shape != shapes[0] for shape in shapes) or any(not _same(static, parts[0][1]) for _, static in parts):
+    statics = [jax.tree.flatten(static) for _, static in parts]
+    if any(shape != shapes[0] for shape in shapes) or any(static != statics[0] for static in statics):
         return None
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[arrays for arrays, _ in parts])
     return _Fleet(stacked, parts[0][1], 0)
-
-
-def _same(one: Any, other: Any) -> bool:
-    flat: tuple[Any, Any] = jax.tree.flatten(one), jax.tree.flatten(other)
-    return bool(flat[0] == flat[1])
 
 
 @used_once

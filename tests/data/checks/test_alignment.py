@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from softfin.data.importing.alignment import command_lag, force_lag
-from softfin.data.importing.frame import frame_correlations
+from softfin.data.checks.alignment import command_lag, force_lag
+from softfin.data.checks.frame import frame_correlations
 from softfin.data.importing.importing import FORCE_FRAMES
 from softfin.tank import Tank, TankConfig
 from tests.data.faulty import columns_of, recorded, tank_logs
@@ -60,12 +60,6 @@ def test_the_lag_of_the_force_is_told_whatever_its_axes(log):
     turned = force_lag(angle, force[:, ::-1] * [-1, 1])
     assert turned.milliseconds == pytest.approx(plain.milliseconds, abs=0.01)
     assert turned.strength == pytest.approx(plain.strength)
-
-
-def test_a_delay_of_smooth_commands_is_told_from_the_peak():
-    time = np.arange(0, 60, 0.01)
-    command = sum(np.sin(2 * np.pi * hz * time + hz) for hz in (0.31, 0.57, 0.93, 1.41))
-    assert command_lag(command, np.ones_like(command), np.roll(command, 8)).milliseconds == pytest.approx(80, abs=1)
 
 
 def test_no_lag_is_told_from_few_commands_or_noise(log):

@@ -1,10 +1,9 @@
-"""Recordings of any kind in; out, each of their logs as a Parquet file or as a ROS 2 bag.
+"""Conversion of recordings of any kind: each of their logs as a Parquet file or as a ROS 2 bag.
 
 Stamps and times stay what they were. A log has seven columns: what else a bag holds (torque, current, the force that
 was asked for, events) stays in the bag.
 """
 
-import importlib.metadata
 import io
 from pathlib import Path
 from typing import Any
@@ -13,10 +12,9 @@ import numpy as np
 
 from softfin.core.errors import ConfigurationError, LogError
 from softfin.core.quantities import Log
-from softfin.data.checks.findings import check_accepted
 from softfin.data.importing.importing import ImportConfig
-from softfin.data.importing.recording import NamedLog
-from softfin.data.importing.recordings import open_logs
+from softfin.data.issues import check_issues
+from softfin.data.recordings import open_logs
 from softfin.storage import artifact as artifacts
 from softfin.storage.bag.messages import COMMAND, JOINT, SECOND_NS, WRENCH, BagWriter, Row
 from softfin.storage.log_file import write_log
@@ -25,20 +23,23 @@ KINDS = (".mcap", ".parquet")
 
 
 def convert(
-    source: Path, out: Path, config: ImportConfig | None = None, *, accept: bool = False, overwrite: bool = False
+    source: Path, out: Path, config: ImportConfig | None = None, *, ignore_errors: bool = False, overwrite: bool = False
 ) -> dict[str, Any]:
-    """Write each log, several as ``NAME-1``, ``NAME-2`` ..; raises LogError where they have errors, unless accepted."""
+    """Write each log, several as ``NAME-1``, ``NAME-2`` ..; raises LogError where they have errors, unless ignored."""
     if out.suffix not in KINDS:
-        raise ConfigurationError(f"--out {out}: is neither {' nor '.join(KINDS)}; its ending says what is written")
+        raise ConfigurationError(f"--out {out}: must end in {' or '.join(KINDS)}, which chooses what is written")
     artifacts.check_writable(out)
     opened = open_logs(source, config or ImportConfig())
-    check_accepted(opened.findings, str(source), accept)
-    files = _names(out, len(opened.logs))
+    check_issues(opened.issues, str(source), ignore_errors)
+    count = len(opened.logs)
+    files = [out] if count == 1 else [out.with_name(f"{out.stem}-{n}{out.suffix}") for n in range(1, count + 1)]
     for file in files:
         if file.exists() and (not overwrite or file.is_dir()):
             raise LogError(f"{file}: exists already; give another --out, or --overwrite to replace it")
     for one, file in zip(opened.logs, files, strict=True):
-        log = _as_recorded(one)
+        # On the clock that the recording was made on: opened logs begin at 0.
+        reading = one.log.reading
+        log = one.log._replace(reading=reading._replace(time=one.start_s + np.asarray(reading.time, np.float64)))
         if out.suffix == ".parquet":
             write_log(file, log)
         else:
@@ -53,13 +54,8 @@ def encode_bag(log: Log, source: str) -> bytes:
     if len(time) and time.min() < 0:
         raise LogError(f"{source}: time_s: {time.min():g} s; a bag has none before 0: add a constant to time_s")
     sink = io.BytesIO()
-    bag = BagWriter(sink, f"softfin {importlib.metadata.version('softfin')}")
-    columns = (
-        *log.command,
-        log.reading.angle,
-        log.reading.velocity,
-        *np.moveaxis(np.asarray(log.reading.force), -1, 0),
-    )
+    bag = BagWriter(sink)
+    columns = (*log.command, log.reading.angle, log.reading.velocity, *np.asarray(log.reading.force).T)
     for seconds, angle, velocity, *row in zip(time.tolist(), *(column.tolist() for column in columns), strict=True):
         stamp = round(seconds * SECOND_NS)
         bag.write(Row(COMMAND, stamp, (angle, velocity)))
@@ -67,13 +63,3 @@ def encode_bag(log: Log, source: str) -> bytes:
         bag.write(Row(WRENCH, stamp, (row[2], row[3], 0.0, 0.0, 0.0, 0.0)))
     bag.finish()
     return sink.getvalue()
-
-
-def _as_recorded(one: NamedLog) -> Log:
-    """On the clock that the recording was made on: opened logs begin at 0."""
-    reading = one.log.reading
-    return one.log._replace(reading=reading._replace(time=one.start_s + np.asarray(reading.time, np.float64)))
-
-
-def _names(out: Path, count: int) -> list[Path]:
-    return [out] if count == 1 else [out.with_name(f"{out.stem}-{n}{out.suffix}") for n in range(1, count + 1)]

@@ -10,14 +10,14 @@ import numpy as np
 from jaxtyping import Float
 
 from softfin.core.quantities import RATE_HZ
-from softfin.data.importing.alignment import motion, smoothed
+from softfin.data.checks.alignment import motion, smoothed
 from softfin.data.importing.importing import FORCE_FRAMES
 
 
 def frame_correlations(
     angle: Float[np.ndarray, "ticks"], force: Float[np.ndarray, "ticks 2"], lag_ms: float | int = 0.0
 ) -> dict[str, float]:
-    """Of each of `FORCE_FRAMES`: the correlation of the force, so taken, with the best that a fin's terms can do."""
+    """Compute the correlation of the force, taken in each of `FORCE_FRAMES`, with the best fit of a model fin."""
     ticks = round(lag_ms * RATE_HZ / 1e3)
     terms = _terms(angle)
     smooth = np.stack([smoothed(force[:, 0]), smoothed(force[:, 1])])
