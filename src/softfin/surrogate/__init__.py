@@ -1,11 +1,11 @@
-"""The surrogate: nets learnt from logs that stand in for the fin (paper Sec. III-B), and nets that do so better."""
+"""Surrogates: nets learnt from logs that stand in for the fin, the paper's (Sec. III-B) and streaming ones."""
 
 from softfin.surrogate.paper.fit import FitConfig
 from softfin.surrogate.paper.keras import import_keras
 from softfin.surrogate.paper.surrogate import Surrogate
 from softfin.surrogate.selection import AutoConfig
 from softfin.surrogate.store import AnySurrogate, load_surrogate, save_surrogate
-from softfin.surrogate.streaming.config import StreamingConfig
+from softfin.surrogate.streaming.learner import StreamingConfig
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 
 __all__ = [
