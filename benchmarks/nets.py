@@ -6,7 +6,7 @@ Speed does not depend on the weights' values, and the published files are not pa
 import jax
 
 from softfin.surrogate import Surrogate
-from softfin.surrogate.paper.channels import ANGLE, FORCES, ChannelScaling, Scaling
+from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, ChannelScaling, Scaling
 from softfin.surrogate.paper.layers import LSTM, Dense, Dropout
 from softfin.surrogate.paper.network import POSNET, Network, NetworkConfig
 

@@ -24,7 +24,7 @@ from softfin.stages.offline import identity
 from softfin.storage.dataset import write_dataset
 from softfin.storage.registry import find_plant
 from softfin.surrogate import Surrogate, save_surrogate
-from softfin.surrogate.paper.channels import COMMANDS, ChannelScaling, Scaling
+from softfin.surrogate.channels import COMMANDS, ChannelScaling, Scaling
 from softfin.surrogate.streaming import identify
 from tests.control.test_controllers import untrained
 from tests.data import bags

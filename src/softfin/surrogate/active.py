@@ -133,9 +133,9 @@ class Chooser(eqx.Module):
     def _sequence(self, key: PRNGKeyArray, limits: Limits) -> Command:
         """Random commands, but for the last, which is held for the shortest hold at least."""
         ticks = self.config.windows * self.config.window
-        drawn = self.excitation(key, ticks, limits)
+        random = self.excitation(key, ticks, limits)
         kept = jnp.minimum(jnp.arange(ticks), ticks - round(self.excitation.hold_min_s * RATE_HZ))
-        return Command(drawn.angle[kept], drawn.velocity[kept])
+        return Command(random.angle[kept], random.velocity[kept])
 
     def _roll(self, state: StreamingState, commands: Command) -> tuple[StreamingState, PieceRollout]:
         def tick(state: StreamingState, command: Command) -> tuple[StreamingState, Array]:

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from softfin.core.plant import Plant, State
 from softfin.core.quantities import Log
-from softfin.surrogate.paper.channels import Scaling
+from softfin.surrogate.channels import Scaling
 
 SKIPPED = 100
 """Rows at the beginning of a log that Table I does not score: the first window of PosNet and ForceNet."""

@@ -12,7 +12,7 @@ import numpy as np
 from softfin.core.errors import LogError
 from softfin.core.quantities import Limits, Log
 from softfin.storage import artifact as artifacts
-from softfin.surrogate.paper.channels import ANGLE, COMMANDS, FORCES, joined_channels
+from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, joined_channels
 
 Range: TypeAlias = dict[str, list[float] | None]
 """Least and greatest of each channel; None where that is not known."""
@@ -47,12 +47,12 @@ def learnt_from(plant: object) -> dict[str, Any]:
     if folder is None or not artifacts.is_kind(folder, "surrogate"):
         return dict(UNKNOWN)
     description = artifacts.load_description(folder, "surrogate")
-    known = {name: description.get(name) for name in UNKNOWN}
+    entries = {name: description.get(name) for name in UNKNOWN}
     scaling = description.get("scaling")
-    if known["training_range"] is None and isinstance(scaling, dict):
+    if entries["training_range"] is None and isinstance(scaling, dict):
         channels = {name: scaling.get(name) for name in CHANNELS}
-        known["training_range"] = {
+        entries["training_range"] = {
             name: [channel["data_min"], channel["data_max"]] if isinstance(channel, dict) else None
             for name, channel in channels.items()
         }
-    return known
+    return entries

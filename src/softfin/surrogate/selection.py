@@ -48,7 +48,7 @@ def fit_any(
     logs: Sequence[Log],
     config: FitConfig | StreamingConfig | AutoConfig,
     seed: int,
-    workspace: Workspace,
+    run_directory: Workspace,
     progress: Progress | None = None,
 ) -> tuple[AnySurrogate, dict[str, Any] | None]:
     """Fit the model of the configuration; of several candidates the best, with the evidence for it (else None).
@@ -57,10 +57,10 @@ def fit_any(
     ``left_out``.
     """
     if isinstance(config, FitConfig):
-        return fit(logs, config, seed, workspace, progress), None
+        return fit(logs, config, seed, run_directory, progress), None
     if isinstance(config, StreamingConfig):
-        return fit_streaming(logs, config, seed, workspace, progress), None
-    candidates, left_out = _possible(logs, config.candidates(), workspace)
+        return fit_streaming(logs, config, seed, run_directory, progress), None
+    candidates, left_out = _possible(logs, config.candidates(), run_directory)
     # The shares may differ: the least share holds out what none was fitted to.
     holding = list(logs[-min(held_out_count(len(logs), one.held_out) for one in candidates.values()) :])
     first = max([MEMORY, *(one.posnet.window for one in candidates.values() if isinstance(one, FitConfig))])
@@ -68,9 +68,9 @@ def fit_any(
     fitted = dict[str, AnySurrogate]()
     for number, (name, one) in enumerate(candidates.items()):
         report = None if progress is None else _part(progress, name, number, len(candidates))
-        fitted[name], _ = fit_any(logs, one, seed, workspace.part(str(number)), report)
+        fitted[name], _ = fit_any(logs, one, seed, run_directory.part(str(number)), report)
     scores = {name: _scores(surrogate, scored, first) for name, surrogate in fitted.items()}
-    record = workspace.log()
+    record = run_directory.log()
     for number, each in enumerate(scores.values()):
         record.write(number, **each)
     record.close()
@@ -80,7 +80,7 @@ def fit_any(
 
 
 def _possible(
-    logs: Sequence[Log], candidates: dict[str, FitConfig | StreamingConfig], workspace: Workspace
+    logs: Sequence[Log], candidates: dict[str, FitConfig | StreamingConfig], run_directory: Workspace
 ) -> tuple[dict[str, FitConfig | StreamingConfig], dict[str, str]]:
     """Candidates that can be fitted to the logs, and why others cannot: before hours of fitting, not behind them.
 
@@ -92,7 +92,7 @@ def _possible(
             if isinstance(one, FitConfig):
                 check_fit(logs, one)
             else:
-                check_streaming(logs, one, workspace)
+                check_streaming(logs, one, run_directory)
             possible[name] = one
         except LogError as error:
             reasons[name] = error

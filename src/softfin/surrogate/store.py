@@ -29,14 +29,14 @@ def save_surrogate(
     **metadata: Any,
 ) -> None:
     """Write the folder, whole or not at all; `also` adds files to it, `metadata` are further entries of the JSON."""
-    described, weights = surrogate.to_files()
+    entries, weights = surrogate.to_files()
     description = {
         "kind": KIND,
         "format": FORMAT,
         "model": surrogate.model,
         "rate_hz": RATE_HZ,
         "limits": surrogate.limits.described(),
-        **described,
+        **entries,
         "scores": scores,
         **metadata,
         "provenance": provenance,

@@ -76,8 +76,8 @@ def test_panels_without_data_are_left_out():
     assert len(comparison_figure(short).get_axes()) == 3
 
 
-def test_groups_that_are_not_drawn_are_counted():
+def test_groups_that_are_not_shown_are_counted():
     many = compare([candidate(seed, group=str(seed)) for seed in range(5)], LOGS, CompareConfig(horizons_s=(1,)))
     above = comparison_figure(many).get_axes()[0]
     assert len(above.get_lines()) == 4
-    assert above.get_title(loc="left").endswith("2 more not drawn")
+    assert above.get_title(loc="left").endswith("2 more not shown")

@@ -91,5 +91,5 @@ def _group(folder: Path, surrogate: SurrogateModel) -> str:
         # Imported: nothing says that two such are seeds of one another.
         return str(folder.resolve())
     # The networks too: of several candidates one seed may have chosen another than the next.
-    facts = [surrogate.model, description["configuration"], description.get("networks"), data]
-    return json.dumps(facts, sort_keys=True)
+    parts = [surrogate.model, description["configuration"], description.get("networks"), data]
+    return json.dumps(parts, sort_keys=True)

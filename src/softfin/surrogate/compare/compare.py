@@ -123,7 +123,7 @@ class Comparison(NamedTuple):
                 "furthest_beyond_training": furthest,
                 "horizons": self.horizons_of(group),
             })  # fmt: skip
-        floor = self.noise_floor
+        second = self.noise_floor
         return {
             "horizons_s": list(self.horizons_s),
             "scored": self.scored,
@@ -131,7 +131,7 @@ class Comparison(NamedTuple):
             "stated_confidence": COVERAGE,
             "flops_ratio_to": yardstick.name,
             "groups": rows,
-            "noise_floor": None if floor is None else {"name": floor.name, "horizons": self.horizons_of(floor)},
+            "noise_floor": None if second is None else {"name": second.name, "horizons": self.horizons_of(second)},
             "notes": self.notes(),
         }
 
@@ -194,17 +194,17 @@ def compare(
         Group(name, members[0].surrogate.model, members, [run(member) for member in members])
         for name, members in zip(names, grouped.values(), strict=True)
     ]
-    floor = None
+    second = None
     if noise_floor is not None:
         name, plant = noise_floor
         whole = run_from_rest(plant, logs, key_of(config.seed, "compare/floor"))
         readings = [take(whole, where, each) for where, each in zip(segments, ticks, strict=True)]
         scores = [score_segments(actual, reading, ranges) for actual, reading in zip(measured, readings, strict=True)]
-        floor = Group(f"second recording ({name})", name, [], [Run(scores, readings[-1])])
-        report(floor.name)
+        second = Group(f"second recording ({name})", name, [], [Run(scores, readings[-1])])
+        report(second.name)
     scored = [
         {"segments": len(where), "rows": len(where) * each, "rows_left": sum(counts) - len(where) * each}
         for where, each in zip(segments, ticks, strict=True)
     ]
     beyond = [beyond_limits(group.members, logs) for group in groups]
-    return Comparison(config.horizons_s, groups, floor, measured[-1], scored, ranges, beyond)
+    return Comparison(config.horizons_s, groups, second, measured[-1], scored, ranges, beyond)

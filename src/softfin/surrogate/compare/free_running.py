@@ -31,7 +31,7 @@ class FreeRunPrediction(NamedTuple):
     reading: Reading
     """Fields ``(segments, ticks)``."""
     members: Float[np.ndarray, "members segments ticks 2"] | None
-    """Forces of the members of an ensemble [N]; None of a surrogate that is no ensemble."""
+    """Forces of the members of an ensemble [N]; None of a surrogate that is not an ensemble."""
 
 
 class Segment(NamedTuple):

@@ -17,8 +17,8 @@ from softfin.core.action_clock import WINDOW
 from softfin.core.errors import LogError
 from softfin.core.quantities import AXES, AnyArray, Log, Reading
 from softfin.core.window import moving_average
+from softfin.surrogate.channels import ANGLE, FORCES, channels_of, joined_channels
 from softfin.surrogate.model import NetPrediction, SurrogateModel
-from softfin.surrogate.paper.channels import ANGLE, FORCES, channels_of, joined_channels
 
 DTW_BAND = 100
 """Half-width of the band [samples]: a shift of more than a second is no longer the same motion."""
@@ -127,18 +127,7 @@ def score_segments(
     """Score segments, fields ``(segments, ticks)``; `members` and `half_width` of an ensemble that states intervals.
 
     Errors are pooled over all rows of all segments; horizons shorter than the evaluation window have no mean force.
-
-    ============================== ==================================================================================
-    ``angle_rmse_rad``, ``mae``    over all rows
-    ``force_x_rmse_n``, ``y``      over all rows; ``force_mae_n`` over both axes
-    ``angle_r2``, ``force_x_r2``   1 - square error / square deviation of what is measured; not finite without any
-    ``angle_dtw_mae_rad``          mean over segments; ``force_dtw_mae_n``: mean over both axes, too
-    ``..._dtw_mae_scaled``         the same of the series divided by `ranges`
-    ``mean_force_x_mae_n``, ``y``  mean absolute error of the mean force; ``mean_force_mae_n`` of both axes
-    ``mean_force_p95_n``           95th percentile of that absolute error, both axes; ``worst``: the greatest
-    ``coverage``, ``half_width_n`` share of these errors inside the stated 90% interval, its mean half-width;
-                                   ``coverage_x``, ``y``
-    ============================== ==================================================================================
+    docs/files.md describes each score.
     """
     pairs = {"angle": (predicted.angle, measured.reading.angle)}
     pairs |= {f"force_{x}": (predicted.force[..., i], measured.reading.force[..., i]) for i, x in enumerate(AXES)}

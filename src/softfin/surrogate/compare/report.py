@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from softfin.core.quantities import AXES, RATE_HZ
-from softfin.storage import artifact as artifacts
+from softfin.storage import artifact as artimetadata
 from softfin.storage.figures import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, render, styled
 from softfin.surrogate.compare.compare import Comparison, Group
 from softfin.surrogate.streaming.uncertainty import COVERAGE
@@ -26,32 +26,18 @@ STYLES = ((ORANGE, "--", "o"), (BLUE, "-", "s"), (GREEN, "-.", "^"), (BLACK, ":"
 
 
 def write_comparison(
-    comparison: Comparison, out: Path, facts: Mapping[str, Any], overwrite: bool = False
+    comparison: Comparison, out: Path, metadata: Mapping[str, Any], overwrite: bool = False
 ) -> dict[str, Any]:
-    """Write the folder, whole or not at all; returns the content of its JSON.
-
-    ================== =============================================================================================
-    ``horizons_s``     in the order of all lists of horizons; ``scored``: how many ``segments`` and ``rows`` each has,
-                       and ``rows_left`` at the beginnings and ends of the logs
-    ``ranges``         greatest minus least measured value of each channel in the test logs: the scaled scores are of
-                       series divided by them
-    ``groups``         ``name``, ``model``, ``surrogates`` (folders), ``seeds``, ``parameters``, ``flops_per_tick``,
-                       ``flops_ratio`` (to the group that ``flops_ratio_to`` names), ``commands_beyond_training``
-                       (share), ``furthest_beyond_training`` (over their range); ``horizons``: each ``horizon_s`` and
-                       the scores of `score_segments` as ``mean`` and 95% ``interval`` over the seeds, null for one
-    ``noise_floor``    the same ``horizons`` of the plant that sets the noise floor; null without one
-    ``notes``          what a reader should know, in words
-    ================== =============================================================================================
-    """
-    summary = {**comparison.summary(), **facts}
+    """Write the folder, whole or not at all; returns the content of its JSON, which docs/files.md describes."""
+    summary = {**comparison.summary(), **metadata}
 
     def write(folder: Path) -> None:
-        (folder / "comparison.json").write_text(artifacts.dump_json(summary))
+        (folder / "comparison.json").write_text(artimetadata.dump_json(summary))
         figure = comparison_figure(comparison)
         for kind in ("svg", "png"):
             (folder / f"comparison.{kind}").write_bytes(render(figure, kind))
 
-    artifacts.write_folder(out, write, overwrite)
+    artimetadata.write_folder(out, write, overwrite)
     return summary
 
 
@@ -75,35 +61,20 @@ def comparison_figure(comparison: Comparison) -> Figure:
 
 
 def _draw_traces(panels: Any, comparison: Comparison) -> None:
-    measured = np.asarray(comparison.measured.reading.force)
-    ticks = min(TRACE_S * RATE_HZ, measured.shape[1])
-    segment, begin = _typical(comparison, ticks)
-    rows = slice(begin, begin + ticks)
-    time = (begin + np.arange(1, ticks + 1)) / RATE_HZ
+    measured = np.asarray(comparison.measured.reading.force)[0, : TRACE_S * RATE_HZ]
+    time = np.arange(1, len(measured) + 1) / RATE_HZ
     for axis, axes in enumerate(panels):
-        axes.plot(time, measured[segment, rows, axis], color="#BBBBBB", linewidth=2.6, label="measured")
+        axes.plot(time, measured[:, axis], color="#BBBBBB", linewidth=2.6, label="measured")
         for group, (colour, line, _) in zip(comparison.groups[:TRACES], STYLES, strict=False):
-            force = np.asarray(group.runs[0].reading.force)[segment, rows, axis]
+            force = np.asarray(group.runs[0].reading.force)[0, : len(time), axis]
             axes.plot(time, force, line, color=colour, linewidth=1.2, label=group.name)
         axes.set(ylabel=f"force {AXES[axis]} [N]", xlim=(time[0], time[-1]))
     rest = len(comparison.groups) - TRACES
-    others = f"; {rest} more not drawn" if rest > 0 else ""
-    title = f"A segment of median error, free-running, the first seed of each{others}"
+    others = f"; {rest} more not shown" if rest > 0 else ""
+    title = f"The first segment, free-running, the first seed of each{others}"
     panels[0].set_title(title, weight="bold", pad=22)
     panels[0].legend(ncols=1 + TRACES, loc="lower left", bbox_to_anchor=(0, 1.0), borderaxespad=0)
     panels[1].set_xlabel("time since the surrogate began to run free [s]")
-
-
-def _typical(comparison: Comparison, ticks: int) -> tuple[int, int]:
-    """Segment of the longest horizon and its first tick, where the groups' mean square error is the median one."""
-    measured = np.asarray(comparison.measured.reading.force)
-    blocks = measured.shape[1] // ticks
-    errors = np.zeros((len(measured), blocks))
-    for group in comparison.groups:
-        error = (np.asarray(group.runs[0].reading.force) - measured)[:, : blocks * ticks]
-        errors += np.square(error).reshape(*errors.shape, -1).mean(axis=2)
-    segment, block = np.unravel_index(np.argsort(errors, axis=None)[errors.size // 2], errors.shape)
-    return int(segment), int(block) * ticks
 
 
 def _draw_horizons(axes: Axes, comparison: Comparison) -> None:
@@ -119,10 +90,10 @@ def _draw_horizons(axes: Axes, comparison: Comparison) -> None:
                 linestyle=line, marker=marker, color=colour, markerfacecolor=face, markersize=5, capsize=2,
                 label=f"{group.name}, {axis}",
             )  # fmt: skip
-    if (floor := comparison.noise_floor) is not None:
-        rows = comparison.horizons_of(floor)
+    if comparison.noise_floor is not None:
+        rows = comparison.horizons_of(comparison.noise_floor)
         means = [np.mean([row[f"force_{axis}_rmse_n"]["mean"] for axis in AXES]) for row in rows]
-        axes.plot(places, means, color=GREY, linewidth=1.6, label=f"{floor.name}, mean of x and y")
+        axes.plot(places, means, color=GREY, linewidth=1.6, label=f"{comparison.noise_floor.name}, mean of x and y")
     axes.set_xticks(places, [f"{horizon:g}" for horizon in comparison.horizons_s])
     axes.set(xlabel="horizon [s]", ylabel="RMSE of the force [N]", ylim=(0, None), title="Error by the horizon")
     axes.margins(x=0.12)
@@ -133,10 +104,10 @@ def _draw_horizons(axes: Axes, comparison: Comparison) -> None:
 
 def _draw_means(axes: Axes, comparison: Comparison) -> None:
     """Share of the mean forces that are off by no more than so much."""
-    drawn = [(group, *style[:2], 1.4) for group, style in zip(comparison.groups, cycle(STYLES), strict=False)]
+    styled_groups = [(group, *style[:2], 1.4) for group, style in zip(comparison.groups, cycle(STYLES), strict=False)]
     if comparison.noise_floor is not None:
-        drawn.append((comparison.noise_floor, GREY, "-", 1.6))
-    for group, colour, line, width in drawn:
+        styled_groups.append((comparison.noise_floor, GREY, "-", 1.6))
+    for group, colour, line, width in styled_groups:
         sizes, share = _distribution(np.abs(_pooled(group, "mean_errors")))
         axes.plot(sizes, share, line, color=colour, linewidth=width, label=group.name)
     axes.axhline(0.95, color=GREY, linewidth=0.8, linestyle=":")

@@ -22,7 +22,7 @@ from softfin.core.errors import LogError
 from softfin.core.quantities import Log
 from softfin.core.randomness import generator_of, key_of
 from softfin.storage.run_directory import Workspace
-from softfin.surrogate.paper.channels import ANGLE, COMMANDS, FORCES, Scaling
+from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, Scaling
 from softfin.surrogate.paper.network import FORCENET, POSNET, Network, NetworkConfig, gather
 from softfin.surrogate.paper.surrogate import Surrogate
 from softfin.surrogate.training import (
@@ -66,9 +66,9 @@ class Nets(NamedTuple):
 
 
 def fit(
-    logs: Sequence[Log], config: FitConfig, seed: int, workspace: Workspace, progress: Progress | None = None
+    logs: Sequence[Log], config: FitConfig, seed: int, run_directory: Workspace, progress: Progress | None = None
 ) -> Surrogate:
-    """Fit both nets to the training logs; goes on from the workspace's checkpoint where there is one.
+    """Fit both nets to the training logs; goes on from the run_directory's checkpoint where there is one.
 
     Raises:
         LogError: too few logs, or logs too short for one window.
@@ -81,7 +81,7 @@ def fit(
     updates = len(starts) // config.batch // calls * calls
     learner = Learner(config, updates)
     state, done = learner.start(key_of(seed, "fit/weights")), {"epoch": 0, "stale": 0}
-    if (resumed := workspace.load(state)) is not None:
+    if (resumed := run_directory.load(state)) is not None:
         state, done = resumed
 
     def run(state: TrainingState, at: float, batches: np.ndarray, key: PRNGKeyArray) -> tuple[TrainingState, Nets]:
@@ -104,14 +104,14 @@ def fit(
     def held_out_loss(nets: Nets) -> Nets:
         return Nets(*(_held_out_loss(net, scaling, holding) for net in nets))
 
-    record = workspace.log(rewind_to=done["epoch"])
+    record = run_directory.log(rewind_to=done["epoch"])
     for each in train(state, rounds(), held_out_loss, "nets"):
         state = each.state
         done = {"epoch": done["epoch"] + 1, "stale": 0 if each.improved else done["stale"] + 1}
         means = {"train": Nets(*np.mean(each.losses, axis=0)), "held_out": each.held_out}
         scalars = {f"{part}/{net}_mse": float(x) for part, nets in means.items() for net, x in nets._asdict().items()}
         record.write(done["epoch"], **scalars)
-        workspace.save(state, done)
+        run_directory.save(state, done)
     record.close()
     return Surrogate(state.best.posnet, state.best.forcenet, scaling)
 

@@ -20,7 +20,7 @@ import pydantic
 
 from softfin.core.errors import ArtifactError
 from softfin.core.files import parse_json, read_bytes, regular_file
-from softfin.surrogate.paper.channels import ANGLE, COMMANDS, FORCES, Scaling
+from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, Scaling
 from softfin.surrogate.paper.layers import LSTM, Conv1D, Dense, Dropout, Flatten, Layer, MeanPool, Shape
 from softfin.surrogate.paper.network import Network, NetworkConfig
 from softfin.surrogate.paper.surrogate import Surrogate
@@ -199,19 +199,14 @@ def _dataset(file: h5py.h5f.FileID, place: str, shape: Shape, source: str) -> h5
         if at.links.get_info(part).type != h5py.h5l.TYPE_HARD:
             raise ArtifactError(f"{source}: weights {place}: a link to elsewhere, which is not followed; save it again")
         at = h5py.h5o.open(at, part)
-    if not isinstance(at, h5py.h5d.DatasetID):
-        raise ArtifactError(f"{source}: weights {place}: a group, not an array; the file is not whole")
-    if at.shape != shape:
-        raise ArtifactError(f"{source}: weights {place} have shape {at.shape}; its layers need {shape}")
-    if at.dtype.kind != "f":
-        raise ArtifactError(f"{source}: weights {place} are of type {at.dtype}; they must be floating-point numbers")
-    plan = at.get_create_plist()
-    if plan.get_layout() not in (h5py.h5d.CONTIGUOUS, h5py.h5d.COMPACT) or plan.get_nfilters():
-        raise ArtifactError(f"{source}: weights {place} are in pieces, virtual or compressed; Keras writes plain ones")
-    if plan.get_external_count():
-        raise ArtifactError(f"{source}: weights {place} lie in another file, which is not read; save it again")
-    if at.get_storage_size() != math.prod(shape) * at.dtype.itemsize:
-        raise ArtifactError(f"{source}: weights {place} were never written; save it again")
+    if not isinstance(at, h5py.h5d.DatasetID) or at.shape != shape or at.dtype.kind != "f":
+        kind = f"{at.dtype} {at.shape}" if isinstance(at, h5py.h5d.DatasetID) else "a group"
+        raise ArtifactError(f"{source}: weights {place} are {kind}; the layers need floating-point numbers of {shape}")
+    plan, size = at.get_create_plist(), math.prod(shape) * at.dtype.itemsize
+    plain = plan.get_layout() in (h5py.h5d.CONTIGUOUS, h5py.h5d.COMPACT) and not plan.get_nfilters()
+    if not plain or plan.get_external_count() or at.get_storage_size() != size:
+        raise ArtifactError(f"{source}: weights {place} are not one plain block in this file, as Keras writes it; save "
+                            "it again")  # fmt: skip
     return at
 
 

@@ -15,7 +15,7 @@ from pydantic import PositiveInt
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ArtifactError
-from softfin.surrogate.paper.channels import ANGLE, COMMANDS, FORCES
+from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES
 from softfin.surrogate.paper.layers import LSTM, Conv1D, Dense, Dropout, Flatten, Layer, MeanPool, Parameters, Shape
 
 CHUNK = 2048

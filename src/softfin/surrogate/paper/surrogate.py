@@ -21,8 +21,8 @@ from softfin.core.errors import ArtifactError, LogError
 from softfin.core.plant import Ticks, rest_command
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading
 from softfin.core.ticks import tick_at
+from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, Scaling
 from softfin.surrogate.model import NetPrediction
-from softfin.surrogate.paper.channels import ANGLE, COMMANDS, FORCES, Scaling
 from softfin.surrogate.paper.network import Network, NetworkConfig
 
 

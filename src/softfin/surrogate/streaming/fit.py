@@ -19,7 +19,7 @@ from softfin.core.errors import LogError
 from softfin.core.quantities import Limits, Log
 from softfin.core.randomness import key_of
 from softfin.storage.run_directory import Workspace
-from softfin.surrogate.paper.channels import COMMANDS, joined_channels
+from softfin.surrogate.channels import COMMANDS, joined_channels
 from softfin.surrogate.streaming.drive import DriveNet
 from softfin.surrogate.streaming.force import ForceNet, Motion
 from softfin.surrogate.streaming.identify import identify
@@ -51,27 +51,32 @@ class _Both(NamedTuple):
 
 
 def fit_streaming(
-    logs: Sequence[Log], config: StreamingConfig, seed: int, workspace: Workspace, progress: Progress | None = None
+    logs: Sequence[Log], config: StreamingConfig, seed: int, run_directory: Workspace, progress: Progress | None = None
 ) -> StreamingSurrogate:
-    """Fit an ensemble to the training logs; goes on from the workspace's checkpoint where there is one.
+    """Fit an ensemble to the training logs; goes on from the run_directory's checkpoint where there is one.
 
     Raises:
         LogError: too few logs, logs too short for a segment, or logs in which nothing moves.
         RunError: the loss is no longer finite.
     """
-    return _Fit(logs, config, seed, workspace, progress).run()
+    return _Fit(logs, config, seed, run_directory, progress).run()
 
 
-def check_streaming(logs: Sequence[Log], config: StreamingConfig, workspace: Workspace) -> None:
+def check_streaming(logs: Sequence[Log], config: StreamingConfig, run_directory: Workspace) -> None:
     """Raise LogError where `fit_streaming` would before it begins."""
-    _Fit(logs, config, 0, workspace, None)
+    _Fit(logs, config, 0, run_directory, None)
 
 
 class _Fit:
     """One fit and what its parts share."""
 
     def __init__(
-        self, logs: Sequence[Log], config: StreamingConfig, seed: int, workspace: Workspace, progress: Progress | None
+        self,
+        logs: Sequence[Log],
+        config: StreamingConfig,
+        seed: int,
+        run_directory: Workspace,
+        progress: Progress | None,
     ) -> None:
         held_out = held_out_count(len(logs), config.held_out)
         self.training, self.holding = list(logs[:-held_out]), list(logs[-held_out:])
@@ -82,7 +87,7 @@ class _Fit:
                 f"the longest of {held_out} held-out logs has {longest} rows; intervals on the mean over {WINDOW} "
                 f"samples behind burn_in = {config.burn_in} need {config.burn_in + WINDOW}; record longer"
             )
-        self.config, self.seed, self.workspace, self.progress = config, seed, workspace, progress
+        self.config, self.seed, self.run_directory, self.progress = config, seed, run_directory, progress
         self.scales = scales_of(self.training)
         self.table = Table.of(self.training, config.ticks)
         self.updates = {"drive": config.drive_updates, "force": config.force_updates}
@@ -96,18 +101,18 @@ class _Fit:
         force = Learner(force_loss(config), config, config.force_updates)
         both = _Both(drive.start(members.drive), force.start(members.force))
         done: dict[str, Any] = {"drive": 0, "force": 0}
-        if (resumed := self.workspace.load(both)) is not None:
+        if (resumed := self.run_directory.load(both)) is not None:
             both, done = resumed
         elif config.drive.profile:
             both = both._replace(drive=self._with_profile(both.drive))
-        self.record = self.workspace.log(rewind_to=sum(done[name] for name in self.updates))
+        self.record = self.run_directory.log(rewind_to=sum(done[name] for name in self.updates))
         if resumed is None:
             short = sum(len(log.reading.time) <= LONGEST_DELAY + config.ticks for log in self.training)
             self.record.write(0, logs=float(len(self.training)), logs_shorter_than_a_segment=float(short))
         not_used = Motion(*(jnp.zeros((config.members, self.table.force.shape[0])) for _ in range(2)))
         for state in self._train("drive", drive, both.drive, done, not_used, self._drive_error):
             both = both._replace(drive=state)
-            self.workspace.save(both, done)
+            self.run_directory.save(both, done)
         drives = both.drive.best
         predicted = predict_motion(drives, self.training)
         joined = Motion(*(jnp.asarray(np.concatenate(parts, axis=1)) for parts in zip(*predicted, strict=True)))
@@ -115,7 +120,7 @@ class _Fit:
         force_error = partial(self._force_error, held_out)
         for state in self._train("force", force, both.force, done, joined, force_error):
             both = both._replace(force=state)
-            self.workspace.save(both, done)
+            self.run_directory.save(both, done)
         self.record.close()
         return self._finished(Member(drives, both.force.best))
 

@@ -84,7 +84,7 @@ class ForceNet(eqx.Module):
     along: Float[Array, "wake_source wake"]
     """Weights by which the memory pushes the wake along the fin."""
     across: Float[Array, "wake_source wake"]
-    """The same across the fin."""
+    """Weights by which the memory pushes the wake across the fin."""
     log_time: Float[Array, "wake"]
     """Logarithm of the wake's time constants [s]."""
     thrust: Float[Array, "2"]

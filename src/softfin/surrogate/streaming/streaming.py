@@ -13,8 +13,8 @@ from softfin.core.errors import ArtifactError, LogError
 from softfin.core.plant import rest_command
 from softfin.core.quantities import TICK_S, Command, Limits, Log, Reading
 from softfin.core.ticks import tick_at
+from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES
 from softfin.surrogate.model import SKIPPED, NetPrediction
-from softfin.surrogate.paper.channels import ANGLE, COMMANDS, FORCES
 from softfin.surrogate.streaming.core import products
 from softfin.surrogate.streaming.drive import DriveNetConfig
 from softfin.surrogate.streaming.force import ForceNetConfig, ForcePrediction, Motion, Scales
@@ -166,7 +166,7 @@ class StreamingSurrogate(eqx.Module):
     def to_files(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """Entries of ``surrogate.json``, and the arrays by their place in the nets."""
         drive, force = self.members.drive, self.members.force
-        described = {
+        entries = {
             "channels": CHANNELS,
             "members": self.size,
             "networks": {"drive": drive.config.model_dump(mode="json"), "force": force.config.model_dump(mode="json")},
@@ -175,7 +175,7 @@ class StreamingSurrogate(eqx.Module):
             "parameters": self.parameters(),
         }
         arrays = jax.tree_util.tree_leaves_with_path({"members": self.members, "familiarity": self.familiarity})
-        return described, {_name(path): np.asarray(leaf) for path, leaf in arrays}
+        return entries, {_name(path): np.asarray(leaf) for path, leaf in arrays}
 
     @classmethod
     def from_files(
@@ -188,7 +188,7 @@ class StreamingSurrogate(eqx.Module):
         force = ForceNetConfig.model_validate(description["networks"]["force"])
         scales = Scales.model_validate(description["scales"])
 
-        def fresh() -> dict[str, Any]:
+        def skeleton() -> dict[str, Any]:
             size = int(description["members"])
             members = ensemble(size, drive, force, ProfileConfig(), scales, jax.random.key(0))
             memory = remembered(single(members.force).start(Motion(jnp.zeros(()), jnp.zeros(())))).size
@@ -204,7 +204,7 @@ class StreamingSurrogate(eqx.Module):
                 )
             return jnp.asarray(array)
 
-        trees = jax.tree_util.tree_map_with_path(leaf, eqx.filter_eval_shape(fresh))
+        trees = jax.tree_util.tree_map_with_path(leaf, eqx.filter_eval_shape(skeleton))
         limits = Limits.of(description["limits"], one_velocity=True)
         interval = Interval.model_validate(description["interval"])
         return cls(trees["members"], limits, interval, trees["familiarity"])

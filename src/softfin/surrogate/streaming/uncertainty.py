@@ -56,7 +56,7 @@ class Interval(Configuration):
         return self.factor * (means.var(axis=0) + self.floor_n**2) ** 0.5
 
     def caveat(self) -> str | None:
-        """Why the interval is not to be relied on, in a sentence; None where there is no such reason."""
+        """Why the interval is not to be relied on, in a sentence; None if it may be."""
         if self.logs >= ENOUGH_LOGS:
             return None
         return (
@@ -70,12 +70,12 @@ def calibrated(predicted: Sequence[Float[np.ndarray, "members rows 2"]], logs: S
     means = np.concatenate([window_means(force[:, burn_in:]) for force in predicted], axis=1)
     measured = np.concatenate([window_means(np.asarray(log.reading.force)[burn_in:]) for log in logs])
     error = np.abs(means.mean(axis=0) - measured)
-    floor = float(np.sqrt(np.mean(error**2)))
-    ratio = error / (means.var(axis=0) + floor**2) ** 0.5
+    floor_n = float(np.sqrt(np.mean(error**2)))
+    ratio = error / (means.var(axis=0) + floor_n**2) ** 0.5
     # One more than there are, so that the next error is covered and not only these.
     level = min(1.0, COVERAGE * (1 + 1 / ratio.size))
     factor = float(np.quantile(ratio, level, method="inverted_cdf"))
-    return Interval(coverage=COVERAGE, factor=factor, floor_n=floor, windows=ratio.size, logs=len(logs))
+    return Interval(coverage=COVERAGE, factor=factor, floor_n=floor_n, windows=ratio.size, logs=len(logs))
 
 
 class Familiarity(eqx.Module):
