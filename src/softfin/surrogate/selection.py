@@ -11,9 +11,9 @@ from softfin.core.quantities import RATE_HZ, Log
 from softfin.storage.run_directory import Workspace
 from softfin.surrogate.compare.free_running import free_run, segments_of, take
 from softfin.surrogate.compare.metrics import rms
-from softfin.surrogate.paper.fit import FitConfig, check_fit, fit
+from softfin.surrogate.paper.fit import FitConfig, fit, split
 from softfin.surrogate.store import AnySurrogate
-from softfin.surrogate.streaming.fit import check_streaming, fit_streaming
+from softfin.surrogate.streaming.fit import StreamingFit, fit_streaming
 from softfin.surrogate.streaming.learner import StreamingConfig
 from softfin.surrogate.streaming.streaming import MEMORY
 from softfin.surrogate.training import Progress, check_lengths, held_out_count
@@ -90,9 +90,9 @@ def _possible(
     for name, one in candidates.items():
         try:
             if isinstance(one, FitConfig):
-                check_fit(logs, one)
+                split(logs, one)
             else:
-                check_streaming(logs, one, run_directory)
+                StreamingFit(logs, one, 0, run_directory, None)
             possible[name] = one
         except LogError as error:
             reasons[name] = error

@@ -74,7 +74,7 @@ def fit(
         LogError: too few logs, or logs too short for one window.
         RunError: the loss is no longer finite.
     """
-    training, holding, scaling, starts = _split(logs, config)
+    training, holding, scaling, starts = split(logs, config)
     table = jnp.asarray(np.concatenate([scaling.table(COLUMNS, log) for log in training]))
     # Equal calls, so that one compiled program does them all.
     calls = max(1, -(-(len(starts) // config.batch) // UPDATES_A_CALL))
@@ -102,7 +102,7 @@ def fit(
             yield [partial(run, at=epoch + call / calls, batches=some, key=key) for call, some in batches]
 
     def held_out_loss(nets: Nets) -> Nets:
-        return Nets(*(_held_out_loss(net, scaling, holding) for net in nets))
+        return Nets(*(_mean_square_error(net, scaling, holding) for net in nets))
 
     record = run_directory.log(rewind_to=done["epoch"])
     for each in train(state, rounds(), held_out_loss, "nets"):
@@ -116,15 +116,10 @@ def fit(
     return Surrogate(state.best.posnet, state.best.forcenet, scaling)
 
 
-def check_fit(logs: Sequence[Log], config: FitConfig) -> None:
-    """Raise LogError where `fit` would before it begins."""
-    _split(logs, config)
-
-
-def _split(
+def split(
     logs: Sequence[Log], config: FitConfig
 ) -> tuple[Sequence[Log], Sequence[Log], Scaling, Int[np.ndarray, "windows"]]:
-    """Logs to learn from, logs held out, and of the former the scaling and where windows begin."""
+    """Training logs, held-out logs, and of the former the scaling and where windows begin; raises LogError."""
     check_lengths(logs, config.posnet.window, "training")
     count = held_out_count(len(logs), config.held_out)
     training, holding = logs[:-count], logs[-count:]
@@ -195,7 +190,7 @@ def window_starts(rows: Sequence[int], window: int) -> Int[np.ndarray, "windows"
     return np.concatenate(parts).astype(np.int32)
 
 
-def _held_out_loss(net: Network, scaling: Scaling, logs: Sequence[Log]) -> float:
+def _mean_square_error(net: Network, scaling: Scaling, logs: Sequence[Log]) -> float:
     tables = [scaling.table((*net.config.channels, *net.config.outputs), log) for log in logs]
     inputs, window = len(net.config.channels), net.config.window
     errors = [net.over_table(table[:, :inputs]) - table[window:, inputs:] for table in tables]

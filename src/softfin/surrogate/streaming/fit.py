@@ -59,16 +59,11 @@ def fit_streaming(
         LogError: too few logs, logs too short for a segment, or logs in which nothing moves.
         RunError: the loss is no longer finite.
     """
-    return _Fit(logs, config, seed, run_directory, progress).run()
+    return StreamingFit(logs, config, seed, run_directory, progress).run()
 
 
-def check_streaming(logs: Sequence[Log], config: StreamingConfig, run_directory: Workspace) -> None:
-    """Raise LogError where `fit_streaming` would before it begins."""
-    _Fit(logs, config, 0, run_directory, None)
-
-
-class _Fit:
-    """One fit and what its parts share."""
+class StreamingFit:
+    """One fit and what its parts share; to make one raises LogError where the logs cannot be fitted."""
 
     def __init__(
         self,
