@@ -1,4 +1,4 @@
-"""``softfin compare``: surrogates and a dataset in, the errors of each free-running over unseen logs out."""
+"""``softfin compare``: surrogates and a dataset in; out, the error of each on test logs, free-running."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ Horizons: TypeAlias = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(Configured):
-    """Compare surrogates, free-running with the commands of a dataset's test logs over several horizons."""
+    """Compare surrogates, free-running under the commands of a dataset's test logs for several horizons."""
 
     surrogates: Annotated[tuple[Path, ...], folder_of("surrogate", positional=True)]
     """Folders of the surrogates; seeds of one configuration, fitted to the same data, become one group."""
@@ -28,8 +28,8 @@ class Arguments(Configured):
     horizons: Horizons | None = None
     """How long they run free, as 1,5,30 in seconds (1,5,30)."""
     noise_floor: Plant | None = None
-    """A plant that records the same commands once more, as the tank that was recorded: what noise and drift, twice
-    over, and other conditions leave."""
+    """A plant that records the same commands once more, such as the tank that was recorded: the error that noise,
+    drift and other conditions leave."""
     seed: int | None = None
     """Seed of the second recording's noise (0)."""
 
@@ -48,13 +48,13 @@ class Arguments(Configured):
 
 
 class Column(NamedTuple):
-    """Of a table."""
+    """One column of a table."""
 
     title: str
     unit: str
     score: str
     factor: int = 1
-    """Of the unit shown over that of the score."""
+    """Factor from the score's unit to the unit shown."""
 
 
 ERRORS = (

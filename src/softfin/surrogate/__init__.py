@@ -1,4 +1,4 @@
-"""Surrogates: nets learnt from logs that stand in for the fin, the paper's (Sec. III-B) and streaming ones."""
+"""Models of the fin learnt from logs: the paper's networks (Sec. III-B) and streaming ensembles."""
 
 from softfin.surrogate.paper.fit import FitConfig
 from softfin.surrogate.paper.keras import import_keras
