@@ -36,7 +36,7 @@ def folders(tmp_path_factory):
         (["s0", "--horizons", "1,,2"], "--horizons 1,,2: not numbers"),
         (["s0", "--horizons", "nan"], "horizons_s"),
         (["s0", "--horizons", "0,1"], "horizons are at least 0.1 s"),
-        (["s0", "--horizons", "1", "--noise-floor", "pool"], "plant pool: unknown (is no folder)"),
+        (["s0", "--horizons", "1", "--noise-floor", "pool"], "plant pool: unknown (does not exist)"),
         (["s0", "--out", "data"], "data: exists already; give another --out"),
     ],
 )

@@ -199,7 +199,7 @@ def fit(
         provenance = artifacts.provenance(seed=seed, data_hash=opened.data_hash, dataset=str(dataset), **opened.facts)
         save_surrogate(
             out, fitted, table_one(fitted, test) if test else None, provenance,
-            also=workspace.keep_log, overwrite=overwrite, configuration=facts["configuration"],
+            extra_files=workspace.keep_log, overwrite=overwrite, configuration=facts["configuration"],
             training_range=training_range(opened.train), fin=_fin_of(dataset),
             **({} if evidence is None else {"candidates": evidence}),
         )  # fmt: skip

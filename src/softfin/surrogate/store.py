@@ -24,11 +24,11 @@ def save_surrogate(
     surrogate: AnySurrogate,
     scores: dict[str, Any] | None,
     provenance: dict[str, Any],
-    also: Callable[[Path], None] | None = None,
+    extra_files: Callable[[Path], None] | None = None,
     overwrite: bool = False,
     **metadata: Any,
 ) -> None:
-    """Write the folder, whole or not at all; `also` adds files to it, `metadata` are further entries of the JSON."""
+    """Write the folder, whole or not at all; `extra_files` adds some, `metadata` are further entries of the JSON."""
     entries, weights = surrogate.to_files()
     description = {
         "kind": KIND,
@@ -41,7 +41,7 @@ def save_surrogate(
         **metadata,
         "provenance": provenance,
     }
-    artifacts.save(path, KIND, description, weights, also, overwrite)
+    artifacts.save(path, KIND, description, weights, extra_files, overwrite)
 
 
 def load_surrogate(path: Path) -> AnySurrogate:
