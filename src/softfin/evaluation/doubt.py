@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from softfin.core.quantities import AXES, Command
+from softfin.core.window import moving_average
 from softfin.evaluation.experiment import Recording, Subject
-from softfin.evaluation.scores import moving_average
 from softfin.surrogate.streaming.streaming import StreamingState, StreamingSurrogate
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Array, Int, PRNGKeyArray
 
 from softfin.core.plant import Plant
 from softfin.core.quantities import TICK_S, Command, Limits, Reading
-from softfin.surrogate.streaming.force import Motion, Said
+from softfin.surrogate.streaming.force import ForcePrediction, Motion
 from softfin.surrogate.streaming.member import MemberState
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 
@@ -43,8 +43,8 @@ class OneMember(eqx.Module):
         held = Command(*(jnp.asarray(part, jnp.float32) for part in command))
         member = _of(self.surrogate.members, state.member)
 
-        def tick(state: MemberState, _: None) -> tuple[MemberState, tuple[Motion, Said]]:
-            stepped: tuple[MemberState, tuple[Motion, Said]] = member.step(state, held)
+        def tick(state: MemberState, _: None) -> tuple[MemberState, tuple[Motion, ForcePrediction]]:
+            stepped: tuple[MemberState, tuple[Motion, ForcePrediction]] = member.step(state, held)
             return stepped
 
         moved, (motion, said) = jax.lax.scan(tick, state.state, length=ticks)

@@ -10,10 +10,10 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from softfin.core.action_clock import ticks_of
 from softfin.core.plant import Ticks, counted
 from softfin.core.quantities import AnyArray
+from softfin.core.window import moving_average, moving_error
 from softfin.learning.policy import Policy
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 from softfin.task.references import References
-from softfin.task.reward import moving_average
 from softfin.task.task import ForceTracking
 
 
@@ -46,6 +46,6 @@ def score(task: ForceTracking, policy: Policy, references: Float[Array, "referen
     actions = task.config.episode_actions
     _, (forces, distances) = jax.lax.scan(act, (states, memories), jnp.asarray(ticks_of(actions)))
     series = jnp.swapaxes(counted(forces, actions), 0, 1)
-    average = jax.vmap(partial(moving_average, window=window))(series)
     beyond = None if plant is None else (distances > 1).mean(axis=0)
-    return Score(jnp.abs(average - references[:, None]).mean(axis=1), average.std(axis=1), beyond)
+    error, average = moving_error(series, references[:, None], window), moving_average(series, window)
+    return Score(error, average.std(axis=-2), beyond)

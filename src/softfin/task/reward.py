@@ -17,17 +17,6 @@ PerAxis: TypeAlias = Float[Array, "2"]
 Smoothness: TypeAlias = Callable[[Forces, Count], PerAxis]
 
 
-def window_mean(forces: Forces, count: Count) -> PerAxis:
-    """Mean force over the last `count` samples [N]; ``count >= 1``."""
-    counts = jnp.arange(len(forces)) >= len(forces) - count
-    return jnp.where(counts[:, None], forces, 0).sum(axis=0) / count
-
-
-def window_error(forces: Forces, count: Count, reference: PerAxis) -> PerAxis:
-    """|F_e| = |mean(F) - F_r| [N]."""
-    return jnp.abs(window_mean(forces, count) - reference)
-
-
 def sobolev_sum(forces: Forces, count: Count) -> PerAxis:
     """The paper's form, sqrt(sum_i |F_{i+1} - F_i|^2) [N]: it grows with the root of the window's length."""
     return _root(_squared_steps(forces, count))
@@ -52,12 +41,6 @@ def reward(
 ) -> Float[Array, "*batch"]:
     """r = -sum_d w_d (|F_e^d| + lambda_d S_d + mu D_d); the disagreement D of an ensemble is not the paper's."""
     return -jnp.sum(weight * (error + smoothness_weight * smoothness + disagreement_weight * disagreement), axis=-1)
-
-
-def moving_average(forces: Float[Array, "samples 2"], window: int) -> Float[Array, "windows 2"]:
-    """Mean force over every whole window of a series [N]; the first ends with sample ``window - 1``."""
-    total = jnp.concatenate([jnp.zeros((1, 2)), jnp.cumsum(forces, axis=0)])
-    return (total[window:] - total[:-window]) / window
 
 
 def _squared_steps(forces: Forces, count: Count) -> PerAxis:

@@ -20,9 +20,10 @@ from softfin.core.action_clock import CYCLE_ACTIONS, MOST_TICKS
 from softfin.core.configuration import Configuration
 from softfin.core.plant import Plant, State, Ticks, hold_action, mean_of, repeat, rest_command
 from softfin.core.quantities import Command, Limits, Reading
+from softfin.core.window import window_error, window_mean
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 from softfin.task.references import References
-from softfin.task.reward import SMOOTHNESS, reward, window_error, window_mean
+from softfin.task.reward import SMOOTHNESS, reward
 
 Action = Float[Array, "2"]
 """(angle, velocity) normalised to [-1, 1], the plant's limits."""
