@@ -15,15 +15,15 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from softfin.control.native import NativeController, load_native
+from softfin.gaits.gaits import Found, Lattice
 
 from benchmarks.measure import entry
 from softfin.control.controller import Measured
-from softfin.control.native import NativeController, load_native
 from softfin.control.onnx import export_onnx
 from softfin.control.store import load_controller, save_controller, save_gaits
 from softfin.core.quantities import PAPER_LIMITS
 from softfin.gaits.force_map import ForceMap, MapConfig
-from softfin.gaits.gaits import Found, Lattice
 from softfin.gaits.reachable import Reachable
 from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.score import Score

@@ -19,9 +19,9 @@ from typing import Any
 
 import can
 import yaml
+from softfin.control.native import NativeController, load_native
 
 from benchmarks.measure import entry
-from softfin.control.native import NativeController, load_native
 from softfin.core.clock import REAL
 from softfin.core.errors import SafetyStop
 from softfin.rig.config import RigConfig

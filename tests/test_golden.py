@@ -9,15 +9,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from softfin.control.map_store import load_map
+from softfin.deployment.native import load_native
+from softfin.quantities import Command
+from softfin.tracking.reference_file import read_reference_file
 
 import softfin
 from softfin import cli
 from softfin.control.controller import Measured
-from softfin.control.map_store import load_map
-from softfin.deployment.native import load_native
-from softfin.quantities import Command
 from softfin.rig.config import load_rig, load_ros2
-from softfin.tracking.reference_file import read_reference_file
 
 GOLDEN = Path(__file__).parent / "golden"
 EXPECTED = json.loads((GOLDEN / "expected.json").read_text())

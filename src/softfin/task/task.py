@@ -19,7 +19,7 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 from softfin.core.action_clock import CYCLE_ACTIONS, MOST_TICKS
 from softfin.core.configuration import Configuration
 from softfin.core.plant import Plant, State, Ticks, hold_action, mean_of, repeat, rest_command
-from softfin.core.quantities import Command, Limits, Reading
+from softfin.core.quantities import Command, Limits, Reading, command_of
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 from softfin.task.references import References
 from softfin.task.reward import SMOOTHNESS, reward, window_error, window_mean
@@ -261,15 +261,6 @@ def observation(
         turn = 2 * jnp.pi * (age % CYCLE_ACTIONS) / CYCLE_ACTIONS
         parts.append(jnp.stack([jnp.sin(turn), jnp.cos(turn)]))
     return jnp.concatenate(parts)
-
-
-def command_of(limits: Limits, action: Action) -> Command:
-    """[-1, 1]^2 onto the plant's limits."""
-    part = (action + 1) / 2
-    return Command(
-        limits.angle_min + part[0] * (limits.angle_max - limits.angle_min),
-        limits.velocity_min + part[1] * (limits.velocity_max - limits.velocity_min),
-    )
 
 
 def action_of(limits: Limits, command: Command) -> Action:
