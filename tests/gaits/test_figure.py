@@ -17,7 +17,7 @@ def with_missed(*nodes: tuple[int, int]):
     force = KNOWN.gaits.force.copy()
     for node in nodes:
         force[node] += 1
-    return KNOWN._replace(found=KNOWN.gaits._replace(force=force))
+    return KNOWN._replace(gaits=KNOWN.gaits._replace(force=force))
 
 
 def drawn(known, tolerance_n=0.1):
@@ -56,7 +56,7 @@ def test_everything_is_within_the_frame():
 
 
 def test_a_fin_whose_gaits_cost_all_the_same_is_drawn_too():
-    flat = KNOWN._replace(found=KNOWN.gaits._replace(smoothness=np.zeros((3, 4, 2), np.float32)))
+    flat = KNOWN._replace(gaits=KNOWN.gaits._replace(smoothness=np.zeros((3, 4, 2), np.float32)))
     assert render(map_figure(flat, 0.1), "png").startswith(b"\x89PNG")
 
 

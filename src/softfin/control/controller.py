@@ -141,16 +141,17 @@ class LoadedController:
             now = xp.concatenate([xp.asarray(angle)[None], xp.asarray(reference)]).astype(np.float32)
             state, action = self.step.act(ops, state, now)
             return state, command_of(self.limits, action)
-        if not all(abs(number) <= LARGEST for number in (angle, *force, *reference)):
+        if not all(abs(measurement) <= LARGEST for measurement in (angle, *force, *reference)):
             raise RunError(
                 f"{self.artifact.name}: angle {angle:g} rad, force ({force[0]:g}, {force[1]:g}) N, reference "
                 f"({reference[0]:g}, {reference[1]:g}) N: a controller needs finite numbers; check drive and sensor"
             )
         state, action = self.step.act(ops, state, np.array((angle, *reference), np.float32))
-        angle, velocity = command_of(self.limits, np.asarray(action, float))
+        command = command_of(self.limits, np.asarray(action, float))
+        ranges = zip(command, self.limits[::2], self.limits[1::2], strict=True)
         # Rounding must not lead out of the limits.
-        low, high, slow, fast = self.limits
-        return state, Command(float(min(max(angle, low), high)), float(min(max(velocity, slow), fast)))
+        numbers: list[Any] = [float(min(max(number, low), high)) for number, low, high in ranges]
+        return state, Command(*numbers)
 
     def check(self, reference: Force) -> None:
         """Raise CoverageError where the reference is outside every cell."""

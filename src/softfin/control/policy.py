@@ -45,7 +45,7 @@ class Observation(pydantic.BaseModel, frozen=True):
     @property
     def size(self) -> int:
         """Numbers in an observation."""
-        return MEASURED + 2 * (self.past_actions + 1) + self.phase * PHASES.shape[1]
+        return MEASURED + 2 * (self.past_actions + 1) + (PHASES.shape[1] if self.phase else 0)
 
     def units(self) -> np.ndarray:
         """Unit of each number of an observation in training."""
@@ -104,8 +104,8 @@ def fold(arrays: Mapping[str, np.ndarray], observation: Observation, stack: tupl
 
     Raises ValueError where arrays are missing, unknown or have another shape.
     """
-    # The first axis of a layer's kernel is as long as its input; 0 where the array is missing, which is refused below.
-    units, width = (sum(np.shape(arrays.get(f"net.{layer}.kernel"))[-2:-1]) for layer in ("hidden", "output"))
+    # The first axis of a layer's kernel is as long as its input; a missing array is refused below.
+    units, width = (sum(np.shape(arrays.get(f"net.{layer}.kernel", ()))[-2:-1]) for layer in ("hidden", "output"))
     size = observation.size
     shapes: dict[str, tuple[int, ...]] = {
         "net.lstm.kernel": (size, 4 * units), "net.lstm.recurrent": (units, 4 * units), "net.lstm.bias": (4 * units,),

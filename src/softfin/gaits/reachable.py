@@ -94,8 +94,10 @@ class Reachable(NamedTuple):
     """Distance of each corner from the centre [N]; corner k lies in the direction of 2 pi k / directions from +x."""
 
     @classmethod
-    def from_dict(cls, description: dict[str, Any]) -> "Reachable":
+    def from_dict(cls, description: Any) -> "Reachable":
         """Build it from what `to_dict` gave; raises KeyError, TypeError or ValueError for anything else."""
+        if not isinstance(description, dict):
+            raise TypeError(f"reachable is {description!r}; it must be an object with centre_n and radius_n")
         centre, radius = (np.asarray(description[name], np.float32) for name in ("centre_n", "radius_n"))
         if centre.shape != (2,) or radius.ndim != 1 or len(radius) < 3:
             raise ValueError(f"reachable: centre {centre.shape} and radius {radius.shape} do not describe a region")

@@ -60,7 +60,7 @@ def hold(session: Session, controller: Acting, references: References, actions: 
         try:
             reference = references(ticks / RATE_HZ)
             state, command = controller.act(state, Measured(angle, force), reference)
-            target = Target(*command)
+            target = Target(float(command.angle), float(command.velocity))
         except SoftfinError as error:
             session.abort(Trip("controller", str(error)))
         except Exception as error:

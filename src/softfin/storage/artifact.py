@@ -34,6 +34,9 @@ Weights = Mapping[str, Array]
 
 WEIGHTS = "weights.safetensors"
 
+LARGEST_JSON = 64 * 2**20
+LARGEST_WEIGHTS = 2**30
+
 KINDS = (
     "dataset", "surrogate", "controller", "controllers", "evaluation", "reproduction", "calibration", "comparison",
     "inspection", "map", "baselines",

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from softfin.core.errors import PlantError
-from softfin.core.quantities import Limits
 from softfin.storage import artifact as artifacts
 
 if TYPE_CHECKING:
@@ -66,6 +65,8 @@ def resolve_plant(name: str) -> PlantKind:
 
 def find_plant(name: str) -> "Plant":
     """Build or load the plant that `name` stands for; raises PlantError that lists what there is."""
+    from softfin.core.quantities import Limits
+
     kind, path = resolve_plant(name), Path(name)
     # Surrogates and tanks are rooms above this one, found by their names.
     plant: Plant
