@@ -9,9 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from softfin.control.map_store import load_map
-from softfin.quantities import Command
-from softfin.tracking.reference_file import read_reference_file
 
 import softfin
 from softfin import cli

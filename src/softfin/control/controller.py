@@ -99,7 +99,7 @@ class Artifact:
 
 
 STATIC: Mapping[str, bool] = MappingProxyType({"static": True})
-"""Metadata of a field that is no array: compiled programs hold it as a constant."""
+"""Metadata of a field without arrays: compiled programs hold it as a constant."""
 
 
 @dataclasses.dataclass(frozen=True)

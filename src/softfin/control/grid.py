@@ -66,7 +66,7 @@ class GridStep:
     low: Array
     """Lower corners of the cells ``(cells, 2)`` [N]."""
     high: Array
-    rest: Array
+    rest: tuple[float, float] = field(metadata=STATIC)
     """Action of a fin that stays where it is."""
     observation: Observation = field(metadata=STATIC)
     switching: SwitchingConfig = field(metadata=STATIC)
@@ -88,7 +88,7 @@ class GridStep:
         """Return the state of a fin at rest."""
         return GridState(
             *self.networks.empty(),
-            actions=np.tile(np.asarray(self.rest), CYCLE_ACTIONS + self.observation.past_actions + 1),
+            actions=np.tile(np.float32(self.rest), CYCLE_ACTIONS + self.observation.past_actions + 1),
             angles=np.zeros(CYCLE_ACTIONS, np.float32),
             last_reference=np.zeros(2, np.float32),
             age=0,

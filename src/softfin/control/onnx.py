@@ -100,7 +100,7 @@ def export_onnx(controller: LoadedController, file: Path, overwrite: bool = Fals
     """
     check_onnx(file, overwrite)
     ndonnx, onnx, runtime = _extra()
-    model = _described(onnx, _traced(ndonnx, onnx, controller), controller)
+    model = _with_metadata(onnx, _traced(ndonnx, onnx, controller), controller)
     onnx.checker.check_model(model, full_check=True)
     data: bytes = model.SerializeToString()
     worst = _difference(runtime, data, controller)
@@ -147,7 +147,7 @@ def _traced(ndonnx: Any, onnx: Any, controller: LoadedController) -> Any:
     return model
 
 
-def _described(onnx: Any, model: Any, controller: LoadedController) -> Any:
+def _with_metadata(onnx: Any, model: Any, controller: LoadedController) -> Any:
     """Add what a user must know as metadata: texts, and JSON where they are more than a word."""
     model.ir_version = IR_VERSION
     version = importlib.metadata.version("softfin")
@@ -155,7 +155,7 @@ def _described(onnx: Any, model: Any, controller: LoadedController) -> Any:
     model.graph.name = f"{controller.kind} controller"
     state = {name: np.asarray(value) for name, value in controller.step.init()._asdict().items()}
     artifact = controller.artifact
-    facts = {
+    metadata = {
         "softfin": version,
         "controller": artifact.name,
         "kind": controller.kind,
@@ -177,9 +177,9 @@ def _described(onnx: Any, model: Any, controller: LoadedController) -> Any:
         "state": {name: f"{NEXT}{name}" for name in state},
         "weights_sha256": artifact.weights_sha256,
     }  # fmt: skip
-    facts |= {f"initial_{name}": value.tolist() for name, value in state.items()}
+    metadata |= {f"initial_{name}": value.tolist() for name, value in state.items()}
     onnx.helper.set_model_props(
-        model, {name: fact if isinstance(fact, str) else json.dumps(fact) for name, fact in facts.items()}
+        model, {name: value if isinstance(value, str) else json.dumps(value) for name, value in metadata.items()}
     )
     return model
 

@@ -139,6 +139,6 @@ def fold(arrays: Mapping[str, np.ndarray], observation: Observation, stack: tupl
     )
 
 
-def rest_action(limits: Limits) -> np.ndarray:
+def rest_action(limits: Limits) -> tuple[float, float]:
     """Return the action in [-1, 1]^2 of a fin that stays at angle 0."""
-    return np.array([2 * (0.0 - limits.angle_min) / (limits.angle_max - limits.angle_min) - 1, -1.0], np.float32)
+    return 2 * (0.0 - limits.angle_min) / (limits.angle_max - limits.angle_min) - 1, -1.0

@@ -30,7 +30,7 @@ class SingleStep:
 
     kind: ClassVar[str] = "single"
     network: Network
-    rest: Array
+    rest: tuple[float, float] = field(metadata=STATIC)
     """Action of a fin that stays where it is."""
     observation: Observation = field(metadata=STATIC)
 
@@ -46,7 +46,7 @@ class SingleStep:
 
     def init(self) -> SingleState:
         """Return the state of a fin at rest."""
-        return SingleState(*self.network.empty(), np.tile(np.asarray(self.rest), self.observation.past_actions + 1), 0)
+        return SingleState(*self.network.empty(), np.tile(np.float32(self.rest), self.observation.past_actions + 1), 0)
 
     def act(self, ops: Operations, state: SingleState, now: Array) -> tuple[SingleState, Array]:
         """Compute the policy's deterministic action."""

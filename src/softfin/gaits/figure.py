@@ -31,7 +31,7 @@ def map_figure(force_map: ForceMap, tolerance_n: float) -> Figure:
     with styled():
         figure = new_figure(6.4, 5.2)
         axes = figure.subplots()
-        drawn = axes.contourf(nodes[..., 0], nodes[..., 1], cost, levels=_levels(cost), cmap=COLOURS)
+        colours = axes.contourf(nodes[..., 0], nodes[..., 1], cost, levels=_levels(cost), cmap=COLOURS)
         # Nodes beyond reach hold the gait of the nearest force: what lies outside the outline is no result.
         low, high = nodes[0, 0] - 1, nodes[-1, -1] + 1
         frame = np.array([low, (high[0], low[1]), high, (low[0], high[1]), low])
@@ -48,7 +48,7 @@ def map_figure(force_map: ForceMap, tolerance_n: float) -> Figure:
         right, top = np.maximum(nodes[-1, -1], outline.max(axis=0)) + 0.2
         axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
         axes.set(xlabel="mean force x [N]", ylabel="mean force y [N]")
-        figure.colorbar(drawn, ax=axes, label="Sobolev term of the gait, x and y together [N]", shrink=0.9)
+        figure.colorbar(colours, ax=axes, label="Sobolev term of the gait, x and y together [N]", shrink=0.9)
         figure.legend(loc="outside lower center", ncols=2)
     return figure
 

@@ -71,10 +71,10 @@ class Lattice(NamedTuple):
     """Number of nodes in x and y, 2 or more."""
 
     @classmethod
-    def over(cls, box: Cell, spacing_n: float) -> "Lattice":
-        """Place nodes at most `spacing_n` apart, with the corners of the box among them."""
-        counts = [max(2, math.ceil((b - a) / spacing_n - 1e-6) + 1) for a, b in zip(box.low, box.high, strict=True)]
-        return cls(box.low, box.high, (counts[0], counts[1]))
+    def over(cls, cell: Cell, spacing_n: float) -> "Lattice":
+        """Place nodes at most `spacing_n` apart, with the corners of the cell among them."""
+        counts = [max(2, math.ceil((b - a) / spacing_n - 1e-6) + 1) for a, b in zip(cell.low, cell.high, strict=True)]
+        return cls(cell.low, cell.high, (counts[0], counts[1]))
 
     def table(self) -> GaitTable:
         """Return a table of which every action is 0."""
