@@ -88,7 +88,7 @@ class GridStep:
         """Return the state of a fin at rest."""
         return GridState(
             *self.networks.empty(),
-            actions=np.tile(np.float32(self.rest), CYCLE_ACTIONS + self.observation.past_actions + 1),
+            actions=np.tile(np.asarray(self.rest, np.float32), CYCLE_ACTIONS + self.observation.past_actions + 1),
             angles=np.zeros(CYCLE_ACTIONS, np.float32),
             last_reference=np.zeros(2, np.float32),
             age=0,

@@ -46,7 +46,9 @@ class SingleStep:
 
     def init(self) -> SingleState:
         """Return the state of a fin at rest."""
-        return SingleState(*self.network.empty(), np.tile(np.float32(self.rest), self.observation.past_actions + 1), 0)
+        return SingleState(
+            *self.network.empty(), np.tile(np.asarray(self.rest, np.float32), self.observation.past_actions + 1), 0
+        )
 
     def act(self, ops: Operations, state: SingleState, now: Array) -> tuple[SingleState, Array]:
         """Compute the policy's deterministic action."""
