@@ -27,8 +27,8 @@ ANGLE_SCALE_RAD = np.pi / 2
 LEAST_DEVIATION = 0.1
 """Observations that hardly varied in training are divided by this."""
 
-_TURN = 2 * np.pi * np.arange(CYCLE_ACTIONS) / CYCLE_ACTIONS
-PHASES = np.stack([np.sin(_TURN), np.cos(_TURN)], axis=1).astype(np.float32)
+_TURN = np.arange(CYCLE_ACTIONS, dtype=np.float32) * np.float32(2 * np.pi / CYCLE_ACTIONS)
+PHASES = np.stack([np.sin(_TURN), np.cos(_TURN)], axis=1)
 """Sine and cosine of the clock's phase at each of the six actions."""
 
 
