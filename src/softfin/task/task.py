@@ -257,7 +257,7 @@ def observation(
     """
     part = Observation(past_actions=config.past_actions, phase=config.phase, force_scale_n=config.force_scale_n)
     now = jnp.concatenate([angle[None], reference])
-    return part.observe(JAX, now, actions.reshape(-1), age) / jnp.asarray(part.units(), jnp.float32)
+    return jnp.asarray(part.observe(JAX, now, actions.reshape(-1), age) / part.units())
 
 
 def action_of(limits: Limits, command: Command) -> Action:
