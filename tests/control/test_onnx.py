@@ -100,7 +100,7 @@ def test_what_is_there_is_kept_unless_it_may_be_replaced(folders: dict[str, Path
     file.write_text("mine")
     with pytest.raises(ArtifactError, match="exists already; give another --onnx, or --overwrite"):
         export_onnx(controller, file)
-    with pytest.raises(ArtifactError, match="is no file"):
+    with pytest.raises(ArtifactError, match="is not a file"):
         export_onnx(controller, tmp_path, overwrite=True)
     export_onnx(controller, file, overwrite=True)
     onnx.checker.check_model(str(file))
