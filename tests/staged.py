@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 import yaml
 
-from softfin.control.store import save_controller
 from softfin.core.quantities import PAPER_LIMITS, Limits
 from softfin.gaits.force_map import MapConfig
 from softfin.gaits.map_store import save_map
+from softfin.learning.controllers import save_controller
 from softfin.learning.train import SINGLE
 from softfin.stages.offline import identity
 from softfin.storage.dataset import write_dataset

@@ -19,7 +19,7 @@ from softfin.learning.ppo import PPO, PPOConfig
 from softfin.learning.rollout import begin, collect
 from softfin.learning.score import score
 from softfin.tank import Tank
-from softfin.task.references import PAPER_RANGE
+from softfin.task.references import PAPER_RANGE, references_in
 from softfin.task.task import ForceTracking, TaskConfig
 from softfin.testing import check_plant
 from tests.plants import AnalyticFin, Flapper
@@ -39,7 +39,7 @@ class MarkedFin(AnalyticFin):
 
 TASK = ForceTracking(MarkedFin(), TaskConfig())
 POLICY = Policy.create(KEY, SIZE, TASK.config.observations)
-BATCH = begin(TASK, POLICY, PAPER_RANGE.references(), KEY, 2)
+BATCH = begin(TASK, POLICY, references_in(PAPER_RANGE), KEY, 2)
 LEARNERS = {
     "ppo": PPO(TASK, PPOConfig(environments=2, rollout_actions=6, minibatches=1, epochs=1), SIZE, 2),
     "gradient": Gradient(TASK, GradientConfig(environments=2, rollout_actions=6, teacher=False), SIZE, 2),
@@ -70,7 +70,7 @@ def test_a_program_holds_the_plant_once(program: Any) -> None:
 def test_an_update_takes_what_it_gives(name: str) -> None:
     """Shapes, types and how firm these are: else it would be compiled again for its own results."""
     learner = LEARNERS[name]
-    first = jax.eval_shape(learner.init, KEY, PAPER_RANGE.references())
+    first = jax.eval_shape(learner.init, KEY, references_in(PAPER_RANGE))
     assert jax.eval_shape(learner.update, first)[0] == first
 
 

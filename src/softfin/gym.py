@@ -13,15 +13,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from softfin.control.policy import ANGLE_SCALE_RAD
 from softfin.core.action_clock import ACTION_RATE_HZ, ACTION_TICKS
 from softfin.core.errors import InputError
 from softfin.core.gym_registration import ID
 from softfin.core.plant import Plant
 from softfin.core.plant_identity import jit_argument
-from softfin.core.quantities import AXES
+from softfin.core.quantities import AXES, command_of
+from softfin.gaits.reachable import Cell
 from softfin.storage.registry import find_plant
-from softfin.task.references import PAPER_RANGE, Cell, References
-from softfin.task.task import ANGLE_SCALE_RAD, ForceTracking, Outcome, TaskConfig, TaskState, command_of
+from softfin.task.references import PAPER_RANGE, References, references_in
+from softfin.task.task import ForceTracking, Outcome, TaskConfig, TaskState
 
 if TYPE_CHECKING:
     from softfin.evaluation.view.episode import EpisodeFilm
@@ -119,11 +121,11 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
 
     def _drawn_from(self, options: dict[str, Any]) -> References:
         if "reference" not in options:
-            return self.references.references()
+            return references_in(self.references)
         x, y = (float(value) for value in options["reference"])
         if self.references.distance((x, y)) > 0:
             raise InputError(f"{ID}: reference ({x:g}, {y:g}) N is outside {self.references}; make a wider environment")
-        return Cell(low=(x, y), high=(x, y)).references()
+        return references_in(Cell(low=(x, y), high=(x, y)))
 
     def _observed(self, state: TaskState) -> Observation:
         return np.array(self._observe(state))

@@ -7,9 +7,10 @@ import jax.numpy as jnp
 
 from softfin.core.action_clock import MOST_TICKS
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Reading
+from softfin.gaits.reachable import Cell
 from softfin.learning.policy import PolicyConfig
 from softfin.learning.ppo import PPO, PPOConfig
-from softfin.task.references import Cell, References
+from softfin.task.references import References, references_in
 from softfin.task.task import ForceTracking, RewardConfig, TaskConfig
 
 GAIN = 3.0
@@ -120,4 +121,4 @@ def learner(plant: Any, updates: int, episode: int = 12, past_actions: int = 0, 
 
 
 def box(low: tuple[float, float], high: tuple[float, float]) -> References:
-    return Cell(low=low, high=high).references()
+    return references_in(Cell(low=low, high=high))

@@ -15,7 +15,7 @@ from softfin.task.task import TaskConfig
 OBSERVATIONS = TaskConfig(phase=True).observations
 
 
-def made(config: PolicyConfig) -> Policy:
+def simulate_gait(config: PolicyConfig) -> Policy:
     return jax.tree.map(
         lambda x: np.zeros(x.shape, x.dtype),
         jax.eval_shape(lambda: Policy.create(jax.random.key(0), config, OBSERVATIONS)),
@@ -23,7 +23,7 @@ def made(config: PolicyConfig) -> Policy:
 
 
 def test_a_policy_of_the_default_size_and_its_normalisation_fit_in_200_kb_on_disk(tmp_path: Path) -> None:
-    policy = made(PolicyConfig())
+    policy = simulate_gait(PolicyConfig())
     arrays = {name: np.asarray(leaf) for name, leaf in named(policy).items()}
     artifacts.save(tmp_path / "c", "controller", {"kind": "controller"}, arrays)
     written = (tmp_path / "c" / artifacts.WEIGHTS).stat().st_size
@@ -33,7 +33,7 @@ def test_a_policy_of_the_default_size_and_its_normalisation_fit_in_200_kb_on_dis
 
 
 def test_the_optimisers_part_is_what_adam_holds() -> None:
-    policy = made(PolicyConfig(units=4, width=4))
+    policy = simulate_gait(PolicyConfig(units=4, width=4))
     held = sum(
         leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(jax.eval_shape(optax.adam(1e-3).init, policy))
     )
@@ -41,7 +41,7 @@ def test_the_optimisers_part_is_what_adam_holds() -> None:
 
 
 def test_stacked_policies_are_counted_each_alike() -> None:
-    alone = made(PolicyConfig(units=4, width=4))
+    alone = simulate_gait(PolicyConfig(units=4, width=4))
     six = jax.tree.map(lambda x: np.stack([x] * 6), alone)
     assert memory_of(six) == memory_of(alone)._replace(policies=6)
     assert memory_of(six).total_bytes == 6 * memory_of(alone).total_bytes
@@ -49,7 +49,7 @@ def test_stacked_policies_are_counted_each_alike() -> None:
 
 
 def test_what_is_told_names_each_and_all() -> None:
-    policy = made(PolicyConfig())
+    policy = simulate_gait(PolicyConfig())
     told = str(memory_of(jax.tree.map(lambda x: np.stack([x] * 6), policy)))
     assert told.startswith("memory: 6 policies of 24,")
     assert "1 policy of" in str(memory_of(policy))

@@ -9,12 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from softfin.core.errors import ConfigurationError
+from softfin.gaits.reachable import Cell
 from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.refine import begun_from, cell_errors, inherited, refine, split
 from softfin.learning.refinement import check_refinable
 from softfin.learning.train import GRADIENT_GRID
 from softfin.task.cells import check_cells, lattice
-from softfin.task.references import PAPER_RANGE, Cell
+from softfin.task.references import PAPER_RANGE
 
 FOUR = lattice(2, 2, PAPER_RANGE)
 ERROR = np.array([[0.1, 0.1], [0.5, 0.2], [0.2, 0.1], [0.1, 0.4]])

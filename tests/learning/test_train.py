@@ -12,12 +12,12 @@ import pytest
 import safetensors
 
 from softfin.core.errors import ConfigurationError, RunError
+from softfin.gaits.reachable import Cell
 from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.ppo import PPOConfig
 from softfin.learning.score import Score
 from softfin.learning.train import GRID, SINGLE, TrainConfig, Trained, _Programs, _programs, _Run, train
 from softfin.storage.run_directory import CHECKPOINT, Workspace, read_log
-from softfin.task.references import Cell
 from softfin.task.task import TaskConfig
 from tests.plants import AnalyticFin, PlainFin
 from tests.surrogate.streaming import small as streaming

@@ -10,8 +10,9 @@ import pytest
 
 from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.plant import roll
-from softfin.core.quantities import PAPER_LIMITS, Command, Reading
-from softfin.task.references import Cell
+from softfin.core.quantities import PAPER_LIMITS, Command, Reading, command_of
+from softfin.gaits.reachable import Cell
+from softfin.task.references import references_in
 from softfin.task.task import (
     ForceTracking,
     Outcome,
@@ -20,11 +21,10 @@ from softfin.task.task import (
     TaskConfig,
     TaskState,
     action_of,
-    command_of,
 )
 from tests.plants import AnalyticFin, PlainFin
 
-BOX = Cell(low=(1, -1), high=(3, 1)).references()
+BOX = references_in(Cell(low=(1, -1), high=(3, 1)))
 STROKE = jnp.array([0.5, 0.9])
 
 

@@ -7,12 +7,21 @@ from pathlib import Path
 from typing import Any
 
 from softfin.cli.live import Driving, on_terminal
-from softfin.control.native import NativeController, load_native, trimmed
+from softfin.control.controller import LoadedController
+from softfin.control.disturbance_observer import DisturbanceObserver
+from softfin.control.store import load_controller
 from softfin.core.action_clock import CYCLE_ACTIONS
 from softfin.core.errors import RigError
 from softfin.core.printable import printable
 from softfin.core.quantities import RATE_HZ
-from softfin.rig.loop import ActionResult, References, mean_force, run_controller, seconds_to_actions
+from softfin.rig.loop import (
+    ActionResult,
+    RealTimeController,
+    References,
+    mean_force,
+    run_controller,
+    seconds_to_actions,
+)
 from softfin.rig.machine import clock_of
 from softfin.rig.robot_setup import RobotSetup, find_robot
 from softfin.rig.safety import Guard
@@ -24,11 +33,11 @@ LINE_S = 1.0
 """Between two lines of what goes on."""
 
 
-def parties(options: Driving) -> tuple[NativeController, RobotSetup]:
-    """The controller and the machine, which must fit each other; nothing is opened yet."""
-    controller = load_native(options.controller)
+def parties(options: Driving) -> tuple[LoadedController, RobotSetup]:
+    """Load the controller and the machine, which must fit each other; nothing is opened yet."""
+    controller = load_controller(options.controller)
     robot = find_robot(options.plant)
-    robot.check_fits(str(options.controller), controller.limits, controller.fin)
+    robot.check_fits(str(options.controller), controller.limits, controller.artifact.fin)
     return controller, robot
 
 
@@ -43,7 +52,7 @@ def check_real_time(robot: RobotSetup) -> None:
 
 def drive(
     options: Driving,
-    controller: NativeController,
+    controller: LoadedController,
     robot: RobotSetup,
     references: References,
     seconds: int | None,
@@ -54,11 +63,11 @@ def drive(
 ) -> dict[str, Any]:
     """Ask, move, record; `line` gets what is typed meanwhile. Where the recording is, and how well it went."""
     bag = options.bag or Path(f"run-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
-    guard = Guard(robot.safety, robot.machine.limits, controller.training_range)
-    acting = trimmed(controller) if options.trim else controller
+    guard = Guard(robot.safety, robot.machine.limits, controller.artifact.training_range)
+    acting: RealTimeController = DisturbanceObserver(controller) if options.trim else controller
     with Session(robot.machine, guard, stop=stop, observers=observers) as session:
         options.confirm(robot)
-        if not any(controller.training_range or ()):
+        if not any(controller.artifact.training_range or ()):
             say(f"{options.controller}: says nothing of its surrogate's data; nobody sees whether the fin leaves them")
         if on_terminal():
             listen_to_keyboard(stop, line, typed(stop, sys.stdin))
@@ -92,7 +101,7 @@ def say(text: str) -> None:
 
 
 def _follow(
-    session: Session, controller: NativeController, references: References, seconds: int | None
+    session: Session, controller: RealTimeController, references: References, seconds: int | None
 ) -> dict[str, Any]:
     """Run it, tell once a second how it goes; the errors of the last window."""
     window: list[ActionResult] = []

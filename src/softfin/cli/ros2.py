@@ -28,6 +28,7 @@ class Arguments(Driving, Configured):
     def run(self) -> None:
         """Run."""
         from softfin.cli.driving import check_real_time, drive, parties, say, sentence
+        from softfin.control.references import resolve_reference
         from softfin.rig.ros2.config import NodeConfig
         from softfin.rig.ros2.connection import open_transport
         from softfin.rig.ros2.messages import Messages
@@ -42,10 +43,10 @@ class Arguments(Driving, Configured):
         check_real_time(robot)
         if isinstance(robot.machine, Ros2Machine):
             robot.machine.config.check_apart(topics)
-        otherwise, warning = controller.admit(self.reference, self.strict)
+        otherwise, warning = resolve_reference(controller, self.reference, self.strict)
         transport = open_transport(topics.connection, Messages())
         try:
-            node = RosNode(transport, topics, resolve=lambda asked: controller.admit(asked, self.strict))
+            node = RosNode(transport, topics, resolve=lambda asked: resolve_reference(controller, asked, self.strict))
             for note in (*transport.notes, *([] if warning is None else [warning])):
                 say(note)
             newest = node.references(otherwise)

@@ -14,7 +14,7 @@ from softfin.storage.artifact import load_description
 from softfin.task.notation import read_cells, read_range
 
 if TYPE_CHECKING:
-    from softfin.task.references import Cell
+    from softfin.gaits.reachable import Cell
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,8 +159,9 @@ def asked_seeds(first: int, text: str | None) -> tuple[int, ...]:
 
 def asked_cells(controller: str, cells: str | None, span: str | None) -> "tuple[Cell, ...] | None":
     """What ``--cells`` and ``--range`` ask for, one cell unless it is a grid; None where neither is given."""
+    from softfin.gaits.reachable import bounding_box
     from softfin.task.cells import cells_of, range_of
-    from softfin.task.references import PAPER_RANGE, least_box
+    from softfin.task.references import PAPER_RANGE
 
     within = PAPER_RANGE if span is None else range_of(span)
     if controller != "grid":
@@ -170,9 +171,9 @@ def asked_cells(controller: str, cells: str | None, span: str | None) -> "tuple[
     if cells is None and span is None:
         return None
     found = cells_of(cells or "paper", within)
-    if span is not None and least_box(found) != within:
+    if span is not None and bounding_box(found) != within:
         raise ConfigurationError(
-            f"--range {span}: the cells ({cells or 'paper'}) have places of their own ({least_box(found)}); leave it "
-            "out, or give a lattice such as --cells 3x3, which fills it"
+            f"--range {span}: the cells ({cells or 'paper'}) have places of their own ({bounding_box(found)}); leave "
+            "it out, or give a lattice such as --cells 3x3, which fills it"
         )
     return found

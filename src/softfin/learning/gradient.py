@@ -19,7 +19,7 @@ from softfin.core.action_clock import ticks_of
 from softfin.core.configuration import Configuration
 from softfin.core.plant import Ticks
 from softfin.gaits.force_map import MapConfig
-from softfin.gaits.gaits import GaitTable
+from softfin.gaits.gait import GaitTable
 from softfin.learning.imitation import ImitationConfig, imitate
 from softfin.learning.learner import Metrics, clipped_adam
 from softfin.learning.lstm import cleared

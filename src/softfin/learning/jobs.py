@@ -20,7 +20,7 @@ import numpy as np
 from softfin.core.choices import EngineName, Split
 from softfin.core.plant import Plant
 from softfin.core.quantities import Limits
-from softfin.gaits.force_map import ForceMap
+from softfin.gaits.gait import ForceMap
 from softfin.learning.engine import Engine, LocalEngine, Progress
 from softfin.learning.policy import Policy
 from softfin.learning.score import Score

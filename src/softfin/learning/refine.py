@@ -13,8 +13,8 @@ from jaxtyping import Float
 
 from softfin.core.errors import ConfigurationError
 from softfin.core.quantities import AnyArray
+from softfin.gaits.reachable import Cell
 from softfin.learning.policy import Policy
-from softfin.task.references import Cell
 
 Lanes = TypeVar("Lanes")
 

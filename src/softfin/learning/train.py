@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 from pydantic import NonNegativeFloat, PositiveInt, model_validator
 
+from softfin.control.grid import SwitchingConfig
 from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.choices import Algorithm, AlgorithmOption, PolicyLayout
 from softfin.core.compilation import used_once
@@ -25,9 +26,9 @@ from softfin.core.plant import Plant
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import AXES, Limits
 from softfin.core.randomness import key_of
-from softfin.gaits.force_map import ForceMap, empty_map, map_forces
-from softfin.gaits.gaits import GaitTable
-from softfin.gaits.reachable import Reachable
+from softfin.gaits.force_map import empty_map, map_forces
+from softfin.gaits.gait import ForceMap, GaitTable
+from softfin.gaits.reachable import Cell, Reachable, bounding_box
 from softfin.gaits.simulate import missing_gradient
 from softfin.learning.ensemble import trained_in
 from softfin.learning.gradient import Gradient, GradientConfig
@@ -40,8 +41,7 @@ from softfin.learning.sharding import over_devices
 from softfin.storage.run_directory import Workspace
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 from softfin.task.cells import check_apart
-from softfin.task.references import PAPER_CELLS, PAPER_RANGE, Cell, References, least_box, stack_references
-from softfin.task.switching import SwitchingConfig
+from softfin.task.references import PAPER_CELLS, PAPER_RANGE, References, stack_references
 from softfin.task.task import ForceTracking, TaskConfig
 
 Tree = TypeVar("Tree")
@@ -185,7 +185,7 @@ def held(config: TrainConfig, reachable: Reachable | None) -> Float[np.ndarray, 
     """Of each cell the lattice of references that are scored, each as the nearest force that the fin can make [N]."""
     lattices = [cell.lattice(config.lattice) for cell in config.cells]
     if reachable is not None:
-        lattices = [tuple(map(reachable.nearest, lattice)) for lattice in lattices]
+        return reachable.nearest(lattices).astype(np.float32)
     return np.asarray(lattices, np.float32)
 
 
@@ -263,7 +263,7 @@ def common_start(
     settings = config.gradient.common
     if config.algorithm != "gradient" or config.controller != "grid" or settings is None:
         return None
-    box = least_box(config.cells)
+    box = bounding_box(config.cells)
     gradient = {"environments": settings.environments, "learning_rate": settings.learning_rate, "common": None}
     whole = config.merged(
         {"controller": "single", "cells": [box.model_dump()], "gradient": gradient, "lattice": settings.lattice},
@@ -298,7 +298,7 @@ def mapped(plant: Plant, config: TrainConfig, workspace: Workspace, progress: Pr
 
 def taught_box(config: TrainConfig) -> Cell:
     """Round all references that policies are trained for."""
-    return least_box(config.cells).grown(config.margin_n)
+    return bounding_box(config.cells).expanded(config.margin_n)
 
 
 class Given(NamedTuple):
@@ -351,14 +351,14 @@ class _Run:
         self.known = known
         self.reachable = None if known is None else known.reachable
         taught = config.algorithm == "gradient" and config.gradient.teacher
-        self.given = Given(jit_argument(plant), known.found.table if known is not None and taught else None)
+        self.given = Given(jit_argument(plant), known.gaits.table if known is not None and taught else None)
         self.programs = _programs(config.learning, config.policy, config.task, config.ensemble, config.updates)
         self.references = jnp.asarray(np.tile(held(config, self.reachable), (len(seeds), 1, 1)))
 
     def start(self) -> TrainState:
         """Fresh lanes; the key of a lane depends on its seed and cell alone, not on the lanes beside it."""
         keys = jnp.stack([key_of(seed, f"train/{self.config.cells[index]}") for seed, index in self.lanes])
-        wider = [self.config.cells[index].grown(self.config.margin_n) for _, index in self.lanes]
+        wider = [self.config.cells[index].expanded(self.config.margin_n) for _, index in self.lanes]
         boxes = stack_references(wider, self.reachable)
         lanes = self.programs.init(self.given, *self.over_devices((keys, boxes)))
         worst = np.full(self.references.shape, np.inf, np.float32)
@@ -459,8 +459,8 @@ def _check_taught(config: TrainConfig, known: ForceMap | None) -> None:
         )
     if known is None:
         return
-    box, table = taught_box(config), known.found.table
-    (x0, y0), (x1, y1) = known.reachable.box()
+    box, table = taught_box(config), known.gaits.table
+    (x0, y0), (x1, y1) = known.reachable.bounds()
     low, high = np.maximum(box.low, (x0, y0)), np.minimum(box.high, (x1, y1))
     if (np.asarray(table.low) > low + EDGE_N).any() or (np.asarray(table.high) < high - EDGE_N).any():
         between = Cell(low=tuple(map(float, table.low)), high=tuple(map(float, table.high)))

@@ -14,7 +14,8 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from softfin.control.native import load_native, trimmed
+from softfin.control.disturbance_observer import DisturbanceObserver
+from softfin.control.store import load_controller
 from softfin.core.errors import ArtifactError, DeviceError
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading
 from softfin.core.randomness import key_of
@@ -116,10 +117,10 @@ def evaluate_live(
 ) -> dict[str, Any]:
     """Evaluate a controller on a real fin (paper Sec. IV-B, Table II), as `softfin.evaluate` does on a plant."""
     artifacts.check_vacant(out, overwrite)
-    loaded = load_native(controller)
-    robot.check_fits(str(controller), loaded.limits, loaded.fin)
-    acting: RealTimeController = loaded if config.trim is None else trimmed(loaded, config.trim)
-    guard = Guard(robot.safety, robot.machine.limits, loaded.training_range)
+    loaded = load_controller(controller)
+    robot.check_fits(str(controller), loaded.limits, loaded.artifact.fin)
+    acting: RealTimeController = loaded if config.trim is None else DisturbanceObserver(loaded, config.trim)
+    guard = Guard(robot.safety, robot.machine.limits, loaded.artifact.training_range)
     bag = bags_of(out) / f"session-{datetime.now().astimezone():%Y%m%d-%H%M%S}.mcap"
     with Session(robot.machine, guard, stop=stop) as session:
         confirm(robot)

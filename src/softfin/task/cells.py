@@ -3,8 +3,8 @@
     cells: [{low: [0, -1], high: [1, 1]}, {low: [1, -1], high: [3, 1]}]
     allow_gaps: false
 
-Cells never overlap: a reference must have one policy. Those of a file fill their least box unless it allows gaps; the
-paper's six leave a third of it uncovered.
+Cells never overlap: a reference must have one policy. Those of a file fill their bounding box unless it allows gaps;
+the paper's six leave a third of it uncovered.
 """
 
 from collections.abc import Sequence
@@ -15,8 +15,9 @@ from jaxtyping import Bool, Float
 
 from softfin.core.configuration import Configuration, read_yaml
 from softfin.core.errors import ConfigurationError
+from softfin.gaits.reachable import Cell, bounding_box
 from softfin.task.notation import read_cells, read_range
-from softfin.task.references import PAPER_CELLS, Cell, least_box
+from softfin.task.references import PAPER_CELLS
 
 TOLERANCE_N = 1e-6
 """Edges nearer than this are the same edge."""
@@ -97,8 +98,8 @@ def check_cells(cells: Sequence[Cell], allow_gaps: bool, source: str) -> None:
     if not allow_gaps and (found := gap(cells)) is not None:
         hole, area = found
         raise ConfigurationError(
-            f"{source}: the cells leave {area:.3g} N^2 of their least box ({least_box(cells)}) uncovered, for example "
-            f"{hole}; add cells there, or say allow_gaps: true in the file"
+            f"{source}: the cells leave {area:.3g} N^2 of their bounding box ({bounding_box(cells)}) uncovered, for "
+            f"example {hole}; add cells there, or say allow_gaps: true in the file"
         )
 
 

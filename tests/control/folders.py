@@ -6,13 +6,14 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from softfin.control.store import save_controller, save_gaits
+from softfin.control.grid import SwitchingConfig
+from softfin.control.store import save_gaits
 from softfin.core.quantities import PAPER_LIMITS
 from softfin.gaits.force_map import MapConfig
+from softfin.learning.controllers import save_controller
 from softfin.learning.normalisation import Normalisation
 from softfin.learning.policy import Policy
 from softfin.learning.train import GRID, SINGLE, TrainConfig, Trained
-from softfin.task.switching import SwitchingConfig
 from tests.control.test_controllers import SIZE, untrained
 from tests.gaits.test_map_store import KNOWN
 
