@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from softfin.evaluation.evaluate import EvaluateConfig
     from softfin.evaluation.view import ViewConfig
     from softfin.gaits.force_map import MapConfig
-    from softfin.learning.train import GRID, SINGLE, TrainConfig
+    from softfin.learning.configuration import GRID, SINGLE, TrainConfig
     from softfin.stages.baselines import baselines
     from softfin.stages.offline import (
         calibrate,
@@ -138,7 +138,7 @@ _HOMES = {
     "softfin.surrogate.active": ("ActiveCollectConfig",),
     "softfin.tank": ("Tank", "TankConfig"),
     "softfin.gaits.force_map": ("MapConfig",),
-    "softfin.learning.train": ("GRID", "SINGLE", "TrainConfig"),
+    "softfin.learning.configuration": ("GRID", "SINGLE", "TrainConfig"),
     "softfin.evaluation.view": ("ViewConfig",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

@@ -22,9 +22,9 @@ from softfin.core.quantities import Command, Limits
 from softfin.gaits.reachable import Reachable
 from softfin.learning.lstm import Memory, cleared
 from softfin.learning.policy import Policy
-from softfin.task.references import Cell, Force, stack_references
+from softfin.task.references import Cell, Force
 from softfin.task.switching import SwitchingConfig
-from softfin.task.task import TaskConfig, command_of, observation, remember, rest_actions
+from softfin.task.task import TaskConfig, command_of, observation, remember, rest_actions, stack_references
 
 
 class GridState(NamedTuple):

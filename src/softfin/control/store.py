@@ -17,9 +17,8 @@ from softfin.core.quantities import Limits
 from softfin.gaits.force_map import ForceMap, MapConfig
 from softfin.gaits.map_store import arrays, described, found_of
 from softfin.gaits.reachable import Reachable
-from softfin.learning.footprint import memory_of
-from softfin.learning.policy import Policy, PolicyConfig, named
-from softfin.learning.train import Trained
+from softfin.learning.policy import Policy, PolicyConfig, memory_of, named
+from softfin.learning.run import TrainingResult
 from softfin.storage import artifact as artifacts
 from softfin.surrogate.range import UNKNOWN
 from softfin.task.references import Cell
@@ -32,11 +31,11 @@ AGAIN = "copy the folder again, or train it again"
 """What helps where a folder is no longer what was written."""
 
 
-def controller_of(trained: Trained, seed: int) -> SingleController | GridController:
+def controller_of(trained: TrainingResult, seed: int) -> SingleController | GridController:
     """The controller that a run trained from one of its seeds."""
     index = trained.seeds.index(seed)
     policies = _taken(trained.policies, index)
-    config, reachable = trained.config, None if trained.known is None else trained.known.reachable
+    config, reachable = trained.config, None if trained.force_map is None else trained.force_map.reachable
     if config.controller == "single":
         policy = _taken(policies, 0)
         return SingleController(policy, config.task, trained.limits, config.cells[0], reachable)
@@ -52,7 +51,7 @@ def _taken(policies: Policy, index: int) -> Policy:
 
 def save_controller(
     path: Path,
-    trained: Trained,
+    trained: TrainingResult,
     seed: int,
     provenance: dict[str, Any],
     also: Callable[[Path], None] | None = None,
@@ -79,7 +78,7 @@ def save_controller(
         "reachable": None if controller.reachable is None else controller.reachable.described(),
         **learnt,
         "switching": controller.switching.model_dump(mode="json") if isinstance(controller, GridController) else None,
-        "memory": memory_of(policy).described(),
+        "memory": memory_of(policy),
         "scores": _scores(trained, index),
         "configuration": config.model_dump(mode="json"),
         "provenance": provenance,
@@ -139,15 +138,17 @@ def load_controller(path: Path) -> AnyController:
         kind = description["controller"]
         cells = tuple(Cell.model_validate(cell) for cell in description["cells"])
         task = TaskConfig.model_validate(description["task"])
-        config = PolicyConfig.model_validate(description["policy"])
+        stored = description["policy"].items()
+        # The name of earlier versions.
+        config = PolicyConfig.model_validate({"init_std" if k == "deviation" else k: value for k, value in stored})
         limits = Limits.of(description["limits"])
         switching = SwitchingConfig.model_validate(description["switching"] or {})
         region = description.get("reachable")
         reachable = None if region is None else Reachable.of(region)
     except (KeyError, TypeError, ValueError, pydantic.ValidationError) as error:
         raise ArtifactError(_harmed(source, error)) from None
-    policy = Policy.of(config, task.observations, weights, str(path / artifacts.WEIGHTS))
-    stacked = policy.log_deviation.shape[:-1]
+    policy = Policy.from_arrays(config, task.observations, weights, str(path / artifacts.WEIGHTS))
+    stacked = policy.log_std.shape[:-1]
     if kind == "single" and len(cells) == 1 and stacked == ():
         return SingleController(policy, task, limits, cells[0], reachable)
     if kind == "grid" and stacked == (len(cells),):
@@ -173,17 +174,18 @@ def _harmed(source: str, error: Exception) -> str:
     return f"{source}: not a controller's description ({' '.join(str(error).split())}); {AGAIN}"
 
 
-def _scores(trained: Trained, index: int) -> list[dict[str, Any]]:
+def _scores(trained: TrainingResult, index: int) -> list[dict[str, Any]]:
     """Of each cell: its references and the forces that were held for them, in the plant that it was trained in.
 
     Errors are against ``held_n``, the nearest force that the fin can make, where what it can do is known.
     With ``beyond_data``, the share of actions that led beyond its data, where that plant is a surrogate that knows.
     """
-    score, held, rows = trained.score, trained.held(), []
+    scored, held, rows = trained.evaluation, trained.evaluation_references(), []
+    outside = scored.out_of_distribution_fraction
     for i, cell in enumerate(trained.config.cells):
         for j, reference in enumerate(cell.lattice(trained.config.lattice)):
-            error, deviation = (np.asarray(part)[index, i, j] for part in (score.error, score.deviation))
-            known = {} if score.beyond is None else {"beyond_data": float(score.beyond[index, i, j])}
+            error, deviation = (np.asarray(part)[index, i, j] for part in (scored.error, scored.std))
+            known = {} if outside is None else {"beyond_data": float(outside[index, i, j])}
             rows.append(
                 {
                     "cell": i,

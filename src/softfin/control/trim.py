@@ -20,7 +20,7 @@ from softfin.core.action_clock import ACTION_TICKS, CYCLE_ACTIONS, WINDOW
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import Command
 from softfin.gaits.reachable import Reachable
-from softfin.task.references import Cell, Force, least_box
+from softfin.task.references import Cell, Force, bounding_box
 
 
 class TrimConfig(Configuration):
@@ -112,7 +112,7 @@ class TrimmedController(eqx.Module):
     def within(self, reference: Float[Array, "2"]) -> Float[Array, "2"]:
         """The trimmed reference, brought back to the inner controller's range and the fin's reach, where known."""
         if self.cells:
-            box = least_box(self.cells)
+            box = bounding_box(self.cells)
             reference = jnp.clip(reference, jnp.asarray(box.low), jnp.asarray(box.high))
         return reference if self.reachable is None else self.reachable.pulled(reference)
 

@@ -7,12 +7,12 @@ from softfin.control.controller import Controller
 from softfin.control.range import beyond_reach, cells_of, held
 from softfin.core.errors import CoverageError
 from softfin.core.quantities import RATE_HZ
-from softfin.task.references import PAPER_RANGE, Cell, Force, least_box
+from softfin.task.references import PAPER_RANGE, Cell, Force, bounding_box
 
 
 def bounds(controller: Controller) -> Cell:
     """The least box round all cells of a controller; of one that has none, and covers everything, the paper's range."""
-    return least_box(cells_of(controller) or (PAPER_RANGE,))
+    return bounding_box(cells_of(controller) or (PAPER_RANGE,))
 
 
 def covers(controller: Controller, reference: Force) -> bool:

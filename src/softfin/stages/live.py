@@ -17,6 +17,7 @@ from jaxtyping import Float
 from softfin.control.native import NativeController, load_native, trimmed
 from softfin.control.trim import TrimConfig
 from softfin.core.errors import ArtifactError
+from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading
 from softfin.core.randomness import key_of
 from softfin.data.collect import CollectConfig
@@ -35,8 +36,6 @@ from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.storage.log_file import read_log, write_log
 from softfin.storage.paths import PARTS
-
-Progress = stages.Progress
 
 Confirm = Callable[[Bench], None]
 """Asks a person whether the fin may move; raises where the answer is not yes."""

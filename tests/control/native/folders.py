@@ -9,9 +9,10 @@ from jaxtyping import Array, Float
 from softfin.control.store import save_controller, save_gaits
 from softfin.core.quantities import PAPER_LIMITS
 from softfin.gaits.force_map import MapConfig
+from softfin.learning.configuration import GRID, SINGLE, TrainConfig
 from softfin.learning.normalisation import Normalisation
 from softfin.learning.policy import Policy
-from softfin.learning.train import GRID, SINGLE, TrainConfig, Trained
+from softfin.learning.run import TrainingResult
 from softfin.task.switching import SwitchingConfig
 from tests.control.test_controllers import SIZE, untrained
 from tests.gaits.test_map_store import KNOWN
@@ -30,7 +31,7 @@ def folder_of(kind: str, folder: Path) -> Path:
     return out
 
 
-def trained(kind: str) -> Trained:
+def trained(kind: str) -> TrainingResult:
     """As if trained."""
     if kind == "single":
         return _normalised(untrained(SINGLE))
@@ -43,15 +44,15 @@ def trained(kind: str) -> Trained:
     return run._replace(known=KNOWN)
 
 
-def _phased(config: TrainConfig) -> Trained:
+def _phased(config: TrainConfig) -> TrainingResult:
     task = config.task.model_copy(update={"phase": True, "past_actions": 2})
     run = untrained(config.model_copy(update={"task": task}))
-    keys = jax.random.split(jax.random.key(1), run.policies.log_deviation.shape[:2])
+    keys = jax.random.split(jax.random.key(1), run.policies.log_std.shape[:2])
     policies = jax.vmap(jax.vmap(lambda key: Policy.create(key, SIZE, task.observations)))(keys)
     return _normalised(run._replace(policies=jax.tree.map(lambda x: 3 * x, policies)))
 
 
-def _normalised(run: Trained) -> Trained:
+def _normalised(run: TrainingResult) -> TrainingResult:
     """With statistics that are not the identity."""
     numbers = np.random.default_rng(3)
     shape = run.policies.normalisation.mean.shape

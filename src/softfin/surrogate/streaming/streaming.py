@@ -94,6 +94,12 @@ class StreamingSurrogate(eqx.Module):
         reading = Reading(jnp.tile(time, (self.size, 1)), motion.angle, motion.velocity, said.force)
         return state, reading
 
+    def member(self, index: Int[Array, ""]) -> "StreamingSurrogate":
+        """One member as a plant of its own; `index` may be a value in a program."""
+        one = jax.tree.map(lambda leaf: leaf[index][None], (self.members, self.rest))
+        alone: StreamingSurrogate = eqx.tree_at(lambda each: (each.members, each.rest), self, one)
+        return alone
+
     def deviation(self, state: StreamingState, command: Command, ticks: int) -> Float[Array, "ticks"]:
         """Standard deviation of each axis' reading about the mean [N], as the nets learnt it while a command is held.
 
