@@ -12,7 +12,7 @@ PYTEST := $(RUN) pytest -n auto --dist loadfile --no-loadscope-reorder
 OUT ?= runs/demo
 PRESET ?= demo
 
-.PHONY: setup demo day test test-long lint bench clean
+.PHONY: setup demo day test test-long lint structure bench clean
 
 setup: .venv/.ready ## make the environment
 
@@ -41,6 +41,9 @@ lint: setup ## style and types
 	$(RUN) ruff check .
 	$(RUN) ruff format --check .
 	$(RUN) mypy
+
+structure: setup ## rooms, lines and the counts by which the structure is judged
+	$(RUN) python tools/structure.py
 
 bench: setup ## speed and memory, as JSON; EXTRAS="--extra sb3" brings the peer, 5 GB
 	$(UV) sync --frozen $(EXTRAS)

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import ArtifactError, RunError
-from softfin.core.files import DEEPEST, parse_json
 from softfin.storage import artifact as artifacts
 from softfin.storage.run_directory import Workspace
 
@@ -50,11 +49,6 @@ def test_a_folder_is_replaced_whole(tmp_path):
     assert files_in(tmp_path) == ["thing"]
 
 
-def test_a_folder_is_exchanged_where_the_system_has_no_call_for_it(tmp_path, monkeypatch):
-    monkeypatch.setattr(artifacts.ctypes, "CDLL", lambda *_, **__: object())
-    test_a_folder_is_replaced_whole(tmp_path)
-
-
 def test_what_a_kill_left_neither_stops_a_writer_nor_is_touched_by_a_reader(tmp_path):
     for leftover in (".thing.old", ".thing.partial"):
         (tmp_path / leftover).mkdir()
@@ -79,12 +73,17 @@ def test_a_finished_result_is_kept_where_its_place_was_taken_meanwhile(tmp_path)
     assert files_in(tmp_path) == ["thing", "thing.finished-1"]
 
 
-def test_a_finished_result_is_kept_where_the_exchange_fails(tmp_path, monkeypatch):
+def test_a_finished_result_is_kept_where_it_cannot_be_renamed(tmp_path, monkeypatch):
     def busy(one, other):
         raise OSError(errno.EBUSY, "Device or resource busy")
 
     artifacts.save(tmp_path / "thing", "surrogate", {"version": 1}, {})
-    monkeypatch.setattr(artifacts, "_exchange", busy)
+    rename = Path.rename
+
+    def fail(one, other):
+        return busy(one, other) if one.suffix == ".partial" and other.name == "thing" else rename(one, other)
+
+    monkeypatch.setattr(Path, "rename", fail)
     with pytest.raises(RunError, match=r"cannot be written \(Device or resource busy\); the finished result is in"):
         artifacts.save(tmp_path / "thing", "surrogate", {"version": 2}, {}, overwrite=True)
     assert artifacts.load(tmp_path / "thing", "surrogate")[0] == {"version": 1}
@@ -134,37 +133,11 @@ def test_nothing_of_the_user_is_replaced(tmp_path):
     artifacts.check_vacant(tmp_path / "new")
 
 
-@pytest.mark.parametrize("text", ["{", "[]", "\x00", "[" * 5000, "[" * 100_000, '{"a": ' * 70 + "1" + "}" * 70])
+@pytest.mark.parametrize("text", ["{", "[]", "\x00", "[" * 100_000])
 def test_a_damaged_description_is_refused_by_name(tmp_path, text):
     (tmp_path / "surrogate.json").write_text(text)
     with pytest.raises(ArtifactError, match=r"surrogate\.json: "):
         artifacts.load(tmp_path, "surrogate")
-
-
-def test_json_is_nested_as_deep_as_it_may_be_and_no_deeper():
-    assert parse_json("[" * DEEPEST + "]" * DEEPEST)
-    with pytest.raises(ValueError, match="more than 64 deep"):
-        parse_json("[" * (DEEPEST + 1) + "]" * (DEEPEST + 1))
-
-
-def test_a_file_that_is_too_large_is_refused_before_it_is_read(tmp_path, monkeypatch):
-    artifacts.save(tmp_path / "s", "surrogate", {}, {})
-    with (tmp_path / "s" / artifacts.WEIGHTS).open("r+b") as file:
-        # Sparse: it takes no room on the disk.
-        file.truncate(20 * 2**30)
-    with pytest.raises(ArtifactError, match=r"weights\.safetensors: cannot .* over 1,073,741,824 bytes"):
-        artifacts.load(tmp_path / "s", "surrogate")
-    monkeypatch.setattr(artifacts, "LARGEST_JSON", 2)
-    with pytest.raises(ArtifactError, match=r"surrogate\.json: cannot be read \(it has over 2 bytes\)"):
-        artifacts.load(tmp_path / "s", "surrogate")
-
-
-def test_weights_that_are_a_pipe_are_not_waited_for(tmp_path):
-    artifacts.save(tmp_path / "s", "surrogate", {}, {})
-    (tmp_path / "s" / artifacts.WEIGHTS).unlink()
-    os.mkfifo(tmp_path / "s" / artifacts.WEIGHTS)
-    with pytest.raises(ArtifactError, match="a pipe, not a file"):
-        artifacts.load(tmp_path / "s", "surrogate")
 
 
 @pytest.mark.parametrize(("kind", "size"), [("F8_E4M3", 2), ("BF16", 4), ("C64", 16)])

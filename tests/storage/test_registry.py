@@ -5,8 +5,7 @@ import pytest
 
 from softfin.core.errors import ConfigurationError, PlantError
 from softfin.core.quantities import Limits
-from softfin.storage.live import is_live
-from softfin.storage.registry import find_plant, is_surrogate
+from softfin.storage.registry import find_plant, is_live, is_surrogate
 from softfin.surrogate import Surrogate, save_surrogate
 from softfin.tank import Tank, TankConfig
 from softfin.testing import check_plant
@@ -36,10 +35,10 @@ def test_a_tank_of_ones_own_numbers_is_found_by_its_file(tmp_path):
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("pool", r"plant pool: unknown \(is no folder\); give tank, the YAML file of a tank, the folder of"),
+        ("pool", r"plant pool: unknown \(does not exist\); give tank, the YAML file of a tank, the folder of"),
         ("no_such_module:plant", "No module named 'no_such_module'"),
         ("json:plant", "module json has no 'plant'"),
-        ("math:pi", "a float is no plant: it needs limits, init and advance"),
+        ("math:pi", "a float is not a plant, which has limits, init and advance"),
     ],
 )
 def test_an_unknown_plant_is_refused_with_the_ways_out(name, words):

@@ -77,7 +77,7 @@ def test_the_stages_hand_it_on_from_the_dataset_to_the_controllers(tmp_path, mon
     surrogate = str(tmp_path / "surrogate")
     stages.fit(tmp_path / "dataset", tmp_path / "surrogate")
     stages.train(surrogate, tmp_path / "policy", SINGLE, seeds=(3, 5))
-    stages.gaits(surrogate, tmp_path / "gaits")
+    stages.find_gaits(surrogate, tmp_path / "gaits")
     expected = training_range(logs[:3])
     for file in ("surrogate/surrogate.json", "policy/seed-5/controller.json", "gaits/controller.json"):
         described = json.loads((tmp_path / file).read_text())

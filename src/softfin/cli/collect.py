@@ -9,7 +9,7 @@ from softfin.cli.kinds import AnyPlant, Out, folder_of
 from softfin.cli.live import Armed
 from softfin.core.choices import Excitation
 from softfin.core.errors import ConfigurationError
-from softfin.storage.live import is_live
+from softfin.storage.registry import is_live
 
 if TYPE_CHECKING:
     from softfin.data.collect import CollectConfig

@@ -10,7 +10,7 @@ from softfin.cli.kinds import AnyPlant, Controller, Force, Out, ReferenceFile
 from softfin.cli.live import Armed
 from softfin.core.choices import MovingReference
 from softfin.core.errors import ConfigurationError
-from softfin.storage.live import is_live
+from softfin.storage.registry import is_live
 
 if TYPE_CHECKING:
     from softfin.evaluation.evaluate import EvaluateConfig

@@ -8,8 +8,7 @@ from softfin.cli.options import Option
 from softfin.core.errors import ConfigurationError
 from softfin.storage import artifact as artifacts
 from softfin.storage import paths
-from softfin.storage.live import is_live
-from softfin.storage.plant_names import resolve_plant
+from softfin.storage.registry import is_live, resolve_plant
 
 
 def folder_of(kind: str, positional: bool = False) -> Option:

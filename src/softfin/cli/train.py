@@ -78,7 +78,7 @@ class Arguments(Configured):
             lattice = self.configured(MapConfig(box=PAPER_RANGE), box=box)
             given = None if self.map is not None and lattice == MapConfig(box=PAPER_RANGE) else lattice
             with progress() as report:
-                stages.gaits(self.surrogate, Path(self.out), given, known=self.map, overwrite=self.overwrite,
+                stages.find_gaits(self.surrogate, Path(self.out), given, known=self.map, overwrite=self.overwrite,
                              progress=report)  # fmt: skip
             return self._tell((0,))
         begin, reason = choose_preset(find_plant(self.surrogate), self.controller, self.algorithm)

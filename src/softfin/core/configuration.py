@@ -1,7 +1,6 @@
 """Configuration: frozen pydantic models whose defaults are the paper's; YAML or ``path=value`` change them."""
 
 import difflib
-import reprlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,26 +10,9 @@ import pydantic
 import yaml
 
 from softfin.core.errors import ConfigurationError
-from softfin.core.files import read_bytes
-from softfin.storage.paths import check_readable
 
 # Not typing.Self: the run-time check of the tests decorates functions one by one, and cannot know their class.
 Config = TypeVar("Config", bound="Configuration")
-
-_SHORT = reprlib.Repr()
-_SHORT.maxlevel, _SHORT.maxstring, _SHORT.maxlong, _SHORT.maxother = 2, 200, 40, 200
-
-LARGEST_YAML = 100_000
-"""Bytes; PyYAML takes two seconds for as many, and the longest file of softfin's has a few thousand."""
-
-DEEPEST_YAML = 20
-"""Levels; the deepest configuration has five. PyYAML's time grows with their square."""
-
-MOST_MERGED = 10_000
-"""Entries that ``<<`` may bring in: a few lines of merges can stand for more than fits into memory."""
-
-_UNREADABLE = (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RecursionError)
-"""What PyYAML raises: the 99th of a month, an empty !!int and a long !!float are none of its own errors."""
 
 
 class Configuration(pydantic.BaseModel):
@@ -65,7 +47,7 @@ class Configuration(pydantic.BaseModel):
                 node[leaf] = parse_yaml(text)
             except ValueError as error:
                 raise ConfigurationError(
-                    f"--set {_short(change)}: not YAML ({error}); quote it, or close its bracket"
+                    f"--set {change[:200]}: not YAML ({error}); quote it, or close its bracket"
                 ) from None
         return self.build(values, "--set")
 
@@ -76,9 +58,8 @@ class Configuration(pydantic.BaseModel):
 
 def read_yaml(path: Path) -> dict[str, Any]:
     """The mapping in a YAML file."""
-    check_readable(path)
     try:
-        values = parse_yaml(read_bytes(path, LARGEST_YAML).decode())
+        values = parse_yaml(path.read_text())
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be read ({error.strerror or error})") from None
     except ValueError as error:
@@ -90,46 +71,12 @@ def read_yaml(path: Path) -> dict[str, Any]:
     return values
 
 
-def parse_yaml(text: str, largest: int = LARGEST_YAML) -> Any:
-    """A YAML value; raises ValueError in one line for anything else, and for what is too long, too deep or too wide.
-
-    All YAML that softfin reads goes through here, that of ROS 2 bags before their reader gets it.
-    """
-    if len(text) > largest:
-        raise ValueError(f"it has {len(text):,} characters, over {largest:,}")
+def parse_yaml(text: str) -> Any:
+    """A YAML value; raises ValueError in one line for anything else."""
     try:
-        return yaml.load(text, _Loader)
-    except _UNREADABLE as error:
-        raise ValueError(" ".join(str(error).split())[:500] or type(error).__name__) from None
-
-
-class _Loader(yaml.SafeLoader):
-    """PyYAML's safe loader, with an end in sight."""
-
-    def __init__(self, stream: str) -> None:
-        super().__init__(stream)
-        self._depth = self._merged = 0
-
-    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        """One node and all within it."""
-        self._depth += 1
-        if self._depth > DEEPEST_YAML + 1:
-            raise yaml.YAMLError(f"nested more than {DEEPEST_YAML} deep")
-        node: yaml.Node | None = super().compose_node(parent, index)
-        self._depth -= 1
-        return node
-
-    def flatten_mapping(self, node: yaml.MappingNode) -> None:
-        """Put in what ``<<`` brings."""
-        for key, value in node.value:
-            if key.tag == "tag:yaml.org,2002:merge":
-                for source in value.value if isinstance(value, yaml.SequenceNode) else [value]:
-                    if isinstance(source, yaml.MappingNode):
-                        self.flatten_mapping(source)
-                        self._merged += len(source.value)
-                        if self._merged > MOST_MERGED:
-                            raise yaml.YAMLError(f"<< brings in more than {MOST_MERGED:,} entries")
-        super().flatten_mapping(node)
+        return yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise ValueError(" ".join(str(error).split())[:500]) from None
 
 
 def _merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
@@ -166,21 +113,12 @@ def _explain(cls: type[pydantic.BaseModel], error: pydantic.ValidationError) -> 
     if first["type"] == "value_error" and isinstance(first["input"], Mapping):
         # Of a whole model: its validator names what is wrong, and its input is everything.
         return f"{name}: {first['ctx']['error']}" if name else str(first["ctx"]["error"])
-    return f"{name or 'value'} = {_short(first['input'])}: {first['msg']}"
+    return f"{name or 'value'} = {repr(first['input'])[:200]}: {first['msg']}"
 
 
 def _alternative(place: Sequence[int | str]) -> str | None:
     """What pydantic calls the configuration that it tried, among the names of fields: ``FitConfig``."""
     return next((part for part in place if isinstance(part, str) and part.rstrip("]").endswith("Config")), None)
-
-
-def _short(value: object) -> str:
-    """One line of it, however large it is: a few lines of YAML can stand for more than fits into memory."""
-    try:
-        return _SHORT.repr(value)
-    except ValueError:
-        # Of an integer with more digits than Python cares to write.
-        return f"<{type(value).__name__} of too many digits>"
 
 
 def _nearest(name: str, allowed: Mapping[str, Any]) -> str:

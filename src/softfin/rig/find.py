@@ -4,7 +4,7 @@ from pathlib import Path
 
 from softfin.core.errors import RigError
 from softfin.rig.bench import Bench
-from softfin.storage.live import LIVE
+from softfin.storage.registry import LIVE
 
 
 def find_bench(name: str) -> Bench:

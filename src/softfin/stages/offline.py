@@ -336,7 +336,7 @@ def map_forces(
     }
 
 
-def gaits(
+def find_gaits(
     plant: str | Plant,
     out: Path,
     config: MapConfig | None = None,

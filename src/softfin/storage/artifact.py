@@ -1,12 +1,11 @@
 """Folders on disk that describe themselves: a JSON beside ``weights.safetensors``, written whole or not at all.
 
-A folder is written beside its place, reaches the disk, and is exchanged with what is there in one step, so a crash
-leaves the old one or the new one. Whoever reads writes nothing. No pickle.
+A folder is written beside its place, reaches the disk and is renamed into its place; the one that it replaces is kept
+beside it until then, so a crash loses neither. Whoever reads writes nothing. No pickle.
 NumPy and safetensors are imported where weights are read or written: the command line looks at folders without them.
 """
 
 import contextlib
-import ctypes
 import errno
 import importlib.metadata
 import itertools
@@ -23,7 +22,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from softfin.core.errors import ArtifactError, RunError
-from softfin.core.files import parse_json, read_bytes, regular_file
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -38,7 +36,6 @@ WEIGHTS = "weights.safetensors"
 
 LARGEST_JSON = 64 * 2**20
 LARGEST_WEIGHTS = 2**30
-"""Bytes; a dataset of 300,000 logs, a grid of 1,000 policies of the paper's size."""
 
 KINDS = (
     "dataset", "surrogate", "controller", "controllers", "evaluation", "reproduction", "calibration", "comparison",
@@ -79,7 +76,7 @@ def is_kind(path: Path, kind: str) -> bool:
 
 
 def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = False) -> None:
-    """Let `write` fill a folder beside `path`, then put it in its place in one step; `overwrite` replaces a folder.
+    """Let `write` fill a folder beside `path`, then rename it into its place; `overwrite` replaces a folder.
 
     Raises:
         ArtifactError: something is there that is not to be replaced, or the place cannot be written.
@@ -100,48 +97,26 @@ def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = Fa
         if isinstance(error, OSError):
             raise RunError(f"{path}: cannot be written ({error.strerror or error}); what was there is left") from None
         raise
+    before = path.with_name(f".{path.name}.{os.getpid()}.before")
     try:
         check_vacant(path, overwrite)
         if path.exists():
-            _exchange(beside, path)
-        else:
-            beside.rename(path)
+            path.rename(before)
+        beside.rename(path)
         _sync(path.parent)
     except (OSError, ArtifactError) as error:
+        if before.exists():
+            before.rename(path)
         kept = _unused(path, "finished")
         beside.rename(kept)
         reason = f"cannot be written ({error.strerror or error})" if isinstance(error, OSError) else "is in use by now"
         raise RunError(f"{path}: {reason}; the finished result is in {kept}: move it where it is wanted") from None
-    shutil.rmtree(beside, ignore_errors=True)
+    shutil.rmtree(before, ignore_errors=True)
 
 
 def _unused(path: Path, word: str) -> Path:
     names = (path.with_name(f"{path.name}.{word}-{number}") for number in itertools.count(1))
     return next(name for name in names if not name.exists())
-
-
-def _exchange(one: Path, other: Path) -> None:
-    """Swap two folders in one step; where the system has no such call, by three renames, of which no step loses one."""
-    libc = ctypes.CDLL(None, use_errno=True)
-    names = os.fsencode(one), os.fsencode(other)
-    if hasattr(libc, "renameat2"):
-        failed = libc.renameat2(AT_FDCWD, names[0], AT_FDCWD, names[1], RENAME_EXCHANGE)
-    elif hasattr(libc, "renamex_np"):
-        failed = libc.renamex_np(*names, RENAME_EXCHANGE)
-    else:
-        failed, _ = -1, ctypes.set_errno(errno.ENOSYS)
-    if not failed:
-        return
-    if ctypes.get_errno() not in (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP):
-        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()), str(other))
-    before = _unused(other, "before")
-    other.rename(before)
-    one.rename(other)
-    before.rename(one)
-
-
-AT_FDCWD, RENAME_EXCHANGE = -100, 2
-"""Of Linux's renameat2(2); macOS's renamex_np takes the same flag."""
 
 
 def _sync(place: Path) -> None:
@@ -210,7 +185,6 @@ def load(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Array]]:
 
     description = load_description(path, kind)
     try:
-        regular_file(path / WEIGHTS, LARGEST_WEIGHTS)
         weights = safetensors.numpy.load_file(path / WEIGHTS)
         for name, array in weights.items():
             if array.dtype.kind not in "fiu":
@@ -243,10 +217,10 @@ def find_description(path: Path, kind: str) -> Path:
 def read_json(file: Path) -> dict[str, Any]:
     """The object in a JSON file of softfin's."""
     try:
-        description = parse_json(read_bytes(file, LARGEST_JSON))
+        description = json.loads(file.read_bytes())
     except OSError as error:
         raise ArtifactError(f"{file}: cannot be read ({error.strerror or error}); copy it again") from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ArtifactError(f"{file}: not readable as JSON ({error}); copy it again") from None
     if not isinstance(description, dict):
         raise ArtifactError(f"{file}: holds no object; it was not written by softfin")

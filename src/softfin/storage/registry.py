@@ -1,40 +1,40 @@
-"""Finding a plant by what a user calls it: ``tank``, a tank's YAML, a surrogate's folder, ``package.module:plant``."""
+"""Plants by name: ``tank``, a tank's YAML file, a surrogate's folder, ``package.module:plant``.
 
+Fins that move by themselves are ``rig``, ``ros2``, or one of these with ``:FILE``; `softfin.rig.find` opens them. A
+folder that is called as a plant is written ``./tank``. JAX is imported only where a plant is built.
+"""
+
+import importlib
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from softfin.core.configuration import read_yaml
 from softfin.core.errors import PlantError
-from softfin.core.plant import Plant
-from softfin.core.quantities import Limits
 from softfin.storage import artifact as artifacts
-from softfin.storage.live import TANK, is_live
-from softfin.storage.plant_names import import_object, resolve_plant, running_user_code
+
+if TYPE_CHECKING:
+    from softfin.core.plant import Plant
+
+TANK = "tank"
+"""Name of the virtual tank."""
+
+LIVE = ("rig", "ros2")
+"""Names of fins that move in real time."""
+
+HELP = (
+    "tank, the YAML file of a tank, the folder of a surrogate (./NAME where it is called as a plant is), or "
+    "package.module:plant (one's own simulator)"
+)
+
+PlantKind: TypeAlias = Literal["tank", "tank file", "surrogate", "object"]
+"""The virtual tank, the tank of a YAML file, the surrogate in a folder, or an object of a Python module."""
 
 
-def find_plant(name: str) -> Plant:
-    """The plant that `name` stands for; raises PlantError with what there is."""
-    plant = _found(name)
-    try:
-        problem = Limits(*map(float, plant.limits)).problem()
-    except (TypeError, ValueError) as error:
-        raise PlantError(f"plant {name}: its limits are no softfin.Limits of four numbers ({error})") from None
-    if problem:
-        raise PlantError(f"plant {name}: {problem}")
-    return plant
-
-
-def _found(name: str) -> Plant:
-    kind, path = resolve_plant(name), Path(name)
-    if kind == "object":
-        return _built(name, import_object(name))
-    if kind == "surrogate":
-        from softfin.surrogate import load_surrogate
-
-        return load_surrogate(path)
-    from softfin.tank import Tank, TankConfig
-
-    return Tank() if kind == "tank" else Tank(TankConfig.build(read_yaml(path), str(path)))
+def is_live(name: str) -> bool:
+    """Whether `name` stands for a fin that moves in real time."""
+    return name.partition(":")[0] in LIVE
 
 
 def is_surrogate(name: str) -> bool:
@@ -42,12 +42,90 @@ def is_surrogate(name: str) -> bool:
     return name != TANK and not is_live(name) and artifacts.is_kind(Path(name), "surrogate")
 
 
-def _built(name: str, plant: Any) -> Plant:
-    """A plant from what the user's module holds under that name: itself, or what its class or function makes."""
+def resolve_plant(name: str) -> PlantKind:
+    """Return the kind of plant that `name` stands for; raises PlantError that lists what there is."""
+    path = Path(name)
+    if is_live(name):
+        folder = f"; the folder of this name is ./{name}" if path.exists() else ""
+        raise PlantError(
+            f"plant {name}: moves in real time and cannot be simulated; collect, evaluate and run take it{folder}"
+        )
+    if name == TANK:
+        return "tank"
+    if path.suffix in (".yaml", ".yml") and path.is_file():
+        return "tank file"
+    if artifacts.is_kind(path, "surrogate"):
+        return "surrogate"
+    if ":" in name and not path.exists():
+        _import_object(name)
+        return "object"
+    what = "holds no surrogate.json" if path.is_dir() else "is not a YAML file" if path.exists() else "does not exist"
+    raise PlantError(f"plant {name}: unknown ({what}); give {HELP}")
+
+
+def find_plant(name: str) -> "Plant":
+    """Build or load the plant that `name` stands for; raises PlantError that lists what there is."""
+    from softfin.core.quantities import Limits
+
+    kind, path = resolve_plant(name), Path(name)
+    # Surrogates and tanks are rooms above this one, found by their names.
+    plant: Plant
+    if kind == "object":
+        plant = _build_object(name)
+    elif kind == "surrogate":
+        plant = importlib.import_module("softfin.surrogate").load_surrogate(path)
+    else:
+        from softfin.core.configuration import read_yaml
+
+        tank = importlib.import_module("softfin.tank")
+        plant = tank.Tank(tank.TankConfig.build({} if kind == "tank" else read_yaml(path), name))
+    try:
+        problem = Limits(*map(float, plant.limits)).problem()
+    except (TypeError, ValueError) as error:
+        raise PlantError(f"plant {name}: limits must be a softfin.Limits of four numbers ({error})") from None
+    if problem:
+        raise PlantError(f"plant {name}: {problem}")
+    return plant
+
+
+def _build_object(name: str) -> Any:
+    """Return the plant that the user's module holds under that name: itself, or what its class or function makes."""
+    from softfin.core.plant import Plant
+
+    plant = _import_object(name)
     if isinstance(plant, type) or (callable(plant) and not isinstance(plant, Plant)):
-        with running_user_code(name):
+        with _running_user_code(name):
             plant = plant()
     if not isinstance(plant, Plant):
-        raise PlantError(f"plant {name}: a {type(plant).__name__} is no plant: it needs limits, init and advance; "
-                         "softfin.testing.check_plant says what is missing")  # fmt: skip
+        raise PlantError(
+            f"plant {name}: a {type(plant).__name__} is not a plant, which has limits, init and advance; "
+            "softfin.testing.check_plant says what is missing"
+        )
     return plant
+
+
+def _import_object(name: str) -> Any:
+    """Import what ``package.module:attribute`` names."""
+    module, _, attribute = name.partition(":")
+    with _running_user_code(name):
+        imported = importlib.import_module(module)
+        if not hasattr(imported, attribute):
+            raise PlantError(f"plant {name}: module {module} has no {attribute!r}; give {HELP}")
+        return getattr(imported, attribute)
+
+
+@contextmanager
+def _running_user_code(name: str) -> Iterator[None]:
+    """Run code of the user's plant `name`: the working folder is on the path, all errors become PlantError."""
+    # As `python -m` does: one's own simulator mostly lies in the folder where one works.
+    here = str(Path.cwd())
+    sys.path.insert(0, here)
+    try:
+        yield
+    except PlantError:
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split())
+        raise PlantError(f"plant {name}: {type(error).__name__}: {reason}; give {HELP}") from error
+    finally:
+        sys.path.remove(here)

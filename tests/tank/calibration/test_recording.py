@@ -10,7 +10,7 @@ READING = Reading(jnp.arange(2.0), jnp.asarray([0.0, 1.0]), jnp.asarray([2.0, 0.
 
 
 def test_by_default_a_log_means_what_it_says():
-    recording = Recording(RecordingConfig())
+    recording = Recording.build(RecordingConfig())
     assert all((ours == theirs).all() for ours, theirs in zip(recording.issued(COMMAND), COMMAND, strict=True))
     assert (recording.written(READING).force == READING.force).all()
 
@@ -26,10 +26,10 @@ def test_angles_are_scaled_and_shifted_velocities_scaled_and_limited_forces_shif
         force_x_n=0.5,
         force_y_n=-1.0,
     )
-    issued = Recording(config).issued(COMMAND)
+    issued = Recording.build(config).issued(COMMAND)
     np.testing.assert_allclose(issued.angle, [-0.7, 0.5], rtol=1e-6)
     np.testing.assert_allclose(issued.velocity, [2.0, 5.0], rtol=1e-6)
-    written = Recording(config).written(READING)
+    written = Recording.build(config).written(READING)
     np.testing.assert_allclose(written.angle, [-0.1, 0.4], rtol=1e-6)
     np.testing.assert_allclose(written.velocity, [1.0, 0.0])
     np.testing.assert_allclose(written.force, [[1.5, 0.0]] * 2)

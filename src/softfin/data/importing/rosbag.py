@@ -60,7 +60,7 @@ def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recordi
     """One bag; raises LogError where it is damaged, lacks a topic, or a topic has messages of another type."""
     try:
         if path.is_dir():
-            parse_yaml(read_bytes(path / "metadata.yaml", LARGEST_METADATA).decode(), LARGEST_METADATA)
+            parse_yaml(read_bytes(path / "metadata.yaml", LARGEST_METADATA).decode())
         for file in [path] if not path.is_dir() else sorted(path.iterdir()):
             if file.suffix == ".mcap":
                 check_bag(file)

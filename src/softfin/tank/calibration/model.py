@@ -43,7 +43,7 @@ def model(tank: TankConfig, recording: RecordingConfig) -> Model:
         },
         "calibration",
     )
-    return Model(Tank(quiet), Recording(recording))
+    return Model(Tank(quiet), Recording.build(recording))
 
 
 def stacked(models: Sequence[Model]) -> Model:

@@ -4,7 +4,8 @@ In the tank a command of 1 rad at 2 rad/s means that. Where a log says otherwise
 zero or a sensor's offset, the difference belongs here, and never to the tank.
 """
 
-import equinox as eqx
+from typing import NamedTuple
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 from pydantic import Field
@@ -34,25 +35,22 @@ class RecordingConfig(Configuration):
     """Likewise [N]."""
 
 
-class Recording(eqx.Module):
-    """The same as arrays, so that recordings can be stacked beside tanks."""
+class Recording(NamedTuple):
+    """A recording's configuration as arrays, so that recordings can be stacked beside tanks."""
 
-    angle_gain: Float[Array, ""]
-    angle_offset: Float[Array, ""]
-    velocity_factor: Float[Array, ""]
-    velocity_limit: Float[Array, ""]
-    reading_gain: Float[Array, ""]
-    reading_offset: Float[Array, ""]
-    force: Float[Array, "2"]
+    angle_gain: Float[Array, "*models"]
+    angle_offset: Float[Array, "*models"]
+    velocity_factor: Float[Array, "*models"]
+    velocity_limit: Float[Array, "*models"]
+    reading_gain: Float[Array, "*models"]
+    reading_offset: Float[Array, "*models"]
+    force_x: Float[Array, "*models"]
+    force_y: Float[Array, "*models"]
 
-    def __init__(self, config: RecordingConfig):
-        self.angle_gain = jnp.asarray(config.angle_gain)
-        self.angle_offset = jnp.asarray(config.angle_offset_rad)
-        self.velocity_factor = jnp.asarray(config.velocity_factor)
-        self.velocity_limit = jnp.asarray(config.velocity_limit_rad_s)
-        self.reading_gain = jnp.asarray(config.reading_gain)
-        self.reading_offset = jnp.asarray(config.reading_offset_rad)
-        self.force = jnp.asarray([config.force_x_n, config.force_y_n])
+    @classmethod
+    def build(cls, config: RecordingConfig) -> "Recording":
+        """Return the arrays of a configuration, whose fields are in the same order."""
+        return cls(*(jnp.asarray(value, float) for value in config.model_dump().values()))
 
     def issued(self, command: Command) -> Command:
         """What a tank must be told where the log has `command`."""
@@ -64,5 +62,5 @@ class Recording(eqx.Module):
         return reading._replace(
             angle=self.reading_gain * reading.angle + self.reading_offset,
             velocity=self.reading_gain * reading.velocity,
-            force=reading.force + self.force,
+            force=reading.force + jnp.stack([self.force_x, self.force_y]),
         )

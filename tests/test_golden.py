@@ -1,0 +1,142 @@
+"""Files that softfin wrote before are loaded and do what they did: `tests/golden` holds one of each kind, frozen."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import softfin
+from softfin import cli
+from softfin.control.controller import Measured
+from softfin.control.native import load_native
+from softfin.core.quantities import Command
+from softfin.gaits.map_store import load_map
+from softfin.rig.config import load_rig, load_ros2
+from softfin.task.reference_file import read_reference_file
+
+GOLDEN = Path(__file__).parent / "golden"
+EXPECTED = json.loads((GOLDEN / "expected.json").read_text())
+ARRAYS = np.load(GOLDEN / "expected.npz")
+CONTROLLERS = ("single", "grid", "gaits")
+EXACT = {"rtol": 1e-6, "atol": 1e-6}
+FREE_RUNNING = {"rtol": 5e-6, "atol": 5e-6}
+"""Rounding, which depends on how a program is compiled, adds up over 300 samples."""
+
+
+def readings(plant: Any, actions: int) -> np.ndarray:
+    """Angle, its change and force of a plant while it is sent fixed commands, each for 33 samples."""
+    hold = jax.jit(lambda state, command: plant.advance(state, command, 33))
+    state, rows = plant.init(jax.random.key(0)), []
+    for k in range(actions):
+        command = Command(jnp.float32(0.9 * np.sin(2.1 * k)), jnp.float32(1.5 + 0.5 * np.cos(k)))
+        state, reading = hold(state, command)
+        rows.append(np.column_stack([reading.angle, reading.velocity / 100, reading.force]))
+    return np.concatenate(rows)
+
+
+def played() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Angles, forces and references of 60 actions; the references switch between the two cells of the grid."""
+    k = np.arange(60)
+    references = np.where((k // 11 % 2 == 0)[:, None], (1.2, -0.8), (-0.2, 0.1)) + 0.05 * np.sin(k)[:, None]
+    forces = references + np.stack([np.sin(1.3 * k), np.cos(0.7 * k)], axis=1)
+    return tuple(np.asarray(part, np.float32) for part in (1.2 * np.sin(0.9 * k), forces, references))
+
+
+def commands(controller: Any) -> np.ndarray:
+    """Angles and velocities that a trained controller commands."""
+    act = jax.jit(lambda state, angle, force, reference: controller.act(state, Measured(angle, force), reference))
+    state, given = controller.init(), []
+    for now in zip(*played(), strict=True):
+        state, command = act(state, *now)
+        given.append((command.angle, command.velocity))
+    return np.array(given)
+
+
+def native_commands(folder: Path) -> np.ndarray:
+    """The same of the controller that NumPy alone runs."""
+    controller = load_native(folder)
+    state, given = controller.init(), []
+    for angle, force, reference in zip(*(part.tolist() for part in played()), strict=True):
+        state, target = controller.act(state, angle, tuple(force), tuple(reference))
+        given.append((target.angle, target.velocity))
+    return np.array(given)
+
+
+def summary(log: softfin.Log) -> list[float]:
+    """Number of rows, then mean and deviation of each channel."""
+    channels = np.column_stack([*log.command, log.reading.time, log.reading.angle, log.reading.force]).astype(float)
+    return [len(channels), *channels.mean(axis=0), *channels.std(axis=0)]
+
+
+def test_dataset() -> None:
+    dataset = softfin.Dataset.open(GOLDEN / "dataset")
+    assert dataset.data_hash == EXPECTED["data_hash"]
+    found = [summary(log) for log in dataset.load((*dataset.train, *dataset.test))]
+    np.testing.assert_allclose(found, EXPECTED["dataset"], **EXACT)
+
+
+@pytest.mark.parametrize("name", ["paper", "streaming"])
+def test_surrogate(name: str) -> None:
+    np.testing.assert_allclose(readings(softfin.load_surrogate(GOLDEN / name), 9), ARRAYS[name], **FREE_RUNNING)
+
+
+def test_calibrated_tank() -> None:
+    tank = softfin.find_plant(str(GOLDEN / "calibration/tank.yaml"))
+    np.testing.assert_allclose(readings(tank, 3), ARRAYS["tank"], **FREE_RUNNING)
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_controller(name: str) -> None:
+    np.testing.assert_allclose(commands(softfin.load_controller(GOLDEN / name)), ARRAYS[name], **EXACT)
+    np.testing.assert_allclose(native_commands(GOLDEN / name), ARRAYS[name], **EXACT)
+
+
+def test_map() -> None:
+    force_map, limits = load_map(GOLDEN / "map")
+    np.testing.assert_allclose(force_map.reachable.radius, EXPECTED["radius_n"], **EXACT)
+    np.testing.assert_allclose(limits, EXPECTED["limits"], **EXACT)
+
+
+def test_evaluation(tmp_path: Path) -> None:
+    before = json.loads((GOLDEN / "evaluation/evaluation.json").read_text())
+    config = softfin.EvaluateConfig(references=((1, -1),), seconds=6, seeds=1)
+    softfin.evaluate(GOLDEN / "single", str(GOLDEN / "streaming"), tmp_path / "evaluation", config)
+    now = json.loads((tmp_path / "evaluation/evaluation.json").read_text())
+    for axis, scores in before["references"][0].items():
+        if axis in ("x", "y"):
+            for name, value in ((name, value) for name, value in scores.items() if value is not None):
+                np.testing.assert_allclose(now["references"][0][axis][name], value, **EXACT, err_msg=name)
+
+
+def test_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cli.main(["bag", "recover", str(GOLDEN / "session.mcap"), "--json"])
+    assert json.loads(capsys.readouterr().out)["messages"] == EXPECTED["messages"]
+    dataset, _ = softfin.import_logs(GOLDEN / "session.mcap", tmp_path / "dataset", accept=True)
+    found = [summary(log) for log in dataset.load(dataset.train)]
+    np.testing.assert_allclose(found, EXPECTED["bag"], **EXACT)
+
+
+def test_rig_files() -> None:
+    assert load_rig(GOLDEN / "rig.yaml").fin == "blue-30A"
+    assert load_rig(GOLDEN / "rig.yaml").model_dump(mode="json") == EXPECTED["rig"]
+    assert load_ros2(GOLDEN / "ros2.yaml").model_dump(mode="json") == EXPECTED["ros2"]
+
+
+def test_emulated_rig_is_as_it_was_left(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("emulated.yaml", "emulated.state.json"):
+        shutil.copy(GOLDEN / name, tmp_path)
+    cli.main(["rig", "check", "--rig", str(tmp_path / "emulated.yaml"), "--json"])
+    checks = {row["what"]: row for row in json.loads(capsys.readouterr().out)}
+    assert checks["zero"]["state"] == "well"
+    assert checks["angle"]["text"].startswith("+0.480 rad")
+
+
+def test_references() -> None:
+    recorded = read_reference_file(GOLDEN / "references.csv")
+    assert recorded.time_s == (0, 1.5, 3)
+    assert recorded.force_n == ((1, -1), (0.9, -0.8), (0, 0.25))
