@@ -16,7 +16,7 @@ from softfin.evaluation import experiment
 from softfin.learning.gradient import Gradient, GradientConfig
 from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.ppo import PPO, PPOConfig
-from softfin.learning.rollout import collect, evaluate_policy, start_environments
+from softfin.learning.rollout import collect, evaluate_policy, start_episodes
 from softfin.tank import Tank
 from softfin.task.references import PAPER_RANGE
 from softfin.task.task import ForceTracking, References, TaskConfig
@@ -38,7 +38,7 @@ class MarkedFin(AnalyticFin):
 
 TASK = ForceTracking(MarkedFin(), TaskConfig())
 POLICY = Policy.create(KEY, SIZE, TASK.config.observations)
-ENVIRONMENTS = start_environments(TASK, POLICY, References.of(PAPER_RANGE), KEY, 2)
+ENVIRONMENTS = start_episodes(TASK, POLICY, References.of(PAPER_RANGE), KEY, 2)
 LEARNERS = {
     "ppo": PPO(TASK, PPOConfig(num_envs=2, num_steps=6, num_minibatches=1, num_epochs=1), SIZE, 2),
     "gradient": Gradient(TASK, GradientConfig(num_envs=2, num_steps=6, warm_start=False), SIZE, 2),

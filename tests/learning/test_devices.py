@@ -76,7 +76,7 @@ def _trained() -> dict[str, Any]:
     told = {}
     for case, count in (("lanes", 2), ("environments", 1)):
         both = updated(SMALL.model_copy(update={"cells": SMALL.cells[:count]}), every)[1]
-        shards = both.environments.states.angle.addressable_shards
+        shards = both.env_state.states.angle.addressable_shards
         before, after = (jax.tree.map(lambda x, n=count: x[:n], policy) for policy in (fresh, one.policy))
         told[case] = {
             "devices": len({shard.device for shard in shards}),

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import ConfigurationError, PlantError, RunError
-from softfin.core.plant import Plant
+from softfin.core.plant import EnsemblePlant, Plant
+from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import Command
 from softfin.gaits import simulate as beat
 from softfin.gaits.force_map import MapConfig
@@ -22,7 +23,7 @@ from softfin.learning.configuration import GRADIENT_SINGLE, GRID, TRAIN_PRESETS,
 from softfin.learning.gradient import Gradient, GradientConfig
 from softfin.learning.learner import AgentState, Learner
 from softfin.learning.policy import Policy, PolicyConfig
-from softfin.learning.rollout import Environments
+from softfin.learning.rollout import EnvState
 from softfin.learning.run import TrainingResult, TrainingRun
 from softfin.learning.train import train
 from softfin.storage.run_directory import Workspace
@@ -80,24 +81,24 @@ class Judged(NamedTuple):
 
 def judged(
     policy: Policy,
-    environments: Environments,
+    env_state: EnvState,
     rounding: float,
     weight: Any = (1.0, 1.0),
     smoothness: Any = (0.01, 0.01),
 ) -> Judged:
     """The loss of the learner with other settings; defaults of a compiled function would be constants in it."""
-    found: Judged = _judged(policy, environments, rounding, weight, smoothness)
+    found: Judged = _judged(policy, env_state, rounding, weight, smoothness)
     return found
 
 
 @jax.jit
-def _judged(policy: Policy, environments: Environments, rounding: Any, weight: Any, smoothness: Any) -> Judged:
+def _judged(policy: Policy, env_state: EnvState, rounding: Any, weight: Any, smoothness: Any) -> Judged:
     reward = QUICK.task.reward.model_copy(update={"weight": weight, "smoothness": smoothness})
     task = ForceTracking(TASK.plant, QUICK.task.model_copy(update={"reward": reward}))
     learner = Gradient(
         task, QUICK.gradient.model_copy(update={"rounding_n": rounding}), QUICK.policy, QUICK.num_updates
     )
-    (loss, (_, metrics)), slope = jax.value_and_grad(learner.loss, has_aux=True)(policy, environments)
+    (loss, (_, metrics)), slope = jax.value_and_grad(learner.loss, has_aux=True)(policy, env_state)
     return Judged(loss, metrics["reward"], slope)
 
 
@@ -108,14 +109,14 @@ def test_it_meets_the_contract_of_learners() -> None:
 def test_its_slope_is_that_of_finite_differences() -> None:
     """For the weight that the loss depends on most, and its neighbours."""
     lane, rounding = start(), QUICK.gradient.rounding_n
-    slope = np.asarray(judged(lane.policy, lane.environments, rounding).slope.net.hidden.kernel)
+    slope = np.asarray(judged(lane.policy, lane.env_state, rounding).slope.net.hidden.kernel)
     place, step = np.unravel_index(np.argmax(np.abs(slope)), slope.shape), 3e-2
 
     def moved(by: float) -> float:
         kernel = np.array(lane.policy.net.hidden.kernel)
         kernel[place] += by
         there = eqx.tree_at(lambda policy: policy.net.hidden.kernel, lane.policy, jnp.asarray(kernel))
-        return float(judged(there, lane.environments, rounding).loss)
+        return float(judged(there, lane.env_state, rounding).loss)
 
     assert float(slope[place]) != 0
     np.testing.assert_allclose(float(slope[place]), (moved(step) - moved(-step)) / (2 * step), rtol=0.05)
@@ -123,7 +124,7 @@ def test_its_slope_is_that_of_finite_differences() -> None:
 
 def test_no_slope_reaches_the_normalisation_and_the_noise() -> None:
     lane = start()
-    slope = judged(lane.policy, lane.environments, QUICK.gradient.rounding_n).slope
+    slope = judged(lane.policy, lane.env_state, QUICK.gradient.rounding_n).slope
     assert not any(np.any(leaf) for leaf in jax.tree.leaves((slope.normalisation, slope.log_std)))
 
 
@@ -140,16 +141,14 @@ def test_updates_lower_the_loss() -> None:
 def test_a_loss_of_rounded_errors_is_the_plain_one_less_at_most_the_rounding() -> None:
     """sqrt(e^2 + r^2) - r lies between e - r and e."""
     lane = start()
-    plain, rounded = (
-        float(judged(lane.policy, lane.environments, by).loss) for by in (1e-6, QUICK.gradient.rounding_n)
-    )
+    plain, rounded = (float(judged(lane.policy, lane.env_state, by).loss) for by in (1e-6, QUICK.gradient.rounding_n))
     assert plain - 2 * QUICK.gradient.rounding_n <= rounded < plain
 
 
 def test_the_loss_is_the_reward_of_the_task_but_for_the_rounding() -> None:
     """The reward of each action is what PPO's rollout collects; here its weights all differ."""
     lane = start()
-    got = judged(lane.policy, lane.environments, 1e-6, (2.0, 0.5), (0.3, 0.05))
+    got = judged(lane.policy, lane.env_state, 1e-6, (2.0, 0.5), (0.3, 0.05))
     assert float(got.reward) < -0.1
     np.testing.assert_allclose(-float(got.loss), float(got.reward), rtol=1e-5)
 
@@ -343,7 +342,7 @@ SEVERAL = TrainConfig(task=TaskConfig(reward=RewardConfig(disagreement=0.5)))
         (
             SEVERAL.changed(("ensemble=each",)),
             streaming.surrogate(),
-            "there is no disagreement where each fin is one member",
+            "no members disagree where each fin is one of them",
         ),
     ],
 )
@@ -364,3 +363,43 @@ def test_references_are_scored_at_the_nearest_force_that_the_fin_can_make() -> N
     for place, (x, y) in zip(at[:, 0], PAPER_REFERENCES, strict=True):
         np.testing.assert_allclose(place, round_the_origin.nearest((x, y)), atol=1e-5)
         assert np.hypot(*place) == pytest.approx(1, abs=3e-3)
+
+
+class Twins(StrokeFin):
+    """An ensemble of one's own: two fins, the second with half the force of the first."""
+
+    size = 2
+
+    class Interval:
+        def half_width(self, means: Any) -> Any:
+            return 2 * means.std(axis=0)
+
+        def caveat(self) -> str | None:
+            return None
+
+    interval = Interval()
+
+    def member(self, index: Any) -> Plant:
+        return StrokeFin(gain=self.gain / (1 + index))
+
+    def advance_members(self, state: Any, command: Command, ticks: int) -> Any:
+        after, reading = super().advance(state, command, ticks)
+        each = jax.tree.map(lambda x: jnp.stack([x, x]), reading)
+        return after, each._replace(force=jnp.stack([reading.force, reading.force / 2]))
+
+    def advance(self, state: Any, command: Command, ticks: int) -> Any:
+        after, each = self.advance_members(state, command, ticks)
+        return after, jax.tree.map(lambda x: x.mean(axis=0), each)
+
+    def distance(self, state: Any) -> Any:
+        return jnp.float32(2)
+
+
+@pytest.mark.parametrize("change", ["ensemble=each", "task.reward.disagreement=0.5"])
+def test_an_ensemble_of_ones_own_takes_what_only_an_ensemble_can_do(change: str, tmp_path: Path) -> None:
+    assert isinstance(Twins(), EnsemblePlant)
+    assert isinstance(jit_argument(Twins()), EnsemblePlant)
+    config = QUICK.changed((change, "steps=24", "num_evaluations=1", "gradient.warm_start=false"))
+    result = train(Twins(), config, (0,), Workspace(tmp_path / "out", {}))
+    assert np.isfinite(result.evaluation.error).all()
+    np.testing.assert_array_equal(result.evaluation.out_of_distribution_fraction, 1)

@@ -41,7 +41,7 @@ def test_batches_give_the_statistics_of_all_their_vectors(sizes: list[int], mean
         normalisation = updated(normalisation, batch)
     together = np.concatenate(batches)
     np.testing.assert_allclose(normalisation.mean, together.mean(axis=0), rtol=1e-3, atol=1e-3)
-    np.testing.assert_allclose(normalisation.deviation, together.std(axis=0), rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(normalisation.std, together.std(axis=0), rtol=1e-3, atol=1e-3)
     assert float(normalisation.count) == len(together)
 
 

@@ -47,11 +47,11 @@ def lived() -> Lived:
     """A rollout that crosses cuts."""
     ppo = learner(AnalyticFin(), 3, num_envs=FINS, episode=TIME, num_minibatches=1, num_epochs=1, **CHANGES)
     lane = jax.jit(ppo.init)(jax.random.key(0), box((1, -1), (3, 1)))
-    rollout = jax.jit(lambda lane: collect(ppo.task, lane.policy, lane.environments, jax.random.key(1), TIME // 3)[1])(
+    rollout = jax.jit(lambda lane: collect(ppo.task, lane.policy, lane.env_state, jax.random.key(1), TIME // 3)[1])(
         lane
     )
     assert np.asarray(rollout.truncated)[:-1].any()
-    return Lived(ppo, lane.networks, lane.environments.memories, rollout, ppo.batch(lane.networks.critic, rollout)[0])
+    return Lived(ppo, lane.networks, lane.env_state.memories, rollout, ppo.batch(lane.networks.critic, rollout)[0])
 
 
 def peer(lived: Lived) -> Any:
@@ -117,7 +117,7 @@ def test_the_loss_is_the_one_that_its_training_step_logs(lived: Lived) -> None:
     mean = jax.vmap(changed.policy.sequence, (0, 1, 1), 1)(lived.start, rollout.observation, rollout.is_first)
     density = torch.tensor(np.asarray(changed.policy.log_prob(mean, rollout.pre_tanh_action)).reshape(-1))
     value = torch.tensor(np.asarray(changed.critic(rollout.privileged_observation)).reshape(-1))
-    entropy = torch.full((n,), float(changed.policy.entropy()))
+    entropy = torch.full((n,), float(changed.policy.action_entropy()))
     model = peer(lived)
     nothing = 0 * sum(parameter.sum() for parameter in model.policy.parameters())  # for its backward pass
 

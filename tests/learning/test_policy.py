@@ -50,7 +50,7 @@ def test_the_density_is_that_of_a_normal_distribution(policy: Policy) -> None:
     density = np.exp(-0.5 * ((raw - mean) / deviation) ** 2) / (deviation * np.sqrt(2 * np.pi))
     np.testing.assert_allclose(policy.log_prob(jnp.float32(mean), jnp.float32(raw)), np.log(density).sum(), rtol=1e-5)
     entropy = np.log(deviation * np.sqrt(2 * np.pi * np.e)).sum()
-    np.testing.assert_allclose(policy.entropy(), entropy, rtol=1e-5)
+    np.testing.assert_allclose(policy.action_entropy(), entropy, rtol=1e-5)
 
 
 def test_weights_and_normalisation_go_by_name_and_come_back(policy: Policy) -> None:

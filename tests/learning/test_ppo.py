@@ -13,7 +13,7 @@ from softfin.learning.learner import AgentState
 from softfin.learning.lstm import Memory, cleared
 from softfin.learning.policy import ActorCritic, Policy
 from softfin.learning.ppo import PPO, PPOConfig
-from softfin.learning.rollout import Environments, Rollout, collect, evaluate_policy
+from softfin.learning.rollout import EnvState, Rollout, collect, evaluate_policy
 from softfin.task.task import References
 from tests.learning.probes import PROBES, AnyProbe, Delayed, Direct, Late, Probe, Recall, Still, box, learner
 
@@ -91,7 +91,7 @@ update = jax.jit(jax.vmap(lambda case, lane: CasePPO.of(case).update(lane)[0]))
 
 @jax.jit
 @jax.vmap
-def played(case: Case, lane: AgentState, environments: Environments, key: Any) -> tuple[Rollout, Any]:
+def played(case: Case, lane: AgentState, environments: EnvState, key: Any) -> tuple[Rollout, Any]:
     """A rollout, and what the critic says along it."""
     rollout = collect(CasePPO.of(case).task, lane.networks.policy, environments, key, ACTIONS // 3)[1]
     return rollout, lane.networks.critic(rollout.privileged_observation)
@@ -99,7 +99,7 @@ def played(case: Case, lane: AgentState, environments: Environments, key: Any) -
 
 @jax.jit
 @jax.vmap
-def from_rest(case: Case, now: Environments) -> Environments:
+def from_rest(case: Case, now: EnvState) -> EnvState:
     again = jax.vmap(CasePPO.of(case).task.reset)(now.states.key, now.states.references)
     return now._replace(states=again, is_first=jnp.ones_like(now.is_first))
 
@@ -135,7 +135,7 @@ def learnt() -> Learnt:
     after = end = update(LANES, before)
     for _ in range(59):
         end = update(LANES, end)
-    return Learnt(before, after, end, played(LANES, before, before.environments, play)[0])
+    return Learnt(before, after, end, played(LANES, before, before.env_state, play)[0])
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +146,7 @@ def scored(learnt: Learnt) -> Any:
 @pytest.fixture(scope="module")
 def values(learnt: Learnt) -> np.ndarray:
     """What the critic says along an episode, mean over the fins."""
-    batch = from_rest(LANES, learnt.end.environments)
+    batch = from_rest(LANES, learnt.end.env_state)
     return np.asarray(played(LANES, learnt.end, batch, learnt.end.key)[1].mean(axis=2))
 
 
@@ -184,7 +184,7 @@ def test_the_policy_reads_in_units_of_what_its_fins_observed(learnt: Learnt) -> 
     for policy in (learnt.after.networks.policy, learnt.after.policy):
         normalisation = of("direct", policy.normalisation)
         np.testing.assert_allclose(normalisation.mean, seen.mean(axis=0), atol=1e-3)
-        np.testing.assert_allclose(normalisation.deviation, seen.std(axis=0), atol=1e-3)
+        np.testing.assert_allclose(normalisation.std, seen.std(axis=0), atol=1e-3)
         assert float(normalisation.count) == len(seen)
 
 
@@ -212,7 +212,7 @@ def test_entropy_is_rewarded_with_its_weight(learnt: Learnt) -> None:
     def slope(lane: AgentState, rollout: Rollout, weight: Any) -> Any:
         ppo = CasePPO.of(CASES["direct"])
         batch, _ = ppo.batch(lane.networks.critic, rollout)
-        found = jax.grad(lambda n: ppo.loss(n, batch, lane.environments.memories, weight)[0])(lane.networks)
+        found = jax.grad(lambda n: ppo.loss(n, batch, lane.env_state.memories, weight)[0])(lane.networks)
         return found.policy.log_std
 
     before, rollout = of("direct", learnt.before), of("direct", learnt.rollout)

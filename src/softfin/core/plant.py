@@ -58,7 +58,7 @@ class ForceInterval(Protocol):
         ...
 
     def caveat(self) -> str | None:
-        """Why the interval is not to be relied on, in a sentence; None where there is no such reason."""
+        """Why the interval is not to be relied on, in a sentence; None where there is none."""
         ...
 
 

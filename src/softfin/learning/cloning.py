@@ -36,7 +36,7 @@ class CloningConfig(Configuration):
 
 
 class Demonstrations(NamedTuple):
-    """Observations and the gaits' actions, ``(time, environments, ...)``."""
+    """Observations and the gaits' actions, ``(time, env_state, ...)``."""
 
     observation: Float[Array, "*batch observations"]
     action: Float[Array, "*batch 2"]

@@ -47,7 +47,7 @@ class TrainConfig(Configuration):
     policy: PolicyConfig = PolicyConfig()
     """Size and start of the networks."""
     ensemble: Literal["mean", "each"] = "mean"
-    """Of an ensemble, fins are the mean of all members or each is another member; evaluated is the mean. Only ensembles
+    """In an ensemble, fins are the mean of all members or each is another member; evaluated is the mean. Only ensembles
     of two members or more take `each`, which leaves no disagreement to weigh (`task.reward.disagreement`)."""
     algorithm: Algorithm = "ppo"
     """LSTM-PPO, as the paper has it, or gradients through the plant."""
@@ -169,7 +169,7 @@ def _check_ensemble(plant: Plant, config: TrainConfig) -> None:
     disagreement = config.task.reward.disagreement
     if config.ensemble == "each" and disagreement > 0:
         raise ConfigurationError(
-            f"task.reward.disagreement = {disagreement:g}: there is no disagreement where each fin is one member "
+            f"task.reward.disagreement = {disagreement:g}: no members disagree where each fin is one of them "
             "(ensemble = each); give one of the two"
         )
     members = plant.size if isinstance(plant, EnsemblePlant) else 1

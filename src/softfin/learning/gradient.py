@@ -23,7 +23,7 @@ from softfin.learning.cloning import CloningConfig, clone_gaits
 from softfin.learning.learner import AgentState, Metrics, clipped_adam
 from softfin.learning.lstm import cleared
 from softfin.learning.policy import Policy, PolicyConfig
-from softfin.learning.rollout import Environments, reset_truncated, start_environments
+from softfin.learning.rollout import EnvState, reset_truncated, start_episodes
 from softfin.task.reward import RewardTerms
 from softfin.task.task import ForceTracking, References
 
@@ -63,7 +63,7 @@ class GradientConfig(Configuration):
     cloning: CloningConfig = CloningConfig()
     """How the table is copied."""
     shared_pretraining: SharedPretraining | None = None
-    """Of a grid: train one policy for all cells first, and begin from it; none: each cell begins from the gaits."""
+    """Training of one policy for all cells of a grid, from which theirs begin; none: they begin from the gaits."""
 
     @property
     def steps_per_update(self) -> int:
@@ -88,37 +88,37 @@ class Gradient:
         policy = Policy.create(network_key, self.policy, self.task.config.observations)
         if self.table is not None:
             policy = clone_gaits(self.task, policy, self.table, references, clone_key, self.config.cloning)
-        environments = start_environments(self.task, policy, references, environment_key, self.config.num_envs)
-        return AgentState(None, policy, self._optimiser().init(policy), environments, key, jnp.int32(0))
+        env_state = start_episodes(self.task, policy, references, environment_key, self.config.num_envs)
+        return AgentState(None, policy, self._optimiser().init(policy), env_state, key, jnp.int32(0))
 
     def update(self, agent: AgentState) -> tuple[AgentState, Metrics]:
         """A rollout without noise, and one step down the gradient of its loss."""
-        gradient, (environments, metrics) = jax.grad(self.loss, has_aux=True)(agent.policy, agent.environments)
+        gradient, (env_state, metrics) = jax.grad(self.loss, has_aux=True)(agent.policy, agent.env_state)
         change, optimiser = self._optimiser().update(gradient, agent.optimiser, agent.policy)
         metrics["gradient_norm"] = optax.tree.norm(gradient)
         return agent._replace(
             policy=optax.apply_updates(agent.policy, change),
             optimiser=optimiser,
-            environments=reset_truncated(self.task, environments),
+            env_state=reset_truncated(self.task, env_state),
             num_updates=agent.num_updates + 1,
         ), metrics
 
-    def loss(self, policy: Policy, environments: Environments) -> tuple[Float[Array, ""], tuple[Environments, Metrics]]:
+    def loss(self, policy: Policy, env_state: EnvState) -> tuple[Float[Array, ""], tuple[EnvState, Metrics]]:
         """The negative reward, a mean over the rollout, with force errors rounded near 0 [N]."""
         task, reward, rounding = self.task, self.task.config.reward, self.config.rounding_n
 
-        def act(now: Environments, ticks: Ticks) -> tuple[Environments, tuple[Array, RewardTerms]]:
+        def act(now: EnvState, ticks: Ticks) -> tuple[EnvState, tuple[Array, RewardTerms]]:
             memories = jax.vmap(cleared)(now.memories, now.is_first)
             memories, action = jax.vmap(policy.act)(memories, jax.vmap(task.observe)(now.states))
             states, outcome = jax.vmap(partial(task.step, ticks=ticks))(now.states, action)
-            return Environments(states, memories, jnp.zeros_like(now.is_first)), (outcome.reward, outcome.terms)
+            return EnvState(states, memories, jnp.zeros_like(now.is_first)), (outcome.reward, outcome.terms)
 
         ticks = jnp.asarray(ticks_of(self.config.num_steps))
-        environments, (rewards, terms) = jax.lax.scan(act, environments, ticks)
+        env_state, (rewards, terms) = jax.lax.scan(act, env_state, ticks)
         rounded = jnp.sqrt(terms.error**2 + rounding**2) - rounding
         loss = -reward.value(terms._replace(error=rounded)).mean()
         x, y = terms.error.mean(axis=(0, 1))
-        return loss, (environments, {"loss": loss, "reward": rewards.mean(), "error_x_n": x, "error_y_n": y})
+        return loss, (env_state, {"loss": loss, "reward": rewards.mean(), "error_x_n": x, "error_y_n": y})
 
     def _optimiser(self) -> optax.GradientTransformation:
         config = self.config

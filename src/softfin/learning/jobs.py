@@ -92,7 +92,7 @@ def train_jobs(
     plant: Plant,
     config: TrainConfig,
     seeds: Sequence[int],
-    workspace: Workspace,
+    run_directory: Workspace,
     progress: Progress | None = None,
     *,
     engine: Engine | None = None,
@@ -103,22 +103,22 @@ def train_jobs(
 
     Raises:
         ConfigurationError: as `train`.
-        RunError: a job failed; the last good checkpoints of all are left in the workspace.
+        RunError: a job failed; the last good checkpoints of all are left in the run_directory.
     """
     check(plant, config, seeds, force_map)
-    force_map = find_map(plant, config, workspace, progress) if force_map is None else force_map
-    start = pretrain_shared_policy(plant, config, seeds, workspace, progress, force_map)
+    force_map = find_map(plant, config, run_directory, progress) if force_map is None else force_map
+    start = pretrain_shared_policy(plant, config, seeds, run_directory, progress, force_map)
     jobs, token = jobs_of(config, seeds, split), uuid4().hex
     rows = 1 if split == "none" else len(seeds)
     placed = {}
     for index, (name, job) in enumerate(jobs.items()):
-        folder = workspace if split == "none" else workspace.part(name)
+        folder = run_directory if split == "none" else run_directory.part(name)
         write_file(folder.folder / TOKEN, token)
         placed[name] = _PlacedJob(job, folder, token, _part(start, *divmod(index, len(jobs) // rows), split))
     done = (engine or LocalEngine()).map(f"train {config.controller}", _Training(plant, force_map), placed, progress)
     for place, result in zip(placed.values(), done, strict=True):
         for file, data in result.files.items():
-            write_file(place.workspace.folder / file, data)
+            write_file(place.run_directory.folder / file, data)
     policies, evaluation = _together([(part.policies, part.evaluation) for part in done], rows)
     return TrainingResult(config, Limits(*map(float, plant.limits)), tuple(seeds), policies, evaluation, force_map)
 
@@ -144,7 +144,7 @@ class _PlacedJob(NamedTuple):
     """A job, and where its unfinished work lies."""
 
     job: Job
-    workspace: Workspace
+    run_directory: Workspace
     token: str
     start: Policy | None
 
@@ -162,13 +162,13 @@ class _Training:
         Elsewhere the work is done in a folder of this machine's own, whose files are sent back with the result.
         """
         try:
-            is_here = (placed.workspace.folder / TOKEN).read_text() == placed.token
+            is_here = (placed.run_directory.folder / TOKEN).read_text() == placed.token
         except OSError:
             is_here = False
         if is_here:
-            return self._train(placed, placed.workspace, progress)
+            return self._train(placed, placed.run_directory, progress)
         folder = Path(tempfile.mkdtemp(prefix="softfin-"))
-        own = copy.copy(placed.workspace)
+        own = copy.copy(placed.run_directory)
         own.folder = folder
         try:
             result = self._train(placed, own, progress)
@@ -177,7 +177,7 @@ class _Training:
         finally:
             shutil.rmtree(folder, ignore_errors=True)
 
-    def _train(self, placed: _PlacedJob, workspace: Workspace, progress: Progress | None) -> JobResult:
+    def _train(self, placed: _PlacedJob, run_directory: Workspace, progress: Progress | None) -> JobResult:
         config, seeds = placed.job
-        result = train(self.plant, config, seeds, workspace, progress, force_map=self.force_map, start=placed.start)
+        result = train(self.plant, config, seeds, run_directory, progress, force_map=self.force_map, start=placed.start)
         return JobResult(result.policies, result.evaluation, {})

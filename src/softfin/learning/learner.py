@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from softfin.core.quantities import AnyArray
 from softfin.learning.policy import ActorCritic, Policy
-from softfin.learning.rollout import Environments
+from softfin.learning.rollout import EnvState
 from softfin.task.task import References
 
 Metrics: TypeAlias = dict[str, Float[AnyArray, "*agents"]]
@@ -25,7 +25,7 @@ class AgentState(NamedTuple):
     policy: Policy
     """The policy that is evaluated and kept."""
     optimiser: Any
-    environments: Environments
+    env_state: EnvState
     key: PRNGKeyArray
     num_updates: Int[Array, ""]
     """Updates done so far."""

@@ -17,7 +17,7 @@ class Normalisation(eqx.Module):
     """(x - mean) / deviation, number by number; nothing is changed before the first `updated`."""
 
     mean: Float[Array, "*stack numbers"]
-    deviation: Float[Array, "*stack numbers"]
+    std: Float[Array, "*stack numbers"]
     """Standard deviation; it divides as `LEAST_DEVIATION` where it is less."""
     count: Float[Array, "*stack"]
     """Number of vectors that the statistics weigh as."""
@@ -43,13 +43,13 @@ class Normalisation(eqx.Module):
         new, old = float(len(rows)), jnp.minimum(self.count, most)
         total = old + new
         step = rows.mean(axis=0) - self.mean
-        variance = (old * self.deviation**2 + new * rows.var(axis=0)) / total + old * new * (step / total) ** 2
+        variance = (old * self.std**2 + new * rows.var(axis=0)) / total + old * new * (step / total) ** 2
         return Normalisation(self.mean + step * new / total, jnp.sqrt(variance), total)
 
     @property
     def scale(self) -> Float[Array, "*stack numbers"]:
         """Divisor of the deviations from the mean."""
-        return jnp.maximum(self.deviation, LEAST_DEVIATION)
+        return jnp.maximum(self.std, LEAST_DEVIATION)
 
     def _frozen(self) -> tuple[Array, Array]:
         return jax.lax.stop_gradient(self.mean), jax.lax.stop_gradient(self.scale)

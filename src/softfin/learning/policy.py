@@ -125,7 +125,7 @@ class Policy(eqx.Module):
         return self.with_normalisation(self.normalisation.updated(observation))
 
     def with_normalisation(self, normalisation: Normalisation) -> "Policy":
-        """The same weights with another normalisation."""
+        """The policy with another normalisation."""
         return cast(Policy, eqx.tree_at(lambda policy: policy.normalisation, self, normalisation))
 
     def log_prob(
@@ -155,7 +155,7 @@ class Policy(eqx.Module):
         leaves = [jnp.asarray(arrays[name], jnp.float32) for name in shapes]
         return cast(Policy, jax.tree.unflatten(jax.tree.structure(template), leaves))
 
-    def entropy(self) -> Float[Array, ""]:
+    def action_entropy(self) -> Float[Array, ""]:
         """Entropy of the action before the tanh [nat]."""
         return jnp.sum(self.log_std + 0.5 * jnp.log(2 * jnp.pi * jnp.e))
 
@@ -224,7 +224,7 @@ def named(policy: Any) -> dict[str, Any]:
     return {STORED_NAMES.get(name, name): leaf for name, (_, leaf) in zip(names, paths, strict=True)}
 
 
-STORED_NAMES = {"log_std": "log_deviation"}
+STORED_NAMES = {"log_std": "log_deviation", "normalisation.std": "normalisation.deviation"}
 """Names in files that differ from those here: folders of earlier versions have them."""
 
 OPTIMISER_COPIES = 2

@@ -18,7 +18,7 @@ from softfin.core.configuration import Configuration
 from softfin.learning.learner import AgentState, Metrics, clipped_adam
 from softfin.learning.lstm import Memory
 from softfin.learning.policy import ActorCritic, Critic, Policy, PolicyConfig
-from softfin.learning.rollout import Rollout, collect, start_environments
+from softfin.learning.rollout import Rollout, collect, start_episodes
 from softfin.task.task import ForceTracking, References
 
 RECENT_UPDATES = 4
@@ -114,8 +114,8 @@ class PPO:
         privileged = jax.eval_shape(self.task.privileged_observation, state)
         networks = ActorCritic.create(network_key, self.policy, self.task.config.observations, len(privileged))
         policy = networks.policy
-        environments = start_environments(self.task, policy, references, environment_key, self.config.num_envs)
-        return AgentState(networks, policy, self._optimiser().init(networks), environments, key, jnp.int32(0))
+        env_state = start_episodes(self.task, policy, references, environment_key, self.config.num_envs)
+        return AgentState(networks, policy, self._optimiser().init(networks), env_state, key, jnp.int32(0))
 
     def update(self, agent: AgentState) -> tuple[AgentState, Metrics]:
         """Collect a rollout and learn from it."""
@@ -123,7 +123,7 @@ class PPO:
         networks = agent.networks
         collect_key, learn_key, key = jax.random.split(agent.key, 3)
         cycles = self.config.num_steps // len(ACTION_TICKS)
-        environments, rollout = collect(self.task, networks.policy, agent.environments, collect_key, cycles)
+        env_state, rollout = collect(self.task, networks.policy, agent.env_state, collect_key, cycles)
         batch, metrics = self.batch(networks.critic, rollout)
         recent = RECENT_UPDATES * self.config.steps_per_update
         critic = networks.critic.update_statistics(rollout.privileged_observation, batch.target, recent)
@@ -132,7 +132,7 @@ class PPO:
         # After the learning, so that the probabilities there are those of the rollout.
         policy = networks.policy.update_statistics(rollout.observation)
         networks, averaged = ActorCritic(policy, networks.critic), averaged.with_normalisation(policy.normalisation)
-        agent = AgentState(networks, averaged, optimiser, environments, key, agent.num_updates + 1)
+        agent = AgentState(networks, averaged, optimiser, env_state, key, agent.num_updates + 1)
         return agent, metrics | learning
 
     def batch(self, critic: Critic, rollout: Rollout) -> tuple[Batch, Metrics]:
@@ -165,7 +165,7 @@ class PPO:
         clipped = jnp.clip(ratio, 1 - config.clip_ratio, 1 + config.clip_ratio)
         objective = jnp.minimum(ratio * batch.advantage, clipped * batch.advantage).mean()
         value_loss = networks.critic.loss(rollout.privileged_observation, batch.target)
-        loss = -objective + config.value_coef * value_loss - entropy_coef * networks.policy.entropy()
+        loss = -objective + config.value_coef * value_loss - entropy_coef * networks.policy.action_entropy()
         beyond_clip = jnp.mean(jnp.abs(ratio - 1) > config.clip_ratio)
         kl = jnp.mean(ratio - 1 - log_ratio)
         return loss, {"loss": loss, "value_loss": value_loss, "kl": kl, "clipped": beyond_clip}
@@ -181,7 +181,7 @@ class PPO:
         def minibatch(carry: tuple[ActorCritic, Policy, Any], chosen: Int[Array, "some"]) -> tuple[Any, Metrics]:
             networks, averaged, state = carry
             part = jax.tree.map(lambda x: x[:, chosen], batch)
-            start = jax.tree.map(lambda x: x[chosen], agent.environments.memories)
+            start = jax.tree.map(lambda x: x[chosen], agent.env_state.memories)
             gradient, metrics = jax.grad(self.loss, has_aux=True)(networks, part, start, entropy_coef)
             change, state = optimiser.update(gradient, state, networks)
             metrics["gradient_norm"] = optax.tree.norm(gradient)

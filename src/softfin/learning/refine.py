@@ -49,7 +49,7 @@ def check_refinable(config: TrainConfig, more: int) -> None:
 
 
 def train_refined(
-    plant: Plant, trained: TrainingResult, more: int, workspace: Workspace, progress: Progress | None
+    plant: Plant, trained: TrainingResult, more: int, run_directory: Workspace, progress: Progress | None
 ) -> tuple[TrainingResult, tuple[int, ...]]:
     """Train a finer grid, in this process and with the same budget a policy; and the parent of each cell.
 
@@ -60,7 +60,7 @@ def train_refined(
         plant,
         trained.config.model_copy(update={"cells": finer.cells}),
         trained.seeds,
-        workspace,
+        run_directory,
         progress,
         force_map=trained.force_map,
         start=inherited(trained.policies, finer.parents),

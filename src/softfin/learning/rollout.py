@@ -1,6 +1,6 @@
 """A policy in its environments: rollouts with exploration noise for the learner, and episodes without for its score.
 
-Environments are in phase on the 33/33/34 clock: a rollout is a scan over cycles of three actions, and each action is
+EnvState are in phase on the 33/33/34 clock: a rollout is a scan over cycles of three actions, and each action is
 one vmapped call of the plant.
 """
 
@@ -20,7 +20,7 @@ from softfin.task.reward import moving_average
 from softfin.task.task import ForceTracking, References, TaskState
 
 
-class Environments(NamedTuple):
+class EnvState(NamedTuple):
     """An agent's environments between two actions; every leaf has a leading axis of environments."""
 
     states: TaskState
@@ -31,7 +31,7 @@ class Environments(NamedTuple):
 
 
 class Rollout(NamedTuple):
-    """Transitions of all environments, ``(time, environments, ...)``."""
+    """Transitions of all env_state, ``(time, env_state, ...)``."""
 
     observation: Float[Array, "*batch observations"]
     pre_tanh_action: Float[Array, "*batch actions"]
@@ -50,71 +50,69 @@ class Rollout(NamedTuple):
     """Whether the episode was truncated just after the action."""
 
 
-def start_environments(
+def start_episodes(
     task: ForceTracking, policy: Policy, references: References, key: PRNGKeyArray, count: int
-) -> Environments:
+) -> EnvState:
     """Fins at rest; their first episodes are shorter by whole cycles, so that later resets are spread over time."""
     states = jax.vmap(task.reset, (0, None))(jax.random.split(key, count), references)
     cycles = task.config.episode_actions // len(ACTION_TICKS)
     age = jnp.arange(count) * cycles // count * len(ACTION_TICKS)
     memories = jax.tree.map(lambda x: jnp.tile(x, (count, 1)), policy.init())
-    return Environments(states._replace(age=age.astype(jnp.int32)), memories, jnp.ones(count, bool))
+    return EnvState(states._replace(age=age.astype(jnp.int32)), memories, jnp.ones(count, bool))
 
 
 def collect(
-    task: ForceTracking, policy: Policy, environments: Environments, key: PRNGKeyArray, cycles: int
-) -> tuple[Environments, Rollout]:
+    task: ForceTracking, policy: Policy, env_state: EnvState, key: PRNGKeyArray, cycles: int
+) -> tuple[EnvState, Rollout]:
     """Take `cycles` x 3 actions in every environment; environments whose episodes are over are reset."""
 
-    def cycle(
-        environments: Environments, noise: Float[Array, "3 environments actions"]
-    ) -> tuple[Environments, Rollout]:
+    def cycle(env_state: EnvState, noise: Float[Array, "3 environments actions"]) -> tuple[EnvState, Rollout]:
         held = (noise, jnp.asarray(ACTION_TICKS))
-        environments, steps = jax.lax.scan(lambda now, action: _act(task, policy, now, *action), environments, held)
-        environments = reset_truncated(task, environments)
-        return environments, steps._replace(truncated=steps.truncated.at[-1].set(environments.is_first))
+        env_state, steps = jax.lax.scan(lambda now, action: _act(task, policy, now, *action), env_state, held)
+        env_state = reset_truncated(task, env_state)
+        return env_state, steps._replace(truncated=steps.truncated.at[-1].set(env_state.is_first))
 
-    noise = jax.random.normal(key, (cycles, len(ACTION_TICKS), len(environments.is_first), len(policy.log_std)))
-    environments, rollout = jax.lax.scan(cycle, environments, noise)
-    return environments, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), rollout)
+    noise = jax.random.normal(key, (cycles, len(ACTION_TICKS), len(env_state.is_first), len(policy.log_std)))
+    env_state, rollout = jax.lax.scan(cycle, env_state, noise)
+    return env_state, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), rollout)
 
 
 def _act(
     task: ForceTracking,
     policy: Policy,
-    environments: Environments,
+    env_state: EnvState,
     noise: Float[Array, "environments actions"],
     ticks: Ticks,
-) -> tuple[Environments, Rollout]:
-    memories = jax.vmap(cleared)(environments.memories, environments.is_first)
-    observation = jax.vmap(task.observe)(environments.states)
+) -> tuple[EnvState, Rollout]:
+    memories = jax.vmap(cleared)(env_state.memories, env_state.is_first)
+    observation = jax.vmap(task.observe)(env_state.states)
     memories, mean = jax.vmap(policy.step)(memories, observation)
     pre_tanh_action = mean + jnp.exp(policy.log_std) * noise
-    states, outcome = jax.vmap(partial(task.step, ticks=ticks))(environments.states, jnp.tanh(pre_tanh_action))
-    nowhere = jnp.zeros_like(environments.is_first)
+    states, outcome = jax.vmap(partial(task.step, ticks=ticks))(env_state.states, jnp.tanh(pre_tanh_action))
+    nowhere = jnp.zeros_like(env_state.is_first)
     step = Rollout(
         observation=observation,
         pre_tanh_action=pre_tanh_action,
         log_prob=policy.log_prob(mean, pre_tanh_action),
         reward=outcome.reward,
         error=outcome.terms.error,
-        privileged_observation=jax.vmap(task.privileged_observation)(environments.states),
+        privileged_observation=jax.vmap(task.privileged_observation)(env_state.states),
         next_privileged_observation=jax.vmap(task.privileged_observation)(states),
-        is_first=environments.is_first,
+        is_first=env_state.is_first,
         truncated=nowhere,
     )
-    return Environments(states, memories, nowhere), step
+    return EnvState(states, memories, nowhere), step
 
 
-def reset_truncated(task: ForceTracking, environments: Environments) -> Environments:
-    """The environments, those whose episodes are over with their fins at rest again."""
-    truncated = jax.vmap(task.truncated)(environments.states)
+def reset_truncated(task: ForceTracking, env_state: EnvState) -> EnvState:
+    """The env_state, those whose episodes are over with their fins at rest again."""
+    truncated = jax.vmap(task.truncated)(env_state.states)
 
     def choose(new: Array, old: Array) -> Array:
         return jnp.where(truncated.reshape(-1, *[1] * (new.ndim - 1)), new, old)
 
-    again = jax.vmap(task.reset)(environments.states.key, environments.states.references)
-    return Environments(jax.tree.map(choose, again, environments.states), environments.memories, truncated)
+    again = jax.vmap(task.reset)(env_state.states.key, env_state.states.references)
+    return EnvState(jax.tree.map(choose, again, env_state.states), env_state.memories, truncated)
 
 
 class PolicyEvaluation(NamedTuple):

@@ -222,8 +222,8 @@ def over_devices(agents: Tree, count: int, num_envs: int, devices: Sequence[Any]
         return cast(Tree, jax.device_put(agents, sharding(used, "devices")))
     if (used := equal_parts(num_envs, len(found))) > 1 and isinstance(agents, AgentState):
         everywhere = jax.device_put(agents, sharding(used))
-        environments = jax.device_put(agents.environments, sharding(used, None, "devices"))
-        return cast(Tree, everywhere._replace(environments=environments))
+        env_state = jax.device_put(agents.env_state, sharding(used, None, "devices"))
+        return cast(Tree, everywhere._replace(env_state=env_state))
     return agents
 
 

@@ -27,12 +27,12 @@ def train(
     plant: Plant,
     config: TrainConfig,
     seeds: Sequence[int],
-    workspace: Workspace,
+    run_directory: Workspace,
     progress: Progress | None = None,
     force_map: ForceMap | None = None,
     start: Policy | None = None,
 ) -> TrainingResult:
-    """Train a policy for every seed and cell; goes on from the workspace's checkpoint where there is one.
+    """Train a policy for every seed and cell; goes on from the run_directory's checkpoint where there is one.
 
     The fin is mapped where a map is needed and no `force_map` given. Agents that `start` from policies, leaves
     ``(seeds, cells, ...)``, never end with a greater error than these.
@@ -40,19 +40,19 @@ def train(
     Raises:
         ConfigurationError: the budget is smaller than one rollout, a seed comes twice, or the plant or its map does
             not fit the configuration.
-        RunError: a loss is no longer finite; the last good checkpoint is left in the workspace.
+        RunError: a loss is no longer finite; the last good checkpoint is left in the run_directory.
     """
     check(plant, config, seeds, force_map)
-    force_map = find_map(plant, config, workspace, progress) if force_map is None else force_map
+    force_map = find_map(plant, config, run_directory, progress) if force_map is None else force_map
     if start is None:
-        start = pretrain_shared_policy(plant, config, seeds, workspace, progress, force_map)
+        start = pretrain_shared_policy(plant, config, seeds, run_directory, progress, force_map)
     used = config if start is None else config.merged({"gradient": {"warm_start": False}}, "start")
     run = TrainingRun(plant, used, tuple(seeds), force_map)
     state, done, steps_per_update = run.start(start), 0, config.learning.steps_per_update
-    if (resumed := workspace.load(without_keys(state))) is not None:
+    if (resumed := run_directory.load(without_keys(state))) is not None:
         state, done = with_keys(resumed[0], state), resumed[1]["updates"]
     state = state._replace(agents=run.over_devices(state.agents))
-    record = workspace.log(rewind_to=done * steps_per_update)
+    record = run_directory.log(rewind_to=done * steps_per_update)
     count = min(config.num_evaluations, config.num_updates)
     due = {round(config.num_updates * (i + 1) / count) for i in range(count)}
     while done < config.num_updates:
@@ -65,7 +65,7 @@ def train(
         # Before the checkpoint: a resumed run drops entries that are too many, but cannot make up for one.
         record.write(done * steps_per_update, **scalars)
         if done in due:
-            workspace.save(without_keys(state), {"updates": done})
+            run_directory.save(without_keys(state), {"updates": done})
         if progress is not None:
             progress(f"train {config.controller}", done / config.num_updates, run.note(metrics, state))
     record.close()
@@ -76,7 +76,7 @@ def pretrain_shared_policy(
     plant: Plant,
     config: TrainConfig,
     seeds: Sequence[int],
-    workspace: Workspace,
+    run_directory: Workspace,
     progress: Progress | None,
     force_map: ForceMap | None,
 ) -> Policy | None:
@@ -95,17 +95,17 @@ def pretrain_shared_policy(
         "shared_pretraining",
     )  # fmt: skip
     whole = whole.merged({"steps": shared.num_updates * whole.learning.steps_per_update}, "shared_pretraining")
-    result = train(plant, whole, seeds, workspace.part(SHARED), progress, force_map)
+    result = train(plant, whole, seeds, run_directory.part(SHARED), progress, force_map)
     policies: Policy = jax.tree.map(lambda leaf: jnp.repeat(leaf, len(config.cells), axis=1), result.policies)
     return policies
 
 
-def find_map(plant: Plant, config: TrainConfig, workspace: Workspace, progress: Progress | None) -> ForceMap | None:
+def find_map(plant: Plant, config: TrainConfig, run_directory: Workspace, progress: Progress | None) -> ForceMap | None:
     """Map the forces of a fin whose policies begin as gaits, or read the map of a stopped run; None of other runs."""
     if not config.begins_as_gaits:
         return None
     settings = config.gradient.map.merged({"box": config.training_range.model_dump()}, "cells")
-    part = workspace.part("map")
+    part = run_directory.part("map")
     lattice = settings.lattice(Reachable(np.zeros(2), np.ones(settings.survey.directions)))
     if (resumed := part.load(empty_map(lattice, settings.survey.directions))) is not None:
         stored: ForceMap = jax.tree.map(np.asarray, resumed[0])

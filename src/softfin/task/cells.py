@@ -96,7 +96,7 @@ def lattice(columns: int, rows: int, within: Cell) -> tuple[Cell, ...]:
 
 
 def check_width(cell: Cell, named: str) -> None:
-    """Raise ConfigurationError where a box is no wider than a line."""
+    """Raise ConfigurationError where a box has no width."""
     for axis, low, high in zip("xy", cell.low, cell.high, strict=True):
         if high - low <= TOLERANCE_N:
             raise ConfigurationError(f"{named} has no width in {axis}; let it reach from a lesser to a greater force")

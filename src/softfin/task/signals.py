@@ -68,7 +68,7 @@ class Step(_Signal):
 
 
 class Ramp(_Signal):
-    """From one force to another in a straight line."""
+    """A straight line from one force to another."""
 
     kind: Literal["ramp"] = "ramp"
     start_n: Force

@@ -217,10 +217,10 @@ class ForceTracking:
         """The reference of the next action and its drift; where another one is due, a step or a ramp to it."""
         # One draw for all: each takes a quarter of a second to compile.
         chance = jax.random.uniform(key, (3,))
-        drawn, ramp = state.references.at(chance[:2]), chance[2] < self.config.ramps
-        towards = (drawn - state.reference) / self.config.reference_actions
+        sampled, ramp = state.references.at(chance[:2]), chance[2] < self.config.ramps
+        towards = (sampled - state.reference) / self.config.reference_actions
         drift = jnp.where(is_due, jnp.where(ramp, towards, 0), state.drift)
-        return jnp.where(is_due & ~ramp, drawn, state.reference + drift), drift
+        return jnp.where(is_due & ~ramp, sampled, state.reference + drift), drift
 
     def _advance(self, state: State, command: Command, ticks: Ticks) -> tuple[State, Reading, Float[Array, "2"]]:
         """The plant after an action, and how much the members of an ensemble disagree, where that has a weight."""
