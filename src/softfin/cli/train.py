@@ -11,7 +11,7 @@ from softfin.cli.options import Option
 from softfin.core.choices import SEEDS, AlgorithmOption, ControllerKind, EngineName, Split
 from softfin.core.errors import ConfigurationError
 from softfin.storage.artifact import load_description
-from softfin.task.cells import range_of, read_cells
+from softfin.task.notation import read_cells, read_range
 
 if TYPE_CHECKING:
     from softfin.task.references import Cell
@@ -56,7 +56,7 @@ class Arguments(Configured):
         """Whether the options go together."""
         asked_seeds(self.seed, self.seeds)
         if self.range is not None:
-            range_of(self.range)
+            read_range(self.range)
         if self.cells is not None:
             read_cells(self.cells)
         if self.controller == "gaits":
@@ -159,7 +159,7 @@ def asked_seeds(first: int, text: str | None) -> tuple[int, ...]:
 
 def asked_cells(controller: str, cells: str | None, span: str | None) -> "tuple[Cell, ...] | None":
     """What ``--cells`` and ``--range`` ask for, one cell for what is no grid; None where neither is given."""
-    from softfin.task.cells import cells_of
+    from softfin.task.cells import cells_of, range_of
     from softfin.task.references import PAPER_RANGE, bounding_box
 
     within = PAPER_RANGE if span is None else range_of(span)

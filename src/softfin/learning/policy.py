@@ -50,46 +50,18 @@ class Dense(eqx.Module):
         return x @ self.kernel + self.bias
 
 
-class Recurrent(eqx.Module):
-    """LSTM, one layer, one linear layer."""
+class Layers(eqx.Module):
+    """Layers of the policy: an LSTM, one layer, one linear layer."""
 
     lstm: LSTM
     hidden: Dense
     output: Dense
 
-    @classmethod
-    def create(cls, key: PRNGKeyArray, config: PolicyConfig, inputs: int, outputs: int, gain: float) -> "Recurrent":
-        """New weights; `gain` scales the last layer."""
-        lstm, hidden, output = jax.random.split(key, 3)
-        return cls(
-            LSTM.create(lstm, inputs, config.units),
-            Dense.create(hidden, config.units, config.width, 2**0.5),
-            Dense.create(output, config.width, outputs, gain),
-        )
-
-    def init(self) -> Memory:
-        """Empty memory."""
-        return self.lstm.init()
-
-    def step(self, memory: Memory, x: Float[Array, "inputs"]) -> tuple[Memory, Float[Array, "outputs"]]:
-        """One step."""
-        memory = self.lstm.step(memory, x)
-        return memory, self._read(memory.hidden)
-
-    def sequence(
-        self, memory: Memory, x: Float[Array, "time inputs"], is_first: Bool[Array, "time"]
-    ) -> Float[Array, "time outputs"]:
-        """The outputs of `step` over a sequence, the memory cleared before every step that `is_first`."""
-        return self._read(self.lstm.sequence(memory, x, is_first))
-
-    def _read(self, hidden: Float[Array, "*time units"]) -> Float[Array, "*time outputs"]:
-        return self.output(jnp.tanh(self.hidden(hidden)))
-
 
 class Policy(eqx.Module):
     """The actor: observations in, actions out."""
 
-    net: Recurrent
+    net: Layers
     log_std: Float[Array, "actions"]
     normalisation: Normalisation
     """Normalisation of the observations."""
@@ -97,13 +69,18 @@ class Policy(eqx.Module):
     @classmethod
     def create(cls, key: PRNGKeyArray, config: PolicyConfig, observations: int, actions: int = 2) -> "Policy":
         """New weights; at the start the mean action is near the middle whatever is observed."""
+        lstm, hidden, output = jax.random.split(key, 3)
+        net = Layers(
+            LSTM.create(lstm, observations, config.units),
+            Dense.create(hidden, config.units, config.width, 2**0.5),
+            Dense.create(output, config.width, actions, 0.01),
+        )
         log_std = jnp.full(actions, jnp.log(config.init_std))
-        net = Recurrent.create(key, config, observations, actions, 0.01)
         return cls(net, jnp.asarray(log_std, jnp.float32), Normalisation.create(observations))
 
     def init(self) -> Memory:
         """Empty memory."""
-        return self.net.init()
+        return self.net.lstm.init()
 
     def act(self, memory: Memory, observation: Float[Array, "observations"]) -> tuple[Memory, Float[Array, "actions"]]:
         """The deterministic action, in (-1, 1)."""
@@ -112,13 +89,17 @@ class Policy(eqx.Module):
 
     def step(self, memory: Memory, observation: Float[Array, "observations"]) -> tuple[Memory, Float[Array, "actions"]]:
         """The mean action before the tanh."""
-        return self.net.step(memory, self.normalisation(observation))
+        memory = self.net.lstm.step(memory, self.normalisation(observation))
+        return memory, self._mean(memory.hidden)
 
     def sequence(
         self, memory: Memory, observation: Float[Array, "time observations"], is_first: Bool[Array, "time"]
     ) -> Float[Array, "time actions"]:
         """The outputs of `step` over a sequence, the memory cleared before every step that `is_first`."""
-        return self.net.sequence(memory, self.normalisation(observation), is_first)
+        return self._mean(self.net.lstm.sequence(memory, self.normalisation(observation), is_first))
+
+    def _mean(self, hidden: Float[Array, "*time units"]) -> Float[Array, "*time actions"]:
+        return self.net.output(jnp.tanh(self.net.hidden(hidden)))
 
     def update_statistics(self, observation: Float[Array, "*batch observations"]) -> "Policy":
         """The policy with observations counted in its normalisation."""

@@ -13,18 +13,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from softfin.core.compilation import used_once
 from softfin.core.errors import RunError
-from softfin.core.plant import EnsemblePlant, Plant
+from softfin.core.plant import EnsemblePlant, Plant, State
 from softfin.core.plant_identity import jit_argument
-from softfin.core.quantities import AXES, Limits
+from softfin.core.quantities import AXES, Command, Limits, Reading
 from softfin.core.randomness import key_of
 from softfin.gaits.force_map import ForceMap
 from softfin.gaits.gaits import GaitTable
 from softfin.learning.configuration import TrainConfig
-from softfin.learning.ensemble import OneMember
 from softfin.learning.gradient import Gradient, GradientConfig
 from softfin.learning.learner import AgentState, Learner, Metrics
 from softfin.learning.policy import Policy, PolicyConfig
@@ -60,6 +59,33 @@ class TrainingResult(NamedTuple):
     def evaluation_references(self) -> Float[np.ndarray, "cells references 2"]:
         """The forces at which the policies were evaluated [N]."""
         return self.config.evaluation_references(None if self.force_map is None else self.force_map.reachable)
+
+
+class OneMember(eqx.Module):
+    """Meets the Plant contract: every fin is another member of an ensemble, so that no policy exploits its errors.
+
+    The key draws the member, which stays for as long as the episode lasts; its index is part of the state.
+    """
+
+    ensemble: EnsemblePlant
+
+    @property
+    def limits(self) -> Limits:
+        """Limits of the ensemble."""
+        return self.ensemble.limits
+
+    def init(self, key: PRNGKeyArray) -> tuple[Int[Array, ""], State]:
+        """A drawn member, at rest at angle 0."""
+        index = jax.random.randint(key, (), 0, self.ensemble.size)
+        return index, self.ensemble.member(index).init(jax.random.fold_in(key, 1))
+
+    def advance(
+        self, state: tuple[Int[Array, ""], State], command: Command, ticks: int
+    ) -> tuple[tuple[Int[Array, ""], State], Reading]:
+        """Hold the command for `ticks` samples."""
+        index, inner = state
+        inner, reading = self.ensemble.member(index).advance(inner, command, ticks)
+        return (index, inner), reading
 
 
 class ProgramInputs(NamedTuple):

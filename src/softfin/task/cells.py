@@ -7,18 +7,15 @@ Cells never overlap: a reference must have one policy. Those of a file fill thei
 the paper's six leave a third of it uncovered. No JAX here.
 """
 
-import re
 from collections.abc import Sequence
 from itertools import combinations, pairwise
-from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
 from softfin.core.configuration import Configuration, read_yaml
 from softfin.core.errors import ConfigurationError
-from softfin.storage.paths import check_readable
+from softfin.task.notation import read_cells, read_range
 from softfin.task.references import PAPER_CELLS, Cell, bounding_box
 
 TOLERANCE_N = 1e-6
@@ -26,9 +23,6 @@ TOLERANCE_N = 1e-6
 
 MOST = 1024
 """Cells of a lattice; each is a policy to train, so more are a typing error."""
-
-CellsSource: TypeAlias = tuple[int, int] | Path | None
-"""A lattice of columns and rows, a YAML file, or the paper's cells."""
 
 
 class CellsFile(Configuration):
@@ -38,20 +32,6 @@ class CellsFile(Configuration):
     """Boxes of references [N], in the order of the policies."""
     allow_gaps: bool = False
     """Whether references between the cells may go without a policy of their own; the nearest cell answers these."""
-
-
-def read_cells(text: str) -> CellsSource:
-    """Where the cells come from; raises ConfigurationError for any other text, or a file that is missing."""
-    if text == "paper":
-        return None
-    if match := re.fullmatch(r"(\d+)\s*x\s*(\d+)", text.strip()):
-        return int(match[1]), int(match[2])
-    if Path(text).suffix not in (".yaml", ".yml"):
-        raise ConfigurationError(
-            f"--cells {text}: neither paper, nor a lattice such as 3x3 (cells along x, cells along y), nor a .yaml file"
-        )
-    check_readable(Path(text))
-    return Path(text)
 
 
 def cells_of(text: str, within: Cell) -> tuple[Cell, ...]:
@@ -72,12 +52,7 @@ def cells_of(text: str, within: Cell) -> tuple[Cell, ...]:
 
 def range_of(text: str) -> Cell:
     """The box of ``X0,Y0,X1,Y1`` [N]; raises ConfigurationError for any other text."""
-    try:
-        x0, y0, x1, y1 = (float(part) for part in text.split(","))
-    except ValueError:
-        raise ConfigurationError(
-            f"--range {text}: not four numbers X0,Y0,X1,Y1 [N]; write for example 0.5,-1.5,3.5,1.5"
-        ) from None
+    x0, y0, x1, y1 = read_range(text)
     return Cell.build({"low": (x0, y0), "high": (x1, y1)}, f"--range {text}")
 
 

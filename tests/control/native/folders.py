@@ -61,4 +61,4 @@ def _normalised(run: TrainingResult) -> TrainingResult:
         return jax.numpy.asarray(numbers.uniform(low, high, shape), jax.numpy.float32)
 
     statistics = Normalisation(some(-1, 1), some(0, 2), jax.numpy.ones(shape[:-1]))
-    return run._replace(policies=jax.vmap(jax.vmap(lambda p, n: p.normalised(n)))(run.policies, statistics))
+    return run._replace(policies=jax.vmap(jax.vmap(lambda p, n: p.with_normalisation(n)))(run.policies, statistics))
