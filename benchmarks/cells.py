@@ -17,8 +17,8 @@ from softfin.learning.configuration import GRID
 from softfin.learning.policy import memory_of
 from softfin.learning.ppo import PPO
 from softfin.task.cells import lattice
-from softfin.task.references import PAPER_RANGE
-from softfin.task.task import ForceTracking, stack_references
+from softfin.task.references import PAPER_RANGE, stack_references
+from softfin.task.task import ForceTracking
 
 SIDES = (1, 2, 3, 5, 7)
 """Cells along x and along y."""

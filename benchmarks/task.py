@@ -10,8 +10,8 @@ import jax.numpy as jnp
 from benchmarks.measure import entry, interleaved, matmul
 from benchmarks.nets import published_layout
 from softfin.core.action_clock import ACTION_TICKS, ticks_of
-from softfin.task.references import PAPER_RANGE
-from softfin.task.task import ForceTracking, References, TaskConfig
+from softfin.task.references import PAPER_RANGE, References
+from softfin.task.task import ForceTracking, TaskConfig
 
 TICKS = sum(ACTION_TICKS)
 

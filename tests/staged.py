@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 import yaml
 
-from softfin.control.store import save_controller
 from softfin.core.quantities import PAPER_LIMITS, Limits
 from softfin.gaits.force_map import MapConfig
 from softfin.gaits.map_store import save_map
 from softfin.learning.configuration import SINGLE
+from softfin.learning.controllers import save_controller
 from softfin.stages.offline import identity
 from softfin.storage.dataset import write_dataset
 from softfin.storage.registry import find_plant

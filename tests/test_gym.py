@@ -11,9 +11,9 @@ from gymnasium.utils.env_checker import check_env
 
 from softfin.core.errors import InputError, PlantError
 from softfin.core.gym_registration import ID, register
+from softfin.gaits.reachable import Cell
 from softfin.gym import ForceTrackingEnv
 from softfin.tank import Tank
-from softfin.task.references import Cell
 from softfin.task.task import TaskConfig
 from tests.plants import AnalyticFin, PlainFin
 

@@ -18,8 +18,8 @@ from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.ppo import PPO, PPOConfig
 from softfin.learning.rollout import collect, evaluate_policy, start_episodes
 from softfin.tank import Tank
-from softfin.task.references import PAPER_RANGE
-from softfin.task.task import ForceTracking, References, TaskConfig
+from softfin.task.references import PAPER_RANGE, References
+from softfin.task.task import ForceTracking, TaskConfig
 from softfin.testing import check_plant
 from tests.plants import AnalyticFin, Flapper
 

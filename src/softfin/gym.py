@@ -18,10 +18,11 @@ from softfin.core.errors import InputError
 from softfin.core.gym_registration import ID
 from softfin.core.plant import Plant
 from softfin.core.plant_identity import jit_argument
-from softfin.core.quantities import AXES
+from softfin.core.quantities import AXES, command_of
+from softfin.gaits.reachable import Cell
 from softfin.storage.registry import find_plant
-from softfin.task.references import PAPER_RANGE, Cell
-from softfin.task.task import ANGLE_SCALE_RAD, ForceTracking, References, TaskConfig, TaskState, command_of
+from softfin.task.references import PAPER_RANGE, References
+from softfin.task.task import ANGLE_SCALE_RAD, ForceTracking, TaskConfig, TaskState
 
 if TYPE_CHECKING:
     from softfin.evaluation.view.episode import EpisodeFilm

@@ -4,7 +4,8 @@ import pytest
 
 from softfin.cli.train import asked_cells, asked_seeds
 from softfin.core.errors import ConfigurationError
-from softfin.task.references import PAPER_CELLS, Cell, bounding_box
+from softfin.gaits.reachable import Cell, bounding_box
+from softfin.task.references import PAPER_CELLS
 
 
 def test_a_lattice_fills_the_range() -> None:

@@ -7,11 +7,12 @@ import jax.numpy as jnp
 
 from softfin.core.action_clock import MOST_TICKS
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Reading
+from softfin.gaits.reachable import Cell
 from softfin.learning.policy import PolicyConfig
 from softfin.learning.ppo import PPO, PPOConfig
-from softfin.task.references import Cell
+from softfin.task.references import References
 from softfin.task.reward import RewardConfig
-from softfin.task.task import ForceTracking, References, TaskConfig
+from softfin.task.task import ForceTracking, TaskConfig
 
 GAIN = 3.0
 

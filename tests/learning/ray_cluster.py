@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import RunError, SoftfinError
+from softfin.gaits.reachable import Cell
 from softfin.learning.configuration import TrainConfig
 from softfin.learning.engine_ray import RayEngine
 from softfin.learning.jobs import find_engine, train_jobs
@@ -27,7 +28,6 @@ from softfin.learning.policy import PolicyConfig
 from softfin.learning.ppo import PPOConfig
 from softfin.learning.run import TrainingResult
 from softfin.storage.run_directory import LOG, Workspace, read_log
-from softfin.task.references import Cell
 from softfin.task.task import TaskConfig
 from tests.plants import AnalyticFin
 

@@ -9,11 +9,12 @@ import numpy as np
 
 from softfin.core.action_clock import CYCLE_ACTIONS, ticks_of
 from softfin.core.plant import counted
+from softfin.gaits.reachable import Cell
 from softfin.learning.cloning import CloningConfig, Demonstrations, clone_gaits, record_demonstrations
 from softfin.learning.policy import Policy, PolicyConfig
-from softfin.task.references import Cell
-from softfin.task.task import ForceTracking, References, TaskConfig
-from tests.learning.mapped import WITHIN, known
+from softfin.task.references import References
+from softfin.task.task import ForceTracking, TaskConfig
+from tests.learning.mapped import WITHIN, mapped
 from tests.plants import StrokeFin
 
 TASK = ForceTracking(StrokeFin(), TaskConfig(phase=True))
@@ -28,13 +29,13 @@ POLICY = jax.jit(lambda key: Policy.create(key, PolicyConfig(units=16, width=16)
 
 @cache
 def shown() -> Demonstrations:
-    table = known().found.table
+    table = mapped().gaits.table
     return jax.jit(lambda key: record_demonstrations(TASK, table, REFERENCES, key, CONFIG))(jax.random.key(9))
 
 
 @cache
 def taught() -> Policy:
-    table = known().found.table
+    table = mapped().gaits.table
     return jax.jit(lambda key: clone_gaits(TASK, POLICY, table, REFERENCES, key, CONFIG))(KEY)
 
 
@@ -56,7 +57,7 @@ def unlike(policy: Policy) -> float:
 
 def test_what_is_shown_is_the_gait_of_the_observed_reference_in_its_phase() -> None:
     observation, action = (np.asarray(part) for part in shown())
-    table, times = known().found.table, [0, 5, 13, 23]
+    table, times = mapped().gaits.table, [0, 5, 13, 23]
     assert observation.shape == (24, 24, 13)
     gaits = jax.jit(jax.vmap(table.gait))(observation[times, 4, 1:3] * TASK.config.force_scale_n)
     for time, gait in zip(times, gaits, strict=True):

@@ -16,7 +16,7 @@ from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import Command
 from softfin.gaits import simulate as beat
 from softfin.gaits.force_map import MapConfig
-from softfin.gaits.reachable import Reachable
+from softfin.gaits.reachable import PAPER_REFERENCES, Cell, Reachable
 from softfin.gaits.simulate import missing_gradient
 from softfin.learning.cloning import CloningConfig
 from softfin.learning.configuration import GRADIENT_SINGLE, GRID, TRAIN_PRESETS, TrainConfig, check, choose_preset
@@ -27,10 +27,10 @@ from softfin.learning.rollout import EnvState
 from softfin.learning.run import TrainingResult, TrainingRun
 from softfin.learning.train import train
 from softfin.storage.run_directory import Workspace
-from softfin.task.references import PAPER_RANGE, PAPER_REFERENCES, Cell
+from softfin.task.references import PAPER_RANGE, stack_references
 from softfin.task.reward import RewardConfig
-from softfin.task.task import ForceTracking, TaskConfig, stack_references
-from tests.learning.mapped import GAITS, SURVEY, WITHIN, known
+from softfin.task.task import ForceTracking, TaskConfig
+from tests.learning.mapped import GAITS, SURVEY, WITHIN, mapped
 from tests.learning.probes import Delayed, Direct
 from tests.plants import AnalyticFin, PlainFin, StrokeFin
 from tests.surrogate.streaming import small as streaming
@@ -60,7 +60,7 @@ LEARNER = Gradient(TASK, QUICK.gradient, QUICK.policy, QUICK.num_updates)
 def loud() -> AgentState:
     """Four lanes with policies that beat: where a fin rests, its force has no slope."""
     keys = jax.random.split(jax.random.key(0), len(SEEDS))
-    references = stack_references([Cell(low=(1, -0.25), high=(1.5, 0.25))] * len(SEEDS), known().reachable)
+    references = stack_references([Cell(low=(1, -0.25), high=(1.5, 0.25))] * len(SEEDS), mapped().reachable)
     lanes = jax.jit(jax.vmap(LEARNER.init))(keys, references)
     return lanes._replace(policy=eqx.tree_at(lambda policy: policy.net.output.kernel, lanes.policy, replace_fn=louder))
 
@@ -130,7 +130,7 @@ def test_no_slope_reaches_the_normalisation_and_the_noise() -> None:
 
 def test_updates_lower_the_loss() -> None:
     """On average over four policies: which references a short run draws weighs nearly as much as what it learns."""
-    run, lanes, losses = TrainingRun(StrokeFin(), QUICK, SEEDS, known()), loud(), []
+    run, lanes, losses = TrainingRun(StrokeFin(), QUICK, SEEDS, mapped()), loud(), []
     for number in range(QUICK.num_updates):
         lanes, metrics = run.update(lanes, number + 1)
         losses.append(np.asarray(metrics["loss"]))
@@ -294,7 +294,7 @@ def test_a_run_that_was_stopped_twice_ends_with_the_weights_of_one_that_never_wa
 def test_a_run_knows_what_the_fin_can_do_over_its_cells(whole: TrainingResult) -> None:
     assert whole.force_map is not None
     assert WITHIN.box is not None
-    table = whole.force_map.found.table
+    table = whole.force_map.gaits.table
     assert (np.asarray(table.low) <= np.array(WITHIN.box.low) + 1e-6).all()
     assert (np.asarray(table.high) >= np.array(WITHIN.box.high) - 1e-6).all()
     assert isinstance(whole.policies, Policy)
@@ -305,9 +305,9 @@ def test_the_table_reaches_over_all_that_is_taught() -> None:
     wide = QUICK.changed(("margin_n=0.25",))
     assert WITHIN.box is not None
     assert wide.training_range == WITHIN.box.expanded(0.25)
-    check(StrokeFin(), QUICK, (0,), known())
+    check(StrokeFin(), QUICK, (0,), mapped())
     with pytest.raises(ConfigurationError, match=r"map of x 0.5 .. 1.5, y -0.5 .. 0.5 N: its gaits do not reach over"):
-        check(StrokeFin(), wide, (0,), known())
+        check(StrokeFin(), wide, (0,), mapped())
 
 
 def test_a_box_of_ones_own_for_the_table_is_refused() -> None:

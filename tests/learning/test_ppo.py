@@ -14,7 +14,7 @@ from softfin.learning.lstm import Memory, cleared
 from softfin.learning.policy import ActorCritic, Policy
 from softfin.learning.ppo import PPO, PPOConfig
 from softfin.learning.rollout import EnvState, Rollout, collect, evaluate_policy
-from softfin.task.task import References
+from softfin.task.references import References
 from tests.learning.probes import PROBES, AnyProbe, Delayed, Direct, Late, Probe, Recall, Still, box, learner
 
 

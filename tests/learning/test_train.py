@@ -12,6 +12,7 @@ import pytest
 import safetensors
 
 from softfin.core.errors import ConfigurationError, RunError
+from softfin.gaits.reachable import Cell
 from softfin.learning.configuration import GRID, SINGLE, TrainConfig
 from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.ppo import PPOConfig
@@ -19,7 +20,6 @@ from softfin.learning.rollout import PolicyEvaluation
 from softfin.learning.run import Programs, TrainingResult, TrainingRun, programs_of
 from softfin.learning.train import train
 from softfin.storage.run_directory import CHECKPOINT, Workspace, read_log
-from softfin.task.references import Cell
 from softfin.task.task import TaskConfig
 from tests.plants import AnalyticFin, PlainFin
 from tests.surrogate.streaming import small as streaming

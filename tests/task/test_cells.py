@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from softfin.core.errors import ConfigurationError
+from softfin.gaits.reachable import Cell, bounding_box
 from softfin.task.cells import cells_of, check_cells, gap, lattice, overlap, range_of
-from softfin.task.references import PAPER_CELLS, PAPER_RANGE, Cell, bounding_box
+from softfin.task.references import PAPER_CELLS, PAPER_RANGE
 
 QUARTERS = lattice(2, 2, PAPER_RANGE)
 

@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import ConfigurationError
-from softfin.gaits.reachable import Reachable
-from softfin.task.references import PAPER_CELLS, PAPER_RANGE, PAPER_REFERENCES, Cell, bounding_box
-from softfin.task.task import References, stack_references
+from softfin.gaits.reachable import PAPER_REFERENCES, Cell, Reachable, bounding_box
+from softfin.task.references import PAPER_CELLS, PAPER_RANGE, References, stack_references
 
 
 def test_each_reference_of_the_paper_is_the_middle_of_its_cell_and_in_no_other() -> None:

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from softfin.task.reward import RewardConfig, RewardTerms, moving_average, sobolev_mean, sobolev_sum, window_error
+from softfin.core.sobolev import sobolev_mean, sobolev_sum
+from softfin.task.reward import RewardConfig, RewardTerms, moving_average, window_error
 
 FORCES = np.random.default_rng(0).normal(0, 4, (200, 2)).astype(np.float32)
 

@@ -14,7 +14,7 @@ from softfin.storage.artifact import load_description
 from softfin.task.notation import read_cells, read_range
 
 if TYPE_CHECKING:
-    from softfin.task.references import Cell
+    from softfin.gaits.reachable import Cell
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,8 +159,9 @@ def asked_seeds(first: int, text: str | None) -> tuple[int, ...]:
 
 def asked_cells(controller: str, cells: str | None, span: str | None) -> "tuple[Cell, ...] | None":
     """What ``--cells`` and ``--range`` ask for, one cell unless it is a grid; None where neither is given."""
+    from softfin.gaits.reachable import bounding_box
     from softfin.task.cells import cells_of, range_of
-    from softfin.task.references import PAPER_RANGE, bounding_box
+    from softfin.task.references import PAPER_RANGE
 
     within = PAPER_RANGE if span is None else range_of(span)
     if controller != "grid":

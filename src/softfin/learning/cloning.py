@@ -14,10 +14,11 @@ from pydantic import Field, PositiveFloat, PositiveInt
 from softfin.core.action_clock import CYCLE_ACTIONS, ticks_of
 from softfin.core.configuration import Configuration
 from softfin.core.plant import Ticks
-from softfin.gaits.gaits import GaitTable
+from softfin.gaits.gait import GaitTable
 from softfin.learning.lstm import Memory
 from softfin.learning.policy import Policy
-from softfin.task.task import ForceTracking, References, TaskState
+from softfin.task.references import References
+from softfin.task.task import ForceTracking, TaskState
 
 
 class CloningConfig(Configuration):

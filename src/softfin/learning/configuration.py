@@ -8,20 +8,20 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import NonNegativeFloat, PositiveInt, model_validator
 
+from softfin.control.grid import SwitchingConfig
 from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.choices import Algorithm, AlgorithmOption, PolicyLayout
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
 from softfin.core.plant import EnsemblePlant, Plant
-from softfin.gaits.force_map import ForceMap
-from softfin.gaits.reachable import Reachable
+from softfin.gaits.gait import ForceMap
+from softfin.gaits.reachable import Cell, Reachable, bounding_box
 from softfin.gaits.simulate import missing_gradient
 from softfin.learning.gradient import GradientConfig
 from softfin.learning.policy import PolicyConfig
 from softfin.learning.ppo import PPOConfig
 from softfin.task.cells import check_apart
-from softfin.task.references import PAPER_CELLS, PAPER_RANGE, Cell, bounding_box
-from softfin.task.switching import SwitchingConfig
+from softfin.task.references import PAPER_CELLS, PAPER_RANGE
 from softfin.task.task import TaskConfig
 
 EDGE_N = 1e-3
@@ -93,7 +93,7 @@ class TrainConfig(Configuration):
         """The lattice of references of each cell [N], each as the nearest force that the fin can make."""
         lattices = [cell.lattice(self.lattice) for cell in self.cells]
         if reachable is not None:
-            lattices = [tuple(map(reachable.nearest, lattice)) for lattice in lattices]
+            return reachable.nearest(lattices).astype(np.float32)
         return np.asarray(lattices, np.float32)
 
 
@@ -191,7 +191,7 @@ def _check_map(config: TrainConfig, force_map: ForceMap | None) -> None:
         )
     if force_map is None:
         return
-    table, (least, greatest) = force_map.found.table, force_map.reachable.box()
+    table, (least, greatest) = force_map.gaits.table, force_map.reachable.bounds()
     low, high = np.maximum(box.low, least), np.minimum(box.high, greatest)
     if (np.asarray(table.low) > low + EDGE_N).any() or (np.asarray(table.high) < high - EDGE_N).any():
         between = Cell(low=tuple(map(float, table.low)), high=tuple(map(float, table.high)))

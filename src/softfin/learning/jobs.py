@@ -22,7 +22,7 @@ from softfin.core.errors import ConfigurationError
 from softfin.core.plant import Plant
 from softfin.core.progress import Progress
 from softfin.core.quantities import Limits
-from softfin.gaits.force_map import ForceMap
+from softfin.gaits.gait import ForceMap
 from softfin.learning.configuration import TrainConfig, check
 from softfin.learning.engine import Engine, LocalEngine
 from softfin.learning.policy import Policy

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from softfin.core.quantities import AnyArray
 from softfin.learning.policy import ActorCritic, Policy
 from softfin.learning.rollout import EnvState
-from softfin.task.task import References
+from softfin.task.references import References
 
 Metrics: TypeAlias = dict[str, Float[AnyArray, "*agents"]]
 """Scalars of an update: ``loss``, ``error_x_n``, ``error_y_n`` [N], ``gradient_norm``, and others of the algorithm."""

@@ -19,7 +19,8 @@ from softfin.learning.learner import AgentState, Metrics, clipped_adam
 from softfin.learning.lstm import Memory
 from softfin.learning.policy import ActorCritic, Critic, Policy, PolicyConfig
 from softfin.learning.rollout import Rollout, collect, start_episodes
-from softfin.task.task import ForceTracking, References
+from softfin.task.references import References
+from softfin.task.task import ForceTracking
 
 RECENT_UPDATES = 4
 """Rollouts over which values are normalised: values rise as the policy learns."""

@@ -14,13 +14,13 @@ from softfin.core.errors import ConfigurationError
 from softfin.core.plant import Plant
 from softfin.core.progress import Progress
 from softfin.core.quantities import AnyArray
+from softfin.gaits.reachable import Cell
 from softfin.learning.configuration import TrainConfig
 from softfin.learning.policy import Policy
 from softfin.learning.run import TrainingResult
 from softfin.learning.train import train
 from softfin.storage.run_directory import Workspace
 from softfin.task.cells import lattice
-from softfin.task.references import Cell
 
 
 class RefinedGrid(NamedTuple):

@@ -16,8 +16,9 @@ from softfin.core.plant import EnsemblePlant, Ticks, counted
 from softfin.core.quantities import AnyArray
 from softfin.learning.lstm import Memory, cleared
 from softfin.learning.policy import Policy
+from softfin.task.references import References
 from softfin.task.reward import moving_average
-from softfin.task.task import ForceTracking, References, TaskState
+from softfin.task.task import ForceTracking, TaskState
 
 
 class EnvState(NamedTuple):

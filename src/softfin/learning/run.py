@@ -21,15 +21,15 @@ from softfin.core.plant import EnsemblePlant, Plant, State
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import AXES, Command, Limits, Reading
 from softfin.core.randomness import key_of
-from softfin.gaits.force_map import ForceMap
-from softfin.gaits.gaits import GaitTable
+from softfin.gaits.gait import ForceMap, GaitTable
 from softfin.learning.configuration import TrainConfig
 from softfin.learning.gradient import Gradient, GradientConfig
 from softfin.learning.learner import AgentState, Learner, Metrics
 from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.ppo import PPO, PPOConfig
 from softfin.learning.rollout import PolicyEvaluation, evaluate_policy
-from softfin.task.task import ForceTracking, References, TaskConfig, stack_references
+from softfin.task.references import References, stack_references
+from softfin.task.task import ForceTracking, TaskConfig
 
 Tree = TypeVar("Tree")
 
@@ -140,7 +140,7 @@ class TrainingRun:
         self.agents = [(seed, index) for seed in seeds for index in range(len(config.cells))]
         self.force_map = force_map
         self.reachable = None if force_map is None else force_map.reachable
-        table = force_map.found.table if force_map is not None and config.begins_as_gaits else None
+        table = force_map.gaits.table if force_map is not None and config.begins_as_gaits else None
         self.given = ProgramInputs(jit_argument(plant), table)
         self.programs = programs_of(config.learning, config.policy, config.task, config.ensemble, config.num_updates)
         self.references = jnp.asarray(np.tile(config.evaluation_references(self.reachable), (len(seeds), 1, 1)))

@@ -13,14 +13,14 @@ import numpy as np
 
 from softfin.core.plant import Plant
 from softfin.core.progress import Progress
-from softfin.gaits.force_map import ForceMap, empty_map, map_forces
-from softfin.gaits.reachable import Reachable
+from softfin.gaits.force_map import empty_map, map_forces
+from softfin.gaits.gait import ForceMap
+from softfin.gaits.reachable import Reachable, bounding_box
 from softfin.learning.configuration import TrainConfig, check
 from softfin.learning.figure import SHARED
 from softfin.learning.policy import Policy
 from softfin.learning.run import TrainingResult, TrainingRun, keep_best, summary, with_keys, without_keys
 from softfin.storage.run_directory import Workspace
-from softfin.task.references import bounding_box
 
 
 def train(

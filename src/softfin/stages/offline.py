@@ -9,8 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from softfin.control.range import admitted
-from softfin.control.store import load_controller, save_controller, save_gaits
+from softfin.control.references import resolve_reference
+from softfin.control.store import load_controller, save_gaits
 from softfin.core.choices import EngineName, Split
 from softfin.core.errors import ArtifactError, ConfigurationError, PlantError
 from softfin.core.plant import EnsemblePlant, Plant
@@ -36,9 +36,10 @@ from softfin.evaluation.view.view import draw, footage_of, title_of
 from softfin.gaits.figure import write_map
 from softfin.gaits.force_map import MapConfig, check_star
 from softfin.gaits.force_map import map_forces as _map_forces
-from softfin.gaits.known import known_of
-from softfin.gaits.map_store import described
+from softfin.gaits.map_store import load_force_map
+from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.learning.configuration import TrainConfig, check, choose_preset
+from softfin.learning.controllers import save_controller
 from softfin.learning.figure import REFINED, write_learning
 from softfin.learning.jobs import default_split, find_engine, train_jobs
 from softfin.learning.refine import check_refinable, train_refined
@@ -70,7 +71,7 @@ from softfin.tank.calibration.calibrate import calibrate as _calibrate
 from softfin.tank.calibration.config import CalibrateConfig
 from softfin.tank.calibration.material import material
 from softfin.tank.calibration.report import write_calibration
-from softfin.task.references import PAPER_RANGE, PAPER_REFERENCES
+from softfin.task.references import PAPER_RANGE
 
 """Called with what is going on, how much of it is done (0 .. 1), and the newest figures."""
 
@@ -323,10 +324,10 @@ def map_forces(
     moving = find_plant(plant) if isinstance(plant, str) else plant
     known = _map_forces(moving, config, None if progress is None else partial(progress, "map"))
     write_map(out, known, config, Limits(*map(float, moving.limits)), _origin(plant, moving), overwrite)
-    missed, star = known.found.missed(), check_star(known, config.tolerance_n)
+    missed, star = known.gaits.force_error(), check_star(known, config.tolerance_n)
     return {
         "map": str(out),
-        "box_n": known.reachable.box(),
+        "box_n": known.reachable.bounds(),
         "area_n2": known.reachable.area(),
         "nodes": missed.size,
         "held": int((missed <= config.tolerance_n).sum()),
@@ -355,7 +356,8 @@ def find_gaits(
         config = config or MapConfig(box=PAPER_RANGE)
         found = _map_forces(moving, config, None if progress is None else partial(progress, "gaits"))
     elif config is None:
-        found, config = known_of(known, moving, _named(plant))
+        loaded = load_force_map(known, moving, _named(plant))
+        found, config = loaded.force_map, loaded.config
     else:
         raise ConfigurationError(f"map {known}: its lattice is made; give no configuration or range beside it")
     origin = _origin(plant, moving, **({} if known is None else {"map": str(known)}))
@@ -401,7 +403,7 @@ def train(
     if config is None:
         config, reason = choose_preset(moving)
     check_refinable(config, refine)
-    can = None if known is None else known_of(known, moving, _named(plant)).found
+    can = None if known is None else load_force_map(known, moving, _named(plant)).force_map
     origin, learnt = _origin(plant, moving, **({} if known is None else {"map": str(known)})), learnt_from(plant)
     origin["algorithm"] = reason or f"{config.algorithm}, as configured"
     facts = {
@@ -410,7 +412,7 @@ def train(
         "plant": origin["plant_identity"],
         "split": split,
         "refine": refine,
-        "map": None if can is None else described(can),
+        "map": None if can is None else can.to_dict(),
     }
     check(moving, config, seeds, can)
     workspace = Workspace(out, facts, resume, overwrite)
@@ -494,7 +496,7 @@ def view(
         raise ConfigurationError("random commands and a controller at once; give one of them")
     warnings: list[str] = []
     if controller is not None and holding is not None and reference is not None:
-        pairs = [admitted(holding, asked, strict=False) for asked in (reference, *config.then)]
+        pairs = [resolve_reference(holding, asked, strict=False) for asked in (reference, *config.then)]
         reference, *following = (force for force, _ in pairs)
         config = config.merged({"then": following}, "view")
         warnings = [said for _, said in pairs if said is not None]

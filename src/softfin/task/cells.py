@@ -15,8 +15,9 @@ from jaxtyping import Float
 
 from softfin.core.configuration import Configuration, read_yaml
 from softfin.core.errors import ConfigurationError
+from softfin.gaits.reachable import Cell, bounding_box
 from softfin.task.notation import read_cells, read_range
-from softfin.task.references import PAPER_CELLS, Cell, bounding_box
+from softfin.task.references import PAPER_CELLS
 
 TOLERANCE_N = 1e-6
 """Edges nearer than this are the same edge."""

@@ -9,14 +9,12 @@ from types import MappingProxyType
 from typing import Literal, NamedTuple, TypeAlias
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 from pydantic import NonNegativeFloat
 
 from softfin.core.configuration import Configuration
+from softfin.core.sobolev import Count, Forces, PerAxis, sobolev_mean, sobolev_sum
 
-Forces: TypeAlias = Float[Array, "n 2"]
-Count: TypeAlias = Int[Array, ""]
-PerAxis: TypeAlias = Float[Array, "2"]
 Smoothness: TypeAlias = Callable[[Forces, Count], PerAxis]
 
 
@@ -64,16 +62,6 @@ def window_error(forces: Forces, count: Count, reference: PerAxis) -> PerAxis:
     return jnp.abs(window_mean(forces, count) - reference)
 
 
-def sobolev_sum(forces: Forces, count: Count) -> PerAxis:
-    """The paper's form, sqrt(sum_i |F_{i+1} - F_i|^2) [N]: it grows with the root of the window's length."""
-    return _root(_squared_steps(forces, count))
-
-
-def sobolev_mean(forces: Forces, count: Count) -> PerAxis:
-    """The published code's form, sqrt(mean_i |F_{i+1} - F_i|^2) [N]: it does not depend on the window's length."""
-    return _root(_squared_steps(forces, count) / jnp.maximum(count - 1, 1))
-
-
 SMOOTHNESS: Mapping[str, Smoothness] = MappingProxyType({"sum": sobolev_sum, "mean": sobolev_mean})
 """The two forms of the Sobolev term by name."""
 
@@ -82,15 +70,3 @@ def moving_average(forces: Float[Array, "samples 2"], window: int) -> Float[Arra
     """Mean force over every whole window of a series [N]; the first ends with sample ``window - 1``."""
     total = jnp.concatenate([jnp.zeros((1, 2)), jnp.cumsum(forces, axis=0)])
     return (total[window:] - total[:-window]) / window
-
-
-def _squared_steps(forces: Forces, count: Count) -> PerAxis:
-    """sum_i |F_{i+1} - F_i|^2 over the pairs of which both samples count."""
-    counts = jnp.arange(len(forces) - 1) >= len(forces) - count
-    return jnp.where(counts[:, None], jnp.diff(forces, axis=0) ** 2, 0).sum(axis=0)
-
-
-def _root(square: PerAxis) -> PerAxis:
-    """The square root with slope 0 at 0: a fin at rest makes no force, and sqrt's slope there is infinite."""
-    moves = square > 0
-    return jnp.where(moves, jnp.sqrt(jnp.where(moves, square, 1)), 0)

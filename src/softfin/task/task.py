@@ -7,9 +7,8 @@ Actions follow one another on the 33/33/34 clock. How long one is held is a valu
 holds the task once: all actions have 34 rows, and the last one of a shorter action does not count.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,8 +19,8 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 from softfin.core.action_clock import CYCLE_ACTIONS, MOST_TICKS
 from softfin.core.configuration import Configuration
 from softfin.core.plant import EnsemblePlant, Plant, State, Ticks, hold_action, mean_of, repeat, rest_command
-from softfin.core.quantities import AnyArray, Command, Limits, Reading
-from softfin.task.references import Cell
+from softfin.core.quantities import Command, Limits, Reading, command_of
+from softfin.task.references import References
 from softfin.task.reward import SMOOTHNESS, RewardConfig, RewardTerms, window_error, window_mean
 
 Action = Float[Array, "2"]
@@ -67,45 +66,6 @@ class TaskConfig(Configuration):
     def observations(self) -> int:
         """Size of an observation."""
         return 3 + 2 * (1 + self.past_actions) + 2 * self.phase
-
-
-@runtime_checkable
-class Region(Protocol):
-    """The mean forces that a fin can make; a pytree."""
-
-    def pulled(self, force: Float[AnyArray, "2"]) -> Float[Array, "2"]:
-        """The force, or one on the edge in its place; traceable."""
-        ...
-
-
-class References(NamedTuple):
-    """A box from which references are drawn, as arrays: one program serves many boxes."""
-
-    low: Float[Array, "*stack 2"]
-    high: Float[Array, "*stack 2"]
-    reachable: Region | None = None
-    """Mean forces that the fin can make, where these are known."""
-
-    @classmethod
-    def of(cls, cell: Cell, reachable: Region | None = None) -> "References":
-        """The references of a cell."""
-        return cls(jnp.asarray(cell.low, jnp.float32), jnp.asarray(cell.high, jnp.float32), reachable)
-
-    def draw(self, key: PRNGKeyArray) -> Float[Array, "2"]:
-        """One reference, uniform over the box."""
-        return self.at(jax.random.uniform(key, (2,)))
-
-    def at(self, place: Float[Array, "2"]) -> Float[Array, "2"]:
-        """The reference at (0 to 1, 0 to 1) of the box; beyond the fin's reach, the one on the edge of the reach."""
-        reference = self.low + place * (self.high - self.low)
-        return reference if self.reachable is None else self.reachable.pulled(reference)
-
-
-def stack_references(cells: Sequence[Cell], reachable: Region | None = None) -> References:
-    """The references of many cells, along a leading axis; all of one fin."""
-    each = [References.of(cell, jax.tree.map(jnp.asarray, reachable)) for cell in cells]
-    stacked: References = jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
-    return stacked
 
 
 class TaskState(NamedTuple):
@@ -258,15 +218,6 @@ def observation(
         turn = 2 * jnp.pi * (age % CYCLE_ACTIONS) / CYCLE_ACTIONS
         parts.append(jnp.stack([jnp.sin(turn), jnp.cos(turn)]))
     return jnp.concatenate(parts)
-
-
-def command_of(limits: Limits, action: Action) -> Command:
-    """The command of an action: [-1, 1]^2 onto the plant's limits."""
-    part = (action + 1) / 2
-    return Command(
-        limits.angle_min + part[0] * (limits.angle_max - limits.angle_min),
-        limits.velocity_min + part[1] * (limits.velocity_max - limits.velocity_min),
-    )
 
 
 def action_of(limits: Limits, command: Command) -> Action:

@@ -32,8 +32,8 @@ from softfin.evaluation.baselines.recurrent import run_recurrent, trained
 from softfin.evaluation.baselines.sine import Sine, commanded
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, Reference
 from softfin.evaluation.paper import REFERENCES
+from softfin.gaits.reachable import Cell, bounding_box
 from softfin.storage import artifact as artifacts
-from softfin.task.references import Cell, bounding_box
 from softfin.task.task import TaskConfig
 
 KIND = "baselines"

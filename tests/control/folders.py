@@ -6,14 +6,15 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from softfin.control.store import save_controller, save_gaits
+from softfin.control.grid import SwitchingConfig
+from softfin.control.store import save_gaits
 from softfin.core.quantities import PAPER_LIMITS
 from softfin.gaits.force_map import MapConfig
 from softfin.learning.configuration import GRID, SINGLE, TrainConfig
+from softfin.learning.controllers import save_controller
 from softfin.learning.normalisation import Normalisation
 from softfin.learning.policy import Policy
 from softfin.learning.run import TrainingResult
-from softfin.task.switching import SwitchingConfig
 from tests.control.test_controllers import SIZE, untrained
 from tests.gaits.test_map_store import KNOWN
 
@@ -41,7 +42,7 @@ def trained(kind: str) -> TrainingResult:
         switching = SwitchingConfig(replay=False, fade_actions=0, margin_n=0)
         return _normalised(untrained(GRID.model_copy(update={"switching": switching})))
     run = _phased(GRID)
-    return run._replace(known=KNOWN)
+    return run._replace(force_map=KNOWN)
 
 
 def _phased(config: TrainConfig) -> TrainingResult:
