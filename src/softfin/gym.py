@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from softfin.control.policy import ANGLE_SCALE_RAD
 from softfin.core.action_clock import ACTION_RATE_HZ, ACTION_TICKS
 from softfin.core.errors import InputError
 from softfin.core.gym_registration import ID
@@ -22,7 +23,7 @@ from softfin.core.quantities import AXES, command_of
 from softfin.gaits.reachable import Cell
 from softfin.storage.registry import find_plant
 from softfin.task.references import PAPER_RANGE, References
-from softfin.task.task import ANGLE_SCALE_RAD, ForceTracking, TaskConfig, TaskState
+from softfin.task.task import ForceTracking, TaskConfig, TaskState
 
 if TYPE_CHECKING:
     from softfin.evaluation.view.episode import EpisodeFilm

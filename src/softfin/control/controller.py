@@ -55,7 +55,7 @@ class Controller(Protocol):
 
 
 @runtime_checkable
-class Step(Protocol):
+class ControllerStep(Protocol):
     """One action of a kind of controller, written in `Operations`."""
 
     kind: str
@@ -106,7 +106,7 @@ STATIC: Mapping[str, bool] = MappingProxyType({"static": True})
 class LoadedController:
     """A controller of any kind; meets the Controller contract."""
 
-    step: Step
+    step: ControllerStep
     limits: Limits = dataclasses.field(metadata=STATIC)
     """Limits of the plant that it was trained in, which its commands keep."""
     cells: tuple[Cell, ...] = dataclasses.field(metadata=STATIC)

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field, NonNegativeFloat, PositiveFloat
 
 from softfin.control.controller import STATIC
-from softfin.control.policy import Memory, Network, Observation, fold, rest_action
+from softfin.control.policy import Observation, PolicyMemory, PolicyNetwork, fold, rest_action
 from softfin.core.action_clock import CYCLE_ACTIONS
 from softfin.core.configuration import Configuration
 from softfin.core.operations import Array, Number, Operations
@@ -61,7 +61,7 @@ class GridStep:
     """Step of a grid of policies."""
 
     kind: ClassVar[str] = "grid"
-    networks: Network
+    networks: PolicyNetwork
     """Networks with a leading axis of cells."""
     low: Array
     """Lower corners of the cells ``(cells, 2)`` [N]."""
@@ -101,12 +101,12 @@ class GridStep:
         xp, reference = ops.xp, now[1:]
         active_cell = self.active_cell(ops, state, reference)
         switched = (active_cell != state.active_cell) & (state.age > 0)
-        network = Network(*(ops.row(ops.constant(part), active_cell) for part in self.networks))
-        memory = Memory(
+        network = PolicyNetwork(*(ops.row(ops.constant(part), active_cell) for part in self.networks))
+        memory = PolicyMemory(
             *ops.choose(
                 switched,
                 lambda: self._warm_up_memory(ops, network, state, reference),
-                lambda: Memory(state.hidden, state.cell),
+                lambda: PolicyMemory(state.hidden, state.cell),
             )
         )
         memory = network.remember(ops, memory, self.observation.observe(ops, now, state.actions, state.age))
@@ -135,18 +135,26 @@ class GridStep:
         stays = (state.age > 0) & (ops.row(distance, state.active_cell) <= reach)
         return ops.choose(stays, lambda: state.active_cell, lambda: nearest)
 
-    def _warm_up_memory(self, ops: Operations, network: Network, state: GridState, reference: Array) -> Memory:
+    def _warm_up_memory(
+        self, ops: Operations, network: PolicyNetwork, state: GridState, reference: Array
+    ) -> PolicyMemory:
         """Replay the last cycle, or as much of it as there was, as if the reference had long been this one."""
-        memory = empty = Memory(*map(ops.constant, network.empty()))
+        memory = empty = PolicyMemory(*map(ops.constant, network.empty()))
         if self.switching.replay:
             for ago in range(CYCLE_ACTIONS, 0, -1):
                 again = partial(self._replay, ops, network, state, reference, memory, ago)
-                memory = Memory(*ops.choose(state.age >= ago, again, lambda: empty))
+                memory = PolicyMemory(*ops.choose(state.age >= ago, again, lambda: empty))
         return memory
 
     def _replay(
-        self, ops: Operations, network: Network, state: GridState, reference: Array, memory: Memory, ago: int
-    ) -> Memory:
+        self,
+        ops: Operations,
+        network: PolicyNetwork,
+        state: GridState,
+        reference: Array,
+        memory: PolicyMemory,
+        ago: int,
+    ) -> PolicyMemory:
         """Do one step of the LSTM on the observation of so many actions ago."""
         now = ops.xp.concat([state.angles[ago - 1 : ago], reference])
         return network.remember(

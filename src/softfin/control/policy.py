@@ -27,8 +27,8 @@ ANGLE_SCALE_RAD = np.pi / 2
 LEAST_DEVIATION = 0.1
 """Observations that hardly varied in training are divided by this."""
 
-_TURN = 2 * np.pi * np.arange(CYCLE_ACTIONS) / CYCLE_ACTIONS
-PHASES = np.stack([np.sin(_TURN), np.cos(_TURN)], axis=1).astype(np.float32)
+_TURN = np.arange(CYCLE_ACTIONS, dtype=np.float32) * np.float32(2 * np.pi / CYCLE_ACTIONS)
+PHASES = np.stack([np.sin(_TURN), np.cos(_TURN)], axis=1)
 """Sine and cosine of the clock's phase at each of the six actions."""
 
 
@@ -61,14 +61,14 @@ class Observation(pydantic.BaseModel, frozen=True):
         return ops.xp.concat(parts)
 
 
-class Memory(NamedTuple):
+class PolicyMemory(NamedTuple):
     """State of an LSTM."""
 
     hidden: Array
     cell: Array
 
 
-class Network(NamedTuple):
+class PolicyNetwork(NamedTuple):
     """Weights as they are used: gates in the order input, forget, output, cell; those of a grid have a leading axis."""
 
     kernel: Array
@@ -79,27 +79,27 @@ class Network(NamedTuple):
     output: Array
     output_bias: Array
 
-    def empty(self) -> Memory:
+    def empty(self) -> PolicyMemory:
         """Return the memory before the first step."""
         units = int(self.bias.shape[-1]) // 4
-        return Memory(np.zeros(units, np.float32), np.zeros(units, np.float32))
+        return PolicyMemory(np.zeros(units, np.float32), np.zeros(units, np.float32))
 
-    def remember(self, ops: Operations, memory: Memory, observation: Array) -> Memory:
+    def remember(self, ops: Operations, memory: PolicyMemory, observation: Array) -> PolicyMemory:
         """Do one step of the LSTM."""
         xp, units = ops.xp, self.bias.shape[-1] // 4
         gates = xp.tanh(ops.dot(xp.concat([observation, memory.hidden]), self.kernel) + self.bias)
         opened = 0.5 * gates[: 3 * units] + 0.5
         cell = opened[units : 2 * units] * memory.cell + opened[:units] * gates[3 * units :]
-        return Memory(opened[2 * units :] * xp.tanh(cell), cell)
+        return PolicyMemory(opened[2 * units :] * xp.tanh(cell), cell)
 
-    def action(self, ops: Operations, memory: Memory) -> Array:
+    def action(self, ops: Operations, memory: PolicyMemory) -> Array:
         """Compute the deterministic action in [-1, 1]^2."""
         tanh = ops.xp.tanh
         inner = tanh(ops.dot(memory.hidden, self.hidden) + self.hidden_bias)
         return tanh(ops.dot(inner, self.output) + self.output_bias)
 
 
-def fold(arrays: Mapping[str, np.ndarray], observation: Observation, stack: tuple[int, ...] = ()) -> Network:
+def fold(arrays: Mapping[str, np.ndarray], observation: Observation, stack: tuple[int, ...] = ()) -> PolicyNetwork:
     """Build a network from a trained policy's named arrays, or from policies stacked along a leading axis.
 
     Raises ValueError where arrays are missing, unknown or have another shape.
@@ -132,7 +132,7 @@ def fold(arrays: Mapping[str, np.ndarray], observation: Observation, stack: tupl
         i, f, g, o = (weights[..., k * units : (k + 1) * units] for k in range(4))
         return np.ascontiguousarray(np.concatenate([i / 2, f / 2, o / 2, g], axis=-1), np.float32)
 
-    return Network(
+    return PolicyNetwork(
         gates(np.concatenate([normalised / observation.units()[:, None], recurrent], axis=-2)),
         gates(bias),
         *(arrays[f"net.{layer}.{part}"] for layer in ("hidden", "output") for part in ("kernel", "bias")),

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from softfin.control.controller import STATIC
-from softfin.control.policy import Memory, Network, Observation, fold, rest_action
+from softfin.control.policy import Observation, PolicyMemory, PolicyNetwork, fold, rest_action
 from softfin.core.operations import Array, Number, Operations
 from softfin.core.quantities import Limits
 from softfin.gaits.reachable import Cell
@@ -29,7 +29,7 @@ class SingleStep:
     """Step of a single policy."""
 
     kind: ClassVar[str] = "single"
-    network: Network
+    network: PolicyNetwork
     rest: tuple[float, float] = field(metadata=STATIC)
     """Action of a fin that stays where it is."""
     observation: Observation = field(metadata=STATIC)
@@ -52,8 +52,8 @@ class SingleStep:
 
     def act(self, ops: Operations, state: SingleState, now: Array) -> tuple[SingleState, Array]:
         """Compute the policy's deterministic action."""
-        network = Network(*map(ops.constant, self.network))
+        network = PolicyNetwork(*map(ops.constant, self.network))
         observation = self.observation.observe(ops, now, state.actions, state.age)
-        memory = network.remember(ops, Memory(state.hidden, state.cell), observation)
+        memory = network.remember(ops, PolicyMemory(state.hidden, state.cell), observation)
         action = network.action(ops, memory)
         return SingleState(*memory, ops.xp.concat([action, state.actions[:-2]]), state.age + 1), action

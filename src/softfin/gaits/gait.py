@@ -38,9 +38,8 @@ class GaitTable(NamedTuple):
         x, i = self._place(ops, reference[0], 0)
         y, j = self._place(ops, reference[1], 1)
         node = i * rows + j
-        blend = (1 - x) * ((1 - y) * ops.row(table, node) + y * ops.row(table, node + 1)) + x * (
-            (1 - y) * ops.row(table, node + rows) + y * ops.row(table, node + rows + 1)
-        )
+        blend = (1 - x) * (1 - y) * ops.row(table, node) + (1 - x) * y * ops.row(table, node + 1)
+        blend = blend + x * (1 - y) * ops.row(table, node + rows) + x * y * ops.row(table, node + rows + 1)
         return ops.xp.reshape(blend, (CYCLE_ACTIONS, 2))
 
     def references(self) -> Float[np.ndarray, "x y 2"]:

@@ -12,12 +12,13 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
-from softfin.core.action_clock import CYCLE_ACTIONS, MOST_TICKS
+from softfin.control.policy import Observation
+from softfin.core.action_clock import MOST_TICKS
 from softfin.core.configuration import Configuration
+from softfin.core.operations import JAX
 from softfin.core.plant import EnsemblePlant, Plant, State, Ticks, hold_action, mean_of, repeat, rest_command
 from softfin.core.quantities import Command, Limits, Reading, command_of
 from softfin.task.references import References
@@ -25,8 +26,6 @@ from softfin.task.reward import SMOOTHNESS, RewardConfig, RewardTerms, window_er
 
 Action = Float[Array, "2"]
 """(angle, velocity) normalised to [-1, 1], the plant's limits."""
-
-ANGLE_SCALE_RAD = np.pi / 2
 
 FORCE_BLOCKS = 8
 """Parts of the window whose mean forces the critic observes, which shows what forces are about to leave the window."""
@@ -65,7 +64,7 @@ class TaskConfig(Configuration):
     @property
     def observations(self) -> int:
         """Size of an observation."""
-        return 3 + 2 * (1 + self.past_actions) + 2 * self.phase
+        return Observation(past_actions=self.past_actions, phase=self.phase).size
 
 
 class TaskState(NamedTuple):
@@ -209,15 +208,13 @@ def observation(
     actions: Float[Array, "remembered 2"],
     age: Int[Array, ""],
 ) -> Float[Array, "observations"]:
-    """[angle, reference x, reference y, A_t, A_t-1, .. A_t-k], in units of `ANGLE_SCALE_RAD` and `force_scale_n`.
+    """[angle, reference x, reference y, A_t, A_t-1, .. A_t-k], in units of 90 degrees and `force_scale_n`.
 
     With `config.phase`, sine and cosine of the phase follow, which is 0 at every sixth action, `age` counted from 0.
     """
-    parts = [angle[None] / ANGLE_SCALE_RAD, reference / config.force_scale_n, actions.reshape(-1)]
-    if config.phase:
-        turn = 2 * jnp.pi * (age % CYCLE_ACTIONS) / CYCLE_ACTIONS
-        parts.append(jnp.stack([jnp.sin(turn), jnp.cos(turn)]))
-    return jnp.concatenate(parts)
+    part = Observation(past_actions=config.past_actions, phase=config.phase, force_scale_n=config.force_scale_n)
+    now = jnp.concatenate([angle[None], reference])
+    return jnp.asarray(part.observe(JAX, now, actions.reshape(-1), age) / part.units())
 
 
 def action_of(limits: Limits, command: Command) -> Action:
