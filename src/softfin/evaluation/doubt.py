@@ -15,8 +15,8 @@ from jaxtyping import Array, Float
 from softfin.core.plant import EnsemblePlant, State
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import AXES, Command
+from softfin.core.window import moving_average
 from softfin.evaluation.experiment import Recording, Subject
-from softfin.evaluation.scores import moving_average
 
 
 class Doubt(NamedTuple):
