@@ -24,10 +24,11 @@ from softfin.core.quantities import PAPER_LIMITS
 from softfin.gaits.force_map import MapConfig
 from softfin.gaits.gait import ForceMap, GaitSearchResult, Lattice
 from softfin.gaits.reachable import Reachable
+from softfin.learning.configuration import GRID, SINGLE, TrainConfig
 from softfin.learning.controllers import save_controller
 from softfin.learning.policy import Policy, PolicyConfig
-from softfin.learning.score import Score
-from softfin.learning.train import GRID, SINGLE, TrainConfig, Trained
+from softfin.learning.rollout import PolicyEvaluation
+from softfin.learning.run import TrainingResult
 from softfin.task.cells import lattice
 from softfin.task.references import PAPER_RANGE
 
@@ -69,7 +70,8 @@ def write_policies(folder: Path, config: TrainConfig, units: int) -> None:
     keys = jax.random.split(jax.random.key(0), (1, len(config.cells)))
     policies = jax.vmap(jax.vmap(lambda key: Policy.create(key, size, config.task.observations)))(keys)
     nothing = jnp.zeros((1, len(config.cells), config.lattice**2, 2))
-    save_controller(folder, Trained(config, PAPER_LIMITS, (0,), policies, Score(nothing, nothing)), 0, {})
+    evaluation = PolicyEvaluation(nothing, nothing)
+    save_controller(folder, TrainingResult(config, PAPER_LIMITS, (0,), policies, evaluation), 0, {})
 
 
 def write_gaits(folder: Path) -> None:

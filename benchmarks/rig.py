@@ -59,7 +59,7 @@ def main() -> list[dict[str, Any]]:
 def _controller(folder: Path) -> LoadedController:
     """An LSTM of 64 with random weights; speed does not depend on them."""
     from benchmarks.controller_step import write_policies
-    from softfin.learning.train import SINGLE
+    from softfin.learning.configuration import SINGLE
 
     write_policies(folder / "controller", SINGLE, 64)
     return load_controller(folder / "controller")

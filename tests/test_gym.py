@@ -91,7 +91,7 @@ def test_rendering_where_nothing_can_be_drawn_is_refused(make: Callable[..., gym
         env.render()
     with pytest.raises(InputError, match="render before reset; call reset first"):
         make(render_mode="rgb_array").unwrapped.render()
-    with pytest.raises(InputError, match="render_mode 'ansi'; there is 'rgb_array', or None"):
+    with pytest.raises(InputError, match="render_mode 'ansi'; give 'rgb_array' or None"):
         ForceTrackingEnv(AnalyticFin(), render_mode="ansi")
 
 

@@ -18,11 +18,12 @@ from softfin.core.errors import ArtifactError, CoverageError
 from softfin.core.operations import NUMPY
 from softfin.core.quantities import PAPER_LIMITS, command_of
 from softfin.gaits.reachable import PAPER_REFERENCES, Cell
+from softfin.learning.configuration import GRID, SINGLE, TrainConfig
 from softfin.learning.controllers import controller_of, save_controller
 from softfin.learning.policy import Policy, PolicyConfig
-from softfin.learning.score import Score
-from softfin.learning.train import GRID, SINGLE, TrainConfig, Trained
-from softfin.task.references import references_in
+from softfin.learning.rollout import PolicyEvaluation
+from softfin.learning.run import TrainingResult
+from softfin.task.references import References
 from softfin.task.task import ForceTracking
 from tests.plants import AnalyticFin
 
@@ -30,7 +31,7 @@ SIZE = PolicyConfig(units=8, width=8)
 SEEDS = (3, 5)
 
 
-def untrained(config: TrainConfig) -> Trained:
+def untrained(config: TrainConfig) -> TrainingResult:
     """As if trained: loud random policies."""
     config = config.model_copy(update={"policy": SIZE})
     cells, points = len(config.cells), config.lattice**2
@@ -38,14 +39,16 @@ def untrained(config: TrainConfig) -> Trained:
     policies = jax.jit(jax.vmap(jax.vmap(lambda key: Policy.create(key, SIZE, 11))))(keys)
     loud = jax.tree.map(lambda x: jnp.asarray(3 * np.asarray(x)), policies)
     shape = (len(SEEDS), cells, points, 2)
-    return Trained(config, PAPER_LIMITS, SEEDS, loud, Score(jnp.full(shape, 0.25), jnp.full(shape, 0.5)))
+    return TrainingResult(
+        config, PAPER_LIMITS, SEEDS, loud, PolicyEvaluation(jnp.full(shape, 0.25), jnp.full(shape, 0.5))
+    )
 
 
 GRID_RUN, SINGLE_RUN = untrained(GRID), untrained(SINGLE)
 
 
 @pytest.fixture(params=[SINGLE_RUN, GRID_RUN], ids=["single", "grid"])
-def run(request: pytest.FixtureRequest) -> Trained:
+def run(request: pytest.FixtureRequest) -> TrainingResult:
     return request.param
 
 
@@ -58,7 +61,7 @@ def commands(controller: Controller, references: Any, angles: Any) -> np.ndarray
     return np.asarray(jax.jit(lambda a, r: jax.lax.scan(act, controller.init(), (a, r)))(angles, references)[1])
 
 
-def test_controllers_meet_the_contract(run: Trained) -> None:
+def test_controllers_meet_the_contract(run: TrainingResult) -> None:
     assert isinstance(controller_of(run, 3), Controller)
 
 
@@ -68,7 +71,7 @@ def test_a_controller_acts_as_its_policy_does_in_the_task() -> None:
     act, step = jax.jit(lambda *now: controller.act(*now)), jax.jit(task.step)
     for index, reference in enumerate(PAPER_REFERENCES[:3]):
         policy = jax.tree.map(lambda leaf, i=index: leaf[1, i], GRID_RUN.policies)
-        at = references_in(Cell(low=reference, high=reference))
+        at = References.of(Cell(low=reference, high=reference))
         fin, state, memory = task.reset(jax.random.key(0), at), controller.init(), policy.init()
         for i in range(4):
             memory, action = policy.act(memory, task.observe(fin))
@@ -102,12 +105,12 @@ def test_a_reference_outside_is_refused_with_the_nearest_cell() -> None:
         controller_of(SINGLE_RUN, 3).check((5.0, 0.0))
 
 
-def test_every_reference_of_the_paper_is_covered(run: Trained) -> None:
+def test_every_reference_of_the_paper_is_covered(run: TrainingResult) -> None:
     for x, y in PAPER_REFERENCES:
         controller_of(run, 3).check((float(x), float(y)))
 
 
-def test_a_controller_comes_back_from_its_folder(run: Trained, tmp_path: Path) -> None:
+def test_a_controller_comes_back_from_its_folder(run: TrainingResult, tmp_path: Path) -> None:
     save_controller(tmp_path / "c", run, 5, {"seed": 5})
     again = load_controller(tmp_path / "c")
     references = jnp.asarray([[1, -1], [2, 0], [2, 0], [2, 1]], jnp.float32)
@@ -119,7 +122,7 @@ def test_a_controller_comes_back_from_its_folder(run: Trained, tmp_path: Path) -
         again.check((9.0, 9.0))
 
 
-def test_the_folder_describes_itself(run: Trained, tmp_path: Path) -> None:
+def test_the_folder_describes_itself(run: TrainingResult, tmp_path: Path) -> None:
     save_controller(tmp_path / "c", run, 5, {"seed": 5}, _note)
     description = json.loads((tmp_path / "c" / "controller.json").read_text())
     assert description["kind"] == "controller"

@@ -7,7 +7,7 @@ import pytest
 
 from softfin.control.store import load_controller
 from softfin.core.quantities import Command, Log, Reading
-from softfin.learning.train import SINGLE
+from softfin.learning.configuration import SINGLE
 from softfin.stages import offline as stages
 from softfin.storage.dataset import write_dataset
 from softfin.surrogate import save_surrogate

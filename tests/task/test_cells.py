@@ -50,7 +50,7 @@ def test_paper_is_the_six_cells_round_the_papers_references() -> None:
     assert cells_of("paper", Cell(low=(0, 0), high=(9, 9))) == PAPER_CELLS
 
 
-def test_the_papers_cells_touch_and_leave_a_third_of_their_least_box() -> None:
+def test_the_papers_cells_touch_and_leave_a_third_of_their_bounding_box() -> None:
     found = gap(PAPER_CELLS)
     assert found is not None
     assert found[1] == pytest.approx(3.0)
@@ -79,7 +79,7 @@ def test_a_file_may_leave_gaps_where_it_says_so(tmp_path: Path) -> None:
     with pytest.raises(
         ConfigurationError,
         match=r"cells.yaml: the cells leave 1 N\^2 of their bounding box \(x 0 .. 3, y 0 .. 1 N\) uncovered, for "
-        r"example x 1 .. 2, y 0 .. 1 N; add cells there, or say allow_gaps: true",
+        r"example x 1 .. 2, y 0 .. 1 N; add cells there, or write allow_gaps: true",
     ):
         cells_of(file_of(tmp_path, text), PAPER_RANGE)
 

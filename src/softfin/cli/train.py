@@ -66,7 +66,7 @@ class Arguments(Configured):
     def run(self) -> None:
         """Train."""
         from softfin.gaits.force_map import MapConfig
-        from softfin.learning.train import starting
+        from softfin.learning.configuration import choose_preset
         from softfin.stages import offline as stages
         from softfin.storage.registry import find_plant
         from softfin.task.references import PAPER_RANGE
@@ -81,7 +81,7 @@ class Arguments(Configured):
                 stages.find_gaits(self.surrogate, Path(self.out), given, known=self.map, overwrite=self.overwrite,
                              progress=report)  # fmt: skip
             return self._tell((0,))
-        begin, reason = starting(find_plant(self.surrogate), self.controller, self.algorithm)
+        begin, reason = choose_preset(find_plant(self.surrogate), self.controller, self.algorithm)
         config = self.configured(begin, steps=self.steps, cells=cells)
         if config.algorithm != begin.algorithm:
             raise ConfigurationError(
@@ -119,7 +119,7 @@ class Arguments(Configured):
     def _told(self, folder: Path) -> tuple[list[dict[str, Any]], list[str]]:
         """The scores of one controller, and as lines for people."""
         from softfin.cli.tables import held
-        from softfin.learning.footprint import Footprint
+        from softfin.learning.policy import describe_memory
 
         description = load_description(folder, "controller")
         scores: list[dict[str, Any]] = description["scores"]
@@ -132,7 +132,7 @@ class Arguments(Configured):
             lines.append("reference [N]   error x, y [N]")
             lines += [f"({x:5.2f}, {y:5.2f})   {row['error_n'][0]:.3f}, {row['error_n'][1]:.3f}{held(row)}"
                       for row in scores for x, y in [row["reference_n"]]]  # fmt: skip
-            lines.append(str(Footprint.of(description["memory"])))
+            lines.append(describe_memory(description["memory"]))
         return scores, lines
 
 

@@ -10,14 +10,13 @@ import numpy as np
 from softfin.control.controller import LoadedController
 from softfin.control.store import FORMAT, KIND, build_controller
 from softfin.core.action_clock import ACTION_RATE_HZ
-from softfin.learning.footprint import memory_of
-from softfin.learning.policy import Policy, named
-from softfin.learning.train import Trained
+from softfin.learning.policy import Policy, memory_of, named
+from softfin.learning.run import TrainingResult
 from softfin.storage import artifact as artifacts
 from softfin.surrogate.range import UNKNOWN
 
 
-def controller_of(trained: Trained, seed: int) -> LoadedController:
+def controller_of(trained: TrainingResult, seed: int) -> LoadedController:
     """Build the controller that a run trained from one of its seeds."""
     policies = _policies(trained, seed)
     return build_controller(_description(trained), _arrays(policies), f"seed {seed}")
@@ -25,7 +24,7 @@ def controller_of(trained: Trained, seed: int) -> LoadedController:
 
 def save_controller(
     path: Path,
-    trained: Trained,
+    trained: TrainingResult,
     seed: int,
     provenance: dict[str, Any],
     extra_files: Callable[[Path], None] | None = None,
@@ -41,7 +40,7 @@ def save_controller(
         **_description(trained),
         **learnt,
         "policy": trained.config.policy.model_dump(mode="json"),
-        "memory": memory_of(policies).described(),
+        "memory": memory_of(policies),
         "scores": _scores(trained, trained.seeds.index(seed)),
         "configuration": trained.config.model_dump(mode="json"),
         "provenance": provenance,
@@ -49,7 +48,7 @@ def save_controller(
     artifacts.save(path, KIND, description, _arrays(policies), extra_files, overwrite)
 
 
-def _description(trained: Trained) -> dict[str, Any]:
+def _description(trained: TrainingResult) -> dict[str, Any]:
     config = trained.config
     return {
         "kind": KIND,
@@ -59,12 +58,12 @@ def _description(trained: Trained) -> dict[str, Any]:
         "limits": trained.limits.described(),
         "cells": [cell.model_dump(mode="json") for cell in config.cells],
         "task": config.task.model_dump(mode="json"),
-        "reachable": None if trained.known is None else trained.known.reachable.to_dict(),
+        "reachable": None if trained.force_map is None else trained.force_map.reachable.to_dict(),
         "switching": config.switching.model_dump(mode="json") if config.controller == "grid" else None,
     }
 
 
-def _policies(trained: Trained, seed: int) -> Policy:
+def _policies(trained: TrainingResult, seed: int) -> Policy:
     """Take the policies of a seed: those of a grid with a leading axis of cells, a single one without."""
     index = trained.seeds.index(seed)
     one = (index, 0) if trained.config.controller == "single" else (index,)
@@ -76,25 +75,26 @@ def _arrays(policies: Policy) -> dict[str, np.ndarray]:
     return {name: np.asarray(leaf) for name, leaf in named(policies).items()}
 
 
-def _scores(trained: Trained, index: int) -> list[dict[str, Any]]:
+def _scores(trained: TrainingResult, index: int) -> list[dict[str, Any]]:
     """List, for each cell, its references and the force errors in the plant that it was trained in.
 
     Errors are against ``held_n``, the nearest force that the fin can make, where its reach is known. ``beyond_data`` is
     the share of actions that left the data of the plant, where that is a surrogate that knows them.
     """
-    score, held, rows = trained.score, trained.held(), []
+    scored, tracked, rows = trained.evaluation, trained.evaluation_references(), []
+    outside = scored.out_of_distribution_fraction
     for i, cell in enumerate(trained.config.cells):
         for j, reference in enumerate(cell.lattice(trained.config.lattice)):
-            error, deviation = (np.asarray(part)[index, i, j] for part in (score.error, score.deviation))
-            known = {} if score.beyond is None else {"beyond_data": float(score.beyond[index, i, j])}
+            error, std = (np.asarray(part)[index, i, j] for part in (scored.error, scored.std))
+            data = {} if outside is None else {"beyond_data": float(outside[index, i, j])}
             rows.append(
                 {
                     "cell": i,
                     "reference_n": list(reference),
-                    "held_n": [round(float(x), 4) for x in held[i, j]],
+                    "held_n": [round(float(x), 4) for x in tracked[i, j]],
                     "error_n": [round(float(x), 4) for x in error],
-                    "std_n": [round(float(x), 4) for x in deviation],
-                    **known,
+                    "std_n": [round(float(x), 4) for x in std],
+                    **data,
                 }
             )
     return rows

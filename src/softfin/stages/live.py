@@ -17,6 +17,7 @@ from jaxtyping import Float
 from softfin.control.disturbance_observer import DisturbanceObserver
 from softfin.control.store import load_controller
 from softfin.core.errors import ArtifactError, DeviceError
+from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading
 from softfin.core.randomness import key_of
 from softfin.data.collect import CollectConfig

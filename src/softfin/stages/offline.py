@@ -13,8 +13,9 @@ from softfin.control.references import resolve_reference
 from softfin.control.store import load_controller, save_gaits
 from softfin.core.choices import EngineName, Split
 from softfin.core.errors import ArtifactError, ConfigurationError, PlantError
-from softfin.core.plant import Plant
+from softfin.core.plant import EnsemblePlant, Plant
 from softfin.core.plant_identity import identity
+from softfin.core.progress import Progress
 from softfin.core.quantities import Limits
 from softfin.core.randomness import key_of
 from softfin.data.checks.inspection import Inspection
@@ -36,12 +37,11 @@ from softfin.gaits.force_map import MapConfig, check_star
 from softfin.gaits.force_map import map_forces as _map_forces
 from softfin.gaits.map_store import load_force_map
 from softfin.gaits.reachable import PAPER_REFERENCES
+from softfin.learning.configuration import TrainConfig, check, choose_preset
 from softfin.learning.controllers import save_controller
-from softfin.learning.engine import find_engine
 from softfin.learning.figure import REFINED, write_learning
-from softfin.learning.jobs import default_split, train_jobs
-from softfin.learning.refinement import check_refinable, refined
-from softfin.learning.train import TrainConfig, check, starting
+from softfin.learning.jobs import default_split, find_engine, train_jobs
+from softfin.learning.refine import check_refinable, train_refined
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.storage.paths import check_view
@@ -73,7 +73,6 @@ from softfin.tank.calibration.material import material
 from softfin.tank.calibration.report import write_calibration
 from softfin.task.references import PAPER_RANGE
 
-Progress = Callable[[str, float, str], None]
 """Called with what is going on, how much of it is done (0 .. 1), and the newest figures."""
 
 
@@ -214,7 +213,7 @@ def fit(
         "candidates": description.get("candidates"),
         "issues": summary["counts"],
         "columns": summary["columns"],
-        "caveat": None if (stated := getattr(surrogate, "interval", None)) is None else stated.caveat(),
+        "caveat": surrogate.interval.caveat() if isinstance(surrogate, EnsemblePlant) else None,
     }
 
 
@@ -398,7 +397,7 @@ def train(
 
     Without a configuration it is a grid over the paper's cells, by gradients wherever the plant has them. The folder of
     a map of the plant, `known`, says what the fin can do and saves the search for gaits; without, only training by
-    gradients with a teacher looks for it, and references beyond reach are trained for as they are.
+    gradients that begins as gaits looks for it, and references beyond reach are trained for as they are.
     One seed writes the controller's folder `out`; several are written as ``out/seed-N``. All is one program, unless
     it is `split` into jobs; the `engine` does these one after the other, or all at once on a Ray `cluster`. A grid's
     worst cells are split until there are `refine` more, whose policies go on from their cell's, in this process.
@@ -407,7 +406,7 @@ def train(
     working, split = find_engine(engine, cluster), split or default_split(engine, seeds)
     moving = find_plant(plant) if isinstance(plant, str) else plant
     if config is None:
-        config, reason = starting(moving)
+        config, reason = choose_preset(moving)
     check_refinable(config, refine)
     can = None if known is None else load_force_map(known, moving, _named(plant)).force_map
     origin, learnt = _origin(plant, moving, **({} if known is None else {"map": str(known)})), learnt_from(plant)
@@ -426,9 +425,9 @@ def train(
         return workspace.finish()
     if progress is not None and reason is not None:
         progress("algorithm", 1.0, reason)
-    trained = train_jobs(moving, config, seeds, workspace, progress, engine=working, split=split, known=can)
+    trained = train_jobs(moving, config, seeds, workspace, progress, engine=working, split=split, force_map=can)
     if refine:
-        trained, parents = refined(moving, trained, refine, workspace.part(REFINED), progress)
+        trained, parents = train_refined(moving, trained, refine, workspace.part(REFINED), progress)
         origin |= {"refined_from": [cell.model_dump(mode="json") for cell in config.cells], "parents": list(parents)}
 
     def save(folder: Path, seed: int, also: Callable[[Path], None] | None = None) -> None:

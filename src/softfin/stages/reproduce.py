@@ -17,7 +17,9 @@ from pydantic import Field, PositiveInt, model_validator
 from softfin.core.choices import ReproducePreset
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ArtifactError
+from softfin.core.plant import EnsemblePlant
 from softfin.core.plant_identity import identity
+from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ
 from softfin.data.collect import CollectConfig
 from softfin.evaluation.doubt import Doubt
@@ -25,15 +27,14 @@ from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, write_evalua
 from softfin.evaluation.figures import experiments_figure
 from softfin.evaluation.report import write_report
 from softfin.evaluation.scores import Scores
-from softfin.learning.train import GRADIENT_GRID, GRADIENT_SINGLE, GRID, SINGLE, TrainConfig
+from softfin.learning.configuration import GRADIENT_GRID, GRADIENT_SINGLE, GRID, SINGLE, TrainConfig
 from softfin.stages import offline as stages
-from softfin.stages.offline import Progress
 from softfin.storage import artifact as artifacts
 from softfin.storage.curves import learning_figure, prediction_figure
 from softfin.storage.dataset import Dataset
 from softfin.storage.registry import find_plant, is_surrogate
 from softfin.storage.run_directory import LOG, TRAINING_LOG, read_log
-from softfin.surrogate import FitConfig, StreamingConfig, Surrogate, load_surrogate
+from softfin.surrogate import FitConfig, StreamingConfig, load_surrogate
 from softfin.surrogate.compare.free_running import Segment, free_run
 
 KIND = "reproduction"
@@ -246,7 +247,7 @@ class _Reproduction:
         stretch = slice(first, first + ticks)
         free = free_run(surrogate, [log], [Segment(0, first)], ticks)
         said = {"free-running": np.asarray(free.reading.force[0])}
-        if isinstance(surrogate, Surrogate):
+        if not isinstance(surrogate, EnsemblePlant):
             behind = slice(first - surrogate.window, stretch.stop - surrogate.window)
             said = {"given the angle": surrogate.predict_force(log, free_running=False)[behind], **said}
         return {"Force in a test log and in the surrogate": prediction_figure(

@@ -1,4 +1,4 @@
-"""Reference forces: the six of the paper's Table II, the cells round them, and drawing at random from a cell."""
+"""Reference forces to train for: the paper's cells and range, and boxes from which references are drawn at random."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -9,42 +9,38 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from softfin.gaits.reachable import PAPER_REFERENCES, Cell, Reachable
 
+PAPER_CELLS = tuple(Cell.around(reference) for reference in PAPER_REFERENCES)
+"""The grid: squares of 1 N round the six references; they touch and do not overlap."""
+
+PAPER_RANGE = Cell(low=(0.5, -1.5), high=(3.5, 1.5))
+"""What one controller is trained for: the bounding box of the grid."""
+
 
 class References(NamedTuple):
     """A box from which references are drawn, as arrays: one program serves many boxes."""
 
-    low: Float[Array, "2"]
-    high: Float[Array, "2"]
+    low: Float[Array, "*stack 2"]
+    high: Float[Array, "*stack 2"]
     reachable: Reachable | None = None
-    """Mean forces that the fin can make, where that is known."""
+    """Mean forces that the fin can make, where these are known."""
+
+    @classmethod
+    def of(cls, cell: Cell, reachable: Reachable | None = None) -> "References":
+        """The references of a cell."""
+        return cls(jnp.asarray(cell.low, jnp.float32), jnp.asarray(cell.high, jnp.float32), reachable)
 
     def draw(self, key: PRNGKeyArray) -> Float[Array, "2"]:
         """One reference, uniform over the box."""
         return self.at(jax.random.uniform(key, (2,)))
 
-    def at(self, share: Float[Array, "2"]) -> Float[Array, "2"]:
-        """The reference at (0 to 1, 0 to 1) of the box; what lies beyond the fin's reach is brought to its edge."""
-        reference = self.low + share * (self.high - self.low)
-        return reference if self.reachable is None else self.reachable.project(reference)
-
-
-PAPER_CELLS = tuple(Cell.around(reference) for reference in PAPER_REFERENCES)
-"""The grid: squares of 1 N round the six references; they touch and do not overlap."""
-
-PAPER_RANGE = Cell(low=(0.5, -1.5), high=(3.5, 1.5))
-"""What one controller is trained for: the smallest box round the grid."""
-
-
-def references_in(cell: Cell) -> References:
-    """Return a cell as the box of arrays from which references are drawn."""
-    return References(jnp.asarray(cell.low, jnp.float32), jnp.asarray(cell.high, jnp.float32))
+    def at(self, place: Float[Array, "2"]) -> Float[Array, "2"]:
+        """The reference at (0 to 1, 0 to 1) of the box; beyond the fin's reach, the one on the edge of the reach."""
+        reference = self.low + place * (self.high - self.low)
+        return reference if self.reachable is None else jnp.asarray(self.reachable.project(reference))
 
 
 def stack_references(cells: Sequence[Cell], reachable: Reachable | None = None) -> References:
-    """The boxes of many lanes, along a leading axis; all of one fin."""
-    boxes = [references_in(cell) for cell in cells]
-    low, high = jnp.stack([box.low for box in boxes]), jnp.stack([box.high for box in boxes])
-    same = (
-        None if reachable is None else Reachable(*(jnp.tile(x, (len(boxes), 1)) for x in map(jnp.asarray, reachable)))
-    )
-    return References(low, high, same)
+    """The references of many cells, along a leading axis; all of one fin."""
+    each = [References.of(cell, jax.tree.map(jnp.asarray, reachable)) for cell in cells]
+    stacked: References = jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
+    return stacked

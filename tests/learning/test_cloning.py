@@ -10,17 +10,17 @@ import numpy as np
 from softfin.core.action_clock import CYCLE_ACTIONS, ticks_of
 from softfin.core.plant import counted
 from softfin.gaits.reachable import Cell
-from softfin.learning.imitation import ImitationConfig, Shown, imitate, show
+from softfin.learning.cloning import CloningConfig, Demonstrations, clone_gaits, record_demonstrations
 from softfin.learning.policy import Policy, PolicyConfig
-from softfin.task.references import references_in
+from softfin.task.references import References
 from softfin.task.task import ForceTracking, TaskConfig
 from tests.learning.mapped import WITHIN, mapped
 from tests.plants import StrokeFin
 
 TASK = ForceTracking(StrokeFin(), TaskConfig(phase=True))
-CONFIG = ImitationConfig(fins=24, actions=24, steps=250, batch=12, learning_rate=1e-2)
+CONFIG = CloningConfig(num_envs=24, num_steps=24, num_updates=250, batch_size=12, learning_rate=1e-2)
 assert WITHIN.box is not None
-REFERENCES = references_in(WITHIN.box)
+REFERENCES = References.of(WITHIN.box)
 KEY = jax.random.key(3)
 POLICY = jax.jit(lambda key: Policy.create(key, PolicyConfig(units=16, width=16), TASK.config.observations))(
     jax.random.key(0)
@@ -28,15 +28,15 @@ POLICY = jax.jit(lambda key: Policy.create(key, PolicyConfig(units=16, width=16)
 
 
 @cache
-def shown() -> Shown:
+def shown() -> Demonstrations:
     table = mapped().gaits.table
-    return jax.jit(lambda key: show(TASK, table, REFERENCES, key, CONFIG))(jax.random.key(9))
+    return jax.jit(lambda key: record_demonstrations(TASK, table, REFERENCES, key, CONFIG))(jax.random.key(9))
 
 
 @cache
 def taught() -> Policy:
     table = mapped().gaits.table
-    return jax.jit(lambda key: imitate(TASK, POLICY, table, REFERENCES, key, CONFIG))(KEY)
+    return jax.jit(lambda key: clone_gaits(TASK, POLICY, table, REFERENCES, key, CONFIG))(KEY)
 
 
 @jax.jit
@@ -94,7 +94,7 @@ def test_the_taught_policy_holds_forces_by_itself() -> None:
             state, outcome = TASK.step(state, action, ticks)
             return (state, memory), outcome.forces
 
-        start = TASK.reset(KEY, references_in(cell)), policy.init()
+        start = TASK.reset(KEY, References.of(cell)), policy.init()
         return counted(jax.lax.scan(act, start, jnp.asarray(ticks_of(18)))[1], 18)[-200:].mean(axis=0)
 
     run = jax.jit(drive)
