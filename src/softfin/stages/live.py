@@ -31,7 +31,6 @@ from softfin.rig.safety import Guard
 from softfin.rig.session import Session
 from softfin.rig.stop import StopRequest
 from softfin.stages import offline as stages
-from softfin.stages.offline import Progress
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.storage.log_file import read_log, write_log
