@@ -21,16 +21,16 @@ import can
 import yaml
 
 from benchmarks.measure import entry
-from softfin.control.native import NativeController, load_native
+from softfin.control.controller import LoadedController, Measured
+from softfin.control.store import load_controller
 from softfin.core.clock import REAL
 from softfin.core.errors import SafetyStop
 from softfin.rig.config import RigConfig
+from softfin.rig.emulation.fin import SimpleFin
 from softfin.rig.emulation.rig import EmulatedRig
-from softfin.rig.emulation.simple import SimpleFin
 from softfin.rig.epos2 import cia402
-from softfin.rig.loop import hold
+from softfin.rig.loop import run_controller
 from softfin.rig.machine import Sample, Target
-from softfin.rig.recording import recording
 from softfin.rig.rig import Rig
 from softfin.rig.safety import Guard, SafetyConfig
 from softfin.rig.session import Session
@@ -56,29 +56,29 @@ def main() -> list[dict[str, Any]]:
     return rows + _stops()
 
 
-def _controller(folder: Path) -> NativeController:
+def _controller(folder: Path) -> LoadedController:
     """An LSTM of 64 with random weights; speed does not depend on them."""
     from benchmarks.controller_step import write_policies
-    from softfin.learning.train import SINGLE
+    from softfin.learning.configuration import SINGLE
 
     write_policies(folder / "controller", SINGLE, 64)
-    return load_native(folder / "controller")
+    return load_controller(folder / "controller")
 
 
-def _loop(folder: Path, controller: NativeController) -> list[dict[str, Any]]:
+def _loop(folder: Path, controller: LoadedController) -> list[dict[str, Any]]:
     """100 Hz with recording and a controller; the emulated devices are another process, over sockets."""
     with _emulators(folder / "rig.yaml") as config:
         rig = Rig(config)
-        with Session(rig, Guard(config.safety, rig.limits)) as session, recording(session, folder / "loop.mcap"):
+        with Session(rig, Guard(config.safety, rig.limits)) as session, session.recording(folder / "loop.mcap"):
             session.activate()
             # The first actions fill caches; the loop is judged as it goes on.
-            list(hold(session, controller, lambda at: (1.0, 0.0), 3))
+            list(run_controller(session, controller, lambda at: (1.0, 0.0), 3))
             before, skipped = rig.counters(), session.pace.skipped
             late: list[float] = []
             wait = session.pace.wait
             session.pace.wait = lambda: late.append(wait()) or late[-1]  # type: ignore[method-assign, func-returns-value]
             cpu, start = time.process_time(), time.monotonic()
-            list(hold(session, controller, lambda at: (1.0, 0.0), 3 * SECONDS))
+            list(run_controller(session, controller, lambda at: (1.0, 0.0), 3 * SECONDS))
             share = (time.process_time() - cpu) / (time.monotonic() - start)
             counted = {name: count - before.get(name, 0) for name, count in rig.counters().items()}
             session.deactivate()
@@ -212,7 +212,7 @@ def _filter_delay() -> float:
         return delay
 
 
-def _step(controller: NativeController) -> list[dict[str, Any]]:
+def _step(controller: LoadedController) -> list[dict[str, Any]]:
     """All that safety looks at in a tick, and one action with its own check; one thread."""
     guard = Guard(SafetyConfig(current_peak_a=6.0, current_sustained_a=3.0), controller.limits)
     state = controller.init()
@@ -223,8 +223,8 @@ def _step(controller: NativeController) -> list[dict[str, Any]]:
         start = time.perf_counter()
         assert guard.check(sample, now) is None
         middle = time.perf_counter()
-        state, target = controller.act(state, 0.3, (1.0, 0.5), (1.0, 0.0))
-        assert guard.check_target(target) is None
+        state, command = controller.act(state, Measured(0.3, (1.0, 0.5)), (1.0, 0.0))
+        assert guard.check_target(Target(float(command.angle), float(command.velocity))) is None
         end = time.perf_counter()
         if step >= WARM:
             ticks.append(1e3 * (middle - start))

@@ -15,17 +15,16 @@ import numpy as np
 import pytest
 import yaml
 
-from softfin.control.store import save_controller
 from softfin.core.quantities import PAPER_LIMITS, Limits
 from softfin.gaits.force_map import MapConfig
 from softfin.gaits.map_store import save_map
-from softfin.learning.train import SINGLE
+from softfin.learning.configuration import SINGLE
+from softfin.learning.controllers import save_controller
 from softfin.stages.offline import identity
 from softfin.storage.dataset import write_dataset
 from softfin.storage.registry import find_plant
 from softfin.surrogate import Surrogate, save_surrogate
-from softfin.surrogate.paper.posnet import COMMANDS
-from softfin.surrogate.paper.scaling import ChannelScaling, Scaling
+from softfin.surrogate.channels import COMMANDS, ChannelScaling, Scaling
 from softfin.surrogate.streaming import identify
 from tests.control.test_controllers import untrained
 from tests.data import bags
@@ -60,13 +59,13 @@ STREAMING = streaming.CONFIG.model_dump(mode="json") | {"drive_updates": 2, "for
 
 CELL = {"low": [0.5, -1.5], "high": [1.5, -0.5]}
 SIZE = {
-    "scorings": 1,
+    "num_evaluations": 1,
     "lattice": 1,
     "cells": [CELL],
     "policy": {"units": 8, "width": 8},
     "task": {"episode_actions": 9},
 }
-LEARNING = {"teacher": False, "environments": 2, "rollout_actions": 3, "common": None, "learning_rate": 1e-3}
+LEARNING = {"warm_start": False, "num_envs": 2, "num_steps": 3, "shared_pretraining": None, "learning_rate": 1e-3}
 GRADIENT = {**SIZE, "steps": 6, "gradient": LEARNING}
 """One learning rate for both kinds of controller, so that one program learns both."""
 MAP = {
@@ -97,7 +96,7 @@ CONFIGURATIONS = MappingProxyType({
 def short_search(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a search finds is tested with it; here it only has to go through."""
     monkeypatch.setattr(identify, "GENERATIONS", 2)
-    monkeypatch.setattr(identify, "STRETCHES", 4)
+    monkeypatch.setattr(identify, "SEGMENTS", 4)
 
 
 def dataset(path: Path) -> None:

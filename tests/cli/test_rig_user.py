@@ -8,19 +8,19 @@ import yaml
 
 from softfin.cli import driving
 from softfin.cli.common import Armed, progress
-from softfin.control.native import load_native
+from softfin.control.store import load_controller
 from softfin.core.errors import ConfigurationError
-from softfin.rig.bench import Bench
 from softfin.rig.config import RigConfig
-from softfin.rig.loop import Held
+from softfin.rig.loop import ActionResult
 from softfin.rig.machine import Sample, Target
 from softfin.rig.rig import Rig
+from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import Guard, SafetyConfig
 from softfin.rig.session import Session
 from softfin.stages.live import _differing
 from softfin.storage import artifact as artifacts
 from tests.cli.test_cli import fails
-from tests.control.native.folders import folder_of
+from tests.control.folders import folder_of
 from tests.rig.machines import FreeFin
 from tests.rig.rigs import simulated
 
@@ -85,11 +85,11 @@ def test_a_recording_or_folder_that_is_there_is_neither_moved_nor_replaced(contr
 
 def test_zeroing_asks_for_what_it_does(values, monkeypatch, capsys):
     config = RigConfig.build(values)
-    bench = Bench(Rig(config), config.safety)
+    robot = RobotSetup(Rig(config), config.safety)
     with pytest.raises(ConfigurationError, match="rig of emulated: stays still: nothing moves without --arm"):
-        Armed().confirm(bench, "the motor is powered")
+        Armed().confirm(robot, "the motor is powered")
     monkeypatch.setattr(sys, "stdin", _Typed("move\n"))
-    Armed(arm=True).confirm(bench, "the motor is powered")
+    Armed(arm=True).confirm(robot, "the motor is powered")
     said = capsys.readouterr().err
     assert "rig of emulated: the motor is powered.\nCtrl-C" in said
     assert "will move" not in said
@@ -105,12 +105,12 @@ def test_lines_that_nobody_reads_any_more_stop_the_fin(controller, monkeypatch):
         raise BrokenPipeError(32, "Broken pipe")
 
     sample = Sample(0.0, 0.0, 0.0, None, None, 0.0, (0.0,) * 6, ())
-    held = Held((1.0, 0.0), Target(0.0, 1.0), [sample] * 100)
-    monkeypatch.setattr(driving, "hold", lambda *_: iter([held]))
+    held = ActionResult((1.0, 0.0), Target(0.0, 1.0), [sample] * 100)
+    monkeypatch.setattr(driving, "run_controller", lambda *_: iter([held]))
     monkeypatch.setattr(driving, "say", gone)
     machine = FreeFin()
     session = Session(machine, Guard(SafetyConfig(), machine.limits))
-    driving._follow(session, load_native(controller), lambda at: (1.0, 0.0), 1)
+    driving._follow(session, load_controller(controller), lambda at: (1.0, 0.0), 1)
     assert session.stop_request.trip == ("emergency_stop", "nobody reads its lines any more (Broken pipe)")
 
 
@@ -139,7 +139,7 @@ def test_the_check_of_the_disk_writes_through_no_link_either(tmp_path, monkeypat
     victim.write_text("mine")
     monkeypatch.setattr(check.os, "getpid", lambda: 7)
     (tmp_path / ".softfin-check-7").symlink_to(victim)
-    finding = next(check._disk(tmp_path))
+    finding = check._check_disk(tmp_path, False)
     assert finding.state == "wrong"
     assert victim.read_text() == "mine"
 

@@ -6,10 +6,10 @@ import pytest
 
 from softfin.core.plant import roll
 from softfin.core.quantities import Command
+from softfin.core.window import moving_average
 from softfin.evaluation.doubt import Doubt, doubt
 from softfin.evaluation.evaluate import EvaluateConfig, evaluate
 from softfin.evaluation.experiment import Recording, run
-from softfin.evaluation.scores import moving_average
 from softfin.surrogate.streaming.uncertainty import Familiarity
 from tests.evaluation.test_experiment import Echo
 from tests.plants import AnalyticFin

@@ -9,9 +9,8 @@ import pytest
 from softfin.core.errors import CoverageError
 from softfin.core.randomness import generator_of
 from softfin.evaluation.drawn import draw, hold_drawn
-from softfin.gaits.nearest import reached
-from softfin.gaits.reachable import Reachable
-from softfin.task.references import PAPER_CELLS, Cell
+from softfin.gaits.reachable import Cell, Reachable
+from softfin.task.references import PAPER_CELLS
 from tests.evaluation.test_moving import Covering
 from tests.plants import AnalyticFin
 
@@ -22,7 +21,7 @@ def test_they_lie_in_a_cell_and_in_reach_and_are_spread_by_area():
     cells = (Cell(low=(1, -1), high=(2, 1)), Cell(low=(2, 0), high=(3, 1)))
     drawn = draw(cells, DISC, 3000, generator_of(0, "test"))
     assert drawn.shape == (3000, 2)
-    assert reached(DISC, drawn).all()
+    assert DISC.contains(drawn).all()
     assert all(min(cell.distance((x, y)) for cell in cells) == 0 for x, y in drawn.tolist())
     # Three quarters of a disc, two of them in the first cell.
     assert np.mean(drawn[:, 0] < 2) == pytest.approx(2 / 3, abs=0.03)

@@ -5,8 +5,8 @@ import pytest
 from softfin.core.errors import CoverageError
 from softfin.evaluation.evaluate import EvaluateConfig, evaluate
 from softfin.evaluation.forceplane import error_map, error_map_figure, map_range
-from softfin.gaits.reachable import Reachable
-from softfin.task.references import PAPER_CELLS, Cell
+from softfin.gaits.reachable import Cell, Reachable
+from softfin.task.references import PAPER_CELLS
 from tests.evaluation.test_moving import Covering
 from tests.plants import AnalyticFin
 

@@ -8,7 +8,7 @@ from softfin.cli.common import Common, LogOptions, columns_read
 from softfin.cli.kinds import File
 from softfin.cli.options import Option
 from softfin.core.errors import ConfigurationError
-from softfin.data.checks.findings import counted
+from softfin.data.issues import counted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,8 +21,8 @@ class Arguments(LogOptions, Common):
     """What to recover, a .mcap file; what to convert, a recording or a folder of them."""
     out: File | None = None
     """File to write; recover: NAME.recovered.mcap by default; convert: required, its suffix is the format."""
-    accept: bool = False
-    """Convert in spite of errors that were found."""
+    ignore_errors: bool = False
+    """Convert logs with errors, too."""
 
     def run(self) -> None:
         """Recover or convert."""
@@ -30,9 +30,11 @@ class Arguments(LogOptions, Common):
             return self._recover()
         if self.out is None:
             raise ConfigurationError("convert needs --out: a .parquet or a .mcap file")
-        from softfin.data.importing.bag_convert import convert
+        from softfin.data.convert import convert
 
-        result = convert(self.path, self.out, self.recordings, accept=self.accept, overwrite=self.overwrite)
+        result = convert(
+            self.path, self.out, self.recordings, ignore_errors=self.ignore_errors, overwrite=self.overwrite
+        )
         counts = ", ".join(counted(count, kind) for kind, count in result["counts"].items())
         text = f"{', '.join(result['files'])}: {result['rows']:,} rows; {counts}"
         return self.tell(result, f"{columns_read(result['columns'])}{text}")
@@ -46,7 +48,7 @@ class Arguments(LogOptions, Common):
         lost = sum(damage.length for damage in recovery.damages)
         reasons = "; ".join(dict.fromkeys(damage.reason for damage in recovery.damages))
         self.tell(
-            {"recovered": None if recovery.whole else str(out), **recovery.described()},
+            {"recovered": None if recovery.whole else str(out), **recovery.to_dict()},
             f"{self.path}: whole already, {span}; nothing written" if recovery.whole
             else f"{out}: {span} saved; {lost:,} bytes could not be read ({reasons[:300]})",
         )  # fmt: skip

@@ -51,15 +51,15 @@ class Arguments(Armed, Configured):
     def run(self) -> None:
         """Collect."""
         from softfin.data.collect import CollectConfig
-        from softfin.rig.find import find_bench
+        from softfin.rig.robot_setup import find_robot
         from softfin.stages import live, offline
         from softfin.surrogate.active import ActiveCollectConfig
 
         kind = ActiveCollectConfig if self.excitation == "active" else CollectConfig
         config = self.configured(kind() if self.extend is None else kind(test_logs=0))
         if is_live(self.plant):
-            bench = find_bench(self.plant)
-            data = self.stage(live.collect_live, bench, self.out, config, self.confirm, resume=self.resume)
+            robot = find_robot(self.plant)
+            data = self.stage(live.collect_live, robot, self.out, config, self.confirm, resume=self.resume)
         else:
             chosen = {"surrogate": self.surrogate, "extend": self.extend}
             data = self.stage(offline.collect, self.plant, self.out, config, **chosen)

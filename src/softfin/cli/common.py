@@ -20,7 +20,7 @@ from softfin.storage import artifact as artifacts
 if TYPE_CHECKING:
     from rich.progress import TaskID
 
-    from softfin.rig.bench import Bench
+    from softfin.rig.robot_setup import RobotSetup
 
 Config = TypeVar("Config", bound=Configuration)
 Result = TypeVar("Result")
@@ -114,13 +114,13 @@ class Armed:
     yes: bool = False
     """With --arm, do not ask: for scripts. Nobody stands by, so see that nobody can come near the fin."""
 
-    def confirm(self, bench: "Bench", motion: str | None = None) -> None:
+    def confirm(self, robot: "RobotSetup", motion: str | None = None) -> None:
         """Print the machine's notes; raise ConfigurationError unless a person confirms that it may move.
 
         `motion` is what it will do, if not to follow commands.
         """
-        name = bench.machine.name
-        for note in bench.machine.notes:
+        name = robot.machine.name
+        for note in robot.machine.notes:
             sys.stderr.write(f"note: {printable(note)}\n")
         if not self.arm:
             told = "answers, and " if motion is None else ""
@@ -129,7 +129,7 @@ class Armed:
             return
         if not on_terminal():
             raise ConfigurationError(f"{name}: --arm asks on a terminal whether it may move; in a script add --yes")
-        limits = bench.machine.limits
+        limits = robot.machine.limits
         motion = motion or (
             f"the fin will move between {limits.angle_min:.2f} and {limits.angle_max:.2f} rad, at up to "
             f"{limits.velocity_max:.2f} rad/s"

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from softfin.cli.common import Configured
 from softfin.cli.kinds import Out, Plant, folder_of, numbers
 from softfin.cli.options import Option
-from softfin.data.checks.findings import counted
+from softfin.data.issues import counted
 
 HORIZONS = Option("SECONDS,...", parse=numbers("not numbers; write them with commas, in seconds, as 1,5,30"))
 
@@ -26,7 +26,7 @@ class Arguments(Configured):
     """Folder to write comparison.json and the figure to."""
     horizons: Annotated[tuple[float, ...], HORIZONS] | None = None
     """How long they run free, as 1,5,30 in seconds (1,5,30)."""
-    floor: Plant | None = None
+    noise_floor: Plant | None = None
     """A plant that records the same commands once more, such as the tank that was recorded: the error that noise,
     drift and other conditions leave."""
     seed: int | None = None
@@ -38,7 +38,9 @@ class Arguments(Configured):
         from softfin.surrogate.compare.compare import CompareConfig
 
         config = self.configured(CompareConfig(), horizons_s=self.horizons)
-        result = self.stage(stages.compare, self.surrogates, self.dataset, self.out, config, floor=self.floor)
+        result = self.stage(
+            stages.compare, self.surrogates, self.dataset, self.out, config, noise_floor=self.noise_floor
+        )
         self.tell({"comparison": str(self.out), **result}, tables(result))
 
 
@@ -60,19 +62,19 @@ MEANS = (
     ("worst", "[N]", "mean_force_worst_n", 1),
 )
 INTERVALS = (("inside", "[%]", "coverage", 100), ("half-width", "[N]", "half_width_n", 1))
-WARPED = tuple(
-    (title, unit, f"{channel}_dtw_{kind}_{suffix}", 1000)
-    for channel, own in (("angle", "rad"), ("force", "n"))
-    for unit, suffix in (("[mrad]" if own == "rad" else "[mN]", own), ("scaled 1e-3", "scaled"))
-    for title, kind in ((channel, "raw"), ("/ path", "path"))
+WARPED = (
+    ("angle", "[mrad]", "angle_dtw_mae_rad", 1000),
+    ("angle", "scaled 1e-3", "angle_dtw_mae_scaled", 1000),
+    ("force", "[mN]", "force_dtw_mae_n", 1000),
+    ("force", "scaled 1e-3", "force_dtw_mae_scaled", 1000),
 )
 
 
 def tables(summary: Mapping[str, Any]) -> str:
     """Return the errors, mean force and DTW for a terminal of 120 columns, then what a reader should know."""
     groups = [(_heading(row, summary["flops_ratio_to"]), row["horizons"]) for row in summary["groups"]]
-    if summary["floor"] is not None:
-        groups.append((summary["floor"]["name"], summary["floor"]["horizons"]))
+    if (floor := summary["noise_floor"]) is not None:
+        groups.append((floor["name"], floor["horizons"]))
     several = any(row["seeds"] > 1 for row in summary["groups"])
     seeds = "; mean over the seeds \N{PLUS-MINUS SIGN} half of its 95% interval" if several else ""
     scored = f"{summary['test_logs']} test logs, {summary['scored'][-1]['rows']:,} rows at the longest horizon"
@@ -81,7 +83,7 @@ def tables(summary: Mapping[str, Any]) -> str:
         stated = any("coverage" in row for _, rows in groups for row in rows)
         title = "Mean force over 200 samples" + (", and the intervals stated for it at 90%" if stated else "")
         lines += ["", title, *_table(MEANS + INTERVALS * stated, groups)]
-    title = "DTW in a band of 1 s: raw distance sqrt(sum d^2), and that over the length of its path; in units, scaled"
+    title = "DTW in a band of 1 s: mean absolute difference after warping, in units and scaled"
     lines += ["", title, *_table(WARPED, groups), *[f"note: {note}" for note in summary["notes"]]]
     return "\n".join(lines)
 

@@ -9,19 +9,25 @@ from typing import Any
 
 from softfin.cli.common import Armed, Common, on_terminal
 from softfin.cli.kinds import Controller, File, LivePlant
-from softfin.control.native import NativeController, load_native, trimmed
+from softfin.control.controller import LoadedController
+from softfin.control.disturbance_observer import DisturbanceObserver
+from softfin.control.store import load_controller
 from softfin.core.action_clock import CYCLE_ACTIONS
 from softfin.core.errors import ConfigurationError
 from softfin.core.printable import printable
 from softfin.core.quantities import RATE_HZ
-from softfin.rig.bench import Bench, check_fits
-from softfin.rig.find import find_bench
-from softfin.rig.loop import Held, References, hold, seconds_to_actions
-from softfin.rig.reach import knows_its_range
-from softfin.rig.recording import recording
+from softfin.rig.loop import (
+    ActionResult,
+    RealTimeController,
+    References,
+    mean_force,
+    run_controller,
+    seconds_to_actions,
+)
+from softfin.rig.robot_setup import RobotSetup, find_robot
 from softfin.rig.safety import Guard
 from softfin.rig.session import Observer, Session
-from softfin.rig.stop import Keyboard, StopRequest, stopped_by_signals
+from softfin.rig.stop import StopRequest, listen_to_keyboard
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,16 +60,16 @@ class Driving(Armed, Common):
                 )
         super().check()
 
-    def parties(self) -> tuple[NativeController, Bench]:
+    def parties(self) -> tuple[LoadedController, RobotSetup]:
         """Load the controller and the machine, which must fit each other; nothing is opened yet."""
-        controller, bench = load_native(self.controller), find_bench(self.plant)
-        check_fits(str(self.controller), controller.limits, controller.fin, bench)
-        return controller, bench
+        controller, robot = load_controller(self.controller), find_robot(self.plant)
+        robot.check_fits(str(self.controller), controller.limits, controller.artifact.fin)
+        return controller, robot
 
     def drive(
         self,
-        controller: NativeController,
-        bench: Bench,
+        controller: LoadedController,
+        robot: RobotSetup,
         references: References,
         seconds: int | None,
         line: Callable[[str], None],
@@ -72,22 +78,25 @@ class Driving(Armed, Common):
     ) -> dict[str, Any]:
         """Ask, move, record; `line` gets what is typed meanwhile. Returns the recording and the errors at its end."""
         bag = self.bag or Path(f"run-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
-        guard, stop = Guard(bench.safety, bench.machine.limits, controller.training_range), stop or StopRequest()
-        acting = trimmed(controller) if self.trim else controller
-        with Session(bench.machine, guard, stop=stop, observers=observers) as session:
-            self.confirm(bench)
-            if not knows_its_range(controller.training_range):
+        guard, stop = (
+            Guard(robot.safety, robot.machine.limits, controller.artifact.training_range),
+            stop or StopRequest(),
+        )
+        acting: RealTimeController = DisturbanceObserver(controller) if self.trim else controller
+        with Session(robot.machine, guard, stop=stop, observers=observers) as session:
+            self.confirm(robot)
+            if not any(controller.artifact.training_range or ()):
                 say(f"{self.controller}: holds no range of its surrogate's data, so leaving that range is not noticed")
             if on_terminal():
-                Keyboard(stop, line, typed(stop, sys.stdin)).start()
+                listen_to_keyboard(stop, line, typed(stop, sys.stdin))
             bag.unlink(missing_ok=True)
-            session.until_closed(stopped_by_signals(stop))
-            with recording(session, bag):
+            session.stop_on_signals()
+            with session.recording(bag):
                 session.activate()
-                session.rest(bench.settle_s)
+                session.rest(robot.settle_s)
                 summary = _follow(session, acting, references, seconds)
                 session.deactivate()
-        return {"bag": str(bag), **summary, "clock": session.pace.described(), "counters": bench.machine.counters()}
+        return {"bag": str(bag), **summary, "clock": session.pace.to_dict(), "counters": robot.machine.counters()}
 
     def tell_errors(self, result: dict[str, Any]) -> None:
         """Print the recording and the errors at its end."""
@@ -107,28 +116,24 @@ def say(text: str) -> None:
 
 
 def _follow(
-    session: Session, controller: NativeController, references: References, seconds: int | None
+    session: Session, controller: RealTimeController, references: References, seconds: int | None
 ) -> dict[str, Any]:
     """Run the controller and print a line every second; returns the errors of the last window."""
-    window: list[Held] = []
+    window: list[ActionResult] = []
     ticks = printed = 0
-    for held in hold(session, controller, references, None if seconds is None else seconds_to_actions(seconds)):
-        window = [*window[-CYCLE_ACTIONS + 1 :], held]
-        ticks += len(held.samples)
+    actions = None if seconds is None else seconds_to_actions(seconds)
+    for result in run_controller(session, controller, references, actions):
+        window = [*window[-CYCLE_ACTIONS + 1 :], result]
+        x, y = mean_force([sample for each in window for sample in each.samples])
+        ticks += len(result.samples)
         if ticks - printed >= RATE_HZ:
             printed = ticks
-            x, y = _mean(window)
-            line = (f"{ticks / RATE_HZ:7.1f} s  reference ({held.reference[0]:+.2f}, {held.reference[1]:+.2f}) N  "
-                    f"mean over 2 s ({x:+.3f}, {y:+.3f}) N  angle {held.samples[-1].angle:+.2f} rad")  # fmt: skip
+            line = (f"{ticks / RATE_HZ:7.1f} s  reference ({result.reference[0]:+.2f}, {result.reference[1]:+.2f}) N  "
+                    f"mean over 2 s ({x:+.3f}, {y:+.3f}) N  angle {result.samples[-1].angle:+.2f} rad")  # fmt: skip
             try:
                 say(line)
             except OSError as error:
                 # The terminal was closed, or what the lines are piped into has ended: nobody reads them any more.
                 session.stop_request.ask("emergency_stop", f"nobody reads its lines any more ({error.strerror})")
-    errors = [abs(force - asked) for force, asked in zip(_mean(window), window[-1].reference, strict=True)]
+    errors = [abs(mean - asked) for mean, asked in zip((x, y), window[-1].reference, strict=True)]
     return {"seconds": ticks / RATE_HZ, "error_x_n": round(errors[0], 4), "error_y_n": round(errors[1], 4)}
-
-
-def _mean(window: list[Held]) -> tuple[float, float]:
-    wrenches = [sample.wrench for held in window for sample in held.samples]
-    return sum(w[0] for w in wrenches) / len(wrenches), sum(w[1] for w in wrenches) / len(wrenches)

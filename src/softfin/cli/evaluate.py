@@ -60,7 +60,7 @@ class Arguments(Armed, Configured):
         from softfin.cli.tables import table_two
         from softfin.evaluation.evaluate import EvaluateConfig
         from softfin.evaluation.forceplane import POINTS
-        from softfin.rig.find import find_bench
+        from softfin.rig.robot_setup import find_robot
         from softfin.stages import live
         from softfin.stages import offline as stages
         from softfin.task.reference_file import read_reference_file
@@ -74,8 +74,8 @@ class Arguments(Armed, Configured):
         if self.trim and config.trim is None:
             config = config.merged({"trim": {}}, "options")
         if is_live(self.plant):
-            bench = find_bench(self.plant)
-            summary = self.stage(live.evaluate_live, self.controller, bench, self.out, config, self.confirm)
+            robot = find_robot(self.plant)
+            summary = self.stage(live.evaluate_live, self.controller, robot, self.out, config, self.confirm)
         else:
             summary = stages.evaluate(
                 self.controller, self.plant, self.out, config, spread=self.spread, overwrite=self.overwrite

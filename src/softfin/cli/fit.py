@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 from softfin.cli.common import Configured, LogOptions, columns_read
 from softfin.cli.kinds import Logs, Out
-from softfin.core.choices import Model
+from softfin.core.choices import ModelName
 from softfin.core.errors import ConfigurationError
 from softfin.core.printable import printable
-from softfin.data.checks.findings import counted
+from softfin.data.issues import counted
 
 if TYPE_CHECKING:
     from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig
@@ -25,11 +25,11 @@ class Arguments(LogOptions, Configured):
     """Folder of a dataset, or of recordings: CSV, Parquet, ROS 2 bags."""
     out: Out
     """Folder of the surrogate to write."""
-    model: Model = "streaming"
+    model: ModelName = "streaming"
     """streaming: an ensemble of recurrent nets; paper: PosNet and ForceNet; auto: both, and the streaming nets without
     symmetry, of which the best on held-out logs is kept."""
-    accept: bool = False
-    """Take the logs in spite of errors that were found."""
+    ignore_errors: bool = False
+    """Take logs with errors, too."""
     epochs: int | None = None
     """Most passes over the data, of --model paper."""
     seed: int = 0
@@ -51,9 +51,9 @@ class Arguments(LogOptions, Configured):
 
         result = self.stage(
             stages.fit, self.dataset, self.out, self.configured(defaults(self.model)), logs=self.recordings,
-            accept=self.accept, seed=self.seed, resume=self.resume,
+            ignore_errors=self.ignore_errors, seed=self.seed, resume=self.resume,
         )  # fmt: skip
-        sys.stderr.write(printable(columns_read(result["columns"]) + warning(result["findings"], self.dataset), "\n"))
+        sys.stderr.write(printable(columns_read(result["columns"]) + warning(result["issues"], self.dataset), "\n"))
         parts = [table_one(result["table_i"])]
         if found := result["candidates"]:
             rows = [["free-running on held-out logs", "force RMSE [N]", "angle RMSE [rad]", "scored [s]", ""]]
@@ -67,7 +67,7 @@ class Arguments(LogOptions, Configured):
         self.tell({"surrogate": str(self.out), **result}, "\n\n".join(parts))
 
 
-def defaults(model: Model) -> "StreamingConfig | FitConfig | AutoConfig":
+def defaults(model: ModelName) -> "StreamingConfig | FitConfig | AutoConfig":
     """Return the configuration that a model is fitted with unless it is changed."""
     from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from softfin.cli.common import Common, LogOptions, columns_read
 from softfin.cli.kinds import Logs, Out
-from softfin.data.checks.findings import counted
+from softfin.data.issues import counted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -15,14 +15,16 @@ class Arguments(LogOptions, Common):
     """A folder of recordings, or one."""
     out: Out
     """Folder of the dataset to write."""
-    accept: bool = False
-    """Take the logs in spite of errors that were found."""
+    ignore_errors: bool = False
+    """Take logs with errors, too."""
 
     def run(self) -> None:
         """Import."""
         from softfin.stages import offline as stages
 
-        data, inspection = self.stage(stages.import_logs, self.logs, self.out, self.recordings, accept=self.accept)
+        data, inspection = self.stage(
+            stages.import_logs, self.logs, self.out, self.recordings, ignore_errors=self.ignore_errors
+        )
         summary = inspection.summary()
         counts = ", ".join(counted(count, kind) for kind, count in summary["counts"].items())
         logs = f"{summary['logs']} + {summary['test_logs']} logs, {summary['rows']:,} rows; {counts}"

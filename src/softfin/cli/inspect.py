@@ -7,7 +7,7 @@ from typing import Any
 
 from softfin.cli.common import Common, LogOptions
 from softfin.cli.kinds import Logs, Out
-from softfin.data.checks.findings import counted
+from softfin.data.issues import counted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +28,7 @@ class Arguments(LogOptions, Common):
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """Return the logs in a line, and each finding in a few."""
+    """Return the logs in a line, and each issue in a few."""
     summary, counts = result["summary"], result["summary"]["counts"]
     lines = [
         f"{summary['logs']} + {summary['test_logs']} logs, {summary['rows']:,} rows at 100 Hz, "
@@ -38,19 +38,19 @@ def table(result: Mapping[str, Any]) -> str:
     if (frames := summary["frames"]) is not None:
         best = max(frames, key=frames.__getitem__)
         other = "" if best == "x,y" else f"; as {best} {frames[best]:.2f}"
-        lines.append(f"force axes: correlation with what a fin does {frames['x,y']:.2f}{other}")
+        lines.append(f"force axes: correlation with a model fin {frames['x,y']:.2f}{other}")
     lines.append("")
-    for finding in result["findings"]:
-        row, others = finding["row"], len(finding["logs"]) - 1
-        place = [finding["log"], "" if row is None else f"row {row}", finding["column"] or ""]
+    for issue in result["issues"]:
+        row, others = issue["row"], len(issue["logs"]) - 1
+        place = [issue["log"], "" if row is None else f"row {row}", issue["column"] or ""]
         more = f" (and {counted(others, 'more log')})" if others else ""
-        lines.append(f"{finding['severity']:8} {finding['name']:16} {', '.join(filter(None, place))}{more}")
-        for text in (finding["finding"], f"-> {finding['remedy']}" if finding["remedy"] else ""):
+        lines.append(f"{issue['severity']:8} {issue['name']:16} {', '.join(filter(None, place))}{more}")
+        for text in (issue["message"], f"-> {issue['fix']}" if issue["fix"] else ""):
             wrapped = textwrap.wrap(text, 101, break_long_words=False, break_on_hyphens=False)
             lines += [" " * 9 + line for line in wrapped]
     lines.append(", ".join(counted(count, kind) for kind, count in counts.items()))
     if counts["error"]:
-        lines.append("errors stop fit and import-logs, unless --accept")
+        lines.append("errors stop fit and import-logs, unless --ignore-errors")
     return "\n".join(lines)
 
 

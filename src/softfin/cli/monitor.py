@@ -16,7 +16,7 @@ from softfin.cli.options import Option
 from softfin.core.choices import LOOPBACK
 from softfin.rig.monitor.follow import Follower
 from softfin.rig.monitor.terminal import watch
-from softfin.rig.monitor.web import Feed, Server, serve
+from softfin.rig.monitor.web import Server
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,13 +43,13 @@ class Arguments(Command):
                 follower.poll()
                 while (summary := follower.summary()).state == "reading" and summary.problem is None:
                     follower.poll()
-                sys.stdout.write(json.dumps(summary.described(), indent=2, allow_nan=False) + "\n")
+                sys.stdout.write(json.dumps(summary.to_dict(), indent=2, allow_nan=False) + "\n")
             elif self.web:
-                server = Server(Feed(follower), self.host, self.port)
+                server = Server(follower, self.host, self.port)
                 if not _is_loopback(self.host):
                     sys.stderr.write(f"warning: {self.host}: others can watch too; no password\n")
                 sys.stderr.write(f"{server.address} shows the recording; Ctrl-C ends\n")
-                serve(server, sleep=time.sleep)
+                server.run(sleep=time.sleep)
             else:
                 watch(follower, Console(), sleep=time.sleep)
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import sys
+import threading
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -11,11 +12,10 @@ from softfin.cli.options import Option
 from softfin.core.configuration import read_yaml
 from softfin.core.errors import ConfigurationError, DeviceError
 from softfin.core.printable import printable
-from softfin.rig.bench import Bench
 from softfin.rig.check import check_rig
 from softfin.rig.config import load_rig
-from softfin.rig.rig import Rig
-from softfin.rig.zero import zero_angle, zero_force
+from softfin.rig.rig import Rig, zero_angle, zero_force
+from softfin.rig.robot_setup import RobotSetup
 from softfin.storage.paths import RIG_FILE
 
 ZEROING = "the motor is powered for a moment and holds where the fin stands, which becomes its zero"
@@ -73,7 +73,7 @@ class Arguments(Armed, Common):
         both = self.angle == self.force
         result: dict[str, Any] = {}
         if both or self.angle:
-            self.confirm(Bench(Rig(config), config.safety), ZEROING)
+            self.confirm(RobotSetup(Rig(config), config.safety), ZEROING)
             result |= zero_angle(config)
         if both or self.force:
             result |= zero_force(config)
@@ -83,7 +83,7 @@ class Arguments(Armed, Common):
         if self.rig.exists() and not self.overwrite:
             raise ConfigurationError(f"{self.rig}: exists; give another --rig, or --overwrite to replace it")
         from softfin.core.clock import REAL
-        from softfin.rig.emulation.plugged import state_file
+        from softfin.rig.emulation.kept_rig import state_file
         from softfin.rig.emulation.rig import EmulatedRig, write_simulated
         from softfin.tank import Tank, TankConfig
 
@@ -94,10 +94,10 @@ class Arguments(Armed, Common):
             with contextlib.suppress(KeyboardInterrupt), EmulatedRig(tank, self.seed, clock=REAL) as emulated:
                 emulated.write(self.rig)
                 sys.stdout.write(
-                    f"{self.rig}: written; the emulated fin moves for it until Ctrl-C\n{emulated.described()}\n"
+                    f"{self.rig}: written; the emulated fin moves for it until Ctrl-C\n{emulated.description()}\n"
                 )
                 sys.stdout.flush()
-                emulated.wait()
+                threading.Event().wait()
             return
         # A new rig starts without the state of the one that was there.
         state_file(self.rig).unlink(missing_ok=True)

@@ -5,13 +5,15 @@ from dataclasses import dataclass
 from softfin.cli.common import Configured
 from softfin.cli.driving import Driving, say
 from softfin.cli.kinds import Force
+from softfin.control.references import resolve_reference
 from softfin.core.choices import TransportName
 from softfin.core.errors import RigError
 from softfin.rig.machine import clock_of
+from softfin.rig.ros2.config import NodeConfig
+from softfin.rig.ros2.connection import open_transport
 from softfin.rig.ros2.messages import Messages
-from softfin.rig.ros2.node import NodeConfig, RosBridge, check_apart
+from softfin.rig.ros2.node import RosNode
 from softfin.rig.ros2.plant import Ros2Machine
-from softfin.rig.ros2.transport import open_transport
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import StopRequest
 
@@ -38,35 +40,35 @@ class Arguments(Driving, Configured):
         options = {"transport": self.transport, "domain": self.domain, "network": self.network}
         given = {name: value for name, value in options.items() if value is not None}
         topics = self.configured(NodeConfig(), connection=given or None)
-        controller, bench = self.parties()
-        if isinstance(clock_of(bench.machine), SimulatedClock):
+        controller, robot = self.parties()
+        if isinstance(clock_of(robot.machine), SimulatedClock):
             raise RigError(
-                f"{bench.machine.name}: emulated in simulated time, in which no topic can be heard; start "
+                f"{robot.machine.name}: emulated in simulated time, in which no topic can be heard; start "
                 "softfin rig emulate --real-time"
             )
-        if isinstance(bench.machine, Ros2Machine):
-            check_apart(topics, bench.machine.config)
-        otherwise, warning = controller.admit(self.reference, self.strict)
+        if isinstance(robot.machine, Ros2Machine):
+            robot.machine.config.check_apart(topics)
+        otherwise, warning = resolve_reference(controller, self.reference, self.strict)
         transport = open_transport(topics.connection, Messages())
         try:
-            bridge = RosBridge(transport, topics, admit=lambda asked: controller.admit(asked, self.strict))
+            node = RosNode(transport, topics, resolve=lambda asked: resolve_reference(controller, asked, self.strict))
             for note in (*transport.notes, *([] if warning is None else [warning])):
                 say(note)
-            newest = bridge.references(otherwise)
+            newest = node.references(otherwise)
 
             def references(at: float) -> tuple[float, float]:
                 asked = newest(at)
-                for note in bridge.notes():
+                for note in node.notes():
                     say(note)
                 return asked
 
             stop = StopRequest()
             result = self.drive(
-                controller, bench, references, self.seconds,
+                controller, robot, references, self.seconds,
                 lambda _: say("references come by their topic; Enter alone stops the fin"), stop,
-                (bridge.observer(stop),),
+                (node.observer(stop),),
             )  # fmt: skip
-            result["counters"] |= bridge.counters()
+            result["counters"] |= node.counters()
         finally:
             transport.close()
         self.tell_errors(result)

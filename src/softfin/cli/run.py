@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 from softfin.cli.driving import Driving, say
 from softfin.cli.kinds import Force, ReferenceFile
+from softfin.control.references import resolve_reference
 from softfin.core.errors import ConfigurationError
-from softfin.rig.references import Recorded, Said
+from softfin.rig.references import LiveReference, RecordedReference
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,22 +26,22 @@ class Arguments(Driving):
 
     def run(self) -> None:
         """Run."""
-        controller, bench = self.parties()
+        controller, robot = self.parties()
 
-        def admit(force: tuple[float, float]) -> tuple[tuple[float, float], str | None]:
-            return controller.admit(force, self.strict)
+        def resolve(force: tuple[float, float]) -> tuple[tuple[float, float], str | None]:
+            return resolve_reference(controller, force, self.strict)
 
         if self.reference is not None:
-            typed = Said(self.reference, admit, say)
-            return self.tell_errors(self.drive(controller, bench, typed, self.seconds, typed.line))
+            live = LiveReference(self.reference, resolve, say)
+            return self.tell_errors(self.drive(controller, robot, live, self.seconds, live.set_from_text))
         assert self.reference_file is not None
         # Imported here: the file's reader needs more than a robot's computer may have.
         from softfin.task.reference_file import read_reference_file
 
         rows = read_reference_file(self.reference_file)
-        recorded = Recorded(rows.time_s, [(float(x), float(y)) for x, y in rows.force_n], admit, say)
+        recorded = RecordedReference(rows.time_s, [(float(x), float(y)) for x, y in rows.force_n], resolve, say)
 
         def line(_: str) -> None:
             say("references come from the file; Enter alone stops the fin")
 
-        return self.tell_errors(self.drive(controller, bench, recorded, self.seconds or rows.seconds, line))
+        return self.tell_errors(self.drive(controller, robot, recorded, self.seconds or rows.seconds, line))

@@ -13,7 +13,7 @@ from softfin.storage.artifact import load_description
 from softfin.task.notation import read_cells, read_range
 
 if TYPE_CHECKING:
-    from softfin.task.references import Cell
+    from softfin.gaits.reachable import Cell
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +69,7 @@ class Arguments(Configured):
     def run(self) -> None:
         """Train."""
         from softfin.gaits.force_map import MapConfig
-        from softfin.learning.train import starting
+        from softfin.learning.configuration import choose_preset
         from softfin.stages import offline as stages
         from softfin.storage.registry import find_plant
         from softfin.task.references import PAPER_RANGE
@@ -82,7 +82,7 @@ class Arguments(Configured):
             given = None if self.map is not None and lattice == MapConfig(box=PAPER_RANGE) else lattice
             self.stage(stages.find_gaits, self.surrogate, self.out, given, known=self.map)
             return self._tell((0,))
-        begin, reason = starting(find_plant(self.surrogate), self.controller, self.algorithm)
+        begin, reason = choose_preset(find_plant(self.surrogate), self.controller, self.algorithm)
         config = self.configured(begin, cells=cells)
         if config.algorithm != begin.algorithm:
             raise ConfigurationError(
@@ -108,7 +108,7 @@ class Arguments(Configured):
     def _table(self, folder: Path, description: dict[str, Any]) -> str:
         """Return the scores of one controller."""
         from softfin.cli.tables import aligned, held
-        from softfin.learning.footprint import Footprint
+        from softfin.learning.policy import describe_memory
 
         gaits = self.controller == "gaits"
         rows = [["reference [N]", "error of the mean force [N]" if gaits else "error x, y [N]", ""]]
@@ -116,7 +116,7 @@ class Arguments(Configured):
             x, y = row["reference_n"]
             error = f"{row['missed_n']:.3f}" if gaits else "{:.3f}, {:.3f}".format(*row["error_n"])
             rows.append([f"({x:5.2f}, {y:5.2f})", error, held(row).strip()])
-        footprint = [] if gaits else [str(Footprint.of(description["memory"]))]
+        footprint = [] if gaits else [describe_memory(description["memory"])]
         head = f"{folder}: scored in {self.surrogate}, without exploration noise"
         return "\n".join([head, *aligned(rows, (0, 1, 2)), *footprint])
 
@@ -144,8 +144,9 @@ def asked_seeds(first: int, text: str | None) -> tuple[int, ...]:
 
 def asked_cells(controller: str, cells: str | None, span: str | None) -> "tuple[Cell, ...] | None":
     """Return the cells of ``--cells`` and ``--range``, one cell unless it is a grid; None where neither is given."""
+    from softfin.gaits.reachable import bounding_box
     from softfin.task.cells import cells_of, range_of
-    from softfin.task.references import PAPER_RANGE, least_box
+    from softfin.task.references import PAPER_RANGE
 
     within = PAPER_RANGE if span is None else range_of(span)
     if controller != "grid":
@@ -155,9 +156,9 @@ def asked_cells(controller: str, cells: str | None, span: str | None) -> "tuple[
     if cells is None and span is None:
         return None
     found = cells_of(cells or "paper", within)
-    if span is not None and least_box(found) != within:
+    if span is not None and bounding_box(found) != within:
         raise ConfigurationError(
-            f"--range {span}: the cells ({cells or 'paper'}) have places of their own ({least_box(found)}); leave it "
-            "out, or give a lattice such as --cells 3x3, which fills it"
+            f"--range {span}: the cells ({cells or 'paper'}) have places of their own ({bounding_box(found)}); leave "
+            "it out, or give a lattice such as --cells 3x3, which fills it"
         )
     return found

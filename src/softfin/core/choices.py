@@ -11,7 +11,7 @@ CalibratePreset: TypeAlias = Literal["full", "quick"]
 Excitation: TypeAlias = Literal["random", "active"]
 """How the motions of a dataset are chosen."""
 
-Model: TypeAlias = Literal["streaming", "paper", "auto"]
+ModelName: TypeAlias = Literal["streaming", "paper", "auto"]
 """Kinds of surrogate that are fitted; auto keeps the best on held-out logs."""
 
 PolicyLayout: TypeAlias = Literal["single", "grid"]

@@ -4,15 +4,16 @@ import numpy as np
 from jaxtyping import Float
 
 from softfin.control.controller import Controller
-from softfin.control.range import beyond_reach, cells_of, held
+from softfin.control.references import cells_of, resolve_references, unreachable
 from softfin.core.errors import CoverageError
 from softfin.core.quantities import RATE_HZ
-from softfin.task.references import PAPER_RANGE, Cell, Force, least_box
+from softfin.gaits.reachable import Cell, Force, bounding_box
+from softfin.task.references import PAPER_RANGE
 
 
 def bounds(controller: Controller) -> Cell:
     """The least box round all cells of a controller; of one that has none, and covers everything, the paper's range."""
-    return least_box(cells_of(controller) or (PAPER_RANGE,))
+    return bounding_box(cells_of(controller) or (PAPER_RANGE,))
 
 
 def covers(controller: Controller, reference: Force) -> bool:
@@ -32,7 +33,7 @@ def admitted_series(
     Raises CoverageError unless the controller covers every force, or with `strict` for the first one beyond its reach.
     """
     distinct, places = np.unique(references, axis=0, return_inverse=True)
-    near = held(controller, distinct).astype(np.float32)[places.reshape(-1)]
+    near = resolve_references(controller, distinct).astype(np.float32)[places.reshape(-1)]
     distance = np.hypot(*(near - references).T)
     if not distance.any():
         return references, None
@@ -40,7 +41,7 @@ def admitted_series(
     if strict:
         (x, y), (a, b) = references[first].tolist(), near[first].tolist()
         raise CoverageError(
-            f"{named}, at {first / RATE_HZ:g} s: {beyond_reach((x, y), (a, b))}; ask for that, or leave out --strict"
+            f"{named}, at {first / RATE_HZ:g} s: {unreachable((x, y), (a, b))}; ask for that, or leave out --strict"
         )
     return near, (
         f"{named}: this fin cannot make what is asked in {np.count_nonzero(distance) / RATE_HZ:g} of "

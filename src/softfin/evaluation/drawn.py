@@ -7,15 +7,14 @@ import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
 from softfin.control.controller import Controller
-from softfin.control.range import cells_of, reachable_of
+from softfin.control.references import cells_of, reachable_of
 from softfin.core.errors import CoverageError
 from softfin.core.quantities import AXES
 from softfin.core.randomness import generator_of
 from softfin.evaluation.experiment import Subject
 from softfin.evaluation.forceplane import error_map
-from softfin.gaits.nearest import reached
-from softfin.gaits.reachable import Reachable
-from softfin.task.references import PAPER_RANGE, Cell
+from softfin.gaits.reachable import Cell, Reachable
+from softfin.task.references import PAPER_RANGE
 
 MOST = 10_000
 """References that run side by side."""
@@ -70,7 +69,7 @@ def draw(
     for _ in range(ROUNDS):
         chosen = generator.choice(len(cells), count, p=share)
         drawn = generator.uniform(low[chosen], high[chosen])
-        found = np.concatenate([found, drawn if reachable is None else drawn[reached(reachable, drawn)]])
+        found = np.concatenate([found, drawn if reachable is None else drawn[reachable.contains(drawn)]])
         if len(found) >= count:
             return found[:count]
     raise CoverageError(

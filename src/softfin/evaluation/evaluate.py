@@ -12,8 +12,8 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from softfin.control.controller import Controller
-from softfin.control.range import admitted
-from softfin.control.trim import TrimConfig, TrimmedController
+from softfin.control.disturbance_observer import DisturbanceObserver, DisturbanceObserverConfig
+from softfin.control.references import resolve_reference
 from softfin.core.action_clock import ACTION_RATE_HZ, WINDOW
 from softfin.core.choices import MovingReference
 from softfin.core.configuration import Configuration
@@ -52,8 +52,8 @@ class EvaluateConfig(Configuration):
     """Another that moves, as read from a file; its last force is held as long as the one before."""
     strict: bool = False
     """Whether a reference that the fin cannot make is refused; else the nearest one that it can make is held."""
-    trim: TrimConfig | None = None
-    """An outer loop about the controller, which takes off what the fin makes besides what it is asked for."""
+    trim: DisturbanceObserverConfig | None = None
+    """A slow outer loop about the controller that cancels the steady-state force error."""
     error_map: int | None = pydantic.Field(default=None, ge=2, le=50)
     """References along each side of a lattice over the controller's range, for a map of the error; None draws none."""
     random: int | None = pydantic.Field(default=None, ge=1, le=MOST)
@@ -125,11 +125,11 @@ def evaluate(controller: Controller, plant: Subject, config: EvaluateConfig) -> 
     Raises CoverageError for a reference that the controller was not trained for, or with `config.strict` for one that
     the fin cannot make.
     """
-    admissions = [admitted(controller, reference, config.strict) for reference in config.references]
+    admissions = [resolve_reference(controller, reference, config.strict) for reference in config.references]
     held = np.array([reference for reference, _ in admissions], np.float32)
     warnings = tuple(said for _, said in admissions if said is not None)
     if config.trim is not None:
-        controller = TrimmedController(controller, config.trim)
+        controller = DisturbanceObserver(controller, config.trim)
     plans = planned(controller, config.moving, config.recorded, config.strict)
     warnings += tuple(said for plan in plans for said in plan.warnings)
     keys = jnp.stack([key_of(config.seed, f"evaluate/{repetition}") for repetition in range(config.seeds)])

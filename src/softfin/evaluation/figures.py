@@ -11,11 +11,11 @@ from matplotlib.projections.polar import PolarAxes
 
 from softfin.core.action_clock import WINDOW
 from softfin.core.quantities import AXES, RATE_HZ
+from softfin.core.window import moving_average
 from softfin.evaluation.experiment import Recording
 from softfin.evaluation.moving import Moving
 from softfin.evaluation.paper import PAPER_TABLE_II
 from softfin.evaluation.response import SETTLED_N
-from softfin.evaluation.scores import moving_average
 from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, styled
 
 TRAJECTORY_SECONDS = 5

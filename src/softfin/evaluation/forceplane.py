@@ -14,16 +14,15 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from softfin.control.controller import Controller
-from softfin.control.range import reachable_of
+from softfin.control.references import reachable_of
 from softfin.core.errors import CoverageError
 from softfin.core.quantities import AXES
 from softfin.evaluation.coverage import bounds, covers
 from softfin.evaluation.experiment import Subject, check_finite, run
 from softfin.evaluation.paper import REFERENCES
 from softfin.evaluation.scores import score
-from softfin.gaits.nearest import reached
+from softfin.gaits.reachable import Cell
 from softfin.storage.figures import BLACK, new_figure, styled
-from softfin.task.references import Cell
 
 POINTS = 7
 """References along each side of the lattice."""
@@ -96,7 +95,7 @@ def map_range(controller: Controller, plant: Subject, points: int, seconds: int,
         )
     references, reachable = np.array(covered), reachable_of(controller)
     if reachable is not None:
-        references = references[reached(reachable, references)]
+        references = references[reachable.contains(references)]
     if not len(references):
         raise CoverageError(
             f"an error map of {points} x {points} references over {cell}: this fin can make none of them; ask for more "

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from softfin.control.controller import Controller
-from softfin.control.range import reachable_of
+from softfin.control.references import reachable_of
 from softfin.core.choices import MovingReference
 from softfin.core.errors import CoverageError
 from softfin.core.quantities import AXES, RATE_HZ
@@ -21,9 +21,7 @@ from softfin.evaluation.coverage import admitted_series, bounds
 from softfin.evaluation.experiment import MIN_SECONDS, Recording, Subject, alike, check_finite, first_of, run
 from softfin.evaluation.response import Response, responses, tracking_error
 from softfin.evaluation.scores import score
-from softfin.gaits.nearest import nearest_within, reached
-from softfin.gaits.reachable import Reachable
-from softfin.task.references import Cell
+from softfin.gaits.reachable import Cell, Reachable
 from softfin.task.signals import Force, Ramp, Recorded, Signal, Sine, Step
 
 At = Callable[[float, float], Force]
@@ -79,8 +77,8 @@ def signals_of(kind: MovingReference, cell: Cell, reachable: Reachable | None = 
 
     def at(x: float, y: float) -> Force:
         place = (x0 + x * (x1 - x0), y0 + y * (y1 - y0))
-        if reachable is not None and not reached(reachable, np.array([place])).all():
-            place = nearest_within(reachable, (cell,), np.array([place]))[0].tolist()
+        if reachable is not None and not reachable.contains(place):
+            place = reachable.nearest_within((cell,), np.array([place]))[0].tolist()
         if not np.isfinite(place).all():
             raise CoverageError(
                 f"references that move within {cell}: this fin can make none of these forces; train the controller "

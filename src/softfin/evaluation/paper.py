@@ -6,7 +6,7 @@ give 0.293), so both are kept: `PAPER_PRINTED_MEANS` and `recomputed_means`.
 
 from typing import NamedTuple
 
-from softfin.task.references import PAPER_REFERENCES
+from softfin.gaits.reachable import PAPER_REFERENCES
 
 REFERENCES = PAPER_REFERENCES
 """Reference forces (x, y) [N] of Table II."""

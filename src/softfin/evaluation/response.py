@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from softfin.core.action_clock import WINDOW
 from softfin.core.quantities import AXES, RATE_HZ
-from softfin.evaluation.scores import moving_average
+from softfin.core.window import moving_average, moving_error
 
 SETTLED_N = 0.2
 """As near to the new reference counts as there, on both axes [N]."""
@@ -58,7 +58,7 @@ def tracking_error(force: Float[np.ndarray, "*batch ticks 2"], reference: Force)
     `softfin.evaluation.scores.score` gives the other one, against the reference's mean over the window.
     """
     late = np.asarray(reference, np.float64)[WINDOW - 1 :]
-    return np.asarray(np.abs(moving_average(force) - late).mean(axis=-2))
+    return np.asarray(moving_error(force, late))
 
 
 def steps_of(reference: Force) -> list[tuple[int, int]]:

@@ -13,8 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from softfin.core.action_clock import ACTION_TICKS, WINDOW, ticks_of
+from softfin.core.action_clock import ACTION_TICKS, ticks_of
 from softfin.core.quantities import RATE_HZ
+from softfin.core.window import moving_average, moving_error
 from softfin.evaluation.experiment import Recording
 
 STILL_RAD_S = 0.1
@@ -41,28 +42,17 @@ class Scores(NamedTuple):
 def score(recording: Recording) -> Scores:
     """Score every experiment of a recording, of at least one window."""
     force = np.asarray(recording.reading.force, np.float64)
-    average = moving_average(force)
     asked = np.asarray(recording.reference, np.float64)
     reference = (asked[:, None] if asked.ndim == 2 else moving_average(asked))[:, None]
     shaft = np.asarray(recording.reading.angle, np.float64)
     return Scores(
-        error=np.abs(average - reference).mean(axis=2),
-        std=average.std(axis=2),
+        error=moving_error(force, reference),
+        std=moving_average(force).std(axis=2),
         raw_std=force.std(axis=2),
         command_travel=travel(np.asarray(recording.command.angle, np.float64)),
         shaft_travel=travel(shaft),
         late_travel=travel(shaft[..., shaft.shape[-1] // (2 * RATE_HZ) * RATE_HZ :]),
     )
-
-
-def moving_average(
-    series: Float[np.ndarray, "*batch ticks channels"], window: int = WINDOW
-) -> Float[np.ndarray, "*batch windows channels"]:
-    """Over each `window` samples that are all there: element 0 is the mean of the first `window` samples."""
-    # In float64: the difference of two cumulative sums over a long series loses its digits in float32.
-    total = np.cumsum(np.asarray(series, np.float64), axis=-2)
-    total = np.concatenate([np.zeros_like(total[..., :1, :]), total], axis=-2)
-    return (total[..., window:, :] - total[..., :-window, :]) / window
 
 
 def travel(angle: Float[np.ndarray, "*batch ticks"]) -> Float[np.ndarray, "*batch"]:

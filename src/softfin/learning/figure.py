@@ -1,4 +1,4 @@
-"""What a training run's logs tell, as a figure in the controller's folder: the error as it fell."""
+"""The error of the policies over the steps of a training run, as a figure in the controller's folder."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,9 +11,9 @@ from softfin.storage.figures import render
 from softfin.storage.run_directory import LOG, read_log
 
 FIGURE = "learning.svg"
-REFINED = "refined"
-"""Folder of the logs of a refinement."""
-GROUPS = {REFINED: "refined cells", "common": "one policy for all cells"}
+REFINED, SHARED = "refined", "shared"
+"""Folders of the logs of a refinement, and of the training of one policy for all cells."""
+GROUPS = {REFINED: "refined cells", SHARED: "one policy for all cells"}
 """Runs of their own, which count their steps from 0, by the folder of their logs."""
 
 
@@ -30,7 +30,7 @@ def write_learning(folder: Path) -> None:
 
 
 def curves(entries: Sequence[Mapping[str, Any]]) -> list[Curve]:
-    """Of each seed, the score against the steps, where the policies were scored."""
+    """The error of each seed against the steps, where the policies were evaluated."""
     first, second = (f"/score_{axis}_n" for axis in AXES)
     seeds = dict.fromkeys(name.removesuffix(first) for entry in entries for name in entry if name.endswith(first))
     scored = {seed: [entry for entry in entries if entry.get(seed + first) is not None] for seed in seeds}

@@ -9,23 +9,23 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from softfin.control.range import admitted
-from softfin.control.store import load_controller, save_controller, save_gaits
+from softfin.control.references import resolve_reference
+from softfin.control.store import load_controller, save_gaits
 from softfin.core.choices import EngineName, Split
 from softfin.core.errors import ArtifactError, ConfigurationError, PlantError
-from softfin.core.plant import Plant
+from softfin.core.plant import EnsemblePlant, Plant
 from softfin.core.plant_identity import identity
+from softfin.core.progress import Progress
 from softfin.core.quantities import Limits
 from softfin.core.randomness import key_of
-from softfin.data.checks.findings import check_accepted
 from softfin.data.checks.inspection import Inspection
 from softfin.data.checks.report import write_inspection
-from softfin.data.collect import CollectConfig
+from softfin.data.collect import CollectConfig, open_to_extend
 from softfin.data.collect import collect as _collect
 from softfin.data.excitation import Commands
-from softfin.data.extension import extended
 from softfin.data.importing.importing import ImportConfig
-from softfin.data.importing.recordings import Opened, check_train, open_logs
+from softfin.data.issues import check_issues
+from softfin.data.recordings import OpenedLogs, check_train, open_logs
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, write_evaluation
 from softfin.evaluation.evaluate import evaluate as _evaluate
 from softfin.evaluation.experiment import Subject
@@ -35,13 +35,13 @@ from softfin.evaluation.view.view import draw, footage_of, title_of
 from softfin.gaits.figure import write_map
 from softfin.gaits.force_map import MapConfig, check_star
 from softfin.gaits.force_map import map_forces as _map_forces
-from softfin.gaits.known import known_of
-from softfin.gaits.map_store import described
-from softfin.learning.engine import find_engine
+from softfin.gaits.map_store import load_force_map
+from softfin.gaits.reachable import PAPER_REFERENCES
+from softfin.learning.configuration import TrainConfig, check, choose_preset
+from softfin.learning.controllers import save_controller
 from softfin.learning.figure import REFINED, write_learning
-from softfin.learning.jobs import default_split, train_jobs
-from softfin.learning.refinement import check_refinable, refined
-from softfin.learning.train import TrainConfig, check, starting
+from softfin.learning.jobs import default_split, find_engine, train_jobs
+from softfin.learning.refine import check_refinable, train_refined
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.storage.paths import check_view
@@ -51,7 +51,6 @@ from softfin.surrogate import (
     AutoConfig,
     FitConfig,
     StreamingConfig,
-    StreamingSurrogate,
     Surrogate,
     load_surrogate,
     save_surrogate,
@@ -61,19 +60,19 @@ from softfin.surrogate.active import ActiveCollectConfig, chooser
 from softfin.surrogate.compare.candidates import candidates
 from softfin.surrogate.compare.compare import CompareConfig
 from softfin.surrogate.compare.compare import compare as _compare
-from softfin.surrogate.compare.metrics import SKIPPED, measured_scaling, table_one
+from softfin.surrogate.compare.metrics import measured_ranges, table_one
 from softfin.surrogate.compare.report import write_comparison
-from softfin.surrogate.paper.fit import check_lengths
+from softfin.surrogate.model import SKIPPED
 from softfin.surrogate.range import check_commands_learnt, learnt_from, training_range
 from softfin.surrogate.selection import fit_any
+from softfin.surrogate.training import check_lengths
 from softfin.tank import DomainRandomization, RandomizedTank, Tank, sample_tank
 from softfin.tank.calibration.calibrate import calibrate as _calibrate
 from softfin.tank.calibration.config import CalibrateConfig
 from softfin.tank.calibration.material import material
 from softfin.tank.calibration.report import write_calibration
-from softfin.task.references import PAPER_RANGE, PAPER_REFERENCES
+from softfin.task.references import PAPER_RANGE
 
-Progress = Callable[[str, float, str], None]
 """Called with what is going on, how much of it is done (0 .. 1), and the newest figures."""
 
 
@@ -96,9 +95,9 @@ def collect(
     config = config or CollectConfig()
     artifacts.check_vacant(out, overwrite)
     moving = find_plant(plant) if isinstance(plant, str) else plant
-    facts: dict[str, Any] = {"plant": str(plant), "plant_identity": identity(moving)}
-    before = None if extend is None else extended(extend, facts)
-    commands, facts["commands"] = _commands(config, surrogate, Limits(*moving.limits))
+    metadata: dict[str, Any] = {"plant": str(plant), "plant_identity": identity(moving)}
+    before = None if extend is None else open_to_extend(extend, metadata)
+    commands, metadata["commands"] = _commands(config, surrogate, Limits(*moving.limits))
     others: list[Plant] | None = None
     if isinstance(moving, Tank):
         first = 0 if before is None else len(before.test)
@@ -109,7 +108,7 @@ def collect(
         if progress is not None:
             progress("collect", rows / of, f"{rows:,} of {of:,} rows")
 
-    return _collect(moving, config, out, others, report, facts, commands, before, overwrite)
+    return _collect(moving, config, out, others, report, metadata, commands, before, overwrite)
 
 
 def _commands(
@@ -133,19 +132,19 @@ def inspect_logs(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Say what is wrong with recordings; writes ``inspection.json`` and a figure to `out`."""
+    """Find what is wrong with recordings; writes ``inspection.json`` and a figure to `out`."""
     if out is not None:
         artifacts.check_vacant(out, overwrite)
     config = config or ImportConfig()
     opened = open_logs(path, config, progress)
-    facts = {
+    metadata = {
         "source": str(path),
         "options": config.model_dump(mode="json"),
         "provenance": artifacts.provenance(data_hash=opened.data_hash),
     }
     if out is None:
-        return {**opened.inspection.described(), **facts}
-    return write_inspection(opened.inspection, opened.logs, out, facts, overwrite)
+        return {**opened.inspection.to_dict(), **metadata}
+    return write_inspection(opened.inspection, opened.logs, out, metadata, overwrite)
 
 
 def import_logs(
@@ -153,17 +152,17 @@ def import_logs(
     out: Path,
     config: ImportConfig | None = None,
     *,
-    accept: bool = False,
+    ignore_errors: bool = False,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> tuple[Dataset, Inspection]:
-    """Recordings of any kind become a dataset; raises LogError where they have errors, unless they are accepted."""
+    """Turn recordings of any kind into a dataset; raises LogError where they have errors, unless these are ignored."""
     artifacts.check_vacant(out, overwrite)
     opened = open_logs(path, config or ImportConfig(), progress)
     check_train(opened, str(path))
-    check_accepted(opened.findings, str(path), accept)
-    facts = {**opened.facts, "accepted": accept, "provenance": artifacts.provenance()}
-    return write_dataset(out, opened.train, opened.test, facts, overwrite), opened.inspection
+    check_issues(opened.issues, str(path), ignore_errors)
+    metadata = {**opened.metadata, "ignore_errors": ignore_errors, "provenance": artifacts.provenance()}
+    return write_dataset(out, opened.train, opened.test, metadata, overwrite), opened.inspection
 
 
 def fit(
@@ -172,21 +171,21 @@ def fit(
     config: FitConfig | StreamingConfig | AutoConfig | None = None,
     *,
     logs: ImportConfig | None = None,
-    accept: bool = False,
+    ignore_errors: bool = False,
     seed: int = 0,
     resume: bool = False,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Fit a surrogate to logs, score it on their test logs, write it; returns Table I, counts of findings, a caveat.
+    """Fit a surrogate to logs, score it on their test logs, write it; returns Table I, counts of issues, a caveat.
 
     The kind of configuration says which model: the paper's nets, streaming nets, or what is best on held-out logs.
     `dataset` is a dataset's folder, or recordings of any other kind, read as `logs` says; raises LogError where these
-    have errors, unless they are accepted, now or when the dataset was imported.
+    have errors, unless these are ignored, now or when the dataset was imported.
     """
     config = config or StreamingConfig()
     artifacts.check_vacant(out, overwrite or resume)
-    opened = _opened(dataset, logs, accept, progress)
+    opened = _opened(dataset, logs, ignore_errors, progress)
     facts = {"configuration": config.model_dump(mode="json"), "seed": seed, "data_hash": opened.data_hash}
     workspace = Workspace(out, facts, resume, overwrite)
     if not workspace.complete:
@@ -194,12 +193,14 @@ def fit(
         test = opened.test
         check_lengths(test, SKIPPED, "test")
         if test:
-            measured_scaling(test)
+            measured_ranges(test)
         fitted, evidence = fit_any(opened.train, config, seed, workspace, progress)
-        provenance = artifacts.provenance(seed=seed, data_hash=opened.data_hash, dataset=str(dataset), **opened.facts)
+        provenance = artifacts.provenance(
+            seed=seed, data_hash=opened.data_hash, dataset=str(dataset), **opened.metadata
+        )
         save_surrogate(
             out, fitted, table_one(fitted, test) if test else None, provenance,
-            also=workspace.keep_log, overwrite=overwrite, configuration=facts["configuration"],
+            extra_files=workspace.keep_log, overwrite=overwrite, configuration=facts["configuration"],
             training_range=training_range(opened.train), fin=_fin_of(dataset),
             **({} if evidence is None else {"candidates": evidence}),
         )  # fmt: skip
@@ -210,19 +211,21 @@ def fit(
         "model": surrogate.model,
         "table_i": description["scores"],
         "candidates": description.get("candidates"),
-        "findings": summary["counts"],
+        "issues": summary["counts"],
         "columns": summary["columns"],
-        "caveat": surrogate.interval.caveat() if isinstance(surrogate, StreamingSurrogate) else None,
+        "caveat": surrogate.interval.caveat() if isinstance(surrogate, EnsemblePlant) else None,
     }
 
 
-def _opened(dataset: Path, config: ImportConfig | None, accept: bool, progress: Progress | None) -> Opened:
+def _opened(dataset: Path, config: ImportConfig | None, ignore_errors: bool, progress: Progress | None) -> OpenedLogs:
     opened = open_logs(dataset, config, progress)
     check_train(opened, str(dataset))
     known = artifacts.load_description(dataset, "dataset") if artifacts.is_kind(dataset, "dataset") else None
-    check_accepted(opened.findings, str(dataset), accept or (known is not None and known.get("accepted") is True))
-    # Of a dataset its folder tells what is known of it.
-    return dataclasses.replace(opened, facts={"logs": opened.facts} if known is None else {})
+    # Datasets of softfin before 0.2 have "accepted" in place of "ignore_errors".
+    were_ignored = known is not None and True in (known.get("ignore_errors"), known.get("accepted"))
+    check_issues(opened.issues, str(dataset), ignore_errors or were_ignored)
+    # A dataset's own folder has its metadata.
+    return dataclasses.replace(opened, metadata={"logs": opened.metadata} if known is None else {})
 
 
 def _fin_of(dataset: Path) -> str | None:
@@ -267,14 +270,14 @@ def compare(
     out: Path | None = None,
     config: CompareConfig | None = None,
     *,
-    floor: str | Plant | None = None,
+    noise_floor: str | Plant | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Score surrogates on a dataset's test logs, left alone for several horizons; writes JSON and a figure.
+    """Score surrogates on a dataset's test logs, free-running over several horizons; writes JSON and a figure.
 
-    `floor` is a plant that records the same commands once more, such as the tank: what noise and drift, twice over, and
-    other conditions leave.
+    `noise_floor` is a plant that records the same commands once more, such as the tank: what noise and drift, twice
+    over, and other conditions leave.
     """
     config = config or CompareConfig()
     if out is not None:
@@ -283,16 +286,17 @@ def compare(
     data = Dataset.open(dataset)
     if not data.test:
         raise ArtifactError(f"{dataset}: holds no test logs to compare on; put Parquet logs into {dataset / 'test'}")
-    named = floor if isinstance(floor, str) or floor is None else type(floor).__name__
-    bottom = find_plant(floor) if isinstance(floor, str) else floor
+    floor: tuple[str, Plant] | None = None
+    if isinstance(noise_floor, str):
+        floor = noise_floor, find_plant(noise_floor)
+    elif noise_floor is not None:
+        floor = type(noise_floor).__name__, noise_floor
 
     def report(done: float, note: str) -> None:
         if progress is not None:
             progress("compare", done, note)
 
-    comparison = _compare(
-        found, list(data.load(data.test)), config, None if bottom is None or named is None else (named, bottom), report
-    )
+    comparison = _compare(found, list(data.load(data.test)), config, floor, report)
     facts = {
         "dataset": str(dataset),
         "test_logs": len(data.test),
@@ -325,10 +329,10 @@ def map_forces(
     moving = find_plant(plant) if isinstance(plant, str) else plant
     known = _map_forces(moving, config, None if progress is None else partial(progress, "map"))
     write_map(out, known, config, Limits(*map(float, moving.limits)), _origin(plant, moving), overwrite)
-    missed, star = known.found.missed(), check_star(known, config.tolerance_n)
+    missed, star = known.gaits.force_error(), check_star(known, config.tolerance_n)
     return {
         "map": str(out),
-        "box_n": known.reachable.box(),
+        "box_n": known.reachable.bounds(),
         "area_n2": known.reachable.area(),
         "nodes": missed.size,
         "held": int((missed <= config.tolerance_n).sum()),
@@ -357,7 +361,8 @@ def find_gaits(
         config = config or MapConfig(box=PAPER_RANGE)
         found = _map_forces(moving, config, None if progress is None else partial(progress, "gaits"))
     elif config is None:
-        found, config = known_of(known, moving, _named(plant))
+        loaded = load_force_map(known, moving, _named(plant))
+        found, config = loaded.force_map, loaded.config
     else:
         raise ConfigurationError(f"map {known}: its lattice is made; give no configuration or range beside it")
     origin = _origin(plant, moving, **({} if known is None else {"map": str(known)}))
@@ -392,7 +397,7 @@ def train(
 
     Without a configuration it is a grid over the paper's cells, by gradients wherever the plant has them. The folder of
     a map of the plant, `known`, says what the fin can do and saves the search for gaits; without, only training by
-    gradients with a teacher looks for it, and references beyond reach are trained for as they are.
+    gradients that begins as gaits looks for it, and references beyond reach are trained for as they are.
     One seed writes the controller's folder `out`; several are written as ``out/seed-N``. All is one program, unless
     it is `split` into jobs; the `engine` does these one after the other, or all at once on a Ray `cluster`. A grid's
     worst cells are split until there are `refine` more, whose policies go on from their cell's, in this process.
@@ -401,9 +406,9 @@ def train(
     working, split = find_engine(engine, cluster), split or default_split(engine, seeds)
     moving = find_plant(plant) if isinstance(plant, str) else plant
     if config is None:
-        config, reason = starting(moving)
+        config, reason = choose_preset(moving)
     check_refinable(config, refine)
-    can = None if known is None else known_of(known, moving, _named(plant)).found
+    can = None if known is None else load_force_map(known, moving, _named(plant)).force_map
     origin, learnt = _origin(plant, moving, **({} if known is None else {"map": str(known)})), learnt_from(plant)
     origin["algorithm"] = reason or f"{config.algorithm}, as configured"
     facts = {
@@ -412,7 +417,7 @@ def train(
         "plant": origin["plant_identity"],
         "split": split,
         "refine": refine,
-        "map": None if can is None else described(can),
+        "map": None if can is None else can.to_dict(),
     }
     check(moving, config, seeds, can)
     workspace = Workspace(out, facts, resume, overwrite)
@@ -420,9 +425,9 @@ def train(
         return workspace.finish()
     if progress is not None and reason is not None:
         progress("algorithm", 1.0, reason)
-    trained = train_jobs(moving, config, seeds, workspace, progress, engine=working, split=split, known=can)
+    trained = train_jobs(moving, config, seeds, workspace, progress, engine=working, split=split, force_map=can)
     if refine:
-        trained, parents = refined(moving, trained, refine, workspace.part(REFINED), progress)
+        trained, parents = train_refined(moving, trained, refine, workspace.part(REFINED), progress)
         origin |= {"refined_from": [cell.model_dump(mode="json") for cell in config.cells], "parents": list(parents)}
 
     def save(folder: Path, seed: int, also: Callable[[Path], None] | None = None) -> None:
@@ -496,7 +501,7 @@ def view(
         raise ConfigurationError("random commands and a controller at once; give one of them")
     warnings: list[str] = []
     if controller is not None and holding is not None and reference is not None:
-        pairs = [admitted(holding, asked, strict=False) for asked in (reference, *config.then)]
+        pairs = [resolve_reference(holding, asked, strict=False) for asked in (reference, *config.then)]
         reference, *following = (force for force, _ in pairs)
         config = config.merged({"then": following}, "view")
         warnings = [said for _, said in pairs if said is not None]

@@ -17,7 +17,9 @@ from pydantic import Field, PositiveInt, model_validator
 from softfin.core.choices import ReproducePreset
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ArtifactError
+from softfin.core.plant import EnsemblePlant
 from softfin.core.plant_identity import identity
+from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ
 from softfin.data.collect import CollectConfig
 from softfin.evaluation.doubt import Doubt
@@ -25,17 +27,15 @@ from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, write_evalua
 from softfin.evaluation.figures import experiments_figure
 from softfin.evaluation.report import write_report
 from softfin.evaluation.scores import Scores
-from softfin.learning.train import GRADIENT_GRID, GRADIENT_SINGLE, GRID, SINGLE, TrainConfig
+from softfin.learning.configuration import GRADIENT_GRID, GRADIENT_SINGLE, GRID, SINGLE, TrainConfig
 from softfin.stages import offline as stages
-from softfin.stages.offline import Progress
 from softfin.storage import artifact as artifacts
 from softfin.storage.curves import learning_figure, prediction_figure
 from softfin.storage.dataset import Dataset
 from softfin.storage.registry import find_plant, is_surrogate
 from softfin.storage.run_directory import LOG, TRAINING_LOG, read_log
-from softfin.surrogate import FitConfig, StreamingConfig, Surrogate, load_surrogate
-from softfin.surrogate.compare.horizons import Place, free_running
-from softfin.surrogate.paper.predict import predict
+from softfin.surrogate import FitConfig, StreamingConfig, load_surrogate
+from softfin.surrogate.compare.free_running import Segment, free_run
 
 KIND = "reproduction"
 RESULTS = "results.json"
@@ -193,7 +193,7 @@ class _Reproduction:
         self.stage(
             "fit", self.surrogate,
             lambda: stages.fit(self.dataset, self.surrogate, self.config.fit, seed=self.seed, resume=True,
-                               accept=True, progress=self.progress),
+                               ignore_errors=True, progress=self.progress),
         )  # fmt: skip
         scores: dict[str, Any] | None = artifacts.load_description(self.surrogate, "surrogate")["scores"]
         return scores
@@ -245,11 +245,11 @@ class _Reproduction:
         first = max(surrogate.memory, min(10 * RATE_HZ, rows // 2))
         ticks = min(SHOWN_S * RATE_HZ, rows - first)
         stretch = slice(first, first + ticks)
-        freed = free_running(surrogate, [log], [Place(0, first)], ticks)
-        said = {"free-running": np.asarray(freed.reading.force[0])}
-        if isinstance(surrogate, Surrogate):
+        free = free_run(surrogate, [log], [Segment(0, first)], ticks)
+        said = {"free-running": np.asarray(free.reading.force[0])}
+        if not isinstance(surrogate, EnsemblePlant):
             behind = slice(first - surrogate.window, stretch.stop - surrogate.window)
-            said = {"given the angle": predict(surrogate, log, "measured").force[behind], **said}
+            said = {"given the angle": surrogate.predict_force(log, free_running=False)[behind], **said}
         return {"Force in a test log and in the surrogate": prediction_figure(
             np.asarray(log.reading.force[stretch]), said, first / RATE_HZ
         )}  # fmt: skip

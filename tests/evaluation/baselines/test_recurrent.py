@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import ConfigurationError
-from softfin.core.quantities import PAPER_LIMITS
+from softfin.core.quantities import PAPER_LIMITS, command_of
 from softfin.evaluation.baselines.open_loop import evaluation_keys
 from softfin.evaluation.baselines.recurrent import run_recurrent, trained
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.evaluation.experiment import run
 from softfin.task.references import PAPER_RANGE
-from softfin.task.task import TaskConfig, command_of, observation, remember, rest_actions
+from softfin.task.task import TaskConfig, observation, remember, rest_actions
 from tests.plants import AnalyticFin
 
 CONFIG = EvaluateConfig(references=((1, -1), (2, 0)), seconds=3, seeds=2)

@@ -12,8 +12,7 @@ from softfin.core.randomness import key_of
 from softfin.evaluation import experiment
 from softfin.evaluation.view import ViewConfig
 from softfin.evaluation.view.view import footage_of, title_of
-from softfin.gaits.reachable import Reachable
-from softfin.task.references import Cell
+from softfin.gaits.reachable import Cell, Reachable
 from tests.evaluation.view.fins import BendingFin
 from tests.plants import Flapper
 

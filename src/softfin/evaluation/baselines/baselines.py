@@ -32,8 +32,8 @@ from softfin.evaluation.baselines.recurrent import run_recurrent, trained
 from softfin.evaluation.baselines.sine import Sine, commanded
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, Reference
 from softfin.evaluation.paper import REFERENCES
+from softfin.gaits.reachable import Cell, bounding_box
 from softfin.storage import artifact as artifacts
-from softfin.task.references import Cell, least_box
 from softfin.task.task import TaskConfig
 
 KIND = "baselines"
@@ -153,7 +153,7 @@ class _Judged:
                 f"it would learn commands that the plant does not take, {limits.described()}; let it learn in a "
                 "surrogate of the fin itself"
             )
-        box = least_box([Cell.around(reference, 0.0) for reference in self.config.references])
+        box = bounding_box([Cell.around(reference, 0.0) for reference in self.config.references])
         model = trained(learns_in, steps, self.config.seed, task, box)
         recording = run_recurrent(model, task, limits, plant, self.config)
         self._keep(name, score_all(recording, plant, self.config), [{}] * len(self.config.references))

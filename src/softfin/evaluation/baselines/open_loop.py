@@ -11,10 +11,11 @@ from jaxtyping import Array, Float, Key, PRNGKeyArray
 from softfin.core.plant import Plant, roll
 from softfin.core.quantities import Command, Limits, Reading
 from softfin.core.randomness import key_of
+from softfin.core.window import moving_error
 from softfin.evaluation.doubt import doubt
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation
 from softfin.evaluation.experiment import Recording, alike, check_finite, first_of
-from softfin.evaluation.scores import Scores, moving_average, score
+from softfin.evaluation.scores import Scores, score
 
 Forces = Float[np.ndarray, "cases ticks 2"]
 
@@ -74,5 +75,4 @@ def score_all(recording: Recording, plant: Plant, config: EvaluateConfig) -> Eva
 
 def missed(forces: Forces, references: Float[np.ndarray, "references 2"]) -> Float[np.ndarray, "cases references"]:
     """What each case would miss each reference by: the errors of x and y together [N], as in Table II."""
-    average = moving_average(forces)
-    return np.stack([np.abs(average - reference).mean(axis=1).sum(axis=1) for reference in references], axis=1)
+    return np.stack([moving_error(forces, reference).sum(axis=1) for reference in references], axis=1)

@@ -16,12 +16,12 @@ from softfin.core.action_clock import ACTION_TICKS, MOST_TICKS, rows_of, ticks_o
 from softfin.core.errors import ConfigurationError
 from softfin.core.gym_registration import ID, register
 from softfin.core.plant import Plant, State, Ticks, hold_action
-from softfin.core.quantities import Command, Limits, Reading
+from softfin.core.quantities import Command, Limits, Reading, command_of
 from softfin.evaluation.baselines.open_loop import evaluation_keys
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.evaluation.experiment import Recording
-from softfin.task.references import Cell
-from softfin.task.task import TaskConfig, command_of, observation, remember, rest_actions
+from softfin.gaits.reachable import Cell
+from softfin.task.task import TaskConfig, observation, remember, rest_actions
 
 INSTALL = "sb3-contrib is not installed; pip install 'softfin[sb3]'"
 

@@ -1,0 +1,97 @@
+"""Lanes over two devices; in a process of its own, because JAX counts its devices when it starts."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softfin.learning.configuration import TrainConfig
+from softfin.learning.run import TrainingRun, equal_parts, over_devices
+from tests.learning.ray_cluster import SMALL
+from tests.plants import AnalyticFin
+
+FORCED = "--xla_force_host_platform_device_count=2"
+
+
+@pytest.mark.parametrize(("count", "devices", "used"), [(6, 4, 3), (8, 4, 4), (5, 4, 1), (1, 8, 1), (49, 8, 7)])
+def test_as_many_devices_share_the_lanes_as_get_equal_parts(count, devices, used):
+    assert equal_parts(count, devices) == used
+
+
+def test_on_one_device_nothing_is_moved():
+    lanes = (jnp.zeros(4), jnp.ones((4, 2)))
+    assert over_devices(lanes, 4, 8, jax.devices()[:1]) is lanes
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """One process for all cases; how well its programs are optimised is none of the claims."""
+    file = tmp_path_factory.mktemp("sharding") / "told.json"
+    environment = os.environ | {
+        "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} {FORCED}",
+        "JAX_PLATFORMS": "cpu",
+        "JAX_DISABLE_MOST_OPTIMIZATIONS": "1",
+    }
+    command = [sys.executable, "-m", "tests.learning.test_devices", str(file)]
+    run = subprocess.run(command, cwd=Path(__file__).parents[2], env=environment, capture_output=True, text=True,
+                         timeout=900)  # fmt: skip
+    assert run.returncode == 0, run.stderr[-4000:]
+    return json.loads(file.read_text())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("case", "kept"), [("lanes", [[1, 4], [1, 4]]), ("environments", [[1, 2], [1, 2]])], ids=["lanes", "environments"]
+)
+def test_two_devices_learn_what_one_learns(told: Any, case: str, kept: Any):
+    assert told[case]["devices"] == 2
+    assert told[case]["kept"] == kept
+    assert told[case]["apart"] < 1e-5
+    assert told[case]["moved"] > 0.005
+
+
+def _trained() -> dict[str, Any]:
+    """What each device keeps of the fins' angles after two updates, and how far these are from those of one device.
+
+    Two lanes are dealt out as they are; of one lane, the environments are. What one device learns is the same lane.
+    """
+    every = jax.devices()
+
+    def updated(config: TrainConfig, devices: list[Any]) -> tuple[Any, Any]:
+        jax.devices = lambda: devices
+        run = TrainingRun(AnalyticFin(), config, (0,), None)
+        lanes = fresh = run.over_devices(run.start().agents)
+        for _ in range(2):
+            lanes, _ = run.update(lanes, 1)
+        return fresh.policy, lanes
+
+    fresh, one = updated(SMALL, every[:1])
+    told = {}
+    for case, count in (("lanes", 2), ("environments", 1)):
+        both = updated(SMALL.model_copy(update={"cells": SMALL.cells[:count]}), every)[1]
+        shards = both.env_state.states.angle.addressable_shards
+        before, after = (jax.tree.map(lambda x, n=count: x[:n], policy) for policy in (fresh, one.policy))
+        told[case] = {
+            "devices": len({shard.device for shard in shards}),
+            "kept": [list(shard.data.shape) for shard in shards],
+            "apart": _apart(both.policy, after),
+            "moved": _apart(after.net, before.net),
+        }
+    return told
+
+
+def _apart(one: Any, other: Any) -> float:
+    """The greatest distance between weights."""
+    pairs = zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True)
+    return max(float(np.abs(np.asarray(a) - np.asarray(b)).max()) for a, b in pairs)
+
+
+if __name__ == "__main__":
+    Path(sys.argv[1]).write_text(json.dumps(_trained()))

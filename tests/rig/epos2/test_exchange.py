@@ -1,0 +1,93 @@
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from softfin.rig.epos2.exchange import Handshake, Setpoint
+
+FIRST, SECOND, THIRD = Setpoint(1, 1), Setpoint(2, 2), Setpoint(3, 3)
+
+
+def test_a_target_is_raised_acknowledged_and_lowered() -> None:
+    shake = Handshake(0.06)
+    shake.offer(FIRST)
+    assert shake.step(False, 0.0) == FIRST
+    assert shake.step(False, 0.01) is None
+    assert shake.step(True, 0.02) is True
+    assert shake.step(True, 0.03) is None
+    assert shake.step(False, 0.04) is None
+    shake.offer(SECOND)
+    assert shake.step(False, 0.05) == SECOND
+
+
+def test_the_newest_target_wins_and_the_older_one_is_counted() -> None:
+    shake = Handshake(0.06)
+    for each in (FIRST, SECOND, THIRD):
+        shake.offer(each)
+        shake.step(False, 0.0)
+    assert shake.current == FIRST
+    assert shake.superseded == 1
+    assert shake.step(True, 0.01) is True
+    assert shake.step(False, 0.02) == THIRD
+
+
+def test_a_target_without_acknowledge_is_lowered_and_raised_again() -> None:
+    shake = Handshake(0.06)
+    shake.offer(FIRST)
+    assert shake.step(False, 0.0) == FIRST
+    assert shake.step(False, 0.1) is True
+    assert shake.step(False, 0.11) == FIRST
+    assert (shake.repeated, shake.unanswered) == (1, 1)
+    assert shake.step(True, 0.12) is True
+    assert shake.unanswered == 0
+
+
+def test_a_newer_target_is_not_overtaken_by_the_one_that_was_lost() -> None:
+    shake = Handshake(0.06)
+    shake.offer(FIRST)
+    shake.step(False, 0.0)
+    shake.offer(SECOND)
+    assert shake.step(False, 0.1) is True
+    assert shake.step(False, 0.11) == SECOND
+
+
+def test_a_lowering_that_was_lost_is_sent_again() -> None:
+    shake = Handshake(0.06)
+    shake.offer(FIRST)
+    shake.step(False, 0.0)
+    assert shake.step(True, 0.01) is True
+    assert shake.step(True, 0.02) is None
+    assert shake.step(True, 0.1) is True
+
+
+@pytest.mark.parametrize("raised", [True, False], ids=["after a target", "before the first target"])
+def test_a_drive_whose_acknowledgement_never_falls_is_counted(raised: bool) -> None:
+    shake, now = Handshake(0.06), 5.0
+    shake.offer(FIRST)
+    if raised:
+        assert shake.step(False, now) == FIRST
+        assert shake.step(True, now) is True
+        shake.offer(SECOND)
+    while shake.unanswered < 3:
+        now += 0.01
+        assert now < 6
+        assert not isinstance(shake.step(True, now), Setpoint)
+
+
+@given(st.lists(st.tuples(st.booleans(), st.booleans(), st.floats(0.001, 0.1)), max_size=60))
+def test_whatever_the_drive_says_the_last_offer_is_current_or_waiting(steps: list[tuple[bool, bool, float]]) -> None:
+    shake, now, last, count = Handshake(0.06), 0.0, None, 0
+    for offered, acknowledged, passed in steps:
+        now += passed
+        if offered:
+            count += 1
+            last = Setpoint(count, 1)
+            shake.offer(last)
+        shake.step(acknowledged, now)
+    # A drive that answers as it should then takes it, at the latest when it is repeated.
+    acknowledged = False
+    for _ in range(20):
+        now += 0.01
+        step = shake.step(acknowledged, now)
+        acknowledged = isinstance(step, Setpoint) or (acknowledged and step is not True)
+    if last is not None:
+        assert shake.current == last

@@ -1,0 +1,124 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softfin.core.errors import CommandError, LogError, PlantError
+from softfin.core.plant import roll
+from softfin.core.quantities import Command, Log, Reading
+from softfin.data.excitation import ExcitationConfig, excite
+from softfin.data.simulate import simulate
+from softfin.surrogate.compare.free_running import Segment, free_run, run_from_rest, segments_of, take
+from tests.plants import AnalyticFin, PlainFin
+from tests.surrogate import small
+
+
+def rows_of(log, begin, end):
+    return Log(*jax.tree.map(lambda x: x[begin:end], log))
+
+
+def test_a_warm_free_running_surrogate_predicts_what_its_nets_do_over_the_log():
+    plant, log, start = small.surrogate(), small.log(rows=200), small.WINDOW
+    _, reading = roll(
+        plant, plant.warm(rows_of(log, 0, start)), jax.tree.map(jnp.asarray, rows_of(log, start - 1, -1)[0])
+    )
+    np.testing.assert_allclose(reading.angle, plant.predict_angle(log), atol=1e-5)
+    np.testing.assert_allclose(reading.force, plant.predict_force(log, free_running=True), atol=1e-5)
+
+
+def test_warm_counts_on_from_the_time_of_the_last_row():
+    plant, log = small.surrogate(), small.log(rows=60)
+    _, reading = plant.advance(
+        plant.warm(rows_of(log, 0, 50)), jax.tree.map(lambda x: jnp.asarray(x[49]), log.command), 1
+    )
+    assert float(reading.time[0]) == pytest.approx(float(log.reading.time[50]))
+
+
+def test_warm_takes_a_unix_clock_and_counts_within_its_day():
+    plant, log = small.surrogate(), small.log(rows=60)
+    unix = log._replace(reading=log.reading._replace(time=1.7e9 + np.arange(60) / 100))
+    _, reading = plant.advance(plant.warm(unix), jax.tree.map(lambda x: jnp.asarray(x[-1]), log.command), 1)
+    assert float(reading.time[0]) == pytest.approx(1.7e9 % 86400 + 0.60, abs=0.01)
+
+
+def test_only_the_last_rows_of_a_history_matter():
+    plant, log = small.surrogate(), small.log(rows=100)
+    long, short = plant.warm(log), plant.warm(rows_of(log, 100 - plant.memory, 100))
+    assert all(np.array_equal(a, b) for a, b in zip(long, short, strict=True))
+    with pytest.raises(LogError, match="11 rows of history; a surrogate that sees 12 samples is warm after as many"):
+        plant.warm(rows_of(log, 0, 11))
+
+
+def test_parameters_are_the_leaves_of_both_nets():
+    plant = small.surrogate()
+    nets = (plant.posnet, plant.forcenet)
+    assert plant.parameters() == sum(array.size for net in nets for array in net.arrays().values())
+    assert (plant.model, plant.memory) == ("paper", small.WINDOW)
+
+
+def test_segments_lie_end_to_end_and_whole_in_each_log():
+    assert segments_of([100, 65], ticks=20, first=12) == [
+        *(Segment(0, row) for row in (12, 32, 52, 72)),
+        *(Segment(1, row) for row in (12, 32)),
+    ]
+
+
+def test_a_log_shorter_than_the_horizon_is_named_with_what_it_needs():
+    with pytest.raises(
+        LogError, match=r"test log 1: 111 rows; 12 to begin with and a horizon of 1 s need 112; .*--hor"
+    ):
+        segments_of([500, 111], ticks=100, first=12)
+    assert segments_of([112], ticks=100, first=12) == [Segment(0, 12)]
+
+
+def test_segments_in_batches_are_those_rolled_one_by_one():
+    plant, logs = small.surrogate(), [small.log(rows=150, seed=1), small.log(rows=90, seed=2)]
+    where = segments_of([150, 90], ticks=25, first=20)
+    # Eight segments in batches of at most three: the last one is filled up.
+    reading, members = free_run(plant, logs, where, ticks=25, batch=3)
+    assert members is None
+    assert reading.force.shape == (len(where), 25, 2) == (7, 25, 2)
+    for index, (log, row) in enumerate(where):
+        commands = jax.tree.map(jnp.asarray, rows_of(logs[log], row - 1, row + 24).command)
+        _, alone = roll(plant, plant.warm(rows_of(logs[log], 0, row)), commands)
+        for one, other in zip(alone, reading, strict=True):
+            np.testing.assert_allclose(one, other[index], rtol=1e-4, atol=1e-4)
+
+
+def test_rows_that_are_taken_are_those_of_the_log():
+    logs = [small.log(rows=60, seed=seed) for seed in range(2)]
+    taken = take(logs, [Segment(1, 7), Segment(0, 30)], ticks=5)
+    np.testing.assert_array_equal(taken.reading.force, [logs[1].reading.force[7:12], logs[0].reading.force[30:35]])
+    np.testing.assert_array_equal(taken.command.angle, [logs[1].command.angle[7:12], logs[0].command.angle[30:35]])
+
+
+@pytest.mark.parametrize("fin", [AnalyticFin(noise_n=0.0), PlainFin()])
+def test_a_plant_from_rest_repeats_its_own_logs_whatever_their_lengths(fin):
+    keys = list(jax.random.split(jax.random.key(0), 2))
+    whole = list(simulate([fin] * 2, keys, 400, ExcitationConfig(), 2, lambda rows: None))
+    logs = [whole[0], rows_of(whole[1], 0, 250)]
+    readings = run_from_rest(fin, logs, jax.random.key(5))
+    for reading, log in zip(readings, logs, strict=True):
+        assert reading.angle.shape == log.reading.angle.shape
+        np.testing.assert_allclose(reading.angle, log.reading.angle, atol=1e-6)
+        np.testing.assert_allclose(reading.force, log.reading.force, atol=0.05)
+
+
+def test_a_floor_that_does_not_take_the_commands_of_the_logs_is_an_error():
+    log = small.log(rows=50)
+    fast = log._replace(command=log.command._replace(velocity=log.command.velocity + 5))
+    with pytest.raises(CommandError, match="command velocity"):
+        run_from_rest(AnalyticFin(), [fast], jax.random.key(0))
+
+
+def test_a_prediction_that_is_no_number_is_an_error_with_its_place():
+    class Broken(AnalyticFin):
+        def advance(self, state, command, ticks):
+            state, reading = super().advance(state, command, ticks)
+            bad = jnp.where(reading.time[:, None] > 0.305, jnp.nan, reading.force)
+            return state, Reading(*reading[:3], bad)
+
+    commands = Command(*excite(jax.random.key(0), 60, AnalyticFin().limits, ExcitationConfig()))
+    log = small.log(rows=60)._replace(command=jax.tree.map(np.asarray, commands))
+    with pytest.raises(PlantError, match="a value that is not finite for test log 0, row 30, 31 ticks after"):
+        run_from_rest(Broken(), [log], jax.random.key(0))
