@@ -179,7 +179,8 @@ def parse(command: type[Arguments], words: Sequence[str]) -> Arguments:
             for text in rest:
                 take_place(text)
             break
-        if not _is_option(word):
+        # -1,2 is a value.
+        if not word.startswith("--") and not (word[:1] == "-" and word[1:2].isalpha()):
             take_place(word)
             continue
         written, sign, text = word.partition("=")
@@ -205,11 +206,6 @@ def parse(command: type[Arguments], words: Sequence[str]) -> Arguments:
         given = {field: values.pop(field) for field in inner if field in values}
         values[name] = configuration.build(given, "options")
     return command(**values)
-
-
-def _is_option(word: str) -> bool:
-    """Whether a word is the name of an option: ``-1,2`` is a value."""
-    return word.startswith("--") or (word[:1] == "-" and word[1:2].isalpha())
 
 
 def check(command: Any) -> None:

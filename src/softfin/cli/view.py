@@ -38,13 +38,14 @@ class Arguments(Configured):
 
         centre = None if self.centre is None else {"centre_rad": self.centre}
         config = self.configured(ViewConfig(), beat=centre, random=self.excitation or None)
-        drawn = self.stage(
+        summary = self.stage(
             stages.view, self.plant, self.out, config, controller=self.controller, reference=self.reference
         )
-        x, y = drawn["mean_force_n"]
-        frames = "" if drawn["frames"] is None else f", {drawn['frames']} frames"
-        warning = "" if drawn["warning"] is None else f"\nwarning: {drawn['warning']}"
+        x, y = summary["mean_force_n"]
+        frames = "" if summary["frames"] is None else f", {summary['frames']} frames"
+        warning = "" if summary["warning"] is None else f"\nwarning: {summary['warning']}"
         self.tell(
-            drawn,
-            f"{self.out}: {drawn['title']}; {drawn['seconds']:g} s{frames}, mean force ({x:.2f}, {y:.2f}) N{warning}",
+            summary,
+            f"{self.out}: {summary['title']}; {summary['seconds']:g} s{frames}, "
+            f"mean force ({x:.2f}, {y:.2f}) N{warning}",
         )
