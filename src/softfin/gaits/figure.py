@@ -10,10 +10,10 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
 from softfin.core.quantities import Limits
-from softfin.evaluation.paper import REFERENCES
 from softfin.gaits.force_map import ForceMap, MapConfig
 from softfin.gaits.map_store import save_map
-from softfin.storage.figures import BLACK, GREY, new_figure, render, styled
+from softfin.storage.figures import BLACK, GREY, new_figure, save_figure, styled
+from softfin.task.references import PAPER_REFERENCES
 
 COLOURS = "Blues"
 
@@ -40,7 +40,7 @@ def map_figure(known: ForceMap, tolerance_n: float) -> Figure:
         axes.plot(*nodes[held].T, "o", color=BLACK, markersize=2.5, path_effects=halo, label="a gait makes this force")
         if not held.all():
             axes.plot(*nodes[~held].T, "x", color=GREY, markersize=4, label="no gait found makes this force")
-        x, y = np.array(REFERENCES, float).T
+        x, y = np.array(PAPER_REFERENCES, float).T
         axes.plot(x, y, "o", fillstyle="none", color=BLACK, markersize=11, markeredgewidth=1.4, path_effects=halo,
                   label="the paper's references")  # fmt: skip
         left, bottom = np.minimum(nodes[0, 0], outline.min(axis=0)) - 0.2
@@ -59,8 +59,7 @@ def write_map(
 
     def draw(folder: Path) -> None:
         figure = map_figure(known, config.tolerance_n)
-        for kind in ("svg", "png"):
-            (folder / f"map.{kind}").write_bytes(render(figure, kind))
+        save_figure(figure, folder, "map")
 
     save_map(out, known, config, limits, provenance, draw, overwrite)
 

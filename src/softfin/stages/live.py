@@ -21,7 +21,7 @@ from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Readi
 from softfin.core.randomness import key_of
 from softfin.data.collect import CollectConfig
 from softfin.evaluation.evaluate import EvaluateConfig
-from softfin.evaluation.experiment import Recording
+from softfin.evaluation.experiment import ExperimentRecording
 from softfin.rig.bench import Bench, check_fits
 from softfin.rig.logged import GAP_S, log_of
 from softfin.rig.loop import Acting, hold, seconds_to_actions
@@ -144,7 +144,7 @@ class LiveFin:
 
     def experiments(
         self, references: Float[np.ndarray, "references *ticks 2"], seconds: int, repetitions: int
-    ) -> Recording:
+    ) -> ExperimentRecording:
         """Every reference so many times, one after the other, each from rest."""
         self._session.activate()
         runs = []
@@ -158,7 +158,7 @@ class LiveFin:
         self._tell(1.0, "")
         shape = (len(references), repetitions)
         command, reading = jax.tree.map(lambda *parts: np.stack(parts).reshape(*shape, *parts[0].shape), *runs)
-        return Recording(references, command, reading)
+        return ExperimentRecording(references, command, reading)
 
     def _one(self, asked: Float[np.ndarray, "ticks 2"], seconds: int) -> tuple[Command, Reading]:
         session = self._session

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from softfin.core.quantities import AXES, RATE_HZ
 from softfin.storage import artifact as artifacts
-from softfin.storage.figures import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, render, styled
+from softfin.storage.figures import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, save_figure, styled
 from softfin.surrogate.compare.compare import Comparison, Group
 from softfin.surrogate.streaming.uncertainty import COVERAGE
 
@@ -48,8 +48,7 @@ def write_comparison(
     def write(folder: Path) -> None:
         (folder / "comparison.json").write_text(artifacts.dump_json(summary))
         figure = comparison_figure(comparison)
-        for kind in ("svg", "png"):
-            (folder / f"comparison.{kind}").write_bytes(render(figure, kind))
+        save_figure(figure, folder, "comparison")
 
     artifacts.write_folder(out, write, overwrite)
     return summary
