@@ -15,7 +15,7 @@ TRAIL_TICKS = (5, 10, 15, 20, 25)
 """How long ago the faint shapes behind the fin were [10 ms]."""
 
 Range = tuple[float, float]
-Vectors = Float[np.ndarray, "vectors 2"]
+Vectors = Float[np.ndarray, "_ 2"]
 NONE = np.zeros((1, 2))
 
 
