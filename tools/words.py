@@ -47,7 +47,7 @@ LOCAL_NAMES = {
 """The same for names that mean something else in other rooms."""
 
 PHRASES = {
-    r"\bis no (?!longer|more)\w+": "is not a ...",
+    r"(?<!there )\bis no (?!longer|more)\w+": "is not a ...",
     r"\bleft alone\b": "free-running",
     r"\blogs? to learn from\b": "training logs",
     r"\blogs? to score on\b": "test logs",

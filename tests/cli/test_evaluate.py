@@ -97,6 +97,6 @@ def test_a_randomization_out_of_range_is_one_line_that_says_what_is_allowed(cont
     with pytest.raises(SystemExit) as stop:
         main(["evaluate", controller, f"--randomize={part}", "--out", str(tmp_path / "out")])
     (line,) = capsys.readouterr().err.splitlines()
-    assert f"spread {part}: give a part from 0" in line
+    assert f" {part}: give a part from 0" in line
     assert stop.value.code == 2
     assert not (tmp_path / "out").exists()

@@ -42,7 +42,7 @@ CASES: dict[str, list[tuple[list[str], str]]] = {
         (["--out", "full"], "full: exists already; give another --out, or --overwrite"),
         ([*OUT, "--excitation", "actve"], "choose one of random, active; did you mean active?"),
         ([*OUT, "--seed", "-1"], "--seed -1: a seed is a whole number from 0 to"),
-        ([*OUT, "--arm"], "--arm: tank is no real fin"),
+        ([*OUT, "--arm"], "--arm: tank is simulated"),
     ],
     "inspect": [(["nowhere"], "nowhere: no such file or folder; give a folder of CSV, Parquet or ROS 2 bags")],
     "import-logs": [(["full", *OUT], "full: holds no recordings; they are .csv, ")],
@@ -87,7 +87,7 @@ CASES: dict[str, list[tuple[list[str], str]]] = {
     "run": [
         (["no", "--reference=1,1"], "no: no such folder; it should be a controller"),
         (["made", "--reference=1,1"], "rig.yaml: no such file"),
-        (["made", "--reference=1,1", "--plant", "tank"], "--plant tank: is no real fin"),
+        (["made", "--reference=1,1", "--plant", "tank"], "--plant tank: is not a real fin"),
         (["made", "--reference=1,1", "--bag", "a.txt"], "--bag a.txt: a recording is a file NAME.mcap"),
     ],
     "bag": [

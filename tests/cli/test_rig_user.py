@@ -64,7 +64,7 @@ def test_a_key_of_the_rigs_file_is_named_where_it_is_misspelt_or_missing(
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (("--plant", "rigx"), "--plant rigx: is no real fin; give rig, ros2"),
+        (("--plant", "rigx"), "--plant rigx: is not a real fin; give rig, ros2"),
         (("--seconds", "0"), "--seconds 0: at least 1"),
         (("--bag", "a.txt"), "--bag a.txt: a recording is a file NAME.mcap"),
         (("--bag", "."), "--bag .: a recording is a file NAME.mcap"),

@@ -136,7 +136,7 @@ def test_a_stop_of_the_topic_ends_it_with_its_own_exit_code(there, tmp_path, cap
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--plant", "tank"], "is no real fin"),
+        (["--plant", "tank"], "is not a real fin"),
         ([], "nothing moves without --arm"),
         (["--arm"], "in a script add --yes"),
         (["--reference=4,0"], "not trained for"),

@@ -124,7 +124,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_work(tmp_path):
 
 def test_nothing_of_the_user_is_replaced(tmp_path):
     (tmp_path / "thesis.tex").write_text("mine")
-    with pytest.raises(ArtifactError, match="no folder of softfin's, so it is not replaced"):
+    with pytest.raises(ArtifactError, match="was not written by softfin, so it is not replaced"):
         artifacts.check_vacant(tmp_path, overwrite=True)
     artifacts.save(tmp_path / "s", "surrogate", {}, {})
     with pytest.raises(ArtifactError, match="give another --out, or --overwrite"):

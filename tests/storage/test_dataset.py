@@ -78,7 +78,7 @@ def test_a_folder_that_is_not_there_is_named(tmp_path):
 
 def test_a_dataset_without_logs_says_where_they_belong(tmp_path):
     (tmp_path / "dataset.json").write_text("{}")
-    with pytest.raises(ArtifactError, match=f"holds no logs to learn from; put Parquet logs into {tmp_path / 'train'}"):
+    with pytest.raises(ArtifactError, match=f"holds no training logs; put Parquet logs into {tmp_path / 'train'}"):
         Dataset.open(tmp_path)
 
 
@@ -127,7 +127,7 @@ def test_a_full_disk_leaves_no_folder_and_names_the_place(tmp_path, monkeypatch)
 def test_a_folder_of_someone_else_is_not_replaced(tmp_path):
     (tmp_path / "home").mkdir()
     (tmp_path / "home" / "thesis.txt").write_text("years of work")
-    with pytest.raises(ArtifactError, match=r"is no folder of softfin's"):
+    with pytest.raises(ArtifactError, match=r"was not written by softfin"):
         write_dataset(tmp_path / "home", [make_log(0)], [], {}, overwrite=True)
     assert (tmp_path / "home" / "thesis.txt").read_text() == "years of work"
 

@@ -11,7 +11,7 @@ from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.errors import CommandError, ConfigurationError
 from softfin.core.plant import Plant, hold, roll
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command
-from softfin.tank import IDEAL, Conditions, SensorConfig, Tank, TankConfig, under
+from softfin.tank import IDEAL, PhysicalParameters, SensorConfig, Tank, TankConfig, with_parameters
 from softfin.tank.drive import DriveConfig
 from softfin.tank.geometry import FinConfig
 from softfin.tank.hydrodynamics import WaterConfig
@@ -20,7 +20,7 @@ KEY = jax.random.key(0)
 QUIET = TankConfig(sensor=IDEAL)
 COARSE = Tank(TankConfig(fin=FinConfig(plates=2)))
 """Where the number of plates does not matter: it compiles faster."""
-PLAIN = Conditions(**{name: float(not name.endswith(("_c", "_rad"))) for name in Conditions._fields})
+PLAIN = PhysicalParameters(**{name: float(not name.endswith(("_c", "_rad"))) for name in PhysicalParameters._fields})
 STILL = WaterConfig(stream_decay_s=0.0, tip_coefficient=1.0)
 TICKS = 1000
 """Of every record, so that one compiled program makes them all."""
@@ -322,7 +322,10 @@ def test_the_gradient_through_a_second_agrees_with_finite_differences():
         ]
         np.testing.assert_allclose(by_angles, aside, rtol=1e-3, atol=1e-5)
         assert np.abs(by_angles).max() > 1e-3
-        scaled = {c: value(under(tank, PLAIN._replace(stiffness=jnp.asarray(c))), angles)[0] for c in (0.9999, 1.0001)}
+        scaled = {
+            c: value(with_parameters(tank, PLAIN._replace(stiffness=jnp.asarray(c))), angles)[0]
+            for c in (0.9999, 1.0001)
+        }
         along = (by_tank.fin.stiffness * tank.fin.stiffness + by_tank.fin.damping * tank.fin.damping).sum()
         assert float(along) == pytest.approx(float(scaled[1.0001] - scaled[0.9999]) / 2e-4, rel=1e-3)
         # At rest every root and every absolute value stands at zero.

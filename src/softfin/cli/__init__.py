@@ -15,24 +15,24 @@ from softfin.core.program_cache import describe_cache
 
 COMMANDS = {
     "collect": "record motions of a fin, random or chosen by a surrogate, and its force as a dataset",
-    "inspect": "say what is wrong with logs, before anyone trains on them",
+    "inspect": "check logs before a surrogate is fitted to them",
     "import-logs": "turn CSV, Parquet or ROS 2 bags into a dataset",
-    "fit": "learn a surrogate from logs: streaming nets, the paper's nets, or the better ones",
+    "fit": "fit a surrogate to logs: streaming networks, the paper's networks, or the better of both",
     "calibrate": "fit the virtual tank to logs or to a plant",
-    "import-keras": "turn published .keras nets and their scalers into a surrogate",
-    "compare": "score surrogates on unseen logs, left alone for several horizons",
-    "map": "which mean forces can this fin make, and at what cost?",
+    "import-keras": "turn published .keras networks and their scalers into a surrogate",
+    "compare": "score surrogates on test logs, free-running over several horizons",
+    "map": "find the mean forces that a fin can make, and gaits that make them",
     "train": "train force controllers inside a surrogate: by gradients, by LSTM-PPO, or gaits",
-    "evaluate": "judge a controller on a fin over reference forces",
-    "baselines": "judge what needs no learnt controller: best sine, analytic inverse model, random search",
+    "evaluate": "evaluate a controller on a fin over reference forces",
+    "baselines": "evaluate baselines without learning: best sine, analytic inverse model, random search",
     "view": "show a fin in motion, as a film or as a page that plays it",
     "rig": "the real fin: check it, zero it, or emulate its drive and sensor",
     "run": "hold reference forces on the real fin",
-    "bag": "mend a recording that was cut off; turn recordings into logs and back",
+    "bag": "recover a recording that was cut off; convert recordings to logs and back",
     "monitor": "watch a recording while it is made, in the terminal or as a page",
     "ros2": "run as a ROS 2 node: readings out, references in",
     "export": "write a controller as ONNX, for hosts without Python",
-    "reproduce": "all of it in one run, with the paper's tables and figures",
+    "reproduce": "run all stages, with the paper's tables and figures",
 }
 
 STOPPED = 1

@@ -24,7 +24,7 @@ class Arguments(Configured):
     seeds: int | None = None
     """Repetitions (5)."""
     seed: int | None = None
-    """Of the plant's noise and of the random gaits (0)."""
+    """Seed of the plant's noise and of the random gaits (0)."""
     recurrent: int | None = None
     """Actions that RecurrentPPO (extra sb3) learns from; the paper's 30,000 take minutes (0: left out)."""
 

@@ -30,7 +30,7 @@ class Arguments(Configured):
     velocity: VelocityRange | None = None
     """Range of the commands that move a plant, as LOW,HIGH in rad/s (all that it takes)."""
     seed: int = 0
-    """Of the search, and of the commands that move a plant."""
+    """Seed of the search, and of the commands that move a plant."""
     resume: bool = False
     """Go on with a stopped run."""
 

@@ -32,15 +32,15 @@ class Arguments(Armed, Configured):
     extend: Annotated[Path, folder_of("dataset")] | None = None
     """Folder of a dataset of this fin whose logs are taken over: the new one holds both."""
     logs: int | None = None
-    """Logs to learn from that are recorded (the paper's 100)."""
+    """Training logs to record (the paper's 100)."""
     test_logs: int | None = None
-    """Logs to score on, under other conditions (the paper's 3; none more with --extend)."""
+    """Test logs to record, under other conditions (the paper's 3; none with --extend)."""
     rows: int | None = None
     """Readings a log at 100 Hz (the paper's 20,000)."""
     seed: int | None = None
-    """Of commands, noise and conditions (0)."""
+    """Seed of commands, noise and conditions (0)."""
     resume: bool = False
-    """Of a real fin: go on after the logs that are finished."""
+    """Go on after the logs that are finished (real fins only)."""
 
     def check(self) -> None:
         """Whether the options go with the plant."""
@@ -51,7 +51,7 @@ class Arguments(Armed, Configured):
                 raise ConfigurationError(f"{option}: not on a real fin; record random motions there")
         elif self.arm or self.resume:
             option = "--arm" if self.arm else "--resume"
-            raise ConfigurationError(f"{option}: {self.plant} is no real fin; leave it out, or give --plant rig")
+            raise ConfigurationError(f"{option}: {self.plant} is simulated; leave it out, or give --plant rig")
 
     def run(self) -> None:
         """Collect."""

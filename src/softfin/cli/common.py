@@ -75,7 +75,7 @@ class Configured(Common):
 
 @contextmanager
 def progress() -> Iterator[Report]:
-    """A bar on standard error; where that is no terminal, a line every ten seconds."""
+    """Show a bar on standard error, or a line every ten seconds where that is not a terminal."""
     from rich.console import Console
 
     console = Console(stderr=True)

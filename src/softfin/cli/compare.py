@@ -1,4 +1,4 @@
-"""``softfin compare``: surrogates and a dataset in; out, how far each stays from unseen logs when it is left alone."""
+"""``softfin compare``: surrogates and a dataset in; out, the error of each on test logs, free-running."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ Horizons: TypeAlias = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(Configured):
-    """Compare surrogates, left alone with the commands of a dataset's test logs for several horizons."""
+    """Compare surrogates, free-running under the commands of a dataset's test logs for several horizons."""
 
     surrogates: Annotated[tuple[Path, ...], folder_of("surrogate", positional=True)]
     """Folders of the surrogates; seeds of one configuration, fitted to the same data, become one group."""
@@ -26,12 +26,12 @@ class Arguments(Configured):
     out: Out
     """Folder to write comparison.json and the figure to."""
     horizons: Horizons | None = None
-    """How long they are left alone, as 1,5,30 in seconds (1,5,30)."""
+    """How long they run free, as 1,5,30 in seconds (1,5,30)."""
     floor: Plant | None = None
-    """A plant that records the same commands once more, as the tank that was recorded: what noise and drift, twice
-    over, and other conditions leave."""
+    """A plant that records the same commands once more, such as the tank that was recorded: the error that noise,
+    drift and other conditions leave."""
     seed: int | None = None
-    """Of the second recording's noise (0)."""
+    """Seed of the second recording's noise (0)."""
 
     def run(self) -> None:
         """Compare."""
@@ -48,13 +48,13 @@ class Arguments(Configured):
 
 
 class Column(NamedTuple):
-    """Of a table."""
+    """One column of a table."""
 
     title: str
     unit: str
     score: str
     factor: int = 1
-    """Of the unit shown over that of the score."""
+    """Factor from the score's unit to the unit shown."""
 
 
 ERRORS = (

@@ -34,7 +34,7 @@ class Arguments(Armed, Configured):
     seeds: int | None = None
     """Repetitions (5)."""
     seed: int | None = None
-    """Of the plant's noise (0)."""
+    """Seed of the plant's noise (0)."""
     strict: bool = False
     """Refuse a reference that the fin cannot make; else the nearest one that it can make is tracked, with a warning."""
     trim: bool = False
@@ -111,7 +111,7 @@ class Arguments(Armed, Configured):
 
 
 def moving_table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Of every signal: errors, and how its steps are answered, the slowest of all seeds."""
+    """Return a line for every signal: errors, and the longest settling time of its steps over all seeds."""
     from softfin.core.quantities import AXES
 
     lines = [f"{'references that move':64}{'x error':>9}{'y error':>9}{'settles in':>14}"]

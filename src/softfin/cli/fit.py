@@ -33,7 +33,7 @@ class Arguments(LogOptions, Configured):
     epochs: int | None = None
     """Most passes over the data, of --model paper."""
     seed: int = 0
-    """Of weights, order and dropout."""
+    """Seed of weights, order and dropout."""
     resume: bool = False
     """Go on from the last checkpoint of an unfinished run."""
 

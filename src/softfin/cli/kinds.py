@@ -43,7 +43,7 @@ def check_live_plant(name: str, _: Any) -> None:
     """Raise a SoftfinError unless `name` stands for a real fin whose file is there."""
     if not is_live(name):
         raise ConfigurationError(
-            f"--plant {name}: is no real fin; give rig, ros2, or one of these with :FILE; softfin evaluate judges a "
+            f"--plant {name}: is not a real fin; give rig, ros2, or one of these with :FILE; softfin evaluate runs a "
             "controller on a simulated one"
         )
     kind, _, file = name.partition(":")

@@ -18,18 +18,18 @@ class LogOptions:
     """Which column is which channel, where its name does not say: angle=NAME,command_angle=NAME,command_velocity=NAME,
     force_x=NAME,force_y=NAME,time=NAME,velocity=NAME; - for none."""
     topics: str | None = None
-    """Of ROS 2 bags: command=/fin/command,joint=/fin/joint_states,wrench=/fin/wrench."""
+    """Topics of ROS 2 bags: command=/fin/command,joint=/fin/joint_states,wrench=/fin/wrench."""
     rate: float | None = None
     """Rows a second [Hz], where no column holds the time."""
     velocity: float | None = None
     """Velocity of all commands [rad/s], where no column holds it."""
     time_unit: TimeUnit | None = None
-    """Of the column of time (what its name says, else s)."""
+    """Unit of the column of time (what its name says, else s)."""
     angles: str | None = None
     """Unit of angles and their velocities: rad, mrad, deg, turn, or of each, as angle=deg,velocity=rpm (what the names
     say, else rad)."""
     force_unit: ForceUnit | None = None
-    """Of the columns of force (what their names say, else N)."""
+    """Unit of the columns of force (what their names say, else N)."""
     force: str | None = None
     """What is +x (thrust) and +y in the recording's own axes, such as y,-x. Write --force=-y,x if it begins with -."""
     negate: str | None = None

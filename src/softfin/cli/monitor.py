@@ -27,7 +27,7 @@ class Arguments(Command):
     web: bool = False
     """As a page in the browser, with live traces."""
     port: int = 8080
-    """Of the page; 0 takes a free one."""
+    """Port of the page; 0 takes a free one."""
     host: str = LOOPBACK
     """Address that the page is served on; on another one than this, whoever reaches it sees the recording."""
     json: bool = False

@@ -40,7 +40,7 @@ class Option:
     positional: bool = False
     """Given without a name, by its place."""
     parse: Callable[[str, str], Any] | None = None
-    """From the text and the option's name to the value; raises ConfigurationError."""
+    """Function of the text and the option's name that returns the value; raises ConfigurationError."""
     check: Callable[[Any, Any], object] | None = None
     """Raises a SoftfinError where the value, of a whole command, names what is not there: before anything is done."""
 

@@ -32,17 +32,17 @@ class Arguments(Armed, Common):
     rig: File = paths.RIG_FILE
     """The rig's file: read by check and zero, written by emulate."""
     reset_fault: bool = False
-    """Of check: acknowledge the fault that the drive is in, and say which it was."""
+    """With check: acknowledge the fault that the drive is in, and print which it was."""
     angle: bool = False
-    """Of zero: the fin's angle only. The motor is powered for a moment: this needs --arm."""
+    """With zero: the fin's angle only. The motor is powered for a moment: this needs --arm."""
     force: bool = False
-    """Of zero: the force only."""
+    """With zero: the force only."""
     tank: YamlFile | None = None
-    """Of emulate: the YAML of the tank behind it."""
+    """With emulate: YAML file of the tank behind it."""
     seed: int = 0
-    """Of emulate: of the tank's noise."""
+    """With emulate: seed of the tank's noise."""
     real_time: bool = False
-    """Of emulate: a drive and a sensor over sockets of this computer, in real time, until Ctrl-C."""
+    """With emulate: a drive and a sensor over sockets of this computer, in real time, until Ctrl-C."""
 
     def check(self) -> None:
         """Whether the rig's file is there, or may be written."""

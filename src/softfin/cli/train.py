@@ -30,17 +30,17 @@ class Arguments(Configured):
     algorithm: AlgorithmOption = "auto"
     """Gradients through the plant, or LSTM-PPO as in the paper; auto: gradients wherever the plant has them."""
     cells: Annotated[str, Option("CELLS")] | None = None
-    """Of a grid: paper (the default), a lattice over --range such as 3x3, or a .yaml file of boxes."""
+    """Cells of a grid: paper (the default), a lattice over --range such as 3x3, or a .yaml file of boxes."""
     range: Annotated[str, Option("X0,Y0,X1,Y1")] | None = None
     """References X0,Y0,X1,Y1 [N] to train for (default 0.5,-1.5,3.5,1.5)."""
     map: Annotated[Path, folder_of("map")] | None = None
     """Folder of a map of this surrogate (softfin map): what its fin can do, and gaits to begin from."""
     refine: int = 0
-    """Of a grid: split its worst cells until there are so many more, and train these on, always in this process."""
+    """Split the worst cells of a grid until there are so many more, and train these on, always in this process."""
     steps: int | None = None
     """Actions a policy (by LSTM-PPO the paper's 30,000 single, 10,000 a cell)."""
     seed: int = 0
-    """Of weights, exploration and references."""
+    """Seed of weights, exploration and references."""
     seeds: Annotated[str, Option("SEEDS")] | None = None
     """Several controllers in one program, as OUT/seed-N: how many, from --seed on, or which, such as --seeds=0,1,2."""
     engine: EngineName = "local"
@@ -158,7 +158,7 @@ def asked_seeds(first: int, text: str | None) -> tuple[int, ...]:
 
 
 def asked_cells(controller: str, cells: str | None, span: str | None) -> "tuple[Cell, ...] | None":
-    """What ``--cells`` and ``--range`` ask for, one cell for what is no grid; None where neither is given."""
+    """What ``--cells`` and ``--range`` ask for, one cell unless it is a grid; None where neither is given."""
     from softfin.task.cells import cells_of, range_of
     from softfin.task.references import PAPER_RANGE, least_box
 

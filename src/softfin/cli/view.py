@@ -19,7 +19,7 @@ class Arguments(Configured):
     plant: Plant = "tank"
     """The fin: tank, a tank's YAML, the folder of a surrogate, or package.module:plant."""
     seconds: float | None = None
-    """Of the plant's time (10)."""
+    """Duration in the plant's time [s] (10)."""
     centre: float | None = None
     """Angle about which the fin beats [rad] (0); --set gait.amplitude_rad and gait.velocity_rad_s change the rest."""
     excitation: bool = False
@@ -31,7 +31,7 @@ class Arguments(Configured):
     next_reference: tuple[Force, ...] = ()
     """The next one, as --next-reference=X,Y; each is asked for an equal part of the time."""
     seed: int | None = None
-    """Of the plant's noise and the random commands (0)."""
+    """Seed of the plant's noise and the random commands (0)."""
 
     def run(self) -> None:
         """View."""

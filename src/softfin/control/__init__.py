@@ -1,1 +1,1 @@
-"""Controllers: they turn a reference force into commands, three times a second."""
+"""Controllers: a reference force becomes a command three times a second; one implementation for NumPy, JAX and ONNX."""

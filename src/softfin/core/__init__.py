@@ -1,1 +1,1 @@
-"""What everything passes on: quantities, the action clock, the plant contract, configuration, errors."""
+"""Shared by all rooms: quantities, the action clock, the plant contract, configuration, errors."""

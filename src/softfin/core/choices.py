@@ -18,13 +18,13 @@ PolicyLayout: TypeAlias = Literal["single", "grid"]
 """One policy for all references, or one for each cell of a grid."""
 
 ControllerKind: TypeAlias = Literal["single", "grid", "gaits"]
-"""The same, and a table of gaits without a policy."""
+"""Kinds of controller: policies by layout, or a table of gaits without a policy."""
 
 Algorithm: TypeAlias = Literal["gradient", "ppo"]
 """How policies are trained."""
 
 AlgorithmOption: TypeAlias = Literal["auto", "gradient", "ppo"]
-"""The same, and auto: gradients wherever the plant has them."""
+"""How policies are trained; auto: by gradients wherever the plant has them."""
 
 EngineName: TypeAlias = Literal["local", "ray"]
 """Where training jobs run."""

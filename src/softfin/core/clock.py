@@ -19,7 +19,7 @@ class Event(Protocol):
         ...
 
     def clear(self) -> None:
-        """From now on it is waited for again."""
+        """Reset the event, so that it is waited for again."""
         ...
 
     def is_set(self) -> bool:
@@ -56,7 +56,7 @@ class Condition(Lock, Protocol):
         ...
 
     def wait_for(self, predicate: Callable[[], bool], timeout: float | None = None) -> bool:
-        """Likewise until something is true; whether it is."""
+        """Wait until the predicate is true; return whether it is."""
         ...
 
     def notify_all(self) -> None:

@@ -22,7 +22,7 @@ class Configuration(pydantic.BaseModel):
 
     @classmethod
     def build(cls: type[Config], values: Mapping[str, Any], source: str = "configuration") -> Config:
-        """From nested mappings; raises ConfigurationError that names the key, the value and what is allowed."""
+        """Build from nested mappings; raises ConfigurationError that names the key, the value and what is allowed."""
         try:
             return cls.model_validate(values)
         except pydantic.ValidationError as error:

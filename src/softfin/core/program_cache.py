@@ -26,7 +26,7 @@ SHORTEST_COMPILATION_S = 0.0
 its large one, which take 30 ms each to compile and 6 ms to read back."""
 
 SUFFIX, PARTIAL = ".program", ".partial-program"
-"""Of the files, whole and still being written; nothing else in the folder is counted or deleted."""
+"""Endings of files, whole and still being written; nothing else in the folder is counted or deleted."""
 
 ABANDONED_S = 3600
 """Age of a partial file whose writer must have been killed."""

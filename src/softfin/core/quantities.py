@@ -49,13 +49,13 @@ class Reading(NamedTuple):
     """One sample, or a series of samples at 100 Hz."""
 
     time: Float[AnyArray, "*shape"]
-    """Since the plant was initialised [s]."""
+    """Time since the plant was initialised [s]."""
     angle: Float[AnyArray, "*shape"]
-    """Of the shaft [rad]."""
+    """Angle of the shaft [rad]."""
     velocity: Float[AnyArray, "*shape"]
-    """Of the shaft [rad/s]."""
+    """Angular velocity of the shaft [rad/s]."""
     force: Float[AnyArray, "*shape 2"]
-    """Of the fin on its mount, (x, y) [N]."""
+    """Force of the fin on its mount, (x, y) [N]."""
 
 
 class Log(NamedTuple):
@@ -94,7 +94,7 @@ class Limits(NamedTuple):
 
     @classmethod
     def of(cls, description: Any, one_velocity: bool = False) -> "Limits":
-        """From what `described` gave; raises ValueError, which says what is allowed, where there is a `problem`."""
+        """Build from what `to_dict` returned; raises ValueError that says what is allowed."""
         values = []
         for name in cls(0, 0, 0, 0).described():
             value = description.get(name) if isinstance(description, dict) else None

@@ -1,1 +1,1 @@
-"""How logs come about: excitation and collection, import of recordings, checks."""
+"""Logs: excitation and collection, import of recordings, checks."""

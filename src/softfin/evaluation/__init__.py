@@ -1,1 +1,1 @@
-"""How well a controller holds a reference force: experiment, scores, figures, report (paper Sec. IV, Table II)."""
+"""Experiments with controllers: scores, baselines, figures, report (paper Sec. IV)."""

@@ -1,1 +1,1 @@
-"""Policies are trained inside a plant, many at once in one compiled program."""
+"""Training: policies learn the task inside a plant, many at once in one compiled program."""

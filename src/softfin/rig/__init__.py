@@ -1,1 +1,1 @@
-"""The rig: drive and force sensor, real ones or emulated behind the same protocols. Only emulation needs JAX."""
+"""Real time: drive and force sensor, real or emulated; session, safety, recording, monitor."""

@@ -65,7 +65,7 @@ from softfin.surrogate.compare.report import write_comparison
 from softfin.surrogate.paper.fit import check_lengths
 from softfin.surrogate.range import check_commands_learnt, learnt_from, training_range
 from softfin.surrogate.selection import fit_any
-from softfin.tank import DrawnTanks, Spread, Tank, randomised
+from softfin.tank import DomainRandomization, RandomizedTank, Tank, sample_tank
 from softfin.tank.calibration.calibrate import calibrate as _calibrate
 from softfin.tank.calibration.config import CalibrateConfig
 from softfin.tank.calibration.material import material
@@ -102,7 +102,7 @@ def collect(
     if isinstance(moving, Tank):
         first = 0 if before is None else len(before.test)
         keys = [key_of(config.seed, f"collect/conditions/{first + i}") for i in range(config.test_logs)]
-        others = [randomised(moving, key) for key in keys]
+        others = [sample_tank(moving, key) for key in keys]
 
     def report(rows: int, of: int) -> None:
         if progress is not None:
@@ -450,7 +450,7 @@ def evaluate(
     out: Path | None = None,
     config: EvaluateConfig | None = None,
     *,
-    randomize: float | int | Spread | None = None,
+    randomize: float | int | DomainRandomization | None = None,
     overwrite: bool = False,
 ) -> dict[str, Any]:
     """Evaluate a controller on a plant (paper Sec. IV-B, Table II); writes ``evaluation.json`` and figures to `out`.
@@ -460,12 +460,12 @@ def evaluate(
     if out is not None:
         artifacts.check_vacant(out, overwrite)
     moving = find_plant(plant) if isinstance(plant, str) else plant
-    widths = Spread.of(float(randomize)) if isinstance(randomize, int | float) else randomize
+    widths = DomainRandomization.of(float(randomize)) if isinstance(randomize, int | float) else randomize
     if widths is not None:
         if not isinstance(moving, Tank):
-            raise ConfigurationError(f"--randomize {randomize:g} needs the virtual tank as plant, got {plant!r}")
+            raise ConfigurationError(f"--randomize {randomize} needs the virtual tank as plant, got {plant!r}")
         # At 0 the sensor's noise is the tank's own, too.
-        moving = moving if widths.is_none else DrawnTanks(moving, widths)
+        moving = moving if widths.is_none else RandomizedTank(moving, widths)
     evaluation = evaluation_of(controller, moving, config or EvaluateConfig(), str(plant))
     if out is None:
         return evaluation.summary()

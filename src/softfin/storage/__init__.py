@@ -1,1 +1,1 @@
-"""What lies on disk: artifacts, run directories, logs, datasets, bags; and finding a plant by its name."""
+"""Files on disk: artifacts, run directories, logs, datasets, bags; and plants found by their names."""

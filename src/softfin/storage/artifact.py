@@ -41,7 +41,7 @@ KINDS = (
     "dataset", "surrogate", "controller", "controllers", "evaluation", "reproduction", "calibration", "comparison",
     "inspection", "map", "baselines",
 )  # fmt: skip
-"""Of folders, each told by its ``KIND.json``."""
+"""Kinds of folders, each recognised by its ``KIND.json``."""
 
 
 def check_vacant(path: Path, overwrite: bool = False) -> None:
@@ -55,7 +55,7 @@ def check_vacant(path: Path, overwrite: bool = False) -> None:
             raise ArtifactError(f"{path}: exists already; give another --out, or --overwrite to replace it")
         if not path.is_dir() or not any(is_kind(path, kind) for kind in KINDS):
             raise ArtifactError(
-                f"{path}: exists and is no folder of softfin's, so it is not replaced; give another --out"
+                f"{path}: exists and was not written by softfin, so it is not replaced; give another --out"
             )
 
 
@@ -205,7 +205,7 @@ def load_description(path: Path, kind: str) -> dict[str, Any]:
 
 
 def find_description(path: Path, kind: str) -> Path:
-    """The file that describes a folder of one kind; raises ArtifactError where `path` is no such folder."""
+    """Return the file that describes a folder of one kind; raises ArtifactError where `path` is another thing."""
     file = path / f"{kind}.json"
     if not path.is_dir():
         raise ArtifactError(f"{path}: no such folder; it should be a {kind}, a folder with a {kind}.json")
@@ -270,7 +270,7 @@ def _version(package: str) -> str | None:
 
 
 def _git_commit() -> str | None:
-    """Of the checkout that softfin runs from, with ``+`` when it has uncommitted changes; None outside one."""
+    """Return the commit of softfin's checkout, with ``+`` when it has uncommitted changes; None outside a checkout."""
 
     def git(*words: str) -> str:
         run = subprocess.run(

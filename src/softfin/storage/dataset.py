@@ -34,13 +34,13 @@ class Dataset:
 
     @classmethod
     def open(cls, path: Path) -> "Dataset":
-        """Raises ArtifactError for a folder that is no dataset, lacks logs, or changed since it was written."""
+        """Raises ArtifactError for a folder that is not a dataset, lacks logs, or has changed since it was written."""
         description = artifacts.load_description(path, "dataset")
         hashes = _hash_files(path)
         _check_files(path, description.get("files"), hashes)
         train, test = (tuple(path / name for name in hashes if name.startswith(f"{part}/")) for part in PARTS)
         if not train:
-            raise ArtifactError(f"{path}: holds no logs to learn from; put Parquet logs into {path / 'train'}")
+            raise ArtifactError(f"{path}: holds no training logs; put Parquet logs into {path / 'train'}")
         return cls(path, train, test, description, _hash_of(hashes))
 
     def load(self, paths: Sequence[Path]) -> Iterator[Log]:

@@ -119,7 +119,7 @@ def check_onnx(path: Path, overwrite: bool) -> None:
     """Raise ArtifactError unless a model may be written at `path`."""
     if path.exists() and not (overwrite and path.is_file()):
         what = "exists already; give another --onnx, or --overwrite to replace it"
-        raise ArtifactError(f"{path}: {what if path.is_file() else 'is no file; give another --onnx'}")
+        raise ArtifactError(f"{path}: {what if path.is_file() else 'exists and is not a file; give another --onnx'}")
     artifacts.check_writable(path)
 
 

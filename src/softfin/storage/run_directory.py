@@ -102,7 +102,7 @@ class Workspace:
         return jax.tree.unflatten(structure, [jnp.asarray(arrays[name]) for name in expected]), facts
 
     def _facts(self, path: Path) -> dict[str, Any]:
-        """Of a checkpoint, which must be one of this run."""
+        """Read the metadata of a checkpoint, which must belong to this run."""
         with _reading(path), safetensors.safe_open(path, "numpy") as file:
             facts: dict[str, Any] = json.loads(file.metadata()["facts"])
             before, software = facts.pop("fingerprint", None), facts.pop("software", "an older softfin")

@@ -1,4 +1,4 @@
-"""The surrogate: nets learnt from logs that stand in for the fin (paper Sec. III-B), and nets that do so better."""
+"""Models of the fin learnt from logs: the paper's networks (Sec. III-B) and streaming ensembles."""
 
 from softfin.surrogate.paper.fit import FitConfig
 from softfin.surrogate.paper.keras import import_keras

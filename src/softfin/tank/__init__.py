@@ -1,20 +1,26 @@
 """The virtual tank: a soft fin in still water behind the Plant contract."""
 
-from softfin.tank.conditions import Conditions, Spread, draw, randomised, under
-from softfin.tank.drawn import DrawnTanks
+from softfin.tank.randomization import (
+    DomainRandomization,
+    PhysicalParameters,
+    RandomizedTank,
+    sample_parameters,
+    sample_tank,
+    with_parameters,
+)
 from softfin.tank.sensor import IDEAL, SensorConfig
 from softfin.tank.tank import Tank, TankConfig, TankState
 
 __all__ = [
     "IDEAL",
-    "Conditions",
-    "DrawnTanks",
+    "DomainRandomization",
+    "PhysicalParameters",
+    "RandomizedTank",
     "SensorConfig",
-    "Spread",
     "Tank",
     "TankConfig",
     "TankState",
-    "draw",
-    "randomised",
-    "under",
+    "sample_parameters",
+    "sample_tank",
+    "with_parameters",
 ]

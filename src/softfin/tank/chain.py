@@ -24,7 +24,7 @@ class Pose(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Of each plate: velocity of its inner end along n and d [m/s], rate of turning [rad/s]."""
+    """Motion of each plate: velocity of its inner end along n and d [m/s], rate of turning [rad/s]."""
 
     normal: PerPlate
     along: PerPlate
@@ -44,7 +44,7 @@ class Wrench(NamedTuple):
 
 
 class Moments(NamedTuple):
-    """Of what resists each plate, mass [kg] or drag [kg/s]: moments along n of order 0 to 2, and the whole along d.
+    """Moments of what resists each plate, mass [kg] or drag [kg/s]: order 0 to 2 along n, and the whole along d.
 
     With m(s) the mass per length along n, they are the integrals of m, m s and m s^2 over the plate.
     """
@@ -55,7 +55,7 @@ class Moments(NamedTuple):
     along: PerPlate
 
     def stretched(self, length: Scale, density: Scale = 1.0) -> "Moments":
-        """Of plates longer by a factor, with all per length multiplied by another."""
+        """Return the moments of plates longer by a factor, with all per length multiplied by another."""
         return Moments(
             self.zeroth * (density * length),
             self.first * (density * length**2),
@@ -73,7 +73,7 @@ class Moments(NamedTuple):
 
 
 def pose(angles: PerPlate, plate_length: Float[Array, ""]) -> Pose:
-    """Of a chain whose plates lie at absolute `angles` [rad]."""
+    """Return the pose of a chain whose plates lie at absolute `angles` [rad]."""
     cos, sin = jnp.cos(angles), jnp.sin(angles)
     lever = jnp.tril(jnp.ones((angles.size, angles.size), angles.dtype), -1) * plate_length
     return Pose(
@@ -83,12 +83,12 @@ def pose(angles: PerPlate, plate_length: Float[Array, ""]) -> Pose:
 
 
 def motion(pose: Pose, rates: PerPlate) -> Motion:
-    """Of plates that turn at absolute `rates` [rad/s]."""
+    """Return the motion of plates that turn at absolute `rates` [rad/s]."""
     return Motion((pose.normal * rates).sum(1), (pose.along * rates).sum(1), rates)
 
 
 def components(angles: PerPlate, velocity: Float[Array, "2"]) -> Motion:
-    """Of one velocity (x, y) [m/s], along every plate's axes."""
+    """Resolve one velocity (x, y) [m/s] along every plate's axes."""
     cos, sin = jnp.cos(angles), jnp.sin(angles)
     x, y = velocity
     return Motion(x * sin + y * cos, y * sin - x * cos, jnp.zeros_like(angles))
@@ -149,7 +149,7 @@ def solve(matrix: Float[Array, "plates plates"], right: PerPlate, root: Root) ->
 
 
 def _solved(matrix: Float[Array, "n n"], rights: Float[Array, "rights n"]) -> Float[Array, "rights n"]:
-    """Of ``matrix @ x = right`` for each right side; the derivative is one more solution, not that of each step."""
+    """Solve ``matrix @ x = right`` for each right side; the derivative is one more solution, not that of each step."""
     solution: Float[Array, "rights n"] = jax.lax.custom_linear_solve(
         lambda x: x @ matrix, rights, lambda _, b: _eliminated(matrix, b), symmetric=True
     )

@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import TICK_S, Command
 from softfin.tank.fin import Shaft
-from softfin.tank.rounding import to_multiple
+from softfin.tank.sampling import to_multiple
 
 DEAD_TICKS = 20
 """Longest dead time, in ticks of 10 ms."""
@@ -34,19 +34,19 @@ class DriveConfig(Configuration):
     fastest_rad_s: float = Field(7.1, gt=0)
     """Greatest profile velocity that the drive takes [rad/s]."""
     acceleration_rad_s2: float = Field(81.0, gt=0)
-    """Of the profile, speeding up and braking [rad/s2]."""
+    """Acceleration of the profile, speeding up and braking [rad/s2]."""
     dead_time_s: float = Field(0.029, ge=0, le=DEAD_TICKS * TICK_S)
-    """From a command to the profile that obeys it [s]: the way through computer and bus."""
+    """Delay from a command to the profile that follows it [s]: the way through computer and bus."""
     lag_s: float = Field(0.001, ge=0)
     """Following error over velocity [s]: what the servo's velocity damping costs."""
     stiffness_nm_rad: float = Field(300.0, gt=0)
     """Torque over following error of the servo [N m/rad]."""
     inertia_kg_m2: float = Field(0.028, gt=0)
-    """Of rotor and gearbox, times the gear ratio squared [kg m2]: 22.6e-7 at 111:1."""
+    """Inertia of rotor and gearbox, times the gear ratio squared [kg m2]: 22.6e-7 at 111:1."""
     torque_limit_nm: float = Field(6.0, gt=0)
     """Most that motor and gearbox exert [N m]: what a 32 mm planetary gearbox bears."""
     backlash_rad: float = Field(0.0, ge=0, le=0.2)
-    """Of the gearbox, from end to end [rad]; catalogues give 0.003 to 0.017."""
+    """Play of the gearbox, from end to end [rad]; catalogues give 0.003 to 0.017."""
     encoder_step_rad: float = Field(2.83e-5, ge=0)
     """Readings of the shaft are multiples of this [rad]: 2000 counts a turn at 111:1; 0: not quantised."""
 
@@ -58,20 +58,20 @@ class DriveConfig(Configuration):
 
 
 class DriveState(NamedTuple):
-    """Of the profile and of the motor, and the commands on their way."""
+    """State of the profile and of the motor, and the commands on their way."""
 
     profile_angle: Float[Array, ""]
     """[rad]"""
     profile_velocity: Float[Array, ""]
     """[rad/s]"""
     angle: Float[Array, ""]
-    """Of the motor [rad]."""
+    """Angle of the motor [rad]."""
     rate: Float[Array, ""]
-    """Of the motor [rad/s]."""
+    """Angular velocity of the motor [rad/s]."""
     torque: Float[Array, ""]
-    """Of the motor, mean of the last step [N m]."""
+    """Torque of the motor, mean of the last step [N m]."""
     waiting: Command
-    """Of the last ticks, newest first."""
+    """Commands of the last ticks, newest first."""
 
 
 class Drive(eqx.Module):

@@ -23,7 +23,7 @@ from softfin.tank.geometry import FinConfig, compliance, plate_moments
 
 
 class FinState(NamedTuple):
-    """Of the plates."""
+    """State of the plates."""
 
     angles: PerPlate
     """Absolute [rad]."""
@@ -58,7 +58,7 @@ class Surroundings(NamedTuple):
     """What the fin moves in."""
 
     inertia: Moments
-    """Of the water that each plate carries [kg, kg m, kg m2]."""
+    """Inertia of the water that each plate carries [kg, kg m, kg m2]."""
     stream: Float[Array, "2"]
     """Velocity (x, y) of the water far from the fin [m/s]; inertia and loads are those of the motion relative to it."""
     loads: Loads
@@ -69,11 +69,11 @@ class Fin(eqx.Module):
 
     plate_length: Float[Array, ""]
     stiffness: PerPlate
-    """Of the joint at the inner end of each plate [N m/rad]."""
+    """Stiffness of the joint at the inner end of each plate [N m/rad]."""
     damping: PerPlate
-    """Likewise [N m s/rad]."""
+    """Damping of the joint at the inner end of each plate [N m s/rad]."""
     inertia: Moments
-    """Of the fin itself, without the water [kg, kg m, kg m2]."""
+    """Inertia of the fin itself, without the water [kg, kg m, kg m2]."""
     thickness: Float[Array, " points"]
     """At the shaft and the outer end of each plate [m]: not needed for motion, but to be seen."""
 
@@ -115,11 +115,11 @@ class Fin(eqx.Module):
         return jnp.concatenate([jnp.zeros((1, 2), plates.dtype), jnp.cumsum(plates, axis=0)])
 
     def relative(self, state: FinState, around: Surroundings) -> Motion:
-        """Of each plate, relative to the stream."""
+        """Return the motion of each plate relative to the stream."""
         return self._motion(state).less(chain.components(state.angles, around.stream))
 
     def momenta(self, state: FinState, around: Surroundings) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
-        """Of the fin itself and of the water that it carries, in the axes of the tank [N s]."""
+        """Return the momenta of the fin itself and of the water that it carries, in the axes of the tank [N s]."""
         return (
             chain.resultant(state.angles, self.inertia.times(self._motion(state))),
             chain.resultant(state.angles, around.inertia.times(self.relative(state, around))),
@@ -145,11 +145,11 @@ class Fin(eqx.Module):
         """One step of time; also the mean rate of the shaft in it [rad/s] and the mean force of the loads [N]."""
         half = seconds / 2
         # The midpoint rule leaves stiff modes ringing from step to step; over two steps their accelerations cancel.
-        foretold = state.rates + half * (state.accelerations + state.earlier) / 2
-        angles = state.angles + half * (state.rates + foretold) / 2
+        predicted = state.rates + half * (state.accelerations + state.earlier) / 2
+        angles = state.angles + half * (state.rates + predicted) / 2
         pose = chain.pose(angles, self.plate_length)
         stream = chain.components(angles, around.stream)
-        motion = chain.motion(pose, foretold)
+        motion = chain.motion(pose, predicted)
         relative = motion.less(stream)
         resistance, push = around.loads(relative)
         push = jax.tree.map(jnp.add, push, resistance.times(stream))

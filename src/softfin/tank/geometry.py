@@ -22,9 +22,9 @@ class FinConfig(Configuration):
     plates: int = Field(8, ge=1, le=32)
     """Rigid plates in the chain [-]; the error of the force falls at least as their number squared."""
     length_m: float = Field(0.187, gt=0)
-    """From the shaft to the tip [m]."""
+    """Length from the shaft to the tip [m]."""
     root_length_m: float = Field(0.0195, ge=0)
-    """Of the aluminium bracket that stiffens the root, from the shaft [m]."""
+    """Length of the aluminium bracket that stiffens the root, from the shaft [m]."""
     span_m: float = Field(0.081, gt=0)
     """Across the plane of beating, at the shaft [m]."""
     tip_span_ratio: float = Field(1.0, gt=0)
@@ -36,7 +36,7 @@ class FinConfig(Configuration):
     youngs_modulus_pa: float = Field(2.72e6, gt=0)
     """In bending [Pa]; from the silicone's hardness, Shore A 22, one expects 0.8e6 (Gent 1958), 1.1e6 in a plate."""
     density_kg_m3: float = Field(1150.0, gt=0)
-    """Of the silicone [kg/m3]; addition silicones have 1050 to 1200."""
+    """Density of the silicone [kg/m3]; addition silicones have 1050 to 1200."""
     damping_s: float = Field(0.0273, ge=0)
     """Kelvin-Voigt time: damping over stiffness of each joint [s]; a loss factor of 0.27 at 1.6 Hz."""
 
@@ -47,11 +47,11 @@ class FinConfig(Configuration):
         return self
 
     def span(self, along: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
-        """Of the fin at distances from the shaft [m]."""
+        """Return the span of the fin at distances from the shaft [m]."""
         return self.span_m * (1 - (1 - self.tip_span_ratio) * along / self.length_m)
 
     def thickness(self, along: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
-        """Of the fin at distances from the shaft [m]."""
+        """Return the thickness of the fin at distances from the shaft [m]."""
         return self.root_thickness_m * (1 - (1 - self.tip_thickness_ratio) * along / self.length_m)
 
 
@@ -73,7 +73,7 @@ def plate_moments(
 
 
 def compliance(config: FinConfig) -> NDArray[np.floating[Any]]:
-    """Of each joint [rad/(N m)]: the beam's, from the middle of one plate to that of the next.
+    """Return the compliance of each joint [rad/(N m)]: the beam's, from the middle of one plate to that of the next.
 
     The joints bend where their plates meet, the beam all along between. So each piece of beam counts by the work that a
     load on the tip does in bending it, which makes the deflection under such a load that of the beam, however few the

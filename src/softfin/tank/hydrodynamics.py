@@ -25,7 +25,7 @@ from softfin.core.quantities import TICK_S
 from softfin.tank.chain import Moments, Motion, PerPlate, Scale, Wrench
 from softfin.tank.fin import Surroundings
 from softfin.tank.geometry import FinConfig, plate_moments
-from softfin.tank.relaxation import kept
+from softfin.tank.sampling import remaining
 
 
 class WaterConfig(Configuration):
@@ -35,7 +35,7 @@ class WaterConfig(Configuration):
     """
 
     temperature_c: float = Field(20.0, ge=0, le=40)
-    """Of fresh water [degrees Celsius]; gives its density and viscosity."""
+    """Temperature of fresh water [degrees Celsius]; gives its density and viscosity."""
     added_mass_coefficient: float = Field(1.0, ge=0)
     """Added mass per length over that of a long flat plate, rho pi/4 span^2 [-]."""
     drag_coefficient: float = Field(5.46, ge=0)
@@ -49,7 +49,7 @@ class WaterConfig(Configuration):
     wake_memory_s: float = Field(1.0, gt=0)
     """Time over which strokes are remembered [s]; matters where drag depends on them."""
     stream_mass_kg: float = Field(2.17, ge=0.2)
-    """Of the water that takes up what the fin loses [kg]: about a cube of 0.13 m. Lighter than 0.2 the
+    """Mass of water that takes up the momentum of the fin [kg]: about a cube of 0.13 m. Lighter than 0.2 the
     stream would outrun the tick in which it is held."""
     stream_decay_s: float = Field(0.241, ge=0)
     """Time constant with which the stream dies down [s]; 0: the water stays still."""
@@ -124,7 +124,7 @@ class Water(eqx.Module):
         self.stream_decay = jnp.asarray(config.stream_decay_s, float)
 
     def at(self, temperature: Float[Array, ""]) -> "Water":
-        """The same fin in water of another temperature [degrees Celsius]."""
+        """Return the loads on the same fin in water of another temperature [degrees Celsius]."""
         density = _density(temperature) / _density(self.temperature)
         friction = jnp.sqrt(_viscosity(temperature) / _viscosity(self.temperature))
         water = self.scaled(added_mass=density, drag=density, friction=density * friction)
@@ -160,9 +160,9 @@ class Water(eqx.Module):
 
     def stirred(self, flow: Flow, motion: Motion, force: Float[Array, "2"]) -> Flow:
         """The flow a tick later, where the plates moved so relative to it and the mean of its loads was `force` [N]."""
-        share = kept(self.stream_decay)
+        share = remaining(self.stream_decay)
         stream = share * flow.stream - (1 - share) * self.stream_decay / self.stream_mass * force
-        share = kept(self.wake_memory)
+        share = remaining(self.wake_memory)
         excursion = share * flow.excursion + TICK_S * (motion.normal + self.plate_length / 2 * motion.turning)
         return Flow(stream, excursion, share * flow.square + (1 - share) * excursion**2)
 
@@ -189,7 +189,7 @@ class Water(eqx.Module):
 
 
 def _density(temperature_c: Scale) -> Scale:
-    """Of fresh water at one atmosphere [kg/m3], 0 to 40 degrees Celsius (Tanaka et al. 2001, Metrologia 38, 301)."""
+    """Density of fresh water at 1 atm [kg/m3], 0 to 40 degrees Celsius (Tanaka et al. 2001, Metrologia 38, 301)."""
     t = temperature_c
     return 999.974950 * (1 - (t - 3.983035) ** 2 * (t + 301.797) / (522528.9 * (t + 69.34881)))
 

@@ -15,8 +15,7 @@ from pydantic import Field
 
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import TICK_S
-from softfin.tank.relaxation import kept
-from softfin.tank.rounding import to_multiple
+from softfin.tank.sampling import remaining, to_multiple
 
 
 class SensorConfig(Configuration):
@@ -79,8 +78,8 @@ class Sensor(eqx.Module):
     ) -> tuple[SensorState, Float[Array, "2"]]:
         """One sample of 10 ms, in which the mean force was `force` [N]."""
         white, walk = jax.random.normal(key, (2, 2), force.dtype)
-        filtered = force + (state.filtered - force) * kept(self.filter_time)
-        share = kept(self.drift_time)
+        filtered = force + (state.filtered - force) * remaining(self.filter_time)
+        share = remaining(self.drift_time)
         drift = share * state.drift + jnp.sqrt(-jnp.expm1(-2 * TICK_S / self.drift_time)) * self.drift * walk
         cos, sin = jnp.cos(self.misalignment), jnp.sin(self.misalignment)
         x, y = filtered

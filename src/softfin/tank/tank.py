@@ -27,19 +27,19 @@ class TankConfig(Configuration):
     """Everything that makes a tank."""
 
     drive: DriveConfig = DriveConfig()
-    """Of the shaft."""
+    """Drive of the shaft."""
     fin: FinConfig = FinConfig()
-    """Its geometry and material."""
+    """Geometry and material of the fin."""
     water: WaterConfig = WaterConfig()
-    """Its temperature and its loads on the fin."""
+    """Temperature of the water and its loads on the fin."""
     sensor: SensorConfig = SensorConfig()
-    """Under the fin."""
+    """Force sensor under the fin."""
     steps_per_tick: int = Field(2, ge=1, le=1000)
     """Steps of time in each sample of 10 ms [-]; the error of the force falls as their square: 0.2% at 2 (rms)."""
 
 
 class TankState(NamedTuple):
-    """Of everything that moves, the samples read so far, and the key that the sensor's noise is drawn from."""
+    """State of everything that moves, the samples read so far, and the key of the sensor's noise."""
 
     ticks: Int[Array, ""]
     drive: DriveState

@@ -17,7 +17,7 @@ from softfin.core.quantities import RATE_HZ, Command, Log
 from softfin.storage.run_directory import Workspace
 from softfin.tank import TankConfig
 from softfin.tank.calibration.config import CalibrateConfig
-from softfin.tank.calibration.determination import Determination, described, determination
+from softfin.tank.calibration.determination import Determination, determination, parameters_to_dict
 from softfin.tank.calibration.model import Fitting, model, read, stacked
 from softfin.tank.calibration.parameters import Point, Space, parameters_of
 from softfin.tank.calibration.pieces import CHANNELS, Pieces, cut
@@ -49,7 +49,7 @@ class Calibration:
         """Scores on both parts, parameters and their determination, the recording."""
         return {
             "scores": {part: scores(self.read(pieces.command), pieces) for part, pieces in self._parts().items()},
-            **described(self.determination, self.linear, self.space.parameters),
+            **parameters_to_dict(self.determination, self.linear, self.space.parameters),
             "recording": self.recording.model_dump(),
         }
 
@@ -107,20 +107,20 @@ def calibrate(
 
 
 def scores(modelled: Float[np.ndarray, "pieces ticks channels"], pieces: Pieces) -> dict[str, dict[str, float]]:
-    """Of each channel: pooled R2, RMSE, and mean and standard deviation of what is measured and modelled."""
+    """Return for each channel the pooled R2, RMSE, and mean and standard deviation of what is measured and modelled."""
     measured = np.asarray(pieces.compared, np.float64)
     ours = np.asarray(modelled[:, pieces.warm_up :], np.float64)
     rows = {}
     for index, channel in enumerate(CHANNELS):
-        true, said = measured[..., index], ours[..., index]
-        square = float(np.mean((said - true) ** 2))
+        true, predicted = measured[..., index], ours[..., index]
+        square = float(np.mean((predicted - true) ** 2))
         rows[channel] = {
             "r2": 1 - square / float(np.var(true)),
             "rmse": float(np.sqrt(square)),
             "mean_measured": float(true.mean()),
-            "mean_modelled": float(said.mean()),
+            "mean_modelled": float(predicted.mean()),
             "std_measured": float(true.std()),
-            "std_modelled": float(said.std()),
+            "std_modelled": float(predicted.std()),
         }
     return rows
 
@@ -144,10 +144,10 @@ def _global(
         losses, done = np.asarray(resumed[0]), resumed[1]["generation"]
     record = workspace.log(rewind_to=done)
 
-    def report(generation: int, known: Float[np.ndarray, "generations population"]) -> None:
-        least = float(np.nanmin(known))
-        record.write(generation, loss=float(known[generation - 1].min()), best=least)
-        workspace.save(jnp.asarray(known), {"generation": generation})
+    def report(generation: int, losses: Float[np.ndarray, "generations population"]) -> None:
+        least = float(np.nanmin(losses))
+        record.write(generation, loss=float(losses[generation - 1].min()), best=least)
+        workspace.save(jnp.asarray(losses), {"generation": generation})
         if progress is not None:
             progress("search", generation / generations, f"1 - R2 {least:.4f}")
 

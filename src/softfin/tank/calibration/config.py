@@ -13,14 +13,14 @@ from softfin.tank.calibration.recording import RecordingConfig
 
 
 class Weights(Configuration):
-    """Of the channels in the loss, relative to each other."""
+    """Weights of the channels in the loss, relative to each other."""
 
     angle: float = Field(1.0, ge=0)
-    """Of 1 - R2 of the shaft's angle."""
+    """Weight of 1 - R2 of the shaft's angle."""
     force_x: float = Field(1.0, ge=0)
-    """Of 1 - R2 of the force along x."""
+    """Weight of 1 - R2 of the force along x."""
     force_y: float = Field(1.0, ge=0)
-    """Likewise along y."""
+    """Weight of 1 - R2 of the force along y."""
 
     @model_validator(mode="after")
     def _some(self) -> "Weights":
@@ -37,9 +37,9 @@ class CalibrateConfig(Configuration):
     tank: TankConfig = TankConfig()
     """Where the search starts, and all that it does not change."""
     recording: RecordingConfig = RecordingConfig()
-    """Likewise, of the recording."""
+    """The recording at the start of the search, and all of it that the search does not change."""
     weights: Weights = Weights()
-    """Of the channels in the loss."""
+    """Weights of the channels in the loss."""
     evaluations: int = Field(4000, ge=0)
     """Tanks that the global search (CMA-ES) tries; 0: only the local one, from where `tank` is."""
     population: int = Field(16, ge=4)
@@ -63,7 +63,7 @@ class CalibrateConfig(Configuration):
     block_s: float = Field(2.0, ge=0.01)
     """Stretches [s] whose errors are taken to be independent of each other when standard errors are computed."""
     excitation: ExcitationConfig = ExcitationConfig()
-    """Of a plant that is to be fitted; logs bring their own commands."""
+    """Excitation of a plant that is to be fitted; logs bring their own commands."""
     velocity_rad_s: Range | None = None
     """Range of the velocities that the plant is commanded in the excitation; null: that of its limits."""
 

@@ -33,7 +33,7 @@ RANGE_DEVIATION = 1 / np.sqrt(12)
 
 
 class Determination(NamedTuple):
-    """Of all parameters, in scaled coordinates; NaN for those on a bound and those without effect."""
+    """How well parameters are determined, in scaled coordinates; NaN for those on a bound and those without effect."""
 
     error: Float[np.ndarray, "parameters"]
     """Standard error [-]."""
@@ -70,7 +70,7 @@ def determination(linear: Linear, block_ticks: int) -> Determination:
     return Determination(error, correlation, np.sqrt(np.maximum(values[::-1], 0.0)), weakest, bound, idle, blocks)
 
 
-def described(found: Determination, linear: Linear, parameters: tuple[Parameter, ...]) -> dict[str, Any]:
+def parameters_to_dict(found: Determination, linear: Linear, parameters: tuple[Parameter, ...]) -> dict[str, Any]:
     """For JSON: ``parameters`` by name, ``trades``, ``correlation``, ``singular_values``, ``weakest``, ``blocks``."""
     names = [parameter.name for parameter in parameters]
     rows = zip(parameters, linear.point, found.error, _fates(found, linear), strict=True)
@@ -146,7 +146,7 @@ def _left_out(
 
 
 def _inverse(matrix: Float[np.ndarray, "free free"]) -> Float[np.ndarray, "free free"]:
-    """Of a matrix that may say nothing at all about some direction, whose error is then huge and not infinite."""
+    """Invert a matrix that may be singular along some direction, whose error is then huge and not infinite."""
     values, directions = np.linalg.eigh(matrix)
     least = 1e-12 * max(float(values.max(initial=0.0)), 1e-12)
     return np.asarray(directions / np.maximum(values, least) @ directions.T)

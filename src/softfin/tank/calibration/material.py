@@ -23,7 +23,7 @@ CENTRES = np.linspace(-1.0, 1.0, 9, dtype=np.float32)
 """Angles about which a plant is made to beat [rad]."""
 
 SWING = 0.5
-"""Of the commanded angle on either side of the centre [rad], a stroke an action of the 3 Hz clock."""
+"""Amplitude of the commanded angle on either side of the centre [rad], a stroke an action of the 3 Hz clock."""
 
 BEATS = 24
 """Strokes about each centre: 8 s, of which the first 2 s are not counted."""
@@ -41,7 +41,7 @@ class Material(NamedTuple):
 
 
 def material(data: str | Path | Plant, config: CalibrateConfig, seed: int) -> Material:
-    """Of a dataset's folder, of a surrogate's, of a plant by its name, or of a plant.
+    """Return the logs of a dataset's folder, a surrogate's folder, a plant by its name, or a plant.
 
     Raises:
         ArtifactError: a folder that is neither, or a dataset without test logs.

@@ -77,7 +77,7 @@ class Fitting:
         self.resolution = resolution
 
     def errors(self, points: Sequence[Point]) -> Iterator[Float[np.ndarray, "pieces compared channels"]]:
-        """Of each point; see `errors`."""
+        """Yield the errors of each point; see `errors`."""
         for start in range(0, len(points), self.batch):
             some = points[start : start + self.batch]
             each = errors(self._stacked(some), self.pieces)

@@ -75,7 +75,7 @@ class Parameter(NamedTuple):
 
     @property
     def unit(self) -> str:
-        """From the end of its name."""
+        """Unit, which is the end of the parameter's name."""
         return next((unit for suffix, unit in _UNITS.items() if self.name.endswith(suffix)), "-")
 
     def scaled(self, value: float) -> float:
@@ -90,7 +90,7 @@ class Parameter(NamedTuple):
         return float(self.low + scaled * (self.high - self.low))
 
     def slope(self, scaled: float) -> float:
-        """Of the value by the scaled coordinate."""
+        """Return the derivative of the value by the scaled coordinate."""
         width = np.log(self.high / self.low) * self.value(scaled) if self.logarithmic else self.high - self.low
         return float(width)
 
@@ -112,12 +112,12 @@ def nested(ranges: Mapping[str, Any]) -> dict[str, Any]:
 
 def parameters_of(ranges: Mapping[str, Mapping[str, Range | None]]) -> Iterator[Parameter]:
     """Those that are free; raises ConfigurationError for an unknown name or a range that is none."""
-    known = {f"{group}.{name}" for group, names in every_range().items() for name in names}
+    names_allowed = {f"{group}.{name}" for group, names in every_range().items() for name in names}
     for group, names in ranges.items():
         for field, limits in names.items():
             name = f"{group}.{field}"
-            if name not in known:
-                close = difflib.get_close_matches(name, sorted(known), n=1)
+            if name not in names_allowed:
+                close = difflib.get_close_matches(name, sorted(names_allowed), n=1)
                 hint = f"; did you mean {close[0]!r}?" if close else f"; the groups are {', '.join(every_range())}"
                 raise ConfigurationError(f"parameters: there is no {name!r}{hint}")
             if limits is None:

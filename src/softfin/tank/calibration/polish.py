@@ -85,7 +85,7 @@ def polish(
     def slopes(point: Point) -> Float[np.ndarray, "samples parameters"]:
         # Beside the last tank with finite readings there may be none.
         jacobian = np.nan_to_num(linearised(fitting, point, weights).jacobian, nan=0.0, posinf=0.0, neginf=0.0)
-        return jacobian.reshape(len(point), -1).T.astype(np.float64)
+        return np.asarray(jacobian.reshape(len(point), -1).T, np.float64)
 
     # Dogbox, as the best point may lie on a face of the box, where the other methods do not go.
     found = least_squares(

@@ -30,9 +30,9 @@ class RecordingConfig(Configuration):
     reading_offset_rad: float = 0.0
     """Angle in the log where the shaft stands at 0 [rad]: the encoder's zero."""
     force_x_n: float = 0.0
-    """Reading of the force sensor without force [N]."""
+    """Reading of the force sensor along x without force [N]."""
     force_y_n: float = 0.0
-    """Likewise [N]."""
+    """Reading of the force sensor along y without force [N]."""
 
 
 class Recording(NamedTuple):

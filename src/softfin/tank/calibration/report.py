@@ -18,7 +18,7 @@ from softfin.tank.calibration.calibrate import Calibration, scores
 from softfin.tank.calibration.pieces import CHANNELS, Pieces
 
 TRACE_S = 10
-"""Of a test piece, as it is shown."""
+"""Duration of a test piece that the figure shows [s]."""
 
 WINDOW = 2 * RATE_HZ
 """Ticks over which means are taken where there are no beats: those of the paper's moving average."""
@@ -53,7 +53,7 @@ def write_calibration(
     """
     modelled = found.read(found.test.command)
     beating = None if beats is None else means(beats, found.read(beats.command))
-    summary = {**found.summary(), "beating": None if beating is None else _described(*beating), **facts}
+    summary = {**found.summary(), "beating": None if beating is None else _means_to_list(*beating), **facts}
 
     def write(folder: Path) -> None:
         (folder / "calibration.json").write_text(artifacts.dump_json(summary))
@@ -68,7 +68,7 @@ def write_calibration(
 
 
 def means(pieces: Pieces, modelled: Readings) -> tuple[Means, Means]:
-    """Of each piece behind its warm-up, measured and modelled."""
+    """Return the means of each piece behind its warm-up, measured and modelled."""
     return np.asarray(pieces.compared).mean(axis=1), modelled[:, pieces.warm_up :].mean(axis=1)
 
 
@@ -175,7 +175,7 @@ def _windows(pieces: Pieces, modelled: Readings) -> tuple[Means, Means]:
     return over(np.asarray(pieces.compared)), over(modelled[:, pieces.warm_up :])
 
 
-def _described(measured: Means, modelled: Means) -> list[dict[str, Any]]:
+def _means_to_list(measured: Means, modelled: Means) -> list[dict[str, Any]]:
     names = ("mean_angle_rad", "mean_force_x_n", "mean_force_y_n")
     return [
         {

@@ -1,0 +1,156 @@
+"""Domain randomization: tanks whose physical parameters are sampled about those of one tank.
+
+Every parameter depends on the key and its own name alone, so one that is added later leaves the others unchanged.
+Sampling is traceable: `jax.vmap` over keys gives one tank that holds a batch of parameters.
+"""
+
+import zlib
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+from jaxtyping import Array, Float, PRNGKeyArray
+from pydantic import Field
+
+from softfin.core.configuration import Configuration
+from softfin.core.errors import ConfigurationError
+from softfin.core.quantities import Command, Limits, Reading
+from softfin.tank.tank import Tank, TankState
+
+USUAL_PART = 0.15
+"""Relative half-width from which on temperature, drift and mount have their usual ranges [-]."""
+
+
+class DomainRandomization(Configuration):
+    """Half-width of the uniform range of each physical parameter; 0 keeps the tank's own value."""
+
+    temperature_c: float = Field(5.0, ge=0, le=20)
+    """Temperature of the water, either side of the tank's [degrees Celsius]."""
+    stiffness: float = Field(0.1, ge=0, lt=1)
+    """Relative: silicone of another batch, age and temperature [-]."""
+    length: float = Field(0.0, ge=0, lt=1)
+    """Length of the fin, relative [-]; as a rule it is one fin that is tested under several conditions."""
+    thickness: float = Field(0.0, ge=0, lt=1)
+    """Thickness of the fin, relative [-]."""
+    drag: float = Field(0.1, ge=0, lt=1)
+    """Relative [-]."""
+    added_mass: float = Field(0.05, ge=0, lt=1)
+    """Relative [-]."""
+    lag: float = Field(0.2, ge=0, lt=1)
+    """Lag of the servo, relative [-]."""
+    drift: float = Field(0.5, ge=0, lt=1)
+    """Standard deviation of the force sensor's drift, relative [-]."""
+    misalignment_rad: float = Field(0.02, ge=0, le=0.5)
+    """Misalignment of the force sensor, either side of the tank's [rad]; a mount screwed down by hand."""
+
+    @classmethod
+    def of(cls, part: float) -> "DomainRandomization":
+        """Material, water and servo within the same part of their values either side, on one and the same fin.
+
+        Temperature, drift and mount have their usual range from a part of 0.15 on; below, it is smaller in proportion,
+        so that 0 is the very same tank. Raises ConfigurationError outside 0 <= part < 1.
+        """
+        if not 0 <= part < 1:
+            raise ConfigurationError(f"--randomize {part:g}: give a part from 0, the very same tank, to less than 1")
+        usual, share = cls(), min(1.0, part / USUAL_PART)
+        own = {name: share * getattr(usual, name) for name in ("temperature_c", "drift", "misalignment_rad")}
+        return usual.merged(own | dict.fromkeys(("stiffness", "drag", "added_mass", "lag"), part), "spread")
+
+    @property
+    def is_none(self) -> bool:
+        """Whether all widths are 0, so that every sampled tank is the same."""
+        return not any(self.model_dump().values())
+
+
+class PhysicalParameters(NamedTuple):
+    """How a tank differs from the one it was drawn from: offsets where a unit stands in the name, factors elsewhere."""
+
+    temperature_c: Float[Array, ""]
+    stiffness: Float[Array, ""]
+    length: Float[Array, ""]
+    thickness: Float[Array, ""]
+    drag: Float[Array, ""]
+    added_mass: Float[Array, ""]
+    lag: Float[Array, ""]
+    drift: Float[Array, ""]
+    misalignment_rad: Float[Array, ""]
+
+
+_OFFSETS = {"temperature_c", "misalignment_rad"}
+
+
+def sample_parameters(key: PRNGKeyArray, widths: DomainRandomization | None = None) -> PhysicalParameters:
+    """Sample parameters within `widths`, by default the documented ones."""
+    ranges = (widths or DomainRandomization()).model_dump()
+
+    def one(name: str) -> Float[Array, ""]:
+        own = jax.random.fold_in(key, zlib.crc32(name.encode()))
+        return (name not in _OFFSETS) + jax.random.uniform(own, minval=-ranges[name], maxval=ranges[name])
+
+    return PhysicalParameters(**{name: one(name) for name in PhysicalParameters._fields})
+
+
+def with_parameters(tank: Tank, parameters: PhysicalParameters) -> Tank:
+    """The tank under those parameters."""
+    water = tank.water.at(tank.water.temperature + parameters.temperature_c)
+    changed: Tank = eqx.tree_at(
+        lambda tank: (
+            tank.fin,
+            tank.water,
+            tank.drive.lag,
+            tank.sensor.drift,
+            tank.sensor.misalignment,
+        ),
+        tank,
+        (
+            tank.fin.scaled(parameters.stiffness, parameters.length, parameters.thickness),
+            water.scaled(drag=parameters.drag, added_mass=parameters.added_mass, length=parameters.length),
+            tank.drive.lag * parameters.lag,
+            tank.sensor.drift * parameters.drift,
+            tank.sensor.misalignment + parameters.misalignment_rad,
+        ),
+    )
+    return changed
+
+
+def sample_tank(tank: Tank, key: PRNGKeyArray, widths: DomainRandomization | None = None) -> Tank:
+    """Return the tank with sampled parameters; the same tank, to the last bit, where all widths are 0."""
+    return tank if widths is not None and widths.is_none else with_parameters(tank, sample_parameters(key, widths))
+
+
+class RandomizedTankState(NamedTuple):
+    """The sampled tank, and its state."""
+
+    tank: Tank
+    state: TankState
+
+
+class RandomizedTank(eqx.Module):
+    """A plant that is another tank after every `init`: its key samples the physical parameters.
+
+    Whatever runs a plant over several keys so runs over as many tanks, side by side in one program.
+    """
+
+    tank: Tank
+    """The tank about which the others are sampled."""
+    widths: DomainRandomization = eqx.field(static=True)
+
+    @property
+    def limits(self) -> Limits:
+        """Limits of the tank, whose drive takes the same commands whatever the water does."""
+        return self.tank.limits
+
+    def init(self, key: PRNGKeyArray) -> RandomizedTankState:
+        """Sample a tank, its fin at rest at angle 0."""
+        parameters, own = jax.random.split(key)
+        tank = sample_tank(self.tank, parameters, self.widths)
+        return RandomizedTankState(tank, tank.init(own))
+
+    def advance(self, state: RandomizedTankState, command: Command, ticks: int) -> tuple[RandomizedTankState, Reading]:
+        """Advance the sampled tank."""
+        moved, reading = state.tank.advance(state.state, command, ticks)
+        return RandomizedTankState(state.tank, moved), reading
+
+    def shape(self, state: RandomizedTankState) -> Float[Array, "points 2"]:
+        """Return where the fin is; see `Tank.shape`."""
+        return state.tank.shape(state.state)
