@@ -484,7 +484,7 @@ def view(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Show a plant in motion as .gif, .mp4, .html or .png, under a simple gait or a controller with a `reference` [N]."""
+    """Show a plant in motion as .gif, .mp4, .html or .png, in a simple gait or under a controller."""
     config = config or ViewConfig()
     check_view(out, overwrite)
     moving = find_plant(plant) if isinstance(plant, str) else plant

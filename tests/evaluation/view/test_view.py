@@ -101,7 +101,7 @@ def test_the_stage_writes_a_gif_with_the_frames_that_it_tells(tmp_path):
         (["--out", "there.html"], "there.html: exists already; give another --out, or --overwrite to replace it"),
         (["--out", "folder.gif", "--overwrite"], "folder.gif: is a folder; give another --out"),
         (["--out", "fin.mp4"], "ffmpeg, which is not on PATH"),
-        (["--out", "fin.gif", "--plant", "pool"], "plant pool: unknown (is not a folder)"),
+        (["--out", "fin.gif", "--plant", "pool"], "plant pool: unknown (does not exist)"),
         (["--out", "fin.gif", "--seconds", "0"], "seconds = 0.0: Input should be greater than or equal to 0.1"),
         (["--out", "fin.gif", "--set", "frames_per_second=30"], "there are 10, 20, 25 and 50 frames a second"),
         (["--out", "fin.gif", "--set", "dots_per_inch=75"], "it must be a multiple of 10"),
