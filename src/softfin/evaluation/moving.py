@@ -25,41 +25,27 @@ from softfin.gaits.reachable import Reachable
 from softfin.task.references import Cell
 from softfin.task.signals import Force, Ramp, Recorded, Signal, Sine, Step
 
-At = Callable[[float, float], Force]
-"""A force in a controller's range, each axis from 0 (its least reference) to 1 (its greatest)."""
-
 LOW, MIDDLE, HIGH = 1 / 6, 1 / 2, 5 / 6
+"""Places in a controller's range, which goes from 0 (its least reference) to 1 (its greatest) on each axis."""
+
+UP_AND_FORWARDS = (((MIDDLE, LOW), (MIDDLE, HIGH)), ((MIDDLE, MIDDLE), (HIGH, MIDDLE)))
+
+STEPS = (
+    ((MIDDLE, MIDDLE), (HIGH, MIDDLE)), ((LOW, LOW), (MIDDLE, MIDDLE)),
+    ((MIDDLE, LOW), (MIDDLE, HIGH)), ((HIGH, MIDDLE), (LOW, LOW)),
+)  # fmt: skip
+"""Small and large steps, on one axis and on both."""
 
 
-def _steps(at: At) -> tuple[Signal, ...]:
-    """Small and large steps, on one axis and on both."""
-    return (
-        Step(start_n=at(MIDDLE, MIDDLE), to_n=at(HIGH, MIDDLE)),
-        Step(start_n=at(LOW, LOW), to_n=at(MIDDLE, MIDDLE)),
-        Step(start_n=at(MIDDLE, LOW), to_n=at(MIDDLE, HIGH)),
-        Step(start_n=at(HIGH, MIDDLE), to_n=at(LOW, LOW)),
-    )
+def _sine(start_n: Force, to_n: Force) -> Sine:
+    (a, b), (c, d) = start_n, to_n
+    return Sine(centre_n=((a + c) / 2, (b + d) / 2), amplitude_n=((c - a) / 2, (d - b) / 2))
 
 
-def _ramps(at: At) -> tuple[Signal, ...]:
-    return (
-        Ramp(start_n=at(MIDDLE, LOW), to_n=at(MIDDLE, HIGH)),
-        Ramp(start_n=at(MIDDLE, MIDDLE), to_n=at(HIGH, MIDDLE)),
-    )
-
-
-def _sines(at: At) -> tuple[Signal, ...]:
-    def between(one: Force, other: Force) -> Sine:
-        (a, b), (c, d) = one, other
-        return Sine(centre_n=((a + c) / 2, (b + d) / 2), amplitude_n=((c - a) / 2, (d - b) / 2))
-
-    return between(at(MIDDLE, LOW), at(MIDDLE, HIGH)), between(at(MIDDLE, MIDDLE), at(HIGH, MIDDLE))
-
-
-SIGNALS: Mapping[MovingReference, tuple[Callable[[At], tuple[Signal, ...]], int]] = MappingProxyType(
-    {"step": (_steps, 20), "ramp": (_ramps, 20), "sine": (_sines, 30)}
+SIGNALS: Mapping[MovingReference, tuple[Callable[..., Signal], tuple[Any, ...], int]] = MappingProxyType(
+    {"step": (Step, STEPS, 20), "ramp": (Ramp, UP_AND_FORWARDS, 20), "sine": (_sine, UP_AND_FORWARDS, 30)}
 )
-"""Default signals by kind, with the length of their experiments [s]; in the paper's range:
+"""Default signals by kind: from where to where in the range, and length of the experiment [s]; in the paper's range:
 
 ======== ==============================================================================================================
 ``step`` at 10 s: (2, 0) to (3, 0), (1, -1) to (2, 0), (2, -1) to (2, 1), (3, 0) to (1, -1) N
@@ -84,7 +70,8 @@ def signals_of(kind: MovingReference, cell: Cell, reachable: Reachable | None = 
             )
         return round(force[0], 6), round(force[1], 6)
 
-    return SIGNALS[kind][0](at)
+    make, places, _ = SIGNALS[kind]
+    return tuple(make(start_n=at(*start), to_n=at(*to)) for start, to in places)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -154,7 +141,7 @@ def plan_moving(
 ) -> list[MovingPlan]:
     """The default signals of each kind, and a recorded one, as `MovingPlan.of` finds them."""
     cell, reachable = range_of(controller), reachable_of(controller)
-    groups = [(signals_of(kind, cell, reachable), SIGNALS[kind][1]) for kind in dict.fromkeys(kinds)]
+    groups = [(signals_of(kind, cell, reachable), SIGNALS[kind][2]) for kind in dict.fromkeys(kinds)]
     if recorded is not None:
         groups.append(((recorded,), max(recorded.seconds, MIN_SECONDS)))
     return [MovingPlan.of(controller, signals, seconds, strict) for signals, seconds in groups]

@@ -145,10 +145,7 @@ def table_two_figure(summaries: Mapping[str, Mapping[str, Any]]) -> Figure:
         figure = new_figure(10, 5.2)
         for index, (axes, axis) in enumerate(zip(figure.subplots(2, 1, sharex=True), AXES, strict=True)):
             _draw_errors(axes, axis, index, summaries, references)
-        axes.set_xticks(
-            range(len(references) + 1),
-            [*map(_force, references), "mean"],
-        )
+        axes.set_xticks(range(len(references) + 1), [*map(_force, references), "mean"])
         axes.set_xlabel("reference force (x, y) [N]")
         handles, labels = axes.get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
@@ -162,21 +159,19 @@ def _draw_errors(
     for name, summary in summaries.items():
         rows = [*(row[axis] for row in summary["references"]), summary["mean"][axis]]
         errors = [row["error_n"] for row in rows]
-        intervals = [row["error_interval_n"] for row in rows]
-        spread = (
-            None if intervals[0] is None else [high - error for (_, high), error in zip(intervals, errors, strict=True)]
-        )
+        several = rows[0]["error_interval_n"] is not None
+        half = [row["error_interval_n"][1] - row["error_n"] for row in rows] if several else None
         colour = CONTROLLER_COLOURS.get(name, GREY)
-        bars.append((name, colour, None, errors, spread))
+        bars.append((name, colour, None, errors, half))
         published = PAPER_TABLE_II.get(name, {})
         if published and set(references) <= published.keys():
             values = [published[reference][2 * index] for reference in references]
             bars.append((f"{name}, paper (real fin)", colour, "////", [*values, float(np.mean(values))], None))
     width = min(0.25, 0.8 / len(bars))
     places = np.arange(len(references) + 1)
-    for k, (label, colour, hatch, values, spread) in enumerate(bars):
+    for k, (label, colour, hatch, values, half) in enumerate(bars):
         axes.bar(
-            places + (k - (len(bars) - 1) / 2) * width, values, 0.92 * width, yerr=spread, label=label, hatch=hatch,
+            places + (k - (len(bars) - 1) / 2) * width, values, 0.92 * width, yerr=half, label=label, hatch=hatch,
             facecolor="white" if hatch else colour, edgecolor=colour, ecolor=BLACK, capsize=2,
         )  # fmt: skip
     axes.axvline(len(references) - 0.5, color=GREY, linewidth=0.8)

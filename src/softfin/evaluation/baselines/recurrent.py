@@ -48,7 +48,7 @@ def run_recurrent(
     @jax.jit
     def observe(angle: Float[Array, "runs"], actions: Float[Array, "runs remembered 2"], age: Int[Array, ""]) -> Array:
         ages = jnp.full(count, age)
-        return jax.vmap(lambda *known: observation(task, *known))(angle, jnp.asarray(references), actions, ages)
+        return jax.vmap(lambda *observed: observation(task, *observed))(angle, jnp.asarray(references), actions, ages)
 
     def hold(state: State, action: Float[Array, "2"], ticks: Ticks) -> tuple[State, tuple[Command, Reading]]:
         command = command_of(limits, action)

@@ -1,9 +1,11 @@
 """Record of what can be seen of a plant: rolled tick by tick, with the fin's shape wherever the plant computes it.
 
-Commands go in, a Footage comes out, from which film and page are drawn.
+Commands go in, a Footage comes out, from which film and page are drawn. A plant may have a method ``shape(state)``, as
+the virtual tank does: points ``(points, 2)`` from the shaft to the tip [m], in the axes of the tank.
 """
 
-from typing import Any, NamedTuple, Protocol, cast
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,14 +18,6 @@ from softfin.core.plant import Plant, State
 from softfin.core.quantities import Command, Reading
 from softfin.evaluation.scores import moving_average
 from softfin.tank import Tank, TankConfig, TankState
-
-
-class Shaped(Protocol):
-    """A plant that computes the fin's shape, as the virtual tank does; one's own simulator may."""
-
-    def shape(self, state: State) -> Float[Array, "points 2"]:
-        """Points along the middle of the fin from the shaft to the tip, in the axes of the tank [m]."""
-        ...
 
 
 class Footage(NamedTuple):
@@ -74,12 +68,14 @@ def film(
 
 def shoot(plant: Plant, state: State, commands: Command) -> Shots:
     """Roll the plant from a state, one command a tick, ``(ticks,)``, and keep what can be seen; traceable."""
-    shape_of = cast(Shaped, plant).shape if callable(getattr(plant, "shape", None)) else None
+    shape_of: Callable[[State], Array] | None = getattr(plant, "shape", None)
 
     def tick(state: State, command: Command) -> tuple[State, Shots]:
         state, reading = plant.advance(state, command, 1)
         stream = state.flow.stream if isinstance(state, TankState) else None
-        return state, Shots(jax.tree.map(lambda x: x[0], reading), shape_of and shape_of(state), stream)
+        return state, Shots(
+            jax.tree.map(lambda x: x[0], reading), None if shape_of is None else shape_of(state), stream
+        )
 
     return jax.lax.scan(tick, state, commands)[1]
 
