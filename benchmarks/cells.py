@@ -1,4 +1,4 @@
-"""Training time and memory against the number of cells: all are lanes of one program, so many cost little each.
+"""Training time and memory against the number of cells: all are agents of one program, so many cost little each.
 
 Two updates of each grid with the default LSTM-PPO, after compilation and without scoring; a cell's share of the time
 of the largest grid is held against the time of a grid of one.
@@ -13,9 +13,9 @@ from benchmarks.measure import entry, seconds
 from benchmarks.nets import published_layout
 from softfin.core.plant import Plant
 from softfin.core.randomness import key_of
-from softfin.learning.footprint import memory_of
+from softfin.learning.configuration import GRID
+from softfin.learning.policy import memory_of
 from softfin.learning.ppo import PPO
-from softfin.learning.train import GRID
 from softfin.task.cells import lattice
 from softfin.task.references import PAPER_RANGE, stack_references
 from softfin.task.task import ForceTracking
@@ -32,19 +32,19 @@ def measured(plant: Plant, side: int) -> dict[str, Any]:
     cells = lattice(side, side, PAPER_RANGE)
     keys = jax.numpy.stack([key_of(0, f"cells/{cell}") for cell in cells])
     begin = time.perf_counter()
-    lanes = jax.jit(jax.vmap(learner.init))(keys, stack_references(cells))
+    agents = jax.jit(jax.vmap(learner.init))(keys, stack_references(cells))
     update = jax.jit(jax.vmap(learner.update))
-    lanes, _ = jax.block_until_ready(update(lanes))
+    agents, _ = jax.block_until_ready(update(agents))
     compiled = time.perf_counter() - begin
 
     def updates() -> Any:
-        now = lanes
+        now = agents
         for _ in range(UPDATES):
             now, _ = update(now)
         return now
 
-    taken = memory_of(lanes.policy)
-    return {"cells": len(cells), "update_s": seconds(updates) / UPDATES, "compile_s": compiled, **taken.described()}
+    taken = seconds(updates) / UPDATES
+    return {"cells": len(cells), "update_s": taken, "compile_s": compiled, **memory_of(agents.policy)}
 
 
 def main() -> list[dict[str, Any]]:

@@ -28,7 +28,7 @@ AGAIN_S = 3
 LISTED = 12
 """Functions whose programs take longest, in each row."""
 
-TRAIN = ("steps=1152", "scorings=1")
+TRAIN = ("steps=1152", "num_evaluations=1")
 """Two updates, with the programs of many."""
 
 

@@ -17,17 +17,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.measure import entry
-from softfin.control.controller import Measured
-from softfin.control.native import NativeController, load_native
+from softfin.control.controller import LoadedController, Measured
 from softfin.control.onnx import export_onnx
-from softfin.control.store import load_controller, save_controller, save_gaits
+from softfin.control.store import load_controller, save_gaits
 from softfin.core.quantities import PAPER_LIMITS
-from softfin.gaits.force_map import ForceMap, MapConfig
-from softfin.gaits.gaits import Found, Lattice
+from softfin.gaits.force_map import MapConfig
+from softfin.gaits.gait import ForceMap, GaitSearchResult, Lattice
 from softfin.gaits.reachable import Reachable
+from softfin.learning.configuration import GRID, SINGLE, TrainConfig
+from softfin.learning.controllers import save_controller
 from softfin.learning.policy import Policy, PolicyConfig
-from softfin.learning.score import Score
-from softfin.learning.train import GRID, SINGLE, TrainConfig, Trained
+from softfin.learning.rollout import PolicyEvaluation
+from softfin.learning.run import TrainingResult
 from softfin.task.cells import lattice
 from softfin.task.references import PAPER_RANGE
 
@@ -69,7 +70,8 @@ def write_policies(folder: Path, config: TrainConfig, units: int) -> None:
     keys = jax.random.split(jax.random.key(0), (1, len(config.cells)))
     policies = jax.vmap(jax.vmap(lambda key: Policy.create(key, size, config.task.observations)))(keys)
     nothing = jnp.zeros((1, len(config.cells), config.lattice**2, 2))
-    save_controller(folder, Trained(config, PAPER_LIMITS, (0,), policies, Score(nothing, nothing)), 0, {})
+    evaluation = PolicyEvaluation(nothing, nothing)
+    save_controller(folder, TrainingResult(config, PAPER_LIMITS, (0,), policies, evaluation), 0, {})
 
 
 def write_gaits(folder: Path) -> None:
@@ -77,12 +79,12 @@ def write_gaits(folder: Path) -> None:
     table = Lattice.over(PAPER_RANGE, 0.5).table()
     nothing = np.zeros((*table.actions.shape[:2], 2), np.float32)
     reach = Reachable(np.zeros(2, np.float32), np.full(12, 9, np.float32))
-    save_gaits(folder, ForceMap(Found(table, nothing, nothing), reach), MapConfig(), PAPER_LIMITS, {})
+    save_gaits(folder, ForceMap(GaitSearchResult(table, nothing, nothing), reach), MapConfig(), PAPER_LIMITS, {})
 
 
-def native(controller: NativeController) -> tuple[float, float]:
+def native(controller: LoadedController) -> tuple[float, float]:
     """As on a robot."""
-    return percentiles(lambda state: controller.act(state, ANGLE, FORCE, REFERENCE)[0], controller.init())
+    return percentiles(lambda state: controller.act(state, Measured(ANGLE, FORCE), REFERENCE)[0], controller.init())
 
 
 def compiled(folder: Path) -> tuple[float, float]:
@@ -99,7 +101,7 @@ def compiled(folder: Path) -> tuple[float, float]:
     return percentiles(step, controller.init())
 
 
-def exported(controller: NativeController, file: Path) -> tuple[float, float]:
+def exported(controller: LoadedController, file: Path) -> tuple[float, float]:
     """By onnxruntime, one thread."""
     import onnxruntime
 
@@ -128,11 +130,11 @@ def limit(weights: int) -> float:
     return percentiles(step, None)[0]
 
 
-def used(controller: NativeController) -> int:
+def used(controller: LoadedController) -> int:
     """Weights that one action reads."""
-    net: Any = getattr(controller.step, "net", None)
+    net: Any = getattr(controller.step, "network", None)
     if net is None:
-        net = tuple(part[0] for part in getattr(controller.step, "nets", ()))
+        net = tuple(part[0] for part in getattr(controller.step, "networks", ()))
     # Gaits blend four actions of two numbers.
     return sum(int(np.size(part)) for part in net) or 4 * 2
 
@@ -152,7 +154,7 @@ def main() -> list[dict[str, Any]]:
         for index, (name, (write, bar)) in enumerate(written.items()):
             folder = Path(out) / str(index)
             write(folder)
-            controller = load_native(folder)
+            controller = load_controller(folder)
             (p50, p99), in_jax = native(controller), compiled(folder)
             in_onnx = exported(controller, folder / "step.onnx")
             rows.append(

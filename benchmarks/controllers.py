@@ -15,7 +15,8 @@ from benchmarks.measure import entry
 from benchmarks.nets import published_layout
 from softfin.core.plant import Plant
 from softfin.gaits.force_map import MapConfig, map_forces
-from softfin.learning.train import STARTS, TrainConfig, train
+from softfin.learning.configuration import TRAIN_PRESETS, TrainConfig
+from softfin.learning.train import train
 from softfin.stages import offline as stages
 from softfin.storage.run_directory import LOG, Workspace, read_log
 from softfin.surrogate import Surrogate
@@ -37,11 +38,11 @@ def run(plant: Plant, config: TrainConfig) -> dict[str, Any]:
         workspace = Workspace(Path(folder) / "controller", {})
         train(plant, config, (0,), workspace, note)
         log = read_log(workspace.folder / LOG)
-    whole = config.updates * config.learning.steps_per_update
+    whole = config.num_updates * config.learning.steps_per_update
     when = {round(done * whole): seconds for seconds, done in moments}
     good = [e["step"] for e in log if max(e.get(f"seed0/score_{axis}_n", 9.0) for axis in "xy") < GOOD_N]
     # The first scoring compiles too, so the clock starts behind it.
-    first = min(len(moments) - 2, max(1, round(len(moments) / config.scorings)))
+    first = min(len(moments) - 2, max(1, round(len(moments) / config.num_evaluations)))
     (begin, before), (end, after) = moments[first], moments[-1]
     return {
         "before_first_s": moments[0][0],
@@ -55,9 +56,9 @@ def scaling(plant: Plant) -> dict[str, float]:
     """Actions a second of LSTM-PPO with more and more fins side by side."""
     found = {}
     for count in ENVIRONMENTS:
-        settings = (f"ppo.environments={count}", f"ppo.minibatches={min(count, 8)}", "scorings=1",
-                    f"steps={4 * count * STARTS['ppo', 'single'].ppo.rollout_actions}")  # fmt: skip
-        found[str(count)] = run(plant, STARTS["ppo", "single"].changed(settings))["steps_per_s"]
+        settings = (f"ppo.num_envs={count}", f"ppo.num_minibatches={min(count, 8)}", "num_evaluations=1",
+                    f"steps={4 * count * TRAIN_PRESETS['ppo', 'single'].ppo.num_steps}")  # fmt: skip
+        found[str(count)] = run(plant, TRAIN_PRESETS["ppo", "single"].changed(settings))["steps_per_s"]
     return found
 
 
@@ -77,7 +78,7 @@ def main() -> list[dict[str, Any]]:
     fin = published()
     plant = fin or published_layout()
     rows = []
-    for (algorithm, kind), config in STARTS.items():
+    for (algorithm, kind), config in TRAIN_PRESETS.items():
         got = run(plant, config)
         rows.append(_row(f"{algorithm} {kind}", got, 30 if algorithm == "ppo" else 240, known=fin is not None))
     start = time.perf_counter()

@@ -13,7 +13,8 @@ from typing import Any
 from benchmarks.measure import entry
 from benchmarks.nets import published_layout
 from softfin.core.gym_registration import register
-from softfin.learning.train import GRID, SINGLE, TrainConfig, train
+from softfin.learning.configuration import GRID, SINGLE, TrainConfig
+from softfin.learning.train import train
 from softfin.storage.run_directory import Workspace
 from softfin.surrogate import Surrogate
 
@@ -28,9 +29,9 @@ def softfin_speed(plant: Surrogate, config: TrainConfig) -> dict[str, float]:
         workspace = Workspace(Path(folder) / "controller", {})
         train(plant, config, (0,), workspace, lambda _, done, __: moments.append((time.perf_counter(), done)))
     # The first scoring compiles too, so the clock starts behind it.
-    first = max(1, round(len(moments) / config.scorings))
+    first = max(1, round(len(moments) / config.num_evaluations))
     (begin, before), (end, after) = moments[first], moments[-1]
-    steps = (after - before) * config.updates * config.ppo.steps_per_update * len(config.cells)
+    steps = (after - before) * config.num_updates * config.ppo.steps_per_update * len(config.cells)
     return {"steps_per_s": steps / (end - begin), "before_first_s": moments[0][0] - start}
 
 

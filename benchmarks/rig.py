@@ -21,7 +21,8 @@ import can
 import yaml
 
 from benchmarks.measure import entry
-from softfin.control.native import NativeController, load_native
+from softfin.control.controller import LoadedController, Measured
+from softfin.control.store import load_controller
 from softfin.core.clock import REAL
 from softfin.core.errors import SafetyStop
 from softfin.rig.config import RigConfig
@@ -56,16 +57,16 @@ def main() -> list[dict[str, Any]]:
     return rows + _stops()
 
 
-def _controller(folder: Path) -> NativeController:
+def _controller(folder: Path) -> LoadedController:
     """An LSTM of 64 with random weights; speed does not depend on them."""
     from benchmarks.controller_step import write_policies
-    from softfin.learning.train import SINGLE
+    from softfin.learning.configuration import SINGLE
 
     write_policies(folder / "controller", SINGLE, 64)
-    return load_native(folder / "controller")
+    return load_controller(folder / "controller")
 
 
-def _loop(folder: Path, controller: NativeController) -> list[dict[str, Any]]:
+def _loop(folder: Path, controller: LoadedController) -> list[dict[str, Any]]:
     """100 Hz with recording and a controller; the emulated devices are another process, over sockets."""
     with _emulators(folder / "rig.yaml") as config:
         rig = Rig(config)
@@ -212,7 +213,7 @@ def _filter_delay() -> float:
         return delay
 
 
-def _step(controller: NativeController) -> list[dict[str, Any]]:
+def _step(controller: LoadedController) -> list[dict[str, Any]]:
     """All that safety looks at in a tick, and one action with its own check; one thread."""
     guard = Guard(SafetyConfig(current_peak_a=6.0, current_sustained_a=3.0), controller.limits)
     state = controller.init()
@@ -223,8 +224,8 @@ def _step(controller: NativeController) -> list[dict[str, Any]]:
         start = time.perf_counter()
         assert guard.check(sample, now) is None
         middle = time.perf_counter()
-        state, target = controller.act(state, 0.3, (1.0, 0.5), (1.0, 0.0))
-        assert guard.check_target(target) is None
+        state, command = controller.act(state, Measured(0.3, (1.0, 0.5)), (1.0, 0.0))
+        assert guard.check_target(Target(float(command.angle), float(command.velocity))) is None
         end = time.perf_counter()
         if step >= WARM:
             ticks.append(1e3 * (middle - start))

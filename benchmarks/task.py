@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from benchmarks.measure import entry, interleaved, matmul
 from benchmarks.nets import published_layout
 from softfin.core.action_clock import ACTION_TICKS, ticks_of
-from softfin.task.references import PAPER_RANGE
+from softfin.task.references import PAPER_RANGE, References
 from softfin.task.task import ForceTracking, TaskConfig
 
 TICKS = sum(ACTION_TICKS)
@@ -19,7 +19,7 @@ TICKS = sum(ACTION_TICKS)
 def steps(task: ForceTracking, batch: int, cycles: int) -> Callable[[], Any]:
     """A call that plays `cycles` cycles of three actions in `batch` environments."""
     keys = jax.random.split(jax.random.key(1), batch)
-    state = jax.vmap(task.reset, (0, None))(keys, PAPER_RANGE.references())
+    state = jax.vmap(task.reset, (0, None))(keys, References.of(PAPER_RANGE))
     actions = jax.random.uniform(jax.random.key(2), (len(ACTION_TICKS) * cycles, batch, 2), minval=-1, maxval=1)
 
     def act(state: Any, now: Any) -> Any:

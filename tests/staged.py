@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 import yaml
 
-from softfin.control.store import save_controller
 from softfin.core.quantities import PAPER_LIMITS, Limits
 from softfin.gaits.force_map import MapConfig
 from softfin.gaits.map_store import save_map
-from softfin.learning.train import SINGLE
+from softfin.learning.configuration import SINGLE
+from softfin.learning.controllers import save_controller
 from softfin.stages.offline import identity
 from softfin.storage.dataset import write_dataset
 from softfin.storage.registry import find_plant
@@ -60,13 +60,13 @@ STREAMING = streaming.CONFIG.model_dump(mode="json") | {"drive_updates": 2, "for
 
 CELL = {"low": [0.5, -1.5], "high": [1.5, -0.5]}
 SIZE = {
-    "scorings": 1,
+    "num_evaluations": 1,
     "lattice": 1,
     "cells": [CELL],
     "policy": {"units": 8, "width": 8},
     "task": {"episode_actions": 9},
 }
-LEARNING = {"teacher": False, "environments": 2, "rollout_actions": 3, "common": None, "learning_rate": 1e-3}
+LEARNING = {"warm_start": False, "num_envs": 2, "num_steps": 3, "shared_pretraining": None, "learning_rate": 1e-3}
 GRADIENT = {**SIZE, "steps": 6, "gradient": LEARNING}
 """One learning rate for both kinds of controller, so that one program learns both."""
 MAP = {

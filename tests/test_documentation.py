@@ -29,7 +29,7 @@ from softfin.evaluation.baselines.baselines import BaselinesConfig
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.evaluation.view.view import ViewConfig
 from softfin.gaits.force_map import MapConfig
-from softfin.learning.train import STARTS
+from softfin.learning.configuration import TRAIN_PRESETS
 from softfin.rig.config import load_rig, load_ros2
 from softfin.rig.ros2.node import NodeConfig
 from softfin.stages import offline as stages
@@ -47,7 +47,7 @@ CONFIGURATIONS: dict[str, tuple[Configuration, ...]] = {
     "calibrate": tuple(CALIBRATIONS.values()),
     "compare": (CompareConfig(),),
     "map": (MapConfig(),),
-    "train": (*STARTS.values(), MapConfig()),
+    "train": (*TRAIN_PRESETS.values(), MapConfig()),
     "evaluate": (EvaluateConfig(),),
     "baselines": (BaselinesConfig(),),
     "view": (ViewConfig(),),

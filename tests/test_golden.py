@@ -13,7 +13,6 @@ import pytest
 import softfin
 from softfin import cli
 from softfin.control.controller import Measured
-from softfin.control.native import load_native
 from softfin.core.quantities import Command
 from softfin.gaits.map_store import load_map
 from softfin.rig.config import load_rig, load_ros2
@@ -57,12 +56,12 @@ def commands(controller: Any) -> np.ndarray:
     return np.array(given)
 
 
-def native_commands(folder: Path) -> np.ndarray:
-    """The same of the controller that NumPy alone runs."""
-    controller = load_native(folder)
+def numpy_commands(folder: Path) -> np.ndarray:
+    """The same with NumPy alone."""
+    controller = softfin.load_controller(folder)
     state, given = controller.init(), []
     for angle, force, reference in zip(*(part.tolist() for part in played()), strict=True):
-        state, target = controller.act(state, angle, tuple(force), tuple(reference))
+        state, target = controller.act(state, Measured(angle, tuple(force)), tuple(reference))
         given.append((target.angle, target.velocity))
     return np.array(given)
 
@@ -93,11 +92,11 @@ def test_calibrated_tank() -> None:
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_controller(name: str) -> None:
     np.testing.assert_allclose(commands(softfin.load_controller(GOLDEN / name)), ARRAYS[name], **EXACT)
-    np.testing.assert_allclose(native_commands(GOLDEN / name), ARRAYS[name], **EXACT)
+    np.testing.assert_allclose(numpy_commands(GOLDEN / name), ARRAYS[name], **EXACT)
 
 
 def test_map() -> None:
-    force_map, limits = load_map(GOLDEN / "map")
+    force_map, limits, *_ = load_map(GOLDEN / "map")
     np.testing.assert_allclose(force_map.reachable.radius, EXPECTED["radius_n"], **EXACT)
     np.testing.assert_allclose(limits, EXPECTED["limits"], **EXACT)
 

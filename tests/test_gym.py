@@ -11,9 +11,9 @@ from gymnasium.utils.env_checker import check_env
 
 from softfin.core.errors import InputError, PlantError
 from softfin.core.gym_registration import ID, register
+from softfin.gaits.reachable import Cell
 from softfin.gym import ForceTrackingEnv
 from softfin.tank import Tank
-from softfin.task.references import Cell
 from softfin.task.task import TaskConfig
 from tests.plants import AnalyticFin, PlainFin
 
@@ -91,7 +91,7 @@ def test_rendering_where_nothing_can_be_drawn_is_refused(make: Callable[..., gym
         env.render()
     with pytest.raises(InputError, match="render before reset; call reset first"):
         make(render_mode="rgb_array").unwrapped.render()
-    with pytest.raises(InputError, match="render_mode 'ansi'; there is 'rgb_array', or None"):
+    with pytest.raises(InputError, match="render_mode 'ansi'; give 'rgb_array' or None"):
         ForceTrackingEnv(AnalyticFin(), render_mode="ansi")
 
 

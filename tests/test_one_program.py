@@ -16,10 +16,9 @@ from softfin.evaluation import experiment
 from softfin.learning.gradient import Gradient, GradientConfig
 from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.ppo import PPO, PPOConfig
-from softfin.learning.rollout import begin, collect
-from softfin.learning.score import score
+from softfin.learning.rollout import collect, evaluate_policy, start_episodes
 from softfin.tank import Tank
-from softfin.task.references import PAPER_RANGE
+from softfin.task.references import PAPER_RANGE, References
 from softfin.task.task import ForceTracking, TaskConfig
 from softfin.testing import check_plant
 from tests.plants import AnalyticFin, Flapper
@@ -39,10 +38,10 @@ class MarkedFin(AnalyticFin):
 
 TASK = ForceTracking(MarkedFin(), TaskConfig())
 POLICY = Policy.create(KEY, SIZE, TASK.config.observations)
-BATCH = begin(TASK, POLICY, PAPER_RANGE.references(), KEY, 2)
+ENVIRONMENTS = start_episodes(TASK, POLICY, References.of(PAPER_RANGE), KEY, 2)
 LEARNERS = {
-    "ppo": PPO(TASK, PPOConfig(environments=2, rollout_actions=6, minibatches=1, epochs=1), SIZE, 2),
-    "gradient": Gradient(TASK, GradientConfig(environments=2, rollout_actions=6, teacher=False), SIZE, 2),
+    "ppo": PPO(TASK, PPOConfig(num_envs=2, num_steps=6, num_minibatches=1, num_epochs=1), SIZE, 2),
+    "gradient": Gradient(TASK, GradientConfig(num_envs=2, num_steps=6, warm_start=False), SIZE, 2),
 }
 ACTIONS = Command(jnp.linspace(-1, 1, 7), jnp.full(7, 2.0))
 
@@ -55,12 +54,12 @@ def evaluated(references: Any) -> Any:
     "program",
     [
         lambda: hold(MarkedFin(), MarkedFin().init(KEY), ACTIONS),
-        lambda: collect(TASK, POLICY, BATCH, KEY, 2),
-        lambda: score(TASK, POLICY, jnp.ones((2, 2)), KEY),
-        lambda: LEARNERS["gradient"].loss(POLICY, BATCH),
+        lambda: collect(TASK, POLICY, ENVIRONMENTS, KEY, 2),
+        lambda: evaluate_policy(TASK, POLICY, jnp.ones((2, 2)), KEY),
+        lambda: LEARNERS["gradient"].loss(POLICY, ENVIRONMENTS),
         lambda: evaluated(jnp.ones((2, 9, 2))),
     ],
-    ids=["hold", "rollout", "score", "gradient", "evaluation"],
+    ids=["hold", "rollout", "evaluation of a policy", "gradient", "evaluation"],
 )
 def test_a_program_holds_the_plant_once(program: Any) -> None:
     assert str(jax.make_jaxpr(program)()).count(MARK) == 1
@@ -70,7 +69,7 @@ def test_a_program_holds_the_plant_once(program: Any) -> None:
 def test_an_update_takes_what_it_gives(name: str) -> None:
     """Shapes, types and how firm these are: else it would be compiled again for its own results."""
     learner = LEARNERS[name]
-    first = jax.eval_shape(learner.init, KEY, PAPER_RANGE.references())
+    first = jax.eval_shape(learner.init, KEY, References.of(PAPER_RANGE))
     assert jax.eval_shape(learner.update, first)[0] == first
 
 

@@ -10,9 +10,9 @@ from .evaluation.baselines.baselines import BaselinesConfig as BaselinesConfig
 from .evaluation.evaluate import EvaluateConfig as EvaluateConfig
 from .evaluation.view.view import ViewConfig as ViewConfig
 from .gaits.force_map import MapConfig as MapConfig
-from .learning.train import GRID as GRID
-from .learning.train import SINGLE as SINGLE
-from .learning.train import TrainConfig as TrainConfig
+from .learning.configuration import GRID as GRID
+from .learning.configuration import SINGLE as SINGLE
+from .learning.configuration import TrainConfig as TrainConfig
 from .stages.baselines import baselines as baselines
 from .stages.offline import calibrate as calibrate
 from .stages.offline import collect as collect

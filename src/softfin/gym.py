@@ -13,15 +13,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from softfin.control.policy import ANGLE_SCALE_RAD
 from softfin.core.action_clock import ACTION_RATE_HZ, ACTION_TICKS
 from softfin.core.errors import InputError
 from softfin.core.gym_registration import ID
 from softfin.core.plant import Plant
 from softfin.core.plant_identity import jit_argument
-from softfin.core.quantities import AXES
+from softfin.core.quantities import AXES, command_of
+from softfin.gaits.reachable import Cell
 from softfin.storage.registry import find_plant
-from softfin.task.references import PAPER_RANGE, Cell, References
-from softfin.task.task import ANGLE_SCALE_RAD, ForceTracking, Outcome, TaskConfig, TaskState, command_of
+from softfin.task.references import PAPER_RANGE, References
+from softfin.task.task import ForceTracking, TaskConfig, TaskState
 
 if TYPE_CHECKING:
     from softfin.evaluation.view.episode import EpisodeFilm
@@ -49,7 +51,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         render_mode: str | None = None,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
-            raise InputError(f"{ID}: render_mode {render_mode!r}; there is 'rgb_array', or None")
+            raise InputError(f"{ID}: render_mode {render_mode!r}; give 'rgb_array' or None")
         self.task = ForceTracking(find_plant(plant) if isinstance(plant, str) else plant, config or TaskConfig())
         self.references = references
         self.render_mode = render_mode
@@ -64,7 +66,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """The fin at rest; ``options={"reference": (x, y)}`` asks for one reference instead of a drawn one."""
+        """Put the fin at rest; ``options={"reference": (x, y)}`` sets the reference, else it is drawn."""
         super().reset(seed=seed)
         if not isinstance(self.task.plant, eqx.Module):
             # A simulator in plain Python may have been changed since the last episode; a Module is frozen.
@@ -76,7 +78,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         self._actions = 0
         if self._film is not None:
             self._film.reset(self._state.plant, np.array(self._state.reference))
-        return self._observed(self._state), {"reference_n": np.array(self._state.reference)}
+        return np.array(self._observe(self._state)), {"reference_n": np.array(self._state.reference)}
 
     def step(self, action: Float[np.ndarray, "2"]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Hold an action for its 33 or 34 ticks."""
@@ -91,8 +93,13 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         self._state, outcome = self._step(self._state, held, ticks)
         self._actions += 1
         truncated = self._actions >= self.task.config.episode_actions
-        info = _info(outcome, ticks, reference)
-        return self._observed(self._state), float(outcome.reward), False, truncated, info
+        info = {
+            "error_n": np.array(outcome.terms.error),
+            "smoothness_n": np.array(outcome.terms.smoothness),
+            "reference_n": reference,
+            "force_n": np.array(outcome.forces[:ticks]),
+        }
+        return np.array(self._observe(self._state)), float(outcome.reward), False, truncated, info
 
     def render(self) -> Any:
         """The fin and the episode so far as an image, ``(height, width, 3)`` bytes."""
@@ -119,14 +126,11 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
 
     def _drawn_from(self, options: dict[str, Any]) -> References:
         if "reference" not in options:
-            return self.references.references()
+            return References.of(self.references)
         x, y = (float(value) for value in options["reference"])
         if self.references.distance((x, y)) > 0:
             raise InputError(f"{ID}: reference ({x:g}, {y:g}) N is outside {self.references}; make a wider environment")
-        return Cell(low=(x, y), high=(x, y)).references()
-
-    def _observed(self, state: TaskState) -> Observation:
-        return np.array(self._observe(state))
+        return References.of(Cell(low=(x, y), high=(x, y)))
 
 
 def _greatest(config: TaskConfig, references: Cell) -> Observation:
@@ -134,12 +138,3 @@ def _greatest(config: TaskConfig, references: Cell) -> Observation:
     forces = [max(abs(references.low[i]), abs(references.high[i])) / config.force_scale_n for i in range(len(AXES))]
     actions = [1.0] * (config.observations - 3)
     return np.array([np.pi / ANGLE_SCALE_RAD, *forces, *actions], np.float32)
-
-
-def _info(outcome: Outcome, ticks: int, reference: Float[np.ndarray, "2"]) -> dict[str, Any]:
-    return {
-        "error_n": np.array(outcome.error),
-        "smoothness_n": np.array(outcome.smoothness),
-        "reference_n": reference,
-        "force_n": np.array(outcome.forces[:ticks]),
-    }

@@ -9,7 +9,7 @@ import yaml
 from softfin.cli import driving
 from softfin.cli.common import progress
 from softfin.cli.live import Armed
-from softfin.control.native import load_native
+from softfin.control.store import load_controller
 from softfin.core.errors import ConfigurationError
 from softfin.rig.bench import Bench
 from softfin.rig.config import RigConfig
@@ -21,7 +21,7 @@ from softfin.rig.session import Session
 from softfin.stages.live import _differing
 from softfin.storage import artifact as artifacts
 from tests.cli.test_cli import fails
-from tests.control.native.folders import folder_of
+from tests.control.folders import folder_of
 from tests.rig.machines import FreeFin
 from tests.rig.rigs import simulated
 
@@ -111,7 +111,7 @@ def test_lines_that_nobody_reads_any_more_stop_the_fin(controller, monkeypatch):
     monkeypatch.setattr(driving, "say", gone)
     machine = FreeFin()
     session = Session(machine, Guard(SafetyConfig(), machine.limits))
-    driving._follow(session, load_native(controller), lambda at: (1.0, 0.0), 1)
+    driving._follow(session, load_controller(controller), lambda at: (1.0, 0.0), 1)
     assert session.stop_request.trip == ("emergency_stop", "nobody reads its lines any more (Broken pipe)")
 
 

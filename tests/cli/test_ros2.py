@@ -6,11 +6,11 @@ import pytest
 
 from softfin import cli
 from softfin.cli import driving
-from softfin.control.native import NativeController
+from softfin.control.controller import Artifact, LoadedController
 from softfin.core.errors import CoverageError
-from softfin.core.quantities import Limits
+from softfin.core.quantities import Command, Limits
 from softfin.rig.bench import Bench
-from softfin.rig.machine import Machine, Sample, Target
+from softfin.rig.machine import Machine, Sample
 from softfin.rig.ros2.plant import Ros2Machine, Ros2PlantConfig
 from softfin.rig.safety import SafetyConfig
 from tests.rig.ros2_memory import MemoryTransport
@@ -58,10 +58,10 @@ class StillFin:
         return {"lost": 0}
 
 
-class Controller(NativeController):
+class Controller(LoadedController):
     """Notes what it is asked for; asks for nothing but angle 0."""
 
-    limits, fin, training_range, region = LIMITS, None, None, None
+    limits, cells, reachable, artifact = LIMITS, (), None, Artifact()
 
     def __init__(self):
         object.__setattr__(self, "asked", [])
@@ -69,14 +69,13 @@ class Controller(NativeController):
     def init(self):
         return None
 
-    def act(self, state, angle, force, reference):
+    def act(self, state, measured, reference):
         self.asked.append(reference)
-        return state, Target(0.0, 1.0)
+        return state, Command(0.0, 1.0)
 
-    def admit(self, reference, strict):
+    def check(self, reference):
         if abs(reference[0]) > 3:
             raise CoverageError(f"reference {reference}: not trained for")
-        return reference, None
 
 
 @pytest.fixture
@@ -88,7 +87,7 @@ def there(monkeypatch, tmp_path):
     fin, controller, transport = StillFin(), Controller(), MemoryTransport(time.monotonic)
     safety = SafetyConfig(stale_s=0.5, force_stale_s=0.5, overrun_s=1.0, watchdog_s=2.0)
     assert isinstance(fin, Machine)
-    monkeypatch.setattr(driving, "load_native", lambda folder: controller)
+    monkeypatch.setattr(driving, "load_controller", lambda folder: controller)
     monkeypatch.setattr(driving, "find_bench", lambda name: Bench(fin, safety, settle_s=0.0))
     monkeypatch.setattr("softfin.rig.ros2.transport.open_transport", lambda config, messages: transport)
     return SimpleNamespace(fin=fin, controller=controller, transport=transport)

@@ -8,7 +8,7 @@ from softfin.cli import main
 from softfin.rig.epos2.cia402 import State
 from tests.cli.terminal import Terminal
 from tests.cli.test_cli import fails
-from tests.control.native.folders import folder_of
+from tests.control.folders import folder_of
 from tests.rig.bags import counts_of, events_of
 from tests.rig.rigs import filed, over_sockets, simulated
 

@@ -4,14 +4,15 @@ import pytest
 
 from softfin.cli.train import asked_cells, asked_seeds
 from softfin.core.errors import ConfigurationError
-from softfin.task.references import PAPER_CELLS, Cell, least_box
+from softfin.gaits.reachable import Cell, bounding_box
+from softfin.task.references import PAPER_CELLS
 
 
 def test_a_lattice_fills_the_range() -> None:
     cells = asked_cells("grid", "3x2", "-1,-2,2,2")
     assert cells is not None
     assert len(cells) == 6
-    assert least_box(cells) == Cell(low=(-1, -2), high=(2, 2))
+    assert bounding_box(cells) == Cell(low=(-1, -2), high=(2, 2))
 
 
 def test_a_single_controller_and_gaits_take_the_range_as_their_one_cell() -> None:

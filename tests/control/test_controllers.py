@@ -11,24 +11,27 @@ import numpy as np
 import pytest
 
 from softfin.control.controller import Controller, Measured
-from softfin.control.grid import GridController
-from softfin.control.single import SingleController
-from softfin.control.store import controller_of, load_controller, save_controller
+from softfin.control.grid import GridStep
+from softfin.control.store import load_controller
 from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.errors import ArtifactError, CoverageError
-from softfin.core.quantities import PAPER_LIMITS
+from softfin.core.operations import NUMPY
+from softfin.core.quantities import PAPER_LIMITS, command_of
+from softfin.gaits.reachable import PAPER_REFERENCES, Cell
+from softfin.learning.configuration import GRID, SINGLE, TrainConfig
+from softfin.learning.controllers import controller_of, save_controller
 from softfin.learning.policy import Policy, PolicyConfig
-from softfin.learning.score import Score
-from softfin.learning.train import GRID, SINGLE, TrainConfig, Trained
-from softfin.task.references import PAPER_REFERENCES, Cell
-from softfin.task.task import ForceTracking, command_of
+from softfin.learning.rollout import PolicyEvaluation
+from softfin.learning.run import TrainingResult
+from softfin.task.references import References
+from softfin.task.task import ForceTracking
 from tests.plants import AnalyticFin
 
 SIZE = PolicyConfig(units=8, width=8)
 SEEDS = (3, 5)
 
 
-def untrained(config: TrainConfig) -> Trained:
+def untrained(config: TrainConfig) -> TrainingResult:
     """As if trained: loud random policies."""
     config = config.model_copy(update={"policy": SIZE})
     cells, points = len(config.cells), config.lattice**2
@@ -36,14 +39,16 @@ def untrained(config: TrainConfig) -> Trained:
     policies = jax.jit(jax.vmap(jax.vmap(lambda key: Policy.create(key, SIZE, 11))))(keys)
     loud = jax.tree.map(lambda x: jnp.asarray(3 * np.asarray(x)), policies)
     shape = (len(SEEDS), cells, points, 2)
-    return Trained(config, PAPER_LIMITS, SEEDS, loud, Score(jnp.full(shape, 0.25), jnp.full(shape, 0.5)))
+    return TrainingResult(
+        config, PAPER_LIMITS, SEEDS, loud, PolicyEvaluation(jnp.full(shape, 0.25), jnp.full(shape, 0.5))
+    )
 
 
 GRID_RUN, SINGLE_RUN = untrained(GRID), untrained(SINGLE)
 
 
 @pytest.fixture(params=[SINGLE_RUN, GRID_RUN], ids=["single", "grid"])
-def run(request: pytest.FixtureRequest) -> Trained:
+def run(request: pytest.FixtureRequest) -> TrainingResult:
     return request.param
 
 
@@ -56,18 +61,17 @@ def commands(controller: Controller, references: Any, angles: Any) -> np.ndarray
     return np.asarray(jax.jit(lambda a, r: jax.lax.scan(act, controller.init(), (a, r)))(angles, references)[1])
 
 
-def test_controllers_meet_the_contract(run: Trained) -> None:
+def test_controllers_meet_the_contract(run: TrainingResult) -> None:
     assert isinstance(controller_of(run, 3), Controller)
 
 
 def test_a_controller_acts_as_its_policy_does_in_the_task() -> None:
     task = ForceTracking(AnalyticFin(), GRID.task)
     controller = controller_of(GRID_RUN, 5)
-    assert isinstance(controller, GridController)
     act, step = jax.jit(lambda *now: controller.act(*now)), jax.jit(task.step)
     for index, reference in enumerate(PAPER_REFERENCES[:3]):
         policy = jax.tree.map(lambda leaf, i=index: leaf[1, i], GRID_RUN.policies)
-        at = Cell(low=reference, high=reference).references()
+        at = References.of(Cell(low=reference, high=reference))
         fin, state, memory = task.reset(jax.random.key(0), at), controller.init(), policy.init()
         for i in range(4):
             memory, action = policy.act(memory, task.observe(fin))
@@ -77,19 +81,19 @@ def test_a_controller_acts_as_its_policy_does_in_the_task() -> None:
 
 
 def test_each_reference_is_served_by_its_cell_and_the_nearest_beyond_the_grid() -> None:
-    controller = controller_of(GRID_RUN, 3)
-    assert isinstance(controller, GridController)
-    first = [int(controller.in_charge(controller.init(), jnp.asarray(r, jnp.float32))) for r in PAPER_REFERENCES]
+    step = controller_of(GRID_RUN, 3).step
+    assert isinstance(step, GridStep)
+    first = [int(step.active_cell(NUMPY, step.init(), np.asarray(r, np.float32))) for r in PAPER_REFERENCES]
     assert first == [0, 1, 2, 3, 4, 5]
-    assert int(controller.in_charge(controller.init(), jnp.array([9.0, 0.0]))) == 3
+    assert int(step.active_cell(NUMPY, step.init(), np.array([9.0, 0.0]))) == 3
 
 
 def test_without_a_switch_the_memory_goes_on() -> None:
     controller = controller_of(GRID_RUN, 3)
     reference = jnp.tile(jnp.array([2.0, 0.0]), (6, 1))
-    assert isinstance(controller, GridController)
-    policy = jax.tree.map(lambda leaf: leaf[2], controller.policies)
-    alone = SingleController(policy, controller.task, controller.limits, controller.cells[2])
+    cell = jax.tree.map(lambda leaf: leaf[:, 2:3], GRID_RUN.policies)
+    config = GRID_RUN.config.model_copy(update={"controller": "single", "cells": GRID_RUN.config.cells[2:3]})
+    alone = controller_of(GRID_RUN._replace(config=config, policies=cell), 3)
     angles = jnp.linspace(-0.5, 0.5, 6)
     np.testing.assert_allclose(commands(controller, reference, angles), commands(alone, reference, angles), rtol=1e-5)
 
@@ -101,12 +105,12 @@ def test_a_reference_outside_is_refused_with_the_nearest_cell() -> None:
         controller_of(SINGLE_RUN, 3).check((5.0, 0.0))
 
 
-def test_every_reference_of_the_paper_is_covered(run: Trained) -> None:
+def test_every_reference_of_the_paper_is_covered(run: TrainingResult) -> None:
     for x, y in PAPER_REFERENCES:
         controller_of(run, 3).check((float(x), float(y)))
 
 
-def test_a_controller_comes_back_from_its_folder(run: Trained, tmp_path: Path) -> None:
+def test_a_controller_comes_back_from_its_folder(run: TrainingResult, tmp_path: Path) -> None:
     save_controller(tmp_path / "c", run, 5, {"seed": 5})
     again = load_controller(tmp_path / "c")
     references = jnp.asarray([[1, -1], [2, 0], [2, 0], [2, 1]], jnp.float32)
@@ -118,7 +122,7 @@ def test_a_controller_comes_back_from_its_folder(run: Trained, tmp_path: Path) -
         again.check((9.0, 9.0))
 
 
-def test_the_folder_describes_itself(run: Trained, tmp_path: Path) -> None:
+def test_the_folder_describes_itself(run: TrainingResult, tmp_path: Path) -> None:
     save_controller(tmp_path / "c", run, 5, {"seed": 5}, _note)
     description = json.loads((tmp_path / "c" / "controller.json").read_text())
     assert description["kind"] == "controller"
@@ -137,16 +141,19 @@ def test_the_folder_describes_itself(run: Trained, tmp_path: Path) -> None:
         (lambda f: (f / "weights.safetensors").unlink(), "weights.safetensors: missing"),
         (lambda f: (f / "weights.safetensors").write_bytes(b"12"), "truncated or damaged"),
         (lambda f: (f / "controller.json").write_text("{"), "not readable as JSON"),
-        (lambda f: _edit(f, limits={"angle_min": 0}), "controller.json: not a controller's description"),
-        (lambda f: _edit(f, task={"past_actions": -1}), "controller.json: not a controller's description"),
+        (lambda f: _edit(f, limits={"angle_min": 0}), "controller.json: limits: angle_min_rad is missing"),
+        (lambda f: _edit(f, task={"past_actions": -1}), "controller.json: past_actions is -1: Input should be greater"),
         (lambda f: _edit(f, task={"past_actions": 5}), r"net.lstm.kernel has shape .*; its configuration needs \(15"),
-        (lambda f: _edit(f, cells=[]), "with 0 cells does not fit"),
-        (lambda f: _edit(f, controller="neither"), r"controller 'neither' .*; there are single .* and gaits"),
-        (lambda f: _edit(f, format=None), "format None; this softfin reads 2; update it, or train it again"),
-        (lambda f: _drop(f, "format"), "says no format; copy the folder again, or train it again"),
-        (lambda f: _drop(f, "action_rate_hz"), "says no action_rate_hz; copy the folder again"),
-        (lambda f: _drop(f, "cells"), r"description \('cells'\); copy the folder again, or train it again"),
-        (lambda f: _edit(f, action_rate_hz=5.0), "acts at 5.0 Hz; softfin acts at 3.0 Hz"),
+        (lambda f: _edit(f, cells=[]), "cells: there are 0; a single controller has one"),
+        (
+            lambda f: _edit(f, controller="neither"),
+            "controller is 'neither'; it must be one of single, grid, gaits",
+        ),
+        (lambda f: _edit(f, format=None), "format is None; this softfin reads 2; update it, or train it again"),
+        (lambda f: _drop(f, "format"), "format is missing; copy the folder again, or train it again"),
+        (lambda f: _drop(f, "action_rate_hz"), "action_rate_hz is missing; copy the folder again"),
+        (lambda f: _drop(f, "cells"), "controller.json: cells is missing; copy the folder again, or train it again"),
+        (lambda f: _edit(f, action_rate_hz=5.0), "action_rate_hz is 5.0; this softfin reads 3.0"),
     ],
 )
 def test_a_damaged_folder_is_refused(harm: Callable[[Path], Any], message: str, tmp_path: Path) -> None:
@@ -175,9 +182,3 @@ def _drop(folder: Path, name: str) -> None:
 def test_another_folder_is_no_controller(tmp_path: Path) -> None:
     with pytest.raises(ArtifactError, match=r"not a controller: it holds no controller\.json"):
         load_controller(tmp_path)
-
-
-def test_a_single_controller_is_one_policy() -> None:
-    controller = controller_of(SINGLE_RUN, 3)
-    assert isinstance(controller, SingleController)
-    assert controller.policy.log_deviation.shape == (2,)

@@ -7,15 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.control.controller import Controller, Measured
-from softfin.control.gait import GaitController
-from softfin.control.trim import TrimConfig, TrimmedController
+from softfin.control.controller import Controller, LoadedController, Measured
+from softfin.control.disturbance_observer import DisturbanceObserver
+from softfin.control.gait import GaitStep
 from softfin.core.errors import CoverageError
-from softfin.core.quantities import PAPER_LIMITS
-from softfin.task.task import command_of
+from softfin.core.quantities import PAPER_LIMITS, command_of
 from tests.gaits.test_map_store import KNOWN, TABLE
 
-CONTROLLER = GaitController(TABLE, PAPER_LIMITS, KNOWN.reachable)
+STEP, CELLS = GaitStep.load(KNOWN.to_dict(), KNOWN.arrays(), PAPER_LIMITS, ())
+CONTROLLER = LoadedController(STEP, PAPER_LIMITS, CELLS, KNOWN.reachable)
 
 
 def commands(references: Any) -> np.ndarray:
@@ -50,15 +50,15 @@ def test_the_phase_goes_on_when_the_reference_moves() -> None:
 
 def test_it_covers_its_lattice_and_no_more() -> None:
     CONTROLLER.check((0.5, 2.0))
-    assert CONTROLLER.cell.high == (2.5, 2.0)
+    assert CONTROLLER.cells[0].high == (2.5, 2.0)
     with pytest.raises(CoverageError, match=r"\(3, 0\) N: 0.5 N outside what this controller was trained for"):
         CONTROLLER.check((3.0, 0.0))
 
 
-def test_a_trimmed_gait_controller_acts_within_a_compiled_program() -> None:
-    trimmed = TrimmedController(CONTROLLER, TrimConfig())
+def test_a_gait_controller_with_an_observer_acts_within_a_compiled_program() -> None:
+    observed = DisturbanceObserver(CONTROLLER)
     measured, reference = Measured(jnp.float32(0), jnp.zeros(2)), jnp.asarray([1.0, 0.0])
     act = jax.jit(lambda controller, state: controller.act(state, measured, reference)[1])
-    compiled, eager = act(trimmed, trimmed.init()), trimmed.act(trimmed.init(), measured, reference)[1]
+    compiled, eager = act(observed, observed.init()), observed.act(observed.init(), measured, reference)[1]
     np.testing.assert_allclose(compiled.angle, eager.angle, atol=1e-6)
     np.testing.assert_allclose(compiled.velocity, eager.velocity, atol=1e-6)

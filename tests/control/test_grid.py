@@ -9,14 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from softfin.control.controller import Controller, Measured
-from softfin.control.grid import GridController, GridState
+from softfin.control.controller import Controller, LoadedController, Measured
+from softfin.control.grid import GridState, GridStep, SwitchingConfig
 from softfin.core.action_clock import CYCLE_ACTIONS
 from softfin.core.quantities import PAPER_LIMITS
-from softfin.learning.policy import Policy, PolicyConfig
+from softfin.gaits.reachable import Cell
+from softfin.learning.policy import Policy, PolicyConfig, named
 from softfin.task.cells import lattice
-from softfin.task.references import Cell
-from softfin.task.switching import SwitchingConfig
 from softfin.task.task import TaskConfig
 
 TASK = TaskConfig(phase=True)
@@ -51,19 +50,26 @@ def policies(cells: int, apart: float) -> Policy:
     return forgetful
 
 
-def grid(switching: SwitchingConfig, apart: float = 0.1, cells: tuple[Cell, ...] = TWO) -> GridController:
-    return GridController(policies(len(cells), apart), TASK, PAPER_LIMITS, cells, None, switching)
+def grid(switching: SwitchingConfig, apart: float = 0.1, cells: tuple[Cell, ...] = TWO) -> LoadedController:
+    arrays = {name: np.asarray(leaf) for name, leaf in named(policies(len(cells), apart)).items()}
+    return controller_of(arrays, switching, cells)
+
+
+def controller_of(arrays: Any, switching: SwitchingConfig, cells: tuple[Cell, ...]) -> LoadedController:
+    task, switched = TASK.model_dump(), switching.model_dump()
+    step, _ = GridStep.load({"task": task, "switching": switched}, arrays, PAPER_LIMITS, cells)
+    return LoadedController(step, PAPER_LIMITS, cells)
 
 
 @eqx.filter_jit
-def act(controller: GridController, state: Any, angle: Array, reference: Array) -> Any:
+def act(controller: LoadedController, state: Any, angle: Array, reference: Array) -> Any:
     state, command = controller.act(state, Measured(angle, jnp.zeros(2)), reference)
     return state, jnp.stack(command)
 
 
-def play(controller: GridController, x: list[float]) -> tuple[Float[np.ndarray, "actions 2"], list[GridState]]:
+def play(controller: LoadedController, x: list[float]) -> tuple[Float[np.ndarray, "actions 2"], list[GridState]]:
     """Commands for references (x, 0) N, the shaft where the last command sent it; and the states behind them."""
-    state, angle, commands, states = controller.init(), jnp.float32(0), [], []
+    state, angle, commands, states = jax.tree.map(jnp.array, controller.init()), jnp.float32(0), [], []
     for asked in x:
         state, command = act(controller, state, angle, jnp.array([asked, 0], jnp.float32))
         angle = command[0]
@@ -73,7 +79,7 @@ def play(controller: GridController, x: list[float]) -> tuple[Float[np.ndarray, 
 
 
 def cells_of(states: list[GridState]) -> list[int]:
-    return [int(state.cell) for state in states]
+    return [int(state.active_cell) for state in states]
 
 
 def crossing(switching: SwitchingConfig, apart: float) -> Float[np.ndarray, "actions"]:
@@ -84,10 +90,10 @@ def crossing(switching: SwitchingConfig, apart: float) -> Float[np.ndarray, "act
     return np.asarray(np.abs(crossed - quiet)[SETTLED:, 0])
 
 
-def test_the_state_is_arrays_alone() -> None:
+def test_the_state_is_arrays_and_numbers_alone() -> None:
     controller = grid(SwitchingConfig())
     assert isinstance(controller, Controller)
-    assert all(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(controller.init()))
+    assert all(isinstance(leaf, int | np.ndarray | np.generic) for leaf in jax.tree.leaves(controller.init()))
 
 
 def test_the_policies_here_beat_with_the_clock() -> None:
@@ -117,8 +123,8 @@ def test_in_the_first_cycle_the_new_policy_remembers_all_as_if_it_had_been_in_ch
     near, far = 1 - 1e-5, 1 + 1e-5
     for before in (1, 3, CYCLE_ACTIONS):
         switched, stayed = (play(grid(FADELESS, 0.0), [near] * before + [last])[1][-1] for last in (far, near))
-        assert (int(switched.cell), int(stayed.cell)) == (1, 0)
-        np.testing.assert_allclose(switched.memory.cell, stayed.memory.cell, atol=1e-4)
+        assert (int(switched.active_cell), int(stayed.active_cell)) == (1, 0)
+        np.testing.assert_allclose(switched.cell, stayed.cell, atol=1e-4)
         np.testing.assert_allclose(switched.actions, stayed.actions, atol=1e-3)
 
 
@@ -149,7 +155,7 @@ def test_after_a_step_the_new_policy_is_alone_at_once() -> None:
 
 def test_a_step_ends_a_fade_that_has_begun() -> None:
     states = play(grid(AT_ONCE), [1 - HAIR] * SETTLED + [1 + HAIR] * 2 + [1.9] * 2)[1]
-    np.testing.assert_allclose([state.share for state in states[-4:]], [5 / 6, 4 / 6, 0, 0], atol=0.03)
+    np.testing.assert_allclose([state.blend for state in states[-4:]], [5 / 6, 4 / 6, 0, 0], atol=0.03)
 
 
 def test_commands_stay_within_the_limits_during_a_fade() -> None:
@@ -183,12 +189,11 @@ def test_an_action_costs_the_same_for_any_number_of_cells() -> None:
     def operations(columns: int) -> float:
         cells = lattice(columns, columns, Cell(low=(0, -1), high=(2, 1)))
 
-        def action(policies: Policy, *now: Any) -> Any:
-            controller = GridController(policies, TASK, PAPER_LIMITS, cells, None, SwitchingConfig())
-            return controller.act(controller.init(), *now)
-
         shapes = jax.eval_shape(functools.partial(policies, len(cells)), 0.1)
-        cost: Any = jax.jit(action).lower(shapes, Measured(jnp.float32(0), jnp.zeros(2)), jnp.zeros(2)).cost_analysis()
+        arrays = {name: np.zeros(leaf.shape, np.float32) for name, leaf in named(shapes).items()}
+        controller = controller_of(arrays, SwitchingConfig(), cells)
+        now = (controller.init(), Measured(jnp.float32(0), jnp.zeros(2)), jnp.zeros(2))
+        cost: Any = jax.jit(lambda controller, *now: controller.act(*now)).lower(controller, *now).cost_analysis()
         return float(cost["flops"])
 
     assert operations(8) < 1.3 * operations(2)

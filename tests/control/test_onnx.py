@@ -13,10 +13,11 @@ import pytest
 
 from softfin.cli import main
 from softfin.control import onnx as exporting
-from softfin.control.native import load_native
+from softfin.control.controller import Measured
 from softfin.control.onnx import OPSET, export_onnx
+from softfin.control.store import load_controller
 from softfin.core.errors import ArtifactError, ConfigurationError, RunError
-from tests.control.native.folders import KINDS, folder_of
+from tests.control.folders import KINDS, folder_of
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +30,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def test_an_episode_from_the_metadata_alone_is_the_native_one(
     kind: str, folders: dict[str, Path], tmp_path: Path
 ) -> None:
-    controller, file = load_native(folders[kind]), tmp_path / "c.onnx"
+    controller, file = load_controller(folders[kind]), tmp_path / "c.onnx"
     exported = export_onnx(controller, file)
     assert exported.bytes == file.stat().st_size
     assert exported.worst < 1e-5
@@ -54,18 +55,18 @@ def test_an_episode_from_the_metadata_alone_is_the_native_one(
             )
         )
         state = {name: found[output] for name, output in after.items()}
-        native, target = controller.act(native, angle, (0.0, 0.0), (float(reference[0]), float(reference[1])))
+        native, target = controller.act(native, Measured(angle, (0.0, 0.0)), (float(reference[0]), float(reference[1])))
         np.testing.assert_allclose((found["command_angle"], found["command_velocity"]), target, atol=2e-5)
 
 
 def test_the_file_says_what_it_is(folders: dict[str, Path], tmp_path: Path) -> None:
-    controller = load_native(folders["grid"])
+    controller = load_controller(folders["grid"])
     export_onnx(controller, tmp_path / "c.onnx")
     model = onnx.load(tmp_path / "c.onnx")
     assert [(each.domain, each.version) for each in model.opset_import] == [("", OPSET)]
     said = {each.key: each.value for each in model.metadata_props}
     assert said["kind"] == "grid"
-    assert said["weights_sha256"] == controller.weights_sha256
+    assert said["weights_sha256"] == controller.artifact.weights_sha256
     assert said["action_rate_hz"] == "3.0"
     assert json.loads(said["action_ticks_of_10_ms"]) == [33, 33, 34]
     assert json.loads(said["limits"]) == controller.limits.described()
@@ -74,7 +75,7 @@ def test_the_file_says_what_it_is(folders: dict[str, Path], tmp_path: Path) -> N
 
 
 def test_commands_stay_within_the_limits_in_single_precision(folders: dict[str, Path], tmp_path: Path) -> None:
-    controller = load_native(folders["gaits"])
+    controller = load_controller(folders["gaits"])
     export_onnx(controller, tmp_path / "c.onnx")
     session = onnxruntime.InferenceSession(str(tmp_path / "c.onnx"), providers=["CPUExecutionProvider"])
     limits, far = controller.limits, np.array([1e6, -1e6], np.float32)
@@ -90,16 +91,16 @@ def test_a_file_that_is_not_the_native_step_is_not_written(
 ) -> None:
     monkeypatch.setattr(exporting, "TOLERANCE", -1.0)
     with pytest.raises(RunError, match=r"onnxruntime's commands differ by .* not written; export with another version"):
-        export_onnx(load_native(folders["gaits"]), tmp_path / "c.onnx")
+        export_onnx(load_controller(folders["gaits"]), tmp_path / "c.onnx")
     assert not list(tmp_path.iterdir())
 
 
 def test_what_is_there_is_kept_unless_it_may_be_replaced(folders: dict[str, Path], tmp_path: Path) -> None:
-    file, controller = tmp_path / "c.onnx", load_native(folders["gaits"])
+    file, controller = tmp_path / "c.onnx", load_controller(folders["gaits"])
     file.write_text("mine")
     with pytest.raises(ArtifactError, match="exists already; give another --onnx, or --overwrite"):
         export_onnx(controller, file)
-    with pytest.raises(ArtifactError, match="is no file"):
+    with pytest.raises(ArtifactError, match="is not a file"):
         export_onnx(controller, tmp_path, overwrite=True)
     export_onnx(controller, file, overwrite=True)
     onnx.checker.check_model(str(file))
@@ -111,7 +112,7 @@ def test_without_the_extra_one_line_says_how_to_get_it(
 ) -> None:
     monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(ConfigurationError, match=r"ONNX needs .*: pip install softfin\[onnx\]$"):
-        export_onnx(load_native(folders["gaits"]), tmp_path / "c.onnx")
+        export_onnx(load_controller(folders["gaits"]), tmp_path / "c.onnx")
 
 
 def test_the_command_line_tells_the_signature(

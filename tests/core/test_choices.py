@@ -11,7 +11,7 @@ from softfin.cli.fit import defaults
 from softfin.core import choices
 from softfin.data.importing.names import UNITS
 from softfin.evaluation.moving import SIGNALS
-from softfin.learning.train import STARTS
+from softfin.learning.configuration import TRAIN_PRESETS
 from softfin.stages.reproduce import PRESETS as REPRODUCTIONS
 from softfin.tank.calibration.config import PRESETS as CALIBRATIONS
 
@@ -26,8 +26,8 @@ COMMAND_LINE = Path(softfin.cli.__file__).parent
         (choices.MovingReference, SIGNALS),
         (choices.TimeUnit, UNITS["time"]),
         (choices.ForceUnit, UNITS["force"]),
-        (choices.Algorithm, {algorithm for algorithm, _ in STARTS}),
-        (choices.PolicyLayout, {layout for _, layout in STARTS}),
+        (choices.Algorithm, {algorithm for algorithm, _ in TRAIN_PRESETS}),
+        (choices.PolicyLayout, {layout for _, layout in TRAIN_PRESETS}),
         (choices.AlgorithmOption, {"auto", *get_args(choices.Algorithm)}),
         (choices.ControllerKind, {"gaits", *get_args(choices.PolicyLayout)}),
     ],

@@ -8,15 +8,15 @@ import yaml
 
 from softfin.cli import main
 from softfin.core.errors import LogError
-from softfin.learning.train import _Run
+from softfin.learning.run import TrainingRun
 from softfin.stages.offline import TRAINING_LOG
 from softfin.stages.reproduce import PRESETS
 from tests.staged import FIT, ROWS, STREAMING, short_search  # noqa: F401  # pytest finds fixtures here
 from tests.surrogate import small
 
 PLANT = "tests.plants:PlainFin"
-LEARNER = {"environments": 4, "rollout_actions": 6, "epochs": 2, "minibatches": 2}
-TRAIN = {"steps": 48, "scorings": 2, "policy": {"units": 8, "width": 8}, "ppo": LEARNER}
+LEARNER = {"num_envs": 4, "num_steps": 6, "num_epochs": 2, "num_minibatches": 2}
+TRAIN = {"steps": 48, "num_evaluations": 2, "policy": {"units": 8, "width": 8}, "ppo": LEARNER}
 COLLECT = {"logs": 3, "test_logs": 1, "rows": ROWS}
 RECORD = ("collect", "--plant", PLANT, "--logs", "3", "--test-logs", "1", "--rows", str(ROWS), "--out")
 CELLS = [{"low": [0.5, -0.5], "high": [1.5, 0.5]}, {"low": [1.5, -0.5], "high": [2.5, 0.5]}]
@@ -122,7 +122,7 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
     """Stopped while the controllers train; the second call neither records nor fits again."""
     out = tmp_path / "run"
     words = ("reproduce", "--plant", PLANT, "--config", reproduction(tmp_path), "--out", str(out))
-    update, updates = _Run.update, []
+    update, updates = TrainingRun.update, []
 
     def counted(run, lanes):
         updates.append(run.config.controller)
@@ -133,7 +133,7 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
             signal.raise_signal(signal.SIGINT)
         return counted(run, lanes)
 
-    monkeypatch.setattr(_Run, "update", stopped)
+    monkeypatch.setattr(TrainingRun, "update", stopped)
     with pytest.raises(SystemExit) as stop:
         main(words)
     assert stop.value.code == 1
@@ -141,7 +141,7 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
     assert (out / "surrogate").is_dir()
     assert not (out / "results.json").exists()
 
-    monkeypatch.setattr(_Run, "update", counted)
+    monkeypatch.setattr(TrainingRun, "update", counted)
     results = run(capsys, *words, "--resume")
     # The update before the stop was not done again.
     assert updates == ["single"] * 2 + ["grid"] * 2

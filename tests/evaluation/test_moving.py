@@ -11,8 +11,8 @@ from softfin.evaluation.evaluate import EvaluateConfig, evaluate, write_evaluati
 from softfin.evaluation.figures import moving_figure
 from softfin.evaluation.moving import SIGNALS, MovingPlan, plan_moving, signals_of
 from softfin.evaluation.range_errors import range_of
-from softfin.gaits.reachable import Reachable
-from softfin.task.references import PAPER_CELLS, PAPER_RANGE, Cell
+from softfin.gaits.reachable import Cell, Reachable
+from softfin.task.references import PAPER_CELLS, PAPER_RANGE
 from softfin.task.signals import Hold, Recorded, Step
 from tests.evaluation.test_evaluate import Exploding, Untouched
 from tests.plants import AnalyticFin, Flapper

@@ -14,7 +14,7 @@ from softfin.evaluation.scores import (
     steps_of,
     travel,
 )
-from softfin.task.references import PAPER_REFERENCES
+from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.task.signals import Ramp, Recorded, Sine, Step
 
 STEP = Step(start_n=(1, 0), to_n=(2, 0), at_s=5).sample(1500).astype(float)

@@ -8,16 +8,16 @@ import numpy as np
 from softfin.core.quantities import PAPER_LIMITS
 from softfin.gaits.figure import map_figure, write_map
 from softfin.gaits.force_map import MapConfig
+from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.storage.figures import save_figure
-from softfin.task.references import PAPER_REFERENCES
 from tests.gaits.test_map_store import KNOWN
 
 
 def with_missed(*nodes: tuple[int, int]):
-    force = KNOWN.found.force.copy()
+    force = KNOWN.gaits.force.copy()
     for node in nodes:
         force[node] += 1
-    return KNOWN._replace(found=KNOWN.found._replace(force=force))
+    return KNOWN._replace(gaits=KNOWN.gaits._replace(force=force))
 
 
 def drawn(known, tolerance_n=0.1):
@@ -49,14 +49,14 @@ def test_the_tolerance_says_what_is_held():
 
 def test_everything_is_within_the_frame():
     _, axes, _ = drawn(KNOWN)
-    points = np.concatenate([KNOWN.reachable.corners(), KNOWN.found.table.references().reshape(-1, 2)])
+    points = np.concatenate([KNOWN.reachable.corners(), KNOWN.gaits.table.references().reshape(-1, 2)])
     for low_high, values in zip((axes.get_xlim(), axes.get_ylim()), points.T, strict=True):
         assert low_high[0] < values.min()
         assert values.max() < low_high[1]
 
 
 def test_a_fin_whose_gaits_cost_all_the_same_is_drawn_too(tmp_path):
-    flat = KNOWN._replace(found=KNOWN.found._replace(smoothness=np.zeros((3, 4, 2), np.float32)))
+    flat = KNOWN._replace(gaits=KNOWN.gaits._replace(smoothness=np.zeros((3, 4, 2), np.float32)))
     save_figure(map_figure(flat, 0.1), tmp_path, "map")
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
 

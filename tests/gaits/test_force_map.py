@@ -5,36 +5,36 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import PlantError
-from softfin.gaits.force_map import PARTS, ForceMap, MapConfig, check_star, empty_map, map_forces, reached
-from softfin.gaits.gaits import Found, GaitConfig, Lattice
-from softfin.gaits.reachable import Reachable
-from softfin.task.references import Cell
-from tests.learning.mapped import FIN, WITHIN, known, seen
+from softfin.gaits.force_map import PARTS, MapConfig, check_star, empty_map, held_region, map_forces
+from softfin.gaits.gait import ForceMap, GaitSearchResult, Lattice
+from softfin.gaits.reachable import Cell, Reachable
+from softfin.gaits.search import GaitConfig
+from tests.learning.mapped import FIN, WITHIN, mapped, surveyed
 from tests.plants import StrokeFin
 
 WIDE = Reachable(np.zeros(2, np.float32), np.full(32, 2, np.float32))
 
 
-def found(lattice: Lattice, missed: np.ndarray) -> Found:
+def found(lattice: Lattice, missed: np.ndarray) -> GaitSearchResult:
     """Gaits that miss by so much, all of them in -x."""
     table = lattice.table()
     force = table.references() - np.stack([missed, np.zeros_like(missed)], axis=-1)
-    return Found(table, force.astype(np.float32), np.zeros_like(force, np.float32))
+    return GaitSearchResult(table, force.astype(np.float32), np.zeros_like(force, np.float32))
 
 
-def east_misses(lattice: Lattice) -> Found:
+def east_misses(lattice: Lattice) -> GaitSearchResult:
     """By as much as the nodes lie beyond x = 1 N."""
     return found(lattice, np.maximum(lattice.table().references()[..., 0] - 1, 0))
 
 
 def test_where_all_gaits_hold_the_region_is_what_was_seen() -> None:
     lattice = Lattice((-2, -2), (2, 2), (5, 5))
-    np.testing.assert_allclose(reached(WIDE, found(lattice, np.zeros((5, 5))), 0.1).corners(), WIDE.corners())
+    np.testing.assert_allclose(held_region(WIDE, found(lattice, np.zeros((5, 5))), 0.1).corners(), WIDE.corners())
 
 
 def test_where_gaits_miss_the_region_ends() -> None:
     lattice = Lattice((-2, -2), (2, 2), (9, 9))
-    left = reached(WIDE, east_misses(lattice), 0.1)
+    left = held_region(WIDE, east_misses(lattice), 0.1)
     part = 2 / PARTS
     assert 1.1 - part - 1e-5 <= left.radius[0] <= 1.1
     np.testing.assert_allclose(left.radius[16], 2)
@@ -45,7 +45,7 @@ def test_where_gaits_miss_the_region_ends() -> None:
 
 def test_a_wider_tolerance_leaves_more_of_it() -> None:
     lattice = Lattice((-2, -2), (2, 2), (9, 9))
-    areas = [reached(WIDE, east_misses(lattice), tolerance).area() for tolerance in (0.05, 0.3, 2.0)]
+    areas = [held_region(WIDE, east_misses(lattice), tolerance).area() for tolerance in (0.05, 0.3, 2.0)]
     assert areas == sorted(areas)
     assert areas[2] == pytest.approx(WIDE.area(), rel=1e-5)
 
@@ -54,17 +54,17 @@ def test_a_gap_on_the_way_ends_the_ray_though_gaits_beyond_it_hold() -> None:
     lattice = Lattice((-2, -2), (2, 2), (9, 9))
     missed = np.zeros((9, 9))
     missed[6] = 1
-    assert reached(WIDE, found(lattice, missed), 0.1).radius[0] < 0.7
+    assert held_region(WIDE, found(lattice, missed), 0.1).radius[0] < 0.7
 
 
 def test_beyond_the_lattice_the_survey_is_believed() -> None:
     lattice = Lattice((-0.5, -0.5), (0.5, 0.5), (2, 2))
-    np.testing.assert_allclose(reached(WIDE, found(lattice, np.zeros((2, 2))), 0.1).radius, 2)
+    np.testing.assert_allclose(held_region(WIDE, found(lattice, np.zeros((2, 2))), 0.1).radius, 2)
 
 
 def test_a_lattice_of_a_single_force_is_read_without_warnings() -> None:
     lattice = Lattice.over(Cell(low=(1, 0), high=(1, 0)), 0.5)
-    np.testing.assert_allclose(reached(WIDE, found(lattice, np.zeros((2, 2))), 0.1).radius, 2)
+    np.testing.assert_allclose(held_region(WIDE, found(lattice, np.zeros((2, 2))), 0.1).radius, 2)
 
 
 def test_without_a_box_the_lattice_is_round_all_that_was_seen_by_whole_spacings() -> None:
@@ -75,11 +75,11 @@ def test_without_a_box_the_lattice_is_round_all_that_was_seen_by_whole_spacings(
 
 
 def test_the_map_of_a_fin_says_what_it_can_make() -> None:
-    reachable = known().reachable
+    reachable = mapped().reachable
     assert reachable.contains((1.5, 0.5))
     assert reachable.contains((2, 0))
     assert not reachable.contains((-0.5, 0))
-    assert reachable.area() <= seen().reachable.area() + 1e-5
+    assert reachable.area() <= surveyed().reachable.area() + 1e-5
 
 
 def test_progress_of_both_parts_rises_to_the_end() -> None:
@@ -101,10 +101,10 @@ def test_a_fin_without_thrust_has_nothing_to_map() -> None:
 def test_an_empty_map_has_the_shape_of_a_full_one() -> None:
     config = WITHIN
     empty = empty_map(config.lattice(WIDE), config.survey.directions)
-    assert [np.shape(leaf) for leaf in jax.tree.leaves(empty)] == [np.shape(leaf) for leaf in jax.tree.leaves(known())]
+    assert [np.shape(leaf) for leaf in jax.tree.leaves(empty)] == [np.shape(leaf) for leaf in jax.tree.leaves(mapped())]
 
 
-def cloud(lattice: Lattice, held: np.ndarray) -> Found:
+def cloud(lattice: Lattice, held: np.ndarray) -> GaitSearchResult:
     """Gaits that make exactly the forces of the nodes that are `held`, and miss the others by far."""
     return found(lattice, np.where(held, 0.0, 1.0))
 
@@ -117,7 +117,7 @@ RING = (LENGTH > 1.0) & (LENGTH < 2.0)
 def test_a_region_with_a_hole_in_its_middle_is_kept_about_a_force_that_gaits_hold() -> None:
     """Rays from the middle of a ring would end at once, in a region that holds nothing."""
     gaits = cloud(FINE, RING)
-    region = reached(WIDE, gaits, 0.1)
+    region = held_region(WIDE, gaits, 0.1)
     at = np.argmin(np.linalg.norm(gaits.table.references() - region.centre, axis=-1))
     assert RING.reshape(-1)[at]
     assert region.area() > 1.5
@@ -126,7 +126,7 @@ def test_a_region_with_a_hole_in_its_middle_is_kept_about_a_force_that_gaits_hol
 
 def test_forces_that_a_star_leaves_out_are_counted_and_warned_of() -> None:
     gaits = cloud(FINE, RING)
-    check = check_star(ForceMap(gaits, reached(WIDE, gaits, 0.1)), 0.1)
+    check = check_star(ForceMap(gaits, held_region(WIDE, gaits, 0.1)), 0.1)
     assert check.held_outside > 0.3
     assert "of the forces that gaits make lie outside it" in (check.warning or "")
 
@@ -140,6 +140,6 @@ def test_forces_within_a_star_that_no_gait_makes_are_counted_and_warned_of() -> 
 
 def test_of_a_disc_there_is_nothing_to_warn_of() -> None:
     gaits = cloud(FINE, LENGTH < 1.5)
-    region = reached(WIDE, gaits, 0.1)
+    region = held_region(WIDE, gaits, 0.1)
     np.testing.assert_array_equal(region.centre, WIDE.centre)
     assert check_star(ForceMap(gaits, region), 0.1).warning is None

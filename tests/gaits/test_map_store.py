@@ -11,15 +11,14 @@ import numpy as np
 import pytest
 import safetensors.numpy
 
-from softfin.control.gait import GaitController
+from softfin.control.gait import GaitStep
 from softfin.control.store import load_controller, save_gaits
 from softfin.core.errors import ArtifactError
 from softfin.core.plant_identity import identity
 from softfin.core.quantities import PAPER_LIMITS
-from softfin.gaits.force_map import ForceMap, MapConfig
-from softfin.gaits.gaits import Found, GaitTable
-from softfin.gaits.known import known_of
-from softfin.gaits.map_store import load_map, save_map
+from softfin.gaits.force_map import MapConfig
+from softfin.gaits.gait import ForceMap, GaitSearchResult, GaitTable
+from softfin.gaits.map_store import load_force_map, load_map, save_map
 from softfin.gaits.reachable import Reachable
 from tests.plants import AnalyticFin, StrokeFin
 
@@ -29,7 +28,7 @@ TABLE = GaitTable(
 )
 MADE = (TABLE.references() + 0.01).astype(np.float32)
 KNOWN = ForceMap(
-    Found(TABLE, MADE, NUMBERS.uniform(0, 1, (3, 4, 2)).astype(np.float32)),
+    GaitSearchResult(TABLE, MADE, NUMBERS.uniform(0, 1, (3, 4, 2)).astype(np.float32)),
     Reachable(np.array([1.5, 0.5], np.float32), np.linspace(1, 2, 12).astype(np.float32)),
 )
 
@@ -45,16 +44,17 @@ def save_controller(folder: Path) -> Path:
 
 
 def test_a_map_comes_back_from_its_folder(tmp_path: Path) -> None:
-    again, limits = load_map(save(tmp_path))
-    jax.tree.map(np.testing.assert_array_equal, again.found, KNOWN.found)
+    again, limits, *_ = load_map(save(tmp_path))
+    jax.tree.map(np.testing.assert_array_equal, again.gaits, KNOWN.gaits)
     np.testing.assert_allclose(again.reachable.corners(), KNOWN.reachable.corners(), atol=1e-4)
     assert limits == PAPER_LIMITS
 
 
 def test_gaits_come_back_as_a_controller_with_the_same_table(tmp_path: Path) -> None:
     again = load_controller(save_controller(tmp_path))
-    assert isinstance(again, GaitController)
-    jax.tree.map(np.testing.assert_array_equal, again.table, KNOWN.found.table)
+    assert isinstance(again.step, GaitStep)
+    jax.tree.map(np.testing.assert_array_equal, again.step.table, KNOWN.gaits.table)
+    assert again.reachable is not None
     np.testing.assert_allclose(again.reachable.corners(), KNOWN.reachable.corners(), atol=1e-4)
     assert again.limits == PAPER_LIMITS
 
@@ -86,17 +86,17 @@ def lattice(**changes: Any) -> dict[str, Any]:
 HARMS: list[tuple[Callable[[Path], None], str]] = [
     (lambda f: (f / "weights.safetensors").unlink(), "weights.safetensors: missing"),
     (lambda f: (f / "weights.safetensors").write_bytes(b"12"), "truncated or damaged"),
-    (lambda f: rewrite(f, format=99), r"format 99; this softfin reads \d"),
-    (lambda f: rewrite(f, reachable=None), "description"),
+    (lambda f: rewrite(f, format=99), r"format (is )?99; this softfin reads \d"),
+    (lambda f: rewrite(f, reachable=None), "reachable is None; it must be an object"),
     (lambda f: rewrite(f, reachable={"centre_n": [0, 0], "radius_n": [1, -1, 1]}), "no radius under 0"),
-    (lambda f: rewrite(f, limits={}), "description"),
+    (lambda f: rewrite(f, limits={}), "angle_min_rad is missing"),
     (lambda f: rewrite(f, limits=PAPER_LIMITS._replace(velocity_max=9000.0).described()), "velocity_max_rad_s is 9000"),
     (lambda f: rewrite(f, lattice=lattice(nodes=[4, 3])), r"do not fit a lattice of \(4, 3\)"),
-    (lambda f: rewrite(f, lattice=lattice(nodes=[12])), r"a lattice of \(12,\) nodes is none"),
-    (lambda f: rewrite(f, lattice=lattice(nodes=[1, 12])), r"a lattice of \(1, 12\) nodes is none"),
-    (lambda f: rewrite(f, lattice=lattice(high_n=[2.5, -2.0])), r"a lattice from \[0.5, -1.0\] to \[2.5, -2.0\] N"),
-    (lambda f: rewrite(f, lattice=lattice(low_n=[0.5, float("nan")])), "is none"),
-    (lambda f: rewrite(f, lattice=lattice(low_n=[0.5])), "is none"),
+    (lambda f: rewrite(f, lattice=lattice(nodes=[12])), r"lattice of \(12,\) nodes; it must have two"),
+    (lambda f: rewrite(f, lattice=lattice(nodes=[1, 12])), r"lattice of \(1, 12\) nodes; it must have two"),
+    (lambda f: rewrite(f, lattice=lattice(high_n=[2.5, -2.0])), r"lattice from \[0.5, -1.0\] to \[2.5, -2.0\] N"),
+    (lambda f: rewrite(f, lattice=lattice(low_n=[0.5, float("nan")])), "must be two corners"),
+    (lambda f: rewrite(f, lattice=lattice(low_n=[0.5])), "must be two corners"),
     (lambda f: weights(f, actions=None), "actions"),
     (lambda f: weights(f, actions=np.full((3, 4, 6, 2), np.nan, np.float32)), "not finite"),
     (lambda f: weights(f, force_n=np.zeros((3, 4), np.float32)), "do not fit"),
@@ -121,8 +121,8 @@ def test_a_controllers_folder_is_no_map(tmp_path: Path) -> None:
 def test_a_map_is_known_of_the_very_plant_that_it_was_made_of(tmp_path: Path) -> None:
     fin, config = StrokeFin(), MapConfig(spacing_n=0.25)
     save_map(tmp_path / "map", KNOWN, config, PAPER_LIMITS, {"plant_identity": identity(fin)})
-    known = known_of(tmp_path / "map", fin, "mine")
-    jax.tree.map(np.testing.assert_array_equal, known.found.found, KNOWN.found)
-    assert known.config == config
+    loaded = load_force_map(tmp_path / "map", fin, "mine")
+    jax.tree.map(np.testing.assert_array_equal, loaded.force_map.gaits, KNOWN.gaits)
+    assert loaded.config == config
     with pytest.raises(ArtifactError, match=r"a map of another plant .* than other .*: softfin map other --out DIR"):
-        known_of(tmp_path / "map", AnalyticFin(), "other")
+        load_force_map(tmp_path / "map", AnalyticFin(), "other")

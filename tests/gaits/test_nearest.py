@@ -2,9 +2,7 @@
 
 import numpy as np
 
-from softfin.gaits.nearest import TOLERANCE_N, nearest_within, reached
-from softfin.gaits.reachable import Reachable
-from softfin.task.references import Cell
+from softfin.gaits.reachable import TOLERANCE_N, Cell, Reachable
 
 RADIUS = 1 + 0.4 * np.cos(3 * np.linspace(0, 2 * np.pi, 64, endpoint=False))
 CLOVER = Reachable(np.float32([0.5, 0]), RADIUS.astype(np.float32))
@@ -13,22 +11,22 @@ FORCES = np.random.default_rng(0).uniform(-3, 3, (40, 2))
 
 
 def test_it_is_as_near_as_any_force_that_both_hold():
-    near = nearest_within(CLOVER, CELLS, FORCES)
+    near = CLOVER.nearest_within(CELLS, FORCES)
     lattice = np.stack(np.meshgrid(*[np.linspace(-2, 3, 501)] * 2), axis=-1).reshape(-1, 2)
-    lattice = lattice[reached(CLOVER, lattice)]
+    lattice = lattice[CLOVER.contains(lattice)]
     lattice = lattice[[min(cell.distance((x, y)) for cell in CELLS) == 0 for x, y in lattice.tolist()]]
     best = np.hypot(*np.moveaxis(lattice - FORCES[:, None], -1, 0)).min(axis=1)
     ours = np.hypot(*(near - FORCES).T)
     assert (ours <= best + 2 * TOLERANCE_N).all()
     assert (best <= ours + 0.02).all()
     assert all(min(cell.distance((x, y)) for cell in CELLS) == 0 for x, y in near.tolist())
-    assert reached(CLOVER, near).all()
+    assert CLOVER.contains(near).all()
 
 
 def test_what_is_in_both_stays_to_the_last_bit():
     inside = np.array([[0.5, 0.1], [0.9, -0.4]])
-    np.testing.assert_array_equal(nearest_within(CLOVER, CELLS, inside), inside)
+    np.testing.assert_array_equal(CLOVER.nearest_within(CELLS, inside), inside)
 
 
 def test_where_reach_and_cells_do_not_meet_there_is_none():
-    assert np.isnan(nearest_within(CLOVER, (Cell(low=(5, 5), high=(6, 6)),), FORCES[:2])).all()
+    assert np.isnan(CLOVER.nearest_within((Cell(low=(5, 5), high=(6, 6)),), FORCES[:2])).all()

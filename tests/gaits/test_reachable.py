@@ -20,7 +20,7 @@ REGIONS = st.builds(
 SQUARE = Reachable(np.array([1, -1], np.float32), np.full(4, 2, np.float32))
 """On its corner: (3, -1), (1, 1), (-1, -1), (1, -3)."""
 
-pulled = jax.jit(lambda region, force: region.pulled(force))
+projected = jax.jit(lambda region, force: region.project(force))
 
 
 def sides(region: Reachable) -> tuple[np.ndarray, np.ndarray]:
@@ -53,12 +53,12 @@ def first_crossing(region: Reachable, force: tuple[float, float]) -> np.ndarray:
 
 @given(REGIONS, FORCES)
 @settings(deadline=None, max_examples=100)
-def test_a_force_is_pulled_to_where_its_line_to_the_centre_meets_the_polygon(region, force):
+def test_a_force_is_projected_to_where_its_line_to_the_centre_meets_the_polygon(region, force):
     if np.hypot(*np.subtract(force, region.centre)) < 1e-2:
         return
     edge = first_crossing(region, force)
     beyond = np.hypot(*np.subtract(force, region.centre)) > np.hypot(*(edge - region.centre))
-    np.testing.assert_allclose(pulled(region, jnp.asarray(force, jnp.float32)), edge if beyond else force, atol=2e-4)
+    np.testing.assert_allclose(projected(region, jnp.asarray(force, jnp.float32)), edge if beyond else force, atol=2e-4)
 
 
 @given(REGIONS, FORCES)
@@ -86,15 +86,15 @@ def test_the_nearest_force_is_the_force_itself_or_the_nearest_of_many_on_the_edg
 
 
 def test_the_centre_stays_where_it_is():
-    np.testing.assert_array_equal(pulled(SQUARE, SQUARE.centre), SQUARE.centre)
-    assert SQUARE.nearest((1.0, -1.0)) == (1.0, -1.0)
+    np.testing.assert_array_equal(projected(SQUARE, SQUARE.centre), SQUARE.centre)
+    assert SQUARE.nearest((1.0, -1.0)).tolist() == [1.0, -1.0]
 
 
 def test_a_sector_without_any_width_holds_nothing_but_the_centre():
     """Two neighbouring corners at the centre: nothing was ever made between these directions."""
     region = Reachable(np.zeros(2, np.float32), np.array([0, 0, 1, 1], np.float32))
     assert not region.contains((0.5, 0.5))
-    np.testing.assert_allclose(pulled(region, jnp.array([0.5, 0.5])), 0, atol=1e-6)
+    np.testing.assert_allclose(projected(region, jnp.array([0.5, 0.5])), 0, atol=1e-6)
     assert region.contains((-0.4, -0.4))
 
 
@@ -106,7 +106,7 @@ def test_what_lies_a_little_beyond_the_edge_counts_within_the_tolerance():
 
 def test_area_box_and_corners_of_a_square_are_known():
     assert SQUARE.area() == pytest.approx(8)
-    np.testing.assert_allclose(SQUARE.box(), [(-1, -3), (3, 1)], atol=1e-6)
+    np.testing.assert_allclose(SQUARE.bounds(), [(-1, -3), (3, 1)], atol=1e-6)
     np.testing.assert_allclose(SQUARE.corners(), [(3, -1), (1, 1), (-1, -1), (1, -3)], atol=1e-6)
 
 
@@ -128,7 +128,7 @@ def test_directions_go_anticlockwise_from_forward():
 @given(REGIONS)
 @settings(deadline=None, max_examples=30)
 def test_it_comes_back_from_its_description(region):
-    again = Reachable.of(json.loads(json.dumps(region.described())))
+    again = Reachable.from_dict(json.loads(json.dumps(region.to_dict())))
     np.testing.assert_allclose(again.corners(), region.corners(), atol=5e-5)
 
 
@@ -147,12 +147,12 @@ def test_it_comes_back_from_its_description(region):
 )
 def test_a_damaged_description_is_refused(changes):
     with pytest.raises((TypeError, ValueError)):
-        Reachable.of(SQUARE.described() | changes)
+        Reachable.from_dict(SQUARE.to_dict() | changes)
 
 
 def test_a_description_without_a_part_is_refused():
     with pytest.raises(KeyError, match="radius_n"):
-        Reachable.of({"centre_n": [0.0, 0.0]})
+        Reachable.from_dict({"centre_n": [0.0, 0.0]})
 
 
 @given(REGIONS, FORCES)
@@ -160,7 +160,7 @@ def test_a_description_without_a_part_is_refused():
 def test_distances_from_any_force_inside_end_on_the_edge(region, force):
     centre = np.asarray(region.nearest(force))
     centre = centre + 0.3 * (np.asarray(region.centre) - centre)
-    ends = centre + region.distances(centre)[:, None] * directions(len(region.radius))
+    ends = centre + region.distances_from(centre)[:, None] * directions(len(region.radius))
     a, b = sides(region)
     along = np.clip(((ends[:, None] - a) * (b - a)).sum(-1) / ((b - a) ** 2).sum(-1), 0, 1)
     apart = np.linalg.norm(a + along[..., None] * (b - a) - ends[:, None], axis=-1).min(axis=1)
@@ -168,5 +168,5 @@ def test_distances_from_any_force_inside_end_on_the_edge(region, force):
 
 
 def test_distances_from_the_centre_are_the_radii():
-    np.testing.assert_array_equal(SQUARE.distances(np.array([1, -1], np.float32)), SQUARE.radius)
-    np.testing.assert_allclose(SQUARE.distances(np.array([2, -1], np.float32)), [1, 1, 3, 1], atol=1e-6)
+    np.testing.assert_array_equal(SQUARE.distances_from(np.array([1, -1], np.float32)), SQUARE.radius)
+    np.testing.assert_allclose(SQUARE.distances_from(np.array([2, -1], np.float32)), [1, 1, 3, 1], atol=1e-6)

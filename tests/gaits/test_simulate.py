@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from softfin.core.action_clock import ACTION_TICKS, WINDOW
-from softfin.gaits.simulate import AMPLITUDES, CENTRES, WAVES, families
-from tests.learning.mapped import made, steady
+from softfin.gaits.simulate import AMPLITUDES, CENTRES, WAVEFORMS, families
+from tests.learning.mapped import simulate_gait, steady_state_force
 from tests.plants import AnalyticFin, StrokeFin
 
 KEY = jax.random.key(0)
@@ -16,7 +16,7 @@ SWEEP = np.array([(1, 1), (-1, 1)] * 3, np.float32)
 
 def test_the_mean_force_is_that_of_the_strokes():
     """Each stroke of 180 degrees at pi rad/s pushes 0.5 pi 2 N along its middle, which is straight ahead."""
-    got = made(StrokeFin(bias=(0.2, -0.1)), SWEEP, 2, KEY)
+    got = simulate_gait(StrokeFin(bias=(0.2, -0.1)), SWEEP, 2, KEY)
     np.testing.assert_allclose(got.force, [np.pi + 0.2, -0.1], atol=1e-4)
     np.testing.assert_allclose(got.smoothness, 0, atol=1e-3)
 
@@ -26,30 +26,32 @@ def test_strokes_count_by_the_ticks_that_they_are_held():
     gait = np.tile(np.array([(1, -1), (1, -1), (0, -1)], np.float32), (2, 1))
     push = 0.5 * np.exp(-1j * np.pi / 4)
     expected = push * (ACTION_TICKS[0] + ACTION_TICKS[2]) / sum(ACTION_TICKS)
-    np.testing.assert_allclose(made(StrokeFin(), gait, 2, KEY).force, [expected.real, expected.imag], atol=1e-4)
+    np.testing.assert_allclose(
+        simulate_gait(StrokeFin(), gait, 2, KEY).force, [expected.real, expected.imag], atol=1e-4
+    )
 
 
 def test_the_sobolev_term_is_of_the_steps_from_stroke_to_stroke():
     gait = np.tile(np.array([(1, -1), (1, -1), (0, -1)], np.float32), (2, 1))
     step = 0.5 * np.cos(np.pi / 4)
     # F, 0, F and again F, 0, F: four steps within the window.
-    got = made(StrokeFin(), gait, 2, KEY).smoothness
+    got = simulate_gait(StrokeFin(), gait, 2, KEY).smoothness
     np.testing.assert_allclose(got[0], np.sqrt(4 * step**2 / (WINDOW - 1)), rtol=1e-3)
 
 
 def test_the_last_cycle_counts():
     """The first begins in the middle, the others at one end."""
     gait = np.array([(1, 1)] * 3 + [(-1, 1)] * 3, np.float32)
-    force = np.asarray(steady(AnalyticFin(noise_n=0.0), gait, 3, KEY))
+    force = np.asarray(steady_state_force(AnalyticFin(noise_n=0.0), gait, 3, KEY))
     assert force.shape == (3 * WINDOW, 2)
-    got = made(AnalyticFin(noise_n=0.0), gait, 3, KEY).force
+    got = simulate_gait(AnalyticFin(noise_n=0.0), gait, 3, KEY).force
     np.testing.assert_allclose(got, force[-WINDOW:].mean(axis=0), rtol=1e-4, atol=1e-5)
     assert not np.allclose(got, force[:WINDOW].mean(axis=0), rtol=1e-3)
 
 
 def test_in_the_steady_state_the_moving_average_has_no_ripple():
     gait = np.asarray(families()[6].gaits[40])
-    force = np.asarray(steady(AnalyticFin(noise_n=0.0), gait, 3, KEY), float)
+    force = np.asarray(steady_state_force(AnalyticFin(noise_n=0.0), gait, 3, KEY), float)
     averages = np.array([force[k : k + WINDOW].mean(axis=0) for k in range(WINDOW, 2 * WINDOW)])
     assert np.ptp(force[WINDOW:, 0]) > 0.1
     assert np.ptp(averages, axis=0).max() < 1e-4
@@ -58,18 +60,18 @@ def test_in_the_steady_state_the_moving_average_has_no_ripple():
 def test_families_are_all_waves_and_velocities_over_all_centres_and_amplitudes():
     found = families()
     assert len(found) == 9
-    assert {family.wave for family in found} == set(WAVES)
+    assert {family.waveform for family in found} == set(WAVEFORMS)
     for family in found:
         assert family.gaits.shape == (len(CENTRES) * len(AMPLITUDES), 6, 2)
         assert np.abs(family.gaits).max() <= 1
         np.testing.assert_array_equal(family.gaits[..., 1], np.float32(family.velocity))
     middle = found[0].gaits[len(CENTRES) // 2 * len(AMPLITUDES)]
-    np.testing.assert_allclose(middle[:, 0], AMPLITUDES[0] * np.array(WAVES["two"]), atol=1e-6)
+    np.testing.assert_allclose(middle[:, 0], AMPLITUDES[0] * np.array(WAVEFORMS["two"]), atol=1e-6)
 
 
 def test_the_slope_of_the_mean_force_is_that_of_finite_differences():
     gait = jnp.asarray(families()[0].gaits[38] * np.float32(0.8), jnp.float32)
-    force = jax.jit(jax.value_and_grad(lambda gait: made(StrokeFin(), gait, 2, KEY).force[0]))
+    force = jax.jit(jax.value_and_grad(lambda gait: simulate_gait(StrokeFin(), gait, 2, KEY).force[0]))
     slope, step = force(gait)[1][2, 0], 1e-2
     up, down = (force(gait.at[2, 0].add(sign * step))[0] for sign in (1, -1))
     np.testing.assert_allclose(slope, (up - down) / (2 * step), rtol=1e-2)

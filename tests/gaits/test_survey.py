@@ -9,7 +9,7 @@ import pytest
 
 from softfin.core.quantities import PAPER_LIMITS, Limits
 from softfin.gaits.survey import SurveyConfig, _middle, survey
-from tests.learning.mapped import FIN, SURVEY, made, seen
+from tests.learning.mapped import FIN, SURVEY, simulate_gait, surveyed
 from tests.plants import StrokeFin
 
 MOST_N = np.pi
@@ -17,10 +17,10 @@ MOST_N = np.pi
 
 
 def test_every_gait_was_tried_and_its_force_kept_beside_it() -> None:
-    found = seen()
+    found = surveyed()
     assert found.force.shape == found.smoothness.shape == (9, 77, 2)
     for family, member in ((0, 3), (4, 40), (8, 76)):
-        alone = made(FIN, found.families[family].gaits[member], SURVEY.cycles, jax.random.key(0))
+        alone = simulate_gait(FIN, found.families[family].gaits[member], SURVEY.cycles, jax.random.key(0))
         np.testing.assert_allclose(found.force[family, member], alone.force, atol=1e-4)
         np.testing.assert_allclose(found.smoothness[family, member], alone.smoothness, atol=1e-4)
 
@@ -28,14 +28,14 @@ def test_every_gait_was_tried_and_its_force_kept_beside_it() -> None:
 def test_chunks_do_not_change_what_is_found() -> None:
     """100 does not divide the 693 gaits, so the last chunk is filled up."""
     other = survey(FIN, SURVEY.model_copy(update={"batch": 100}))
-    np.testing.assert_allclose(other.force, seen().force, atol=1e-4)
-    np.testing.assert_allclose(other.smoothness, seen().smoothness, atol=1e-4)
-    np.testing.assert_allclose(other.reachable.corners(), seen().reachable.corners(), atol=0.02)
+    np.testing.assert_allclose(other.force, surveyed().force, atol=1e-4)
+    np.testing.assert_allclose(other.smoothness, surveyed().smoothness, atol=1e-4)
+    np.testing.assert_allclose(other.reachable.corners(), surveyed().reachable.corners(), atol=0.02)
 
 
 def test_the_region_reaches_as_far_as_the_fin_and_no_farther() -> None:
-    found = seen().reachable
-    (x0, y0), (x1, y1) = found.box()
+    found = surveyed().reachable
+    (x0, y0), (x1, y1) = found.bounds()
     assert 0.95 * MOST_N < x1 <= MOST_N + 1e-3
     assert x0 > -0.01
     # The middle of a stroke of s is at most (pi - s) / 2 aside: most is 0.5 pi max_s (1 - cos s) cos(s / 2).
@@ -49,16 +49,16 @@ def test_the_region_reaches_as_far_as_the_fin_and_no_farther() -> None:
 
 def test_pushing_only_ever_widens_the_region() -> None:
     tried = survey(FIN, SURVEY.model_copy(update={"pushes": 0})).reachable
-    pushed = seen().reachable
+    pushed = surveyed().reachable
     np.testing.assert_array_equal(pushed.centre, tried.centre)
     assert (np.asarray(pushed.radius) >= np.asarray(tried.radius) - 1e-5).all()
     assert pushed.area() > tried.area()
 
 
 def test_gaits_of_the_edge_are_actions_that_make_forces_in_their_directions() -> None:
-    found = seen()
+    found = surveyed()
     assert np.abs(found.edge).max() <= 1
-    force = np.asarray(jax.vmap(lambda g: made(FIN, g, 2, jax.random.key(0)).force)(jnp.asarray(found.edge)))
+    force = np.asarray(jax.vmap(lambda g: simulate_gait(FIN, g, 2, jax.random.key(0)).force)(jnp.asarray(found.edge)))
     ahead = force[0] - found.reachable.centre
     assert ahead[0] == pytest.approx(float(found.reachable.radius[0]), rel=0.1)
     assert abs(ahead[1]) < 0.2
@@ -90,7 +90,7 @@ class OwnFin:
 
 def test_a_plant_that_cannot_be_hashed_is_surveyed_all_the_same() -> None:
     few = SurveyConfig(cycles=2, batch=700, directions=8, pushes=0)
-    np.testing.assert_allclose(survey(OwnFin(), few).force, seen().force, atol=1e-4)
+    np.testing.assert_allclose(survey(OwnFin(), few).force, surveyed().force, atol=1e-4)
 
 
 def test_the_middle_is_seen_from_a_force_that_a_gait_makes_where_none_is_near_it() -> None:

@@ -4,11 +4,12 @@ from functools import cache
 
 import equinox as eqx
 
-from softfin.gaits import simulate as beat
-from softfin.gaits.force_map import ForceMap, MapConfig, map_forces
-from softfin.gaits.gaits import GaitConfig
+from softfin.gaits import simulate
+from softfin.gaits.force_map import MapConfig, map_forces
+from softfin.gaits.gait import ForceMap
+from softfin.gaits.reachable import Cell
+from softfin.gaits.search import GaitConfig
 from softfin.gaits.survey import Survey, SurveyConfig, survey
-from softfin.task.references import Cell
 from tests.plants import StrokeFin
 
 FIN = StrokeFin()
@@ -17,16 +18,16 @@ GAITS = GaitConfig(cycles=2, steps=16)
 WITHIN = MapConfig(box=Cell(low=(0.5, -0.5), high=(1.5, 0.5)), survey=SURVEY, gaits=GAITS)
 """Three by three forces that the fin can make, each with ease."""
 
-made = eqx.filter_jit(beat.made)
+simulate_gait = eqx.filter_jit(simulate.simulate_gait)
 """Compiled once for all fins of a kind."""
-steady = eqx.filter_jit(beat.steady)
+steady_state_force = eqx.filter_jit(simulate.steady_state_force)
 
 
 @cache
-def seen() -> Survey:
+def surveyed() -> Survey:
     return survey(FIN, SURVEY)
 
 
 @cache
-def known() -> ForceMap:
+def mapped() -> ForceMap:
     return map_forces(FIN, WITHIN)

@@ -7,10 +7,12 @@ import jax.numpy as jnp
 
 from softfin.core.action_clock import MOST_TICKS
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Reading
+from softfin.gaits.reachable import Cell
 from softfin.learning.policy import PolicyConfig
 from softfin.learning.ppo import PPO, PPOConfig
-from softfin.task.references import Cell, References
-from softfin.task.task import ForceTracking, RewardConfig, TaskConfig
+from softfin.task.references import References
+from softfin.task.reward import RewardConfig
+from softfin.task.task import ForceTracking, TaskConfig
 
 GAIN = 3.0
 
@@ -115,9 +117,9 @@ def learner(plant: Any, updates: int, episode: int = 12, past_actions: int = 0, 
     task = TaskConfig(
         window_samples=32, episode_actions=episode, reference_actions=episode, past_actions=past_actions, reward=SMOOTH
     )
-    config = PPOConfig(**{"environments": 16, "rollout_actions": episode, "epochs": 8, **changes})
+    config = PPOConfig(**{"num_envs": 16, "num_steps": episode, "num_epochs": 8, **changes})
     return PPO(ForceTracking(plant, task), config, PolicyConfig(units=16, width=16), updates)
 
 
 def box(low: tuple[float, float], high: tuple[float, float]) -> References:
-    return Cell(low=low, high=high).references()
+    return References.of(Cell(low=low, high=high))

@@ -20,14 +20,14 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import RunError, SoftfinError
-from softfin.learning.engine import find_engine
+from softfin.gaits.reachable import Cell
+from softfin.learning.configuration import TrainConfig
 from softfin.learning.engine_ray import RayEngine
-from softfin.learning.jobs import train_jobs
+from softfin.learning.jobs import find_engine, train_jobs
 from softfin.learning.policy import PolicyConfig
 from softfin.learning.ppo import PPOConfig
-from softfin.learning.train import TrainConfig, Trained
+from softfin.learning.run import TrainingResult
 from softfin.storage.run_directory import LOG, Workspace, read_log
-from softfin.task.references import Cell
 from softfin.task.task import TaskConfig
 from tests.plants import AnalyticFin
 
@@ -38,8 +38,8 @@ SMALL = TrainConfig(
     cells=(Cell.around((1, -1)), Cell.around((2, 0))),
     task=TaskConfig(episode_actions=12, reference_actions=12),
     policy=PolicyConfig(units=8, width=8),
-    ppo=PPOConfig(environments=4, rollout_actions=6, epochs=2, minibatches=2),
-    scorings=4,
+    ppo=PPOConfig(num_envs=4, num_steps=6, num_epochs=2, num_minibatches=2),
+    num_evaluations=4,
 )
 
 ALONE = ("unshare", "--map-root-user", "--net", "--pid", "--fork", "--kill-child", "--mount-proc")
@@ -51,9 +51,9 @@ def workspace(folder: Path, resume: bool = False, seeds: tuple[int, ...] = SEEDS
     return made
 
 
-def alike(one: Trained, other: Trained) -> None:
+def alike(one: TrainingResult, other: TrainingResult) -> None:
     """To the bit."""
-    jax.tree.map(np.testing.assert_array_equal, (one.policies, one.score), (other.policies, other.score))
+    jax.tree.map(np.testing.assert_array_equal, (one.policies, one.evaluation), (other.policies, other.evaluation))
 
 
 def within(case: str, folder: Path, seconds: int = 900) -> dict[str, Any]:

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from softfin.core.errors import ConfigurationError, RunError
-from softfin.learning.engine import Engine, LocalEngine, find_engine
+from softfin.learning.engine import Engine, LocalEngine
+from softfin.learning.jobs import find_engine
 from tests.learning.ray_cluster import SMALL, within
 
 
@@ -64,7 +65,7 @@ def test_cells_on_two_nodes_learn_the_same_bits_as_here_though_a_worker_is_kille
         "seed-1-cell-0 runs again, attempt 2 of 3"
     ]
     assert len([stage for stage, _, _ in told["said"] if stage == "train grid"]) == 4
-    assert told["steps"] == [SMALL.ppo.steps_per_update * (i + 1) for i in range(SMALL.updates)]
+    assert told["steps"] == [SMALL.ppo.steps_per_update * (i + 1) for i in range(SMALL.num_updates)]
     assert told["begun"] == [0, 2]
 
 

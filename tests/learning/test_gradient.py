@@ -11,34 +11,26 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import ConfigurationError, PlantError, RunError
-from softfin.core.plant import Plant
+from softfin.core.plant import EnsemblePlant, Plant
+from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import Command
 from softfin.gaits import simulate as beat
 from softfin.gaits.force_map import MapConfig
-from softfin.gaits.reachable import Reachable
+from softfin.gaits.reachable import PAPER_REFERENCES, Cell, Reachable
 from softfin.gaits.simulate import missing_gradient
-from softfin.learning.gradient import Gradient, GradientConfig, GradientLane
-from softfin.learning.imitation import ImitationConfig
-from softfin.learning.learner import Learner
+from softfin.learning.cloning import CloningConfig
+from softfin.learning.configuration import GRADIENT_SINGLE, GRID, TRAIN_PRESETS, TrainConfig, check, choose_preset
+from softfin.learning.gradient import Gradient, GradientConfig
+from softfin.learning.learner import AgentState, Learner
 from softfin.learning.policy import Policy, PolicyConfig
-from softfin.learning.rollout import Batch
-from softfin.learning.train import (
-    GRADIENT_SINGLE,
-    GRID,
-    STARTS,
-    TrainConfig,
-    Trained,
-    _Run,
-    check,
-    held,
-    starting,
-    taught_box,
-    train,
-)
+from softfin.learning.rollout import EnvState
+from softfin.learning.run import TrainingResult, TrainingRun
+from softfin.learning.train import train
 from softfin.storage.run_directory import Workspace
-from softfin.task.references import PAPER_RANGE, PAPER_REFERENCES, Cell, stack_references
-from softfin.task.task import ForceTracking, RewardConfig, TaskConfig
-from tests.learning.mapped import GAITS, SURVEY, WITHIN, known
+from softfin.task.references import PAPER_RANGE, stack_references
+from softfin.task.reward import RewardConfig
+from softfin.task.task import ForceTracking, TaskConfig
+from tests.learning.mapped import GAITS, SURVEY, WITHIN, mapped
 from tests.learning.probes import Delayed, Direct
 from tests.plants import AnalyticFin, PlainFin, StrokeFin
 from tests.surrogate.streaming import small as streaming
@@ -49,25 +41,26 @@ QUICK = GRADIENT_SINGLE.model_copy(
         "margin_n": 0.0,
         "policy": PolicyConfig(units=8, width=8),
         "steps": 40 * 24,
-        "scorings": 4,
+        "num_evaluations": 4,
         "lattice": 1,
         "task": TaskConfig(phase=True, episode_actions=12, reference_actions=6),
         "gradient": GradientConfig(
-            environments=4, rollout_actions=6, learning_rate=1e-2,
-            imitation=ImitationConfig(fins=4, actions=12, steps=5, batch=4), map=MapConfig(survey=SURVEY, gaits=GAITS),
+            num_envs=4, num_steps=6, learning_rate=1e-2,
+            cloning=CloningConfig(num_envs=4, num_steps=12, num_updates=5, batch_size=4),
+            map=MapConfig(survey=SURVEY, gaits=GAITS),
         ),
     }
 )  # fmt: skip
 SEEDS = (0, 1, 2, 3)
 TASK = ForceTracking(StrokeFin(), QUICK.task)
-LEARNER = Gradient(TASK, QUICK.gradient, QUICK.policy, QUICK.updates)
+LEARNER = Gradient(TASK, QUICK.gradient, QUICK.policy, QUICK.num_updates)
 
 
 @cache
-def loud() -> GradientLane:
+def loud() -> AgentState:
     """Four lanes with policies that beat: where a fin rests, its force has no slope."""
     keys = jax.random.split(jax.random.key(0), len(SEEDS))
-    references = stack_references([Cell(low=(1, -0.25), high=(1.5, 0.25))] * len(SEEDS), known().reachable)
+    references = stack_references([Cell(low=(1, -0.25), high=(1.5, 0.25))] * len(SEEDS), mapped().reachable)
     lanes = jax.jit(jax.vmap(LEARNER.init))(keys, references)
     return lanes._replace(policy=eqx.tree_at(lambda policy: policy.net.output.kernel, lanes.policy, replace_fn=louder))
 
@@ -76,7 +69,7 @@ def louder(kernel: Any) -> Any:
     return 60 * kernel
 
 
-def start() -> GradientLane:
+def start() -> AgentState:
     return jax.tree.map(lambda x: x[0], loud())
 
 
@@ -87,19 +80,25 @@ class Judged(NamedTuple):
 
 
 def judged(
-    policy: Policy, batch: Batch, rounding: float, weight: Any = (1.0, 1.0), smoothness: Any = (0.01, 0.01)
+    policy: Policy,
+    env_state: EnvState,
+    rounding: float,
+    weight: Any = (1.0, 1.0),
+    smoothness: Any = (0.01, 0.01),
 ) -> Judged:
     """The loss of the learner with other settings; defaults of a compiled function would be constants in it."""
-    found: Judged = _judged(policy, batch, rounding, weight, smoothness)
+    found: Judged = _judged(policy, env_state, rounding, weight, smoothness)
     return found
 
 
 @jax.jit
-def _judged(policy: Policy, batch: Batch, rounding: Any, weight: Any, smoothness: Any) -> Judged:
+def _judged(policy: Policy, env_state: EnvState, rounding: Any, weight: Any, smoothness: Any) -> Judged:
     reward = QUICK.task.reward.model_copy(update={"weight": weight, "smoothness": smoothness})
     task = ForceTracking(TASK.plant, QUICK.task.model_copy(update={"reward": reward}))
-    learner = Gradient(task, QUICK.gradient.model_copy(update={"rounding_n": rounding}), QUICK.policy, QUICK.updates)
-    (loss, (_, metrics)), slope = jax.value_and_grad(learner.loss, has_aux=True)(policy, batch)
+    learner = Gradient(
+        task, QUICK.gradient.model_copy(update={"rounding_n": rounding}), QUICK.policy, QUICK.num_updates
+    )
+    (loss, (_, metrics)), slope = jax.value_and_grad(learner.loss, has_aux=True)(policy, env_state)
     return Judged(loss, metrics["reward"], slope)
 
 
@@ -110,14 +109,14 @@ def test_it_meets_the_contract_of_learners() -> None:
 def test_its_slope_is_that_of_finite_differences() -> None:
     """For the weight that the loss depends on most, and its neighbours."""
     lane, rounding = start(), QUICK.gradient.rounding_n
-    slope = np.asarray(judged(lane.policy, lane.batch, rounding).slope.net.hidden.kernel)
+    slope = np.asarray(judged(lane.policy, lane.env_state, rounding).slope.net.hidden.kernel)
     place, step = np.unravel_index(np.argmax(np.abs(slope)), slope.shape), 3e-2
 
     def moved(by: float) -> float:
         kernel = np.array(lane.policy.net.hidden.kernel)
         kernel[place] += by
         there = eqx.tree_at(lambda policy: policy.net.hidden.kernel, lane.policy, jnp.asarray(kernel))
-        return float(judged(there, lane.batch, rounding).loss)
+        return float(judged(there, lane.env_state, rounding).loss)
 
     assert float(slope[place]) != 0
     np.testing.assert_allclose(float(slope[place]), (moved(step) - moved(-step)) / (2 * step), rtol=0.05)
@@ -125,15 +124,15 @@ def test_its_slope_is_that_of_finite_differences() -> None:
 
 def test_no_slope_reaches_the_normalisation_and_the_noise() -> None:
     lane = start()
-    slope = judged(lane.policy, lane.batch, QUICK.gradient.rounding_n).slope
-    assert not any(np.any(leaf) for leaf in jax.tree.leaves((slope.normalisation, slope.log_deviation)))
+    slope = judged(lane.policy, lane.env_state, QUICK.gradient.rounding_n).slope
+    assert not any(np.any(leaf) for leaf in jax.tree.leaves((slope.normalisation, slope.log_std)))
 
 
 def test_updates_lower_the_loss() -> None:
     """On average over four policies: which references a short run draws weighs nearly as much as what it learns."""
-    run, lanes, losses = _Run(StrokeFin(), QUICK, SEEDS, known()), loud(), []
-    for _ in range(QUICK.updates):
-        lanes, metrics = run.update(lanes)
+    run, lanes, losses = TrainingRun(StrokeFin(), QUICK, SEEDS, mapped()), loud(), []
+    for number in range(QUICK.num_updates):
+        lanes, metrics = run.update(lanes, number + 1)
         losses.append(np.asarray(metrics["loss"]))
     assert np.mean(losses[-5:]) < 0.85 * np.mean(losses[:5])
     assert {"loss", "error_x_n", "error_y_n", "reward", "gradient_norm"} <= set(metrics)
@@ -142,14 +141,14 @@ def test_updates_lower_the_loss() -> None:
 def test_a_loss_of_rounded_errors_is_the_plain_one_less_at_most_the_rounding() -> None:
     """sqrt(e^2 + r^2) - r lies between e - r and e."""
     lane = start()
-    plain, rounded = (float(judged(lane.policy, lane.batch, by).loss) for by in (1e-6, QUICK.gradient.rounding_n))
+    plain, rounded = (float(judged(lane.policy, lane.env_state, by).loss) for by in (1e-6, QUICK.gradient.rounding_n))
     assert plain - 2 * QUICK.gradient.rounding_n <= rounded < plain
 
 
 def test_the_loss_is_the_reward_of_the_task_but_for_the_rounding() -> None:
     """The reward of each action is what PPO's rollout collects; here its weights all differ."""
     lane = start()
-    got = judged(lane.policy, lane.batch, 1e-6, (2.0, 0.5), (0.3, 0.05))
+    got = judged(lane.policy, lane.env_state, 1e-6, (2.0, 0.5), (0.3, 0.05))
     assert float(got.reward) < -0.1
     np.testing.assert_allclose(-float(got.loss), float(got.reward), rtol=1e-5)
 
@@ -213,7 +212,7 @@ def test_a_plant_that_fails_is_an_error_and_not_trained_by_another_algorithm(
     plant: Plant, error: type[Exception], message: str
 ) -> None:
     with pytest.raises(error, match=message):
-        starting(plant)
+        choose_preset(plant)
 
 
 @pytest.mark.parametrize("failure", [jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: 9 GiB"), MemoryError()])
@@ -225,7 +224,7 @@ def test_a_want_of_memory_is_an_error_and_not_trained_by_another_algorithm(
 
     monkeypatch.setattr(beat, "_respond", exhausted)
     with pytest.raises(RunError, match=r"^StrokeFin: .*(9 GiB|no memory left); --algorithm ppo trains without gradien"):
-        starting(StrokeFin())
+        choose_preset(StrokeFin())
 
 
 def test_ctrl_c_is_no_missing_gradient(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -252,13 +251,13 @@ def test_the_gradient_is_compiled_once_for_all_who_ask() -> None:
     assert 0 < calls[1] < calls[0]
 
 
-def trained(folder: Path, resume: bool = False, progress: Any = None) -> Trained:
+def trained(folder: Path, resume: bool = False, progress: Any = None) -> TrainingResult:
     workspace = Workspace(folder / "out", {"of": "this"}, resume=resume)
     return train(StrokeFin(), QUICK, SEEDS, workspace, progress)
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Trained:
+def whole(tmp_path_factory: pytest.TempPathFactory) -> TrainingResult:
     return trained(tmp_path_factory.mktemp("whole"))
 
 
@@ -267,7 +266,7 @@ class Cut(Exception):
 
 
 def test_a_run_that_was_stopped_twice_ends_with_the_weights_of_one_that_never_was(
-    whole: Trained, tmp_path: Path
+    whole: TrainingResult, tmp_path: Path
 ) -> None:
     """Once between the map and the first checkpoint, once between two checkpoints."""
 
@@ -285,17 +284,17 @@ def test_a_run_that_was_stopped_twice_ends_with_the_weights_of_one_that_never_wa
     resumed = trained(tmp_path, True, lambda stage, done, note: stages.append(stage))
 
     jax.tree.map(np.testing.assert_array_equal, resumed.policies, whole.policies)
-    jax.tree.map(np.testing.assert_array_equal, resumed.score, whole.score)
+    jax.tree.map(np.testing.assert_array_equal, resumed.evaluation, whole.evaluation)
     assert "map" not in stages
-    assert resumed.known is not None
-    assert whole.known is not None
-    jax.tree.map(np.testing.assert_array_equal, resumed.known, whole.known)
+    assert resumed.force_map is not None
+    assert whole.force_map is not None
+    jax.tree.map(np.testing.assert_array_equal, resumed.force_map, whole.force_map)
 
 
-def test_a_run_knows_what_the_fin_can_do_over_its_cells(whole: Trained) -> None:
-    assert whole.known is not None
+def test_a_run_knows_what_the_fin_can_do_over_its_cells(whole: TrainingResult) -> None:
+    assert whole.force_map is not None
     assert WITHIN.box is not None
-    table = whole.known.found.table
+    table = whole.force_map.gaits.table
     assert (np.asarray(table.low) <= np.array(WITHIN.box.low) + 1e-6).all()
     assert (np.asarray(table.high) >= np.array(WITHIN.box.high) - 1e-6).all()
     assert isinstance(whole.policies, Policy)
@@ -305,10 +304,10 @@ def test_the_table_reaches_over_all_that_is_taught() -> None:
     """Also over what lies beyond the cells by the margin."""
     wide = QUICK.changed(("margin_n=0.25",))
     assert WITHIN.box is not None
-    assert taught_box(wide) == WITHIN.box.grown(0.25)
-    check(StrokeFin(), QUICK, (0,), known())
+    assert wide.training_range == WITHIN.box.expanded(0.25)
+    check(StrokeFin(), QUICK, (0,), mapped())
     with pytest.raises(ConfigurationError, match=r"map of x 0.5 .. 1.5, y -0.5 .. 0.5 N: its gaits do not reach over"):
-        check(StrokeFin(), wide, (0,), known())
+        check(StrokeFin(), wide, (0,), mapped())
 
 
 def test_a_box_of_ones_own_for_the_table_is_refused() -> None:
@@ -318,13 +317,13 @@ def test_a_box_of_ones_own_for_the_table_is_refused() -> None:
 
 
 def test_a_run_begins_from_gradients_where_the_plant_has_them() -> None:
-    assert starting(StrokeFin(), "single") == (GRADIENT_SINGLE, "gradient, as the plant has gradients")
-    assert starting(Numb()) == (GRID, "ppo, as the plant has no gradient: its slope is 0 throughout")
-    assert starting(StrokeFin(), "grid", "ppo") == (GRID, "ppo, as asked")
+    assert choose_preset(StrokeFin(), "single") == (GRADIENT_SINGLE, "gradient, as the plant has gradients")
+    assert choose_preset(Numb()) == (GRID, "ppo, as the plant has no gradient: its slope is 0 throughout")
+    assert choose_preset(StrokeFin(), "grid", "ppo") == (GRID, "ppo, as asked")
 
 
 def test_policies_of_a_grid_are_trained_for_all_that_they_hold() -> None:
-    for config in STARTS.values():
+    for config in TRAIN_PRESETS.values():
         assert config.controller == "single" or config.switching.margin_n <= config.margin_n
 
 
@@ -334,9 +333,17 @@ SEVERAL = TrainConfig(task=TaskConfig(reward=RewardConfig(disagreement=0.5)))
 @pytest.mark.parametrize(
     ("config", "plant", "message"),
     [
-        (SEVERAL, StrokeFin(), "task.reward.disagreement = 0.5: the plant is no ensemble of two members or more"),
-        (TrainConfig(ensemble="each"), StrokeFin(), "ensemble = each: the plant is no ensemble of two members or more"),
-        (SEVERAL.changed(("ensemble=each",)), streaming.surrogate(), "a fin that is one member .* disagrees with none"),
+        (SEVERAL, StrokeFin(), "task.reward.disagreement = 0.5: the plant is not an ensemble of two members or more"),
+        (
+            TrainConfig(ensemble="each"),
+            StrokeFin(),
+            "ensemble = each: the plant is not an ensemble of two members or more",
+        ),
+        (
+            SEVERAL.changed(("ensemble=each",)),
+            streaming.surrogate(),
+            "no members disagree where each fin is one of them",
+        ),
     ],
 )
 def test_what_only_an_ensemble_can_do_is_refused_without_one(config: TrainConfig, plant: Plant, message: str) -> None:
@@ -351,8 +358,48 @@ def test_an_ensemble_takes_what_only_it_can_do() -> None:
 
 def test_references_are_scored_at_the_nearest_force_that_the_fin_can_make() -> None:
     round_the_origin = Reachable(np.zeros(2, np.float32), np.ones(64, np.float32))
-    at = held(GRID, round_the_origin)
+    at = GRID.evaluation_references(round_the_origin)
     assert at.shape == (6, 1, 2)
     for place, (x, y) in zip(at[:, 0], PAPER_REFERENCES, strict=True):
         np.testing.assert_allclose(place, round_the_origin.nearest((x, y)), atol=1e-5)
         assert np.hypot(*place) == pytest.approx(1, abs=3e-3)
+
+
+class Twins(StrokeFin):
+    """An ensemble of one's own: two fins, the second with half the force of the first."""
+
+    size = 2
+
+    class Interval:
+        def half_width(self, means: Any) -> Any:
+            return 2 * means.std(axis=0)
+
+        def caveat(self) -> str | None:
+            return None
+
+    interval = Interval()
+
+    def member(self, index: Any) -> Plant:
+        return StrokeFin(gain=self.gain / (1 + index))
+
+    def advance_members(self, state: Any, command: Command, ticks: int) -> Any:
+        after, reading = super().advance(state, command, ticks)
+        each = jax.tree.map(lambda x: jnp.stack([x, x]), reading)
+        return after, each._replace(force=jnp.stack([reading.force, reading.force / 2]))
+
+    def advance(self, state: Any, command: Command, ticks: int) -> Any:
+        after, each = self.advance_members(state, command, ticks)
+        return after, jax.tree.map(lambda x: x.mean(axis=0), each)
+
+    def distance(self, state: Any) -> Any:
+        return jnp.float32(2)
+
+
+@pytest.mark.parametrize("change", ["ensemble=each", "task.reward.disagreement=0.5"])
+def test_an_ensemble_of_ones_own_takes_what_only_an_ensemble_can_do(change: str, tmp_path: Path) -> None:
+    assert isinstance(Twins(), EnsemblePlant)
+    assert isinstance(jit_argument(Twins()), EnsemblePlant)
+    config = QUICK.changed((change, "steps=24", "num_evaluations=1", "gradient.warm_start=false"))
+    result = train(Twins(), config, (0,), Workspace(tmp_path / "out", {}))
+    assert np.isfinite(result.evaluation.error).all()
+    np.testing.assert_array_equal(result.evaluation.out_of_distribution_fraction, 1)

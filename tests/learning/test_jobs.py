@@ -12,7 +12,8 @@ from softfin.gaits.reachable import Reachable
 from softfin.learning import jobs
 from softfin.learning.engine import LocalEngine
 from softfin.learning.jobs import default_split, jobs_of, train_jobs
-from softfin.learning.train import Trained, train
+from softfin.learning.run import TrainingResult
+from softfin.learning.train import train
 from softfin.storage.run_directory import CHECKPOINT, read_log
 from softfin.task.references import PAPER_RANGE
 from tests.learning.ray_cluster import SEEDS, SMALL, alike, workspace
@@ -23,13 +24,13 @@ ONE_CELL = SMALL.model_copy(update={"cells": SMALL.cells[:1]})
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Trained:
+def whole(tmp_path_factory: pytest.TempPathFactory) -> TrainingResult:
     """Both cells, of the first seed."""
     return train(AnalyticFin(), SMALL, (0,), workspace(tmp_path_factory.mktemp("whole"), seeds=(0,)))
 
 
 @pytest.fixture(scope="module")
-def by_cell(tmp_path_factory: pytest.TempPathFactory) -> Trained:
+def by_cell(tmp_path_factory: pytest.TempPathFactory) -> TrainingResult:
     return train_jobs(AnalyticFin(), SMALL, SEEDS, workspace(tmp_path_factory.mktemp("cells")), split="cell")
 
 
@@ -48,13 +49,15 @@ def test_the_usual_split_is_one_program_here_and_seeds_or_cells_elsewhere(engine
     assert default_split(engine, seeds) == split
 
 
-def test_one_job_is_the_run_itself(whole: Trained, tmp_path: Path):
+def test_one_job_is_the_run_itself(whole: TrainingResult, tmp_path: Path):
     space = workspace(tmp_path, seeds=(0,))
     alike(train_jobs(AnalyticFin(), SMALL, (0,), space), whole)
     assert (space.folder / CHECKPOINT).is_file()
 
 
-def test_jobs_of_single_cells_learn_what_the_whole_learns_but_for_rounding(whole: Trained, by_cell: Trained):
+def test_jobs_of_single_cells_learn_what_the_whole_learns_but_for_rounding(
+    whole: TrainingResult, by_cell: TrainingResult
+):
     assert by_cell.seeds == SEEDS
     assert by_cell.config == whole.config
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a[:1], b, atol=1e-3), by_cell.policies, whole.policies)
@@ -74,7 +77,7 @@ class Cut(Exception):
     """The power goes."""
 
 
-def test_a_run_stopped_in_its_second_job_goes_on_there_and_ends_the_same(by_cell: Trained, tmp_path: Path):
+def test_a_run_stopped_in_its_second_job_goes_on_there_and_ends_the_same(by_cell: TrainingResult, tmp_path: Path):
     notes = []
 
     def cut(stage: str, done: float, note: str) -> None:
@@ -89,7 +92,7 @@ def test_a_run_stopped_in_its_second_job_goes_on_there_and_ends_the_same(by_cell
     alike(resumed, by_cell)
     assert not any(note.startswith("seed-0-cell-0") for _, _, note in notes)
     again = [done for _, done, note in notes if note.startswith("seed-0-cell-1")]
-    assert 0 < len(again) < SMALL.updates
+    assert 0 < len(again) < SMALL.num_updates
     assert notes[-1][:2] == ("train grid", 1.0)
 
 
@@ -100,7 +103,9 @@ class Distant(LocalEngine):
         return super().map(stage, work, {name: part._replace(token="another") for name, part in parts.items()}, None)
 
 
-def test_what_was_learnt_on_a_disk_of_its_own_comes_home_with_its_log_and_checkpoint(by_cell: Trained, tmp_path: Path):
+def test_what_was_learnt_on_a_disk_of_its_own_comes_home_with_its_log_and_checkpoint(
+    by_cell: TrainingResult, tmp_path: Path
+):
     space = workspace(tmp_path)
     alike(train_jobs(AnalyticFin(), SMALL, SEEDS, space, engine=Distant(), split="cell"), by_cell)
     for name in jobs_of(SMALL, SEEDS, "cell"):
@@ -119,13 +124,13 @@ def test_the_fin_is_mapped_once_over_all_cells_for_all_jobs(monkeypatch: pytest.
     asked, given = [], []
     found = empty_map(MapConfig(box=PAPER_RANGE).lattice(Reachable(np.zeros(2), np.ones(8))), 8)
 
-    def remembered(*arguments, known, start):
-        given.append(known)
+    def remembered(*arguments, force_map, start):
+        given.append(force_map)
         return train(*arguments)
 
-    monkeypatch.setattr(jobs, "mapped", lambda plant, config, *_: asked.append(config.cells) or found)
+    monkeypatch.setattr(jobs, "find_map", lambda plant, config, *_: asked.append(config.cells) or found)
     monkeypatch.setattr(jobs, "train", remembered)
     trained = train_jobs(AnalyticFin(), SMALL, (0,), workspace(tmp_path), split="cell")
     assert asked == [SMALL.cells]
     assert len(given) == 2
-    assert all(known is found for known in (*given, trained.known))
+    assert all(force_map is found for force_map in (*given, trained.force_map))

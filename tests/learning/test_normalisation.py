@@ -27,7 +27,7 @@ def samples(seed: int, rows: int, mean: float = 3.0, deviation: float = 2.0) -> 
 
 def test_nothing_is_changed_at_the_start() -> None:
     x = samples(0, 5)
-    read, undone = jax.jit(lambda x: (Normalisation.create(4)(x), Normalisation.create(4).undone(x)))(x)
+    read, undone = jax.jit(lambda x: (Normalisation.create(4)(x), Normalisation.create(4).inverse(x)))(x)
     np.testing.assert_array_equal(read, x)
     np.testing.assert_array_equal(undone, x)
 
@@ -41,7 +41,7 @@ def test_batches_give_the_statistics_of_all_their_vectors(sizes: list[int], mean
         normalisation = updated(normalisation, batch)
     together = np.concatenate(batches)
     np.testing.assert_allclose(normalisation.mean, together.mean(axis=0), rtol=1e-3, atol=1e-3)
-    np.testing.assert_allclose(normalisation.deviation, together.std(axis=0), rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(normalisation.std, together.std(axis=0), rtol=1e-3, atol=1e-3)
     assert float(normalisation.count) == len(together)
 
 
@@ -52,7 +52,7 @@ def test_what_was_normalised_comes_back_and_has_mean_0_and_deviation_1() -> None
     def there_and_back(x: Any) -> Any:
         normalisation = Normalisation.create(4).updated(x)
         y = normalisation(x)
-        return y, normalisation.undone(y)
+        return y, normalisation.inverse(y)
 
     y, again = map(np.asarray, there_and_back(x))
     np.testing.assert_allclose(y.mean(axis=0), 0, atol=1e-4)
@@ -78,11 +78,11 @@ def test_no_gradient_reaches_the_statistics_of_a_policy_and_all_weights_have_one
     def loss(policy: Policy) -> jax.Array:
         memory, action = policy.act(policy.init(), jnp.ones(4))
         mean = policy.sequence(policy.init(), jnp.asarray(samples(5, 6)), jnp.zeros(6, bool))
-        return action.sum() + mean.sum() + policy.log_density(mean, mean + 1).sum() + memory.hidden.sum()
+        return action.sum() + mean.sum() + policy.log_prob(mean, mean + 1).sum() + memory.hidden.sum()
 
-    slope = jax.jit(lambda policy, seen: jax.grad(loss)(policy.having_seen(seen)))(create(), samples(4, 20))
+    slope = jax.jit(lambda policy, seen: jax.grad(loss)(policy.update_statistics(seen)))(create(), samples(4, 20))
     assert not any(np.any(leaf) for leaf in jax.tree.leaves(slope.normalisation))
-    assert all(np.any(leaf) for leaf in jax.tree.leaves((slope.net, slope.log_deviation)))
+    assert all(np.any(leaf) for leaf in jax.tree.leaves((slope.net, slope.log_std)))
 
 
 def test_a_policy_reads_its_observations_normalised_step_by_step_as_in_sequence() -> None:
@@ -90,7 +90,7 @@ def test_a_policy_reads_its_observations_normalised_step_by_step_as_in_sequence(
 
     @jax.jit
     def said(fresh: Policy, x: Any, scaled: Any) -> Any:
-        policy = fresh.having_seen(x)
+        policy = fresh.update_statistics(x)
         along = policy.sequence(policy.init(), x, jnp.zeros(20, bool))
         return policy.step(policy.init(), x[0])[1], fresh.step(fresh.init(), scaled)[1], along[0]
 
@@ -104,8 +104,8 @@ def test_a_critic_says_the_same_in_its_new_unit_and_learns_in_it() -> None:
 
     @jax.jit
     def said(critic: Critic, seen: Any, target: Any) -> Any:
-        turned = critic.having_seen(seen, target, 1000)
-        same_inputs = eqx.tree_at(lambda c: c.reads, turned, critic.reads)
+        turned = critic.update_statistics(seen, target, 1000)
+        same_inputs = eqx.tree_at(lambda c: c.inputs, turned, critic.inputs)
         return critic(seen), same_inputs(seen), turned(seen), turned.loss(seen, target)
 
     before, same_inputs, turned, loss = map(np.asarray, said(create_critic(), seen, target))
@@ -118,8 +118,8 @@ def test_no_gradient_reaches_the_statistics_of_a_critic() -> None:
 
     @jax.jit
     def slope_of(critic: Critic, seen: Any, target: Any) -> Any:
-        return jax.grad(lambda critic: critic.loss(seen, target))(critic.having_seen(seen, target, 100))
+        return jax.grad(lambda critic: critic.loss(seen, target))(critic.update_statistics(seen, target, 100))
 
     slope = slope_of(create_critic(), seen, target)
-    assert not any(np.any(leaf) for leaf in jax.tree.leaves((slope.reads, slope.says)))
+    assert not any(np.any(leaf) for leaf in jax.tree.leaves((slope.inputs, slope.values)))
     assert all(np.any(leaf) for leaf in jax.tree.leaves(slope.layers))

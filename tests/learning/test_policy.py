@@ -48,26 +48,24 @@ def test_the_density_is_that_of_a_normal_distribution(policy: Policy) -> None:
     policy = Policy(policy.net, jnp.log(jnp.float32(deviation)), policy.normalisation)
     mean, raw = np.array([0.3, -1.0]), np.array([0.1, 0.7])
     density = np.exp(-0.5 * ((raw - mean) / deviation) ** 2) / (deviation * np.sqrt(2 * np.pi))
-    np.testing.assert_allclose(
-        policy.log_density(jnp.float32(mean), jnp.float32(raw)), np.log(density).sum(), rtol=1e-5
-    )
+    np.testing.assert_allclose(policy.log_prob(jnp.float32(mean), jnp.float32(raw)), np.log(density).sum(), rtol=1e-5)
     entropy = np.log(deviation * np.sqrt(2 * np.pi * np.e)).sum()
-    np.testing.assert_allclose(policy.entropy(), entropy, rtol=1e-5)
+    np.testing.assert_allclose(policy.action_entropy(), entropy, rtol=1e-5)
 
 
 def test_weights_and_normalisation_go_by_name_and_come_back(policy: Policy) -> None:
     seen = np.random.default_rng(2).normal(size=(5, 11)).astype(np.float32)
-    policy = jax.jit(Policy.having_seen)(policy, seen)
+    policy = jax.jit(Policy.update_statistics)(policy, seen)
     arrays = weights(policy)
     assert {"net.lstm.kernel", "net.output.bias", "log_deviation", "normalisation.mean"} <= set(arrays)
-    again = Policy.of(CONFIG, 11, arrays, "here")
+    again = Policy.from_arrays(CONFIG, 11, arrays, "here")
     jax.tree.map(np.testing.assert_array_equal, again, policy)
 
 
 def test_many_policies_are_one_stack(policy: Policy) -> None:
     stacked = jax.tree.map(lambda x: np.multiply.outer(np.float32([1, 2, 3]), np.asarray(x)), policy)
-    again = Policy.of(CONFIG, 11, weights(stacked), "here")
-    assert again.log_deviation.shape == (3, 2)
+    again = Policy.from_arrays(CONFIG, 11, weights(stacked), "here")
+    assert again.log_std.shape == (3, 2)
 
 
 @pytest.mark.parametrize(
@@ -83,4 +81,4 @@ def test_weights_that_do_not_fit_are_refused(policy: Policy, change: Any, messag
     arrays = weights(policy)
     change(arrays)
     with pytest.raises(ArtifactError, match=message):
-        Policy.of(CONFIG, 11, arrays, "here")
+        Policy.from_arrays(CONFIG, 11, arrays, "here")

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import ConfigurationError
+from softfin.learning.learner import AgentState
 from softfin.learning.lstm import Memory, cleared
 from softfin.learning.policy import ActorCritic, Policy
-from softfin.learning.ppo import PPO, Lane, Lesson, PPOConfig
-from softfin.learning.rollout import Batch, Rollout, collect
-from softfin.learning.score import score
+from softfin.learning.ppo import PPO, PPOConfig
+from softfin.learning.rollout import EnvState, Rollout, collect, evaluate_policy
 from softfin.task.references import References
 from tests.learning.probes import PROBES, AnyProbe, Delayed, Direct, Late, Probe, Recall, Still, box, learner
 
@@ -30,8 +30,8 @@ class Playing(Policy):
     def step(self, memory: Memory, observation: Any) -> Any:
         return Policy.step(self, cleared(memory, self.forgets > 0), self._seen(observation))
 
-    def sequence(self, memory: Memory, observation: Any, fresh: Any) -> Any:
-        return Policy.sequence(self, memory, self._seen(observation), fresh | (self.forgets > 0))
+    def sequence(self, memory: Memory, observation: Any, is_first: Any) -> Any:
+        return Policy.sequence(self, memory, self._seen(observation), is_first | (self.forgets > 0))
 
     def _seen(self, observation: Any) -> Any:
         return jnp.where(self.blind > 0, observation.at[..., 3:].set(0), observation)
@@ -76,13 +76,11 @@ class CasePPO(PPO):
     def of(cls, case: Case) -> "CasePPO":
         plain = learner(AnyProbe(case.probe), updates=60, episode=ACTIONS, discount=0.5, averaging=3.0)
         config = plain.config.model_copy(update={"learning_rate": case.learning_rate})
-        return cls(plain.task, config, plain.policy, plain.updates)
+        return cls(plain.task, config, plain.policy, plain.num_updates)
 
-    def begun(self, case: Case, key: Any) -> Lane:
+    def begun(self, case: Case, key: Any) -> AgentState:
         lane = PPO.init(self, key, case.references)
-        policy = Playing(
-            lane.policy.net, lane.policy.log_deviation, lane.policy.normalisation, case.blind, case.forgets
-        )
+        policy = Playing(lane.policy.net, lane.policy.log_std, lane.policy.normalisation, case.blind, case.forgets)
         networks = ActorCritic(policy, lane.networks.critic)
         return lane._replace(networks=networks, policy=policy, optimiser=self._optimiser().init(networks))
 
@@ -93,24 +91,24 @@ update = jax.jit(jax.vmap(lambda case, lane: CasePPO.of(case).update(lane)[0]))
 
 @jax.jit
 @jax.vmap
-def played(case: Case, lane: Lane, batch: Batch, key: Any) -> tuple[Rollout, Any]:
+def played(case: Case, lane: AgentState, environments: EnvState, key: Any) -> tuple[Rollout, Any]:
     """A rollout, and what the critic says along it."""
-    rollout = collect(CasePPO.of(case).task, lane.networks.policy, batch, key, ACTIONS // 3)[1]
-    return rollout, lane.networks.critic(rollout.seen)
+    rollout = collect(CasePPO.of(case).task, lane.networks.policy, environments, key, ACTIONS // 3)[1]
+    return rollout, lane.networks.critic(rollout.privileged_observation)
 
 
 @jax.jit
 @jax.vmap
-def from_rest(case: Case, batch: Batch) -> Batch:
-    again = jax.vmap(CasePPO.of(case).task.reset)(batch.states.key, batch.states.references)
-    return batch._replace(states=again, fresh=jnp.ones_like(batch.fresh))
+def from_rest(case: Case, now: EnvState) -> EnvState:
+    again = jax.vmap(CasePPO.of(case).task.reset)(now.states.key, now.states.references)
+    return now._replace(states=again, is_first=jnp.ones_like(now.is_first))
 
 
 @jax.jit
 @jax.vmap
 def errors(case: Case, policy: Policy) -> Any:
     """Deterministic, for each reference 16 fins with keys of their own."""
-    return score(CasePPO.of(case).task, policy, jnp.repeat(case.at, 16, axis=0), jax.random.key(7)).error
+    return evaluate_policy(CasePPO.of(case).task, policy, jnp.repeat(case.at, 16, axis=0), jax.random.key(7)).error
 
 
 def of(name: str, values: Any) -> Any:
@@ -121,10 +119,10 @@ def of(name: str, values: Any) -> Any:
 class Learnt(NamedTuple):
     """All cases, lanes of one run."""
 
-    before: Lane
-    after: Lane
+    before: AgentState
+    after: AgentState
     """After the first update."""
-    end: Lane
+    end: AgentState
     rollout: Rollout
     """That the first update learnt from."""
 
@@ -137,7 +135,7 @@ def learnt() -> Learnt:
     after = end = update(LANES, before)
     for _ in range(59):
         end = update(LANES, end)
-    return Learnt(before, after, end, played(LANES, before, before.batch, play)[0])
+    return Learnt(before, after, end, played(LANES, before, before.env_state, play)[0])
 
 
 @pytest.fixture(scope="module")
@@ -148,7 +146,7 @@ def scored(learnt: Learnt) -> Any:
 @pytest.fixture(scope="module")
 def values(learnt: Learnt) -> np.ndarray:
     """What the critic says along an episode, mean over the fins."""
-    batch = from_rest(LANES, learnt.end.batch)
+    batch = from_rest(LANES, learnt.end.env_state)
     return np.asarray(played(LANES, learnt.end, batch, learnt.end.key)[1].mean(axis=2))
 
 
@@ -186,23 +184,8 @@ def test_the_policy_reads_in_units_of_what_its_fins_observed(learnt: Learnt) -> 
     for policy in (learnt.after.networks.policy, learnt.after.policy):
         normalisation = of("direct", policy.normalisation)
         np.testing.assert_allclose(normalisation.mean, seen.mean(axis=0), atol=1e-3)
-        np.testing.assert_allclose(normalisation.deviation, seen.std(axis=0), atol=1e-3)
+        np.testing.assert_allclose(normalisation.std, seen.std(axis=0), atol=1e-3)
         assert float(normalisation.count) == len(seen)
-
-
-def test_without_normalisation_nothing_is_scaled() -> None:
-    """By what was seen and said; that no gradient reaches the statistics is said in test_normalisation.py."""
-
-    class Idle(PPO):
-        def _learn(self, lane: Lane, lesson: Lesson, key: Any) -> Any:
-            return lane.networks, lane.policy, lane.optimiser, {}
-
-    plain = learner(Direct(), updates=4, episode=3, rollout_actions=3, normalise=False)
-    ppo = Idle(plain.task, plain.config, plain.policy, plain.updates)
-    lane = jax.jit(lambda key: ppo.update(ppo.init(key, box((1, 1), (2, 2))))[0])(jax.random.key(0))
-    for normalisation in (lane.policy.normalisation, lane.networks.critic.reads, lane.networks.critic.says):
-        assert not np.any(normalisation.mean)
-        np.testing.assert_array_equal(normalisation.deviation, 1)
 
 
 def test_the_kept_policy_lies_between_where_it_was_and_where_learning_is(learnt: Learnt) -> None:
@@ -213,19 +196,24 @@ def test_the_kept_policy_lies_between_where_it_was_and_where_learning_is(learnt:
 
 def test_learning_rate_and_entropy_fall_linearly_over_the_run() -> None:
     config = PPOConfig(
-        epochs=3, minibatches=2, learning_rate=0.4, final_learning_rate=0.1, entropy=0.1, final_entropy=0.2
+        num_epochs=3,
+        num_minibatches=2,
+        learning_rate=0.4,
+        final_learning_rate=0.1,
+        entropy_coef=0.1,
+        final_entropy_coef=0.2,
     )
     np.testing.assert_allclose([config.learning_rates(10)(step) for step in (0, 30, 60, 99)], [0.4, 0.22, 0.04, 0.04])
-    np.testing.assert_allclose([config.entropies(10)(update) for update in (0, 5, 10, 20)], [0.1, 0.06, 0.02, 0.02])
+    np.testing.assert_allclose([config.entropy_coefs(10)(update) for update in (0, 5, 10, 20)], [0.1, 0.06, 0.02, 0.02])
 
 
 def test_entropy_is_rewarded_with_its_weight(learnt: Learnt) -> None:
     @jax.jit
-    def slope(lane: Lane, rollout: Rollout, weight: Any) -> Any:
+    def slope(lane: AgentState, rollout: Rollout, weight: Any) -> Any:
         ppo = CasePPO.of(CASES["direct"])
-        lesson, _ = ppo.lesson(lane.networks.critic, rollout)
-        found = jax.grad(lambda n: ppo.loss(n, lesson, lane.batch.memories, weight)[0])(lane.networks)
-        return found.policy.log_deviation
+        batch, _ = ppo.batch(lane.networks.critic, rollout)
+        found = jax.grad(lambda n: ppo.loss(n, batch, lane.env_state.memories, weight)[0])(lane.networks)
+        return found.policy.log_std
 
     before, rollout = of("direct", learnt.before), of("direct", learnt.rollout)
     with_it, without = (np.asarray(slope(before, rollout, jnp.float32(w))) for w in (0.3, 0.0))
@@ -233,5 +221,5 @@ def test_entropy_is_rewarded_with_its_weight(learnt: Learnt) -> None:
 
 
 def test_minibatches_of_unequal_size_are_refused() -> None:
-    with pytest.raises(ConfigurationError, match=r"environments = 10 do not make 4 equal minibatches"):
-        PPOConfig.build({"environments": 10, "minibatches": 4})
+    with pytest.raises(ConfigurationError, match=r"num_envs = 10 do not make 4 equal minibatches"):
+        PPOConfig.build({"num_envs": 10, "num_minibatches": 4})

@@ -1,7 +1,5 @@
 """Refinement: the worst cells are split, nothing is lost, and the parts begin with their parent's policy."""
 
-from typing import Any, NamedTuple
-
 import jax
 import numpy as np
 import pytest
@@ -9,27 +7,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from softfin.core.errors import ConfigurationError
+from softfin.learning.configuration import GRADIENT_GRID
 from softfin.learning.policy import Policy, PolicyConfig
-from softfin.learning.refine import begun_from, cell_errors, inherited, refine, split
-from softfin.learning.refinement import check_refinable
-from softfin.learning.train import GRADIENT_GRID
+from softfin.learning.refine import check_refinable, inherited, refine
 from softfin.task.cells import check_cells, lattice
-from softfin.task.references import PAPER_RANGE, Cell
+from softfin.task.references import PAPER_RANGE
 
 FOUR = lattice(2, 2, PAPER_RANGE)
 ERROR = np.array([[0.1, 0.1], [0.5, 0.2], [0.2, 0.1], [0.1, 0.4]])
-
-
-class Carried(NamedTuple):
-    """What an algorithm may carry; its policy is deeper within."""
-
-    inner: Any
-    steps: Any
-
-    @property
-    def policy(self) -> Policy:
-        policy: Policy = self.inner["nets"]
-        return policy
 
 
 def stacked(seeds: int, cells: int) -> Policy:
@@ -53,11 +38,6 @@ def test_what_is_left_of_the_budget_splits_in_two_across_the_axis_of_the_greater
     assert refined.cells[5:7] == lattice(2, 1, FOUR[2])
 
 
-def test_cells_within_the_tolerance_stay_whole() -> None:
-    assert refine(FOUR, ERROR, 100, tolerance_n=0.2).parents == (0, 1, 1, 1, 1, 2, 3, 3, 3, 3)
-    assert refine(FOUR, ERROR, 100, tolerance_n=0.4).cells == FOUR
-
-
 def test_a_cell_whose_error_is_no_number_counts_as_the_worst() -> None:
     error = ERROR.copy()
     error[2] = np.inf
@@ -75,23 +55,6 @@ def test_a_finer_grid_covers_the_same_references_once(more: int, errors: list[fl
         assert cells[parent].distance(cell.low) == cells[parent].distance(cell.high) == 0
 
 
-def test_no_cells_to_add_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match="--refine 0: no cells to add; give 1 or more"):
-        refine(FOUR, ERROR, 0)
-
-
-def test_halves_touch_in_the_middle() -> None:
-    assert split(Cell(low=(0, 0), high=(2, 4)), (1,)) == (
-        Cell(low=(0, 0), high=(2, 2)),
-        Cell(low=(0, 2), high=(2, 4)),
-    )
-
-
-def test_the_error_of_a_cell_is_the_mean_over_seeds_and_references() -> None:
-    error = np.arange(2 * 3 * 4 * 2, dtype=float).reshape(2, 3, 4, 2)
-    np.testing.assert_allclose(cell_errors(error)[1], error[:, 1].reshape(-1, 2).mean(axis=0))
-
-
 def test_each_part_begins_with_its_parents_policy_seed_by_seed() -> None:
     policies = stacked(2, 4)
     handed = inherited(policies, refine(FOUR, ERROR, 3).parents)
@@ -100,14 +63,6 @@ def test_each_part_begins_with_its_parents_policy_seed_by_seed() -> None:
     for seed in range(2):
         for child, parent in enumerate((0, 1, 1, 1, 1, 2, 3)):
             np.testing.assert_array_equal(kernel[seed, child], before[seed, parent])
-
-
-def test_lanes_of_any_algorithm_go_on_from_the_policies_that_they_are_given() -> None:
-    handed = inherited(stacked(2, 4), (0, 1, 1, 2, 3))
-    lanes = Carried({"nets": jax.tree.map(lambda x: np.zeros((10, *x.shape[2:])), handed)}, np.arange(10))
-    begun = begun_from(lanes, handed)
-    np.testing.assert_array_equal(begun.policy.net.lstm.kernel[7], handed.net.lstm.kernel[1, 2])
-    np.testing.assert_array_equal(begun.steps, lanes.steps)
 
 
 def test_more_cells_than_splitting_each_once_gives_are_refused() -> None:

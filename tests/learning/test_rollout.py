@@ -6,9 +6,10 @@ import jax
 import numpy as np
 import pytest
 
+from softfin.learning.learner import AgentState
 from softfin.learning.lstm import Memory
 from softfin.learning.policy import ActorCritic, Policy
-from softfin.learning.ppo import PPO, Lane
+from softfin.learning.ppo import PPO
 from softfin.learning.rollout import Rollout, collect
 from tests.learning.probes import box, learner
 from tests.plants import AnalyticFin
@@ -17,83 +18,89 @@ BOX = box((1, -1), (3, 1))
 
 
 @pytest.fixture(scope="module")
-def lived() -> tuple[PPO, Lane, Lane, Rollout]:
+def lived() -> tuple[PPO, AgentState, AgentState, Rollout]:
     """A learner whose second rollout crosses resets."""
-    ppo = learner(AnalyticFin(), 3, environments=4, episode=12)
+    ppo = learner(AnalyticFin(), 3, num_envs=4, episode=12)
     start = jax.jit(ppo.init)(jax.random.key(0), BOX)
-    play = jax.jit(lambda lane, key: collect(ppo.task, lane.networks.policy, lane.batch, key, 4))
-    batch, first = play(start, jax.random.key(1))
-    policy = jax.jit(Policy.having_seen)(start.networks.policy, first.observation)
-    before = start._replace(batch=batch, networks=ActorCritic(policy, start.networks.critic))
-    batch, rollout = play(before, jax.random.key(2))
-    return ppo, before, before._replace(batch=batch), jax.tree.map(np.asarray, rollout)
+    play = jax.jit(lambda lane, key: collect(ppo.task, lane.networks.policy, lane.env_state, key, 4))
+    env_state, first = play(start, jax.random.key(1))
+    policy = jax.jit(Policy.update_statistics)(start.networks.policy, first.observation)
+    before = start._replace(env_state=env_state, networks=ActorCritic(policy, start.networks.critic))
+    env_state, rollout = play(before, jax.random.key(2))
+    return ppo, before, before._replace(env_state=env_state), jax.tree.map(np.asarray, rollout)
 
 
 def test_the_replay_of_a_rollout_gives_the_densities_it_was_lived_with(
-    lived: tuple[PPO, Lane, Lane, Rollout],
+    lived: tuple[PPO, AgentState, AgentState, Rollout],
 ) -> None:
     _, before, _, rollout = lived
-    assert rollout.fresh.any()
+    assert rollout.is_first.any()
     policy = before.networks.policy
 
     @jax.jit
     def replayed(policy: Policy, memories: Memory, rollout: Rollout) -> Any:
-        mean = jax.vmap(policy.sequence, (0, 1, 1), 1)(memories, rollout.observation, rollout.fresh)
-        return policy.log_density(mean, rollout.raw)
+        mean = jax.vmap(policy.sequence, (0, 1, 1), 1)(memories, rollout.observation, rollout.is_first)
+        return policy.log_prob(mean, rollout.pre_tanh_action)
 
-    density = replayed(policy, before.batch.memories, rollout)
-    np.testing.assert_allclose(density, rollout.log_density, atol=1e-4)
+    density = replayed(policy, before.env_state.memories, rollout)
+    np.testing.assert_allclose(density, rollout.log_prob, atol=1e-4)
 
 
 def test_episodes_are_cut_once_each_at_spread_times_and_only_at_the_end_of_a_cycle(
-    lived: tuple[PPO, Lane, Lane, Rollout],
+    lived: tuple[PPO, AgentState, AgentState, Rollout],
 ) -> None:
-    cut = np.asarray(lived[-1].cut)
+    cut = np.asarray(lived[-1].truncated)
     assert cut.sum(axis=0).tolist() == [1, 1, 1, 1]
     assert sorted(np.argmax(cut, axis=0)) == [2, 5, 8, 11]
 
 
-def test_a_reset_comes_right_after_a_cut_and_shows_a_fin_at_rest(lived: tuple[PPO, Lane, Lane, Rollout]) -> None:
+def test_a_reset_comes_right_after_a_cut_and_shows_a_fin_at_rest(
+    lived: tuple[PPO, AgentState, AgentState, Rollout],
+) -> None:
     rollout, after = lived[-1], lived[2]
-    np.testing.assert_array_equal(rollout.fresh[1:], rollout.cut[:-1])
-    np.testing.assert_array_equal(after.batch.fresh, rollout.cut[-1])
-    at_rest = rollout.observation[rollout.fresh]
+    np.testing.assert_array_equal(rollout.is_first[1:], rollout.truncated[:-1])
+    np.testing.assert_array_equal(after.env_state.is_first, rollout.truncated[-1])
+    at_rest = rollout.observation[rollout.is_first]
     np.testing.assert_allclose(at_rest[:, 0], 0)
     np.testing.assert_allclose(at_rest[:, 3:], np.tile([0.0, -1.0], (len(at_rest), 1)), atol=1e-6)
 
 
-def test_a_reset_clears_what_the_networks_remember(lived: tuple[PPO, Lane, Lane, Rollout]) -> None:
+def test_a_reset_clears_what_the_networks_remember(lived: tuple[PPO, AgentState, AgentState, Rollout]) -> None:
     _, before, _, rollout = lived
     policy = before.networks.policy
-    time, env = np.argwhere(np.asarray(rollout.fresh))[0]
+    time, env = np.argwhere(np.asarray(rollout.is_first))[0]
 
     @jax.jit
     def at_rest(policy: Policy, observation: Any, raw: Any) -> Any:
-        return policy.log_density(policy.step(policy.init(), observation)[1], raw)
+        return policy.log_prob(policy.step(policy.init(), observation)[1], raw)
 
-    density = at_rest(policy, rollout.observation[time, env], rollout.raw[time, env])
-    np.testing.assert_allclose(density, rollout.log_density[time, env], atol=1e-4)
+    density = at_rest(policy, rollout.observation[time, env], rollout.pre_tanh_action[time, env])
+    np.testing.assert_allclose(density, rollout.log_prob[time, env], atol=1e-4)
 
 
 def test_the_critic_sees_the_state_that_was_left_not_the_one_after_the_reset(
-    lived: tuple[PPO, Lane, Lane, Rollout],
+    lived: tuple[PPO, AgentState, AgentState, Rollout],
 ) -> None:
     rollout = lived[-1]
-    goes_on = ~np.asarray(rollout.cut)[:-1]
-    np.testing.assert_array_equal(rollout.seen_after[:-1][goes_on], rollout.seen[1:][goes_on])
+    goes_on = ~np.asarray(rollout.truncated)[:-1]
+    np.testing.assert_array_equal(
+        rollout.next_privileged_observation[:-1][goes_on], rollout.privileged_observation[1:][goes_on]
+    )
     part_of_window_that_counts = -4
-    left = np.asarray(rollout.seen_after)[np.asarray(rollout.cut)]
+    left = np.asarray(rollout.next_privileged_observation)[np.asarray(rollout.truncated)]
     assert np.all(left[:, part_of_window_that_counts] == 1)
-    assert np.all(np.asarray(rollout.seen)[np.asarray(rollout.fresh)][:, part_of_window_that_counts] == 0)
+    assert np.all(
+        np.asarray(rollout.privileged_observation)[np.asarray(rollout.is_first)][:, part_of_window_that_counts] == 0
+    )
 
 
-def test_all_environments_keep_to_the_33_33_34_clock(lived: tuple[PPO, Lane, Lane, Rollout]) -> None:
-    ages, ticks = lived[2].batch.states.age, lived[2].batch.states.plant.ticks
+def test_all_environments_keep_to_the_33_33_34_clock(lived: tuple[PPO, AgentState, AgentState, Rollout]) -> None:
+    ages, ticks = lived[2].env_state.states.age, lived[2].env_state.states.plant.ticks
     assert np.all(np.asarray(ages) % 3 == 0)
     assert np.all(np.asarray(ticks) % 100 == 0)
 
 
-def test_every_environment_has_its_own_reference(lived: tuple[PPO, Lane, Lane, Rollout]) -> None:
-    references = np.asarray(lived[2].batch.states.reference)
+def test_every_environment_has_its_own_reference(lived: tuple[PPO, AgentState, AgentState, Rollout]) -> None:
+    references = np.asarray(lived[2].env_state.states.reference)
     assert len(np.unique(references, axis=0)) == 4
     assert np.all((references >= [1, -1]) & (references <= [3, 1]))

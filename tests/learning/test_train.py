@@ -12,12 +12,14 @@ import pytest
 import safetensors
 
 from softfin.core.errors import ConfigurationError, RunError
+from softfin.gaits.reachable import Cell
+from softfin.learning.configuration import GRID, SINGLE, TrainConfig
 from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.ppo import PPOConfig
-from softfin.learning.score import Score
-from softfin.learning.train import GRID, SINGLE, TrainConfig, Trained, _Programs, _programs, _Run, train
+from softfin.learning.rollout import PolicyEvaluation
+from softfin.learning.run import Programs, TrainingResult, TrainingRun, programs_of
+from softfin.learning.train import train
 from softfin.storage.run_directory import CHECKPOINT, Workspace, read_log
-from softfin.task.references import Cell
 from softfin.task.task import TaskConfig
 from tests.plants import AnalyticFin, PlainFin
 from tests.surrogate.streaming import small as streaming
@@ -27,8 +29,8 @@ SMALL = TrainConfig(
     cells=(Cell.around((1, -1)), Cell.around((2, 0))),
     task=TaskConfig(episode_actions=12, reference_actions=12),
     policy=PolicyConfig(units=8, width=8),
-    ppo=PPOConfig(environments=4, rollout_actions=6, epochs=2, minibatches=2),
-    scorings=4,
+    ppo=PPOConfig(num_envs=4, num_steps=6, num_epochs=2, num_minibatches=2),
+    num_evaluations=4,
 )
 
 
@@ -36,7 +38,7 @@ class Cut(Exception):
     """The power goes."""
 
 
-def trained(folder: Path, seeds: tuple[int, ...] = (0,), config: TrainConfig = SMALL, **options: Any) -> Trained:
+def trained(folder: Path, seeds: tuple[int, ...] = (0,), config: TrainConfig = SMALL, **options: Any) -> TrainingResult:
     facts = {"configuration": config.model_dump(mode="json"), "seeds": list(seeds)}
     workspace = Workspace(folder / "out", facts, resume=options.pop("resume", False))
     return train(options.pop("plant", AnalyticFin()), config, seeds, workspace, **options)
@@ -47,20 +49,20 @@ def log_of(folder: Path) -> list[dict[str, Any]]:
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Trained, Path]:
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[TrainingResult, Path]:
     folder = tmp_path_factory.mktemp("whole")
     return trained(folder, (0, 1)), folder
 
 
-def test_there_is_a_policy_for_each_seed_and_cell_and_none_are_alike(whole: tuple[Trained, Path]) -> None:
+def test_there_is_a_policy_for_each_seed_and_cell_and_none_are_alike(whole: tuple[TrainingResult, Path]) -> None:
     kernels = np.asarray(whole[0].policies.net.lstm.kernel)
     assert kernels.shape[:2] == (2, 2)
     assert len(np.unique(kernels.reshape(4, -1), axis=0)) == 4
-    assert np.asarray(whole[0].score.error).shape == (2, 2, 1, 2)
-    assert np.isfinite(whole[0].score.error).all()
+    assert np.asarray(whole[0].evaluation.error).shape == (2, 2, 1, 2)
+    assert np.isfinite(whole[0].evaluation.error).all()
 
 
-def test_a_resumed_run_ends_as_one_that_was_never_stopped(whole: tuple[Trained, Path], tmp_path: Path) -> None:
+def test_a_resumed_run_ends_as_one_that_was_never_stopped(whole: tuple[TrainingResult, Path], tmp_path: Path) -> None:
     def cut(stage: str, done: float, note: str) -> None:
         if done >= 0.6:
             raise Cut
@@ -70,19 +72,21 @@ def test_a_resumed_run_ends_as_one_that_was_never_stopped(whole: tuple[Trained, 
     resumed = trained(tmp_path, (0, 1), resume=True)
 
     jax.tree.map(np.testing.assert_array_equal, resumed.policies, whole[0].policies)
-    jax.tree.map(np.testing.assert_array_equal, resumed.score, whole[0].score)
+    jax.tree.map(np.testing.assert_array_equal, resumed.evaluation, whole[0].evaluation)
     assert log_of(tmp_path) == log_of(whole[1])
 
 
-def test_a_lane_learns_the_same_whatever_lanes_are_beside_it(whole: tuple[Trained, Path], tmp_path: Path) -> None:
-    """Alone, too: test_sharding.py compares that."""
+def test_a_lane_learns_the_same_whatever_lanes_are_beside_it(
+    whole: tuple[TrainingResult, Path], tmp_path: Path
+) -> None:
+    """Alone, too: test_devices.py compares that."""
     other = trained(tmp_path, (1, 7), SMALL.model_copy(update={"cells": SMALL.cells[::-1]}))
     jax.tree.map(
         lambda a, b: np.testing.assert_allclose(a[0, 0], b[1, 1], atol=1e-3), other.policies, whole[0].policies
     )
 
 
-def test_the_log_tells_every_update_and_seed_and_the_deterministic_score(whole: tuple[Trained, Path]) -> None:
+def test_the_log_tells_every_update_and_seed_and_the_deterministic_score(whole: tuple[TrainingResult, Path]) -> None:
     entries = log_of(whole[1])
     assert [entry["step"] for entry in entries] == [24, 48, 72, 96]
     for entry in entries:
@@ -90,10 +94,10 @@ def test_the_log_tells_every_update_and_seed_and_the_deterministic_score(whole: 
     assert list((whole[1] / ".out.unfinished").glob("events.*"))
 
 
-def test_the_policy_with_the_best_deterministic_score_is_kept(whole: tuple[Trained, Path]) -> None:
+def test_the_policy_with_the_best_deterministic_score_is_kept(whole: tuple[TrainingResult, Path]) -> None:
     entries = log_of(whole[1])
     for i, seed in enumerate((0, 1)):
-        best = np.asarray(whole[0].score.error)[i].mean()
+        best = np.asarray(whole[0].evaluation.error)[i].mean()
         logged = [entry[f"seed{seed}/score_x_n"] + entry[f"seed{seed}/score_y_n"] for entry in entries]
         assert best <= min(logged) / 2 + 1e-6
 
@@ -115,14 +119,16 @@ def test_a_loss_that_is_not_finite_stops_with_its_place_and_the_last_good_checkp
 
 def test_scores_that_are_not_finite_stop_it_as_a_loss_does() -> None:
     """Else a run of hours would end with policies that were never any good."""
-    run = object.__new__(_Run)
-    run.config, run.lanes = SMALL, [(5, 0), (5, 1)]
-    worst = Score(jnp.array([[[0.5, 0.5]], [[jnp.nan, 0.5]]]), jnp.zeros((2, 1, 2)))
-    run.programs = _Programs(None, None, lambda *given: worst)
+    run = object.__new__(TrainingRun)
+    run.config, run.agents = SMALL, [(5, 0), (5, 1)]
+    worst = PolicyEvaluation(jnp.array([[[0.5, 0.5]], [[jnp.nan, 0.5]]]), jnp.zeros((2, 1, 2)))
+    run.programs = Programs(None, None, lambda *given: worst)
     run.given, run.references = None, jnp.zeros((2, 1, 2))
-    words = r"^train: the force while the policies are scored is not finite in update 3 of 4, seed 5, cell x 1.5 .. 2.5"
+    words = (
+        r"^train: the force while the policies are evaluated is not finite in update 3 of 4, seed 5, cell x 1.5 .. 2.5"
+    )
     with pytest.raises(RunError, match=words):
-        run.score(jax.eval_shape(lambda: Policy.create(jax.random.key(0), SMALL.policy, 11)), 3)
+        run.evaluate(jax.eval_shape(lambda: Policy.create(jax.random.key(0), SMALL.policy, 11)), 3)
 
 
 def test_a_budget_under_one_rollout_and_repeated_seeds_are_refused(tmp_path: Path) -> None:
@@ -142,31 +148,35 @@ def test_the_budgets_are_those_of_the_paper() -> None:
     assert (SINGLE.steps, len(SINGLE.cells)) == (30_000, 1)
     assert (GRID.steps, len(GRID.cells)) == (10_000, 6)
     for config in (SINGLE, GRID):
-        assert config.steps - config.ppo.steps_per_update < config.updates * config.ppo.steps_per_update <= config.steps
+        assert (
+            config.steps - config.ppo.steps_per_update
+            < config.num_updates * config.ppo.steps_per_update
+            <= config.steps
+        )
         assert config.task.episode_actions / 3 == 30
 
 
 def test_the_log_says_how_often_policies_leave_the_data_of_a_surrogate_that_knows(
-    whole: tuple[Trained, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    whole: tuple[TrainingResult, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is the scoring that says so: here nothing is learnt, as learning in a surrogate takes long to compile."""
     idle = {"loss": jnp.zeros(1), "gradient_norm": jnp.zeros(1)}
     monkeypatch.setattr(
-        sys.modules[_Run.__module__], "_programs",
-        lambda *asked: _programs(*asked)._replace(update=lambda given, lanes: (lanes, idle)),
+        sys.modules[TrainingRun.__module__], "programs_of",
+        lambda *asked: programs_of(*asked)._replace(update=lambda given, lanes: (lanes, idle)),
     )  # fmt: skip
-    one = SMALL.model_copy(update={"cells": SMALL.cells[:1], "scorings": 1})
+    one = SMALL.model_copy(update={"cells": SMALL.cells[:1], "num_evaluations": 1})
     trained(tmp_path, config=one, plant=streaming.surrogate())
     (entry,) = [entry for entry in log_of(tmp_path) if "seed0/score_x_n" in entry]
-    assert 0 <= entry["seed0/score_beyond_data"] <= 1
-    assert not any("seed0/score_beyond_data" in entry for entry in log_of(whole[1]))
+    assert 0 <= entry["seed0/score_out_of_distribution"] <= 1
+    assert not any("seed0/score_out_of_distribution" in entry for entry in log_of(whole[1]))
 
 
-def test_policies_are_scored_in_the_plant_as_it_is_now(whole: tuple[Trained, Path]) -> None:
+def test_policies_are_scored_in_the_plant_as_it_is_now(whole: tuple[TrainingResult, Path]) -> None:
     policies = jax.tree.map(lambda x: np.asarray(x).reshape(-1, *x.shape[2:]), whole[0].policies)
 
     def error(plant: PlainFin) -> Any:
-        return np.asarray(_Run(plant, SMALL, (0, 1), None).score(policies, 0).error)
+        return np.asarray(TrainingRun(plant, SMALL, (0, 1), None).evaluate(policies, 0).error)
 
     plant = PlainFin(gain=0.1)
     before = error(plant)

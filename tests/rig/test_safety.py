@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softfin.control.native.controller import TrainingRange
+from softfin.control.controller import TrainingRange
 from softfin.core.errors import ConfigurationError
 from softfin.core.quantities import PAPER_LIMITS, Limits
 from softfin.rig.machine import Sample, Target

@@ -20,7 +20,7 @@ from softfin.rig.stop import StopRequest
 from softfin.stages.live import bags_of, collect_live, evaluate_live
 from softfin.storage.dataset import Dataset
 from softfin.tank import Tank
-from tests.control.native.folders import folder_of
+from tests.control.folders import folder_of
 from tests.rig.bags import events_of
 from tests.rig.machines import FreeFin
 from tests.rig.rigs import SAFETY, emulated
@@ -107,7 +107,7 @@ def test_a_controller_of_another_fin_is_refused_before_anything_is_opened(tmp_pa
     folder = folder_of("single", tmp_path)
     with emulated() as (_, bench):
         monkeypatch.setattr(bench.machine, "open", lambda: pytest.fail("opened"))
-        monkeypatch.setattr("softfin.stages.live.load_native", _of_fin("red"))
+        monkeypatch.setattr("softfin.stages.live.load_controller", _of_fin("red"))
         with pytest.raises(RigError, match="trained for the fin 'red'"):
             evaluate_live(folder, bench, tmp_path / "out", EvaluateConfig(), yes)
 
@@ -115,9 +115,13 @@ def test_a_controller_of_another_fin_is_refused_before_anything_is_opened(tmp_pa
 def _of_fin(fin):
     import dataclasses
 
-    from softfin.control.native import load_native
+    from softfin.control.store import load_controller
 
-    return lambda folder: dataclasses.replace(load_native(folder), fin=fin)
+    def load(folder):
+        loaded = load_controller(folder)
+        return dataclasses.replace(loaded, artifact=dataclasses.replace(loaded.artifact, fin=fin))
+
+    return load
 
 
 def test_a_log_through_the_emulators_is_the_tanks_own(tmp_path):

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from softfin.control.native import load_native
+from softfin.control.store import load_controller
 from softfin.core.quantities import Command, Log, Reading
-from softfin.learning.train import SINGLE
+from softfin.learning.configuration import SINGLE
 from softfin.stages import offline as stages
 from softfin.storage.dataset import write_dataset
 from softfin.surrogate import save_surrogate
@@ -83,4 +83,4 @@ def test_the_stages_hand_it_on_from_the_dataset_to_the_controllers(tmp_path, mon
         described = json.loads((tmp_path / file).read_text())
         assert described["training_range"] == expected, file
         assert described["fin"] == "blue, 2 mm"
-    assert load_native(tmp_path / "gaits").training_range[0] == tuple(expected["angle_rad"] or ())
+    assert load_controller(tmp_path / "gaits").artifact.training_range[0] == tuple(expected["angle_rad"] or ())

@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from softfin.core.errors import ConfigurationError
+from softfin.gaits.reachable import Cell, bounding_box
 from softfin.task.cells import cells_of, check_cells, gap, lattice, overlap, range_of
-from softfin.task.references import PAPER_CELLS, PAPER_RANGE, Cell, least_box
+from softfin.task.references import PAPER_CELLS, PAPER_RANGE
 
 QUARTERS = lattice(2, 2, PAPER_RANGE)
 
@@ -35,7 +36,7 @@ def test_a_lattice_fills_its_range_without_gap_or_overlap(
     within = Cell(low=(x, y), high=(x + width, y + height))
     cells = cells_of(f"{columns}x{rows}", within)
     assert len(cells) == columns * rows
-    np.testing.assert_allclose([least_box(cells).low, least_box(cells).high], [within.low, within.high])
+    np.testing.assert_allclose([bounding_box(cells).low, bounding_box(cells).high], [within.low, within.high])
     check_cells(cells, False, "lattice")
 
 
@@ -49,7 +50,7 @@ def test_paper_is_the_six_cells_round_the_papers_references() -> None:
     assert cells_of("paper", Cell(low=(0, 0), high=(9, 9))) == PAPER_CELLS
 
 
-def test_the_papers_cells_touch_and_leave_a_third_of_their_least_box() -> None:
+def test_the_papers_cells_touch_and_leave_a_third_of_their_bounding_box() -> None:
     found = gap(PAPER_CELLS)
     assert found is not None
     assert found[1] == pytest.approx(3.0)
@@ -77,8 +78,8 @@ def test_a_file_may_leave_gaps_where_it_says_so(tmp_path: Path) -> None:
     assert len(cells_of(file_of(tmp_path, text + "allow_gaps: true\n"), PAPER_RANGE)) == 2
     with pytest.raises(
         ConfigurationError,
-        match=r"cells.yaml: the cells leave 1 N\^2 of their least box \(x 0 .. 3, y 0 .. 1 N\) uncovered, for example "
-        r"x 1 .. 2, y 0 .. 1 N; add cells there, or say allow_gaps: true",
+        match=r"cells.yaml: the cells leave 1 N\^2 of their bounding box \(x 0 .. 3, y 0 .. 1 N\) uncovered, for "
+        r"example x 1 .. 2, y 0 .. 1 N; add cells there, or write allow_gaps: true",
     ):
         cells_of(file_of(tmp_path, text), PAPER_RANGE)
 

@@ -53,24 +53,24 @@ def test_a_file_gives_back_what_was_written_as_csv_and_as_parquet(tmp_path_facto
     [
         ("", "empty: no header; the first line must be time_s,force_x_n,force_y_n"),
         (HEAD, "empty: no rows; give at least one, at time_s = 0"),
-        (HEAD + "0,1,1\n\n2,nan,1\n", "line 4, column force_x_n: nan is no finite number; leave that row out"),
-        (HEAD + "0,1,1\n2,1,-inf\n", "line 3, column force_y_n: -inf is no finite number"),
-        (HEAD + "0,1,1\n2,1,\n", "line 3, column force_y_n: '' is no number"),
-        (HEAD + "0,1,1\n2,1\n", "line 3, column force_y_n: '' is no number"),
-        (HEAD + "0,1,1\n2,one,1\n", "line 3, column force_x_n: 'one' is no number"),
+        (HEAD + "0,1,1\n\n2,nan,1\n", "line 4, column force_x_n: nan is not finite; leave that row out"),
+        (HEAD + "0,1,1\n2,1,-inf\n", "line 3, column force_y_n: -inf is not finite"),
+        (HEAD + "0,1,1\n2,1,\n", "line 3, column force_y_n: '' is not a number"),
+        (HEAD + "0,1,1\n2,1\n", "line 3, column force_y_n: '' is not a number"),
+        (HEAD + "0,1,1\n2,one,1\n", "line 3, column force_x_n: 'one' is not a number"),
         (HEAD + "0,1,1\n2,1,1\n2,1,1\n", "line 4: time_s = 2 after 2; times must grow"),
         (HEAD + "0,1,1\n2,1,1\n1,1,1\n", "line 4: time_s = 1 after 2; times must grow"),
         (HEAD + "3,1,1\n4,1,1\n", "line 2: time_s begins at 3; begin at 0: subtract 3 from all times"),
         (
             "time_s,force_x_kn,force_y_n\n0,1,1\n",
-            "column force_x_kn is not said to be in newton, .* multiply it by 1000",
+            "column force_x_kn is not in newton, .* multiply it by 1000",
         ),
         ("time_s,force_x_n,force_y_mN\n0,1,1\n", "column force_y_mN .* by 0.001 and name it force_y_n"),
         (
             "time_ms,force_x_n,force_y_n\n0,1,1\n",
-            "column time_ms is not said to be in seconds, .* multiply it by 0.001",
+            "column time_ms is not in seconds, .* multiply it by 0.001",
         ),
-        ("time_s,force_x,force_y_n\n0,1,1\n", "column force_x is not said to be in newton, .* give it in newton"),
+        ("time_s,force_x,force_y_n\n0,1,1\n", "column force_x is not in newton, .* give it in newton"),
         ("time_s,force_x_n,torque\n0,1,1\n", "no column force_y_n among time_s, force_x_n, torque; it needs time_s"),
         ("time_s,time_s,force_x_n,force_y_n\n0,0,1,1\n", "column time_s is there twice"),
     ],
@@ -86,10 +86,10 @@ def test_what_cannot_be_asked_for_is_refused_in_one_line(tmp_path, text, words):
 def test_a_parquet_file_is_held_to_the_same(tmp_path):
     path = tmp_path / "reference.parquet"
     pq.write_table(pa.table({"time_s": [0.0, 1.0], "force_x_n": [1.0, None], "force_y_n": [0.0, 0.0]}), path)
-    with pytest.raises(ConfigurationError, match="row 1, column force_x_n: nan is no finite number"):
+    with pytest.raises(ConfigurationError, match="row 1, column force_x_n: nan is not finite"):
         read_reference_file(path)
     path.write_bytes(b"PAR1 no")
-    with pytest.raises(ConfigurationError, match="no Parquet table of numbers"):
+    with pytest.raises(ConfigurationError, match="not a Parquet table of numbers"):
         read_reference_file(path)
 
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import ConfigurationError
-from softfin.gaits.reachable import Reachable
-from softfin.task.references import PAPER_CELLS, PAPER_RANGE, PAPER_REFERENCES, Cell, least_box, stack_references
+from softfin.gaits.reachable import PAPER_REFERENCES, Cell, Reachable, bounding_box
+from softfin.task.references import PAPER_CELLS, PAPER_RANGE, References, stack_references
 
 
 def test_each_reference_of_the_paper_is_the_middle_of_its_cell_and_in_no_other() -> None:
@@ -18,27 +18,27 @@ def test_each_reference_of_the_paper_is_the_middle_of_its_cell_and_in_no_other()
 
 def test_references_are_drawn_within_the_cell() -> None:
     cell = Cell(low=(1, -2), high=(3, -1))
-    drawn = jax.vmap(cell.references().draw)(jax.random.split(jax.random.key(0), 200))
+    drawn = jax.vmap(References.of(cell).draw)(jax.random.split(jax.random.key(0), 200))
     assert all(cell.distance((float(x), float(y))) == 0 for x, y in drawn)
     np.testing.assert_allclose(drawn.mean(axis=0), cell.centre, atol=0.2)
 
 
 def test_what_the_fin_cannot_make_is_drawn_at_its_edge() -> None:
     reachable = Reachable(np.array([2, 0], np.float32), np.full(64, 1, np.float32))
-    references = PAPER_RANGE.references()._replace(reachable=reachable)
+    references = References.of(PAPER_RANGE)._replace(reachable=reachable)
     keys = jax.random.split(jax.random.key(0), 200)
-    free, drawn = (np.asarray(jax.vmap(r.draw)(keys)) for r in (PAPER_RANGE.references(), references))
+    free, drawn = (np.asarray(jax.vmap(r.draw)(keys)) for r in (References.of(PAPER_RANGE), references))
     inside = np.hypot(*(free - reachable.centre).T) < 0.99
     np.testing.assert_allclose(drawn[inside], free[inside], atol=1e-6)
     np.testing.assert_allclose(np.hypot(*(drawn[~inside] - reachable.centre).T), 1, atol=0.011)
     assert 0.2 < inside.mean() < 0.5
 
 
-def test_the_least_box_is_round_all_cells() -> None:
-    assert least_box([Cell.around((2, 0)), Cell.around((0, 3), 2.0), Cell.around((1, 1))]) == Cell(
+def test_the_bounding_box_is_round_all_cells() -> None:
+    assert bounding_box([Cell.around((2, 0)), Cell.around((0, 3), 2.0), Cell.around((1, 1))]) == Cell(
         low=(-1, -0.5), high=(2.5, 4)
     )
-    assert least_box(PAPER_CELLS) == PAPER_RANGE
+    assert bounding_box(PAPER_CELLS) == PAPER_RANGE
 
 
 def test_stacked_boxes_are_drawn_from_one_by_one() -> None:
@@ -47,7 +47,7 @@ def test_stacked_boxes_are_drawn_from_one_by_one() -> None:
     stacked, key = stack_references(cells, reachable), jax.random.key(1)
     drawn = jax.vmap(lambda references: references.draw(key))(stacked)
     for i, cell in enumerate(cells):
-        alone = cell.references()._replace(reachable=reachable).draw(key)
+        alone = References.of(cell)._replace(reachable=reachable).draw(key)
         np.testing.assert_allclose(drawn[i], alone, atol=1e-6)
     assert stack_references(cells).reachable is None
 

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from softfin.task.reward import moving_average, reward, sobolev_mean, sobolev_sum, window_error
+from softfin.core.sobolev import sobolev_mean, sobolev_sum
+from softfin.task.reward import RewardConfig, RewardTerms, moving_average, window_error
 
 FORCES = np.random.default_rng(0).normal(0, 4, (200, 2)).astype(np.float32)
 
@@ -45,9 +46,10 @@ def test_the_two_forms_differ_by_the_root_of_the_number_of_steps() -> None:
 def test_the_reward_is_the_negative_weighted_sum_over_the_axes() -> None:
     error, smoothness = jnp.array([0.5, 2.0]), jnp.array([3.0, 4.0])
     disagreement = jnp.array([1.0, 0.25])
-    value = reward(error, smoothness, disagreement, jnp.array([1.0, 10.0]), jnp.array([0.1, 0.2]), 2.0)
+    terms = RewardTerms(error, smoothness, disagreement)
+    value = RewardConfig(weight=(1.0, 10.0), smoothness=(0.1, 0.2), disagreement=2.0).value(terms)
     assert float(value) == pytest.approx(-(1 * (0.5 + 0.1 * 3 + 2 * 1) + 10 * (2 + 0.2 * 4 + 2 * 0.25)))
-    many = reward(*(jnp.tile(x, (3, 4, 1)) for x in (error, smoothness, disagreement)), jnp.ones(2), jnp.ones(2), 1)
+    many = RewardConfig().value(RewardTerms(*(jnp.tile(x, (3, 4, 1)) for x in terms)))
     assert many.shape == (3, 4)
 
 

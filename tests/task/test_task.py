@@ -10,21 +10,14 @@ import pytest
 
 from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.plant import roll
-from softfin.core.quantities import PAPER_LIMITS, Command, Reading
-from softfin.task.references import Cell
-from softfin.task.task import (
-    ForceTracking,
-    Outcome,
-    RewardConfig,
-    SensingConfig,
-    TaskConfig,
-    TaskState,
-    action_of,
-    command_of,
-)
+from softfin.core.quantities import PAPER_LIMITS, Command, Reading, command_of
+from softfin.gaits.reachable import Cell
+from softfin.task.references import References
+from softfin.task.reward import RewardConfig
+from softfin.task.task import ForceTracking, Outcome, SensingConfig, TaskConfig, TaskState, action_of
 from tests.plants import AnalyticFin, PlainFin
 
-BOX = Cell(low=(1, -1), high=(3, 1)).references()
+BOX = References.of(Cell(low=(1, -1), high=(3, 1)))
 STROKE = jnp.array([0.5, 0.9])
 
 
@@ -102,8 +95,10 @@ def test_the_paper_sum_form_is_the_default_and_the_mean_form_has_a_name() -> Non
         for name in ("sum", "mean")
     }
     default = played(ForceTracking(AnalyticFin(), TaskConfig()), swings(6))[1][-1]
-    np.testing.assert_array_equal(default.smoothness, by_name["sum"].smoothness)
-    np.testing.assert_allclose(by_name["sum"].smoothness, np.sqrt(199) * by_name["mean"].smoothness, rtol=1e-5)
+    np.testing.assert_array_equal(default.terms.smoothness, by_name["sum"].terms.smoothness)
+    np.testing.assert_allclose(
+        by_name["sum"].terms.smoothness, np.sqrt(199) * by_name["mean"].terms.smoothness, rtol=1e-5
+    )
 
 
 def test_whether_a_reference_is_jumped_to_says_nothing_of_where_it_lies() -> None:
@@ -111,7 +106,7 @@ def test_whether_a_reference_is_jumped_to_says_nothing_of_where_it_lies() -> Non
     task = ForceTracking(Echo(), config)
     start, _ = played(task, [])
     keys = jax.random.split(jax.random.key(3), 2000)
-    reference, drift = jax.vmap(lambda key: task._moved(start, key, jnp.bool_(True)))(keys)
+    reference, drift = jax.vmap(lambda key: task._next_reference(start, key, jnp.bool_(True)))(keys)
     ramps = np.any(np.asarray(drift) != 0, axis=1)
     assert ramps.mean() == pytest.approx(0.5, abs=0.05)
     low, high = np.asarray(start.references.low), np.asarray(start.references.high)
@@ -214,15 +209,15 @@ def test_every_key_is_used_once() -> None:
 
 def test_an_episode_is_over_after_its_actions() -> None:
     task = ForceTracking(Echo(), TaskConfig(episode_actions=6))
-    assert not task.finished(played(task, swings(5))[0])
-    assert task.finished(played(task, swings(6))[0])
+    assert not task.truncated(played(task, swings(5))[0])
+    assert task.truncated(played(task, swings(6))[0])
 
 
 def test_the_critic_also_sees_the_mean_force_of_each_part_of_the_window() -> None:
     task = ForceTracking(Echo(), TaskConfig())
     state, _ = played(task, swings(6))
-    seen = np.asarray(task.inspect(state))
-    np.testing.assert_array_equal(seen[:11], task.observe(state))
+    privileged = np.asarray(task.privileged_observation(state))
+    np.testing.assert_array_equal(privileged[:11], task.observe(state))
     parts = np.arange(1, 201).reshape(8, 25).mean(axis=1)
-    np.testing.assert_allclose(seen[11:27].reshape(8, 2), np.stack([parts, -2 * parts], 1) / 3, rtol=1e-5)
-    np.testing.assert_array_equal(seen[27:], [1, 1, 0, 0])
+    np.testing.assert_allclose(privileged[11:27].reshape(8, 2), np.stack([parts, -2 * parts], 1) / 3, rtol=1e-5)
+    np.testing.assert_array_equal(privileged[27:], [1, 1, 0, 0])

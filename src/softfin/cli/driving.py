@@ -7,14 +7,16 @@ from pathlib import Path
 from typing import Any
 
 from softfin.cli.live import Driving, on_terminal
-from softfin.control.native import NativeController, load_native, trimmed
+from softfin.control.controller import LoadedController
+from softfin.control.disturbance_observer import DisturbanceObserver
+from softfin.control.store import load_controller
 from softfin.core.action_clock import CYCLE_ACTIONS
 from softfin.core.errors import RigError
 from softfin.core.printable import printable
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.bench import Bench, check_fits
 from softfin.rig.find import find_bench
-from softfin.rig.loop import Held, References, hold, seconds_to_actions
+from softfin.rig.loop import Acting, Held, References, hold, seconds_to_actions
 from softfin.rig.machine import clock_of
 from softfin.rig.reach import knows_its_range
 from softfin.rig.recording import recording
@@ -27,11 +29,11 @@ LINE_S = 1.0
 """Between two lines of what goes on."""
 
 
-def parties(options: Driving) -> tuple[NativeController, Bench]:
+def parties(options: Driving) -> tuple[LoadedController, Bench]:
     """The controller and the machine, which must fit each other; nothing is opened yet."""
-    controller = load_native(options.controller)
+    controller = load_controller(options.controller)
     bench = find_bench(options.plant)
-    check_fits(str(options.controller), controller.limits, controller.fin, bench)
+    check_fits(str(options.controller), controller.limits, controller.artifact.fin, bench)
     return controller, bench
 
 
@@ -46,7 +48,7 @@ def check_real_time(bench: Bench) -> None:
 
 def drive(
     options: Driving,
-    controller: NativeController,
+    controller: LoadedController,
     bench: Bench,
     references: References,
     seconds: int | None,
@@ -57,11 +59,11 @@ def drive(
 ) -> dict[str, Any]:
     """Ask, move, record; `line` gets what is typed meanwhile. Where the recording is, and how well it went."""
     bag = options.bag or Path(f"run-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
-    guard = Guard(bench.safety, bench.machine.limits, controller.training_range)
-    acting = trimmed(controller) if options.trim else controller
+    guard = Guard(bench.safety, bench.machine.limits, controller.artifact.training_range)
+    acting: Acting = DisturbanceObserver(controller) if options.trim else controller
     with Session(bench.machine, guard, stop=stop, observers=observers) as session:
         options.confirm(bench)
-        if not knows_its_range(controller.training_range):
+        if not knows_its_range(controller.artifact.training_range):
             say(f"{options.controller}: says nothing of its surrogate's data; nobody sees whether the fin leaves them")
         if on_terminal():
             Keyboard(stop, line, typed(stop, sys.stdin)).start()
@@ -94,9 +96,7 @@ def say(text: str) -> None:
     sys.stderr.write(printable(text) + "\n")
 
 
-def _follow(
-    session: Session, controller: NativeController, references: References, seconds: int | None
-) -> dict[str, Any]:
+def _follow(session: Session, controller: Acting, references: References, seconds: int | None) -> dict[str, Any]:
     """Run it, tell once a second how it goes; the errors of the last window."""
     window: list[Held] = []
     ticks, told = 0, 0.0

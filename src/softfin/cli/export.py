@@ -23,10 +23,10 @@ class Arguments(Common):
 
     def run(self) -> None:
         """Export."""
-        from softfin.control.native import load_native
         from softfin.control.onnx import EPISODE, OPSET, export_onnx
+        from softfin.control.store import load_controller
 
-        exported = export_onnx(load_native(self.controller), self.onnx, self.overwrite)
+        exported = export_onnx(load_controller(self.controller), self.onnx, self.overwrite)
         summary = {"onnx": str(self.onnx), "opset": OPSET, **exported._asdict()}
         self.tell(
             summary,

@@ -28,6 +28,7 @@ class Arguments(Driving, Configured):
     def run(self) -> None:
         """Run."""
         from softfin.cli.driving import check_real_time, drive, parties, say, sentence
+        from softfin.control.references import resolve_reference
         from softfin.rig.ros2.messages import Messages
         from softfin.rig.ros2.node import NodeConfig, RosBridge, check_apart
         from softfin.rig.ros2.plant import Ros2Machine
@@ -41,10 +42,10 @@ class Arguments(Driving, Configured):
         check_real_time(bench)
         if isinstance(bench.machine, Ros2Machine):
             check_apart(topics, bench.machine.config)
-        otherwise, warning = controller.admit(self.reference, self.strict)
+        otherwise, warning = resolve_reference(controller, self.reference, self.strict)
         transport = open_transport(topics.connection, Messages())
         try:
-            bridge = RosBridge(transport, topics, admit=lambda asked: controller.admit(asked, self.strict))
+            bridge = RosBridge(transport, topics, admit=lambda asked: resolve_reference(controller, asked, self.strict))
             for note in (*transport.notes, *([] if warning is None else [warning])):
                 say(note)
             newest = bridge.references(otherwise)

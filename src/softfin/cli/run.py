@@ -10,7 +10,7 @@ from softfin.cli.live import Driving
 from softfin.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from softfin.control.native import NativeController
+    from softfin.control.controller import LoadedController
     from softfin.rig.references import Recorded
 
 
@@ -32,6 +32,7 @@ class Arguments(Driving, Common):
     def run(self) -> None:
         """Run."""
         from softfin.cli.driving import drive, parties, say, sentence
+        from softfin.control.references import resolve_reference
         from softfin.rig.references import Said
         from softfin.rig.stop import StopRequest
 
@@ -41,19 +42,20 @@ class Arguments(Driving, Common):
             result = drive(self, controller, bench, references, seconds, stop=StopRequest(), line=_deaf)
         else:
             assert self.reference is not None
-            said = Said(self.reference, lambda asked: controller.admit(asked, self.strict), say)
+            said = Said(self.reference, lambda asked: resolve_reference(controller, asked, self.strict), say)
             result = drive(self, controller, bench, said, self.seconds, stop=StopRequest(), line=said.line)
         self.tell(result, sentence(result))
 
-    def _recorded(self, controller: "NativeController", file: Path) -> "tuple[Recorded, int]":
+    def _recorded(self, controller: "LoadedController", file: Path) -> "tuple[Recorded, int]":
         # Imported here: the file's reader needs more than a robot's computer may have.
         from softfin.cli.driving import say
+        from softfin.control.references import resolve_reference
         from softfin.rig.references import Recorded
         from softfin.task.reference_file import read_reference_file
 
         rows = read_reference_file(file)
         forces = [(float(x), float(y)) for x, y in rows.force_n]
-        recorded = Recorded(rows.time_s, forces, lambda asked: controller.admit(asked, self.strict), say)
+        recorded = Recorded(rows.time_s, forces, lambda asked: resolve_reference(controller, asked, self.strict), say)
         return recorded, self.seconds or rows.seconds
 
 

@@ -14,7 +14,7 @@ from softfin.storage.artifact import load_description
 from softfin.task.notation import read_cells, read_range
 
 if TYPE_CHECKING:
-    from softfin.task.references import Cell
+    from softfin.gaits.reachable import Cell
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +66,7 @@ class Arguments(Configured):
     def run(self) -> None:
         """Train."""
         from softfin.gaits.force_map import MapConfig
-        from softfin.learning.train import starting
+        from softfin.learning.configuration import choose_preset
         from softfin.stages import offline as stages
         from softfin.storage.registry import find_plant
         from softfin.task.references import PAPER_RANGE
@@ -81,7 +81,7 @@ class Arguments(Configured):
                 stages.find_gaits(self.surrogate, Path(self.out), given, known=self.map, overwrite=self.overwrite,
                              progress=report)  # fmt: skip
             return self._tell((0,))
-        begin, reason = starting(find_plant(self.surrogate), self.controller, self.algorithm)
+        begin, reason = choose_preset(find_plant(self.surrogate), self.controller, self.algorithm)
         config = self.configured(begin, steps=self.steps, cells=cells)
         if config.algorithm != begin.algorithm:
             raise ConfigurationError(
@@ -119,7 +119,7 @@ class Arguments(Configured):
     def _told(self, folder: Path) -> tuple[list[dict[str, Any]], list[str]]:
         """The scores of one controller, and as lines for people."""
         from softfin.cli.tables import held
-        from softfin.learning.footprint import Footprint
+        from softfin.learning.policy import describe_memory
 
         description = load_description(folder, "controller")
         scores: list[dict[str, Any]] = description["scores"]
@@ -132,7 +132,7 @@ class Arguments(Configured):
             lines.append("reference [N]   error x, y [N]")
             lines += [f"({x:5.2f}, {y:5.2f})   {row['error_n'][0]:.3f}, {row['error_n'][1]:.3f}{held(row)}"
                       for row in scores for x, y in [row["reference_n"]]]  # fmt: skip
-            lines.append(str(Footprint.of(description["memory"])))
+            lines.append(describe_memory(description["memory"]))
         return scores, lines
 
 
@@ -159,8 +159,9 @@ def asked_seeds(first: int, text: str | None) -> tuple[int, ...]:
 
 def asked_cells(controller: str, cells: str | None, span: str | None) -> "tuple[Cell, ...] | None":
     """What ``--cells`` and ``--range`` ask for, one cell unless it is a grid; None where neither is given."""
+    from softfin.gaits.reachable import bounding_box
     from softfin.task.cells import cells_of, range_of
-    from softfin.task.references import PAPER_RANGE, least_box
+    from softfin.task.references import PAPER_RANGE
 
     within = PAPER_RANGE if span is None else range_of(span)
     if controller != "grid":
@@ -170,9 +171,9 @@ def asked_cells(controller: str, cells: str | None, span: str | None) -> "tuple[
     if cells is None and span is None:
         return None
     found = cells_of(cells or "paper", within)
-    if span is not None and least_box(found) != within:
+    if span is not None and bounding_box(found) != within:
         raise ConfigurationError(
-            f"--range {span}: the cells ({cells or 'paper'}) have places of their own ({least_box(found)}); leave it "
-            "out, or give a lattice such as --cells 3x3, which fills it"
+            f"--range {span}: the cells ({cells or 'paper'}) have places of their own ({bounding_box(found)}); leave "
+            "it out, or give a lattice such as --cells 3x3, which fills it"
         )
     return found

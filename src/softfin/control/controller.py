@@ -1,37 +1,174 @@
-"""The Controller contract: reference force in, command out, three times a second; pure and traceable like a plant."""
+"""Controllers: a reference force in, a command out, three times a second.
 
+One controller serves everywhere: with NumPy on a robot, where JAX is not imported, and as a pytree in programs of JAX.
+"""
+
+import dataclasses
+import sys
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
-from jaxtyping import Array, Float, PyTree
+import numpy as np
 
-from softfin.core.quantities import Command
+from softfin.control.references import check_within
+from softfin.core.errors import RunError
+from softfin.core.operations import NUMPY, Array, Operations, operations_of
+from softfin.core.quantities import Command, Limits, command_of
+from softfin.gaits.reachable import Cell, Force, Reachable
 
-ControllerState: TypeAlias = PyTree[Any]
+ControllerState: TypeAlias = Any
+
+Pair: TypeAlias = tuple[float, float]
+
+LARGEST = 1e6
+"""Measurements beyond it are errors [rad, N]."""
 
 
 class Measured(NamedTuple):
-    """What a controller may know of the fin when it acts."""
+    """Measurements that a controller gets when it acts."""
 
-    angle: Float[Array, ""]
-    """Of the shaft, the last reading [rad]; 0 before the first."""
-    force: Float[Array, "2"]
-    """(x, y), mean of the readings since the last action [N]; 0 before the first."""
+    angle: Array
+    """Last reading of the shaft's angle [rad]; 0 before the first."""
+    force: Array
+    """Mean force (x, y) of the readings since the last action [N]; 0 before the first."""
 
 
 @runtime_checkable
 class Controller(Protocol):
-    """Holds a reference force by commanding one fin; deterministic, no batch axes (`jax.vmap` adds them)."""
+    """Holds a reference force by commanding one fin; deterministic, no batch axes (`jax.vmap` adds them).
+
+    It may have `cells` that it was trained for and a `reachable` region, which tell the references that it can hold.
+    """
 
     def init(self) -> ControllerState:
-        """The state before the first action: the fin at rest, nothing remembered."""
+        """Return the state before the first action: the fin at rest."""
         ...
 
-    def act(
-        self, state: ControllerState, measured: Measured, reference: Float[Array, "2"]
-    ) -> tuple[ControllerState, Command]:
-        """The next action, from what was measured and the reference force (x, y) [N]."""
+    def act(self, state: ControllerState, measured: Measured, reference: Any) -> tuple[ControllerState, Command]:
+        """Compute the next state and command for a reference force (x, y) [N]."""
         ...
 
-    def check(self, reference: tuple[float, float]) -> None:
-        """Raise CoverageError where `reference` [N] is outside what the controller was trained for."""
+    def check(self, reference: Force) -> None:
+        """Raise CoverageError where the reference [N] is outside the range that the controller was trained for."""
         ...
+
+
+@runtime_checkable
+class ControllerStep(Protocol):
+    """One action of a kind of controller, written in `Operations`."""
+
+    kind: str
+
+    def init(self) -> Any:
+        """Return the state before the first action: a named tuple of arrays and numbers."""
+        ...
+
+    def act(self, ops: Operations, state: Any, now: Array) -> tuple[Any, Array]:
+        """Compute the next state and the action in [-1, 1]^2; `now` is (angle [rad], reference x, reference y [N])."""
+        ...
+
+
+class TrainingRange(NamedTuple):
+    """Least and greatest reading in the data behind a controller's surrogate; None where that is not known."""
+
+    angle_rad: Pair | None
+    velocity_rad_s: Pair | None
+    force_x_n: Pair | None
+    force_y_n: Pair | None
+
+
+@dataclasses.dataclass(frozen=True)
+class Artifact:
+    """Where a controller comes from. All are equal, so that compiled programs serve controllers of any origin."""
+
+    name: str = "controller"
+    """Name of the folder."""
+    training_range: TrainingRange | None = None
+    fin: str | None = None
+    """Name of the fin that it was trained for, where its data have one."""
+    description: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """Content of ``controller.json``."""
+    weights_sha256: str = ""
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Artifact)
+
+    def __hash__(self) -> int:
+        return 0
+
+
+STATIC: Mapping[str, bool] = MappingProxyType({"static": True})
+"""Metadata of a field without arrays: compiled programs hold it as a constant."""
+
+
+@dataclasses.dataclass(frozen=True)
+class LoadedController:
+    """A controller of any kind; meets the Controller contract."""
+
+    step: ControllerStep
+    limits: Limits = dataclasses.field(metadata=STATIC)
+    """Limits of the plant that it was trained in, which its commands keep."""
+    cells: tuple[Cell, ...] = dataclasses.field(metadata=STATIC)
+    """References that it was trained for [N]."""
+    reachable: Reachable | None = None
+    """Mean forces that the fin can make, where that is known."""
+    artifact: Artifact = dataclasses.field(default=Artifact(), metadata=STATIC)
+
+    def __post_init__(self) -> None:
+        if "jax" in sys.modules:
+            register_pytrees(type(self), type(self.step))
+
+    @property
+    def kind(self) -> str:
+        """Kind of the controller: single, grid or gaits."""
+        return self.step.kind
+
+    def init(self) -> Any:
+        """Return the state before the first action: the fin at rest."""
+        return self.step.init()
+
+    def act(self, state: Any, measured: Measured, reference: Any) -> tuple[Any, Command]:
+        """Compute the next state and command; numbers and NumPy arrays in, numbers out, or arrays of JAX.
+
+        Raises:
+            RunError: outside of JAX, a measurement or the reference is not a finite number; the state is as it was.
+        """
+        angle, force = measured
+        ops = operations_of(angle, reference, state[0])
+        if ops is not NUMPY:
+            xp = ops.xp
+            now = xp.concatenate([xp.asarray(angle)[None], xp.asarray(reference)]).astype(np.float32)
+            state, action = self.step.act(ops, state, now)
+            return state, command_of(self.limits, action)
+        if not all(abs(measurement) <= LARGEST for measurement in (angle, *force, *reference)):
+            raise RunError(
+                f"{self.artifact.name}: angle {angle:g} rad, force ({force[0]:g}, {force[1]:g}) N, reference "
+                f"({reference[0]:g}, {reference[1]:g}) N: a controller needs finite numbers; check drive and sensor"
+            )
+        state, action = self.step.act(ops, state, np.array((angle, *reference), np.float32))
+        command = command_of(self.limits, np.asarray(action, float))
+        ranges = zip(command, self.limits[::2], self.limits[1::2], strict=True)
+        # Rounding must not lead out of the limits.
+        numbers: list[Any] = [float(min(max(number, low), high)) for number, low, high in ranges]
+        return state, Command(*numbers)
+
+    def check(self, reference: Force) -> None:
+        """Raise CoverageError where the reference is outside every cell."""
+        check_within(self.cells, reference)
+
+
+def register_pytrees(*classes: type) -> None:
+    """Make dataclasses pytrees of JAX: fields are leaves unless they are `STATIC`."""
+    import jax
+
+    for each in classes:
+        if each not in _REGISTERED and dataclasses.is_dataclass(each):
+            names: dict[bool, list[str]] = {False: [], True: []}
+            for field in dataclasses.fields(each):
+                names["static" in field.metadata].append(field.name)
+            jax.tree_util.register_dataclass(each, names[False], names[True])
+            _REGISTERED.add(each)
+
+
+_REGISTERED: set[type] = set()

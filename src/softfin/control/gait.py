@@ -1,52 +1,48 @@
-"""Gaits as a controller: no net, a table of six actions for each node of a lattice of references, blended in between.
+"""Gaits as a controller: no network, a table of six actions for each node of a lattice of references, blended between.
 
-It is the yardstick of the policies, their teacher, and a choice of its own where the controller is a small one: an
-action costs 16 multiplications.
+It is the yardstick of the policies, their expert, and a choice of its own where the controller must be small.
 """
 
-from typing import TypeAlias
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+import numpy as np
 
-from softfin.control.controller import Measured
-from softfin.control.range import check_within
 from softfin.core.action_clock import CYCLE_ACTIONS
-from softfin.core.quantities import Command, Limits
-from softfin.gaits.gaits import GaitTable
-from softfin.gaits.reachable import Reachable
-from softfin.task.references import Cell, Force
-from softfin.task.task import command_of
-
-Phase: TypeAlias = Int[Array, ""]
-"""Actions since the start. It goes on when the reference moves, so that the beat does not stumble."""
+from softfin.core.operations import Array, Number, Operations
+from softfin.core.quantities import Limits
+from softfin.gaits.gait import ForceMap, GaitTable
+from softfin.gaits.reachable import Cell
 
 
-class GaitController(eqx.Module):
-    """Meets the Controller contract; open loop, so what is measured is not looked at."""
+class GaitState(NamedTuple):
+    """State of a gait controller."""
 
+    age: Number
+    """Actions since the start. It goes on when the reference moves, so that the gait keeps its phase."""
+
+
+@dataclass(frozen=True)
+class GaitStep:
+    """Step of a gait controller; open loop, so the angle is not used."""
+
+    kind: ClassVar[str] = "gaits"
     table: GaitTable
-    limits: Limits = eqx.field(static=True)
-    """Of the plant that it was found in: its commands stay within them."""
-    reachable: Reachable
-    """Mean forces that the fin can make there."""
 
-    def init(self) -> Phase:
-        """The first of the six actions is next."""
-        return jnp.zeros((), jnp.int32)
+    @classmethod
+    def load(
+        cls, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray], limits: Limits, cells: tuple[Cell, ...]
+    ) -> tuple["GaitStep", tuple[Cell, ...]]:
+        """Build it from a controller's description and arrays; returns it with its lattice's box."""
+        table = ForceMap.from_dict(description, arrays).gaits.table
+        (x0, y0), (x1, y1) = table.low.tolist(), table.high.tolist()
+        return cls(table), (Cell(low=(x0, y0), high=(x1, y1)),)
 
-    def act(self, state: Phase, measured: Measured, reference: Float[Array, "2"]) -> tuple[Phase, Command]:
-        """The next action of the gait for the reference."""
-        action = self.table.gait(jnp.asarray(reference))[state % CYCLE_ACTIONS]
-        return state + 1, command_of(self.limits, action)
+    def init(self) -> GaitState:
+        """Return the state before the first of the six actions."""
+        return GaitState(0)
 
-    def check(self, reference: Force) -> None:
-        """Raise CoverageError outside the lattice."""
-        check_within((self.cell,), reference)
-
-    @property
-    def cell(self) -> Cell:
-        """The lattice's box."""
-        low, high = (tuple(float(x) for x in corner) for corner in (self.table.low, self.table.high))
-        return Cell(low=(low[0], low[1]), high=(high[0], high[1]))
+    def act(self, ops: Operations, state: GaitState, now: Array) -> tuple[GaitState, Array]:
+        """Take the next action of the gait for the reference."""
+        return GaitState(state.age + 1), ops.row(self.table.gait(now[1:], ops), state.age % CYCLE_ACTIONS)

@@ -1,141 +1,172 @@
 """Grid-switching (paper Sec. III-C3, second design): a policy for each cell of reference forces, switched on demand.
 
-The weights of all cells are stacked; an action looks up those of one cell, so it costs the same for any number of them.
-
-A switch is to be felt in the force that was asked for and in nothing else. So the policy in charge stays a little
-beyond its cell (hysteresis); the one that takes over remembers what it would have seen during the last six actions, one
-cycle of the clock; and its actions are faded in over the beat that it finds, which is those six actions, again and
-again (what control engineers call bumpless transfer).
+A switch should show in the force that was asked for and nowhere else. So the active policy keeps its cell a little
+beyond the border (hysteresis); the one that takes over first replays the observations of the last six actions, one
+cycle of the clock; and its actions are blended with those of the cycle before (bumpless transfer).
 """
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, ClassVar, NamedTuple
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+import numpy as np
+from pydantic import Field, NonNegativeFloat, PositiveFloat
 
-from softfin.control.controller import Measured
-from softfin.control.range import check_within
+from softfin.control.controller import STATIC
+from softfin.control.policy import Observation, PolicyMemory, PolicyNetwork, fold, rest_action
 from softfin.core.action_clock import CYCLE_ACTIONS
-from softfin.core.quantities import Command, Limits
-from softfin.gaits.reachable import Reachable
-from softfin.learning.lstm import Memory, cleared
-from softfin.learning.policy import Policy
-from softfin.task.references import Cell, Force, stack_references
-from softfin.task.switching import SwitchingConfig
-from softfin.task.task import TaskConfig, command_of, observation, remember, rest_actions
+from softfin.core.configuration import Configuration
+from softfin.core.operations import Array, Number, Operations
+from softfin.core.quantities import Limits
+from softfin.gaits.reachable import Cell
+
+
+class SwitchingConfig(Configuration):
+    """Configuration of how one policy takes over from another."""
+
+    margin_n: NonNegativeFloat = 0.1
+    """The active policy stays until another cell is nearer to the reference by more than this [N], so that a
+    reference on the border does not switch for ever; the policies still hold a reference that little beyond theirs."""
+    fade_actions: int = Field(default=6, ge=0, le=CYCLE_ACTIONS)
+    """Actions over which the new policy's actions are blended in; 0 switches at once."""
+    step_n: PositiveFloat = 0.5
+    """A reference that moves by this or more from one action to the next [N] is a step, where nothing is blended;
+    after smaller moves it is in part."""
+    replay: bool = True
+    """Whether the new policy replays the last six actions as if it had been active, or starts with an empty memory."""
 
 
 class GridState(NamedTuple):
-    """What the policy in charge remembers, and what any other would need to take over."""
+    """Memory of the active policy, and what any other policy needs to take over."""
 
-    memory: Memory
-    actions: Float[Array, "remembered 2"]
-    """The last one first, normalised: those of a cycle, and those that its first action was chosen by."""
-    angles: Float[Array, "6"]
-    """Of the shaft, at each action of the last cycle, the last one first [rad]."""
-    reference: Float[Array, "2"]
-    """At the last action [N]."""
-    age: Int[Array, ""]
+    hidden: Array
+    cell: Array
+    actions: Array
+    """Past actions in [-1, 1], the last one first, side by side: a cycle, and those observed before its first one."""
+    angles: Array
+    """Angle of the shaft at each action of the last cycle, the last one first [rad]."""
+    last_reference: Array
+    """Reference at the last action [N]."""
+    age: Number
     """Actions since the start."""
-    cell: Int[Array, ""]
-    """Whose policy is in charge."""
-    share: Float[Array, ""]
-    """Of the beat before the switch in the next action; 0 where none is being faded out."""
+    active_cell: Number
+    """Index of the cell whose policy is active."""
+    blend: Number
+    """Weight of the action one cycle ago in the next action; 0 where nothing is blended."""
 
 
-class GridController(eqx.Module):
-    """Meets the Controller contract."""
+@dataclass(frozen=True)
+class GridStep:
+    """Step of a grid of policies."""
 
-    policies: Policy
-    """Leaves ``(cells, ...)``."""
-    task: TaskConfig = eqx.field(static=True)
-    limits: Limits = eqx.field(static=True)
-    """Of the plant that it was trained in: its commands stay within them."""
-    cells: tuple[Cell, ...] = eqx.field(static=True)
-    """References that the policies were trained for [N], in their order."""
-    reachable: Reachable | None = None
-    """Mean forces that the fin can make, where that is known."""
-    switching: SwitchingConfig = eqx.field(static=True, default=SwitchingConfig())
+    kind: ClassVar[str] = "grid"
+    networks: PolicyNetwork
+    """Networks with a leading axis of cells."""
+    low: Array
+    """Lower corners of the cells ``(cells, 2)`` [N]."""
+    high: Array
+    rest: tuple[float, float] = field(metadata=STATIC)
+    """Action of a fin that stays where it is."""
+    observation: Observation = field(metadata=STATIC)
+    switching: SwitchingConfig = field(metadata=STATIC)
+
+    @classmethod
+    def load(
+        cls, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray], limits: Limits, cells: tuple[Cell, ...]
+    ) -> tuple["GridStep", tuple[Cell, ...]]:
+        """Build it from a controller's description and arrays; returns it with its cells."""
+        if not cells:
+            raise ValueError("cells: there are none; a grid has one or more")
+        observation = Observation.model_validate(description["task"])
+        low, high = (np.array([getattr(cell, corner) for cell in cells], np.float32) for corner in ("low", "high"))
+        switching = SwitchingConfig.model_validate(description.get("switching") or {})
+        networks = fold(arrays, observation, (len(cells),))
+        return cls(networks, low, high, rest_action(limits), observation, switching), cells
 
     def init(self) -> GridState:
-        """The fin at rest, nothing remembered."""
-        rest = rest_actions(self.task, self.limits)
-        actions = jnp.concatenate([jnp.tile(rest[:1], (CYCLE_ACTIONS, 1)), rest])
+        """Return the state of a fin at rest."""
         return GridState(
-            memory=self._policy(jnp.int32(0)).init(),
-            actions=actions,
-            angles=jnp.zeros(CYCLE_ACTIONS),
-            reference=jnp.zeros(2),
-            age=jnp.int32(0),
-            cell=jnp.int32(0),
-            share=jnp.float32(0),
+            *self.networks.empty(),
+            actions=np.tile(np.asarray(self.rest, np.float32), CYCLE_ACTIONS + self.observation.past_actions + 1),
+            angles=np.zeros(CYCLE_ACTIONS, np.float32),
+            last_reference=np.zeros(2, np.float32),
+            age=0,
+            active_cell=0,
+            blend=np.float32(0),
         )
 
-    def act(self, state: GridState, measured: Measured, reference: Float[Array, "2"]) -> tuple[GridState, Command]:
-        """The mean action of the policy in charge, faded in where it has just taken over."""
-        reference, angle = jnp.asarray(reference), jnp.asarray(measured.angle)
-        cell = self.in_charge(state, reference)
-        switched = (cell != state.cell) & (state.age > 0)
-        policy = self._policy(cell)
-        memory = jax.lax.cond(switched, lambda: self._taken_over(policy, state, reference), lambda: state.memory)
-        memory, own = policy.act(memory, self._seen(angle, reference, state.actions, state.age))
-        share = self._share(state, switched, reference)
-        action = (1 - share) * own + share * state.actions[CYCLE_ACTIONS - 1]
+    def act(self, ops: Operations, state: GridState, now: Array) -> tuple[GridState, Array]:
+        """Compute the deterministic action of the active policy, blended in where it has just taken over."""
+        xp, reference = ops.xp, now[1:]
+        active_cell = self.active_cell(ops, state, reference)
+        switched = (active_cell != state.active_cell) & (state.age > 0)
+        network = PolicyNetwork(*(ops.row(ops.constant(part), active_cell) for part in self.networks))
+        memory = PolicyMemory(
+            *ops.choose(
+                switched,
+                lambda: self._warm_up_memory(ops, network, state, reference),
+                lambda: PolicyMemory(state.hidden, state.cell),
+            )
+        )
+        memory = network.remember(ops, memory, self.observation.observe(ops, now, state.actions, state.age))
+        blend = self._blend(ops, state, switched, reference)
+        before = state.actions[2 * (CYCLE_ACTIONS - 1) : 2 * CYCLE_ACTIONS]
+        action = (1 - blend) * network.action(ops, memory) + blend * before
+        less = blend - 1 / max(1, self.switching.fade_actions)
         after = GridState(
-            memory=memory,
-            actions=remember(state.actions, action),
-            angles=jnp.concatenate([angle[None], state.angles[:-1]]),
-            reference=reference,
+            *memory,
+            actions=xp.concat([action, state.actions[:-2]]),
+            angles=xp.concat([now[:1], state.angles[:-1]]),
+            last_reference=reference,
             age=state.age + 1,
-            cell=cell,
-            share=jnp.maximum(share - 1 / max(1, self.switching.fade_actions), 0),
+            active_cell=active_cell,
+            blend=ops.choose(less > 0, lambda: less, lambda: np.float32(0)),
         )
-        return after, command_of(self.limits, action)
+        return after, action
 
-    def check(self, reference: Force) -> None:
-        """Raise CoverageError outside every cell."""
-        check_within(self.cells, reference)
+    def active_cell(self, ops: Operations, state: GridState, reference: Array) -> Number:
+        """Return the index of the cell whose policy acts: the last one, unless another is nearer by the margin."""
+        xp, low, high = ops.xp, ops.constant(self.low), ops.constant(self.high)
+        beyond = xp.maximum(xp.maximum(low - reference, reference - high), 0 * low)
+        distance = xp.sqrt(beyond[:, 0] * beyond[:, 0] + beyond[:, 1] * beyond[:, 1])
+        nearest = ops.whole(xp.argmin(distance))
+        reach = ops.row(distance, nearest) + np.float32(self.switching.margin_n)
+        stays = (state.age > 0) & (ops.row(distance, state.active_cell) <= reach)
+        return ops.choose(stays, lambda: state.active_cell, lambda: nearest)
 
-    def in_charge(self, state: GridState, reference: Float[Array, "2"]) -> Int[Array, ""]:
-        """Index of the cell whose policy acts: the last one, unless another is nearer by more than the margin."""
-        distance = self._distances(reference)
-        nearest = jnp.argmin(distance)
-        stays = (state.age > 0) & (distance[state.cell] <= distance[nearest] + self.switching.margin_n)
-        return jnp.where(stays, state.cell, nearest)
-
-    def _policy(self, index: Int[Array, ""]) -> Policy:
-        policy: Policy = jax.tree.map(lambda leaf: leaf[index], self.policies)
-        return policy
-
-    def _distances(self, reference: Float[Array, "2"]) -> Float[Array, "cells"]:
-        low, high, _ = stack_references(self.cells)
-        beyond = jnp.maximum(jnp.maximum(low - reference, reference - high), 0)
-        return jnp.sqrt(jnp.sum(beyond**2, axis=1))
-
-    def _seen(
-        self, angle: Float[Array, ""], reference: Float[Array, "2"], actions: Array, age: Int[Array, ""]
-    ) -> Float[Array, "observations"]:
-        return observation(self.task, angle, reference, actions[: self.task.past_actions + 1], age)
-
-    def _taken_over(self, policy: Policy, state: GridState, reference: Float[Array, "2"]) -> Memory:
-        """What the policy remembers of the last cycle, or of as much of it as there was.
-
-        As if the reference had been this one for long, which is what it knows from its training.
-        """
-        memory = policy.init()
+    def _warm_up_memory(
+        self, ops: Operations, network: PolicyNetwork, state: GridState, reference: Array
+    ) -> PolicyMemory:
+        """Replay the last cycle, or as much of it as there was, as if the reference had long been this one."""
+        memory = empty = PolicyMemory(*map(ops.constant, network.empty()))
         if self.switching.replay:
             for ago in range(CYCLE_ACTIONS, 0, -1):
-                seen = self._seen(state.angles[ago - 1], reference, state.actions[ago:], state.age - ago)
-                memory = policy.act(cleared(memory, state.age <= ago), seen)[0]
+                again = partial(self._replay, ops, network, state, reference, memory, ago)
+                memory = PolicyMemory(*ops.choose(state.age >= ago, again, lambda: empty))
         return memory
 
-    def _share(self, state: GridState, switched: Bool[Array, ""], reference: Float[Array, "2"]) -> Float[Array, ""]:
-        """Of the beat in this action. At first the beat alone, once there is a whole cycle of it."""
+    def _replay(
+        self,
+        ops: Operations,
+        network: PolicyNetwork,
+        state: GridState,
+        reference: Array,
+        memory: PolicyMemory,
+        ago: int,
+    ) -> PolicyMemory:
+        """Do one step of the LSTM on the observation of so many actions ago."""
+        now = ops.xp.concat([state.angles[ago - 1 : ago], reference])
+        return network.remember(
+            ops, memory, self.observation.observe(ops, now, state.actions[2 * ago :], state.age - ago)
+        )
+
+    def _blend(self, ops: Operations, state: GridState, switched: Number, reference: Array) -> Number:
+        """Return the weight of the action one cycle ago: at first 1, once there is a whole cycle."""
         if not self.switching.fade_actions:
-            return jnp.zeros(())
-        whole = jnp.where(state.age >= CYCLE_ACTIONS, 1.0, 0.0)
-        moved = jnp.sqrt(jnp.sum((reference - state.reference) ** 2))
-        share = jnp.where(switched, whole, state.share)
-        return jnp.asarray(share * jnp.clip(1 - moved / self.switching.step_n, 0, 1))
+            return 0 * state.blend
+        whole = ops.choose(state.age >= CYCLE_ACTIONS, lambda: np.float32(1), lambda: np.float32(0))
+        blend = ops.choose(switched, lambda: whole, lambda: state.blend)
+        moved = reference - state.last_reference
+        kept = 1 - ops.xp.sqrt(moved[0] * moved[0] + moved[1] * moved[1]) / np.float32(self.switching.step_n)
+        return blend * ops.choose(kept > 0, lambda: kept, lambda: np.float32(0))

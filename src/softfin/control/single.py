@@ -1,53 +1,59 @@
 """One policy for a whole range of references (paper Sec. III-C3, first design)."""
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+import numpy as np
 
-from softfin.control.controller import Measured
-from softfin.control.range import check_within
-from softfin.core.quantities import Command, Limits
-from softfin.gaits.reachable import Reachable
-from softfin.learning.lstm import Memory
-from softfin.learning.policy import Policy
-from softfin.task.references import Cell, Force
-from softfin.task.task import TaskConfig, command_of, observation, remember, rest_actions
+from softfin.control.controller import STATIC
+from softfin.control.policy import Observation, PolicyMemory, PolicyNetwork, fold, rest_action
+from softfin.core.operations import Array, Number, Operations
+from softfin.core.quantities import Limits
+from softfin.gaits.reachable import Cell
 
 
 class SingleState(NamedTuple):
-    """What a policy remembers."""
+    """State of a single policy."""
 
-    memory: Memory
-    actions: Float[Array, "remembered 2"]
-    """The last one first, normalised."""
-    age: Int[Array, ""]
+    hidden: Array
+    cell: Array
+    actions: Array
+    """Past actions in [-1, 1], the last one first, side by side."""
+    age: Number
     """Actions since the start."""
 
 
-class SingleController(eqx.Module):
-    """Meets the Controller contract."""
+@dataclass(frozen=True)
+class SingleStep:
+    """Step of a single policy."""
 
-    policy: Policy
-    task: TaskConfig = eqx.field(static=True)
-    limits: Limits = eqx.field(static=True)
-    """Of the plant that it was trained in: its commands stay within them."""
-    cell: Cell = eqx.field(static=True)
-    """References that it was trained for [N]."""
-    reachable: Reachable | None = None
-    """Mean forces that the fin can make, where that is known."""
+    kind: ClassVar[str] = "single"
+    network: PolicyNetwork
+    rest: tuple[float, float] = field(metadata=STATIC)
+    """Action of a fin that stays where it is."""
+    observation: Observation = field(metadata=STATIC)
+
+    @classmethod
+    def load(
+        cls, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray], limits: Limits, cells: tuple[Cell, ...]
+    ) -> tuple["SingleStep", tuple[Cell, ...]]:
+        """Build it from a controller's description and arrays; returns it with its cell."""
+        if len(cells) != 1:
+            raise ValueError(f"cells: there are {len(cells)}; a single controller has one")
+        observation = Observation.model_validate(description["task"])
+        return cls(fold(arrays, observation), rest_action(limits), observation), cells
 
     def init(self) -> SingleState:
-        """The fin at rest, nothing remembered."""
-        return SingleState(self.policy.init(), rest_actions(self.task, self.limits), jnp.int32(0))
+        """Return the state of a fin at rest."""
+        return SingleState(
+            *self.network.empty(), np.tile(np.asarray(self.rest, np.float32), self.observation.past_actions + 1), 0
+        )
 
-    def act(self, state: SingleState, measured: Measured, reference: Float[Array, "2"]) -> tuple[SingleState, Command]:
-        """The policy's mean action."""
-        seen = observation(self.task, jnp.asarray(measured.angle), jnp.asarray(reference), state.actions, state.age)
-        memory, action = self.policy.act(state.memory, seen)
-        return SingleState(memory, remember(state.actions, action), state.age + 1), command_of(self.limits, action)
-
-    def check(self, reference: Force) -> None:
-        """Raise CoverageError outside the range."""
-        check_within((self.cell,), reference)
+    def act(self, ops: Operations, state: SingleState, now: Array) -> tuple[SingleState, Array]:
+        """Compute the policy's deterministic action."""
+        network = PolicyNetwork(*map(ops.constant, self.network))
+        observation = self.observation.observe(ops, now, state.actions, state.age)
+        memory = network.remember(ops, PolicyMemory(state.hidden, state.cell), observation)
+        action = network.action(ops, memory)
+        return SingleState(*memory, ops.xp.concat([action, state.actions[:-2]]), state.age + 1), action

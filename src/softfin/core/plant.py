@@ -10,12 +10,12 @@ from typing import Any, Protocol, TypeAlias, TypeVar, runtime_checkable
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Int, PRNGKeyArray, PyTree
+from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
 from softfin.core.action_clock import MOST_TICKS, rows_of, ticks_of
 from softfin.core.errors import CommandError
 from softfin.core.program_cache import use_program_cache
-from softfin.core.quantities import Command, Limits, Reading
+from softfin.core.quantities import AnyArray, Command, Limits, Reading
 
 # Here, as whatever compiles a program of softfin's imports this module.
 use_program_cache()
@@ -46,6 +46,46 @@ class Plant(Protocol):
 
     def advance(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
         """Hold the scalar command for `ticks` samples of 10 ms (static) and read after each: fields ``(ticks,)``."""
+        ...
+
+
+@runtime_checkable
+class ForceInterval(Protocol):
+    """Interval on the mean force of an ensemble over one window."""
+
+    def half_width(self, means: Float[AnyArray, "members *shape"]) -> Float[AnyArray, "*shape"]:
+        """Half of the interval's width [N], from the mean force of each member [N]."""
+        ...
+
+    def caveat(self) -> str | None:
+        """Why the interval is not to be relied on, in a sentence; None where there is none."""
+        ...
+
+
+@runtime_checkable
+class EnsemblePlant(Plant, Protocol):
+    """A plant of several members that estimates its own errors; `advance` reads the mean over the members."""
+
+    @property
+    def size(self) -> int:
+        """Number of members."""
+        ...
+
+    @property
+    def interval(self) -> ForceInterval:
+        """Interval on the mean force, from how much the members disagree."""
+        ...
+
+    def member(self, index: Int[Array, ""]) -> Plant:
+        """One member as a plant of its own; `index` may be a value in a program."""
+        ...
+
+    def advance_members(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
+        """As `advance`, with every member's own reading: fields ``(members, ticks)``."""
+        ...
+
+    def distance(self, state: State) -> Float[Array, ""]:
+        """Distance of the last motion from the training data: 1 at their edge, more beyond it."""
         ...
 
 

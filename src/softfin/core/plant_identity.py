@@ -13,11 +13,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PRNGKeyArray, PyTree
+from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
 from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.errors import PlantError
-from softfin.core.plant import Plant, State, Ticks, hold_action
+from softfin.core.plant import EnsemblePlant, ForceInterval, Plant, State, Ticks, hold_action
 from softfin.core.quantities import Command, Limits, Reading
 
 PLAIN = (bool, int, float, str, type(None))
@@ -63,7 +63,8 @@ def jit_argument(plant: Plant) -> Plant:
     if _is_own(plant, static):
         return plant
     program = _program(plant, arrays, static)
-    return TracedPlant(arrays, _Program(static, _digest(None, program), keep=bool(CALLBACK.search(program))))
+    kind = TracedEnsemble if isinstance(plant, EnsemblePlant) else TracedPlant
+    return kind(arrays, _Program(static, _digest(None, program), keep=bool(CALLBACK.search(program))))
 
 
 class _Program:
@@ -110,6 +111,37 @@ class TracedPlant(eqx.Module):
         return hold_action(self._plant, state, command, ticks)
 
 
+class TracedEnsemble(TracedPlant):
+    """Meets the EnsemblePlant contract: a user's ensemble as an argument of compiled programs."""
+
+    @property
+    def _ensemble(self) -> EnsemblePlant:
+        ensemble: EnsemblePlant = eqx.combine(self.arrays, self.program.static)
+        return ensemble
+
+    @property
+    def size(self) -> int:
+        """Number of members."""
+        return self._ensemble.size
+
+    @property
+    def interval(self) -> ForceInterval:
+        """As the ensemble's."""
+        return self._ensemble.interval
+
+    def member(self, index: Int[Array, ""]) -> Plant:
+        """As the ensemble's."""
+        return self._ensemble.member(index)
+
+    def advance_members(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
+        """As the ensemble's."""
+        return self._ensemble.advance_members(state, command, ticks)
+
+    def distance(self, state: State) -> Float[Array, ""]:
+        """As the ensemble's."""
+        return self._ensemble.distance(state)
+
+
 def _is_own(plant: Plant, static: PyTree[Any]) -> bool:
     module = type(plant).__module__
     return module.startswith("softfin.") and all(isinstance(leaf, PLAIN) for leaf in jax.tree.leaves(static))
@@ -126,6 +158,10 @@ def _program(plant: Plant, arrays: PyTree[Any], static: PyTree[Any]) -> str:
         state = whole.init(key)
         own = getattr(whole, "hold_action", None)
         held = [] if own is None else [own(state, command, jnp.int32(ACTION_TICKS[0]))]
+        if isinstance(whole, EnsemblePlant):
+            member = whole.member(jnp.int32(0))
+            held += [whole.advance_members(state, command, 1), whole.distance(state),
+                     member.advance(member.init(key), command, 1)]  # fmt: skip
         return [whole.advance(state, command, ticks) for ticks in (1, ACTION_TICKS[0])] + held
 
     try:

@@ -130,6 +130,15 @@ class Limits(NamedTuple):
         return {f"{name}_{'rad' if 'angle' in name else 'rad_s'}": value for name, value in self._asdict().items()}
 
 
+def command_of(limits: Limits, action: Any) -> Command:
+    """Map an action in [-1, 1]^2, an array of any library, onto the limits."""
+    part = (action + 1) / 2
+    return Command(
+        limits.angle_min + part[0] * (limits.angle_max - limits.angle_min),
+        limits.velocity_min + part[1] * (limits.velocity_max - limits.velocity_min),
+    )
+
+
 PAPER_LIMITS = Limits(-np.pi / 2, np.pi / 2, 1.0, np.pi)
 """Sec. III-A: target position in (-pi/2, pi/2) rad, velocity in (1, pi) rad/s."""
 

@@ -11,8 +11,8 @@ import pydantic
 from jaxtyping import Array, Key
 
 from softfin.control.controller import Controller
-from softfin.control.range import admitted
-from softfin.control.trim import TrimConfig, TrimmedController
+from softfin.control.disturbance_observer import DisturbanceObserver, DisturbanceObserverConfig
+from softfin.control.references import resolve_reference
 from softfin.core.action_clock import ACTION_RATE_HZ, WINDOW
 from softfin.core.choices import MovingReference
 from softfin.core.configuration import Configuration
@@ -25,9 +25,9 @@ from softfin.evaluation.moving import MovingScores, plan_moving
 from softfin.evaluation.range_errors import MAX_RANDOM, ErrorMap, RandomErrors, map_errors, random_errors
 from softfin.evaluation.scores import STILL_RAD_S, Scores, score
 from softfin.evaluation.uncertainty import SurrogateUncertainty, uncertainty_of
+from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.storage import artifact as artifacts
 from softfin.storage.figures import save_figure
-from softfin.task.references import PAPER_REFERENCES
 from softfin.task.signals import Recorded
 
 FORMAT = 2
@@ -53,7 +53,7 @@ class EvaluateConfig(Configuration):
     """Another moving reference, as read from a file; its last force is held as long as the one before."""
     strict: bool = False
     """Whether a reference that the fin cannot make is refused; else the nearest one that it can make is tracked."""
-    trim: TrimConfig | None = None
+    trim: DisturbanceObserverConfig | None = None
     """A slow outer loop about the controller that cancels the steady-state force error."""
     error_map: int | None = pydantic.Field(default=None, ge=2, le=50)
     """References along each side of a lattice over the controller's range, for a map of the error; None draws none."""
@@ -138,10 +138,10 @@ def evaluate(controller: Controller, plant: EvaluationTarget, config: EvaluateCo
     Raises CoverageError for a reference that the controller was not trained for, or with `config.strict` for one that
     the fin cannot make.
     """
-    resolved = [admitted(controller, reference, config.strict) for reference in config.references]
+    resolved = [resolve_reference(controller, reference, config.strict) for reference in config.references]
     tracked = np.array([reference for reference, _ in resolved], np.float32)
     if config.trim is not None:
-        controller = TrimmedController(controller, config.trim)
+        controller = DisturbanceObserver(controller, config.trim)
     plans = plan_moving(controller, config.moving, config.recorded, config.strict)
     keys = repetition_keys(config)
     evaluation = score_experiments(run(controller, plant, tracked, config.seconds, keys), plant, config)

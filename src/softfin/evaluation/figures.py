@@ -17,8 +17,8 @@ from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.moving import MovingScores
 from softfin.evaluation.range_errors import ErrorMap
 from softfin.evaluation.scores import SETTLED_N, moving_average
+from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, styled, with_minus_signs
-from softfin.task.references import PAPER_REFERENCES
 
 TRAJECTORY_SECONDS, FORCE_SECONDS = 5, 10
 """Seconds from the start of an experiment that are drawn, as in the paper's evaluation figure."""

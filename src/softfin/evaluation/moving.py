@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from softfin.control.controller import Controller
-from softfin.control.range import beyond_reach, held, reachable_of
+from softfin.control.references import reachable_of, resolve_references, unreachable
 from softfin.core.choices import MovingReference
 from softfin.core.errors import CoverageError
 from softfin.core.quantities import AXES, RATE_HZ
@@ -20,9 +20,7 @@ from softfin.core.statistics import interval
 from softfin.evaluation.experiment import MIN_SECONDS, EvaluationTarget, ExperimentRecording, independent, run
 from softfin.evaluation.range_errors import range_of
 from softfin.evaluation.scores import StepResponse, instantaneous_error, score, step_responses
-from softfin.gaits.nearest import nearest_within, reached
-from softfin.gaits.reachable import Reachable
-from softfin.task.references import Cell
+from softfin.gaits.reachable import Cell, Reachable
 from softfin.task.signals import Force, Ramp, Recorded, Signal, Sine, Step
 
 LOW, MIDDLE, HIGH = 1 / 6, 1 / 2, 5 / 6
@@ -61,8 +59,8 @@ def signals_of(kind: MovingReference, cell: Cell, reachable: Reachable | None = 
 
     def at(x: float, y: float) -> Force:
         force = (x0 + x * (x1 - x0), y0 + y * (y1 - y0))
-        if reachable is not None and not reached(reachable, np.array([force])).all():
-            force = nearest_within(reachable, (cell,), np.array([force]))[0].tolist()
+        if reachable is not None and not reachable.contains(force):
+            force = reachable.nearest_within((cell,), np.array([force]))[0].tolist()
         if not np.isfinite(force).all():
             raise CoverageError(
                 f"references that move within {cell}: this fin can make none of these forces; train the controller "
@@ -119,7 +117,7 @@ def _resolve_signal(
     """The force to track at each tick, the nearest that the fin can make, and a warning where it is not the signal."""
     references = signal.sample(ticks)
     distinct, places = np.unique(references, axis=0, return_inverse=True)
-    near = held(controller, distinct).astype(np.float32)[places.reshape(-1)]
+    near = resolve_references(controller, distinct).astype(np.float32)[places.reshape(-1)]
     distance = np.hypot(*(near - references).T)
     if not distance.any():
         return references, None
@@ -127,7 +125,7 @@ def _resolve_signal(
     if strict:
         (x, y), (a, b) = references[first].tolist(), near[first].tolist()
         raise CoverageError(
-            f"{signal}, at {first / RATE_HZ:g} s: {beyond_reach((x, y), (a, b))}; ask for that, or leave out --strict"
+            f"{signal}, at {first / RATE_HZ:g} s: {unreachable((x, y), (a, b))}; ask for that, or leave out --strict"
         )
     return near, (
         f"{signal}: this fin cannot make what is asked in {np.count_nonzero(distance) / RATE_HZ:g} of "

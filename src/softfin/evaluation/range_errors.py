@@ -11,15 +11,14 @@ import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
 from softfin.control.controller import Controller
-from softfin.control.range import cells_of, reachable_of
+from softfin.control.references import cells_of, reachable_of
 from softfin.core.errors import CoverageError
 from softfin.core.quantities import AXES
 from softfin.core.randomness import generator_of
 from softfin.evaluation.experiment import EvaluationTarget, independent, run
 from softfin.evaluation.scores import score
-from softfin.gaits.nearest import reached
-from softfin.gaits.reachable import Reachable
-from softfin.task.references import PAPER_RANGE, Cell, Force, least_box
+from softfin.gaits.reachable import Cell, Force, Reachable, bounding_box
+from softfin.task.references import PAPER_RANGE
 
 LATTICE_POINTS = 7
 """Default number of references along each side of the lattice."""
@@ -90,7 +89,7 @@ class RandomErrors(NamedTuple):
 
 def range_of(controller: Controller) -> Cell:
     """The bounding box of a controller's cells; the paper's range for one that has none and covers everything."""
-    return least_box(cells_of(controller) or (PAPER_RANGE,))
+    return bounding_box(cells_of(controller) or (PAPER_RANGE,))
 
 
 def errors_at(
@@ -123,7 +122,7 @@ def map_errors(
     covered = [reference for reference in cell.lattice(points) if covers(reference)]
     references, reachable = np.array(covered).reshape(-1, 2), reachable_of(controller)
     if reachable is not None:
-        references = references[reached(reachable, references)]
+        references = references[reachable.contains(references)]
     if not len(references):
         reason = (
             "this fin can make none of them; ask for more points, or train the controller within the fin's reach "
@@ -160,7 +159,7 @@ def draw_references(
     for _ in range(ROUNDS):
         chosen = generator.choice(len(cells), count, p=probability)
         forces = generator.uniform(low[chosen], high[chosen])
-        accepted = np.concatenate([accepted, forces if reachable is None else forces[reached(reachable, forces)]])
+        accepted = np.concatenate([accepted, forces if reachable is None else forces[reachable.contains(forces)]])
         if len(accepted) >= count:
             return accepted[:count]
     raise CoverageError(

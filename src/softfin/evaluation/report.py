@@ -19,10 +19,10 @@ from matplotlib.figure import Figure
 
 from softfin.core.quantities import AXES, RATE_HZ
 from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_II, PaperScores, recomputed_means
+from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.storage import artifact as artifacts
 from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, inline_svg, new_figure, styled, with_minus_signs
 from softfin.surrogate.compare.metrics import PAPER_TABLE_I
-from softfin.task.references import PAPER_REFERENCES
 
 Figures = Mapping[str, Figure]
 """Figures by caption."""

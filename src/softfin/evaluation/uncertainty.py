@@ -1,6 +1,7 @@
 """How far an evaluation in a surrogate can be trusted: where it left its data, and how wrong its mean force may be.
 
-A surrogate that estimates its own errors is run over the recorded commands once more; of other plants nothing is known.
+An ensemble is run over the recorded commands once more, for its distance from its data and its intervals; other plants
+have neither.
 """
 
 from typing import Any, NamedTuple
@@ -11,10 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from softfin.core.plant import EnsemblePlant, State
+from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import AXES, Command
 from softfin.evaluation.experiment import EvaluationTarget, ExperimentRecording
 from softfin.evaluation.scores import moving_average
-from softfin.surrogate.streaming.streaming import StreamingState, StreamingSurrogate
 
 RARELY = 0.01
 """Fraction of samples beyond the data up to which there is no warning: ten times that of the data themselves."""
@@ -51,20 +53,22 @@ class SurrogateUncertainty(NamedTuple):
 
 def uncertainty_of(plant: EvaluationTarget, recording: ExperimentRecording) -> SurrogateUncertainty | None:
     """Return the uncertainty in the first repetition of every reference; None for a plant that estimates none."""
-    if not isinstance(plant, StreamingSurrogate):
+    if not isinstance(plant, EnsemblePlant):
         return None
     commands = Command(*(jnp.asarray(part[:, 0]) for part in recording.command))
-    distance, force = (np.asarray(part) for part in _run_members(plant, commands))
+    ensemble = jit_argument(plant)
+    assert isinstance(ensemble, EnsemblePlant)
+    distance, force = (np.asarray(part) for part in _run_members(ensemble, commands))
     means = np.stack([moving_average(member) for member in np.moveaxis(force, 2, 0)])
     half_width = np.asarray(plant.interval.half_width(means))
     return SurrogateUncertainty((distance > 1).mean(axis=1), distance.max(axis=1), half_width.mean(axis=1))
 
 
 @eqx.filter_jit
-def _run_members(plant: StreamingSurrogate, commands: Command) -> tuple[Array, Array]:
+def _run_members(plant: EnsemblePlant, commands: Command) -> tuple[Array, Array]:
     """Distances ``(references, ticks)`` and the members' forces ``(references, ticks, members, 2)``."""
 
-    def tick(state: StreamingState, command: Command) -> tuple[StreamingState, tuple[Array, Array]]:
+    def tick(state: State, command: Command) -> tuple[State, tuple[Array, Array]]:
         state, each = plant.advance_members(state, command, 1)
         return state, (plant.distance(state), jnp.asarray(each.force[:, 0]))
 

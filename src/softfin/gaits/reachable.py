@@ -1,56 +1,190 @@
-"""The mean forces that a fin can make: a region of the force plane, star-shaped about a force well inside it.
+"""Regions of mean forces: the cells that controllers are trained for, and the region that a fin can reach.
 
-Its edge is kept as a radius in equally spaced directions, so whether a force is inside is one division, and any force
-is brought inside by going towards the centre or to the nearest point of the edge.
+The reachable region is star-shaped about a force inside it, kept as a radius in equally spaced directions; so whether a
+force is inside is one division. It works on NumPy arrays and, for `project`, within JAX programs.
 """
 
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple, TypeAlias
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Bool, Float
+from pydantic import model_validator
 
+from softfin.core.configuration import Configuration
+from softfin.core.operations import operations_of
 from softfin.core.quantities import AnyArray
+
+Force: TypeAlias = tuple[float | int, float | int]
+"""(x, y) [N]."""
+
+Forces: TypeAlias = Float[np.ndarray, "*forces 2"]
+Points: TypeAlias = Float[np.ndarray, "..."]
+
+PAPER_REFERENCES: tuple[Force, ...] = ((1, -1), (2, -1), (2, 0), (3, 0), (1, 1), (2, 1))
+"""Reference forces of the paper's Table II [N]."""
+
+TOLERANCE_N = 1e-3
+"""Forces this near to the edge of a region count as inside it."""
+
+CHUNK = 2048
+"""Forces for which the nearest ones are computed together, which bounds the memory."""
+
+
+class Cell(Configuration):
+    """Axis-aligned box of reference forces."""
+
+    low: Force
+    """Least (x, y) [N]."""
+    high: Force
+    """Greatest (x, y) [N]; not under `low`, equal to it for a single reference."""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "Cell":
+        if self.low[0] > self.high[0] or self.low[1] > self.high[1]:
+            raise ValueError(f"low {self.low} is above high {self.high}; give the lower corner first")
+        return self
+
+    @classmethod
+    def around(cls, centre: Force, width_n: float = 1.0) -> "Cell":
+        """Build a square about a force."""
+        half = width_n / 2
+        return cls(low=(centre[0] - half, centre[1] - half), high=(centre[0] + half, centre[1] + half))
+
+    def expanded(self, margin_n: float) -> "Cell":
+        """Build the cell that is wider by the margin on every side."""
+        (x0, y0), (x1, y1) = self.low, self.high
+        return Cell(low=(x0 - margin_n, y0 - margin_n), high=(x1 + margin_n, y1 + margin_n))
+
+    @property
+    def centre(self) -> Force:
+        """Middle of the cell [N]."""
+        return (self.low[0] + self.high[0]) / 2, (self.low[1] + self.high[1]) / 2
+
+    def lattice(self, count: int) -> tuple[Force, ...]:
+        """Return `count` x `count` references, each in the middle of an equal part of the cell."""
+        steps = [(i + 0.5) / count for i in range(count)]
+        (x0, y0), (x1, y1) = self.low, self.high
+        return tuple((x0 + a * (x1 - x0), y0 + b * (y1 - y0)) for a in steps for b in steps)
+
+    def distance(self, reference: Force) -> float:
+        """Distance from the cell to a reference [N]; 0 inside and on the edge."""
+        beyond = [max(a - r, 0.0, r - b) for a, r, b in zip(self.low, reference, self.high, strict=True)]
+        return float((beyond[0] ** 2 + beyond[1] ** 2) ** 0.5)
+
+    def __str__(self) -> str:
+        return f"x {self.low[0]:g} .. {self.high[0]:g}, y {self.low[1]:g} .. {self.high[1]:g} N"
+
+
+def bounding_box(cells: Sequence[Cell]) -> Cell:
+    """Build the smallest cell that contains all cells."""
+    (x0, y0), (x1, y1) = (
+        tuple(choose(getattr(cell, corner)[i] for cell in cells) for i in range(2))
+        for corner, choose in (("low", min), ("high", max))
+    )
+    return Cell(low=(x0, y0), high=(x1, y1))
 
 
 class Reachable(NamedTuple):
-    """A star-shaped polygon."""
+    """Mean forces that a fin can make: a star-shaped polygon."""
 
     centre: Float[AnyArray, "2"]
-    """(x, y) [N]."""
+    """Force (x, y) about which the polygon is star-shaped [N]."""
     radius: Float[AnyArray, "directions"]
-    """From the centre to the corners [N]; corner k lies in the direction of 2 pi k / directions, counted from +x."""
+    """Distance of each corner from the centre [N]; corner k lies in the direction of 2 pi k / directions from +x."""
 
     @classmethod
-    def of(cls, description: dict[str, Any]) -> "Reachable":
-        """From what `described` gave; raises KeyError, TypeError, ValueError for anything else."""
+    def from_dict(cls, description: Any) -> "Reachable":
+        """Build it from what `to_dict` gave; raises KeyError, TypeError or ValueError for anything else."""
+        if not isinstance(description, dict):
+            raise TypeError(f"reachable is {description!r}; it must be an object with centre_n and radius_n")
         centre, radius = (np.asarray(description[name], np.float32) for name in ("centre_n", "radius_n"))
         if centre.shape != (2,) or radius.ndim != 1 or len(radius) < 3:
-            raise ValueError(f"reachable: centre {centre.shape} and radius {radius.shape} describe no region")
+            raise ValueError(f"reachable: centre {centre.shape} and radius {radius.shape} do not describe a region")
         if not np.isfinite(centre).all() or not (np.isfinite(radius) & (radius >= 0)).all():
             raise ValueError("reachable: centre and radius must be finite, and no radius under 0")
         return cls(centre, radius)
 
-    def described(self) -> dict[str, Any]:
-        """For JSON: the centre [N] and the distance of each corner from it [N]."""
+    def to_dict(self) -> dict[str, Any]:
+        """Return centre and radii [N] for JSON."""
         return {
             "centre_n": [round(float(x), 5) for x in self.centre],
             "radius_n": [round(float(x), 5) for x in self.radius],
         }
 
     def corners(self) -> Float[np.ndarray, "directions 2"]:
-        """Of the polygon [N], anticlockwise."""
+        """Corners of the polygon [N], anticlockwise."""
         corners: Float[np.ndarray, "directions 2"]
         corners = np.asarray(self.centre) + np.asarray(self.radius)[:, None] * directions(len(self.radius))
         return corners
 
-    def pulled(self, force: Float[AnyArray, "2"]) -> Float[Array, "2"]:
-        """The force, or where the line from it to the centre meets the edge; traceable."""
-        return jnp.asarray(_pulled(*(jnp.asarray(each) for each in (self.centre, self.radius, force))))
+    def project(self, force: Any) -> Any:
+        """Return each force, or where the line from it to the centre meets the edge; NumPy arrays or JAX's."""
+        xp, count = operations_of(force, self.radius).xp, self.radius.shape[-1]
+        force = xp.asarray(force)
+        offset = force - self.centre
+        turn = xp.arctan2(offset[..., 1], offset[..., 0]) / (2 * np.pi) % 1 * count
+        index = xp.minimum(turn.astype(np.int32), count - 1)
+        corners = xp.asarray(self.radius[:, None] * directions(count))
+        a, b = corners[index], corners[(index + 1) % count]
+        # The ray offset * s meets the side a + (b - a) t where offset x (a - b) s = a x (a - b).
+        side = a - b
+        across = offset[..., 0] * side[..., 1] - offset[..., 1] * side[..., 0]
+        reach = (a[..., 0] * side[..., 1] - a[..., 1] * side[..., 0]) / xp.where(xp.abs(across) < 1e-9, np.inf, across)
+        inside = (reach >= 1) | (xp.abs(offset).max(axis=-1) < 1e-6)
+        return xp.where(inside[..., None], force, self.centre + offset * reach[..., None])
 
-    def distances(self, centre: Float[np.ndarray, "2"]) -> Float[np.ndarray, "directions"]:
-        """From a force inside to where lines in the directions of the corners first leave the region [N]."""
+    def contains(self, force: Any, tolerance_n: float = TOLERANCE_N) -> Bool[np.ndarray, "*forces"]:
+        """Whether each force is inside, or its projection is within the tolerance of it."""
+        force = np.asarray(force, float)
+        return np.asarray(np.linalg.norm(self.project(force) - force, axis=-1) <= tolerance_n)
+
+    def nearest(self, force: Any) -> Forces:
+        """Return each force that is inside, else the nearest point of the edge [N]."""
+        at = np.asarray(force, float)
+        corners = self.corners().astype(float)
+        points = _on_sides(corners, at, 0, 1)
+        near = np.take_along_axis(points, _nearest_of(points, at)[..., None, None], axis=-2)[..., 0, :]
+        return np.where(np.isclose(self.project(at), at, atol=1e-5).all(axis=-1)[..., None], at, near)
+
+    def nearest_within(
+        self, cells: Sequence[Cell], forces: Float[np.ndarray, "forces 2"]
+    ) -> Float[np.ndarray, "forces 2"]:
+        """Return, for each force, the nearest one that is inside both the region and a cell; NaN where there is none.
+
+        It is the nearest force of a cell, of one of the cell's sides or its corners, or lies on the region's edge.
+        """
+        if len(forces) > CHUNK:
+            parts = [self.nearest_within(cells, forces[i : i + CHUNK]) for i in range(0, len(forces), CHUNK)]
+            return np.concatenate(parts)
+        forces = forces.astype(float)
+        candidates = np.concatenate(
+            [part for cell in cells for part in (self._on_cell(cell, forces), self._on_edge(cell, forces))], axis=1
+        )
+        return np.asarray(np.take_along_axis(candidates, _nearest_of(candidates, forces)[:, None, None], axis=1)[:, 0])
+
+    def _on_cell(self, cell: Cell, forces: Float[np.ndarray, "forces 2"]) -> Float[np.ndarray, "forces candidates 2"]:
+        (x0, y0), (x1, y1) = cell.low, cell.high
+        x, y = np.clip(forces, cell.low, cell.high).T
+        pairs = [(x, y), (x0, y), (x1, y), (x, y0), (x, y1), (x0, y0), (x0, y1), (x1, y0), (x1, y1)]
+        candidates = np.stack([np.stack(np.broadcast_arrays(*pair, x)[:2], axis=1) for pair in pairs], axis=1)
+        return np.where(self.contains(candidates)[..., None], candidates, np.nan)
+
+    def _on_edge(self, cell: Cell, forces: Float[np.ndarray, "forces 2"]) -> Float[np.ndarray, "forces candidates 2"]:
+        corners = self.corners().astype(float)
+        side = np.roll(corners, -1, axis=0) - corners
+        # Where each side enters and leaves the cell, as a part of its length (Liang and Barsky 1984).
+        with np.errstate(divide="ignore", invalid="ignore"):
+            crossings = np.stack([(np.asarray(bound) - corners) / side for bound in (cell.low, cell.high)])
+        between = (corners >= cell.low) & (corners <= cell.high)
+        enter = np.where(side == 0, np.where(between, 0, np.inf), crossings.min(axis=0)).max(axis=1).clip(0)
+        leave = np.where(side == 0, np.where(between, 1, -np.inf), crossings.max(axis=0)).min(axis=1).clip(max=1)
+        on_side = _on_sides(corners, forces, enter, np.maximum(enter, leave))
+        # Rounding must not lead out of the cell.
+        return np.where((enter <= leave)[:, None], np.clip(on_side, cell.low, cell.high), np.nan)
+
+    def distances_from(self, centre: Float[np.ndarray, "2"]) -> Float[np.ndarray, "directions"]:
+        """Distance from a force inside to where lines in the directions of the corners first leave the region [N]."""
         if np.array_equal(centre, self.centre):
             return np.asarray(self.radius)
         start = self.corners().astype(float) - centre
@@ -68,29 +202,13 @@ class Reachable(NamedTuple):
         least = np.where(meets, reach, np.inf).min(axis=1)
         return np.asarray(np.where(np.isfinite(least), least, 0), np.float32)
 
-    def contains(self, force: tuple[float | int, float | int], tolerance_n: float = 1e-3) -> bool:
-        """Whether the force is inside or within the tolerance of the edge."""
-        return float(np.hypot(*np.subtract(force, self.nearest(force)))) <= tolerance_n
-
-    def nearest(self, force: tuple[float | int, float | int]) -> tuple[float, float]:
-        """The force where it is inside, else the nearest point of the edge [N]."""
-        at = np.asarray(force, float)
-        if np.allclose(np.asarray(self.pulled(at.astype(np.float32))), at, atol=1e-5):
-            return float(at[0]), float(at[1])
-        a = self.corners().astype(float)
-        side = np.roll(a, -1, axis=0) - a
-        along = np.clip(((at - a) * side).sum(1) / np.maximum((side**2).sum(1), 1e-12), 0, 1)
-        points = a + along[:, None] * side
-        x, y = points[np.argmin(((points - at) ** 2).sum(1))]
-        return float(x), float(y)
-
     def area(self) -> float:
-        """Of the polygon [N^2]."""
+        """Area of the polygon [N^2]."""
         turn = 2 * np.pi / len(self.radius)
         radius = np.asarray(self.radius, float)
         return float(np.sin(turn) / 2 * (radius * np.roll(radius, -1)).sum())
 
-    def box(self) -> tuple[tuple[float, float], tuple[float, float]]:
+    def bounds(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Least and greatest (x, y) [N]."""
         corners = self.corners()
         (x0, y0), (x1, y1) = corners.min(0).tolist(), corners.max(0).tolist()
@@ -98,24 +216,19 @@ class Reachable(NamedTuple):
 
 
 def directions(count: int) -> Float[np.ndarray, "directions 2"]:
-    """Equally spaced unit vectors, anticlockwise from +x."""
+    """Return equally spaced unit vectors, anticlockwise from +x."""
     angle = 2 * np.pi * np.arange(count) / count
     return np.stack([np.cos(angle), np.sin(angle)], axis=1).astype(np.float32)
 
 
-@jax.jit
-def _pulled(
-    centre: Float[Array, "2"], radius: Float[Array, "directions"], force: Float[Array, "2"]
-) -> Float[Array, "2"]:
-    offset = force - centre
-    count = len(radius)
-    turn = jnp.arctan2(offset[1], offset[0]) / (2 * jnp.pi) % 1 * count
-    index = jnp.minimum(turn.astype(jnp.int32), count - 1)
-    corners = radius[:, None] * directions(count)
-    a, b = corners[index], corners[(index + 1) % count]
-    # The ray offset * s meets the side a + (b - a) t where offset x (a - b) s = a x (a - b).
-    side = a - b
-    across = offset[0] * side[1] - offset[1] * side[0]
-    reach = (a[0] * side[1] - a[1] * side[0]) / jnp.where(jnp.abs(across) < 1e-9, jnp.inf, across)
-    inside = (reach >= 1) | (jnp.abs(offset).max() < 1e-6)
-    return jnp.where(inside, force, centre + offset * reach)
+def _on_sides(corners: Float[np.ndarray, "sides 2"], force: Points, enter: Any, leave: Any) -> Points:
+    """Return the nearest point to each force on a part of each side of a polygon, ``(..., sides, 2)``."""
+    side = np.roll(corners, -1, axis=0) - corners
+    along = ((force[..., None, :] - corners) * side).sum(axis=-1) / np.maximum((side**2).sum(axis=-1), 1e-12)
+    return np.asarray(corners + np.clip(along, enter, leave)[..., None] * side)
+
+
+def _nearest_of(points: Points, force: Points) -> Any:
+    """Return the index of the nearest of ``(..., points, 2)`` to each force; points that are NaN come last."""
+    distance = np.linalg.norm(points - force[..., None, :], axis=-1)
+    return np.where(np.isnan(distance), np.inf, distance).argmin(axis=-1)

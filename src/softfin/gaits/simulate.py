@@ -1,13 +1,9 @@
-"""Gaits: six actions, again and again. What one does to a plant, and the families that a search begins with.
-
-Six actions on the 33/33/34 clock fill the window of the moving average exactly, so in the steady state a gait leaves no
-ripple in it. A gait here is actions ``(6, 2)`` in [-1, 1], (angle, velocity) over the plant's limits.
-"""
+"""Gaits simulated in a plant: mean force, Sobolev term and their gradients; and the families that a survey tries."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import product
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -19,80 +15,72 @@ from softfin.core.action_clock import CYCLE_ACTIONS, WINDOW
 from softfin.core.errors import PlantError, RunError, SoftfinError
 from softfin.core.plant import Plant, hold
 from softfin.core.plant_identity import jit_argument
-from softfin.core.quantities import AnyArray
-from softfin.task.reward import sobolev_mean
-from softfin.task.task import command_of
+from softfin.core.quantities import AnyArray, command_of
+from softfin.core.sobolev import sobolev_mean
+from softfin.gaits.gait import Gait
 
-Gait: TypeAlias = Float[AnyArray, "6 2"]
-
-WAVES: dict[str, Sequence[float]] = {
+WAVEFORMS: dict[str, Sequence[float]] = {
     "two": (1, -1, 1, -1, 1, -1),
     "three": (1, -1, -1, 1, -1, -1),
     "six": (1, 0.5, -0.5, -1, -0.5, 0.5),
 }
-"""Angles of one gait about its centre, in units of its amplitude: strokes of 0.67 s, 1 s and 2 s."""
+"""Angles of a gait about its centre, in units of its amplitude: strokes of 0.67 s, 1 s and 2 s."""
 
 CENTRES = np.linspace(-1, 1, 11)
 AMPLITUDES = np.linspace(0.05, 0.9, 7)
 VELOCITIES = (1.0, 0.3, -0.3)
 
 
-class Made(NamedTuple):
-    """What a gait does when it has gone on for a while."""
+class GaitResponse(NamedTuple):
+    """Forces of a gait in the steady state."""
 
     force: Float[Array, "2"]
-    """Mean over the last window [N]."""
+    """Mean force over the last window [N]."""
     smoothness: Float[Array, "2"]
-    """Its Sobolev term in the form `mean` [N]."""
+    """Sobolev term of the last window in the form `mean` [N]."""
 
 
-def made(plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray) -> Made:
-    """Of a gait that is repeated from rest; the last of `cycles` counts."""
-    return measured(steady(plant, gait, cycles, key))
+def simulate_gait(plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray) -> GaitResponse:
+    """Repeat a gait from rest; the last of `cycles` windows counts."""
+    last = steady_state_force(plant, gait, cycles, key)[-WINDOW:]
+    return GaitResponse(last.mean(axis=0), sobolev_mean(last, jnp.int32(WINDOW)))
 
 
-def steady(plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray) -> Float[Array, "ticks 2"]:
+def steady_state_force(plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray) -> Float[Array, "ticks 2"]:
     """Forces [N] of a gait that is repeated from rest."""
     actions = jnp.tile(jnp.asarray(gait), (cycles, 1))
     commands = jax.vmap(lambda action: command_of(plant.limits, action))(actions)
     return jnp.asarray(hold(plant, plant.init(key), commands)[1].force)
 
 
-def measured(force: Float[Array, "ticks 2"]) -> Made:
-    """Of the last window of a force."""
-    last = force[-WINDOW:]
-    return Made(last.mean(axis=0), sobolev_mean(last, jnp.int32(WINDOW)))
-
-
 class Family(NamedTuple):
-    """Gaits of one wave and one velocity, over all centres and amplitudes."""
+    """Gaits of one waveform and one velocity, over all centres and amplitudes."""
 
-    wave: str
+    waveform: str
     velocity: float
     gaits: Float[np.ndarray, "members 6 2"]
 
 
 def families() -> list[Family]:
-    """All that a survey tries: within one family, neighbouring forces come from neighbouring gaits."""
+    """Return all that a survey tries: within one family, neighbouring forces come from neighbouring gaits."""
     found = []
-    for (name, wave), velocity in product(WAVES.items(), VELOCITIES):
-        angles = np.array([c + a * np.array(wave) for c, a in product(CENTRES, AMPLITUDES)])
+    for (name, waveform), velocity in product(WAVEFORMS.items(), VELOCITIES):
+        angles = np.array([c + a * np.array(waveform) for c, a in product(CENTRES, AMPLITUDES)])
         angles = np.clip(angles, -1, 1)
         gaits = np.stack([angles, np.full_like(angles, velocity)], axis=-1)
-        assert gaits.shape[1] == CYCLE_ACTIONS
         found.append(Family(name, velocity, gaits.astype(np.float32)))
     return found
 
 
-class Response(NamedTuple):
-    """What gaits make, and how that changes with their numbers."""
+class GaitSensitivity(NamedTuple):
+    """Mean forces and Sobolev terms of gaits, with their gradients."""
 
-    raw: Float[AnyArray, "gaits 12"]
+    pre_tanh: Float[AnyArray, "gaits 12"]
     """atanh of the actions."""
     out: Float[AnyArray, "gaits 3"]
     """Mean force (x, y) and the sum of both Sobolev terms [N]."""
     slope: Float[AnyArray, "gaits 3 12"]
-    """Of `out` by `raw`."""
+    """Gradient of `out` by `pre_tanh`."""
     smoothness: Float[AnyArray, "gaits 2"]
     """Sobolev terms (x, y) [N]."""
 
@@ -101,10 +89,10 @@ GREATEST_ACTION = 0.97
 """Actions are moved through atanh, which has no value at 1."""
 
 
-def raw_of(gaits: Float[np.ndarray, "gaits 6 2"]) -> Float[np.ndarray, "gaits 12"]:
-    """The atanh of the actions."""
-    raw: np.ndarray = np.arctanh(np.clip(gaits, -GREATEST_ACTION, GREATEST_ACTION)).reshape(len(gaits), -1)
-    return raw
+def pre_tanh_of(gaits: Float[np.ndarray, "gaits 6 2"]) -> Float[np.ndarray, "gaits 12"]:
+    """Return the atanh of the actions."""
+    pre_tanh: np.ndarray = np.arctanh(np.clip(gaits, -GREATEST_ACTION, GREATEST_ACTION)).reshape(len(gaits), -1)
+    return pre_tanh
 
 
 SIDE_BY_SIDE = 32
@@ -114,45 +102,47 @@ CYCLES = 3
 """Windows that a gait is repeated for from rest, where nothing else is asked for."""
 
 
-def response(plant: Plant, raw: Float[AnyArray, "gaits 12"], cycles: int, key: PRNGKeyArray) -> Response:
-    """Mean force and Sobolev terms of gaits, with their slopes; `plant` as `jit_argument` makes it."""
-    count = len(raw)
-    padded = np.resize(np.asarray(raw), (-(-count // SIDE_BY_SIDE) * SIDE_BY_SIDE, raw.shape[1]))
+def gait_sensitivity(
+    plant: Plant, pre_tanh: Float[AnyArray, "gaits 12"], cycles: int, key: PRNGKeyArray
+) -> GaitSensitivity:
+    """Simulate gaits and differentiate their forces; `plant` as `jit_argument` makes it."""
+    count = len(pre_tanh)
+    padded = np.resize(np.asarray(pre_tanh), (-(-count // SIDE_BY_SIDE) * SIDE_BY_SIDE, pre_tanh.shape[1]))
     parts = [
         _respond(plant, jnp.asarray(padded[start : start + SIDE_BY_SIDE]), cycles, key)
         for start in range(0, len(padded), SIDE_BY_SIDE)
     ]
-    found: Response = jax.tree.map(lambda *x: np.concatenate(x)[:count], *parts)
+    found: GaitSensitivity = jax.tree.map(lambda *x: np.concatenate(x)[:count], *parts)
     return found
 
 
 @eqx.filter_jit
-def _respond(plant: Plant, raw: Float[Array, "gaits 12"], cycles: int, key: PRNGKeyArray) -> Response:
-    def out(raw: Float[Array, "12"]) -> tuple[Float[Array, "3"], Float[Array, "2"]]:
-        got = made(plant, jnp.tanh(raw).reshape(CYCLE_ACTIONS, 2), cycles, key)
+def _respond(plant: Plant, pre_tanh: Float[Array, "gaits 12"], cycles: int, key: PRNGKeyArray) -> GaitSensitivity:
+    def out(pre_tanh: Float[Array, "12"]) -> tuple[Float[Array, "3"], Float[Array, "2"]]:
+        got = simulate_gait(plant, jnp.tanh(pre_tanh).reshape(CYCLE_ACTIONS, 2), cycles, key)
         return jnp.concatenate([got.force, got.smoothness.sum()[None]]), got.smoothness
 
-    def each(raw: Float[Array, "12"]) -> Response:
-        value, pull, smoothness = jax.vjp(out, raw, has_aux=True)
-        return Response(raw, value, jax.vmap(lambda way: pull(way)[0])(jnp.eye(3)), smoothness)
+    def each(pre_tanh: Float[Array, "12"]) -> GaitSensitivity:
+        value, pull, smoothness = jax.vjp(out, pre_tanh, has_aux=True)
+        return GaitSensitivity(pre_tanh, value, jax.vmap(lambda way: pull(way)[0])(jnp.eye(3)), smoothness)
 
-    found: Response = jax.vmap(each)(raw)
+    found: GaitSensitivity = jax.vmap(each)(pre_tanh)
     return found
 
 
 def missing_gradient(plant: Plant) -> str | None:
-    """Say why the force of a plant has no slope against its commands; None where it has one.
+    """Explain why the force of a plant has no gradient with respect to its commands; None where it has one.
 
     Raises:
         PlantError: the plant itself fails.
         RunError: the computer fails, for want of memory for example.
     """
-    gait = raw_of(families()[0].gaits[len(CENTRES) * len(AMPLITUDES) // 2][None])
+    gait = pre_tanh_of(families()[0].gaits[len(CENTRES) * len(AMPLITUDES) // 2][None])
     # Raises where the plant does not go forward.
     argument = jit_argument(plant)
     with _failures_named(plant):
         try:
-            slope = response(argument, gait, CYCLES, jax.random.key(0)).slope[:, :2]
+            slope = gait_sensitivity(argument, gait, CYCLES, jax.random.key(0)).slope[:, :2]
         except (TypeError, ValueError, NotImplementedError) as error:
             # What JAX says where there is no derivative.
             return f"JAX cannot differentiate it ({type(error).__name__}: {_first_line(error)})"

@@ -1,4 +1,4 @@
-"""What can this fin do? Many gaits are tried in a plant, and the edge of what they make is pushed outwards.
+"""Estimates the reachable mean forces: simulates a grid of gaits, then pushes the boundary outwards by gradient ascent.
 
 A plant goes in, a Survey of gaits and their mean forces and the region of reachable mean forces come out.
 """
@@ -18,16 +18,16 @@ from softfin.core.plant import Plant
 from softfin.core.plant_identity import jit_argument
 from softfin.core.randomness import key_of
 from softfin.gaits.reachable import Reachable, directions
-from softfin.gaits.simulate import CYCLES, Family, Made, families, made, raw_of, response
+from softfin.gaits.simulate import CYCLES, Family, GaitResponse, families, gait_sensitivity, pre_tanh_of, simulate_gait
 
 
 class SurveyConfig(Configuration):
-    """How the reachable forces are searched for."""
+    """Configuration of the search for reachable forces."""
 
     cycles: int = Field(default=CYCLES, ge=2)
     """Windows that a gait is repeated for from rest; the last one counts."""
     batch: PositiveInt = 128
-    """Gaits that are tried side by side."""
+    """Gaits that are simulated side by side."""
     directions: int = Field(default=32, ge=8)
     """Corners of the region."""
     pushes: int = Field(default=12, ge=0)
@@ -35,22 +35,22 @@ class SurveyConfig(Configuration):
 
 
 class Survey(NamedTuple):
-    """What was tried and what it made."""
+    """Gaits that were simulated, and the forces that they made."""
 
     families: list[Family]
     force: Float[np.ndarray, "families members 2"]
-    """Mean over a window [N]."""
+    """Mean force over a window [N]."""
     smoothness: Float[np.ndarray, "families members 2"]
     """Sobolev term in the form `mean` [N]."""
     reachable: Reachable
     edge: Float[np.ndarray, "directions 6 2"]
-    """Gaits that make the corners."""
+    """Gaits that make the forces at the corners."""
 
 
 def survey(
     plant: Plant, config: SurveyConfig | None = None, report: Callable[[float, str], None] | None = None
 ) -> Survey:
-    """Try all families on a plant and find the edge of what it can do."""
+    """Simulate all families in a plant and find the edge of the forces that it can make."""
     config, plant = config or SurveyConfig(), jit_argument(plant)
     tried = families()
     gaits = np.concatenate([family.gaits for family in tried])
@@ -58,7 +58,7 @@ def survey(
     for start in range(0, len(gaits), config.batch):
         part = gaits[start : start + config.batch]
         padded = np.concatenate([part, np.repeat(part[-1:], config.batch - len(part), axis=0)])
-        got = _made(plant, jnp.asarray(padded), config.cycles)
+        got = _simulated(plant, jnp.asarray(padded), config.cycles)
         forces.append(np.asarray(got.force)[: len(part)])
         smoothness.append(np.asarray(got.smoothness)[: len(part)])
         if report is not None:
@@ -74,20 +74,20 @@ def survey(
 def _pushed(
     plant: Plant, gaits: Float[np.ndarray, "n 6 2"], force: Float[np.ndarray, "n 2"], config: SurveyConfig
 ) -> tuple[Reachable, Float[np.ndarray, "directions 6 2"]]:
-    """The farthest gait in each direction, pushed on; directions are seen from the middle of what was made."""
+    """Push the farthest gait in each direction on; directions are seen from the middle of all forces."""
     centre = _middle(force)
     outward = directions(config.directions)
     offset = force - centre
     along = offset @ outward.T
     aside = np.abs(offset[:, :1] * outward[:, 1] - offset[:, 1:] * outward[:, 0])
     start = gaits[np.argmax(along - ASIDE * aside, axis=0)]
-    pushed, made_there = _push(plant, start, centre, config)
-    everything = np.concatenate([force, made_there])
+    pushed, on_the_way = _push(plant, start, centre, config)
+    everything = np.concatenate([force, on_the_way])
     return Reachable(centre.astype(np.float32), _radius(everything - centre, outward)), pushed
 
 
 def _middle(force: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2"]:
-    """The middle of the box round all forces; where no gait comes near it, the force that comes nearest."""
+    """Return the middle of the box round all forces; where no gait comes near it, the force that comes nearest."""
     low, high = force.min(axis=0), force.max(axis=0)
     middle = (low + high) / 2
     apart = np.linalg.norm(force - middle, axis=1)
@@ -103,7 +103,7 @@ ASIDE = 2.0
 
 
 def _radius(offset: Float[np.ndarray, "n 2"], outward: Float[np.ndarray, "directions 2"]) -> Float[np.ndarray, "d"]:
-    """How far the made forces go in each direction: the farthest along it of those in the sector about it."""
+    """Return the greatest distance in each direction, over the forces in the sector about it."""
     half = np.cos(np.pi / len(outward))
     length = np.linalg.norm(offset, axis=1)
     inside = (offset @ outward.T) >= half * length[:, None]
@@ -112,28 +112,28 @@ def _radius(offset: Float[np.ndarray, "n 2"], outward: Float[np.ndarray, "direct
 
 
 @eqx.filter_jit
-def _made(plant: Plant, gaits: Float[Array, "n 6 2"], cycles: int) -> Made:
-    return jax.vmap(lambda gait: made(plant, gait, cycles, key_of(0, "survey")))(gaits)
+def _simulated(plant: Plant, gaits: Float[Array, "n 6 2"], cycles: int) -> GaitResponse:
+    return jax.vmap(lambda gait: simulate_gait(plant, gait, cycles, key_of(0, "survey")))(gaits)
 
 
 def _push(
     plant: Plant, gaits: Float[np.ndarray, "d 6 2"], centre: Float[np.ndarray, "2"], config: SurveyConfig
 ) -> tuple[Float[np.ndarray, "d 6 2"], Float[np.ndarray, "forces 2"]]:
-    """Gradient ascent of the distance along each direction, in the atanh of the actions, by steps of a fixed length.
+    """Ascend the gradient of the distance along each direction, in the atanh of the actions, by steps of fixed length.
 
-    Also every force that was made on the way.
+    Also returns every force that was made on the way.
     """
     outward = directions(config.directions)
-    raw = raw_of(gaits)
-    made_there = []
+    pre_tanh = pre_tanh_of(gaits)
+    on_the_way = []
     for part in (*np.linspace(1.0, 0.2, config.pushes), 0.0):
-        found = response(plant, raw, config.cycles, key_of(0, "survey"))
+        found = gait_sensitivity(plant, pre_tanh, config.cycles, key_of(0, "survey"))
         force, slope = np.asarray(found.out)[:, :2], np.asarray(found.slope)[:, :2]
-        made_there.append(force)
+        on_the_way.append(force)
         offset = force - centre
         side = np.sign(offset[:, 0] * outward[:, 1] - offset[:, 1] * outward[:, 0])[:, None]
         # Of the distance along the direction, less `ASIDE` times that beside it.
         uphill = outward - ASIDE * side * np.stack([outward[:, 1], -outward[:, 0]], axis=1)
         change = np.einsum("di,din->dn", uphill, slope)
-        raw = raw + np.float32(0.5 * part) * change / (np.linalg.norm(change, axis=1, keepdims=True) + 1e-6)
-    return np.tanh(raw).reshape(gaits.shape), np.concatenate(made_there)
+        pre_tanh = pre_tanh + np.float32(0.5 * part) * change / (np.linalg.norm(change, axis=1, keepdims=True) + 1e-6)
+    return np.tanh(pre_tanh).reshape(gaits.shape), np.concatenate(on_the_way)

@@ -1,7 +1,7 @@
 """The parts of a run as tasks of a Ray cluster (extra ``ray``): that of an address, or one started on this machine.
 
-A part whose worker dies runs again, and nothing else is lost. A part that fails otherwise is told of when all others
-are done, so that their results stand.
+A part whose worker dies runs again, and nothing else is lost. A part that fails otherwise is reported when all others
+are done, so that their results are kept.
 """
 
 import os
@@ -11,21 +11,34 @@ import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import jax
 
 from softfin.core.errors import ConfigurationError, RunError, SoftfinError
-from softfin.learning.engine import Item, Progress, Result, Work
+from softfin.core.progress import Progress
+from softfin.learning.engine import Item, Result, Work
 
 INSTALL = "--engine ray needs the extra: pip install 'softfin[ray]'"
 
 ATTEMPTS = 3
-"""How often a part is begun before it is given up: a worker that dies each time has a reason to."""
+"""Times that a part is begun before it is given up."""
 
 STORE_BYTES = 256 * 2**20
-"""Of a cluster started here: plants and policies are small, and Ray would take a third of the memory."""
+"""Memory for objects of a cluster started here: plants and policies are small; Ray would take a third of all memory."""
+
+HEAD = """
+import os, sys, ray
+started = ray.init("local", include_dashboard=False, _node_ip_address="127.0.0.1",
+                   object_store_memory=int(sys.argv[1]), log_to_driver=False, logging_level="ERROR")
+os.write(sys.stdout.fileno(), (started.address_info["gcs_address"] + "\\n").encode())
+sys.stdin.read()
+ray.shutdown()
+"""
+"""Program of a cluster of this machine alone, for as long as standard input stays open; it prints its address.
+
+It runs in a process without JAX: Ray forks, and JAX's threads do not survive that.
+"""
 
 
 class RayEngine:
@@ -36,7 +49,7 @@ class RayEngine:
 
         Args:
             cluster: address of the cluster's head as host:port; none starts one on this machine, for the run.
-            attempts: how often a part is begun.
+            attempts: times that a part is begun.
         """
         self.cluster, self.attempts, self._ray = cluster, attempts, _installed(own=cluster is None)
 
@@ -71,12 +84,12 @@ class RayEngine:
 @contextmanager
 def _started() -> Iterator[str]:
     """The address of a cluster on this machine; it ends with this process, however that ends."""
-    command = [sys.executable, "-P", str(Path(__file__).with_name("ray_head.py")), str(STORE_BYTES)]
+    command = [sys.executable, "-P", "-c", HEAD, str(STORE_BYTES)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as head:
         assert head.stdout is not None
         address = head.stdout.readline().strip()
         if not address:
-            raise RunError("Ray does not start on this machine, for the reason above; --engine local does without")
+            raise RunError("Ray does not start on this machine, for the reason above; --engine local works without it")
         yield address
 
 
@@ -101,7 +114,7 @@ class _Map:
                 "cluster: has no graphics card, which this machine computes on, so its tasks would wait for one for "
                 "ever; give a --cluster with cards, or set JAX_PLATFORMS=cpu"
             )
-        # Ray's own retries would say nothing of it.
+        # Ray's own retries would not be reported.
         task = self.ray.remote(num_cpus=1, num_gpus=cards, max_retries=0)(_worked)
         shared = self.ray.put(work)
         running = {task.remote(shared, item): (i, 1) for i, item in enumerate(items)}
@@ -119,7 +132,10 @@ class _Map:
                     self._tell("lost worker", 1, f"{name} runs again, attempt {attempt + 1} of {self.attempts}")
                     running[task.remote(shared, items[index])] = (index, attempt + 1)
                 else:
-                    self._fails(name, self._lost(name, error))
+                    self._fails(name, RunError(
+                        f"{name}: its worker died {self.attempts} times ({_reason(error)}); what is finished is kept: "
+                        "look after memory and machines, and --resume"
+                    ))  # fmt: skip
             else:
                 if isinstance(outcome, SoftfinError):
                     self._fails(name, outcome)
@@ -130,19 +146,13 @@ class _Map:
             raise next(iter(self.failed.values()))
         return [results[i] for i in range(len(items))]
 
-    def _lost(self, name: str, error: Exception) -> RunError:
-        return RunError(
-            f"{name}: its worker died {self.attempts} times ({_reason(error)}); what is finished is kept: look after "
-            "memory and machines, and --resume"
-        )
-
     def _fails(self, name: str, error: SoftfinError) -> None:
         self.failed[name] = error
         self._tell("failed", 1, str(error))
 
-    def _tell(self, stage: str, done: float, note: str) -> None:
+    def _tell(self, stage: str, fraction: float, note: str) -> None:
         if self.progress is not None:
-            self.progress(stage, done, note)
+            self.progress(stage, fraction, note)
 
 
 def _worked(work: Work[Item, Result], item: Item) -> Result | SoftfinError:

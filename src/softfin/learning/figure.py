@@ -1,4 +1,4 @@
-"""What a training run's logs tell, as a figure in the controller's folder: the error as it fell."""
+"""The error of the policies over the steps of a training run, as a figure in the controller's folder."""
 
 from collections.abc import Mapping, Sequence
 from itertools import cycle
@@ -14,15 +14,17 @@ from softfin.core.statistics import CONFIDENCE, interval
 from softfin.storage.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, save_figure, styled
 from softfin.storage.run_directory import LOG, read_log
 
+Series = Float[np.ndarray, " points"]
+
 Curve = tuple[Sequence[int | float] | np.ndarray, Sequence[int | float] | np.ndarray]
 """(steps, values) of one run, steps increasing."""
 
 FEW = 2
 """Number of runs up to which their range is drawn: the 95% interval of the mean of two is 13 times as wide."""
 
-REFINED = "refined"
-"""Folder of the logs of a refinement."""
-GROUPS = {REFINED: "refined cells", "common": "one policy for all cells"}
+REFINED, SHARED = "refined", "shared"
+"""Folders of the logs of a refinement, and of the training of one policy for all cells."""
+GROUPS = {REFINED: "refined cells", SHARED: "one policy for all cells"}
 """Runs of their own, which count their steps from 0, by the folder of their logs."""
 
 
@@ -39,7 +41,7 @@ def write_learning(folder: Path) -> None:
 
 
 def curves(entries: Sequence[Mapping[str, Any]]) -> list[Curve]:
-    """Of each seed, the score against the steps, where the policies were scored."""
+    """The error of each seed against the steps, where the policies were evaluated."""
     first, second = (f"/score_{axis}_n" for axis in AXES)
     seeds = dict.fromkeys(name.removesuffix(first) for entry in entries for name in entry if name.endswith(first))
     scored = {seed: [entry for entry in entries if entry.get(seed + first) is not None] for seed in seeds}
@@ -86,7 +88,7 @@ def _together(curves: Sequence[Curve]) -> tuple[Float[np.ndarray, "points"], Flo
 
 def _band(
     values: Float[np.ndarray, "runs points"],
-) -> tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"], str]:
+) -> tuple[Series, Series, str]:
     """Lower and upper edge of the band, and what it is."""
     if len(values) <= FEW:
         return values.min(axis=0), values.max(axis=0), "range"

@@ -1,13 +1,12 @@
 """Gradient training: the force error of whole rollouts is differentiated through the plant into the policy.
 
-Truncated backpropagation through time, the short horizon of Xu et al. 2022 (SHAC) without its critic: the fin forgets
-within two or three seconds, and the window of the reward holds two, so a rollout of six seconds sees nearly all that an
-action does. Pure; one lane, `vmap` adds lanes.
+Truncated backpropagation through time, the short horizon of Xu et al. 2022 (SHAC) without its critic: an action acts on
+the fin for two or three seconds, and the window of the reward holds two, so a rollout of six seconds covers nearly all
+effects of an action. Pure; one agent, `vmap` adds agents.
 """
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,66 +18,58 @@ from softfin.core.action_clock import ticks_of
 from softfin.core.configuration import Configuration
 from softfin.core.plant import Ticks
 from softfin.gaits.force_map import MapConfig
-from softfin.gaits.gaits import GaitTable
-from softfin.learning.imitation import ImitationConfig, imitate
-from softfin.learning.learner import Metrics, clipped_adam
+from softfin.gaits.gait import GaitTable
+from softfin.learning.cloning import CloningConfig, clone_gaits
+from softfin.learning.learner import AgentState, Metrics, clipped_adam
 from softfin.learning.lstm import cleared
 from softfin.learning.policy import Policy, PolicyConfig
-from softfin.learning.rollout import Batch, begin, restart
+from softfin.learning.rollout import EnvState, reset_truncated, start_episodes
 from softfin.task.references import References
-from softfin.task.task import ForceTracking, Outcome
+from softfin.task.reward import RewardTerms
+from softfin.task.task import ForceTracking
 
 
-class CommonConfig(Configuration):
-    """One policy for all cells of a grid, from which theirs begin."""
+class SharedPretraining(Configuration):
+    """Training of one policy for all cells of a grid, from which theirs begin."""
 
-    updates: PositiveInt = 120
-    """Of its own."""
-    environments: PositiveInt = 32
-    """Fins that it beats side by side."""
+    num_updates: PositiveInt = 120
+    """Updates of the shared policy."""
+    num_envs: PositiveInt = 32
+    """Fins that it moves side by side."""
     learning_rate: PositiveFloat = 1e-3
-    """Of Adam, at its greatest."""
+    """Learning rate of Adam, at its greatest."""
     lattice: PositiveInt = 3
-    """Scored are lattice x lattice references over all cells."""
+    """The policy is evaluated at lattice x lattice references over all cells."""
 
 
 class GradientConfig(Configuration):
-    """The learner."""
+    """Settings of gradient training."""
 
-    environments: PositiveInt = 32
-    """Fins that each policy beats side by side."""
-    rollout_actions: int = Field(default=18, ge=3, multiple_of=3)
+    num_envs: PositiveInt = 32
+    """Fins that each policy moves side by side."""
+    num_steps: int = Field(default=18, ge=3, multiple_of=3)
     """Actions between updates, whole cycles of three; gradients reach back as far."""
     learning_rate: PositiveFloat = 1e-3
-    """Of Adam, at its greatest."""
+    """Learning rate of Adam, at its greatest."""
     final_learning_rate: float = Field(default=0.01, ge=0, le=1)
-    """At the end, as a part of the greatest; it falls as a cosine."""
-    gradient_norm: PositiveFloat = 1.0
-    """Longer gradients are scaled down to this."""
+    """Learning rate at the end, as a part of the greatest; it falls as a cosine."""
+    max_grad_norm: PositiveFloat = 1.0
+    """Norm to which longer gradients are scaled down."""
     rounding_n: PositiveFloat = 0.05
-    """Force errors below this weigh as their squares [N]: near 0 the sign of an error tells too little."""
-    teacher: bool = True
+    """Force errors below this are weighed as their squares [N]: near 0 the sign of an error is mostly noise."""
+    warm_start: bool = True
     """Whether the policy begins as a copy of a table of gaits."""
     map: MapConfig = MapConfig()
-    """How the table is found; its box is the least one round all cells."""
-    imitation: ImitationConfig = ImitationConfig()
-    """How it is copied."""
-    common: CommonConfig | None = None
-    """Of a grid: train one policy for all cells first, and begin from it; none: each cell from the gaits."""
+    """How the table is found; its box is the bounding box of all cells."""
+    cloning: CloningConfig = CloningConfig()
+    """How the table is copied."""
+    shared_pretraining: SharedPretraining | None = None
+    """Training of one policy for all cells of a grid, from which theirs begin; none: they begin from the gaits."""
 
     @property
     def steps_per_update(self) -> int:
-        """Actions over all environments."""
-        return self.environments * self.rollout_actions
-
-
-class GradientLane(NamedTuple):
-    """Everything that one policy's training carries from update to update."""
-
-    policy: Policy
-    optimiser: Any
-    batch: Batch
-    key: PRNGKeyArray
+        """Actions of an update over all environments."""
+        return self.num_envs * self.num_steps
 
 
 @dataclass(frozen=True)
@@ -88,44 +79,49 @@ class Gradient:
     task: ForceTracking
     config: GradientConfig
     policy: PolicyConfig
-    updates: int
-    teacher: GaitTable | None = None
+    num_updates: int
+    table: GaitTable | None = None
+    """Gaits that the policy begins as."""
 
-    def init(self, key: PRNGKeyArray, references: References) -> GradientLane:
+    def init(self, key: PRNGKeyArray, references: References) -> AgentState:
         """A new policy, fins at rest."""
-        network_key, batch_key, teach_key, key = jax.random.split(key, 4)
+        network_key, environment_key, clone_key, key = jax.random.split(key, 4)
         policy = Policy.create(network_key, self.policy, self.task.config.observations)
-        if self.teacher is not None:
-            policy = imitate(self.task, policy, self.teacher, references, teach_key, self.config.imitation)
-        batch = begin(self.task, policy, references, batch_key, self.config.environments)
-        return GradientLane(policy, self._optimiser().init(policy), batch, key)
+        if self.table is not None:
+            policy = clone_gaits(self.task, policy, self.table, references, clone_key, self.config.cloning)
+        env_state = start_episodes(self.task, policy, references, environment_key, self.config.num_envs)
+        return AgentState(None, policy, self._optimiser().init(policy), env_state, key, jnp.int32(0))
 
-    def update(self, lane: GradientLane) -> tuple[GradientLane, Metrics]:
+    def update(self, agent: AgentState) -> tuple[AgentState, Metrics]:
         """A rollout without noise, and one step down the gradient of its loss."""
-        gradient, (batch, metrics) = jax.grad(self.loss, has_aux=True)(lane.policy, lane.batch)
-        change, optimiser = self._optimiser().update(gradient, lane.optimiser, lane.policy)
-        policy = optax.apply_updates(lane.policy, change)
+        gradient, (env_state, metrics) = jax.grad(self.loss, has_aux=True)(agent.policy, agent.env_state)
+        change, optimiser = self._optimiser().update(gradient, agent.optimiser, agent.policy)
         metrics["gradient_norm"] = optax.tree.norm(gradient)
-        return GradientLane(policy, optimiser, restart(self.task, batch), lane.key), metrics
+        return agent._replace(
+            policy=optax.apply_updates(agent.policy, change),
+            optimiser=optimiser,
+            env_state=reset_truncated(self.task, env_state),
+            num_updates=agent.num_updates + 1,
+        ), metrics
 
-    def loss(self, policy: Policy, batch: Batch) -> tuple[Float[Array, ""], tuple[Batch, Metrics]]:
-        """What the task's reward lacks of 0, a mean over the rollout, with force errors rounded near 0 [N]."""
-        task = self.task
+    def loss(self, policy: Policy, env_state: EnvState) -> tuple[Float[Array, ""], tuple[EnvState, Metrics]]:
+        """The negative reward, a mean over the rollout, with force errors rounded near 0 [N]."""
+        task, reward, rounding = self.task, self.task.config.reward, self.config.rounding_n
 
-        def act(batch: Batch, ticks: Ticks) -> tuple[Batch, Outcome]:
-            memories = jax.vmap(cleared)(batch.memories, batch.fresh)
-            memories, action = jax.vmap(policy.act)(memories, jax.vmap(task.observe)(batch.states))
-            states, outcome = jax.vmap(partial(task.step, ticks=ticks))(batch.states, action)
-            return Batch(states, memories, jnp.zeros_like(batch.fresh)), outcome._replace(forces=jnp.zeros(()))
+        def act(now: EnvState, ticks: Ticks) -> tuple[EnvState, tuple[Array, RewardTerms]]:
+            memories = jax.vmap(cleared)(now.memories, now.is_first)
+            memories, action = jax.vmap(policy.act)(memories, jax.vmap(task.observe)(now.states))
+            states, outcome = jax.vmap(partial(task.step, ticks=ticks))(now.states, action)
+            return EnvState(states, memories, jnp.zeros_like(now.is_first)), (outcome.reward, outcome.terms)
 
-        batch, outcome = jax.lax.scan(act, batch, jnp.asarray(ticks_of(self.config.rollout_actions)))
-        rounding = self.config.rounding_n
-        rounded = jnp.sqrt(outcome.error**2 + rounding**2) - rounding
-        loss = -task.config.reward.value(rounded, outcome.smoothness, outcome.disagreement).mean()
-        x, y = outcome.error.mean(axis=(0, 1))
-        return loss, (batch, {"loss": loss, "reward": outcome.reward.mean(), "error_x_n": x, "error_y_n": y})
+        ticks = jnp.asarray(ticks_of(self.config.num_steps))
+        env_state, (rewards, terms) = jax.lax.scan(act, env_state, ticks)
+        rounded = jnp.sqrt(terms.error**2 + rounding**2) - rounding
+        loss = -reward.value(terms._replace(error=rounded)).mean()
+        x, y = terms.error.mean(axis=(0, 1))
+        return loss, (env_state, {"loss": loss, "reward": rewards.mean(), "error_x_n": x, "error_y_n": y})
 
     def _optimiser(self) -> optax.GradientTransformation:
         config = self.config
-        rate = optax.cosine_decay_schedule(config.learning_rate, self.updates, config.final_learning_rate)
-        return clipped_adam(rate, config.gradient_norm)
+        rate = optax.cosine_decay_schedule(config.learning_rate, self.num_updates, config.final_learning_rate)
+        return clipped_adam(rate, config.max_grad_norm)

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 
 class Memory(NamedTuple):
-    """What an LSTM remembers."""
+    """Memory of an LSTM."""
 
     hidden: Float[Array, "*batch units"]
     cell: Float[Array, "*batch units"]
@@ -35,25 +35,25 @@ class LSTM(eqx.Module):
         return cls(kernel, recurrent, jnp.zeros(4 * units).at[units : 2 * units].set(1.0))
 
     def init(self) -> Memory:
-        """Nothing remembered."""
+        """Empty memory."""
         empty = jnp.zeros(self.recurrent.shape[0])
         return Memory(empty, empty)
 
     def step(self, memory: Memory, x: Float[Array, "inputs"]) -> Memory:
-        """One step; what it says is the new hidden state."""
+        """One step; its output is the new hidden state."""
         return self._step(memory, self._project(x))
 
     def sequence(
-        self, memory: Memory, x: Float[Array, "time inputs"], fresh: Bool[Array, "time"]
+        self, memory: Memory, x: Float[Array, "time inputs"], is_first: Bool[Array, "time"]
     ) -> Float[Array, "time units"]:
-        """The hidden state after each step, the memory cleared before every step that is `fresh`."""
+        """The hidden state after each step, the memory cleared before every step that `is_first`."""
 
         def step(memory: Memory, now: tuple[Array, Array]) -> tuple[Memory, Array]:
-            gates, is_fresh = now
-            memory = self._step(cleared(memory, is_fresh), gates)
+            gates, first = now
+            memory = self._step(cleared(memory, first), gates)
             return memory, memory.hidden
 
-        return jax.lax.scan(step, memory, (self._project(x), fresh))[1]
+        return jax.lax.scan(step, memory, (self._project(x), is_first))[1]
 
     def _project(self, x: Float[Array, "*time inputs"]) -> Float[Array, "*time gates"]:
         return x @ self.kernel + self.bias
@@ -71,5 +71,5 @@ def weights(key: PRNGKeyArray, shape: tuple[int, int], gain: float = 1.0) -> Flo
 
 
 def cleared(memory: Memories, where: Bool[Array, ""]) -> Memories:
-    """The memory of one LSTM or of several, or nothing remembered."""
+    """The memory of one LSTM or of several, emptied where true."""
     return cast(Memories, jax.tree.map(lambda x: jnp.where(where, 0.0, x), memory))

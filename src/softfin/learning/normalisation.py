@@ -1,4 +1,4 @@
-"""Running normalisation: what a network reads, and what a critic says, in units of their own mean and deviation.
+"""Running normalisation: inputs of a network and values of a critic, in units of their own mean and deviation.
 
 The statistics are leaves of the network and saved with its weights, but no optimiser changes them: no gradient reaches
 them. Merged as in Chan, Golub and LeVeque 1979.
@@ -10,17 +10,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 LEAST_DEVIATION = 0.1
-"""What hardly varied in training is not blown up beyond this, so that a little more of it later stays a little."""
+"""Least divisor, so that a small change of a number that hardly varied in training stays small."""
 
 
 class Normalisation(eqx.Module):
     """(x - mean) / deviation, number by number; nothing is changed before the first `updated`."""
 
     mean: Float[Array, "*stack numbers"]
-    deviation: Float[Array, "*stack numbers"]
-    """As measured; it divides as `LEAST_DEVIATION` where it is less."""
+    std: Float[Array, "*stack numbers"]
+    """Standard deviation; it divides as `LEAST_DEVIATION` where it is less."""
     count: Float[Array, "*stack"]
-    """How many vectors the statistics weigh as."""
+    """Number of vectors that the statistics weigh as."""
 
     @classmethod
     def create(cls, numbers: int) -> "Normalisation":
@@ -28,28 +28,28 @@ class Normalisation(eqx.Module):
         return cls(jnp.zeros(numbers), jnp.ones(numbers), jnp.zeros(()))
 
     def __call__(self, x: Float[Array, "*batch numbers"]) -> Float[Array, "*batch numbers"]:
-        """Of about mean 0 and deviation 1."""
+        """The numbers with a mean of about 0 and a deviation of about 1."""
         mean, scale = self._frozen()
         return (x - mean) / scale
 
-    def undone(self, x: Float[Array, "*batch numbers"]) -> Float[Array, "*batch numbers"]:
-        """The inverse."""
+    def inverse(self, x: Float[Array, "*batch numbers"]) -> Float[Array, "*batch numbers"]:
+        """The inverse function."""
         mean, scale = self._frozen()
         return mean + scale * x
 
-    def updated(self, x: Float[Array, "*batch numbers"], longest: float | int = jnp.inf) -> "Normalisation":
-        """With the vectors of a batch counted, too; earlier ones weigh as at most `longest` vectors."""
+    def updated(self, x: Float[Array, "*batch numbers"], most: float | int = jnp.inf) -> "Normalisation":
+        """The normalisation with a batch of vectors counted, too; earlier ones weigh as at most `most` vectors."""
         rows = x.reshape(-1, x.shape[-1])
-        new, old = float(len(rows)), jnp.minimum(self.count, longest)
+        new, old = float(len(rows)), jnp.minimum(self.count, most)
         total = old + new
         step = rows.mean(axis=0) - self.mean
-        variance = (old * self.deviation**2 + new * rows.var(axis=0)) / total + old * new * (step / total) ** 2
+        variance = (old * self.std**2 + new * rows.var(axis=0)) / total + old * new * (step / total) ** 2
         return Normalisation(self.mean + step * new / total, jnp.sqrt(variance), total)
 
     @property
     def scale(self) -> Float[Array, "*stack numbers"]:
-        """What it divides by."""
-        return jnp.maximum(self.deviation, LEAST_DEVIATION)
+        """Divisor of the deviations from the mean."""
+        return jnp.maximum(self.std, LEAST_DEVIATION)
 
     def _frozen(self) -> tuple[Array, Array]:
         return jax.lax.stop_gradient(self.mean), jax.lax.stop_gradient(self.scale)

@@ -1,9 +1,10 @@
 """The policy, an LSTM (paper Sec. III-C2: LSTM-PPO), and the critic that only training needs; both normalise.
 
-Actions are squashed Gaussians: a = tanh(u), u ~ N(mean(observations so far), deviation). The deterministic action is
+Actions are squashed Gaussians: a = tanh(u), u ~ N(mean(observations so far), std). The deterministic action is
 tanh(mean). So every action is within the limits, and none is clipped.
 """
 
+import math
 from collections.abc import Mapping
 from typing import Any, cast
 
@@ -24,13 +25,13 @@ class PolicyConfig(Configuration):
     """Size and start of the networks."""
 
     units: PositiveInt = 64
-    """Of the LSTM; the paper has 256, in a policy of 592,325 weights."""
+    """Units of the LSTM; the paper has 256, in a policy of 592,325 weights."""
     width: PositiveInt = 64
-    """Of the layer behind the LSTM."""
+    """Units of the layer after the LSTM."""
     critic_width: PositiveInt = 128
-    """Of both layers of the critic."""
-    deviation: float = Field(default=0.6, gt=0)
-    """Of the exploration noise before the squashing, at the start."""
+    """Units of both layers of the critic."""
+    init_std: float = Field(default=0.6, gt=0)
+    """Standard deviation of the exploration noise before the tanh, at the start."""
 
 
 class Dense(eqx.Module):
@@ -41,68 +42,45 @@ class Dense(eqx.Module):
 
     @classmethod
     def create(cls, key: PRNGKeyArray, inputs: int, outputs: int, gain: float) -> "Dense":
-        """New weights; `gain` scales what it says."""
+        """New weights; `gain` scales the outputs."""
         return cls(weights(key, (inputs, outputs), gain), jnp.zeros(outputs))
 
     def __call__(self, x: Float[Array, "*batch inputs"]) -> Float[Array, "*batch outputs"]:
-        """Of each vector in a batch."""
+        """The outputs for each vector in a batch."""
         return x @ self.kernel + self.bias
 
 
-class Recurrent(eqx.Module):
-    """LSTM, one layer, one linear layer."""
+class Layers(eqx.Module):
+    """Layers of the policy: an LSTM, one layer, one linear layer."""
 
     lstm: LSTM
     hidden: Dense
     output: Dense
 
-    @classmethod
-    def create(cls, key: PRNGKeyArray, config: PolicyConfig, inputs: int, outputs: int, gain: float) -> "Recurrent":
-        """New weights; `gain` scales the last layer."""
-        lstm, hidden, output = jax.random.split(key, 3)
-        return cls(
-            LSTM.create(lstm, inputs, config.units),
-            Dense.create(hidden, config.units, config.width, 2**0.5),
-            Dense.create(output, config.width, outputs, gain),
-        )
-
-    def init(self) -> Memory:
-        """Nothing remembered."""
-        return self.lstm.init()
-
-    def step(self, memory: Memory, x: Float[Array, "inputs"]) -> tuple[Memory, Float[Array, "outputs"]]:
-        """One step."""
-        memory = self.lstm.step(memory, x)
-        return memory, self._read(memory.hidden)
-
-    def sequence(
-        self, memory: Memory, x: Float[Array, "time inputs"], fresh: Bool[Array, "time"]
-    ) -> Float[Array, "time outputs"]:
-        """What `step` says over a sequence, the memory cleared before every step that is `fresh`."""
-        return self._read(self.lstm.sequence(memory, x, fresh))
-
-    def _read(self, hidden: Float[Array, "*time units"]) -> Float[Array, "*time outputs"]:
-        return self.output(jnp.tanh(self.hidden(hidden)))
-
 
 class Policy(eqx.Module):
     """The actor: observations in, actions out."""
 
-    net: Recurrent
-    log_deviation: Float[Array, "actions"]
+    net: Layers
+    log_std: Float[Array, "actions"]
     normalisation: Normalisation
-    """Of the observations."""
+    """Normalisation of the observations."""
 
     @classmethod
     def create(cls, key: PRNGKeyArray, config: PolicyConfig, observations: int, actions: int = 2) -> "Policy":
         """New weights; at the start the mean action is near the middle whatever is observed."""
-        deviation = jnp.full(actions, jnp.log(config.deviation))
-        net = Recurrent.create(key, config, observations, actions, 0.01)
-        return cls(net, jnp.asarray(deviation, jnp.float32), Normalisation.create(observations))
+        lstm, hidden, output = jax.random.split(key, 3)
+        net = Layers(
+            LSTM.create(lstm, observations, config.units),
+            Dense.create(hidden, config.units, config.width, 2**0.5),
+            Dense.create(output, config.width, actions, 0.01),
+        )
+        log_std = jnp.full(actions, jnp.log(config.init_std))
+        return cls(net, jnp.asarray(log_std, jnp.float32), Normalisation.create(observations))
 
     def init(self) -> Memory:
-        """Nothing remembered."""
-        return self.net.init()
+        """Empty memory."""
+        return self.net.lstm.init()
 
     def act(self, memory: Memory, observation: Float[Array, "observations"]) -> tuple[Memory, Float[Array, "actions"]]:
         """The deterministic action, in (-1, 1)."""
@@ -110,31 +88,39 @@ class Policy(eqx.Module):
         return memory, jnp.tanh(mean)
 
     def step(self, memory: Memory, observation: Float[Array, "observations"]) -> tuple[Memory, Float[Array, "actions"]]:
-        """The mean before the squashing."""
-        return self.net.step(memory, self.normalisation(observation))
+        """The mean action before the tanh."""
+        memory = self.net.lstm.step(memory, self.normalisation(observation))
+        return memory, self._mean(memory.hidden)
 
     def sequence(
-        self, memory: Memory, observation: Float[Array, "time observations"], fresh: Bool[Array, "time"]
+        self, memory: Memory, observation: Float[Array, "time observations"], is_first: Bool[Array, "time"]
     ) -> Float[Array, "time actions"]:
-        """What `step` says over a sequence, the memory cleared before every step that is `fresh`."""
-        return self.net.sequence(memory, self.normalisation(observation), fresh)
+        """The outputs of `step` over a sequence, the memory cleared before every step that `is_first`."""
+        return self._mean(self.net.lstm.sequence(memory, self.normalisation(observation), is_first))
 
-    def having_seen(self, observation: Float[Array, "*batch observations"]) -> "Policy":
-        """With observations counted in the normalisation."""
-        return self.normalised(self.normalisation.updated(observation))
+    def _mean(self, hidden: Float[Array, "*time units"]) -> Float[Array, "*time actions"]:
+        return self.net.output(jnp.tanh(self.net.hidden(hidden)))
 
-    def normalised(self, normalisation: Normalisation) -> "Policy":
-        """The same weights with another normalisation."""
+    def update_statistics(self, observation: Float[Array, "*batch observations"]) -> "Policy":
+        """The policy with observations counted in its normalisation."""
+        return self.with_normalisation(self.normalisation.updated(observation))
+
+    def with_normalisation(self, normalisation: Normalisation) -> "Policy":
+        """The policy with another normalisation."""
         return cast(Policy, eqx.tree_at(lambda policy: policy.normalisation, self, normalisation))
 
-    def log_density(self, mean: Float[Array, "*t actions"], raw: Float[Array, "*t actions"]) -> Float[Array, "*t"]:
-        """Of the action before the squashing; the squashing cancels in every ratio of densities."""
-        z = (raw - mean) / jnp.exp(self.log_deviation)
-        return -jnp.sum(0.5 * z**2 + self.log_deviation + 0.5 * jnp.log(2 * jnp.pi), axis=-1)
+    def log_prob(
+        self, mean: Float[Array, "*t actions"], pre_tanh_action: Float[Array, "*t actions"]
+    ) -> Float[Array, "*t"]:
+        """Log-density of the action before the tanh, which cancels in every ratio of densities."""
+        z = (pre_tanh_action - mean) / jnp.exp(self.log_std)
+        return -jnp.sum(0.5 * z**2 + self.log_std + 0.5 * jnp.log(2 * jnp.pi), axis=-1)
 
     @classmethod
-    def of(cls, config: PolicyConfig, observations: int, arrays: Mapping[str, np.ndarray], source: str) -> "Policy":
-        """From named arrays, all of which may have a leading axis of policies; `source` is named in errors."""
+    def from_arrays(
+        cls, config: PolicyConfig, observations: int, arrays: Mapping[str, np.ndarray], source: str
+    ) -> "Policy":
+        """The policy of `named` arrays, which may have a leading axis of policies; `source` is named in errors."""
         template = jax.eval_shape(lambda: cls.create(jax.random.key(0), config, observations))
         shapes = named(template)
         if sorted(shapes) != sorted(arrays):
@@ -150,69 +136,98 @@ class Policy(eqx.Module):
         leaves = [jnp.asarray(arrays[name], jnp.float32) for name in shapes]
         return cast(Policy, jax.tree.unflatten(jax.tree.structure(template), leaves))
 
-    def entropy(self) -> Float[Array, ""]:
-        """Of the action before the squashing [nat]."""
-        return jnp.sum(self.log_deviation + 0.5 * jnp.log(2 * jnp.pi * jnp.e))
+    def action_entropy(self) -> Float[Array, ""]:
+        """Entropy of the action before the tanh [nat]."""
+        return jnp.sum(self.log_std + 0.5 * jnp.log(2 * jnp.pi * jnp.e))
 
 
 class Critic(eqx.Module):
-    """What reward is to come, from all that a simulator knows: it needs no memory, and no robot needs it."""
+    """Value of a state, from the privileged observation: it needs no memory, and no robot needs it."""
 
     layers: tuple[Dense, Dense, Dense]
-    reads: Normalisation
-    """Of what it sees."""
-    says: Normalisation
-    """Of values: the layers' unit."""
+    inputs: Normalisation
+    """Normalisation of the privileged observation."""
+    values: Normalisation
+    """Normalisation of the values, which the layers compute in units of it."""
 
     @classmethod
-    def create(cls, key: PRNGKeyArray, seen: int, width: int) -> "Critic":
-        """New weights."""
-        sizes = ((seen, width), (width, width), (width, 1))
+    def create(cls, key: PRNGKeyArray, privileged: int, width: int) -> "Critic":
+        """New weights for `privileged` inputs."""
+        sizes = ((privileged, width), (width, width), (width, 1))
         first, second, last = (
             Dense.create(k, *size, 1.0) for k, size in zip(jax.random.split(key, 3), sizes, strict=True)
         )
-        return cls((first, second, last), Normalisation.create(seen), Normalisation.create(1))
+        return cls((first, second, last), Normalisation.create(privileged), Normalisation.create(1))
 
-    def __call__(self, seen: Float[Array, "*batch seen"]) -> Float[Array, "*batch"]:
-        """Value."""
-        return self.says.undone(self._unscaled(seen)[..., None])[..., 0]
+    def __call__(self, privileged: Float[Array, "*batch privileged"]) -> Float[Array, "*batch"]:
+        """Value of each state."""
+        return self.values.inverse(self._normalised(privileged)[..., None])[..., 0]
 
-    def loss(self, seen: Float[Array, "*batch seen"], target: Float[Array, "*batch"]) -> Float[Array, ""]:
+    def loss(self, privileged: Float[Array, "*batch privileged"], target: Float[Array, "*batch"]) -> Float[Array, ""]:
         """Mean squared error, in the layers' unit."""
-        return jnp.mean((self._unscaled(seen) - self.says(target[..., None])[..., 0]) ** 2)
+        return jnp.mean((self._normalised(privileged) - self.values(target[..., None])[..., 0]) ** 2)
 
-    def having_seen(
-        self, seen: Float[Array, "*batch seen"], target: Float[Array, "*batch"], longest: float | int
+    def update_statistics(
+        self, privileged: Float[Array, "*batch privileged"], target: Float[Array, "*batch"], most: float | int
     ) -> "Critic":
-        """With inputs and values counted, values as at most `longest`.
+        """The critic with inputs and values counted in its normalisations, earlier values as at most `most`.
 
-        The last layer takes the values' new unit over (van Hasselt et al. 2016); the inputs' new normalisation still
-        moves what the same inputs are said to be worth, a little.
+        The last layer is changed so that values in their new unit stay the same (van Hasselt et al. 2016); the new
+        normalisation of the inputs still changes the value of the same inputs a little.
         """
-        old, new = self.says, self.says.updated(target[..., None], longest)
+        old, new = self.values, self.values.updated(target[..., None], most)
         first, second, last = self.layers
-        last = Dense(last.kernel * old.scale / new.scale, new(old.undone(last.bias)))
-        return Critic((first, second, last), self.reads.updated(seen), new)
+        last = Dense(last.kernel * old.scale / new.scale, new(old.inverse(last.bias)))
+        return Critic((first, second, last), self.inputs.updated(privileged), new)
 
-    def _unscaled(self, seen: Float[Array, "*batch seen"]) -> Float[Array, "*batch"]:
+    def _normalised(self, privileged: Float[Array, "*batch privileged"]) -> Float[Array, "*batch"]:
         first, second, last = self.layers
-        return last(jnp.tanh(second(jnp.tanh(first(self.reads(seen))))))[..., 0]
+        return last(jnp.tanh(second(jnp.tanh(first(self.inputs(privileged))))))[..., 0]
 
 
 class ActorCritic(eqx.Module):
-    """What training changes."""
+    """The networks of LSTM-PPO."""
 
     policy: Policy
     critic: Critic
 
     @classmethod
-    def create(cls, key: PRNGKeyArray, config: PolicyConfig, observations: int, seen: int) -> "ActorCritic":
-        """New weights; the critic sees `seen` numbers."""
+    def create(cls, key: PRNGKeyArray, config: PolicyConfig, observations: int, privileged: int) -> "ActorCritic":
+        """New weights."""
         actor, critic = jax.random.split(key)
-        return cls(Policy.create(actor, config, observations), Critic.create(critic, seen, config.critic_width))
+        return cls(Policy.create(actor, config, observations), Critic.create(critic, privileged, config.critic_width))
 
 
-def named(tree: Any) -> dict[str, Any]:
-    """The leaves of a pytree by their paths, such as ``net.lstm.kernel``."""
-    paths, _ = jax.tree_util.tree_flatten_with_path(tree)
-    return {jax.tree_util.keystr(path, simple=True, separator="."): leaf for path, leaf in paths}
+def named(policy: Any) -> dict[str, Any]:
+    """The leaves of a policy by their names in files, such as ``net.lstm.kernel``."""
+    paths, _ = jax.tree_util.tree_flatten_with_path(policy)
+    names = (jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in paths)
+    return {STORED_NAMES.get(name, name): leaf for name, (_, leaf) in zip(names, paths, strict=True)}
+
+
+STORED_NAMES = {"log_std": "log_deviation", "normalisation.std": "normalisation.deviation"}
+"""Names in files that differ from those here: folders of earlier versions have them."""
+
+OPTIMISER_COPIES = 2
+"""Adam keeps two numbers for each weight; the paper's 7.2 MB are weights and these."""
+
+
+def memory_of(policy: Policy) -> dict[str, int]:
+    """Memory of one policy or of a stack of them, for JSON: weights, and what training holds of them besides.
+
+    What only training needs is left out: the critic of LSTM-PPO with its optimiser, and the rollouts.
+    """
+    count = math.prod(policy.log_std.shape[:-1])
+    leaves = jax.tree.leaves(policy)
+    weights, size = sum(leaf.size for leaf in leaves) // count, sum(leaf.nbytes for leaf in leaves) // count
+    optimiser = OPTIMISER_COPIES * size
+    return {"policies": count, "weights": weights, "weights_bytes": size, "optimiser_bytes": optimiser,
+            "total_weights_bytes": count * size, "total_bytes": count * (size + optimiser)}  # fmt: skip
+
+
+def describe_memory(memory: Mapping[str, int]) -> str:
+    """The numbers of `memory_of` in a line of text."""
+    each, stored, trained = (f"{memory[name] / 1e3:.0f} kB"
+                             for name in ("weights_bytes", "total_weights_bytes", "total_bytes"))  # fmt: skip
+    count = f"{memory['policies']} policies" if memory["policies"] > 1 else "1 policy"
+    return f"memory: {count} of {memory['weights']:,} weights, {each} each, {stored} in all; {trained} while training"

@@ -1,7 +1,7 @@
-"""LSTM-PPO (Schulman et al. 2017) on one lane: collect, advantages, epochs of clipped updates. Pure; `vmap` adds lanes.
+"""LSTM-PPO (Schulman et al. 2017): collect, advantages, epochs of clipped updates. Pure; one agent, `vmap` adds more.
 
-A lane is one policy with its own key and its own box of references. Its networks read and say numbers in units of
-their own running mean and deviation, and the policy that counts is an average over the last updates.
+The networks' inputs and values are normalised by their own running mean and deviation, and the policy that is kept is
+an average over the last updates.
 """
 
 from dataclasses import dataclass
@@ -10,107 +10,93 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
 
 from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.configuration import Configuration
-from softfin.learning.advantage import advantages
-from softfin.learning.learner import Metrics, clipped_adam
+from softfin.learning.learner import AgentState, Metrics, clipped_adam
 from softfin.learning.lstm import Memory
 from softfin.learning.policy import ActorCritic, Critic, Policy, PolicyConfig
-from softfin.learning.rollout import Batch, Rollout, begin, collect
+from softfin.learning.rollout import Rollout, collect, start_episodes
 from softfin.task.references import References
 from softfin.task.task import ForceTracking
 
 RECENT_UPDATES = 4
-"""Values are scaled by those of about as many rollouts: they rise as the policy learns."""
+"""Rollouts over which values are normalised: values rise as the policy learns."""
+
+PerStep = Float[Array, "time environments"]
 
 
 class PPOConfig(Configuration):
-    """The learner, tuned for the paper's budgets: a few tens of updates, from each of which much is learnt."""
+    """Settings of LSTM-PPO, tuned for the paper's budgets: a few tens of updates, from each of which much is learnt."""
 
-    environments: PositiveInt = 8
-    """Fins that each policy beats side by side."""
-    rollout_actions: int = Field(default=30, ge=3, multiple_of=3)
+    num_envs: PositiveInt = 8
+    """Fins that each policy moves side by side."""
+    num_steps: int = Field(default=30, ge=3, multiple_of=3)
     """Actions of each fin between updates, whole cycles of three; gradients reach back as far."""
-    epochs: PositiveInt = 20
+    num_epochs: PositiveInt = 20
     """Passes over each rollout."""
-    minibatches: PositiveInt = 4
-    """Updates a pass; each takes whole sequences of environments/minibatches fins."""
+    num_minibatches: PositiveInt = 4
+    """Updates a pass; each takes whole sequences of num_envs/num_minibatches fins."""
     learning_rate: PositiveFloat = 3e-3
-    """Of Adam, at the start."""
+    """Learning rate of Adam, at the start."""
     final_learning_rate: float = Field(default=0.1, ge=0, le=1)
-    """At the end, as a part of that at the start; in between it falls linearly."""
+    """Learning rate at the end, as a part of that at the start; in between it falls linearly."""
     discount: float = Field(default=0.8, gt=0, lt=1)
     """Gamma an action; 0.8 looks ahead 5 actions, and the window of the reward holds the last 6."""
-    trace: float = Field(default=0.8, ge=0, le=1)
-    """Lambda of the advantages."""
-    clip: PositiveFloat = 0.2
-    """Of the ratio of densities."""
-    entropy: NonNegativeFloat = 0.0
+    gae_lambda: float = Field(default=0.8, ge=0, le=1)
+    """Lambda of generalised advantage estimation."""
+    clip_ratio: PositiveFloat = 0.2
+    """Greatest change of the probability ratio that is rewarded."""
+    entropy_coef: NonNegativeFloat = 0.0
     """Weight of the entropy [1/nat], at the start."""
-    final_entropy: float = Field(default=0.0, ge=0, le=1)
-    """At the end, as a part of that at the start; in between it falls linearly."""
+    final_entropy_coef: float = Field(default=0.0, ge=0, le=1)
+    """Weight of the entropy at the end, as a part of that at the start; in between it falls linearly."""
     averaging: NonNegativeFloat = 2.0
-    """About so many updates is the policy averaged over that is scored and kept; 0 is the newest."""
-    normalise: bool = True
-    """Whether observations and values are learnt in units of their own running mean and deviation."""
-    value_weight: PositiveFloat = 0.5
+    """Number of updates that the policy is averaged over which is evaluated and kept, about; 0 is the newest."""
+    value_coef: PositiveFloat = 0.5
     """Weight of the critic's loss."""
-    gradient_norm: PositiveFloat = 0.5
-    """Longer gradients are scaled down to this."""
+    max_grad_norm: PositiveFloat = 0.5
+    """Norm to which longer gradients are scaled down."""
 
     @model_validator(mode="after")
     def _divides(self) -> "PPOConfig":
-        if self.environments % self.minibatches:
+        if self.num_envs % self.num_minibatches:
             raise ValueError(
-                f"environments = {self.environments} do not make {self.minibatches} equal minibatches; "
-                "give a multiple of minibatches"
+                f"num_envs = {self.num_envs} do not make {self.num_minibatches} equal minibatches; give a multiple of "
+                "num_minibatches"
             )
         return self
 
     @property
     def steps_per_update(self) -> int:
-        """Actions over all environments."""
-        return self.environments * self.rollout_actions
+        """Actions of an update over all environments."""
+        return self.num_envs * self.num_steps
 
     @property
     def gradients_per_update(self) -> int:
-        """Steps of the optimiser."""
-        return self.epochs * self.minibatches
+        """Steps of the optimiser in an update."""
+        return self.num_epochs * self.num_minibatches
 
     def learning_rates(self, updates: int) -> optax.Schedule:
-        """Of a run, by the optimiser's steps."""
+        """Learning rate of a run, by the optimiser's steps."""
         end = self.learning_rate * self.final_learning_rate
         return optax.linear_schedule(self.learning_rate, end, updates * self.gradients_per_update)
 
-    def entropies(self, updates: int) -> optax.Schedule:
-        """Weights of a run, by its updates."""
-        return optax.linear_schedule(self.entropy, self.entropy * self.final_entropy, updates)
+    def entropy_coefs(self, updates: int) -> optax.Schedule:
+        """Weight of the entropy in a run, by its updates."""
+        return optax.linear_schedule(self.entropy_coef, self.entropy_coef * self.final_entropy_coef, updates)
 
 
-class Lane(NamedTuple):
-    """Everything that one policy's training carries from update to update."""
-
-    networks: ActorCritic
-    policy: Policy
-    """The actor, averaged over the last updates: it is scored and kept, and never acts in training."""
-    optimiser: Any
-    batch: Batch
-    key: PRNGKeyArray
-    updates: Int[Array, ""]
-    """Done so far."""
-
-
-class Lesson(NamedTuple):
-    """A rollout and what is to be learnt from it."""
+class Batch(NamedTuple):
+    """A rollout with its advantages and the critic's targets."""
 
     rollout: Rollout
-    advantage: Float[Array, "time environments"]
-    """Mean 0, standard deviation 1."""
-    target: Float[Array, "time environments"]
-    """Of the critic."""
+    advantage: PerStep
+    """Advantages of mean 0 and standard deviation 1."""
+    target: PerStep
+    """Targets of the critic."""
 
 
 @dataclass(frozen=True)
@@ -120,91 +106,119 @@ class PPO:
     task: ForceTracking
     config: PPOConfig
     policy: PolicyConfig
-    updates: int
+    num_updates: int
 
-    def init(self, key: PRNGKeyArray, references: References) -> Lane:
+    def init(self, key: PRNGKeyArray, references: References) -> AgentState:
         """New networks, fins at rest."""
-        network_key, batch_key, key = jax.random.split(key, 3)
-        state = jax.eval_shape(self.task.reset, batch_key, references)
-        seen = jax.eval_shape(self.task.inspect, state)
-        networks = ActorCritic.create(network_key, self.policy, self.task.config.observations, len(seen))
-        batch = begin(self.task, networks.policy, references, batch_key, self.config.environments)
-        return Lane(networks, networks.policy, self._optimiser().init(networks), batch, key, jnp.int32(0))
+        network_key, environment_key, key = jax.random.split(key, 3)
+        state = jax.eval_shape(self.task.reset, environment_key, references)
+        privileged = jax.eval_shape(self.task.privileged_observation, state)
+        networks = ActorCritic.create(network_key, self.policy, self.task.config.observations, len(privileged))
+        policy = networks.policy
+        env_state = start_episodes(self.task, policy, references, environment_key, self.config.num_envs)
+        return AgentState(networks, policy, self._optimiser().init(networks), env_state, key, jnp.int32(0))
 
-    def update(self, lane: Lane) -> tuple[Lane, Metrics]:
+    def update(self, agent: AgentState) -> tuple[AgentState, Metrics]:
         """Collect a rollout and learn from it."""
-        collect_key, learn_key, key = jax.random.split(lane.key, 3)
-        cycles = self.config.rollout_actions // len(ACTION_TICKS)
-        batch, rollout = collect(self.task, lane.networks.policy, lane.batch, collect_key, cycles)
-        lesson, metrics = self.lesson(lane.networks.critic, rollout)
-        if self.config.normalise:
-            lane = lane._replace(networks=self._values_scaled(lane.networks, lesson))
-        networks, averaged, optimiser, learning = self._learn(lane, lesson, learn_key)
-        if self.config.normalise:  # behind the learning, so that densities there are as they were lived with
-            policy = networks.policy.having_seen(rollout.observation)
-            networks = ActorCritic(policy, networks.critic)
-            averaged = averaged.normalised(policy.normalisation)
-        return Lane(networks, averaged, optimiser, batch, key, lane.updates + 1), metrics | learning
+        assert agent.networks is not None
+        networks = agent.networks
+        collect_key, learn_key, key = jax.random.split(agent.key, 3)
+        cycles = self.config.num_steps // len(ACTION_TICKS)
+        env_state, rollout = collect(self.task, networks.policy, agent.env_state, collect_key, cycles)
+        batch, metrics = self.batch(networks.critic, rollout)
+        recent = RECENT_UPDATES * self.config.steps_per_update
+        critic = networks.critic.update_statistics(rollout.privileged_observation, batch.target, recent)
+        learnt = self._learn(agent, ActorCritic(networks.policy, critic), batch, learn_key)
+        networks, averaged, optimiser, learning = learnt
+        # After the learning, so that the probabilities there are those of the rollout.
+        policy = networks.policy.update_statistics(rollout.observation)
+        networks, averaged = ActorCritic(policy, networks.critic), averaged.with_normalisation(policy.normalisation)
+        agent = AgentState(networks, averaged, optimiser, env_state, key, agent.num_updates + 1)
+        return agent, metrics | learning
 
-    def loss(
-        self, networks: ActorCritic, lesson: Lesson, start: Memory, entropy: Float[Array, ""]
-    ) -> tuple[Float[Array, ""], Metrics]:
-        """Clipped surrogate objective, squared error of the critic, weighed entropy; whole sequences from `start`."""
-        config, rollout = self.config, lesson.rollout
-        replay = jax.vmap(networks.policy.sequence, in_axes=(0, 1, 1), out_axes=1)
-        mean = replay(start, rollout.observation, rollout.fresh)
-        log_ratio = networks.policy.log_density(mean, rollout.raw) - rollout.log_density
-        ratio = jnp.exp(log_ratio)
-        clipped = jnp.clip(ratio, 1 - config.clip, 1 + config.clip)
-        objective = jnp.minimum(ratio * lesson.advantage, clipped * lesson.advantage).mean()
-        value_loss = networks.critic.loss(rollout.seen, lesson.target)
-        loss = -objective + config.value_weight * value_loss - entropy * networks.policy.entropy()
-        beyond_clip = jnp.mean(jnp.abs(ratio - 1) > config.clip)
-        kl = jnp.mean(ratio - 1 - log_ratio)
-        return loss, {"loss": loss, "value_loss": value_loss, "kl": kl, "clipped": beyond_clip}
+    def batch(self, critic: Critic, rollout: Rollout) -> tuple[Batch, Metrics]:
+        """Advantages and targets of a rollout.
 
-    def lesson(self, critic: Critic, rollout: Rollout) -> tuple[Lesson, Metrics]:
-        """With rewards in units of 1 - discount, values are means of the reward ahead [N], whatever the discount."""
+        With rewards in units of 1 - discount, values are means of the reward ahead [N], whatever the discount.
+        """
         discount = self.config.discount
-        value, value_after = critic(rollout.seen), critic(rollout.seen_after)
+        value, next_value = critic(rollout.privileged_observation), critic(rollout.next_privileged_observation)
         reward = (1 - discount) * rollout.reward
-        advantage = advantages(reward, value, value_after, rollout.cut, discount, self.config.trace)
-        normal = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+        advantage = advantages(reward, value, next_value, rollout.truncated, discount, self.config.gae_lambda)
+        normalised = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
         target = advantage + value
-        return Lesson(rollout, normal, target), {
+        return Batch(rollout, normalised, target), {
             "reward": rollout.reward.mean(),
             "error_x_n": rollout.error[..., 0].mean(),
             "error_y_n": rollout.error[..., 1].mean(),
             "explained": 1 - jnp.var(advantage) / (jnp.var(target) + 1e-8),
         }
 
-    def _values_scaled(self, networks: ActorCritic, lesson: Lesson) -> ActorCritic:
-        recent = RECENT_UPDATES * self.config.steps_per_update
-        return ActorCritic(networks.policy, networks.critic.having_seen(lesson.rollout.seen, lesson.target, recent))
+    def loss(
+        self, networks: ActorCritic, batch: Batch, start: Memory, entropy_coef: Float[Array, ""]
+    ) -> tuple[Float[Array, ""], Metrics]:
+        """Clipped surrogate objective, squared error of the critic, weighed entropy; whole sequences from `start`."""
+        config, rollout = self.config, batch.rollout
+        replay = jax.vmap(networks.policy.sequence, in_axes=(0, 1, 1), out_axes=1)
+        mean = replay(start, rollout.observation, rollout.is_first)
+        log_ratio = networks.policy.log_prob(mean, rollout.pre_tanh_action) - rollout.log_prob
+        ratio = jnp.exp(log_ratio)
+        clipped = jnp.clip(ratio, 1 - config.clip_ratio, 1 + config.clip_ratio)
+        objective = jnp.minimum(ratio * batch.advantage, clipped * batch.advantage).mean()
+        value_loss = networks.critic.loss(rollout.privileged_observation, batch.target)
+        loss = -objective + config.value_coef * value_loss - entropy_coef * networks.policy.action_entropy()
+        beyond_clip = jnp.mean(jnp.abs(ratio - 1) > config.clip_ratio)
+        kl = jnp.mean(ratio - 1 - log_ratio)
+        return loss, {"loss": loss, "value_loss": value_loss, "kl": kl, "clipped": beyond_clip}
 
-    def _learn(self, lane: Lane, lesson: Lesson, key: PRNGKeyArray) -> tuple[ActorCritic, Policy, Any, Metrics]:
+    def _learn(
+        self, agent: AgentState, networks: ActorCritic, batch: Batch, key: PRNGKeyArray
+    ) -> tuple[ActorCritic, Policy, Any, Metrics]:
+        """Epochs of minibatches; the networks, the averaged policy and the optimiser after them."""
         config, optimiser = self.config, self._optimiser()
-        entropy = jnp.asarray(config.entropies(self.updates)(lane.updates))
-        share = 1 / max(1.0, config.averaging * config.gradients_per_update)
+        entropy_coef = jnp.asarray(config.entropy_coefs(self.num_updates)(agent.num_updates))
+        newest = 1 / max(1.0, config.averaging * config.gradients_per_update)
 
         def minibatch(carry: tuple[ActorCritic, Policy, Any], chosen: Int[Array, "some"]) -> tuple[Any, Metrics]:
             networks, averaged, state = carry
-            part = jax.tree.map(lambda x: x[:, chosen], lesson)
-            start = jax.tree.map(lambda x: x[chosen], lane.batch.memories)
-            gradient, metrics = jax.grad(self.loss, has_aux=True)(networks, part, start, entropy)
+            part = jax.tree.map(lambda x: x[:, chosen], batch)
+            start = jax.tree.map(lambda x: x[chosen], agent.env_state.memories)
+            gradient, metrics = jax.grad(self.loss, has_aux=True)(networks, part, start, entropy_coef)
             change, state = optimiser.update(gradient, state, networks)
             metrics["gradient_norm"] = optax.tree.norm(gradient)
             networks = optax.apply_updates(networks, change)
-            return (networks, optax.incremental_update(networks.policy, averaged, share), state), metrics
+            return (networks, optax.incremental_update(networks.policy, averaged, newest), state), metrics
 
-        fins = jnp.tile(jnp.arange(config.environments), (config.epochs, 1))
+        fins = jnp.tile(jnp.arange(config.num_envs), (config.num_epochs, 1))
         order = jax.random.permutation(key, fins, axis=1, independent=True)
-        batches = order.reshape(config.gradients_per_update, -1)
-        start = (lane.networks, lane.policy, lane.optimiser)
-        (networks, averaged, state), metrics = jax.lax.scan(minibatch, start, batches)
-        metrics["deviation"] = jnp.exp(networks.policy.log_deviation)
+        start = (networks, agent.policy, agent.optimiser)
+        order = order.reshape(config.gradients_per_update, -1)
+        (networks, averaged, state), metrics = jax.lax.scan(minibatch, start, order)
+        metrics["std"] = jnp.exp(networks.policy.log_std)
         return networks, averaged, state, jax.tree.map(jnp.mean, metrics)
 
     def _optimiser(self) -> optax.GradientTransformation:
-        rate = self.config.learning_rates(self.updates)
-        return clipped_adam(rate, self.config.gradient_norm)
+        return clipped_adam(self.config.learning_rates(self.num_updates), self.config.max_grad_norm)
+
+
+def advantages(
+    reward: PerStep,
+    value: PerStep,
+    next_value: PerStep,
+    truncated: Bool[Array, "time environments"],
+    discount: float,
+    gae_lambda: float,
+) -> PerStep:
+    """A_t = d_t + discount lambda A_{t+1},  d_t = r_t + discount V'_t - V_t (Schulman et al. 2016).
+
+    V' is the value of the state after the action, before any reset: the fin could have gone on, so a truncated episode
+    is bootstrapped with it, and only the sum stops there.
+    """
+    errors = reward + discount * next_value - value
+
+    def back(advantage: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
+        error, is_last = now
+        advantage = error + discount * gae_lambda * jnp.where(is_last, 0.0, advantage)
+        return advantage, advantage
+
+    return jax.lax.scan(back, jnp.zeros_like(errors[0]), (errors, truncated), reverse=True)[1]

@@ -1,86 +1,93 @@
-"""Refinement of a grid: the cells whose policies err most are split, and the parts begin with their parent's policy.
+"""Refinement of a grid: the cells with the greatest errors are split, and the parts go on from their parent's policy.
 
-trained cells, their errors -> refine -> finer cells, whose part each is -> inherited -> policies to begin from
+trained cells, their errors -> refine -> finer cells, each with its parent -> train, from the parents' policies
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Float
 
 from softfin.core.errors import ConfigurationError
+from softfin.core.plant import Plant
+from softfin.core.progress import Progress
 from softfin.core.quantities import AnyArray
+from softfin.gaits.reachable import Cell
+from softfin.learning.configuration import TrainConfig
 from softfin.learning.policy import Policy
-from softfin.task.references import Cell
+from softfin.learning.run import TrainingResult
+from softfin.learning.train import train
+from softfin.storage.run_directory import Workspace
+from softfin.task.cells import lattice
 
-Lanes = TypeVar("Lanes")
 
-
-class Refined(NamedTuple):
+class RefinedGrid(NamedTuple):
     """A finer grid."""
 
     cells: tuple[Cell, ...]
-    """The parts of a cell stand where it stood."""
+    """Cells in their order; the parts of a cell stand where it stood."""
     parents: tuple[int, ...]
-    """Of each cell, the index of the one that it is, or is a part of."""
+    """For each cell, the index of the cell that it is, or is a part of."""
 
 
-def refine(cells: Sequence[Cell], error: Float[AnyArray, "cells 2"], more: int, tolerance_n: float = 0.0) -> Refined:
-    """Up to `more` cells more: of those whose mean error is above the tolerance the worst first, into four each.
+def check_refinable(config: TrainConfig, more: int) -> None:
+    """Raise ConfigurationError unless the run's grid can have `more` cells more."""
+    if more < 0:
+        raise ConfigurationError(f"--refine {more}: give the number of cells to add, 0 or more")
+    if more and (config.controller != "grid" or config.algorithm != "gradient"):
+        raise ConfigurationError(
+            f"--refine {more}: only a grid that is trained by gradients is refined, not {config.controller} by "
+            f"{config.algorithm}; leave it out, or give --controller grid --algorithm gradient"
+        )
+    if more > 3 * len(config.cells):
+        raise ConfigurationError(
+            f"--refine {more}: {len(config.cells)} cells are split once, into four each, so 1 .. "
+            f"{3 * len(config.cells)} can be added; give fewer, or more --cells"
+        )
 
-    Where fewer than three are left to give, a cell is split in two across the axis of its greater error [N], because
-    a policy for a shorter stretch of references errs less along it.
+
+def train_refined(
+    plant: Plant, trained: TrainingResult, more: int, run_directory: Workspace, progress: Progress | None
+) -> tuple[TrainingResult, tuple[int, ...]]:
+    """Train a finer grid, in this process and with the same budget a policy; and the parent of each cell.
+
+    No cell ends with a greater error than its parent's policy had in it.
     """
-    if more < 1:
-        raise ConfigurationError(f"--refine {more}: no cells to add; give 1 or more")
+    finer = refine(trained.config.cells, np.asarray(trained.evaluation.error).mean(axis=(0, 2)), more)
+    result = train(
+        plant,
+        trained.config.model_copy(update={"cells": finer.cells}),
+        trained.seeds,
+        run_directory,
+        progress,
+        force_map=trained.force_map,
+        start=inherited(trained.policies, finer.parents),
+    )
+    return result, finer.parents
+
+
+def refine(cells: Sequence[Cell], error: Float[AnyArray, "cells 2"], more: int) -> RefinedGrid:
+    """Add up to `more` cells: those with the greatest mean errors [N] are split first, into four each.
+
+    Where fewer than three are left to add, a cell is split in two across the axis of its greater error, because a
+    policy for a shorter range of references has smaller errors along it.
+    """
     errors = np.asarray(error)
     parts: list[tuple[Cell, ...]] = [(cell,) for cell in cells]
     for index in np.argsort(-errors.mean(axis=1), kind="stable").tolist():
-        if more == 0 or not errors[index].mean() > tolerance_n:
+        if more == 0:
             break
-        axes = (0, 1) if more >= 3 else (int(np.argmax(errors[index])),)
-        parts[index] = split(cells[index], axes)
+        across_x = int(np.argmax(errors[index])) == 0
+        columns, rows = (2, 2) if more >= 3 else (2, 1) if across_x else (1, 2)
+        parts[index] = lattice(columns, rows, cells[index])
         more -= len(parts[index]) - 1
     parents = tuple(index for index, part in enumerate(parts) for _ in part)
-    return Refined(tuple(cell for part in parts for cell in part), parents)
-
-
-def split(cell: Cell, axes: Sequence[int]) -> tuple[Cell, ...]:
-    """The halves of a cell along each of the axes (0 is x, 1 is y)."""
-    found = [cell]
-    for axis in axes:
-        found = [half for whole in found for half in _halves(whole, axis)]
-    return tuple(found)
-
-
-def cell_errors(error: Float[AnyArray, "seeds cells references 2"]) -> Float[np.ndarray, "cells 2"]:
-    """Of each cell, the mean over seeds and references of a score's errors [N]."""
-    mean: Float[np.ndarray, "cells 2"] = np.asarray(error).mean(axis=(0, 2))
-    return mean
+    return RefinedGrid(tuple(cell for part in parts for cell in part), parents)
 
 
 def inherited(policies: Policy, parents: Sequence[int]) -> Policy:
-    """Policies with leaves ``(seeds, cells, ...)``, handed on to the cells of a finer grid."""
-    order = np.asarray(parents)
-    handed: Policy = jax.tree.map(lambda leaf: leaf[:, order], policies)
+    """Policies with leaves ``(seeds, cells, ...)``, each cell of a finer grid with that of its parent."""
+    handed: Policy = jax.tree.map(lambda leaf: leaf[:, np.asarray(parents)], policies)
     return handed
-
-
-def begun_from(lanes: Lanes, policies: Policy) -> Lanes:
-    """Lanes of any algorithm, one a seed and cell, that go on from policies with leaves ``(seeds, cells, ...)``."""
-
-    def policy_of(lanes: Any) -> Any:
-        return lanes.policy
-
-    flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), policies)
-    begun: Lanes = eqx.tree_at(policy_of, lanes, flat)
-    return begun
-
-
-def _halves(cell: Cell, axis: int) -> tuple[Cell, Cell]:
-    middle, low, high = cell.centre[axis], list(cell.low), list(cell.high)
-    high[axis] = low[axis] = middle
-    return Cell(low=cell.low, high=(high[0], high[1])), Cell(low=(low[0], low[1]), high=cell.high)

@@ -1,6 +1,6 @@
-"""Rollouts: a policy acts with its noise in a batch of environments; what it lived through goes to the learner.
+"""A policy in its environments: rollouts with exploration noise for the learner, and episodes without for its score.
 
-Environments are in phase on the 33/33/34 clock: a rollout is a scan over cycles of three actions, and each action is
+EnvState are in phase on the 33/33/34 clock: a rollout is a scan over cycles of three actions, and each action is
 one vmapped call of the plant.
 """
 
@@ -11,100 +11,141 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-from softfin.core.action_clock import ACTION_TICKS
-from softfin.core.plant import Ticks
+from softfin.core.action_clock import ACTION_TICKS, ticks_of
+from softfin.core.plant import EnsemblePlant, Ticks, counted
+from softfin.core.quantities import AnyArray
 from softfin.learning.lstm import Memory, cleared
 from softfin.learning.policy import Policy
 from softfin.task.references import References
+from softfin.task.reward import moving_average
 from softfin.task.task import ForceTracking, TaskState
 
 
-class Batch(NamedTuple):
-    """A lane's environments between two actions; every leaf has a leading axis of environments."""
+class EnvState(NamedTuple):
+    """An agent's environments between two actions; every leaf has a leading axis of environments."""
 
     states: TaskState
     memories: Memory
-    """What the policy remembers of the observations before this one."""
-    fresh: Bool[Array, "environments"]
+    """The policy's memory of the observations before this one."""
+    is_first: Bool[Array, "environments"]
     """Whether the environment was just reset, so that the memory is of another episode."""
 
 
 class Rollout(NamedTuple):
-    """What the environments lived through, ``(time, environments, ...)``."""
+    """Transitions of all env_state, ``(time, env_state, ...)``."""
 
     observation: Float[Array, "*batch observations"]
-    raw: Float[Array, "*batch actions"]
-    """Actions before the squashing."""
-    log_density: Float[Array, "*batch"]
+    pre_tanh_action: Float[Array, "*batch actions"]
+    log_prob: Float[Array, "*batch"]
+    """Log-density of the action before the tanh."""
     reward: Float[Array, "*batch"]
     error: Float[Array, "*batch 2"]
     """|F_e| of the window [N]."""
-    seen: Float[Array, "*batch seen"]
-    """What the critic sees before the action."""
-    seen_after: Float[Array, "*batch seen"]
-    """And after it, before any reset."""
-    fresh: Bool[Array, "*batch"]
+    privileged_observation: Float[Array, "*batch privileged"]
+    """Input of the critic before the action."""
+    next_privileged_observation: Float[Array, "*batch privileged"]
+    """Input of the critic after the action, before any reset."""
+    is_first: Bool[Array, "*batch"]
     """Whether the environment was reset just before the action."""
-    cut: Bool[Array, "*batch"]
-    """Whether the episode was cut just after it."""
+    truncated: Bool[Array, "*batch"]
+    """Whether the episode was truncated just after the action."""
 
 
-def begin(task: ForceTracking, policy: Policy, references: References, key: PRNGKeyArray, count: int) -> Batch:
+def start_episodes(
+    task: ForceTracking, policy: Policy, references: References, key: PRNGKeyArray, count: int
+) -> EnvState:
     """Fins at rest; their first episodes are shorter by whole cycles, so that later resets are spread over time."""
     states = jax.vmap(task.reset, (0, None))(jax.random.split(key, count), references)
     cycles = task.config.episode_actions // len(ACTION_TICKS)
     age = jnp.arange(count) * cycles // count * len(ACTION_TICKS)
     memories = jax.tree.map(lambda x: jnp.tile(x, (count, 1)), policy.init())
-    return Batch(states._replace(age=age.astype(jnp.int32)), memories, jnp.ones(count, bool))
+    return EnvState(states._replace(age=age.astype(jnp.int32)), memories, jnp.ones(count, bool))
 
 
-def collect(task: ForceTracking, policy: Policy, batch: Batch, key: PRNGKeyArray, cycles: int) -> tuple[Batch, Rollout]:
-    """`cycles` x 3 actions in every environment, which start again when their episodes are over."""
+def collect(
+    task: ForceTracking, policy: Policy, env_state: EnvState, key: PRNGKeyArray, cycles: int
+) -> tuple[EnvState, Rollout]:
+    """Take `cycles` x 3 actions in every environment; environments whose episodes are over are reset."""
 
-    def cycle(batch: Batch, noise: Float[Array, "3 environments actions"]) -> tuple[Batch, Rollout]:
+    def cycle(env_state: EnvState, noise: Float[Array, "3 environments actions"]) -> tuple[EnvState, Rollout]:
         held = (noise, jnp.asarray(ACTION_TICKS))
-        batch, steps = jax.lax.scan(lambda batch, now: _act(task, policy, batch, *now), batch, held)
-        batch = restart(task, batch)
-        return batch, steps._replace(cut=steps.cut.at[-1].set(batch.fresh))
+        env_state, steps = jax.lax.scan(lambda now, action: _act(task, policy, now, *action), env_state, held)
+        env_state = reset_truncated(task, env_state)
+        return env_state, steps._replace(truncated=steps.truncated.at[-1].set(env_state.is_first))
 
-    noise = jax.random.normal(key, (cycles, len(ACTION_TICKS), len(batch.fresh), len(policy.log_deviation)))
-    batch, rollout = jax.lax.scan(cycle, batch, noise)
-    return batch, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), rollout)
+    noise = jax.random.normal(key, (cycles, len(ACTION_TICKS), len(env_state.is_first), len(policy.log_std)))
+    env_state, rollout = jax.lax.scan(cycle, env_state, noise)
+    return env_state, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), rollout)
 
 
 def _act(
-    task: ForceTracking, policy: Policy, batch: Batch, noise: Float[Array, "environments actions"], ticks: Ticks
-) -> tuple[Batch, Rollout]:
-    memories = jax.vmap(cleared)(batch.memories, batch.fresh)
-    observation = jax.vmap(task.observe)(batch.states)
+    task: ForceTracking,
+    policy: Policy,
+    env_state: EnvState,
+    noise: Float[Array, "environments actions"],
+    ticks: Ticks,
+) -> tuple[EnvState, Rollout]:
+    memories = jax.vmap(cleared)(env_state.memories, env_state.is_first)
+    observation = jax.vmap(task.observe)(env_state.states)
     memories, mean = jax.vmap(policy.step)(memories, observation)
-    raw = mean + jnp.exp(policy.log_deviation) * noise
-    states, outcome = jax.vmap(partial(task.step, ticks=ticks))(batch.states, jnp.tanh(raw))
-    never = jnp.zeros_like(batch.fresh)
+    pre_tanh_action = mean + jnp.exp(policy.log_std) * noise
+    states, outcome = jax.vmap(partial(task.step, ticks=ticks))(env_state.states, jnp.tanh(pre_tanh_action))
+    nowhere = jnp.zeros_like(env_state.is_first)
     step = Rollout(
         observation=observation,
-        raw=raw,
-        log_density=policy.log_density(mean, raw),
+        pre_tanh_action=pre_tanh_action,
+        log_prob=policy.log_prob(mean, pre_tanh_action),
         reward=outcome.reward,
-        error=outcome.error,
-        seen=jax.vmap(task.inspect)(batch.states),
-        seen_after=jax.vmap(task.inspect)(states),
-        fresh=batch.fresh,
-        cut=never,
+        error=outcome.terms.error,
+        privileged_observation=jax.vmap(task.privileged_observation)(env_state.states),
+        next_privileged_observation=jax.vmap(task.privileged_observation)(states),
+        is_first=env_state.is_first,
+        truncated=nowhere,
     )
-    return Batch(states, memories, never), step
+    return EnvState(states, memories, nowhere), step
 
 
-def restart(task: ForceTracking, batch: Batch) -> Batch:
-    """Where episodes are over, the fins at rest again."""
-    cut = jax.vmap(task.finished)(batch.states)
-    again = jax.vmap(task.reset)(batch.states.key, batch.states.references)
-    return Batch(jax.tree.map(partial(_choose, cut), again, batch.states), batch.memories, cut)
+def reset_truncated(task: ForceTracking, env_state: EnvState) -> EnvState:
+    """The env_state, those whose episodes are over with their fins at rest again."""
+    truncated = jax.vmap(task.truncated)(env_state.states)
+
+    def choose(new: Array, old: Array) -> Array:
+        return jnp.where(truncated.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+
+    again = jax.vmap(task.reset)(env_state.states.key, env_state.states.references)
+    return EnvState(jax.tree.map(choose, again, env_state.states), env_state.memories, truncated)
 
 
-def _choose(where: Bool[Array, "environments"], new: Any, old: Any) -> Any:
-    """`new` where true; keys of the random generator go as numbers."""
-    if jnp.issubdtype(new.dtype, jax.dtypes.prng_key):
-        numbers = _choose(where, jax.random.key_data(new), jax.random.key_data(old))
-        return jax.random.wrap_key_data(numbers)
-    return jnp.where(where.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+class PolicyEvaluation(NamedTuple):
+    """Errors of a policy without its exploration noise, from an episode per reference, as in the paper's Table II."""
+
+    error: Float[AnyArray, "*batch references 2"]
+    """Mean over all whole windows of |moving average - reference| [N]."""
+    std: Float[AnyArray, "*batch references 2"]
+    """Standard deviation of the moving average [N]."""
+    out_of_distribution_fraction: Float[AnyArray, "*batch references"] | None = None
+    """Share of the actions that led out of an ensemble's training data; None of other plants."""
+
+
+def evaluate_policy(
+    task: ForceTracking, policy: Policy, references: Float[Array, "references 2"], key: PRNGKeyArray
+) -> PolicyEvaluation:
+    """Play one episode from rest for each reference, all side by side; the reference stays."""
+    count, window = len(references), task.config.window_samples
+    states = jax.vmap(task.reset)(jax.random.split(key, count), References(references, references, None))
+    memories = jax.tree.map(lambda x: jnp.tile(x, (count, 1)), policy.init())
+    plant = task.plant if isinstance(task.plant, EnsemblePlant) else None
+
+    def act(carry: tuple[Any, Any], ticks: Ticks) -> tuple[tuple[Any, Any], tuple[Array, Array]]:
+        states, memories = carry
+        memories, actions = jax.vmap(policy.act)(memories, jax.vmap(task.observe)(states))
+        states, outcome = jax.vmap(partial(task.step, ticks=ticks))(states, actions)
+        distance = jnp.zeros(count) if plant is None else jax.vmap(plant.distance)(states.plant)
+        return (states, memories), (jnp.swapaxes(outcome.forces, 0, 1), distance)
+
+    actions = task.config.episode_actions
+    _, (forces, distances) = jax.lax.scan(act, (states, memories), jnp.asarray(ticks_of(actions)))
+    series = jnp.swapaxes(counted(forces, actions), 0, 1)
+    average = jax.vmap(partial(moving_average, window=window))(series)
+    outside = None if plant is None else (distances > 1).mean(axis=0)
+    return PolicyEvaluation(jnp.abs(average - references[:, None]).mean(axis=1), average.std(axis=1), outside)

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from itertools import count
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
+from softfin.control.controller import Measured
 from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.errors import SoftfinError
-from softfin.core.quantities import RATE_HZ, Limits
+from softfin.core.quantities import RATE_HZ, Command, Limits
 from softfin.rig.machine import Sample, Target
 from softfin.rig.safety import Trip
 from softfin.rig.session import Session
@@ -24,7 +25,7 @@ References: TypeAlias = Callable[[float], Force]
 
 @runtime_checkable
 class Acting(Protocol):
-    """What chooses the commands: a controller of `softfin.control.native`, or one's own."""
+    """A controller with the limits of its commands: one of `softfin.load_controller`, or one's own."""
 
     @property
     def limits(self) -> Limits:
@@ -35,8 +36,8 @@ class Acting(Protocol):
         """The state before the first action."""
         ...
 
-    def act(self, state: Any, angle: float, force: Force, reference: Force) -> tuple[Any, Target]:
-        """The next action, from the shaft's angle [rad], the mean force since the last action and the reference [N]."""
+    def act(self, state: Any, measured: Measured, reference: Force) -> tuple[Any, Command]:
+        """Compute the next state and command, as numbers, for a reference [N]."""
         ...
 
 
@@ -58,7 +59,8 @@ def hold(session: Session, controller: Acting, references: References, actions: 
     for index in count() if actions is None else range(actions):
         try:
             reference = references(ticks / RATE_HZ)
-            state, target = controller.act(state, angle, force, reference)
+            state, command = controller.act(state, Measured(angle, force), reference)
+            target = Target(float(command.angle), float(command.velocity))
         except SoftfinError as error:
             session.abort(Trip("controller", str(error)))
         except Exception as error:

@@ -1,6 +1,6 @@
 """How far a sample lies beyond what the controller's surrogate has learnt from."""
 
-from softfin.control.native.controller import TrainingRange
+from softfin.control.controller import TrainingRange
 from softfin.rig.machine import Sample
 
 NAMES = ("angle", "velocity", "force x", "force y")

@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeAlias
 
 from pydantic import Field, PositiveFloat, model_validator
 
-from softfin.control.native.controller import TrainingRange
+from softfin.control.controller import TrainingRange
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import Limits
 from softfin.rig.machine import Sample, Target

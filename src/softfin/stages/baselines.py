@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from softfin.core.plant import Plant
+from softfin.core.progress import Progress
 from softfin.evaluation.baselines.baselines import BaselinesConfig, evaluate_baselines, write_baselines
-from softfin.learning.engine import Progress
 from softfin.storage import artifact as artifacts
 from softfin.storage.registry import find_plant
 

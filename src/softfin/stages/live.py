@@ -14,9 +14,11 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from softfin.control.native import NativeController, load_native, trimmed
-from softfin.control.trim import TrimConfig
+from softfin.control.controller import LoadedController
+from softfin.control.disturbance_observer import DisturbanceObserver
+from softfin.control.store import load_controller
 from softfin.core.errors import ArtifactError
+from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading
 from softfin.core.randomness import key_of
 from softfin.data.collect import CollectConfig
@@ -35,8 +37,6 @@ from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.storage.log_file import read_log, write_log
 from softfin.storage.paths import PARTS
-
-Progress = stages.Progress
 
 Confirm = Callable[[Bench], None]
 """Asks a person whether the fin may move; raises where the answer is not yes."""
@@ -121,9 +121,10 @@ def evaluate_live(
 ) -> dict[str, Any]:
     """Judge a controller on a real fin (paper Sec. IV-B, Table II), as `softfin.evaluate` does on a plant."""
     artifacts.check_vacant(out, overwrite)
-    acting = native_for(controller, bench, config.trim)
+    loaded = controller_for(controller, bench)
+    acting: Acting = loaded if config.trim is None else DisturbanceObserver(loaded, config.trim)
     request = stop or StopRequest()
-    guard = Guard(bench.safety, bench.machine.limits, acting.training_range)
+    guard = Guard(bench.safety, bench.machine.limits, loaded.artifact.training_range)
     bag = bags_of(out) / f"session-{datetime.now().astimezone():%Y%m%d-%H%M%S}.mcap"
     with Session(bench.machine, guard, stop=request) as session:
         _may_move(session, confirm, bench)
@@ -185,11 +186,11 @@ class LiveFin:
             self._progress("evaluate", done, note)
 
 
-def native_for(controller: Path, bench: Bench, trim: TrimConfig | None = None) -> NativeController:
-    """The controller in a folder, ready to act on this machine; raises RigError where it is for another fin."""
-    native = load_native(controller)
-    check_fits(str(controller), native.limits, native.fin, bench)
-    return native if trim is None else trimmed(native, trim)
+def controller_for(controller: Path, bench: Bench) -> LoadedController:
+    """Load a controller that is to act on this machine; raises RigError where it is for another fin."""
+    loaded = load_controller(controller)
+    check_fits(str(controller), loaded.limits, loaded.artifact.fin, bench)
+    return loaded
 
 
 def gap_of(bench: Bench) -> float:

@@ -9,12 +9,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from softfin.control.range import admitted
-from softfin.control.store import load_controller, save_controller, save_gaits
+from softfin.control.references import resolve_reference
+from softfin.control.store import load_controller, save_gaits
 from softfin.core.choices import EngineName, Split
 from softfin.core.errors import ArtifactError, ConfigurationError, PlantError
-from softfin.core.plant import Plant
+from softfin.core.plant import EnsemblePlant, Plant
 from softfin.core.plant_identity import identity
+from softfin.core.progress import Progress
 from softfin.core.quantities import Limits
 from softfin.core.randomness import key_of
 from softfin.data.checks.findings import check_accepted
@@ -34,13 +35,13 @@ from softfin.evaluation.view.view import ViewConfig, draw, footage_of, title_of
 from softfin.gaits.figure import write_map
 from softfin.gaits.force_map import MapConfig, check_star
 from softfin.gaits.force_map import map_forces as _map_forces
-from softfin.gaits.known import known_of
-from softfin.gaits.map_store import described
-from softfin.learning.engine import find_engine
+from softfin.gaits.map_store import load_force_map
+from softfin.gaits.reachable import PAPER_REFERENCES
+from softfin.learning.configuration import TrainConfig, check, choose_preset
+from softfin.learning.controllers import save_controller
 from softfin.learning.figure import REFINED, write_learning
-from softfin.learning.jobs import default_split, train_jobs
-from softfin.learning.refinement import check_refinable, refined
-from softfin.learning.train import TrainConfig, check, starting
+from softfin.learning.jobs import default_split, find_engine, train_jobs
+from softfin.learning.refine import check_refinable, train_refined
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.storage.paths import check_view
@@ -50,7 +51,6 @@ from softfin.surrogate import (
     AutoConfig,
     FitConfig,
     StreamingConfig,
-    StreamingSurrogate,
     Surrogate,
     load_surrogate,
     save_surrogate,
@@ -70,9 +70,8 @@ from softfin.tank.calibration.calibrate import calibrate as _calibrate
 from softfin.tank.calibration.config import CalibrateConfig
 from softfin.tank.calibration.material import material
 from softfin.tank.calibration.report import write_calibration
-from softfin.task.references import PAPER_RANGE, PAPER_REFERENCES
+from softfin.task.references import PAPER_RANGE
 
-Progress = Callable[[str, float, str], None]
 """Called with what is going on, how much of it is done (0 .. 1), and the newest figures."""
 
 
@@ -211,7 +210,7 @@ def fit(
         "candidates": description.get("candidates"),
         "findings": summary["counts"],
         "columns": summary["columns"],
-        "caveat": surrogate.interval.caveat() if isinstance(surrogate, StreamingSurrogate) else None,
+        "caveat": surrogate.interval.caveat() if isinstance(surrogate, EnsemblePlant) else None,
     }
 
 
@@ -324,10 +323,10 @@ def map_forces(
     moving = find_plant(plant) if isinstance(plant, str) else plant
     known = _map_forces(moving, config, None if progress is None else partial(progress, "map"))
     write_map(out, known, config, Limits(*map(float, moving.limits)), _origin(plant, moving), overwrite)
-    missed, star = known.found.missed(), check_star(known, config.tolerance_n)
+    missed, star = known.gaits.force_error(), check_star(known, config.tolerance_n)
     return {
         "map": str(out),
-        "box_n": known.reachable.box(),
+        "box_n": known.reachable.bounds(),
         "area_n2": known.reachable.area(),
         "nodes": missed.size,
         "held": int((missed <= config.tolerance_n).sum()),
@@ -356,7 +355,8 @@ def find_gaits(
         config = config or MapConfig(box=PAPER_RANGE)
         found = _map_forces(moving, config, None if progress is None else partial(progress, "gaits"))
     elif config is None:
-        found, config = known_of(known, moving, _named(plant))
+        loaded = load_force_map(known, moving, _named(plant))
+        found, config = loaded.force_map, loaded.config
     else:
         raise ConfigurationError(f"map {known}: its lattice is made; give no configuration or range beside it")
     origin = _origin(plant, moving, **({} if known is None else {"map": str(known)}))
@@ -391,7 +391,7 @@ def train(
 
     Without a configuration it is a grid over the paper's cells, by gradients wherever the plant has them. The folder of
     a map of the plant, `known`, says what the fin can do and saves the search for gaits; without, only training by
-    gradients with a teacher looks for it, and references beyond reach are trained for as they are.
+    gradients that begins as gaits looks for it, and references beyond reach are trained for as they are.
     One seed writes the controller's folder `out`; several are written as ``out/seed-N``. All is one program, unless
     it is `split` into jobs; the `engine` does these one after the other, or all at once on a Ray `cluster`. A grid's
     worst cells are split until there are `refine` more, whose policies go on from their cell's, in this process.
@@ -400,9 +400,9 @@ def train(
     working, split = find_engine(engine, cluster), split or default_split(engine, seeds)
     moving = find_plant(plant) if isinstance(plant, str) else plant
     if config is None:
-        config, reason = starting(moving)
+        config, reason = choose_preset(moving)
     check_refinable(config, refine)
-    can = None if known is None else known_of(known, moving, _named(plant)).found
+    can = None if known is None else load_force_map(known, moving, _named(plant)).force_map
     origin, learnt = _origin(plant, moving, **({} if known is None else {"map": str(known)})), learnt_from(plant)
     origin["algorithm"] = reason or f"{config.algorithm}, as configured"
     facts = {
@@ -411,7 +411,7 @@ def train(
         "plant": origin["plant_identity"],
         "split": split,
         "refine": refine,
-        "map": None if can is None else described(can),
+        "map": None if can is None else can.to_dict(),
     }
     check(moving, config, seeds, can)
     workspace = Workspace(out, facts, resume, overwrite)
@@ -419,9 +419,9 @@ def train(
         return workspace.finish()
     if progress is not None and reason is not None:
         progress("algorithm", 1.0, reason)
-    trained = train_jobs(moving, config, seeds, workspace, progress, engine=working, split=split, known=can)
+    trained = train_jobs(moving, config, seeds, workspace, progress, engine=working, split=split, force_map=can)
     if refine:
-        trained, parents = refined(moving, trained, refine, workspace.part(REFINED), progress)
+        trained, parents = train_refined(moving, trained, refine, workspace.part(REFINED), progress)
         origin |= {"refined_from": [cell.model_dump(mode="json") for cell in config.cells], "parents": list(parents)}
 
     def save(folder: Path, seed: int, also: Callable[[Path], None] | None = None) -> None:
@@ -495,7 +495,7 @@ def view(
         raise ConfigurationError("random commands and a controller at once; give one of them")
     warnings: list[str] = []
     if controller is not None and holding is not None and reference is not None:
-        pairs = [admitted(holding, asked, strict=False) for asked in (reference, *config.next_references)]
+        pairs = [resolve_reference(holding, asked, strict=False) for asked in (reference, *config.next_references)]
         reference, *following = (force for force, _ in pairs)
         config = config.merged({"next_references": following}, "view")
         warnings = [said for _, said in pairs if said is not None]

@@ -17,7 +17,9 @@ from pydantic import Field, PositiveInt, model_validator
 from softfin.core.choices import ReproducePreset
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ArtifactError
+from softfin.core.plant import EnsemblePlant
 from softfin.core.plant_identity import identity
+from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ
 from softfin.data.collect import CollectConfig
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, write_evaluation
@@ -25,15 +27,14 @@ from softfin.evaluation.figures import experiments_figure
 from softfin.evaluation.report import prediction_figure, write_report
 from softfin.evaluation.scores import Scores
 from softfin.evaluation.uncertainty import SurrogateUncertainty
+from softfin.learning.configuration import GRADIENT_GRID, GRADIENT_SINGLE, GRID, SINGLE, TrainConfig
 from softfin.learning.figure import learning_figure
-from softfin.learning.train import GRADIENT_GRID, GRADIENT_SINGLE, GRID, SINGLE, TrainConfig
 from softfin.stages import offline as stages
-from softfin.stages.offline import Progress
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset
 from softfin.storage.registry import find_plant, is_surrogate
 from softfin.storage.run_directory import LOG, TRAINING_LOG, read_log
-from softfin.surrogate import FitConfig, StreamingConfig, Surrogate, load_surrogate
+from softfin.surrogate import FitConfig, StreamingConfig, load_surrogate
 from softfin.surrogate.compare.horizons import Place, free_running
 from softfin.surrogate.paper.predict import predict
 
@@ -247,7 +248,7 @@ class _Reproduction:
         stretch = slice(first, first + ticks)
         freed = free_running(surrogate, [log], [Place(0, first)], ticks)
         said = {"free-running": np.asarray(freed.reading.force[0])}
-        if isinstance(surrogate, Surrogate):
+        if not isinstance(surrogate, EnsemblePlant):
             behind = slice(first - surrogate.window, stretch.stop - surrogate.window)
             said = {"given the angle": predict(surrogate, log, "measured").force[behind], **said}
         return {"Force in a test log and in the surrogate": prediction_figure(

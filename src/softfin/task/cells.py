@@ -1,32 +1,33 @@
-"""Cells of a grid as users give them: ``paper``, a lattice such as ``3x3`` over a range, or a YAML file of boxes.
+"""The words of a command line for a grid: ``paper``, a lattice such as ``3x3`` over a range, or a YAML file of boxes.
 
     cells: [{low: [0, -1], high: [1, 1]}, {low: [1, -1], high: [3, 1]}]
     allow_gaps: false
 
-Cells never overlap: a reference must have one policy. Those of a file fill their least box unless it allows gaps; the
-paper's six leave a third of it uncovered.
+Cells never overlap: a reference must have one policy. Those of a file fill their bounding box unless it allows gaps;
+the paper's six leave a third of it uncovered. No JAX here.
 """
 
 from collections.abc import Sequence
 from itertools import combinations, pairwise
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from softfin.core.configuration import Configuration, read_yaml
 from softfin.core.errors import ConfigurationError
+from softfin.gaits.reachable import Cell, bounding_box
 from softfin.task.notation import read_cells, read_range
-from softfin.task.references import PAPER_CELLS, Cell, least_box
+from softfin.task.references import PAPER_CELLS
 
 TOLERANCE_N = 1e-6
 """Edges nearer than this are the same edge."""
 
 MOST = 1024
-"""Cells of a lattice; each is a policy to train, so more are a slip of the finger."""
+"""Cells of a lattice; each is a policy to train, so more are a typing error."""
 
 
 class CellsFile(Configuration):
-    """What a file of cells holds."""
+    """Content of a file of cells."""
 
     cells: tuple[Cell, ...]
     """Boxes of references [N], in the order of the policies."""
@@ -35,10 +36,10 @@ class CellsFile(Configuration):
 
 
 def cells_of(text: str, within: Cell) -> tuple[Cell, ...]:
-    """The cells that `text` asks for; a lattice fills `within`, the others have places of their own.
+    """The cells of a text; a lattice fills `within`, the others have places of their own.
 
     Raises:
-        ConfigurationError: no such lattice or file, or cells that overlap, have no width, or leave gaps unasked.
+        ConfigurationError: not a lattice or file, or cells that overlap, have no width, or leave gaps without leave.
     """
     source = read_cells(text)
     if source is None:
@@ -51,7 +52,7 @@ def cells_of(text: str, within: Cell) -> tuple[Cell, ...]:
 
 
 def range_of(text: str) -> Cell:
-    """The box that ``X0,Y0,X1,Y1`` [N] names; raises ConfigurationError for anything else."""
+    """The box of ``X0,Y0,X1,Y1`` [N]; raises ConfigurationError for any other text."""
     x0, y0, x1, y1 = read_range(text)
     return Cell.build({"low": (x0, y0), "high": (x1, y1)}, f"--range {text}")
 
@@ -71,14 +72,14 @@ def lattice(columns: int, rows: int, within: Cell) -> tuple[Cell, ...]:
 
 
 def check_width(cell: Cell, named: str) -> None:
-    """Raise ConfigurationError where a box is no wider than a line."""
+    """Raise ConfigurationError where a box has no width."""
     for axis, low, high in zip("xy", cell.low, cell.high, strict=True):
         if high - low <= TOLERANCE_N:
             raise ConfigurationError(f"{named} has no width in {axis}; let it reach from a lesser to a greater force")
 
 
 def check_apart(cells: Sequence[Cell], source: str) -> None:
-    """Raise ConfigurationError where two overlap."""
+    """Raise ConfigurationError where two cells overlap."""
     for (i, one), (j, other) in combinations(enumerate(cells, 1), 2):
         if (shared := overlap(one, other)) is not None:
             raise ConfigurationError(
@@ -88,7 +89,7 @@ def check_apart(cells: Sequence[Cell], source: str) -> None:
 
 
 def check_cells(cells: Sequence[Cell], allow_gaps: bool, source: str) -> None:
-    """Raise ConfigurationError where there are none, one has no width, two overlap, or gaps are left unasked."""
+    """Raise ConfigurationError where there are none, one has no width, two overlap, or gaps are not allowed."""
     if not cells:
         raise ConfigurationError(f"{source}: no cells; give at least one {{low: [x, y], high: [x, y]}}")
     for number, cell in enumerate(cells, 1):
@@ -97,13 +98,13 @@ def check_cells(cells: Sequence[Cell], allow_gaps: bool, source: str) -> None:
     if not allow_gaps and (found := gap(cells)) is not None:
         hole, area = found
         raise ConfigurationError(
-            f"{source}: the cells leave {area:.3g} N^2 of their least box ({least_box(cells)}) uncovered, for example "
-            f"{hole}; add cells there, or say allow_gaps: true in the file"
+            f"{source}: the cells leave {area:.3g} N^2 of their bounding box ({bounding_box(cells)}) uncovered, for "
+            f"example {hole}; add cells there, or write allow_gaps: true in the file"
         )
 
 
 def overlap(one: Cell, other: Cell) -> Cell | None:
-    """What both cells hold; None where they touch at most."""
+    """The box that both cells cover; None where they touch at most."""
     (x0, y0), (x1, y1) = np.maximum(one.low, other.low).tolist(), np.minimum(one.high, other.high).tolist()
     if x1 - x0 <= TOLERANCE_N or y1 - y0 <= TOLERANCE_N:
         return None
@@ -111,33 +112,22 @@ def overlap(one: Cell, other: Cell) -> Cell | None:
 
 
 def gap(cells: Sequence[Cell]) -> tuple[Cell, float] | None:
-    """A box within the least box of the cells that none of them covers, and the area of all such [N^2]."""
+    """A box within the bounding box of the cells that none of them covers, and the area of all such [N^2]."""
     xs, ys = (_edges(cells, axis) for axis in range(2))
     middle_x, middle_y = ((edges[:-1] + edges[1:]) / 2 for edges in (xs, ys))
-    free = np.ones((len(middle_x), len(middle_y)), bool)
+    area = np.outer(np.diff(xs), np.diff(ys))
     for cell in cells:
         inside_x, inside_y = (
             (cell.low[axis] < middle) & (middle < cell.high[axis]) for axis, middle in enumerate((middle_x, middle_y))
         )
-        free &= ~np.outer(inside_x, inside_y)
-    if not free.any():
+        area[np.outer(inside_x, inside_y)] = 0
+    if not area.any():
         return None
-    area = np.outer(np.diff(xs), np.diff(ys)) * free
     i, j = np.unravel_index(int(np.argmax(area)), area.shape)
-    column = _stretch(free[:, j], int(i))
-    row = _stretch(np.asarray(free[column[0] : column[1]].all(axis=0)), int(j))
-    (x0, x1), (y0, y1) = xs[list(column)].tolist(), ys[list(row)].tolist()
-    return Cell(low=(x0, y0), high=(x1, y1)), float(area.sum())
+    return Cell(low=(float(xs[i]), float(ys[j])), high=(float(xs[i + 1]), float(ys[j + 1]))), float(area.sum())
 
 
 def _edges(cells: Sequence[Cell], axis: int) -> Float[np.ndarray, "edges"]:
     """Where a cell begins or ends along an axis, ascending, each once."""
     values = np.unique([float(side[axis]) for cell in cells for side in (cell.low, cell.high)])
     return np.asarray(values[np.concatenate([[True], np.diff(values) > TOLERANCE_N])])
-
-
-def _stretch(free: Bool[np.ndarray, "parts"], at: int) -> tuple[int, int]:
-    """Begin and end of the run of free parts that holds one."""
-    taken = np.flatnonzero(~free)
-    before, after = taken[taken < at], taken[taken > at]
-    return (int(before[-1]) + 1 if before.size else 0), (int(after[0]) if after.size else len(free))

@@ -1,4 +1,4 @@
-"""How a range of reference forces and a grid's cells are written on a command line; read without JAX."""
+"""The words of a command line for a range of reference forces and for cells, read by the standard library alone."""
 
 import re
 from pathlib import Path
@@ -12,7 +12,7 @@ CellsSource: TypeAlias = tuple[int, int] | Path | None
 
 
 def read_range(text: str) -> tuple[float, float, float, float]:
-    """X0, Y0, X1, Y1 [N]; raises ConfigurationError for anything else."""
+    """The four numbers X0,Y0,X1,Y1 [N]; raises ConfigurationError for any other text."""
     try:
         x0, y0, x1, y1 = (float(part) for part in text.split(","))
     except ValueError:
@@ -23,7 +23,7 @@ def read_range(text: str) -> tuple[float, float, float, float]:
 
 
 def read_cells(text: str) -> CellsSource:
-    """Where the cells come from; raises ConfigurationError for what is neither of them, or a file that is not there."""
+    """Where the cells come from; raises ConfigurationError for any other text, or a file that is missing."""
     if text == "paper":
         return None
     if match := re.fullmatch(r"(\d+)\s*x\s*(\d+)", text.strip()):

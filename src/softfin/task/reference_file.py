@@ -24,10 +24,10 @@ COLUMNS = {
     "force_x_n": ("n", "newton", "force"),
     "force_y_n": ("n", "newton", "force"),
 }
-"""What is read: the unit that the name ends in, its word, and the quantity."""
+"""Columns that are read: the unit that the name ends in, its word, and the quantity."""
 
 LONGEST_S = 3600.0
-"""Longer references are a slip of the unit [s]."""
+"""Longest reference that is followed [s]; a longer one is in another unit."""
 
 MOST_ROWS = 360_000
 """An hour at 100 Hz, the rate of readings."""
@@ -41,16 +41,21 @@ def read_reference_file(path: Path) -> Recorded:
     check_reference_file(path)
     rows = _read_csv(path) if path.suffix == ".csv" else _read_parquet(path)
     if not rows:
-        raise ConfigurationError(f"--reference-file {path}: empty: no rows; give at least one, at time_s = 0")
+        raise _error(path, "empty: no rows; give at least one, at time_s = 0")
     _check(path, rows)
     times = (0.0, *(values[0] for _, values in rows[1:]))
     recorded = Recorded(time_s=times, force_n=tuple((values[1], values[2]) for _, values in rows))
     if recorded.seconds > LONGEST_S:
-        raise ConfigurationError(
-            f"--reference-file {path}: {rows[-1][0]}: time_s = {times[-1]:g} makes {recorded.seconds} s; at most "
-            f"{LONGEST_S:g} s are followed: are these milliseconds? Then divide them by 1000; else cut the file"
+        raise _error(
+            path,
+            f"{rows[-1][0]}: time_s = {times[-1]:g} makes {recorded.seconds} s; at most {LONGEST_S:g} s are followed: "
+            "are these milliseconds? Then divide them by 1000; else cut the file",
         )
     return recorded
+
+
+def _error(path: Path, message: str) -> ConfigurationError:
+    return ConfigurationError(f"--reference-file {path}: {message}")
 
 
 def _read_csv(path: Path) -> Rows:
@@ -66,15 +71,13 @@ def _read_csv(path: Path) -> Rows:
                     _check_count(path, len(rows) + 1)
                     rows.append((where, tuple(_number(path, where, header, fields, place) for place in places)))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ConfigurationError(f"--reference-file {path}: cannot be read ({error}); give a CSV file") from None
+        raise _error(path, f"cannot be read ({error}); give a CSV file") from None
     return rows
 
 
 def _check_count(path: Path, rows: int) -> None:
     if rows > MOST_ROWS:
-        raise ConfigurationError(
-            f"--reference-file {path}: has {rows:,} rows or more; at most {MOST_ROWS:,} are followed; leave rows out"
-        )
+        raise _error(path, f"has {rows:,} rows or more; at most {MOST_ROWS:,} are followed; leave rows out")
 
 
 def _number(path: Path, where: str, header: list[str], fields: list[str], place: int) -> float:
@@ -82,9 +85,9 @@ def _number(path: Path, where: str, header: list[str], fields: list[str], place:
     try:
         return float(text)
     except ValueError:
-        raise ConfigurationError(
-            f"--reference-file {path}: {where}, column {header[place]}: {text!r} is no number; write one, or leave "
-            "the whole line out"
+        raise _error(
+            path,
+            f"{where}, column {header[place]}: {text!r} is not a number; write one, or leave the whole line out",
         ) from None
 
 
@@ -95,37 +98,28 @@ def _read_parquet(path: Path) -> Rows:
             names = [header[place] for place in _places(path, header)]
             _check_count(path, file.metadata.num_rows)
             table = file.read(names)
-        columns = [table.column(name).cast(pa.float64()).to_numpy() for name in names]
+        columns = [table.column(name).cast(pa.float64()).to_numpy().tolist() for name in names]
     except (OSError, LogError, pa.ArrowException) as error:
-        reason = " ".join(str(error).split())
-        raise ConfigurationError(
-            f"--reference-file {path}: no Parquet table of numbers ({reason}); write it again"
-        ) from None
-    return [(f"row {k}", values) for k, values in enumerate(zip(*(c.tolist() for c in columns), strict=True))]
+        raise _error(path, f"not a Parquet table of numbers ({' '.join(str(error).split())}); write it again") from None
+    return [(f"row {k}", values) for k, values in enumerate(zip(*columns, strict=True))]
 
 
 def _places(path: Path, header: list[str]) -> list[int]:
     """Where the columns stand; raises ConfigurationError for one that is missing, or given in another unit."""
     if not any(header):
-        raise ConfigurationError(
-            f"--reference-file {path}: empty: no header; the first line must be {','.join(COLUMNS)}"
-        )
+        raise _error(path, f"empty: no header; the first line must be {','.join(COLUMNS)}")
     for name, (unit, word, kind) in COLUMNS.items():
         if header.count(name) == 1:
             continue
         if name in header:
-            raise ConfigurationError(f"--reference-file {path}: column {name} is there twice; take one of them out")
+            raise _error(path, f"column {name} is there twice; take one of them out")
         quantity = name.removesuffix(f"_{unit}")
         other = next((met for met in header if met.lower() == quantity or met.lower().startswith(f"{quantity}_")), None)
         if other is None:
-            raise ConfigurationError(
-                f"--reference-file {path}: no column {name} among {', '.join(header)}; it needs {','.join(COLUMNS)}"
-            )
+            raise _error(path, f"no column {name} among {', '.join(header)}; it needs {','.join(COLUMNS)}")
         met = SPELLED[kind].get(other.lower().removeprefix(f"{quantity}_"))
         change = f"{f'multiply it by {UNITS[kind][met]:.7g}' if met else f'give it in {word}'} and name it {name}"
-        raise ConfigurationError(
-            f"--reference-file {path}: column {other} is not said to be in {word}, which is needed; {change}"
-        )
+        raise _error(path, f"column {other} is not in {word}, which is needed; {change}")
     return [header.index(name) for name in COLUMNS]
 
 
@@ -133,19 +127,22 @@ def _check(path: Path, rows: Rows) -> None:
     for where, values in rows:
         for name, value in zip(COLUMNS, values, strict=True):
             if not np.isfinite(value):
-                raise ConfigurationError(
-                    f"--reference-file {path}: {where}, column {name}: {value:g} is no finite number; leave that row "
-                    "out, and the force before it is held"
+                raise _error(
+                    path,
+                    f"{where}, column {name}: {value:g} is not finite; leave that row out, and the force before it is "
+                    "held",
                 )
     first = rows[0][1][0]
     if not -CLOCK_S <= first <= TICK_S + CLOCK_S:
-        raise ConfigurationError(
-            f"--reference-file {path}: {rows[0][0]}: time_s begins at {first:g}; begin at 0: subtract {first:g} from "
-            "all times, or add a row at 0"
+        raise _error(
+            path,
+            f"{rows[0][0]}: time_s begins at {first:g}; begin at 0: subtract {first:g} from all times, or add a row "
+            "at 0",
         )
     for (_, before), (where, after) in pairwise(rows):
         if after[0] <= before[0]:
-            raise ConfigurationError(
-                f"--reference-file {path}: {where}: time_s = {after[0]:g} after {before[0]:g}; times must grow: sort "
-                "the rows, one for each time"
+            raise _error(
+                path,
+                f"{where}: time_s = {after[0]:g} after {before[0]:g}; times must grow: sort the rows, one for each "
+                "time",
             )

@@ -1,20 +1,54 @@
 """The reward (paper Sec. III-C2): mean force over the evaluation window against its reference, and smoothness.
 
-A window holds the last `n` samples, the newest last. Of these only the last `count` were made since the reset, and
-only they count.
+A window holds the last `n` samples, the newest last. Of these only the last `count` were recorded since the reset, and
+only they count. Another term is another field of `RewardTerms`, with its weight in `RewardConfig.value`.
 """
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
+from pydantic import NonNegativeFloat
 
-Forces: TypeAlias = Float[Array, "n 2"]
-Count: TypeAlias = Int[Array, ""]
-PerAxis: TypeAlias = Float[Array, "2"]
+from softfin.core.configuration import Configuration
+from softfin.core.sobolev import Count, Forces, PerAxis, sobolev_mean, sobolev_sum
+
 Smoothness: TypeAlias = Callable[[Forces, Count], PerAxis]
+
+
+class RewardTerms(NamedTuple):
+    """What the reward weighs, for each axis [N]."""
+
+    error: Float[Array, "*batch 2"]
+    """|F_e|: distance of the window's mean force from its target."""
+    smoothness: Float[Array, "*batch 2"]
+    """Sobolev term of the window."""
+    disagreement: Float[Array, "*batch 2"]
+    """Standard deviation of an ensemble's mean forces during the action; 0 for other plants, or without a weight."""
+
+
+class RewardConfig(Configuration):
+    """Weights of the reward; the paper names them and gives no values."""
+
+    weight: tuple[NonNegativeFloat, NonNegativeFloat] = (1.0, 1.0)
+    """Weight w of x and y."""
+    smoothness: tuple[NonNegativeFloat, NonNegativeFloat] = (0.01, 0.01)
+    """Weight lambda of x and y; for a full window 0.01 in the form `sum` weighs as much as 0.14 in the form `mean`."""
+    sobolev: Literal["sum", "mean"] = "sum"
+    """Form of the Sobolev term: the paper's sum of squared steps or the published code's mean."""
+    target: Literal["now", "window"] = "now"
+    """Target of the window's mean force: the reference of this moment, as in the paper, or the mean of the references
+    over the window, which does not reward making up for earlier ones."""
+    disagreement: NonNegativeFloat = 0.0
+    """Weight mu of the standard deviation between the members of an ensemble, in their mean force during an action."""
+
+    def value(self, terms: RewardTerms) -> Float[Array, "*batch"]:
+        """The reward r = -sum_d w_d (|F_e^d| + lambda_d S_d + mu D_d) [N]; the disagreement D is not the paper's."""
+        weight, smoothness = jnp.asarray(self.weight), jnp.asarray(self.smoothness)
+        cost = terms.error + smoothness * terms.smoothness + self.disagreement * terms.disagreement
+        return -jnp.sum(weight * cost, axis=-1)
 
 
 def window_mean(forces: Forces, count: Count) -> PerAxis:
@@ -28,45 +62,11 @@ def window_error(forces: Forces, count: Count, reference: PerAxis) -> PerAxis:
     return jnp.abs(window_mean(forces, count) - reference)
 
 
-def sobolev_sum(forces: Forces, count: Count) -> PerAxis:
-    """The paper's form, sqrt(sum_i |F_{i+1} - F_i|^2) [N]: it grows with the root of the window's length."""
-    return _root(_squared_steps(forces, count))
-
-
-def sobolev_mean(forces: Forces, count: Count) -> PerAxis:
-    """The published code's form, sqrt(mean_i |F_{i+1} - F_i|^2) [N]: it does not depend on the window's length."""
-    return _root(_squared_steps(forces, count) / jnp.maximum(count - 1, 1))
-
-
 SMOOTHNESS: Mapping[str, Smoothness] = MappingProxyType({"sum": sobolev_sum, "mean": sobolev_mean})
 """The two forms of the Sobolev term by name."""
-
-
-def reward(
-    error: Float[Array, "*batch 2"],
-    smoothness: Float[Array, "*batch 2"],
-    disagreement: Float[Array, "*batch 2"],
-    weight: PerAxis,
-    smoothness_weight: PerAxis,
-    disagreement_weight: float | int,
-) -> Float[Array, "*batch"]:
-    """r = -sum_d w_d (|F_e^d| + lambda_d S_d + mu D_d); the disagreement D of an ensemble is not the paper's."""
-    return -jnp.sum(weight * (error + smoothness_weight * smoothness + disagreement_weight * disagreement), axis=-1)
 
 
 def moving_average(forces: Float[Array, "samples 2"], window: int) -> Float[Array, "windows 2"]:
     """Mean force over every whole window of a series [N]; the first ends with sample ``window - 1``."""
     total = jnp.concatenate([jnp.zeros((1, 2)), jnp.cumsum(forces, axis=0)])
     return (total[window:] - total[:-window]) / window
-
-
-def _squared_steps(forces: Forces, count: Count) -> PerAxis:
-    """sum_i |F_{i+1} - F_i|^2 over the pairs of which both samples count."""
-    counts = jnp.arange(len(forces) - 1) >= len(forces) - count
-    return jnp.where(counts[:, None], jnp.diff(forces, axis=0) ** 2, 0).sum(axis=0)
-
-
-def _root(square: PerAxis) -> PerAxis:
-    """The square root with slope 0 at 0: a fin at rest makes no force, and sqrt's slope there is infinite."""
-    moves = square > 0
-    return jnp.where(moves, jnp.sqrt(jnp.where(moves, square, 1)), 0)

@@ -1,9 +1,10 @@
-"""References that move: what is asked of a fin over time, as one reference force a tick of 10 ms.
+"""References that move: one reference force for every tick of 10 ms.
 
-Tick k is asked from time k * 10 ms on, for 10 ms. A controller looks at it when it acts, three times a second, so what
-happens between two actions is seen at the second one.
+Tick k holds from time k * 10 ms on, for 10 ms. A controller reads the reference when it acts, three times a second, so
+it meets a change between two actions at the second one.
 """
 
+from abc import abstractmethod
 from typing import Annotated, Literal
 
 import numpy as np
@@ -22,56 +23,62 @@ CLOCK_S = 1e-6
 """Times this near to a tick are that tick's: sums of decimal fractions seldom come out even."""
 
 
-class Hold(Configuration):
+class _Signal(Configuration):
+    """Base of all signals; `kind` names one in files."""
+
+    @abstractmethod
+    def _at(self, time_s: Float[np.ndarray, " ticks"]) -> Float[np.ndarray, "ticks 2"]:
+        """The reference (x, y) [N] at each time."""
+
+    def sample(self, ticks: int) -> Series:
+        """The reference at 100 Hz from time 0."""
+        return np.asarray(self._at(np.arange(ticks) / RATE_HZ), np.float32)
+
+
+class Hold(_Signal):
     """One force, all the time."""
 
     kind: Literal["hold"] = "hold"
-    """Tells the signals apart in files."""
     force_n: Force
-    """(x, y) [N]."""
+    """The force (x, y) [N]."""
 
-    def sample(self, ticks: int) -> Series:
-        """At 100 Hz from time 0."""
-        return np.tile(np.asarray(self.force_n, np.float32), (ticks, 1))
+    def _at(self, time_s: Float[np.ndarray, " ticks"]) -> Float[np.ndarray, "ticks 2"]:
+        return np.tile(self.force_n, (len(time_s), 1))
 
     def __str__(self) -> str:
         return f"hold {_pair(self.force_n)} N"
 
 
-class Step(Configuration):
+class Step(_Signal):
     """One force, and from a moment on another."""
 
     kind: Literal["step"] = "step"
-    """Tells the signals apart in files."""
     start_n: Force
-    """Before the step (x, y) [N]."""
+    """Force before the step (x, y) [N]."""
     to_n: Force
-    """From the step on (x, y) [N]."""
+    """Force from the step on (x, y) [N]."""
     at_s: NonNegativeFloat = 10.0
-    """When it steps [s]; a whole second is a moment at which controllers act."""
+    """Time of the step [s]; a whole second is a moment at which controllers act."""
 
-    def sample(self, ticks: int) -> Series:
-        """At 100 Hz from time 0."""
-        late = _times(ticks)[:, None] >= self.at_s - CLOCK_S
-        return np.where(late, self.to_n, self.start_n).astype(np.float32)
+    def _at(self, time_s: Float[np.ndarray, " ticks"]) -> Float[np.ndarray, "ticks 2"]:
+        return np.where(time_s[:, None] >= self.at_s - CLOCK_S, self.to_n, self.start_n)
 
     def __str__(self) -> str:
         return f"step {_pair(self.start_n)} to {_pair(self.to_n)} N at {self.at_s:g} s"
 
 
-class Ramp(Configuration):
-    """From one force to another in a straight line."""
+class Ramp(_Signal):
+    """A straight line from one force to another."""
 
     kind: Literal["ramp"] = "ramp"
-    """Tells the signals apart in files."""
     start_n: Force
-    """Before the ramp (x, y) [N]."""
+    """Force before the ramp (x, y) [N]."""
     to_n: Force
-    """After the ramp (x, y) [N]."""
+    """Force after the ramp (x, y) [N]."""
     begin_s: NonNegativeFloat = 5.0
-    """When it begins [s]."""
+    """Begin of the ramp [s]."""
     end_s: PositiveFloat = 15.0
-    """When it ends [s]."""
+    """End of the ramp [s]."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "Ramp":
@@ -79,45 +86,41 @@ class Ramp(Configuration):
             raise ValueError(f"a ramp from {self.begin_s:g} s to {self.end_s:g} s; end_s must be after begin_s")
         return self
 
-    def sample(self, ticks: int) -> Series:
-        """At 100 Hz from time 0."""
-        part = np.clip((_times(ticks)[:, None] - self.begin_s) / (self.end_s - self.begin_s), 0, 1)
-        return np.asarray((1 - part) * self.start_n + part * np.asarray(self.to_n), np.float32)
+    def _at(self, time_s: Float[np.ndarray, " ticks"]) -> Float[np.ndarray, "ticks 2"]:
+        part = np.clip((time_s[:, None] - self.begin_s) / (self.end_s - self.begin_s), 0, 1)
+        return np.asarray((1 - part) * self.start_n + part * np.asarray(self.to_n))
 
     def __str__(self) -> str:
         return f"ramp {_pair(self.start_n)} to {_pair(self.to_n)} N from {self.begin_s:g} s to {self.end_s:g} s"
 
 
-class Sine(Configuration):
+class Sine(_Signal):
     """To and fro about a force; both axes reach their greatest together."""
 
     kind: Literal["sine"] = "sine"
-    """Tells the signals apart in files."""
     centre_n: Force
-    """At time 0 and half a period later (x, y) [N]."""
+    """Force at time 0 and half a period later (x, y) [N]."""
     amplitude_n: Force
-    """Of each axis (x, y) [N]; a negative one begins downwards."""
+    """Amplitude of each axis (x, y) [N]; a negative one begins downwards."""
     period_s: PositiveFloat = 10.0
-    """[s]; ten are five windows of the moving average."""
+    """Period [s]; ten are five windows of the moving average."""
 
-    def sample(self, ticks: int) -> Series:
-        """At 100 Hz from time 0."""
-        turn = np.sin(2 * np.pi * _times(ticks)[:, None] / self.period_s)
-        return np.asarray(np.asarray(self.centre_n) + turn * np.asarray(self.amplitude_n), np.float32)
+    def _at(self, time_s: Float[np.ndarray, " ticks"]) -> Float[np.ndarray, "ticks 2"]:
+        turn = np.sin(2 * np.pi * time_s[:, None] / self.period_s)
+        return np.asarray(np.asarray(self.centre_n) + turn * np.asarray(self.amplitude_n))
 
     def __str__(self) -> str:
         return f"sine about {_pair(self.centre_n)} N, amplitude {_pair(self.amplitude_n)} N, of {self.period_s:g} s"
 
 
-class Recorded(Configuration):
-    """Forces from given moments on, each held until the next one, the last one for good."""
+class Recorded(_Signal):
+    """Forces from given moments on, each held until the next one, the last one for good; nothing is interpolated."""
 
     kind: Literal["recorded"] = "recorded"
-    """Tells the signals apart in files."""
     time_s: tuple[FiniteFloat, ...] = Field(min_length=1)
-    """Since when [s]: from 0 on, growing."""
+    """Times [s] from which on each force holds: from 0 on, growing."""
     force_n: tuple[Force, ...] = Field(min_length=1)
-    """As many (x, y) [N]."""
+    """As many forces (x, y) [N]."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "Recorded":
@@ -125,7 +128,7 @@ class Recorded(Configuration):
         if len(times) != len(self.force_n):
             raise ValueError(f"{len(times)} times and {len(self.force_n)} forces; give one force for each time")
         if abs(times[0]) > CLOCK_S:
-            raise ValueError(f"the first time is {times[0]:g} s; begin at 0, or what is asked before it is unknown")
+            raise ValueError(f"the first time is {times[0]:g} s; begin at 0, as the reference before it is unknown")
         if late := np.flatnonzero(np.diff(times) <= 0).tolist():
             raise ValueError(f"time {times[late[0] + 1]:g} s after {times[late[0]]:g} s; times must grow")
         return self
@@ -136,20 +139,14 @@ class Recorded(Configuration):
         last, before = self.time_s[-1], self.time_s[-2] if len(self.time_s) > 1 else 0.0
         return int(np.ceil(2 * last - before - CLOCK_S))
 
-    def sample(self, ticks: int) -> Series:
-        """At 100 Hz from time 0, held between the given moments: nothing is interpolated."""
-        rows = np.searchsorted(np.asarray(self.time_s), _times(ticks) + CLOCK_S, side="right") - 1
-        return np.asarray(self.force_n, np.float32)[rows]
+    def _at(self, time_s: Float[np.ndarray, " ticks"]) -> Float[np.ndarray, "ticks 2"]:
+        return np.asarray(self.force_n)[np.searchsorted(self.time_s, time_s + CLOCK_S, side="right") - 1]
 
     def __str__(self) -> str:
         return f"recorded, {len(self.time_s)} rows over {self.time_s[-1]:g} s"
 
 
 Signal = Annotated[Hold | Step | Ramp | Sine | Recorded, Field(discriminator="kind")]
-
-
-def _times(ticks: int) -> Float[np.ndarray, " ticks"]:
-    return np.arange(ticks) / RATE_HZ
 
 
 def _pair(force: Force) -> str:

@@ -8,91 +8,63 @@ holds the task once: all actions have 34 rows, and the last one of a shorter act
 """
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
-from softfin.core.action_clock import CYCLE_ACTIONS, MOST_TICKS
+from softfin.control.policy import Observation
+from softfin.core.action_clock import MOST_TICKS
 from softfin.core.configuration import Configuration
-from softfin.core.plant import Plant, State, Ticks, hold_action, mean_of, repeat, rest_command
-from softfin.core.quantities import Command, Limits, Reading
-from softfin.surrogate.streaming.streaming import StreamingSurrogate
+from softfin.core.operations import JAX
+from softfin.core.plant import EnsemblePlant, Plant, State, Ticks, hold_action, mean_of, repeat, rest_command
+from softfin.core.quantities import Command, Limits, Reading, command_of
 from softfin.task.references import References
-from softfin.task.reward import SMOOTHNESS, reward, window_error, window_mean
+from softfin.task.reward import SMOOTHNESS, RewardConfig, RewardTerms, window_error, window_mean
 
 Action = Float[Array, "2"]
 """(angle, velocity) normalised to [-1, 1], the plant's limits."""
 
-ANGLE_SCALE_RAD = np.pi / 2
-
 FORCE_BLOCKS = 8
-"""Parts of the window whose mean forces the critic sees, so that it knows which forces are about to leave it."""
-
-
-class RewardConfig(Configuration):
-    """Weights of the reward; the paper names them and gives no values."""
-
-    weight: tuple[NonNegativeFloat, NonNegativeFloat] = (1.0, 1.0)
-    """w of x and y."""
-    smoothness: tuple[NonNegativeFloat, NonNegativeFloat] = (0.01, 0.01)
-    """lambda of x and y; for a full window 0.01 in the form `sum` weighs as much as 0.14 in the form `mean`."""
-    sobolev: Literal["sum", "mean"] = "sum"
-    """Form of the Sobolev term: the paper's sum of squared steps or the published code's mean."""
-    target: Literal["now", "window"] = "now"
-    """What the window's mean force should be: the reference of this moment, as in the paper, or the mean of what was
-    asked for over the window, which does not reward making up for what was asked before."""
-    disagreement: NonNegativeFloat = 0.0
-    """Weight of the deviation between the members of an ensemble, in their mean force while the action is held."""
-
-    def value(
-        self,
-        error: Float[Array, "*batch 2"],
-        smoothness: Float[Array, "*batch 2"],
-        disagreement: Float[Array, "*batch 2"],
-    ) -> Float[Array, "*batch"]:
-        """The reward [N] with these weights, of force errors, Sobolev terms and disagreements [N]."""
-        weights = jnp.asarray(self.weight), jnp.asarray(self.smoothness), self.disagreement
-        return reward(error, smoothness, disagreement, *weights)
+"""Parts of the window whose mean forces the critic observes, which shows what forces are about to leave the window."""
 
 
 class SensingConfig(Configuration):
-    """What stands between the shaft's angle and the policy; a simulator has neither."""
+    """Noise and delay between the shaft's angle and the policy; a simulator has neither."""
 
     noise_rad: NonNegativeFloat = 0.0
     """Standard deviation of the angle's noise [rad]."""
     delay_ticks: int = Field(default=0, ge=0, le=30)
-    """Age of the angle when it is acted on [10 ms]."""
+    """Age of the angle when the policy acts on it [10 ms]."""
 
 
 class TaskConfig(Configuration):
-    """The task."""
+    """The force-tracking task."""
 
     past_actions: int = Field(default=3, ge=0)
-    """k: actions before the last one that are observed; 3 makes 11 observations, so the paper's 592,325 weights."""
+    """Number k of actions before the last one that are observed; 3 makes 11 observations, as in the paper."""
     window_samples: int = Field(default=200, ge=8, multiple_of=8)
     """Evaluation window of the mean force and the Sobolev term [samples at 100 Hz]."""
     episode_actions: int = Field(default=90, ge=3, multiple_of=3)
-    """Actions until the fin starts again from rest, whole cycles of three; 90 are the paper's 30 s."""
+    """Actions until the episode is truncated, whole cycles of three; 90 are the paper's 30 s."""
     reference_actions: PositiveInt = 90
     """Actions until another reference is drawn."""
     ramps: float = Field(default=0.0, ge=0, le=1)
-    """Share of the drawn references that are gone to in a straight line, until the next is due; others are steps."""
+    """Share of the references that are ramps, which arrive when the next one is due; the others are steps."""
     force_scale_n: PositiveFloat = 3.0
-    """References are observed in this unit [N], so that they are of about unit size."""
+    """Unit in which references are observed [N], so that they are of about unit size."""
     phase: bool = False
     """Whether the phase of the six actions that fill the window is observed, as a sine and a cosine; the paper's state
-    has none, and a policy then has to find a beat of its own."""
+    has none, and a policy then has to invent a gait of its own."""
     reward: RewardConfig = RewardConfig()
     sensing: SensingConfig = SensingConfig()
 
     @property
     def observations(self) -> int:
-        """How many numbers are observed."""
-        return 3 + 2 * (1 + self.past_actions) + 2 * self.phase
+        """Size of an observation."""
+        return Observation(past_actions=self.past_actions, phase=self.phase).size
 
 
 class TaskState(NamedTuple):
@@ -100,18 +72,18 @@ class TaskState(NamedTuple):
 
     plant: State
     angle: Float[Array, ""]
-    """Of the shaft, last read [rad]."""
+    """Angle of the shaft at the last reading [rad]."""
     reference: Float[Array, "2"]
     drift: Float[Array, "2"]
-    """Of the reference, an action [N]."""
+    """Change of the reference with each action [N]."""
     references: References
     """Where references are drawn from."""
     actions: Float[Array, "remembered 2"]
-    """The last one first."""
+    """Past actions, the last one first."""
     forces: Float[Array, "window 2"]
-    """The newest last; only the last `samples` of them were made since the reset."""
-    asked: Float[Array, "window 2"]
-    """The reference of each of these [N]."""
+    """Last readings, the newest last; only the last `samples` of them were recorded since the reset."""
+    past_references: Float[Array, "window 2"]
+    """The reference at each of these [N]."""
     samples: Int[Array, ""]
     age: Int[Array, ""]
     """Actions since the reset."""
@@ -119,17 +91,13 @@ class TaskState(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What one action led to."""
+    """Result of one action."""
 
     reward: Float[Array, ""]
-    error: Float[Array, "2"]
-    """|F_e| of the window [N]."""
-    smoothness: Float[Array, "2"]
-    """Sobolev term of the window [N]."""
+    terms: RewardTerms
+    """What the reward was computed from."""
     forces: Float[Array, "ticks 2"]
-    """While the action was held [N]; the last of the 34 rows counts where it was held as long."""
-    disagreement: Float[Array, "2"]
-    """Standard deviation of the members' mean forces meanwhile [N]; 0 of a plant that is no ensemble or not asked."""
+    """Forces while the action was held [N]; the last of the 34 rows counts only for an action of 34 ticks."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +108,7 @@ class ForceTracking:
     config: TaskConfig
 
     def reset(self, key: PRNGKeyArray, references: References) -> TaskState:
-        """The fin at rest, no force remembered, a reference drawn."""
+        """The fin at rest, an empty window, a new reference."""
         plant_key, reference_key, key = jax.random.split(key, 3)
         return TaskState(
             plant=self.plant.init(plant_key),
@@ -150,7 +118,7 @@ class ForceTracking:
             references=references,
             actions=rest_actions(self.config, self.plant.limits),
             forces=jnp.zeros((self.config.window_samples, 2)),
-            asked=jnp.zeros((self.config.window_samples, 2)),
+            past_references=jnp.zeros((self.config.window_samples, 2)),
             samples=jnp.int32(0),
             age=jnp.int32(0),
             key=key,
@@ -160,8 +128,8 @@ class ForceTracking:
         """The paper's state."""
         return observation(self.config, state.angle, state.reference, state.actions, state.age)
 
-    def inspect(self, state: TaskState) -> Float[Array, "seen"]:
-        """The observation, and what only a simulator knows: the window's forces, how many count, the clock."""
+    def privileged_observation(self, state: TaskState) -> Float[Array, "privileged"]:
+        """The observation, and what only a simulator has: the window's forces, how many count, the clock."""
         scale = self.config.force_scale_n
         window = state.forces.reshape(FORCE_BLOCKS, -1, 2).sum(axis=1) * FORCE_BLOCKS
         mean = (window / jnp.maximum(state.samples, 1)).reshape(-1) / scale
@@ -171,18 +139,19 @@ class ForceTracking:
 
     def step(self, state: TaskState, action: Action, ticks: Ticks) -> tuple[TaskState, Outcome]:
         """Hold an action for 33 or 34 ticks."""
+        config, sensing = self.config.reward, self.config.sensing
         plant, reading, disagreement = self._advance(state.plant, command_of(self.plant.limits, action), ticks)
-        asked = _last(state.asked, jnp.tile(state.reference, (MOST_TICKS, 1)), ticks)
+        past_references = _last(state.past_references, jnp.tile(state.reference, (MOST_TICKS, 1)), ticks)
         forces = _last(state.forces, jnp.asarray(reading.force), ticks)
         samples = jnp.minimum(state.samples + ticks, self.config.window_samples)
-        age = state.age + 1
-        target = state.reference if self.config.reward.target == "now" else window_mean(asked, samples)
-        outcome = self._judge(forces, samples, target, jnp.asarray(reading.force), disagreement)
-        sensing = self.config.sensing
+        target = state.reference if config.target == "now" else window_mean(past_references, samples)
+        error, smoothness = window_error(forces, samples, target), SMOOTHNESS[config.sobolev](forces, samples)
+        terms = RewardTerms(error, smoothness, disagreement)
         # A chain: each key is used once, so neither another action nor the next episode draws the same numbers.
         key, noise_key, reference_key = jax.random.split(state.key, 3)
         noise = sensing.noise_rad * jax.random.normal(noise_key)
-        reference, drift = self._moved(state, reference_key, age % self.config.reference_actions == 0)
+        age = state.age + 1
+        reference, drift = self._next_reference(state, reference_key, age % self.config.reference_actions == 0)
         return TaskState(
             plant=plant,
             angle=jnp.asarray(reading.angle)[ticks - 1 - sensing.delay_ticks] + noise,
@@ -191,31 +160,31 @@ class ForceTracking:
             references=state.references,
             actions=remember(state.actions, action),
             forces=forces,
-            asked=asked,
+            past_references=past_references,
             samples=samples,
             age=age,
             key=key,
-        ), outcome
+        ), Outcome(config.value(terms), terms, jnp.asarray(reading.force))
 
-    def _moved(
-        self, state: TaskState, key: PRNGKeyArray, due: Bool[Array, ""]
-    ) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
-        """The reference of the next action and its drift; where another is `due` it is drawn, to be gone to."""
-        # One draw for all: each takes a quarter of a second to compile.
-        chance = jax.random.uniform(key, (3,))
-        drawn, ramp = state.references.at(chance[:2]), chance[2] < self.config.ramps
-        towards = (drawn - state.reference) / self.config.reference_actions
-        drift = jnp.where(due, jnp.where(ramp, towards, 0), state.drift)
-        return jnp.where(due & ~ramp, drawn, state.reference + drift), drift
-
-    def finished(self, state: TaskState) -> Bool[Array, ""]:
-        """Whether the episode is over: cut, not ended, since the fin could beat on."""
+    def truncated(self, state: TaskState) -> Bool[Array, ""]:
+        """Whether the episode is over: truncated, not terminated, since the fin could go on."""
         return state.age >= self.config.episode_actions
 
+    def _next_reference(
+        self, state: TaskState, key: PRNGKeyArray, is_due: Bool[Array, ""]
+    ) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
+        """The reference of the next action and its drift; where another one is due, a step or a ramp to it."""
+        # One draw for all: each takes a quarter of a second to compile.
+        chance = jax.random.uniform(key, (3,))
+        sampled, ramp = state.references.at(chance[:2]), chance[2] < self.config.ramps
+        towards = (sampled - state.reference) / self.config.reference_actions
+        drift = jnp.where(is_due, jnp.where(ramp, towards, 0), state.drift)
+        return jnp.where(is_due & ~ramp, sampled, state.reference + drift), drift
+
     def _advance(self, state: State, command: Command, ticks: Ticks) -> tuple[State, Reading, Float[Array, "2"]]:
-        """The plant, and how much the members of an ensemble disagree, where that is asked for."""
+        """The plant after an action, and how much the members of an ensemble disagree, where that has a weight."""
         plant = self.plant
-        if self.config.reward.disagreement == 0 or not isinstance(plant, StreamingSurrogate):
+        if self.config.reward.disagreement == 0 or not isinstance(plant, EnsemblePlant):
             return *hold_action(plant, state, command, ticks), jnp.zeros(2)
 
         def tick(state: State) -> tuple[State, Reading]:
@@ -226,22 +195,9 @@ class ForceTracking:
         force = mean_of(jnp.asarray(each.force), ticks)
         return state, jax.tree.map(lambda x: x.mean(axis=1), each), force.std(axis=0)
 
-    def _judge(
-        self,
-        forces: Float[Array, "window 2"],
-        samples: Int[Array, ""],
-        reference: Float[Array, "2"],
-        fresh: Float[Array, "ticks 2"],
-        disagreement: Float[Array, "2"],
-    ) -> Outcome:
-        config = self.config.reward
-        error = window_error(forces, samples, reference)
-        smoothness = SMOOTHNESS[config.sobolev](forces, samples)
-        return Outcome(config.value(error, smoothness, disagreement), error, smoothness, fresh, disagreement)
-
 
 def _last(before: Float[Array, "window 2"], rows: Float[Array, "34 2"], ticks: Ticks) -> Float[Array, "window 2"]:
-    """The window after so many more rows."""
+    """The window with `ticks` rows more."""
     return jax.lax.dynamic_slice_in_dim(jnp.concatenate([before, rows]), ticks, len(before))
 
 
@@ -252,38 +208,27 @@ def observation(
     actions: Float[Array, "remembered 2"],
     age: Int[Array, ""],
 ) -> Float[Array, "observations"]:
-    """[angle, reference x, reference y, A_t, A_t-1, .. A_t-k], in units of `ANGLE_SCALE_RAD` and `force_scale_n`.
+    """[angle, reference x, reference y, A_t, A_t-1, .. A_t-k], in units of 90 degrees and `force_scale_n`.
 
     With `config.phase`, sine and cosine of the phase follow, which is 0 at every sixth action, `age` counted from 0.
     """
-    parts = [angle[None] / ANGLE_SCALE_RAD, reference / config.force_scale_n, actions.reshape(-1)]
-    if config.phase:
-        turn = 2 * jnp.pi * (age % CYCLE_ACTIONS) / CYCLE_ACTIONS
-        parts.append(jnp.stack([jnp.sin(turn), jnp.cos(turn)]))
-    return jnp.concatenate(parts)
-
-
-def command_of(limits: Limits, action: Action) -> Command:
-    """[-1, 1]^2 onto the plant's limits."""
-    part = (action + 1) / 2
-    return Command(
-        limits.angle_min + part[0] * (limits.angle_max - limits.angle_min),
-        limits.velocity_min + part[1] * (limits.velocity_max - limits.velocity_min),
-    )
+    part = Observation(past_actions=config.past_actions, phase=config.phase, force_scale_n=config.force_scale_n)
+    now = jnp.concatenate([angle[None], reference])
+    return jnp.asarray(part.observe(JAX, now, actions.reshape(-1), age) / part.units())
 
 
 def action_of(limits: Limits, command: Command) -> Action:
-    """The plant's limits onto [-1, 1]^2."""
+    """The action of a command: the plant's limits onto [-1, 1]^2."""
     angle = (command.angle - limits.angle_min) / (limits.angle_max - limits.angle_min)
     velocity = (command.velocity - limits.velocity_min) / (limits.velocity_max - limits.velocity_min)
     return 2 * jnp.stack([jnp.asarray(angle), jnp.asarray(velocity)]) - 1
 
 
 def rest_actions(config: TaskConfig, limits: Limits) -> Float[Array, "remembered 2"]:
-    """The memory of a fin that has long been told to stay where it is."""
+    """Past actions of a fin that has long been held at rest."""
     return jnp.tile(action_of(limits, rest_command(limits)), (config.past_actions + 1, 1))
 
 
 def remember(actions: Float[Array, "remembered 2"], action: Action) -> Float[Array, "remembered 2"]:
-    """A new action in front, the oldest forgotten."""
+    """The past actions with a new one in front, without the oldest."""
     return jnp.concatenate([action[None], actions[:-1]])

@@ -11,7 +11,7 @@ from softfin.evaluation.baselines.recurrent import run_recurrent, train_recurren
 from softfin.evaluation.evaluate import EvaluateConfig, repetition_keys
 from softfin.evaluation.experiment import run
 from softfin.task.references import PAPER_RANGE
-from softfin.task.task import TaskConfig, command_of, observation, remember, rest_actions
+from softfin.task.task import TaskConfig, observation, remember, rest_actions
 from tests.plants import AnalyticFin
 
 CONFIG = EvaluateConfig(references=((1, -1), (2, 0)), seconds=3, seeds=2)

@@ -29,8 +29,8 @@ from softfin.evaluation.baselines.search import OpenLoop, SearchConfig, best_gai
 from softfin.evaluation.baselines.sines import InverseConfig, ShaftSine, inverse
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, Reference, repetition_keys, score_experiments
 from softfin.evaluation.experiment import ExperimentRecording
+from softfin.gaits.reachable import PAPER_REFERENCES, Cell, bounding_box
 from softfin.storage import artifact as artifacts
-from softfin.task.references import PAPER_REFERENCES, Cell, least_box
 from softfin.task.task import TaskConfig
 
 KIND = "baselines"
@@ -156,7 +156,7 @@ def _evaluate_recurrent(plant: Plant, limits: Limits, search_in: Plant, config: 
             f"it would learn commands that the plant does not take, {learnt.described()}; let it learn in a surrogate "
             "of the fin itself"
         )
-    box = least_box([Cell.around(reference, 0.0) for reference in config.references])
+    box = bounding_box([Cell.around(reference, 0.0) for reference in config.references])
     model = train_recurrent(search_in, config.recurrent_steps, config.seed, task, box)
     experiments = config.experiments
     return score_experiments(run_recurrent(model, task, learnt, plant, experiments), plant, experiments)

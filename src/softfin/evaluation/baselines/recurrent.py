@@ -16,11 +16,11 @@ from softfin.core.action_clock import ACTION_TICKS, MOST_TICKS, rows_of, ticks_o
 from softfin.core.errors import ConfigurationError
 from softfin.core.gym_registration import ID, register
 from softfin.core.plant import Plant, State, Ticks, hold_action
-from softfin.core.quantities import Command, Limits, Reading
+from softfin.core.quantities import Command, Limits, Reading, command_of
 from softfin.evaluation.evaluate import EvaluateConfig, repetition_keys
 from softfin.evaluation.experiment import ExperimentRecording
-from softfin.task.references import Cell
-from softfin.task.task import TaskConfig, command_of, observation, remember, rest_actions
+from softfin.gaits.reachable import Cell
+from softfin.task.task import TaskConfig, observation, remember, rest_actions
 
 
 def train_recurrent(plant: Plant, steps: int, seed: int, task: TaskConfig, references: Cell) -> Any:

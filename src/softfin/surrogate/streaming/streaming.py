@@ -32,6 +32,29 @@ class StreamingState(NamedTuple):
     members: MemberState
 
 
+class StreamingMember(eqx.Module):
+    """One member of an ensemble as a plant of its own; meets the Plant contract."""
+
+    net: Member
+    rest: MemberState
+    """State long at rest at angle 0."""
+    limits: Limits = eqx.field(static=True)
+
+    def init(self, key: PRNGKeyArray) -> StreamingState:
+        """Long at rest at angle 0. Nothing is random here: the key is not used."""
+        return StreamingState(jnp.int32(0), self.rest)
+
+    def advance(self, state: StreamingState, command: Command, ticks: int) -> tuple[StreamingState, Reading]:
+        """Hold the command for `ticks` samples of 10 ms and read after each: fields ``(ticks,)``."""
+        held = Command(*(jnp.asarray(part, jnp.float32) for part in command))
+        after, (motion, predicted) = jax.lax.scan(
+            lambda each, _: self.net.step(each, held), state.members, length=ticks
+        )
+        time = (state.tick + 1 + jnp.arange(ticks)) * jnp.float32(TICK_S)
+        reading = Reading(time, motion.angle, motion.velocity, predicted.force)
+        return StreamingState(state.tick + ticks, after), reading
+
+
 class StreamingSurrogate(eqx.Module):
     """A learnt fin; meets the Plant contract. Readings are the mean over the members."""
 
@@ -93,6 +116,10 @@ class StreamingSurrogate(eqx.Module):
         time = (state.tick - ticks + 1 + jnp.arange(ticks)) * jnp.float32(TICK_S)
         reading = Reading(jnp.tile(time, (self.size, 1)), motion.angle, motion.velocity, said.force)
         return state, reading
+
+    def member(self, index: Int[Array, ""]) -> "StreamingMember":
+        """One member as a plant of its own; `index` may be a value in a program."""
+        return StreamingMember(*jax.tree.map(lambda leaf: leaf[index], (self.members, self.rest)), self.limits)
 
     def deviation(self, state: StreamingState, command: Command, ticks: int) -> Float[Array, "ticks"]:
         """Standard deviation of each axis' reading about the mean [N], as the nets learnt it while a command is held.

@@ -9,17 +9,18 @@ import numpy as np
 
 from softfin.core.action_clock import CYCLE_ACTIONS, ticks_of
 from softfin.core.plant import counted
-from softfin.learning.imitation import ImitationConfig, Shown, imitate, show
+from softfin.gaits.reachable import Cell
+from softfin.learning.cloning import CloningConfig, Demonstrations, clone_gaits, record_demonstrations
 from softfin.learning.policy import Policy, PolicyConfig
-from softfin.task.references import Cell
+from softfin.task.references import References
 from softfin.task.task import ForceTracking, TaskConfig
-from tests.learning.mapped import WITHIN, known
+from tests.learning.mapped import WITHIN, mapped
 from tests.plants import StrokeFin
 
 TASK = ForceTracking(StrokeFin(), TaskConfig(phase=True))
-CONFIG = ImitationConfig(fins=24, actions=24, steps=250, batch=12, learning_rate=1e-2)
+CONFIG = CloningConfig(num_envs=24, num_steps=24, num_updates=250, batch_size=12, learning_rate=1e-2)
 assert WITHIN.box is not None
-REFERENCES = WITHIN.box.references()
+REFERENCES = References.of(WITHIN.box)
 KEY = jax.random.key(3)
 POLICY = jax.jit(lambda key: Policy.create(key, PolicyConfig(units=16, width=16), TASK.config.observations))(
     jax.random.key(0)
@@ -27,15 +28,15 @@ POLICY = jax.jit(lambda key: Policy.create(key, PolicyConfig(units=16, width=16)
 
 
 @cache
-def shown() -> Shown:
-    table = known().found.table
-    return jax.jit(lambda key: show(TASK, table, REFERENCES, key, CONFIG))(jax.random.key(9))
+def shown() -> Demonstrations:
+    table = mapped().gaits.table
+    return jax.jit(lambda key: record_demonstrations(TASK, table, REFERENCES, key, CONFIG))(jax.random.key(9))
 
 
 @cache
 def taught() -> Policy:
-    table = known().found.table
-    return jax.jit(lambda key: imitate(TASK, POLICY, table, REFERENCES, key, CONFIG))(KEY)
+    table = mapped().gaits.table
+    return jax.jit(lambda key: clone_gaits(TASK, POLICY, table, REFERENCES, key, CONFIG))(KEY)
 
 
 @jax.jit
@@ -56,7 +57,7 @@ def unlike(policy: Policy) -> float:
 
 def test_what_is_shown_is_the_gait_of_the_observed_reference_in_its_phase() -> None:
     observation, action = (np.asarray(part) for part in shown())
-    table, times = known().found.table, [0, 5, 13, 23]
+    table, times = mapped().gaits.table, [0, 5, 13, 23]
     assert observation.shape == (24, 24, 13)
     gaits = jax.jit(jax.vmap(table.gait))(observation[times, 4, 1:3] * TASK.config.force_scale_n)
     for time, gait in zip(times, gaits, strict=True):
@@ -93,7 +94,7 @@ def test_the_taught_policy_holds_forces_by_itself() -> None:
             state, outcome = TASK.step(state, action, ticks)
             return (state, memory), outcome.forces
 
-        start = TASK.reset(KEY, cell.references()), policy.init()
+        start = TASK.reset(KEY, References.of(cell)), policy.init()
         return counted(jax.lax.scan(act, start, jnp.asarray(ticks_of(18)))[1], 18)[-200:].mean(axis=0)
 
     run = jax.jit(drive)

@@ -6,13 +6,15 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from softfin.control.store import save_controller, save_gaits
+from softfin.control.grid import SwitchingConfig
+from softfin.control.store import save_gaits
 from softfin.core.quantities import PAPER_LIMITS
 from softfin.gaits.force_map import MapConfig
+from softfin.learning.configuration import GRID, SINGLE, TrainConfig
+from softfin.learning.controllers import save_controller
 from softfin.learning.normalisation import Normalisation
 from softfin.learning.policy import Policy
-from softfin.learning.train import GRID, SINGLE, TrainConfig, Trained
-from softfin.task.switching import SwitchingConfig
+from softfin.learning.run import TrainingResult
 from tests.control.test_controllers import SIZE, untrained
 from tests.gaits.test_map_store import KNOWN
 
@@ -30,7 +32,7 @@ def folder_of(kind: str, folder: Path) -> Path:
     return out
 
 
-def trained(kind: str) -> Trained:
+def trained(kind: str) -> TrainingResult:
     """As if trained."""
     if kind == "single":
         return _normalised(untrained(SINGLE))
@@ -40,18 +42,18 @@ def trained(kind: str) -> Trained:
         switching = SwitchingConfig(replay=False, fade_actions=0, margin_n=0)
         return _normalised(untrained(GRID.model_copy(update={"switching": switching})))
     run = _phased(GRID)
-    return run._replace(known=KNOWN)
+    return run._replace(force_map=KNOWN)
 
 
-def _phased(config: TrainConfig) -> Trained:
+def _phased(config: TrainConfig) -> TrainingResult:
     task = config.task.model_copy(update={"phase": True, "past_actions": 2})
     run = untrained(config.model_copy(update={"task": task}))
-    keys = jax.random.split(jax.random.key(1), run.policies.log_deviation.shape[:2])
+    keys = jax.random.split(jax.random.key(1), run.policies.log_std.shape[:2])
     policies = jax.vmap(jax.vmap(lambda key: Policy.create(key, SIZE, task.observations)))(keys)
     return _normalised(run._replace(policies=jax.tree.map(lambda x: 3 * x, policies)))
 
 
-def _normalised(run: Trained) -> Trained:
+def _normalised(run: TrainingResult) -> TrainingResult:
     """With statistics that are not the identity."""
     numbers = np.random.default_rng(3)
     shape = run.policies.normalisation.mean.shape
@@ -60,4 +62,4 @@ def _normalised(run: Trained) -> Trained:
         return jax.numpy.asarray(numbers.uniform(low, high, shape), jax.numpy.float32)
 
     statistics = Normalisation(some(-1, 1), some(0, 2), jax.numpy.ones(shape[:-1]))
-    return run._replace(policies=jax.vmap(jax.vmap(lambda p, n: p.normalised(n)))(run.policies, statistics))
+    return run._replace(policies=jax.vmap(jax.vmap(lambda p, n: p.with_normalisation(n)))(run.policies, statistics))

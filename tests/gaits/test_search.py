@@ -9,14 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from softfin.gaits.gaits import GaitConfig, GaitTable, Lattice, find_gaits
-from softfin.gaits.reachable import Reachable
-from softfin.gaits.simulate import families, measured, steady
+from softfin.gaits.gait import GaitTable, Lattice
+from softfin.gaits.reachable import Cell, Reachable
+from softfin.gaits.search import GaitConfig, find_gaits
+from softfin.gaits.simulate import families
+from softfin.gaits.simulate import simulate_gait as simulate
 from softfin.gaits.survey import Survey, SurveyConfig, survey
 from softfin.surrogate import import_keras
-from softfin.task.references import Cell
 from tests.gaits.test_survey import OwnFin
-from tests.learning.mapped import FIN, GAITS, known, made, seen
+from tests.learning.mapped import FIN, GAITS, mapped, simulate_gait, surveyed
 from tests.plants import StrokeFin
 
 KEY = jax.random.key(0)
@@ -29,26 +30,26 @@ blended = jax.jit(lambda table, x, y: table.gait(jnp.stack([x, y])))
 
 
 def test_every_node_makes_its_force() -> None:
-    found = known().found
+    found = mapped().gaits
     assert found.table.actions.shape == (3, 3, 6, 2)
     assert np.abs(found.table.actions).max() <= 1
-    assert found.missed().max() < 0.01
+    assert found.force_error().max() < 0.01
 
 
 def test_what_a_node_is_said_to_make_is_what_its_gait_makes() -> None:
-    found = known().found
+    found = mapped().gaits
     for node in ((0, 0), (1, 2), (2, 1)):
-        alone = made(FIN, found.table.actions[node], GAITS.cycles, KEY)
+        alone = simulate_gait(FIN, found.table.actions[node], GAITS.cycles, KEY)
         np.testing.assert_allclose(found.force[node], alone.force, atol=1e-4)
         np.testing.assert_allclose(found.smoothness[node], alone.smoothness, atol=1e-4)
 
 
 def test_beyond_reach_a_node_makes_the_nearest_force_that_the_fin_can_make() -> None:
     """-x is beyond any fin that only pushes; the other end of the lattice is within reach."""
-    found = find_gaits(FIN, seen(), Lattice((-1, 0), (1.5, 0.25), (2, 2)), GAITS)
+    found = find_gaits(FIN, surveyed(), Lattice((-1, 0), (1.5, 0.25), (2, 2)), GAITS)
     np.testing.assert_allclose(found.force[0, 0], (0, 0), atol=0.1)
-    assert found.missed()[0, 0] == pytest.approx(1, abs=0.1)
-    assert found.missed()[1].max() < 0.01
+    assert found.force_error()[0, 0] == pytest.approx(1, abs=0.1)
+    assert found.force_error()[1].max() < 0.01
 
 
 def test_a_fin_without_any_choice_leaves_its_nodes_where_they_are() -> None:
@@ -63,27 +64,26 @@ def test_a_fin_without_any_choice_leaves_its_nodes_where_they_are() -> None:
 def test_smoothness_lowers_the_sobolev_term_of_gaits_that_make_the_same_forces() -> None:
     lattice = Lattice((0.5, -0.5), (1.5, 0.5), (3, 3))
     rough, smooth = (
-        find_gaits(FIN, seen(), lattice, GaitConfig(cycles=2, steps=16, likeness=0.05, smoothness=weight))
+        find_gaits(FIN, surveyed(), lattice, GaitConfig(cycles=2, steps=16, likeness=0.05, smoothness=weight))
         for weight in (0.0, 3.0)
     )
-    assert max(rough.missed().max(), smooth.missed().max()) < 0.01
+    assert max(rough.force_error().max(), smooth.force_error().max()) < 0.01
     assert smooth.smoothness.sum() < 0.95 * rough.smoothness.sum()
 
 
 def test_likeness_brings_the_gaits_of_neighbours_together() -> None:
     lattice = Lattice((0.5, -0.5), (1.5, 0.5), (3, 3))
     apart, alike = (
-        np.abs(np.diff(find_gaits(FIN, seen(), lattice, GAITS.model_copy(update={"likeness": weight})).table.actions,
-                       axis=0)).mean()
-        for weight in (0.0, 0.6)
-    )  # fmt: skip
+        np.abs(np.diff(find_gaits(FIN, surveyed(), lattice, config).table.actions, axis=0)).mean()
+        for config in (GAITS.model_copy(update={"likeness": weight}) for weight in (0.0, 0.6))
+    )
     assert alike < 0.95 * apart
 
 
 def test_a_plant_that_cannot_be_hashed_gets_the_same_gaits() -> None:
     lattice = Lattice((1, 0), (2, 0.5), (2, 2))
     quick = GaitConfig(cycles=2, steps=6)
-    own, same = (find_gaits(plant, seen(), lattice, quick) for plant in (OwnFin(), FIN))
+    own, same = (find_gaits(plant, surveyed(), lattice, quick) for plant in (OwnFin(), FIN))
     np.testing.assert_allclose(own.force, same.force, atol=1e-3)
 
 
@@ -134,9 +134,9 @@ def test_a_lattice_for_a_single_force_has_its_gait() -> None:
 def test_a_gait_of_the_published_fin_holds_its_force_in_the_steady_state(published: Path) -> None:
     fin = import_keras(published / "cnn_pos_net.keras", published / "lstm_force_net.keras", published / "scalers.json")
     strokes = families()[0]._replace(gaits=families()[0].gaits[::9])
-    got = jax.jit(jax.vmap(lambda gait: measured(steady(fin, gait, 2, KEY))))(jnp.asarray(strokes.gaits))
+    got = jax.jit(jax.vmap(lambda gait: simulate(fin, gait, 2, KEY)))(jnp.asarray(strokes.gaits))
     region = Reachable(np.array([2, 0], np.float32), np.ones(8, np.float32))
     one = Survey([strokes], np.asarray(got.force)[None], np.asarray(got.smoothness)[None], region, strokes.gaits[:8])
     found = find_gaits(fin, one, Lattice((1.5, -0.25), (2, 0), (2, 2)), GaitConfig(cycles=2, steps=8))
-    force = jax.jit(lambda gait: steady(fin, gait, 4, KEY))(found.table.gait(jnp.array([2.0, 0.0])))
-    np.testing.assert_allclose(measured(force).force, (2, 0), atol=0.02)
+    response = jax.jit(lambda gait: simulate(fin, gait, 4, KEY))(found.table.gait(jnp.array([2.0, 0.0])))
+    np.testing.assert_allclose(response.force, (2, 0), atol=0.02)

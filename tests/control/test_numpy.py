@@ -1,4 +1,4 @@
-"""Controllers without JAX act as the trained ones do, action for action."""
+"""With NumPy a controller acts as it does within programs of JAX, action for action."""
 
 import json
 from pathlib import Path
@@ -10,16 +10,13 @@ import numpy as np
 import pytest
 
 from softfin.control.controller import Measured
-from softfin.control.grid import GridController
-from softfin.control.native import NativeController, Trim, load_native, trimmed
-from softfin.control.native.load import FORMAT as NATIVE_FORMAT
-from softfin.control.native.operations import NUMPY
-from softfin.control.store import FORMAT, load_controller, save_gaits
-from softfin.control.trim import TrimConfig, TrimmedController
+from softfin.control.disturbance_observer import DisturbanceObserver, DisturbanceObserverConfig
+from softfin.control.store import load_controller, save_gaits
 from softfin.core.errors import RunError
+from softfin.core.operations import NUMPY
 from softfin.core.quantities import PAPER_LIMITS
 from softfin.gaits.force_map import MapConfig
-from tests.control.native.folders import KINDS, folder_of
+from tests.control.folders import KINDS, folder_of
 from tests.gaits.test_map_store import KNOWN
 
 ACTIONS = 200
@@ -58,10 +55,10 @@ def original(controller: Any, played: tuple[np.ndarray, ...]) -> tuple[np.ndarra
     return np.asarray(commands), states
 
 
-def native(controller: NativeController, played: tuple[np.ndarray, ...]) -> np.ndarray:
+def native(controller: Any, played: tuple[np.ndarray, ...]) -> np.ndarray:
     state, commands = controller.init(), []
     for angle, force, reference in zip(*(part.tolist() for part in played), strict=True):
-        state, target = controller.act(state, angle, tuple(force), tuple(reference))
+        state, target = controller.act(state, Measured(angle, tuple(force)), tuple(reference))
         commands.append(target)
     return np.array(commands)
 
@@ -70,83 +67,64 @@ def native(controller: NativeController, played: tuple[np.ndarray, ...]) -> np.n
 def test_an_episode_is_the_same_without_jax(kind: str, folders: dict[str, Path]) -> None:
     played, controller = episode(1), load_controller(folders[kind])
     commands, states = original(controller, played)
-    if isinstance(controller, GridController):
+    if controller.kind == "grid":
         # Worth nothing if nothing switched and nothing was faded.
-        assert (np.diff(states.cell) != 0).sum() >= 10
-        assert kind == "cold" or (np.asarray(states.share) > 0).sum() >= 10
-    np.testing.assert_allclose(native(load_native(folders[kind]), played), commands, atol=1e-5)
+        assert (np.diff(states.active_cell) != 0).sum() >= 10
+        assert kind == "cold" or (np.asarray(states.blend) > 0).sum() >= 10
+    np.testing.assert_allclose(native(controller, played), commands, atol=1e-5)
 
 
 @pytest.mark.parametrize("kind", ["single", "grid", "gaits"])
 def test_with_the_outer_loop_too(kind: str, folders: dict[str, Path]) -> None:
-    settings, played = TrimConfig(gain=0.3, lag_actions=2), episode(2)
+    config, played = DisturbanceObserverConfig(gain=0.3, lag_actions=2), episode(2)
     # Long enough at one reference that something is learnt.
     played[2][60:120] = (1.8, 0.3)
-    controller = TrimmedController(load_controller(folders[kind]), settings)
-    own = trimmed(load_native(folders[kind]), settings)
-    if kind == "gaits":
-        # Its box is not known while it is compiled.
-        state, expected = controller.init(), []
-        for angle, force, reference in zip(*(part[:90] for part in played), strict=True):
-            state, command = controller.act(state, Measured(*map(jnp.asarray, (angle, force))), jnp.asarray(reference))
-            expected.append(np.stack(command))
-        np.testing.assert_allclose(native(own, tuple(part[:90] for part in played)), expected, atol=1e-5)
-    else:
-        commands, states = original(controller, played)
-        assert np.abs(states.bias).max() > 0.1
-        np.testing.assert_allclose(native(own, played), commands, atol=2e-5)
-
-
-def test_the_outer_loops_numbers_are_those_of_its_configuration() -> None:
-    assert Trim()._asdict() == TrimConfig().model_dump()
-
-
-def test_the_format_is_the_one_that_is_written() -> None:
-    assert NATIVE_FORMAT == FORMAT
+    controller = DisturbanceObserver(load_controller(folders[kind]), config)
+    commands, states = original(controller, played)
+    assert np.abs(states.bias).max() > 0.1
+    np.testing.assert_allclose(native(controller, played), commands, atol=2e-5)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_it_says_what_it_is(kind: str, folders: dict[str, Path]) -> None:
-    found, known = load_native(folders[kind]), load_controller(folders[kind])
-    assert found.name == kind
-    assert found.limits == known.limits
-    assert found.action_rate_hz == 3.0
-    assert found.description["provenance"]
-    assert len(found.weights_sha256) == 64
+    found = load_controller(folders[kind])
+    assert found.artifact.name == kind
+    assert found.artifact.description["provenance"]
+    assert len(found.artifact.weights_sha256) == 64
     assert len(found.cells) == (6 if kind in ("grid", "cold") else 1)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_state_may_be_acted_on_again(kind: str, folders: dict[str, Path]) -> None:
-    controller = load_native(folders[kind])
+    controller = load_controller(folders[kind])
     state = controller.init()
     for _ in range(3):
-        state, _target = controller.act(state, 0.2, (1.0, 0.0), (1.0, 0.2))
-    first = controller.act(state, 0.1, (1.0, 0.0), (2.0, 0.3))[1]
-    controller.act(state, -0.7, (1.0, 0.0), (3.0, -0.3))
-    assert controller.act(state, 0.1, (1.0, 0.0), (2.0, 0.3))[1] == first
+        state, _target = controller.act(state, Measured(0.2, (1.0, 0.0)), (1.0, 0.2))
+    first = controller.act(state, Measured(0.1, (1.0, 0.0)), (2.0, 0.3))[1]
+    controller.act(state, Measured(-0.7, (1.0, 0.0)), (3.0, -0.3))
+    assert controller.act(state, Measured(0.1, (1.0, 0.0)), (2.0, 0.3))[1] == first
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_commands_stay_within_the_limits_at_whatever_is_measured(kind: str, folders: dict[str, Path]) -> None:
-    controller = trimmed(load_native(folders[kind]))
+    controller = DisturbanceObserver(load_controller(folders[kind]))
     limits, state = controller.limits, controller.init()
     for number in (0.0, 1e6, -1e6, 1e-30, 3.0, -1e6, 1e6):
-        state, target = controller.act(state, number, (number, -number), (-number, number))
+        state, target = controller.act(state, Measured(number, (number, -number)), (-number, number))
         assert limits.angle_min <= target.angle <= limits.angle_max
         assert limits.velocity_min <= target.velocity <= limits.velocity_max
 
 
 @pytest.mark.parametrize("number", [np.nan, np.inf, -np.inf, 1e7])
 def test_what_is_no_measurement_is_refused(number: float, folders: dict[str, Path]) -> None:
-    controller = load_native(folders["gaits"])
+    controller = load_controller(folders["gaits"])
     for angle, force, reference in (
         (number, (0.0, 0.0), (1.0, 0.0)),
         (0.0, (0.0, number), (1.0, 0.0)),
         (0.0, (0.0, 0.0), (number, 0.0)),
     ):
-        with pytest.raises(RunError, match="acts on finite numbers alone; see what the drive and sensor say"):
-            controller.act(controller.init(), angle, force, reference)
+        with pytest.raises(RunError, match="a controller needs finite numbers; check drive and sensor"):
+            controller.act(controller.init(), Measured(angle, force), reference)
 
 
 def test_numpy_works_out_one_of_two_choices() -> None:
@@ -154,12 +132,14 @@ def test_numpy_works_out_one_of_two_choices() -> None:
 
 
 def test_it_knows_what_its_surrogate_learnt_from_and_of_which_fin(tmp_path: Path) -> None:
-    learnt = {"training_range": {"angle_rad": [-1.5, 1.5], "velocity_rad_s": None, "force_x_n": [-2, 9]}, "fin": "blue"}
+    learnt = {
+        "training_range": {"angle_rad": [-1.5, 1.5], "velocity_rad_s": None, "force_x_n": [-2, 9], "force_y_n": None},
+        "fin": "blue",
+    }
     save_gaits(tmp_path / "g", KNOWN, MapConfig(), PAPER_LIMITS, {}, learnt=learnt)
-    controller = load_native(tmp_path / "g")
-    assert controller.training_range == ((-1.5, 1.5), None, (-2, 9), None)
-    assert controller.fin == "blue"
-    load_controller(tmp_path / "g")
+    controller = load_controller(tmp_path / "g")
+    assert controller.artifact.training_range == ((-1.5, 1.5), None, (-2, 9), None)
+    assert controller.artifact.fin == "blue"
 
 
 def test_a_folder_from_before_that_was_written_knows_neither(folders: dict[str, Path], tmp_path: Path) -> None:
@@ -168,5 +148,5 @@ def test_a_folder_from_before_that_was_written_knows_neither(folders: dict[str, 
     file = tmp_path / "controller.json"
     described = {key: x for key, x in json.loads(file.read_text()).items() if key not in ("training_range", "fin")}
     file.write_text(json.dumps(described))
-    assert load_native(tmp_path).training_range is None
-    assert load_native(tmp_path).fin is None
+    assert load_controller(tmp_path).artifact.training_range is None
+    assert load_controller(tmp_path).artifact.fin is None

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.learning.sharding import over_devices, shared_by
-from softfin.learning.train import TrainConfig, _Run
+from softfin.learning.configuration import TrainConfig
+from softfin.learning.run import TrainingRun, equal_parts, over_devices
 from tests.learning.ray_cluster import SMALL
 from tests.plants import AnalyticFin
 
@@ -22,7 +22,7 @@ FORCED = "--xla_force_host_platform_device_count=2"
 
 @pytest.mark.parametrize(("count", "devices", "used"), [(6, 4, 3), (8, 4, 4), (5, 4, 1), (1, 8, 1), (49, 8, 7)])
 def test_as_many_devices_share_the_lanes_as_get_equal_parts(count, devices, used):
-    assert shared_by(count, devices) == used
+    assert equal_parts(count, devices) == used
 
 
 def test_on_one_device_nothing_is_moved():
@@ -39,7 +39,7 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> Any:
         "JAX_PLATFORMS": "cpu",
         "JAX_DISABLE_MOST_OPTIMIZATIONS": "1",
     }
-    command = [sys.executable, "-m", "tests.learning.test_sharding", str(file)]
+    command = [sys.executable, "-m", "tests.learning.test_devices", str(file)]
     run = subprocess.run(command, cwd=Path(__file__).parents[2], env=environment, capture_output=True, text=True,
                          timeout=900)  # fmt: skip
     assert run.returncode == 0, run.stderr[-4000:]
@@ -66,17 +66,17 @@ def _trained() -> dict[str, Any]:
 
     def updated(config: TrainConfig, devices: list[Any]) -> tuple[Any, Any]:
         jax.devices = lambda: devices
-        run = _Run(AnalyticFin(), config, (0,), None)
-        lanes = fresh = run.over_devices(run.start().lanes)
+        run = TrainingRun(AnalyticFin(), config, (0,), None)
+        lanes = fresh = run.over_devices(run.start().agents)
         for _ in range(2):
-            lanes, _ = run.update(lanes)
+            lanes, _ = run.update(lanes, 1)
         return fresh.policy, lanes
 
     fresh, one = updated(SMALL, every[:1])
     told = {}
     for case, count in (("lanes", 2), ("environments", 1)):
         both = updated(SMALL.model_copy(update={"cells": SMALL.cells[:count]}), every)[1]
-        shards = both.batch.states.angle.addressable_shards
+        shards = both.env_state.states.angle.addressable_shards
         before, after = (jax.tree.map(lambda x, n=count: x[:n], policy) for policy in (fresh, one.policy))
         told[case] = {
             "devices": len({shard.device for shard in shards}),

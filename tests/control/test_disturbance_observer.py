@@ -10,12 +10,11 @@ import pytest
 from jaxtyping import Array, Float
 
 from softfin.control.controller import Controller, Measured
-from softfin.control.trim import TrimConfig, TrimmedController
+from softfin.control.disturbance_observer import DisturbanceObserver, DisturbanceObserverConfig
 from softfin.core.action_clock import ACTION_TICKS, WINDOW
 from softfin.core.errors import ConfigurationError, CoverageError
 from softfin.core.quantities import Command
-from softfin.gaits.reachable import Reachable
-from softfin.task.references import Cell
+from softfin.gaits.reachable import Cell, Reachable
 
 BIAS = (0.3, -0.2)
 RIPPLE = jnp.array([0.4, -0.9, 0.6, 0.1, -0.5, 0.3])
@@ -27,7 +26,7 @@ class Carrier(eqx.Module):
     """Commands the reference: its angle is x, its velocity y, in an action's time. A controller that is never wrong."""
 
     reachable: Reachable | None = None
-    cell: Cell = eqx.field(static=True, default=Cell(low=(-1, -1), high=(3, 3)))
+    cells: tuple[Cell, ...] = eqx.field(static=True, default=(Cell(low=(-1, -1), high=(3, 3)),))
 
     def init(self) -> Float[Array, ""]:
         return jnp.zeros(())
@@ -36,7 +35,7 @@ class Carrier(eqx.Module):
         return state, Command(reference[0], reference[1])
 
     def check(self, reference: tuple[float, float]) -> None:
-        if self.cell.distance(reference) > 0:
+        if self.cells[0].distance(reference) > 0:
             raise CoverageError("outside")
 
 
@@ -69,25 +68,25 @@ def still(count: int, force: tuple[float, float] = (1.0, 1.0)) -> np.ndarray:
     return np.tile(force, (count, 1))
 
 
-TRIMMED = TrimmedController(Carrier(), TrimConfig(lag_actions=0))
+OBSERVED = DisturbanceObserver(Carrier(), DisturbanceObserverConfig(lag_actions=0))
 
 
 def test_a_constant_bias_is_taken_off_and_stays_without_the_loop() -> None:
     plain, _ = forces(Carrier(), still(60))
-    trimmed, _ = forces(TRIMMED, still(60))
+    trimmed, _ = forces(OBSERVED, still(60))
     np.testing.assert_allclose(window(plain, 60) - 1, BIAS, atol=1e-4)
     np.testing.assert_allclose(window(trimmed, 60) - 1, 0, atol=2e-3)
 
 
 def test_the_ripple_of_a_gait_is_not_taken_for_a_bias() -> None:
     """Weighted by the ticks that each action is held, it cancels in every window."""
-    _, states = forces(TRIMMED, still(60), bias=(0, 0))
+    _, states = forces(OBSERVED, still(60), bias=(0, 0))
     np.testing.assert_allclose(states.bias, 0, atol=1e-5)
 
 
 def test_the_bias_comes_as_a_first_order_lag() -> None:
     """Through 63% after 1 / 0.15 actions, where what the trim itself moves is not held against it."""
-    controller = TrimmedController(Carrier(), TrimConfig(lag_actions=0, still_n=99))
+    controller = DisturbanceObserver(Carrier(), DisturbanceObserverConfig(lag_actions=0, still_n=99))
     _, states = forces(controller, still(40))
     part = np.asarray(states.bias[:, 0]) / BIAS[0]
     settled = controller.config.settle_actions
@@ -96,7 +95,7 @@ def test_the_bias_comes_as_a_first_order_lag() -> None:
 
 
 def test_nothing_is_trimmed_before_the_fin_has_settled() -> None:
-    late = TrimmedController(Carrier(), TrimConfig(settle_actions=20))
+    late = DisturbanceObserver(Carrier(), DisturbanceObserverConfig(settle_actions=20))
     _, states = forces(late, still(25))
     assert (states.bias[:20] == 0).all()
     assert (states.bias[20] != 0).all()
@@ -105,7 +104,7 @@ def test_nothing_is_trimmed_before_the_fin_has_settled() -> None:
 @pytest.mark.parametrize("lag", [0, 1, 3])
 def test_a_step_of_the_reference_does_not_disturb_the_bias(lag: int) -> None:
     """The window of what was asked is as old as that of the forces; a fin that follows late is what `lag` is for."""
-    controller = TrimmedController(Late(Carrier(), lag), TrimConfig(lag_actions=lag, settle_actions=9))
+    controller = DisturbanceObserver(Late(Carrier(), lag), DisturbanceObserverConfig(lag_actions=lag, settle_actions=9))
     steps = np.concatenate([still(50), still(50, (2.5, 0.0))])
     _, states = forces(controller, steps, ripple=0.0)
     np.testing.assert_allclose(states.bias[49], BIAS, atol=2e-3)
@@ -114,7 +113,7 @@ def test_a_step_of_the_reference_does_not_disturb_the_bias(lag: int) -> None:
 
 
 def test_a_lag_that_is_not_known_of_disturbs_the_bias() -> None:
-    controller = TrimmedController(Late(Carrier(), 3), TrimConfig(lag_actions=0))
+    controller = DisturbanceObserver(Late(Carrier(), 3), DisturbanceObserverConfig(lag_actions=0))
     _, states = forces(controller, np.concatenate([still(50), still(50, (2.5, 0.0))]), ripple=0.0)
     assert np.abs(states.bias[50:] - np.array(BIAS)).max() > 0.1
 
@@ -124,7 +123,7 @@ def test_while_what_is_asked_moves_little_is_learnt() -> None:
     swinging = 1 + np.sin(2 * np.pi * np.arange(90) / 30)[:, None] * np.ones(2)
     worst = {}
     for still_n in (0.1, 99.0):
-        controller = TrimmedController(Late(Carrier(), 2), TrimConfig(lag_actions=0, still_n=still_n))
+        controller = DisturbanceObserver(Late(Carrier(), 2), DisturbanceObserverConfig(lag_actions=0, still_n=still_n))
         worst[still_n] = np.abs(forces(controller, swinging, (0, 0), ripple=0.0)[1].bias).max()
     assert worst[0.1] < 0.02 < 0.2 < worst[99.0]
 
@@ -147,8 +146,8 @@ class Late(eqx.Module):
         self.inner.check(reference)
 
     @property
-    def cell(self) -> Cell:
-        return self.inner.cell
+    def cells(self) -> tuple[Cell, ...]:
+        return self.inner.cells
 
 
 REGION = Reachable(np.zeros(2, np.float32), np.full(64, 2, np.float32))
@@ -156,10 +155,10 @@ REGION = Reachable(np.zeros(2, np.float32), np.full(64, 2, np.float32))
 
 def test_what_is_asked_stays_within_reach_and_nothing_winds_up_there() -> None:
     """The fin makes no more than 2 N in x: after 60 s at the edge, an easy reference is held at once."""
-    controller = TrimmedController(Carrier(REGION), TrimConfig(lag_actions=0))
+    controller = DisturbanceObserver(Carrier(REGION), DisturbanceObserverConfig(lag_actions=0))
     steps = np.concatenate([still(180, (2.0, 0.0)), still(40, (1.0, 0.0))])
     force, states = forces(controller, steps, bias=(-0.3, 0.0))
-    asked = np.asarray(states.asked)[:, 0]
+    asked = np.asarray(states.tracked)[:, 0]
     assert np.hypot(*asked.T).max() <= 2.001
     np.testing.assert_allclose(states.bias[8 + 40 :, 0], -0.3, atol=5e-3)
     np.testing.assert_allclose(window(force, 180)[0], 1.7, atol=5e-3)
@@ -167,7 +166,7 @@ def test_what_is_asked_stays_within_reach_and_nothing_winds_up_there() -> None:
 
 
 def test_where_the_reach_is_not_known_the_trim_ends_at_its_limit() -> None:
-    controller = TrimmedController(Carrier(), TrimConfig(lag_actions=0, limit_n=0.5))
+    controller = DisturbanceObserver(Carrier(), DisturbanceObserverConfig(lag_actions=0, limit_n=0.5))
     steps = np.concatenate([still(180, (3.0, 0.0)), still(40, (1.0, 0.0))])
     force, states = forces(controller, steps, bias=(0, 0), most_n=2.0)
     assert np.abs(states.bias).max() == pytest.approx(0.5)
@@ -175,7 +174,7 @@ def test_where_the_reach_is_not_known_the_trim_ends_at_its_limit() -> None:
 
 
 def test_it_covers_and_reaches_what_the_inner_controller_does() -> None:
-    controller = TrimmedController(Carrier(REGION), TrimConfig())
+    controller = DisturbanceObserver(Carrier(REGION), DisturbanceObserverConfig())
     assert isinstance(controller, Controller)
     assert controller.reachable is REGION
     assert controller.cells == (Cell(low=(-1, -1), high=(3, 3)),)
@@ -186,20 +185,20 @@ def test_it_covers_and_reaches_what_the_inner_controller_does() -> None:
 
 def test_a_loop_that_learns_before_its_window_is_full_is_refused() -> None:
     with pytest.raises(ConfigurationError, match=r"settle_actions = 8 with lag_actions = 4: .*give settle_actions 10"):
-        TrimConfig.build({"lag_actions": 4})
-    assert TrimConfig.build({"lag_actions": 4, "settle_actions": 10}).lag_actions == 4
+        DisturbanceObserverConfig.build({"lag_actions": 4})
+    assert DisturbanceObserverConfig.build({"lag_actions": 4, "settle_actions": 10}).lag_actions == 4
 
 
 def test_at_the_edge_of_the_range_it_does_not_wind_up() -> None:
-    controller = TrimmedController(Carrier(), TrimConfig(lag_actions=0))
+    controller = DisturbanceObserver(Carrier(), DisturbanceObserverConfig(lag_actions=0))
     _, states = forces(controller, still(180, (3.0, 1.0)), bias=(-0.3, 0.0))
-    assert np.asarray(states.asked)[:, 0, 0].max() == 3.0
+    assert np.asarray(states.tracked)[:, 0, 0].max() == 3.0
     np.testing.assert_allclose(states.bias[-1], [-0.3, 0.0], atol=5e-3)
 
 
 def test_a_great_bias_is_learnt_as_fast_as_a_small_one() -> None:
     def actions(bias: float) -> int:
-        _, states = forces(TRIMMED, still(120, (1.0, 1.0)), bias=(bias, 0.0))
+        _, states = forces(OBSERVED, still(120, (1.0, 1.0)), bias=(bias, 0.0))
         return int(np.argmax(np.asarray(states.bias)[:, 0] > 0.9 * bias))
 
     assert actions(0.8) <= actions(0.05) + 1

@@ -1,0 +1,144 @@
+"""The step of a policy: observation and memory in, memory and action out (paper Sec. III-C2).
+
+    gates = [observation, hidden] kernel + bias;  cell' = s(f) cell + s(i) tanh(g);  hidden' = s(o) tanh(cell')
+    action = tanh(tanh(hidden' W + b) V + c)
+
+It is the LSTM of Hochreiter and Schmidhuber (1997) with forget gates, and one layer behind it. Two things are folded
+into the weights when they are read: the units and the normalisation of the observation, and 1/2 for the gates, since
+the logistic function is s(x) = 1/2 + tanh(x / 2) / 2, so that one tanh computes all four gates.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+import pydantic
+
+from softfin.core.action_clock import CYCLE_ACTIONS
+from softfin.core.operations import Array, Number, Operations
+from softfin.core.quantities import Limits
+
+MEASURED = 3
+"""Numbers in an observation before the past actions: angle [rad] and reference (x, y) [N]."""
+
+ANGLE_SCALE_RAD = np.pi / 2
+"""Unit of observed angles in training."""
+
+LEAST_DEVIATION = 0.1
+"""Observations that hardly varied in training are divided by this."""
+
+_TURN = np.arange(CYCLE_ACTIONS, dtype=np.float32) * np.float32(2 * np.pi / CYCLE_ACTIONS)
+PHASES = np.stack([np.sin(_TURN), np.cos(_TURN)], axis=1)
+"""Sine and cosine of the clock's phase at each of the six actions."""
+
+
+class Observation(pydantic.BaseModel, frozen=True):
+    """The part of a task's configuration that a policy observes by."""
+
+    past_actions: int = pydantic.Field(default=3, ge=0)
+    """Actions before the last one that are observed."""
+    phase: bool = False
+    """Whether the clock's phase is observed."""
+    force_scale_n: pydantic.PositiveFloat = 3.0
+    """Unit of observed references in training [N]."""
+
+    @property
+    def size(self) -> int:
+        """Numbers in an observation."""
+        return MEASURED + 2 * (self.past_actions + 1) + (PHASES.shape[1] if self.phase else 0)
+
+    def units(self) -> np.ndarray:
+        """Unit of each number of an observation in training."""
+        units = np.ones(self.size)
+        units[:MEASURED] = ANGLE_SCALE_RAD, self.force_scale_n, self.force_scale_n
+        return units
+
+    def observe(self, ops: Operations, now: Array, actions: Array, age: Number) -> Array:
+        """Return the observation in SI units; of `actions`, side by side and the last one first, a part is observed."""
+        parts = [now, actions[: 2 * (self.past_actions + 1)]]
+        if self.phase:
+            parts.append(ops.row(ops.constant(PHASES), age % CYCLE_ACTIONS))
+        return ops.xp.concat(parts)
+
+
+class PolicyMemory(NamedTuple):
+    """State of an LSTM."""
+
+    hidden: Array
+    cell: Array
+
+
+class PolicyNetwork(NamedTuple):
+    """Weights as they are used: gates in the order input, forget, output, cell; those of a grid have a leading axis."""
+
+    kernel: Array
+    """Weights of observation and hidden state, ``(observations + units, 4 units)``."""
+    bias: Array
+    hidden: Array
+    hidden_bias: Array
+    output: Array
+    output_bias: Array
+
+    def empty(self) -> PolicyMemory:
+        """Return the memory before the first step."""
+        units = int(self.bias.shape[-1]) // 4
+        return PolicyMemory(np.zeros(units, np.float32), np.zeros(units, np.float32))
+
+    def remember(self, ops: Operations, memory: PolicyMemory, observation: Array) -> PolicyMemory:
+        """Do one step of the LSTM."""
+        xp, units = ops.xp, self.bias.shape[-1] // 4
+        gates = xp.tanh(ops.dot(xp.concat([observation, memory.hidden]), self.kernel) + self.bias)
+        opened = 0.5 * gates[: 3 * units] + 0.5
+        cell = opened[units : 2 * units] * memory.cell + opened[:units] * gates[3 * units :]
+        return PolicyMemory(opened[2 * units :] * xp.tanh(cell), cell)
+
+    def action(self, ops: Operations, memory: PolicyMemory) -> Array:
+        """Compute the deterministic action in [-1, 1]^2."""
+        tanh = ops.xp.tanh
+        inner = tanh(ops.dot(memory.hidden, self.hidden) + self.hidden_bias)
+        return tanh(ops.dot(inner, self.output) + self.output_bias)
+
+
+def fold(arrays: Mapping[str, np.ndarray], observation: Observation, stack: tuple[int, ...] = ()) -> PolicyNetwork:
+    """Build a network from a trained policy's named arrays, or from policies stacked along a leading axis.
+
+    Raises ValueError where arrays are missing, unknown or have another shape.
+    """
+    # The first axis of a layer's kernel is as long as its input; a missing array is refused below.
+    units, width = (sum(np.shape(arrays.get(f"net.{layer}.kernel", ()))[-2:-1]) for layer in ("hidden", "output"))
+    size = observation.size
+    shapes: dict[str, tuple[int, ...]] = {
+        "net.lstm.kernel": (size, 4 * units), "net.lstm.recurrent": (units, 4 * units), "net.lstm.bias": (4 * units,),
+        "net.hidden.kernel": (units, width), "net.hidden.bias": (width,),
+        "net.output.kernel": (width, 2), "net.output.bias": (2,),
+        "normalisation.mean": (size,), "normalisation.deviation": (size,), "normalisation.count": (),
+        "log_deviation": (2,),
+    }  # fmt: skip
+    if odd := sorted(set(shapes) ^ set(arrays)):
+        raise ValueError(f"weights {', '.join(odd)[:200]} are missing or unknown")
+    for name, shape in shapes.items():
+        if arrays[name].shape != stack + shape:
+            raise ValueError(f"{name} has shape {arrays[name].shape}; its configuration needs {stack + shape}")
+    kernel, mean, deviation, recurrent, bias = (
+        arrays[name].astype(float)
+        for name in ("net.lstm.kernel", "normalisation.mean", "normalisation.deviation", "net.lstm.recurrent",
+                     "net.lstm.bias")
+    )  # fmt: skip
+    normalised = kernel / np.maximum(deviation, LEAST_DEVIATION)[..., None]
+    bias = bias - (mean[..., None, :] @ normalised)[..., 0, :]
+
+    def gates(weights: np.ndarray) -> np.ndarray:
+        """Reorder from input, forget, cell, output to input, forget, output, cell, and halve the first three."""
+        i, f, g, o = (weights[..., k * units : (k + 1) * units] for k in range(4))
+        return np.ascontiguousarray(np.concatenate([i / 2, f / 2, o / 2, g], axis=-1), np.float32)
+
+    return PolicyNetwork(
+        gates(np.concatenate([normalised / observation.units()[:, None], recurrent], axis=-2)),
+        gates(bias),
+        *(arrays[f"net.{layer}.{part}"] for layer in ("hidden", "output") for part in ("kernel", "bias")),
+    )
+
+
+def rest_action(limits: Limits) -> tuple[float, float]:
+    """Return the action in [-1, 1]^2 of a fin that stays at angle 0."""
+    return 2 * (0.0 - limits.angle_min) / (limits.angle_max - limits.angle_min) - 1, -1.0

@@ -1,0 +1,12 @@
+"""How a long piece of work reports how far it is."""
+
+from typing import Protocol, runtime_checkable
+
+
+@runtime_checkable
+class Progress(Protocol):
+    """Function that long work calls now and then; a command line draws bars with it."""
+
+    def __call__(self, stage: str, fraction: float, note: str, /) -> None:
+        """Report the `fraction` of a stage that is done (0 .. 1), and its newest figures as a `note`."""
+        ...

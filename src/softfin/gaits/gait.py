@@ -1,0 +1,140 @@
+"""Gaits on a lattice of reference forces, blended in between; and the force map, which holds what they make. No JAX.
+
+A gait is six actions, repeated: on the 33/33/34 clock they fill the window of the moving average exactly, so in the
+steady state a gait leaves no ripple in it. Its actions ``(6, 2)`` are in [-1, 1], (angle, velocity) over the limits.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+from jaxtyping import Float
+
+from softfin.core.action_clock import CYCLE_ACTIONS
+from softfin.core.operations import Number, Operations, operations_of
+from softfin.core.quantities import AnyArray
+from softfin.gaits.reachable import Cell, Force, Reachable
+
+Gait: TypeAlias = Float[AnyArray, "6 2"]
+
+ROUNDED = 1e-5
+"""Actions may be this much beyond [-1, 1]: they were rounded to float32."""
+
+
+class GaitTable(NamedTuple):
+    """Gaits for the nodes of a lattice of references."""
+
+    low: Float[AnyArray, "2"]
+    """Lower corner (x, y) of the lattice [N]."""
+    high: Float[AnyArray, "2"]
+    actions: Float[AnyArray, "x y 6 2"]
+
+    def gait(self, reference: Any, operations: Operations | None = None) -> Any:
+        """Blend the gaits of the four nodes round the reference; beyond the lattice, take that of its edge."""
+        ops = operations or operations_of(reference, self.actions)
+        rows, numbers = self.actions.shape[1], 2 * CYCLE_ACTIONS
+        table = ops.constant(self.actions.reshape(-1, numbers))
+        x, i = self._place(ops, reference[0], 0)
+        y, j = self._place(ops, reference[1], 1)
+        node = i * rows + j
+        blend = (1 - x) * (1 - y) * ops.row(table, node) + (1 - x) * y * ops.row(table, node + 1)
+        blend = blend + x * (1 - y) * ops.row(table, node + rows) + x * y * ops.row(table, node + rows + 1)
+        return ops.xp.reshape(blend, (CYCLE_ACTIONS, 2))
+
+    def references(self) -> Float[np.ndarray, "x y 2"]:
+        """References of the nodes [N]."""
+        axes = [np.linspace(float(self.low[i]), float(self.high[i]), self.actions.shape[i]) for i in range(2)]
+        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).astype(np.float32)
+
+    def _place(self, ops: Operations, force: Number, axis: int) -> tuple[Number, Number]:
+        """Return, along one axis, the node before a force and the distance from it in units of the spacing."""
+        last = self.actions.shape[axis] - 1
+        low, width = self.low[axis], self.high[axis] - self.low[axis]
+        # A box for a single reference has no width, and all its nodes are the same.
+        place = (force - low) / ops.choose(width > 0, lambda: width, lambda: np.float32(1))
+        place = ops.choose(place > 0, lambda: place, lambda: np.float32(0))
+        place = ops.choose(place < 1, lambda: place, lambda: np.float32(1)) * np.float32(last)
+        whole = ops.whole(place)
+        node = ops.choose(whole < last, lambda: whole, lambda: last - 1)
+        return place - ops.real(node), node
+
+
+class Lattice(NamedTuple):
+    """References that gaits are searched for."""
+
+    low: Force
+    """Lower corner (x, y) [N]."""
+    high: Force
+    nodes: tuple[int, int]
+    """Number of nodes in x and y, 2 or more."""
+
+    @classmethod
+    def over(cls, cell: Cell, spacing_n: float) -> "Lattice":
+        """Place nodes at most `spacing_n` apart, with the corners of the cell among them."""
+        counts = [max(2, math.ceil((b - a) / spacing_n - 1e-6) + 1) for a, b in zip(cell.low, cell.high, strict=True)]
+        return cls(cell.low, cell.high, (counts[0], counts[1]))
+
+    def table(self) -> GaitTable:
+        """Return a table of which every action is 0."""
+        low, high = (np.asarray(corner, np.float32) for corner in (self.low, self.high))
+        return GaitTable(low, high, np.zeros((*self.nodes, CYCLE_ACTIONS, 2), np.float32))
+
+
+class GaitSearchResult(NamedTuple):
+    """A table of gaits, and the forces that they make in the plant in the steady state."""
+
+    table: GaitTable
+    force: Float[np.ndarray, "x y 2"]
+    """Mean force over a window [N]."""
+    smoothness: Float[np.ndarray, "x y 2"]
+    """Sobolev term in the form `mean` [N]."""
+
+    def force_error(self) -> Float[np.ndarray, "x y"]:
+        """Distance of each node's force from its reference [N]."""
+        distance: Float[np.ndarray, "x y"] = np.linalg.norm(self.force - self.table.references(), axis=-1)
+        return distance
+
+
+class ForceMap(NamedTuple):
+    """Mean forces that a fin can make, and gaits for them."""
+
+    gaits: GaitSearchResult
+    reachable: Reachable
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return lattice and region for JSON."""
+        table = self.gaits.table
+        return {
+            "lattice": {
+                "low_n": [float(x) for x in table.low],
+                "high_n": [float(x) for x in table.high],
+                "nodes": list(table.actions.shape[:2]),
+            },
+            "reachable": self.reachable.to_dict(),
+        }
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return the gaits and their forces as named arrays."""
+        gaits = self.gaits
+        return {"actions": np.asarray(gaits.table.actions), "force_n": gaits.force, "smoothness_n": gaits.smoothness}
+
+    @classmethod
+    def from_dict(cls, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> "ForceMap":
+        """Build a map from what `to_dict` and `arrays` gave; raises KeyError, TypeError or ValueError otherwise."""
+        lattice = description["lattice"]
+        nodes = tuple(int(count) for count in lattice["nodes"])
+        actions, force, smoothness = (np.asarray(arrays[n], np.float32) for n in ("actions", "force_n", "smoothness_n"))
+        low, high = (np.asarray(lattice[name], np.float32) for name in ("low_n", "high_n"))
+        if low.shape != (2,) or high.shape != (2,) or not (np.isfinite(low) & np.isfinite(high) & (low <= high)).all():
+            raise ValueError(f"lattice from {low.tolist()} to {high.tolist()} N; it must be two corners, low <= high")
+        if len(nodes) != 2 or min(nodes) < 2:
+            raise ValueError(f"lattice of {nodes} nodes; it must have two or more in x and in y")
+        if actions.shape != (*nodes, CYCLE_ACTIONS, 2) or force.shape != (*nodes, 2) or smoothness.shape != force.shape:
+            raise ValueError(f"gaits of shape {actions.shape} do not fit a lattice of {nodes}")
+        if not all(np.isfinite(array).all() for array in (actions, force, smoothness)):
+            raise ValueError("gaits are not finite; they must be numbers in [-1, 1]")
+        if np.abs(actions).max() > 1 + ROUNDED:
+            raise ValueError("gaits are beyond [-1, 1], the limits of the plant")
+        found = GaitSearchResult(GaitTable(low, high, actions), force, smoothness)
+        return cls(found, Reachable.from_dict(description["reachable"]))

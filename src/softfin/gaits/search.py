@@ -1,0 +1,195 @@
+"""The search for gaits: those of a whole lattice of reference forces at once, in one compiled program.
+
+Mean force and Sobolev term of a gait are smooth functions of its twelve numbers, and the plant gives their derivatives.
+Two of the twelve directions change the force; Gauss-Newton steps along these bring it to the reference, while the other
+ten lower the Sobolev term and keep each gait near those of its neighbours, so that gaits in between may be blended
+(null-space projection, as for redundant manipulators: Siciliano and Khatib, Handbook of Robotics, Sec. 10.3).
+"""
+
+from collections.abc import Callable
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, PRNGKeyArray
+from pydantic import Field, NonNegativeFloat, PositiveInt
+
+from softfin.core.action_clock import CYCLE_ACTIONS
+from softfin.core.configuration import Configuration
+from softfin.core.plant import Plant
+from softfin.core.plant_identity import jit_argument
+from softfin.core.quantities import AnyArray
+from softfin.core.randomness import key_of
+from softfin.gaits.gait import GaitSearchResult, Lattice
+from softfin.gaits.simulate import CYCLES, GaitSensitivity, gait_sensitivity, pre_tanh_of
+from softfin.gaits.survey import Survey
+
+
+class GaitConfig(Configuration):
+    """Configuration of the search for gaits."""
+
+    cycles: int = Field(default=CYCLES, ge=2)
+    """Windows that a gait is repeated for from rest; the last one counts. The fin and its wake must settle before."""
+    steps: PositiveInt = 24
+    """Gauss-Newton steps; the last `EXACT` of them look at the force alone."""
+    smoothness: NonNegativeFloat = 0.05
+    """Weight of the Sobolev term (form `mean`) among what the force leaves open."""
+    likeness: NonNegativeFloat = 0.6
+    """Weight of the distance to the mean of the neighbours, squared."""
+
+
+EXACT = 5
+"""Last steps, without any but the force to please."""
+
+STUCK_N = 0.05
+"""A node further from its force than this begins again where a neighbour is."""
+
+FORCE_STEP, FREE_STEP = 0.6, 0.25
+"""Longest steps in the atanh of the actions, along the force and across."""
+
+
+def find_gaits(
+    plant: Plant,
+    survey: Survey,
+    lattice: Lattice,
+    config: GaitConfig,
+    report: Callable[[float, str], None] | None = None,
+) -> GaitSearchResult:
+    """Find a gait for every node; one beyond the fin's reach gets the nearest force that the fin can make.
+
+    The search begins with the gaits of a survey of the same plant.
+    """
+    plant, table = jit_argument(plant), lattice.table()
+    wanted = survey.reachable.nearest(table.references().reshape(-1, 2))
+    target = jnp.asarray(wanted, jnp.float32)
+    nodes = gait_sensitivity(plant, _start(survey, target, lattice.nodes), config.cycles, _key())
+    scale: AnyArray = np.ones(len(wanted), np.float32)
+    for step in range(config.steps):
+        exact = step >= config.steps - EXACT
+        if step % 4 == 3 and not exact:
+            nodes, scale = _restarted(nodes, target, scale, lattice.nodes)
+        moved = _stepped(nodes, target, scale, lattice.nodes, config, exact)
+        trial = gait_sensitivity(plant, moved, config.cycles, _key())
+        nodes, scale = _better(nodes, trial, target, scale, 0.0 if exact else config.smoothness)
+        if report is not None:
+            error = np.linalg.norm(np.asarray(nodes.out)[:, :2] - wanted, axis=1)
+            report((step + 1) / config.steps, f"error {np.median(error):.3f} N median, {error.max():.2f} N greatest")
+    shaped = (*lattice.nodes, -1)
+    actions = np.tanh(nodes.pre_tanh).reshape(*lattice.nodes, CYCLE_ACTIONS, 2)
+    return GaitSearchResult(table._replace(actions=actions), np.asarray(nodes.out[:, :2]).reshape(shaped),
+                 np.asarray(nodes.smoothness).reshape(shaped))  # fmt: skip
+
+
+def _key() -> PRNGKeyArray:
+    # Not a constant: making it starts JAX, which an import must not.
+    return key_of(0, "gaits")
+
+
+def _start(survey: Survey, target: Float[AnyArray, "nodes 2"], shape: tuple[int, int]) -> Float[AnyArray, "nodes 12"]:
+    """Choose the waveform that comes nearest; of it, gaits that come near and are like those of their neighbours."""
+    best: tuple[float, Float[np.ndarray, "nodes 12"]] | None = None
+    wanted = np.asarray(target)
+    for waveform in dict.fromkeys(family.waveform for family in survey.families):
+        chosen = [i for i, family in enumerate(survey.families) if family.waveform == waveform]
+        force = np.concatenate([survey.force[i] for i in chosen])
+        gaits = np.concatenate([survey.families[i].gaits for i in chosen])
+        pre_tanh = pre_tanh_of(gaits)
+        apart = np.linalg.norm(force[None] - wanted[:, None], axis=-1)
+        nearest = np.argmin(apart, axis=1)
+        for _ in range(SWEEPS):
+            middle = np.asarray(_neighbours(jnp.asarray(pre_tanh[nearest]), shape))
+            unlike = np.sqrt(np.mean((pre_tanh[None] - middle[:, None]) ** 2, axis=-1))
+            nearest = np.argmin(apart + UNLIKE_N * unlike, axis=1)
+        cost = float(np.mean(apart[np.arange(len(wanted)), nearest]))
+        if best is None or cost < best[0]:
+            best = cost, pre_tanh[nearest]
+    assert best is not None
+    return jnp.asarray(best[1], jnp.float32)
+
+
+SWEEPS = 10
+UNLIKE_N = 0.5
+"""Cost of a difference of 1 (rms, in the atanh of the actions) from the neighbours at the start [N]."""
+
+
+@eqx.filter_jit
+def _stepped(
+    nodes: GaitSensitivity,
+    target: Float[AnyArray, "nodes 2"],
+    scale: Float[AnyArray, "nodes"],
+    shape: tuple[int, int],
+    config: GaitConfig,
+    exact: bool,
+) -> Float[AnyArray, "nodes 12"]:
+    """Take one step of every node."""
+    across = nodes.slope[:, :2]
+    gram = across @ jnp.swapaxes(across, 1, 2)
+    gram += (1e-3 * jnp.trace(gram, axis1=1, axis2=2)[:, None, None] + 1e-3) * jnp.eye(2)
+
+    def along(force: Float[AnyArray, "nodes 2"]) -> Float[AnyArray, "nodes 12"]:
+        """Return the smallest change of the actions that changes the force so."""
+        return jnp.einsum("nij,ni->nj", across, jnp.linalg.solve(gram, force[..., None])[..., 0])
+
+    wanted = _shortened(along(target - nodes.out[:, :2]), FORCE_STEP)
+    if not exact:
+        slope = config.smoothness * nodes.slope[:, 2]
+        slope += config.likeness * (nodes.pre_tanh - _neighbours(nodes.pre_tanh, shape))
+        free = slope - along(jnp.einsum("nij,nj->ni", across, slope))
+        wanted -= _shortened(free, FREE_STEP)
+    return nodes.pre_tanh + scale[:, None] * wanted
+
+
+@eqx.filter_jit
+def _better(
+    nodes: GaitSensitivity,
+    trial: GaitSensitivity,
+    target: Float[AnyArray, "nodes 2"],
+    scale: Float[AnyArray, "nodes"],
+    smoothness: float,
+) -> tuple[GaitSensitivity, Float[AnyArray, "nodes"]]:
+    """Keep the better one of each node and its trial; the next step is longer after a gain, shorter after none."""
+
+    def merit(nodes: GaitSensitivity) -> Float[AnyArray, "nodes"]:
+        error = jnp.linalg.norm(nodes.out[:, :2] - target, axis=1)
+        return jnp.maximum(error, ENOUGH_N if smoothness else 0) + smoothness * nodes.out[:, 2]
+
+    # Leaning towards a neighbour may cost a little.
+    better = merit(trial) < merit(nodes) + (ENOUGH_N if smoothness else 0)
+    chosen = jax.tree.map(lambda a, b: jnp.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b), trial, nodes)
+    return chosen, jnp.where(better, jnp.minimum(1, 2 * scale), 0.4 * scale)
+
+
+ENOUGH_N = 0.02
+"""Before the last steps, errors below this do not matter."""
+
+
+def _restarted(
+    nodes: GaitSensitivity, target: Float[AnyArray, "nodes 2"], scale: Float[AnyArray, "nodes"], shape: tuple[int, int]
+) -> tuple[GaitSensitivity, Float[AnyArray, "nodes"]]:
+    """Let nodes that are stuck begin again where the best of their neighbours is."""
+    error = np.linalg.norm(np.asarray(nodes.out)[:, :2] - np.asarray(target), axis=1).reshape(shape)
+    source = np.arange(error.size).reshape(shape)
+    for x, y in zip(*np.nonzero(error > STUCK_N), strict=True):
+        beside = [(x + i, y + j) for i, j in ((1, 0), (-1, 0), (0, 1), (0, -1))]
+        beside = [(i, j) for i, j in beside if 0 <= i < shape[0] and 0 <= j < shape[1]]
+        best = min(beside, key=lambda place: error[place])
+        if error[best] < STUCK_N:
+            source[x, y] = best[0] * shape[1] + best[1]
+    moved = source.reshape(-1) != np.arange(error.size)
+    helped: GaitSensitivity = jax.tree.map(lambda leaf: np.asarray(leaf)[source.reshape(-1)], nodes)
+    return helped, np.where(moved, np.float32(1.0), scale)
+
+
+@partial(jax.jit, static_argnums=1)
+def _neighbours(pre_tanh: Float[AnyArray, "nodes 12"], shape: tuple[int, int]) -> Float[AnyArray, "nodes 12"]:
+    """Average the four neighbours; at the edge a node stands in for the one that is missing."""
+    grid = jnp.pad(pre_tanh.reshape(*shape, -1), ((1, 1), (1, 1), (0, 0)), mode="edge")
+    mean = (grid[2:, 1:-1] + grid[:-2, 1:-1] + grid[1:-1, 2:] + grid[1:-1, :-2]) / 4
+    return mean.reshape(pre_tanh.shape)
+
+
+def _shortened(step: Float[AnyArray, "nodes 12"], longest: float) -> Float[AnyArray, "nodes 12"]:
+    length = jnp.linalg.norm(step, axis=1, keepdims=True)
+    return step * jnp.minimum(1, longest / (length + 1e-9))

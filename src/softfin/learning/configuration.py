@@ -1,0 +1,201 @@
+"""Configuration of a training run: its fields, the presets, the choice between them, and whether it fits a plant."""
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import NonNegativeFloat, PositiveInt, model_validator
+
+from softfin.control.grid import SwitchingConfig
+from softfin.core.action_clock import ACTION_TICKS
+from softfin.core.choices import Algorithm, AlgorithmOption, PolicyLayout
+from softfin.core.configuration import Configuration
+from softfin.core.errors import ConfigurationError
+from softfin.core.plant import EnsemblePlant, Plant
+from softfin.gaits.gait import ForceMap
+from softfin.gaits.reachable import Cell, Reachable, bounding_box
+from softfin.gaits.simulate import missing_gradient
+from softfin.learning.gradient import GradientConfig
+from softfin.learning.policy import PolicyConfig
+from softfin.learning.ppo import PPOConfig
+from softfin.task.cells import check_apart
+from softfin.task.references import PAPER_CELLS, PAPER_RANGE
+from softfin.task.task import TaskConfig
+
+EDGE_N = 1e-3
+"""Edges of lattices and regions are rounded in their files."""
+
+
+class TrainConfig(Configuration):
+    """A training run; the defaults are those of `GRID`."""
+
+    controller: PolicyLayout = "grid"
+    """One policy for a whole range of references, or one for each cell of a grid."""
+    steps: PositiveInt = 10_000
+    """Actions in the plant for each policy, over all its environments: the paper's 10,000 a cell, 30,000 single."""
+    cells: tuple[Cell, ...] = PAPER_CELLS
+    """References [N] that each policy is trained for; one cell for `single`."""
+    margin_n: NonNegativeFloat = 0.0
+    """Distance beyond their cells for which policies are trained, too [N]: a grid switches with a hysteresis."""
+    switching: SwitchingConfig = SwitchingConfig(margin_n=0.0)
+    """How a grid's policies take over from one another; beyond `margin_n`, its own margin gives a policy references
+    that it was not trained for, so the paper's grid has none of either."""
+    task: TaskConfig = TaskConfig()
+    """The force-tracking task."""
+    policy: PolicyConfig = PolicyConfig()
+    """Size and start of the networks."""
+    ensemble: Literal["mean", "each"] = "mean"
+    """In an ensemble, fins are the mean of all members or each is another member; evaluated is the mean. Only ensembles
+    of two members or more take `each`, which leaves no disagreement to weigh (`task.reward.disagreement`)."""
+    algorithm: Algorithm = "ppo"
+    """LSTM-PPO, as the paper has it, or gradients through the plant."""
+    ppo: PPOConfig = PPOConfig()
+    """Settings of LSTM-PPO."""
+    gradient: GradientConfig = GradientConfig()
+    """Settings of gradient training."""
+    num_evaluations: PositiveInt = 10
+    """Number of evaluations of the deterministic policies, evenly over the run; a checkpoint is written each time."""
+    lattice: PositiveInt = 1
+    """Policies are evaluated at lattice x lattice references of each cell; these actions do not count as `steps`."""
+
+    @model_validator(mode="after")
+    def _fits(self) -> "TrainConfig":
+        if self.controller == "single" and len(self.cells) != 1:
+            raise ValueError(f"a single controller has one cell, not {len(self.cells)}; give one, or controller=grid")
+        if not self.cells:
+            raise ValueError("no cells; give at least one")
+        check_apart(self.cells, "cells")
+        return self
+
+    @property
+    def num_updates(self) -> int:
+        """Updates of each policy: as many whole rollouts as `steps` hold."""
+        return self.steps // self.learning.steps_per_update
+
+    @property
+    def learning(self) -> PPOConfig | GradientConfig:
+        """Settings of the algorithm."""
+        return self.ppo if self.algorithm == "ppo" else self.gradient
+
+    @property
+    def begins_as_gaits(self) -> bool:
+        """Whether policies begin as copies of gaits, which are found over all their references."""
+        return self.algorithm == "gradient" and self.gradient.warm_start
+
+    @property
+    def training_range(self) -> Cell:
+        """The box round all references that policies are trained for."""
+        return bounding_box(self.cells).expanded(self.margin_n)
+
+    def evaluation_references(self, reachable: Reachable | None) -> Float[np.ndarray, "cells references 2"]:
+        """The lattice of references of each cell [N], each as the nearest force that the fin can make."""
+        lattices = [cell.lattice(self.lattice) for cell in self.cells]
+        if reachable is not None:
+            return reachable.nearest(lattices).astype(np.float32)
+        return np.asarray(lattices, np.float32)
+
+
+GRID = TrainConfig()
+"""The paper's grid-switching controller on its budget."""
+
+SINGLE = TrainConfig(
+    controller="single",
+    steps=30_000,
+    cells=(PAPER_RANGE,),
+    task=TaskConfig(reference_actions=45),
+    ppo=PPOConfig(num_envs=32, num_steps=15, num_minibatches=8, num_epochs=8, final_learning_rate=0.03),
+    lattice=3,
+)
+"""The paper's single controller on its budget."""
+
+GRADIENT_SINGLE = SINGLE.changed(
+    ("algorithm=gradient", "steps=115200", "task.phase=true", "task.reward.target=window", "task.reference_actions=24",
+     "margin_n=0.1", "gradient.map.spacing_n=0.55")
+)  # fmt: skip
+"""One controller by gradients through the plant: 200 updates."""
+
+GRADIENT_GRID = GRADIENT_SINGLE.merged(
+    {
+        "controller": "grid", "cells": GRID.model_dump()["cells"], "steps": 5_760, "num_evaluations": 5,
+        "margin_n": 0.1, "switching": {"margin_n": 0.1},
+        "gradient": {"num_envs": 8, "learning_rate": 3e-4, "shared_pretraining": {}},
+    },
+    "grid",
+)  # fmt: skip
+"""A policy a cell by gradients through the plant: 120 updates together, then 40 of each cell's own."""
+
+TRAIN_PRESETS: Mapping[tuple[Algorithm, PolicyLayout], TrainConfig] = MappingProxyType({
+    ("ppo", "single"): SINGLE, ("ppo", "grid"): GRID,
+    ("gradient", "single"): GRADIENT_SINGLE, ("gradient", "grid"): GRADIENT_GRID,
+})  # fmt: skip
+"""Configurations by algorithm and kind of controller."""
+
+
+def choose_preset(
+    plant: Plant, controller: PolicyLayout = "grid", algorithm: AlgorithmOption = "auto"
+) -> tuple[TrainConfig, str]:
+    """The preset for a plant, and why its algorithm was chosen; auto: gradients wherever the plant has them."""
+    if algorithm != "auto":
+        return TRAIN_PRESETS[algorithm, controller], f"{algorithm}, as asked"
+    missing = missing_gradient(plant)
+    if missing is None:
+        return TRAIN_PRESETS["gradient", controller], "gradient, as the plant has gradients"
+    return TRAIN_PRESETS["ppo", controller], f"ppo, as the plant has no gradient: {missing}"
+
+
+def check(plant: Plant, config: TrainConfig, seeds: Sequence[int], force_map: ForceMap | None = None) -> None:
+    """Raise ConfigurationError where the budget is smaller than one rollout, or anything else does not fit."""
+    if not seeds or len(set(seeds)) != len(seeds):
+        raise ConfigurationError(f"seeds {list(seeds)}: give at least one, and each once")
+    learning, task = config.learning, config.task
+    if config.num_updates == 0:
+        raise ConfigurationError(
+            f"steps = {config.steps}: fewer than one rollout of {learning.steps_per_update} "
+            f"({learning.num_envs} environments x {learning.num_steps} actions); give more steps"
+        )
+    if (samples := task.episode_actions // len(ACTION_TICKS) * sum(ACTION_TICKS)) < task.window_samples:
+        raise ConfigurationError(
+            f"task.episode_actions = {task.episode_actions}: an episode of {samples} samples holds no whole window of "
+            f"{task.window_samples} to evaluate; give a longer episode or a smaller task.window_samples"
+        )
+    _check_ensemble(plant, config)
+    if config.begins_as_gaits:
+        _check_map(config, force_map)
+
+
+def _check_ensemble(plant: Plant, config: TrainConfig) -> None:
+    disagreement = config.task.reward.disagreement
+    if config.ensemble == "each" and disagreement > 0:
+        raise ConfigurationError(
+            f"task.reward.disagreement = {disagreement:g}: no members disagree where each fin is one of them "
+            "(ensemble = each); give one of the two"
+        )
+    members = plant.size if isinstance(plant, EnsemblePlant) else 1
+    for given, asked in (("ensemble = each", config.ensemble == "each"),
+                         (f"task.reward.disagreement = {disagreement:g}", disagreement > 0)):  # fmt: skip
+        if asked and members < 2:
+            raise ConfigurationError(
+                f"{given}: the plant is not an ensemble of two members or more; leave it out, or fit a streaming "
+                "surrogate with --set members=5"
+            )
+
+
+def _check_map(config: TrainConfig, force_map: ForceMap | None) -> None:
+    box = config.training_range
+    if config.gradient.map.box is not None:
+        raise ConfigurationError(
+            f"gradient.map.box = {config.gradient.map.box}: gaits are found for all cells ({box}); leave it out, and "
+            "give --range or --cells"
+        )
+    if force_map is None:
+        return
+    table, (least, greatest) = force_map.gaits.table, force_map.reachable.bounds()
+    low, high = np.maximum(box.low, least), np.minimum(box.high, greatest)
+    if (np.asarray(table.low) > low + EDGE_N).any() or (np.asarray(table.high) < high - EDGE_N).any():
+        between = Cell(low=tuple(map(float, table.low)), high=tuple(map(float, table.high)))
+        raise ConfigurationError(
+            f"map of {between}: its gaits do not reach over the references to train for ({box}); map these too, or "
+            "all that the fin can make (softfin map without a box)"
+        )

@@ -1,0 +1,272 @@
+"""The agents of a training run, side by side in one program: init, update, evaluation; over all devices of the machine.
+
+Seeds x cells are the agents. Agents need no data of each other, so devices that keep agents do not communicate. Where
+agents cannot be divided evenly, their environments are; then devices communicate in each mean over environments.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
+from typing import Any, NamedTuple, TypeVar, cast
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from softfin.core.compilation import used_once
+from softfin.core.errors import RunError
+from softfin.core.plant import EnsemblePlant, Plant, State
+from softfin.core.plant_identity import jit_argument
+from softfin.core.quantities import AXES, Command, Limits, Reading
+from softfin.core.randomness import key_of
+from softfin.gaits.gait import ForceMap, GaitTable
+from softfin.learning.configuration import TrainConfig
+from softfin.learning.gradient import Gradient, GradientConfig
+from softfin.learning.learner import AgentState, Learner, Metrics
+from softfin.learning.policy import Policy, PolicyConfig
+from softfin.learning.ppo import PPO, PPOConfig
+from softfin.learning.rollout import PolicyEvaluation, evaluate_policy
+from softfin.task.references import References, stack_references
+from softfin.task.task import ForceTracking, TaskConfig
+
+Tree = TypeVar("Tree")
+
+
+class RunState(NamedTuple):
+    """Checkpoint of a run; every leaf has a leading axis of agents."""
+
+    agents: AgentState
+    best: Policy
+    best_evaluation: PolicyEvaluation
+    """Errors and deviations of `best`, ``(agents, references, 2)``."""
+
+
+class TrainingResult(NamedTuple):
+    """Policies of a finished run."""
+
+    config: TrainConfig
+    limits: Limits
+    seeds: tuple[int, ...]
+    policies: Policy
+    """Leaves ``(seeds, cells, ...)``: the policy of each agent with the smallest deterministic error."""
+    evaluation: PolicyEvaluation
+    """Evaluation of these policies, ``(seeds, cells, references, 2)``."""
+    force_map: ForceMap | None = None
+    """Map of the fin, where there is one."""
+
+    def evaluation_references(self) -> Float[np.ndarray, "cells references 2"]:
+        """The forces at which the policies were evaluated [N]."""
+        return self.config.evaluation_references(None if self.force_map is None else self.force_map.reachable)
+
+
+class OneMember(eqx.Module):
+    """Meets the Plant contract: every fin is another member of an ensemble, so that no policy exploits its errors.
+
+    The key draws the member, which stays for as long as the episode lasts; its index is part of the state.
+    """
+
+    ensemble: EnsemblePlant
+
+    @property
+    def limits(self) -> Limits:
+        """Limits of the ensemble."""
+        return self.ensemble.limits
+
+    def init(self, key: PRNGKeyArray) -> tuple[Int[Array, ""], State]:
+        """A drawn member, at rest at angle 0."""
+        index = jax.random.randint(key, (), 0, self.ensemble.size)
+        return index, self.ensemble.member(index).init(jax.random.fold_in(key, 1))
+
+    def advance(
+        self, state: tuple[Int[Array, ""], State], command: Command, ticks: int
+    ) -> tuple[tuple[Int[Array, ""], State], Reading]:
+        """Hold the command for `ticks` samples."""
+        index, inner = state
+        inner, reading = self.ensemble.member(index).advance(inner, command, ticks)
+        return (index, inner), reading
+
+
+class ProgramInputs(NamedTuple):
+    """Arguments of the programs: arrays, not constants in them."""
+
+    plant: Plant
+    """The plant as `jit_argument` makes it."""
+    table: GaitTable | None
+
+
+class Programs(NamedTuple):
+    """Programs for all agents at once."""
+
+    init: Callable[[ProgramInputs, PRNGKeyArray, References], AgentState]
+    update: Callable[[ProgramInputs, AgentState], tuple[AgentState, Metrics]]
+    evaluate: Callable[[ProgramInputs, Policy, Array], PolicyEvaluation]
+
+
+@lru_cache(maxsize=4)
+def programs_of(
+    learning: PPOConfig | GradientConfig, policy: PolicyConfig, task: TaskConfig, ensemble: str, updates: int
+) -> Programs:
+    """Compiled programs, kept for the next jobs of a run, which differ by their cells and seeds alone."""
+
+    def learner(given: ProgramInputs) -> Learner:
+        plant = given.plant
+        if ensemble == "each" and isinstance(plant, EnsemblePlant):
+            plant = OneMember(plant)
+        tracking = ForceTracking(plant, task)
+        if isinstance(learning, PPOConfig):
+            return PPO(tracking, learning, policy, updates)
+        return Gradient(tracking, learning, policy, updates, given.table)
+
+    def evaluate(given: ProgramInputs, policy: Policy, references: Array) -> PolicyEvaluation:
+        return evaluate_policy(ForceTracking(given.plant, task), policy, references, key_of(0, "score"))
+
+    # Cloning takes much longer than compiling it.
+    jit_init = eqx.filter_jit if isinstance(learning, GradientConfig) and learning.warm_start else used_once
+    return Programs(
+        jit_init(lambda given, keys, boxes: jax.vmap(learner(given).init)(keys, boxes)),
+        eqx.filter_jit(lambda given, agents: jax.vmap(learner(given).update)(agents)),
+        eqx.filter_jit(lambda given, policies, references: jax.vmap(partial(evaluate, given))(policies, references)),
+    )
+
+
+class TrainingRun:
+    """One run over its agents."""
+
+    def __init__(self, plant: Plant, config: TrainConfig, seeds: tuple[int, ...], force_map: ForceMap | None) -> None:
+        self.config, self.seeds, self.limits = config, seeds, Limits(*map(float, plant.limits))
+        self.is_ensemble = isinstance(plant, EnsemblePlant)
+        self.agents = [(seed, index) for seed in seeds for index in range(len(config.cells))]
+        self.force_map = force_map
+        self.reachable = None if force_map is None else force_map.reachable
+        table = force_map.gaits.table if force_map is not None and config.begins_as_gaits else None
+        self.given = ProgramInputs(jit_argument(plant), table)
+        self.programs = programs_of(config.learning, config.policy, config.task, config.ensemble, config.num_updates)
+        self.references = jnp.asarray(np.tile(config.evaluation_references(self.reachable), (len(seeds), 1, 1)))
+
+    def start(self, policies: Policy | None = None) -> RunState:
+        """New agents; or agents that go on from policies ``(seeds, cells, ...)``, which count as the best so far.
+
+        The key of an agent depends on its seed and cell alone, not on the agents beside it.
+        """
+        keys = jnp.stack([key_of(seed, f"train/{self.config.cells[index]}") for seed, index in self.agents])
+        cells = [self.config.cells[index].expanded(self.config.margin_n) for _, index in self.agents]
+        boxes = stack_references(cells, self.reachable)
+        agents = self.programs.init(self.given, *self.over_devices((keys, boxes)))
+        if policies is not None:
+            agents = agents._replace(policy=jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), policies))
+            return RunState(agents, agents.policy, self.evaluate(agents.policy, 0))
+        worst = np.full(self.references.shape, np.inf, np.float32)
+        outside = worst[..., 0] if self.is_ensemble else None
+        return RunState(agents, agents.policy, PolicyEvaluation(worst, worst, outside))
+
+    def over_devices(self, agents: Tree) -> Tree:
+        """The agents, divided over the machine's devices, where there are several."""
+        return over_devices(agents, len(self.agents), self.config.learning.num_envs)
+
+    def update(self, agents: AgentState, number: int) -> tuple[AgentState, Metrics]:
+        """Update every agent, the `number`-th time; raises RunError where a loss or its gradient is not finite."""
+        agents, metrics = self.programs.update(self.given, agents)
+        self._check_finite("the loss", np.asarray(metrics["loss"]) + np.asarray(metrics["gradient_norm"]), number)
+        return agents, metrics
+
+    def evaluate(self, policies: Policy, update: int) -> PolicyEvaluation:
+        """Evaluate every agent's policy without noise; raises RunError where the plant's forces are not finite."""
+        evaluation = self.programs.evaluate(self.given, policies, self.references)
+        errors = np.asarray(evaluation.error).sum(axis=(1, 2))
+        self._check_finite("the force while the policies are evaluated", errors, update)
+        return evaluation
+
+    def _check_finite(self, what: str, of_agents: np.ndarray, update: int) -> None:
+        bad = np.flatnonzero(~np.isfinite(of_agents))
+        if bad.size:
+            seed, index = self.agents[bad[0]]
+            raise RunError(
+                f"train: {what} is not finite in update {update} of {self.config.num_updates}, seed {seed}, cell "
+                f"{self.config.cells[index]}; lower {self.config.algorithm}.learning_rate "
+                "(the last good checkpoint is kept)"
+            )
+
+    def by_seed(self, metrics: Metrics) -> dict[str, float]:
+        """Means over the cells, named ``seedN/...``."""
+        shape = (len(self.seeds), len(self.config.cells))
+        means = {name: np.asarray(values).reshape(shape).mean(axis=1) for name, values in metrics.items()}
+        return {f"seed{s}/{n}": float(values[i]) for n, values in means.items() for i, s in enumerate(self.seeds)}
+
+    def note(self, metrics: Metrics, state: RunState) -> str:
+        """The newest figures, for a progress bar."""
+        best = summary(state.best_evaluation)
+        figures = [float(np.mean(best[f"score_{axis}_n"])) for axis in AXES]
+        evaluated = (
+            "" if not np.isfinite(figures).all() else f", best deterministic {figures[0]:.2f}/{figures[1]:.2f} N"
+        )
+        return f"error {np.mean(metrics['error_x_n']):.2f}/{np.mean(metrics['error_y_n']):.2f} N{evaluated}"
+
+    def result(self, state: RunState) -> TrainingResult:
+        """The best policies, by seed and cell; NumPy arrays."""
+        policies, evaluation = jax.tree.map(
+            lambda x: np.asarray(x).reshape(len(self.seeds), -1, *x.shape[1:]), (state.best, state.best_evaluation)
+        )
+        return TrainingResult(self.config, self.limits, self.seeds, policies, evaluation, self.force_map)
+
+
+def summary(evaluation: PolicyEvaluation) -> Metrics:
+    """Mean error of each agent over its references, and how often it left an ensemble's training data."""
+    errors = {f"score_{axis}_n": np.asarray(evaluation.error)[..., i].mean(axis=-1) for i, axis in enumerate(AXES)}
+    outside = evaluation.out_of_distribution_fraction
+    return errors if outside is None else errors | {"score_out_of_distribution": np.asarray(outside).mean(axis=-1)}
+
+
+def keep_best(state: RunState, evaluation: PolicyEvaluation) -> RunState:
+    """The state with each agent's policy as its best, where its mean error is less than before; NumPy arrays."""
+    new, old = ((np.asarray(each.error).mean(axis=(1, 2))) for each in (evaluation, state.best_evaluation))
+    better = new < old
+    best, best_evaluation = jax.tree.map(
+        lambda a, b: np.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b),
+        (state.agents.policy, evaluation), (state.best, state.best_evaluation),
+    )  # fmt: skip
+    return state._replace(best=best, best_evaluation=best_evaluation)
+
+
+def over_devices(agents: Tree, count: int, num_envs: int, devices: Sequence[Any] | None = None) -> Tree:
+    """The agents, over as many devices as have equal parts of them, or else of their environments.
+
+    Args:
+        agents: leaves ``(agents, ...)``; of an `AgentState`, the environments are ``(agents, environments, ...)``.
+        count: number of agents.
+        num_envs: number of environments of each agent.
+        devices: devices to choose from, in their order; by default all that JAX finds.
+    """
+    found = jax.devices() if devices is None else list(devices)
+
+    def sharding(used: int, *axes: str | None) -> NamedSharding:
+        mesh = Mesh(np.array(found[:used]), ("devices",))
+        return NamedSharding(mesh, PartitionSpec(*axes))  # type: ignore[no-untyped-call]
+
+    if (used := equal_parts(count, len(found))) > 1:
+        return cast(Tree, jax.device_put(agents, sharding(used, "devices")))
+    if (used := equal_parts(num_envs, len(found))) > 1 and isinstance(agents, AgentState):
+        everywhere = jax.device_put(agents, sharding(used))
+        env_state = jax.device_put(agents.env_state, sharding(used, None, "devices"))
+        return cast(Tree, everywhere._replace(env_state=env_state))
+    return agents
+
+
+def equal_parts(count: int, devices: int) -> int:
+    """The greatest number of devices, of those there are, that have equal parts of `count` things."""
+    return max(used for used in range(1, devices + 1) if count % used == 0)
+
+
+def _is_key(leaf: Any) -> bool:
+    return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+
+
+def without_keys(tree: Tree) -> Tree:
+    """The tree with keys of the random generator as numbers, for storage."""
+    return cast(Tree, jax.tree.map(lambda x: jax.random.key_data(x) if _is_key(x) else x, tree))
+
+
+def with_keys(tree: Tree, like: Tree) -> Tree:
+    """The tree with numbers as keys again, where `like` has keys."""
+    return cast(Tree, jax.tree.map(lambda x, y: jax.random.wrap_key_data(x) if _is_key(y) else x, tree, like))

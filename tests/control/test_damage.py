@@ -1,0 +1,111 @@
+"""Damaged folders end in one line of ArtifactError."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import safetensors.numpy
+
+from softfin.control.store import load_controller
+from softfin.core.errors import ArtifactError
+from tests.control.folders import KINDS, folder_of
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    out = tmp_path_factory.mktemp("controllers")
+    return {kind: folder_of(kind, out) for kind in KINDS}
+
+
+def copied(folder: Path, to: Path) -> Path:
+    """The two files."""
+    to.mkdir(exist_ok=True)
+    for name in ("controller.json", "weights.safetensors"):
+        (to / name).write_bytes((folder / name).read_bytes())
+    return to
+
+
+def edit(folder: Path, **changes: Any) -> None:
+    file = folder / "controller.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | changes))
+
+
+def weigh(folder: Path, **changes: Any) -> None:
+    file = folder / "weights.safetensors"
+    arrays = safetensors.numpy.load(file.read_bytes())
+    file.write_bytes(safetensors.numpy.save({**arrays, **{name.replace("__", "."): x for name, x in changes.items()}}))
+
+
+@pytest.mark.parametrize(
+    ("kind", "harm", "message"),
+    [
+        ("single", lambda f: (f / "weights.safetensors").unlink(), "weights.safetensors: missing; copy the whole"),
+        ("single", lambda f: (f / "weights.safetensors").write_bytes(b"12"), "truncated or damaged"),
+        ("single", lambda f: (f / "controller.json").unlink(), "not a controller: it holds no controller.json"),
+        ("single", lambda f: (f / "controller.json").write_text("{"), "not readable as JSON"),
+        ("single", lambda f: (f / "controller.json").write_text("[" * 100_000), "not readable as JSON"),
+        ("single", lambda f: (f / "controller.json").write_text("[]"), "holds no object"),
+        ("single", lambda f: edit(f, limits={}), "angle_min_rad is missing; it must be"),
+        (
+            "single",
+            lambda f: edit(f, task={"past_actions": -1}),
+            "past_actions is -1: Input should be greater than or equal to 0",
+        ),
+        ("single", lambda f: edit(f, task={"past_actions": 5}), r"net.lstm.kernel has shape .* needs \(15"),
+        (
+            "gaits",
+            lambda f: edit(f, lattice={"low_n": [0, 0], "high_n": [1, 1], "nodes": [9999, 9999]}),
+            "do not fit a lattice of .9999",
+        ),
+        ("single", lambda f: edit(f, cells=[]), "cells: there are 0; a single controller has one"),
+        ("single", lambda f: edit(f, controller="neither"), "'neither'; it must be one of single, grid, gaits"),
+        ("single", lambda f: edit(f, format=3), "format is 3; this softfin reads 2; update it"),
+        ("single", lambda f: edit(f, action_rate_hz=5.0), "action_rate_hz is 5.0; this softfin reads 3.0"),
+        ("single", lambda f: weigh(f, more=np.zeros(2, np.float32)), "weights more are missing or unknown"),
+        ("single", lambda f: weigh(f, log_deviation=np.array([0, np.nan], np.float32)), "numbers that are not finite"),
+        ("gaits", lambda f: weigh(f, actions=np.full((3, 4, 6, 2), 1.1, np.float32)), r"gaits are beyond \[-1, 1\]"),
+        (
+            "grid",
+            lambda f: edit(f, reachable={"centre_n": [0, 0], "radius_n": [1, -1, 1]}),
+            "no radius under 0",
+        ),
+        ("grid", lambda f: edit(f, switching={"step_n": 0}), "step_n is 0: Input should be greater than 0"),
+        ("grid", lambda f: edit(f, fin=3), "is 3: Input should be a valid string"),
+    ],
+)
+def test_a_damaged_folder_is_refused_in_one_line(
+    kind: str, harm: Callable[[Path], Any], message: str, folders: dict[str, Path], tmp_path: Path
+) -> None:
+    folder = copied(folders[kind], tmp_path / "c")
+    harm(folder)
+    with pytest.raises(ArtifactError, match=message) as error:
+        load_controller(folder)
+    assert "\n" not in str(error.value)
+    assert len(str(error.value)) < 600
+
+
+def test_a_folder_that_is_none_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ArtifactError, match="no such folder; it should be a controller"):
+        load_controller(tmp_path / "none")
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"angle_min_rad": -100.0, "angle_max_rad": 100.0}, "limits: angle_min_rad is -100; a fin's are finite"),
+        ({"velocity_max_rad_s": 9000.0}, "limits: velocity_max_rad_s is 9000; a fin's are finite"),
+        ({"velocity_min_rad_s": 60.0}, "limits: velocity_min_rad_s is 60"),
+    ],
+)
+def test_limits_that_no_fin_has_are_refused(
+    changes: dict[str, float], words: str, folders: dict[str, Path], tmp_path: Path
+) -> None:
+    folder = copied(folders["single"], tmp_path / "c")
+    edit(folder, limits=json.loads((folder / "controller.json").read_text())["limits"] | changes)
+    with pytest.raises(ArtifactError, match=words) as error:
+        load_controller(folder)
+    assert str(folder / "controller.json") in str(error.value)
+    assert "velocity_max <= 50 rad/s" in str(error.value)
