@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import ConfigurationError
-from softfin.core.quantities import PAPER_LIMITS
+from softfin.core.quantities import PAPER_LIMITS, command_of
 from softfin.evaluation.baselines.recurrent import run_recurrent, train_recurrent
 from softfin.evaluation.evaluate import EvaluateConfig, repetition_keys
 from softfin.evaluation.experiment import run
