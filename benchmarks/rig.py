@@ -26,8 +26,8 @@ from softfin.control.store import load_controller
 from softfin.core.clock import REAL
 from softfin.core.errors import SafetyStop
 from softfin.rig.config import RigConfig
+from softfin.rig.emulation.fin import SimpleFin
 from softfin.rig.emulation.rig import EmulatedRig
-from softfin.rig.emulation.simple import SimpleFin
 from softfin.rig.epos2 import cia402
 from softfin.rig.loop import hold
 from softfin.rig.machine import Sample, Target

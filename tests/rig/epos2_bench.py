@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import can
 
 from softfin.rig.emulation.drive import EmulatedDrive
-from softfin.rig.emulation.simple import SimpleFin
-from softfin.rig.epos2.config import BusConfig, DriveConfig
+from softfin.rig.emulation.fin import SimpleFin
+from softfin.rig.epos2.config import BusConfig, Epos2Config
 from softfin.rig.epos2.drive import Epos2
 from softfin.rig.simulated_bus import open_bus
 from softfin.rig.simulated_clock import SimulatedClock
@@ -19,7 +19,7 @@ NODE = 5
 LONG_S = 5.0
 
 
-def drive_config(**changes: Any) -> DriveConfig:
+def drive_config(**changes: Any) -> Epos2Config:
     values = {
         "node": NODE,
         "encoder_lines": 500,
@@ -28,7 +28,7 @@ def drive_config(**changes: Any) -> DriveConfig:
         "quick_stop_rad_s2": 60.0,
         "following_error_rad": 0.2,
     }
-    return DriveConfig(**{**values, **changes})
+    return Epos2Config(**{**values, **changes})
 
 
 def bus_config() -> BusConfig:
@@ -46,7 +46,7 @@ class Bench(NamedTuple):
     def until(self, true: Callable[[], bool]) -> bool:
         """The loop, until something is true or the time is over."""
         for _ in range(round(LONG_S / 0.005)):
-            self.drive.beat()
+            self.drive.send_heartbeat()
             self.drive.sync_and_read(0.02)
             if true():
                 return True
@@ -55,7 +55,7 @@ class Bench(NamedTuple):
 
 
 @contextmanager
-def bench(emulated: DriveConfig | None = None, **changes: Any) -> Iterator[Bench]:
+def bench(emulated: Epos2Config | None = None, **changes: Any) -> Iterator[Bench]:
     clock = SimulatedClock()
     config, bus, fin, faults = drive_config(**changes), bus_config(), SimpleFin(clock), []
     with EmulatedDrive(bus, emulated or config, fin, clock) as behind:

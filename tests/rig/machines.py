@@ -4,8 +4,9 @@ import math
 import threading
 from collections.abc import Callable
 
+from softfin.control.controller import Measured
 from softfin.core.clock import REAL, Clock, RealClock
-from softfin.core.quantities import PAPER_LIMITS, TICK_S, Limits
+from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Limits
 from softfin.rig.machine import Sample, Target
 from softfin.rig.pace import Pace
 
@@ -135,12 +136,11 @@ class Wagging:
     def init(self) -> int:
         return 0
 
-    def act(
-        self, state: int, angle: float, force: tuple[float, float], reference: tuple[float, float]
-    ) -> tuple[int, Target]:
+    def act(self, state: int, measured: Measured, reference: tuple[float, float]) -> tuple[int, Command]:
         self.asked.append(reference)
-        self.forces.append(force)
-        return state + 1, self._worse(state) or Target(0.5 if state % 2 else -0.5, 2.0)
+        self.forces.append(measured.force)
+        target = self._worse(state) or Target(0.5 if state % 2 else -0.5, 2.0)
+        return state + 1, Command(*target)
 
 
 def quick_pace(hours: Hours) -> Pace:

@@ -10,9 +10,9 @@ import yaml
 
 from softfin.core.clock import REAL
 from softfin.rig.bench import Bench
+from softfin.rig.emulation.fin import SimpleFin
 from softfin.rig.emulation.plugged import Plugged, plug, unplug
 from softfin.rig.emulation.rig import EmulatedRig
-from softfin.rig.emulation.simple import SimpleFin
 from softfin.rig.rig import Rig
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.tank import Tank

@@ -1,6 +1,6 @@
 """A fin whose wrench the test sets."""
 
-from softfin.rig.emulation.fin import Motion
+from softfin.rig.emulation.fin import FinMotion
 
 
 class StillFin:
@@ -14,4 +14,4 @@ class StillFin:
         pass
 
     def now(self):
-        return Motion(0.0, 0.0, 0.0, 0.0, self.wrench)
+        return FinMotion(0.0, 0.0, 0.0, 0.0, self.wrench)

@@ -2,8 +2,8 @@ import socket
 
 from softfin.core.clock import REAL
 from softfin.rig.config import load_rig
+from softfin.rig.emulation.fin import SimpleFin
 from softfin.rig.emulation.rig import EmulatedRig, write_simulated
-from softfin.rig.emulation.simple import SimpleFin
 from softfin.tank import Tank
 
 

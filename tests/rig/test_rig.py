@@ -1,8 +1,10 @@
 import pytest
 
-from softfin.core.errors import DeviceError, RigError
+from softfin.core.errors import DeviceError, RigError, SafetyStop
 from softfin.rig.epos2.cia402 import State
 from softfin.rig.machine import Machine, Target
+from softfin.rig.safety import Guard
+from softfin.rig.session import Session
 from softfin.testing import check_machine
 from tests.rig.rigs import emulated
 
@@ -72,3 +74,16 @@ def test_counters_are_whole_numbers_by_name_after_close_too():
         assert all(name.isidentifier() for name in counters)
         bench.machine.close()
         assert all(isinstance(count, int) for count in bench.machine.counters().values())
+
+
+def test_a_stop_over_a_cut_cable_does_not_claim_that_the_motor_is_off():
+    with emulated() as (behind, bench):
+        guard = Guard(bench.safety, bench.machine.limits)
+        with Session(bench.machine, guard) as session:
+            session.activate()
+            behind.drive.go_silent()
+            session.stop_request.ask("emergency_stop", "stopped by a key")
+            with pytest.raises(SafetyStop) as stopped:
+                session.tick()
+    assert str(stopped.value).startswith("stopped: stopped by a key; BUT drive did not confirm")
+    assert stopped.value.exit_code == 3

@@ -22,8 +22,8 @@ import yaml
 
 from softfin.core.clock import REAL
 from softfin.core.errors import SafetyStop
+from softfin.rig.emulation.fin import SimpleFin
 from softfin.rig.emulation.rig import EmulatedRig
-from softfin.rig.emulation.simple import SimpleFin
 from softfin.rig.epos2.cia402 import State
 from softfin.rig.loop import hold
 from softfin.rig.machine import Target
@@ -82,7 +82,7 @@ def bus_lost(at: Scene) -> None:
     def refuse(message: can.Message, timeout: float | None = None) -> None:
         raise can.CanOperationError("Transmit buffer full")
 
-    at.patches.setattr(at.rig.drive._wire._bus, "send", refuse)
+    at.patches.setattr(at.rig.drive._connection._bus, "send", refuse)
 
 
 def reordered(at: Scene) -> None:

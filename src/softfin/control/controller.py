@@ -147,11 +147,11 @@ class LoadedController:
                 f"({reference[0]:g}, {reference[1]:g}) N: a controller needs finite numbers; check drive and sensor"
             )
         state, action = self.step.act(ops, state, np.array((angle, *reference), np.float32))
-        command = command_of(self.limits, np.asarray(action, float))
-        ranges = zip(command, self.limits[::2], self.limits[1::2], strict=True)
+        command: Any = command_of(self.limits, action.tolist())
+        least_angle, greatest_angle, least_velocity, greatest_velocity = self.limits
         # Rounding must not lead out of the limits.
-        numbers: list[Any] = [float(min(max(number, low), high)) for number, low, high in ranges]
-        return state, Command(*numbers)
+        angle = min(max(command.angle, least_angle), greatest_angle)
+        return state, Command(angle, min(max(command.velocity, least_velocity), greatest_velocity))
 
     def check(self, reference: Force) -> None:
         """Raise CoverageError where the reference is outside every cell."""

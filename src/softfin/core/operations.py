@@ -121,4 +121,7 @@ NUMPY, JAX = NumPyOperations(), JaxOperations()
 
 def operations_of(*values: Any) -> Operations:
     """Return NumPy's operations where all values are Python's or NumPy's, else JAX's."""
-    return NUMPY if all(isinstance(value, (float, int, np.ndarray, np.generic, tuple)) for value in values) else JAX
+    for value in values:
+        if not isinstance(value, (float, int, np.ndarray, np.generic, tuple)):
+            return JAX
+    return NUMPY

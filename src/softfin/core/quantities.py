@@ -131,11 +131,11 @@ class Limits(NamedTuple):
 
 
 def command_of(limits: Limits, action: Any) -> Command:
-    """Map an action in [-1, 1]^2, an array of any library, onto the limits."""
-    part = (action + 1) / 2
+    """Map an action in [-1, 1]^2, two numbers or an array of any library, onto the limits."""
+    angle, velocity = (action[0] + 1) / 2, (action[1] + 1) / 2
     return Command(
-        limits.angle_min + part[0] * (limits.angle_max - limits.angle_min),
-        limits.velocity_min + part[1] * (limits.velocity_max - limits.velocity_min),
+        limits.angle_min + angle * (limits.angle_max - limits.angle_min),
+        limits.velocity_min + velocity * (limits.velocity_max - limits.velocity_min),
     )
 
 

@@ -52,7 +52,7 @@ class GaitTable(NamedTuple):
         last = self.actions.shape[axis] - 1
         low, width = self.low[axis], self.high[axis] - self.low[axis]
         # A box for a single reference has no width, and all its nodes are the same.
-        place = (force - low) / ops.choose(width > 0, lambda: width, lambda: np.float32(1))
+        place = ops.real((force - low) / ops.choose(width > 0, lambda: width, lambda: np.float32(1)))
         place = ops.choose(place > 0, lambda: place, lambda: np.float32(0))
         place = ops.choose(place < 1, lambda: place, lambda: np.float32(1)) * np.float32(last)
         whole = ops.whole(place)

@@ -9,7 +9,7 @@ from softfin.core.configuration import Config, Configuration, read_yaml
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.core.quantities import TICK_S
 from softfin.rig.axia80.config import SensorConfig
-from softfin.rig.epos2.config import BusConfig, DriveConfig
+from softfin.rig.epos2.config import BusConfig, Epos2Config
 from softfin.rig.filter import design
 from softfin.rig.ros2.plant import Ros2PlantConfig
 from softfin.rig.safety import SafetyConfig
@@ -41,7 +41,7 @@ class RigConfig(Configuration):
     """What this fin is called; datasets, surrogates and controllers carry the name on."""
     bus: BusConfig
     """The CAN bus."""
-    drive: DriveConfig
+    drive: Epos2Config
     """The EPOS2 on it."""
     sensor: SensorConfig
     """The Axia80."""

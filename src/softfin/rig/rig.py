@@ -48,7 +48,7 @@ class Rig:
     @property
     def doubt(self) -> str | None:
         """Of the drive."""
-        return self.drive.doubt
+        return self.drive.stop_unconfirmed
 
     def open(self) -> None:
         """Connect to both and configure the drive, without power to the motor."""
@@ -62,7 +62,7 @@ class Rig:
     def read(self) -> Sample:
         """Have the drive sample now; of the force, what came until now."""
         if self._ticks % BEAT_TICKS == 0:
-            self.drive.beat()
+            self.drive.send_heartbeat()
         self._ticks += 1
         drive = self.drive.sync_and_read(ANSWER_S)
         force = self.sensor.read()

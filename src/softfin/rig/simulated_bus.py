@@ -18,7 +18,7 @@ _channels: WeakKeyDictionary[SimulatedClock, dict[str, list["SimulatedBus"]]] = 
 
 
 def open_bus(config: BusConfig, clock: Clock) -> can.BusABC:
-    """On a simulated clock that of this process, whatever the interface; raises what python-can raises."""
+    """Open a bus; on a simulated clock that of this process, whatever the interface. Raises what python-can raises."""
     if isinstance(clock, SimulatedClock):
         return SimulatedBus(clock, config.channel)
     options: dict[str, Any] = {**config.options, "bitrate": config.bitrate}
@@ -38,23 +38,20 @@ class SimulatedBus(can.BusABC):
         self._all.append(self)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Raises CanOperationError once it is shut down."""
+        """Send a frame; raises CanOperationError once the bus is shut down."""
         self._check_open()
         for bus in list(self._all):
             if bus is not self:
-                bus._put(msg, self._clock())
+                message = copy.copy(msg)
+                message.timestamp = self._clock()
+                bus._frames.append(message)
+                bus._news.set()
 
     def shutdown(self) -> None:
-        """Any number of times; whoever waits for a frame is woken."""
+        """Shut down, any number of times; whoever waits for a frame is woken."""
         super().shutdown()
         if self in self._all:
             self._all.remove(self)
-        self._news.set()
-
-    def _put(self, message: can.Message, now: float) -> None:
-        message = copy.copy(message)
-        message.timestamp = now
-        self._frames.append(message)
         self._news.set()
 
     def recv(self, timeout: float | None = None) -> can.Message | None:

@@ -10,15 +10,15 @@ import canopen
 from canopen.profiles.p402 import BaseNode402
 
 from softfin.rig.emulation.drive import EmulatedDrive
-from softfin.rig.emulation.drive_dictionary import dictionary, values
-from softfin.rig.emulation.simple import SimpleFin
+from softfin.rig.emulation.drive_objects import dictionary, values
+from softfin.rig.emulation.fin import SimpleFin
 from tests.rig.epos2_bench import NODE, bus_config, drive_config
 from tests.rig.machines import Hours
 
 PATIENCE_S = 60.0
 """In real time: the machine that runs the tests is shared."""
 
-PRE_OPERATIONAL, OPERATIONAL, STOPPED, RESET_NODE, RESET_COMMUNICATION = 0x80, 0x01, 0x02, 0x81, 0x82
+PRE_OPERATIONAL, OPERATIONAL, STOPPED, RESET_NODE = 0x80, 0x01, 0x02, 0x81
 
 
 class CanopenBench:

@@ -6,11 +6,15 @@ import can
 import pytest
 
 from softfin.core.errors import CommandError, DeviceError, RigError
+from softfin.core.quantities import Limits
+from softfin.rig.emulation import drive_motor
 from softfin.rig.epos2 import objects
 from softfin.rig.epos2.cia402 import FAULTS, POWERED, State
 from softfin.rig.epos2.config import BusConfig
 from softfin.rig.epos2.drive import Epos2
+from softfin.rig.epos2.power import REFUSED
 from softfin.rig.machine import Target
+from softfin.rig.safety import Guard, SafetyConfig
 from softfin.rig.simulated_clock import SimulatedClock
 from tests.rig.epos2_bench import NODE, Bench, Sniffer, bench, bus_config, drive_config, enabled
 
@@ -23,7 +27,7 @@ def test_opening_gives_no_power_and_the_drive_holds_our_limits() -> None:
         assert made.drive.state is State.SWITCH_ON_DISABLED
         assert made.drive.complaints() == ()
         assert not made.drive.referenced
-        ask = made.drive._wire.ask
+        ask = made.drive._connection.read
         units = made.drive.units
         assert ask(objects.POSITION_MIN) == units.counts(-1.0)
         assert ask(objects.POSITION_MAX) == units.counts(0.5)
@@ -291,13 +295,13 @@ def test_a_node_that_left_the_operational_state_is_complained_of() -> None:
 
 def test_a_bus_that_takes_no_frames_is_a_complaint_and_no_error_in_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     with enabled() as made:
-        bus = made.drive._wire._bus
+        bus = made.drive._connection._bus
 
         def refuse(*_: object) -> None:
             raise can.CanOperationError("transmit buffer full")
 
         monkeypatch.setattr(bus, "send", refuse)
-        made.drive.beat()
+        made.drive.send_heartbeat()
         assert not made.drive.sync_and_read(0.001).new
         assert any("takes no frames" in line for line in made.drive.complaints())
         made.drive.stop()
@@ -306,7 +310,7 @@ def test_a_bus_that_takes_no_frames_is_a_complaint_and_no_error_in_the_loop(monk
 
 def test_receiving_errors_are_told_and_do_not_end_the_receiver(monkeypatch: pytest.MonkeyPatch) -> None:
     with enabled() as made:
-        bus = made.drive._wire._bus
+        bus = made.drive._connection._bus
         assert bus is not None
         receive, left = bus.recv, [3]
 
@@ -327,7 +331,7 @@ def test_the_adapters_own_word_about_the_bus_is_passed_on(
     monkeypatch: pytest.MonkeyPatch, state: str, words: str
 ) -> None:
     with enabled() as made:
-        monkeypatch.setattr(type(made.drive._wire._bus), "state", can.BusState[state], raising=False)
+        monkeypatch.setattr(type(made.drive._connection._bus), "state", can.BusState[state], raising=False)
         assert any(words in line for line in made.drive.complaints())
 
 
@@ -376,7 +380,7 @@ def test_a_stop_within_on_fault_brakes_at_once_and_takes_the_voltage_off() -> No
         made.drive._exchange._on_fault = lambda _: made.drive.stop()
         made.drive.command(Target(1.0, 1.0))
         # An emergency that only tells: the emulated drive itself goes on.
-        made.emulated._emergency(0x4210, 0x01)
+        made.emulated._emergency(0x4210)
         assert made.until(lambda: 0x0002 in sniffer.controlwords())
         assert made.until(lambda: made.emulated.state is State.SWITCH_ON_DISABLED)
 
@@ -415,7 +419,7 @@ def test_a_stop_of_a_node_that_takes_no_process_data_goes_by_sdo() -> None:
     with enabled() as made, Sniffer(made) as sniffer:
         made.drive.command(Target(1.5, 1.0))
         sniffer.send(0x000, bytes([0x80, NODE]))
-        assert made.until(lambda: made.drive._exchange.seen.nmt == 0x7F)
+        assert made.until(lambda: made.drive._exchange.status.nmt == 0x7F)
         made.drive.stop()
         assert made.emulated.state in AT_REST
         assert (0x600 + NODE, bytes.fromhex("2b40600002000000")) in [frame[1:] for frame in sniffer.frames]
@@ -437,7 +441,7 @@ def test_a_send_that_hangs_does_not_hang_the_stop() -> None:
         hung, free = made.clock.event(), made.clock.event()
 
         def hang() -> None:
-            with made.drive._exchange.news:
+            with made.drive._exchange.lock:
                 hung.set()
                 free.wait(20.0)
 
@@ -463,3 +467,51 @@ def test_a_homing_that_failed_does_not_leave_its_mode_for_targets() -> None:
         made.drive.command(Target(0.2, 3.0))
         assert made.until(lambda: abs(made.fin.now().angle - 0.2) < 1e-3)
         assert made.drive.sync_and_read(0.1).angle == pytest.approx(0.2, abs=1e-3)
+
+
+def test_a_stop_that_the_drive_does_not_confirm_is_unconfirmed_and_a_complaint(monkeypatch: pytest.MonkeyPatch) -> None:
+    obey = drive_motor.next_state
+    with enabled() as made:
+        assert made.until(lambda: True)
+        made.drive.stop()
+        assert made.drive.stop_unconfirmed is None
+        made.drive.enable()
+        monkeypatch.setattr(
+            drive_motor,
+            "next_state",
+            lambda state, word, before: state if word in (0, 2) else obey(state, word, before),
+        )
+        made.drive.stop()
+        assert "press the emergency stop" in made.drive.stop_unconfirmed
+        assert made.drive.complaints() == (made.drive.stop_unconfirmed,)
+        monkeypatch.undo()
+        made.drive.stop()
+        assert made.drive.stop_unconfirmed is None
+
+
+def test_a_command_that_safety_lets_pass_is_taken_and_put_on_the_limit() -> None:
+    # A controller for pi/2, and a rig's file that says 1.57.
+    with enabled(angle_max_rad=1.57) as made:
+        target = Target(1.5708, 3.14)
+        config = made.drive.config
+        limits = Limits(config.angle_min_rad, config.angle_max_rad, config.slowest_rad_s, config.fastest_rad_s)
+        assert Guard(SafetyConfig(), limits).check_target(target) is None
+        made.drive.command(target)
+        assert made.until(lambda: made.drive.sync_and_read().angle == pytest.approx(1.57, abs=1e-3))
+        assert made.emulated.state.words == "operation enabled"
+
+
+def test_a_stop_over_a_bus_that_takes_no_frames_ends_soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    with enabled() as made:
+        bus, tried = made.drive._connection._bus, list[int]()
+
+        def send(message: can.Message, timeout: float | None = None) -> None:
+            tried.append(message.arbitration_id)
+            made.clock.sleep(0.001)
+            raise can.CanOperationError("transmit buffer full")
+
+        monkeypatch.setattr(bus, "send", send)
+        made.drive.stop()
+        assert 0 < tried.count(0x200 + NODE) <= 2 * REFUSED + 1
+        assert "press the emergency stop" in made.drive.stop_unconfirmed
+        monkeypatch.undo()

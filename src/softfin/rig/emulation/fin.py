@@ -1,28 +1,34 @@
-"""What both emulated devices share: a fin that moves by itself, in real time."""
+"""The fin behind both emulated devices: what they need of it, and one that needs no JAX."""
 
+import math
+import threading
 from typing import NamedTuple, Protocol, runtime_checkable
 
+from softfin.core.clock import REAL, Clock
 from softfin.rig.machine import Wrench
 
+SIMPLE_FORCE_N = 0.5
+"""Force of a simple fin at 1 rad/s."""
 
-class Motion(NamedTuple):
-    """Of an emulated fin at one moment."""
+
+class FinMotion(NamedTuple):
+    """Motion and force of an emulated fin at one moment."""
 
     angle: float
-    """Of the shaft [rad]."""
+    """Angle of the shaft [rad]."""
     velocity: float
-    """[rad/s]"""
+    """Angular velocity of the shaft [rad/s]."""
     demand: float
-    """Where the drive's profile is [rad]."""
+    """Angle of the drive's profile [rad]."""
     current: float
-    """Of the motor [A]."""
+    """Current of the motor [A]."""
     wrench: Wrench
-    """Of the fin on its mount, in softfin's axes, as the sensor's own electronics would hand it on."""
+    """Wrench of the fin on its mount, in softfin's axes, as the sensor's own electronics would hand it on."""
 
 
 @runtime_checkable
 class EmulatedFin(Protocol):
-    """A fin on a shaft that follows a profile; safe to call from several threads."""
+    """A fin on a shaft that follows a profile, and moves on with its clock; safe to call from several threads."""
 
     def move(self, angle: float, velocity: float) -> None:
         """Go to an angle [rad] at a profile velocity [rad/s], from now on."""
@@ -32,6 +38,39 @@ class EmulatedFin(Protocol):
         """Brake and stay."""
         ...
 
-    def now(self) -> Motion:
-        """As it is at this moment."""
+    def now(self) -> FinMotion:
+        """Motion and force at this moment."""
         ...
+
+
+class SimpleFin:
+    """Follows its profile exactly, at constant velocity to the target; its force is proportional to its velocity."""
+
+    def __init__(self, clock: Clock = REAL) -> None:
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._start, self._began, self._target, self._velocity = 0.0, clock(), 0.0, 1.0
+
+    def move(self, angle: float, velocity: float) -> None:
+        """Begin where the fin is now."""
+        with self._lock:
+            self._start, self._began = self._angle(), self._clock()
+            self._target, self._velocity = angle, velocity
+
+    def halt(self) -> None:
+        """Stop at once."""
+        with self._lock:
+            self._start = self._target = self._angle()
+
+    def now(self) -> FinMotion:
+        """Force towards -x while it turns to positive angles."""
+        with self._lock:
+            angle = self._angle()
+            rest = self._target - angle
+            velocity = 0.0 if rest == 0 else math.copysign(self._velocity, rest)
+        return FinMotion(angle, velocity, angle, abs(velocity), (-SIMPLE_FORCE_N * velocity, 0.0, 0.0, 0.0, 0.0, 0.0))
+
+    def _angle(self) -> float:
+        way, passed = self._target - self._start, self._velocity * (self._clock() - self._began)
+        # The target itself, which start + way may miss by a rounding error: then the fin would never be at rest.
+        return self._target if passed >= abs(way) else self._start + math.copysign(passed, way)

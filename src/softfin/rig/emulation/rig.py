@@ -17,7 +17,7 @@ from softfin.rig.emulation.drive import EmulatedDrive
 from softfin.rig.emulation.fin import EmulatedFin
 from softfin.rig.emulation.sensor import EmulatedAxia80
 from softfin.rig.emulation.tank import TankFin
-from softfin.rig.epos2.config import BusConfig, DriveConfig
+from softfin.rig.epos2.config import BusConfig, Epos2Config
 from softfin.rig.simulated_bus import SIMULATED
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.storage import artifact as artifacts
@@ -141,7 +141,7 @@ def _write(path: Path, what: str, values: dict[str, Any]) -> None:
     artifacts.write_file(path, text + yaml.safe_dump(values, sort_keys=False))
 
 
-def _values(drive: DriveConfig, bus: dict[str, Any], sensor: dict[str, Any]) -> dict[str, Any]:
+def _values(drive: Epos2Config, bus: dict[str, Any], sensor: dict[str, Any]) -> dict[str, Any]:
     return {
         "fin": "emulated",
         "bus": bus,
@@ -152,7 +152,7 @@ def _values(drive: DriveConfig, bus: dict[str, Any], sensor: dict[str, Any]) -> 
     }
 
 
-def _drive(tank: Tank | None, real_time: bool) -> DriveConfig:
+def _drive(tank: Tank | None, real_time: bool) -> Epos2Config:
     """As the tank's drive is: 500 lines at a reduction of 111:1 are its encoder's steps."""
     changes: dict[str, float] = {"heartbeat_s": HEARTBEAT_S} if real_time else {}
     if tank is not None:
@@ -162,7 +162,7 @@ def _drive(tank: Tank | None, real_time: bool) -> DriveConfig:
             "slowest_rad_s": limits.velocity_min, "fastest_rad_s": limits.velocity_max,
             "acceleration_rad_s2": float(tank.drive.acceleration),
         }  # fmt: skip
-    return DriveConfig.build(
+    return Epos2Config.build(
         {"node": 1, "encoder_lines": 500, "gear_ratio": 111.0, "acceleration_rad_s2": 80.0, "quick_stop_rad_s2": 80.0,
          "following_error_rad": 0.5, **changes},
         "emulated drive",

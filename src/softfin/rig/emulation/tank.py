@@ -1,6 +1,6 @@
 """The virtual tank as the fin behind emulated devices: it moves on with the clock, whoever looks.
 
-Between two samples of 10 ms motion and force are interpolated, so all that is seen is one sample old.
+Between two samples of 10 ms motion and force are interpolated, so all that is measured is one sample old.
 """
 
 import threading
@@ -13,14 +13,14 @@ import numpy as np
 from softfin.core.clock import REAL, Clock
 from softfin.core.plant import rest_command
 from softfin.core.quantities import TICK_S, Command, Reading
-from softfin.rig.emulation.fin import Motion
+from softfin.rig.emulation.fin import FinMotion
 from softfin.tank import Tank
 
 AMPERE_PER_NM = 1 / (111 * 0.0259)
 """Current of the emulated motor for a torque at the fin: a reduction of 111:1 and 25.9 mN m/A, both assumed."""
 
 LONGEST_S = 2.0
-"""In real time: after a longer pause of this process the fin goes on from where it was, as if there had been none."""
+"""Longest pause of this process in real time; after a longer one the fin goes on as if there had been none."""
 
 
 class TankFin:
@@ -36,41 +36,40 @@ class TankFin:
         self._before = self._after = self._step()
         self._before, self._after = self._after, self._step()
         self._time = clock()
-        self._seen: tuple[float, Motion] | None = None
+        self._latest: tuple[float, FinMotion] | None = None
 
     def remembered(self) -> dict[str, Any]:
         """All of its state, for JSON."""
         with self._lock:
             self._catch_up()
-            state = self._state._replace(key=jax.random.key_data(self._state.key))
-            leaves = [np.asarray(leaf).tolist() for leaf in jax.tree.leaves((state, self._command))]
+            leaves = [np.asarray(leaf).tolist() for leaf in jax.tree.leaves(self._plain())]
             return {"state": leaves, "before": self._before.tolist(), "after": self._after.tolist()}
 
     def recall(self, remembered: dict[str, Any]) -> None:
         """Go on from there; raises ValueError where that is the state of another tank."""
         with self._lock:
-            bare = self._state._replace(key=jax.random.key_data(self._state.key))
-            now, tree = jax.tree.flatten((bare, self._command))
-            then = [np.asarray(leaf, like.dtype) for leaf, like in zip(remembered["state"], now, strict=True)]
-            before, after = (np.array(remembered[name], float) for name in ("before", "after"))
-            shapes = [leaf.shape for leaf in (*then, before, after)]
-            if shapes != [leaf.shape for leaf in (*now, self._before, self._after)]:
+            now, tree = jax.tree.flatten((self._plain(), self._before, self._after))
+            held = (*remembered["state"], remembered["before"], remembered["after"])
+            then = [np.asarray(leaf, like.dtype) for leaf, like in zip(held, now, strict=True)]
+            if [leaf.shape for leaf in then] != [leaf.shape for leaf in now]:
                 raise ValueError("a state of another tank")
-            state, self._command = jax.tree.unflatten(tree, [jnp.asarray(leaf) for leaf in then])
+            plain, self._before, self._after = jax.tree.unflatten(tree, then)
+            state, self._command = jax.tree.map(jnp.asarray, plain)
             self._state = state._replace(key=jax.random.wrap_key_data(state.key))
-            self._before, self._after, self._time, self._seen = before, after, self._clock(), None
+            self._time, self._latest = self._clock(), None
 
     def move(self, angle: float, velocity: float) -> None:
-        """Brought within what the tank's drive takes, as the drive's own limits would."""
+        """Go to an angle, brought within what the tank's drive takes, as the drive's own limits would."""
         limits = self.tank.limits
-        angle = min(max(angle, limits.angle_min), limits.angle_max)
-        velocity = min(max(velocity, limits.velocity_min), limits.velocity_max)
         with self._lock:
             self._catch_up()
-            self._command = Command(jnp.float32(angle), jnp.float32(velocity))
+            self._command = Command(
+                jnp.float32(min(max(angle, limits.angle_min), limits.angle_max)),
+                jnp.float32(min(max(velocity, limits.velocity_min), limits.velocity_max)),
+            )
 
     def halt(self) -> None:
-        """At the fastest ramp, to where it can stop."""
+        """Go at the fastest ramp to where it can stop."""
         with self._lock:
             self._catch_up()
             angle, velocity = self._after[0], self._after[1]
@@ -79,20 +78,22 @@ class TankFin:
             goal = min(max(angle + ahead, limits.angle_min), limits.angle_max)
             self._command = Command(jnp.float32(goal), jnp.float32(limits.velocity_max))
 
-    def now(self) -> Motion:
-        """One sample ago."""
+    def now(self) -> FinMotion:
+        """Motion and force one sample ago."""
         with self._lock:
             now = self._clock()
             # Drive and sensor ask many times at one moment.
-            if self._seen is None or self._seen[0] != now:
-                self._seen = (now, self._at(now))
-            return self._seen[1]
+            if self._latest is None or self._latest[0] != now:
+                self._catch_up()
+                part = min(max((now - self._time) / TICK_S, 0.0), 1.0)
+                angle, velocity, demand, torque, x, y = ((1 - part) * self._before + part * self._after).tolist()
+                wrench = (x, y, 0.0, 0.0, 0.0, 0.0)
+                self._latest = now, FinMotion(angle, velocity, demand, torque * AMPERE_PER_NM, wrench)
+            return self._latest[1]
 
-    def _at(self, now: float) -> Motion:
-        self._catch_up()
-        part = min(max((now - self._time) / TICK_S, 0.0), 1.0)
-        angle, velocity, demand, torque, x, y = ((1 - part) * self._before + part * self._after).tolist()
-        return Motion(angle, velocity, demand, torque * AMPERE_PER_NM, (x, y, 0.0, 0.0, 0.0, 0.0))
+    def _plain(self) -> tuple[Any, Command]:
+        """State and command, the random key as numbers."""
+        return self._state._replace(key=jax.random.key_data(self._state.key)), self._command
 
     def _catch_up(self) -> None:
         now = self._clock()
@@ -103,8 +104,8 @@ class TankFin:
             self._time += TICK_S
 
     def _step(self) -> np.ndarray:
-        self._state, seen = _tick(self.tank, self._state, self._command)
-        return np.asarray(seen, float)
+        self._state, sample = _tick(self.tank, self._state, self._command)
+        return np.asarray(sample, float)
 
 
 @jax.jit
@@ -113,5 +114,5 @@ def _tick(tank: Tank, state: Any, command: Command) -> tuple[Any, Any]:
     state, reading = tank.advance(state, command, 1)
     read: Reading = jax.tree.map(lambda x: x[0], reading)
     drive = state.drive
-    seen = [read.angle, read.velocity, drive.profile_angle, drive.torque, read.force[0], read.force[1]]
-    return state, jnp.stack([jnp.asarray(value) for value in seen])
+    sample = [read.angle, read.velocity, drive.profile_angle, drive.torque, read.force[0], read.force[1]]
+    return state, jnp.stack([jnp.asarray(value) for value in sample])

@@ -1,10 +1,9 @@
 """The drive's state machine (CiA 402) with the twelve states of an EPOS2: statusword in, next controlword out; pure.
 
 States and bits: maxon "EPOS2 Firmware Specification" (rel5466) and drivers that were written from it. The generic masks
-of CiA 402 would read two of the twelve, refresh and measure-init, as "switched on".
+of CiA 402, as in canopen's `State402`, would read two of the twelve, refresh and measure-init, as "switched on".
 """
 
-from collections.abc import Iterable
 from enum import Enum, IntFlag
 
 STATE_MASK = 0x417F
@@ -19,10 +18,12 @@ FAULT_RESET = 0x0080
 NEW_TARGET = 0x003F
 """Operation enabled, a new target (bit 4), absolute, at once (bit 5)."""
 START_HOMING = 0x001F
+RESET_EDGE = (DISABLE_VOLTAGE, FAULT_RESET, DISABLE_VOLTAGE)
+"""The controlwords that acknowledge a fault: bit 7 must rise, so it is lowered first."""
 
 
 class State(Enum):
-    """Of the drive; the value is the masked statusword."""
+    """State of the drive; the value is the masked statusword."""
 
     START = 0x0000
     NOT_READY = 0x0100
@@ -39,14 +40,13 @@ class State(Enum):
 
     @property
     def words(self) -> str:
-        """For messages."""
+        """Name of the state for messages."""
         return self.name.lower().replace("_", " ")
 
 
 class Bit(IntFlag):
-    """Bits of the statusword that say more than the state."""
+    """Bits of the statusword beside the state."""
 
-    VOLTAGE = 1 << 4
     REMOTE = 1 << 9
     TARGET_REACHED = 1 << 10
     LIMIT = 1 << 11
@@ -58,20 +58,11 @@ class Bit(IntFlag):
 
 
 FAULTS = frozenset({State.FAULT_REACTION_DISABLED, State.FAULT_REACTION_ENABLED, State.FAULT})
-POWERED = frozenset(
-    {
-        State.REFRESH,
-        State.MEASURE_INIT,
-        State.OPERATION_ENABLED,
-        State.QUICK_STOP_ACTIVE,
-        State.FAULT_REACTION_ENABLED,
-    }
-)
+ENABLING = frozenset({State.REFRESH, State.MEASURE_INIT, State.OPERATION_ENABLED})
+"""Operation enabled, and the two states through which a drive gets there by itself."""
+POWERED = ENABLING | {State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ENABLED}
 """States in which the motor carries current."""
-
 UNPOWERED = frozenset(State) - POWERED
-
-STATES = {state.value: state for state in State}
 
 _TO_ENABLED = {
     State.SWITCH_ON_DISABLED: SHUTDOWN,
@@ -79,11 +70,12 @@ _TO_ENABLED = {
     State.SWITCHED_ON: ENABLE_OPERATION,
     State.QUICK_STOP_ACTIVE: DISABLE_VOLTAGE,
 }
+_STATES = {state.value: state for state in State}
 
 
 def decode(statusword: int) -> State | None:
-    """The state that a statusword says; None for one that no EPOS2 sends."""
-    return STATES.get(statusword & STATE_MASK)
+    """The state in a statusword; None for one that no EPOS2 sends."""
+    return _STATES.get(statusword & STATE_MASK)
 
 
 def towards_enabled(state: State | None) -> int | None:
@@ -92,8 +84,3 @@ def towards_enabled(state: State | None) -> int | None:
     A quick stop is first left through disabled voltage: a drive that was stopped is never let go on.
     """
     return _TO_ENABLED.get(state) if state else None
-
-
-def reset_edge() -> Iterable[int]:
-    """The controlwords that acknowledge a fault: bit 7 must rise, so it is lowered first."""
-    return (DISABLE_VOLTAGE, FAULT_RESET, DISABLE_VOLTAGE)

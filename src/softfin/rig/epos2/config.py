@@ -11,26 +11,24 @@ from softfin.core.quantities import PAPER_LIMITS, TICK_S, Limits
 COUNTS_A_LINE = 4
 """Quadrature: every line of the encoder gives four edges."""
 
-LARGEST_COUNT = 2**31 - 1
-
 LONGEST_BRAKE_S = 0.5
-"""A quick stop that takes longer is none, and whoever waits for its end would give it up."""
+"""Longest quick stop from the highest velocity; whoever waits for the end of a longer one would give it up."""
 
 
 class BusConfig(Configuration):
     """A CAN bus as python-can names it."""
 
     interface: str
-    """socketcan, pcan, kvaser, slcan, socketcand, virtual ..; no default: it is that of the adapter."""
+    """Interface of the adapter: socketcan, pcan, kvaser, slcan, socketcand, virtual ..; no default."""
     channel: str
-    """Such as can0; no default."""
+    """Channel of the interface, such as can0; no default."""
     bitrate: int = Field(1_000_000, gt=0, le=1_000_000)
-    """[bit/s]; an EPOS2 leaves the works with 1 Mbit/s. SocketCAN takes the one that ``ip link`` was given."""
+    """Bitrate [bit/s]; an EPOS2 is delivered with 1 Mbit/s. SocketCAN takes the one that ``ip link`` was given."""
     options: dict[str, str | int | float | bool] = Field(default_factory=dict)
-    """What else the interface needs, such as host and port of socketcand."""
+    """Further options of the interface, such as host and port of socketcand."""
 
 
-class DriveConfig(Configuration):
+class Epos2Config(Configuration):
     """An EPOS2 with its motor, gear and encoder."""
 
     node: int = Field(ge=1, le=127)
@@ -52,7 +50,7 @@ class DriveConfig(Configuration):
     fastest_rad_s: float = Field(PAPER_LIMITS.velocity_max, gt=0)
     """Highest profile velocity, which the drive itself keeps [rad/s]; the paper's, Sec. III-A."""
     acceleration_rad_s2: float = Field(gt=0)
-    """Of the profile, both ways [rad/s2]; no default: it follows from motor, gear and fin."""
+    """Acceleration and deceleration of the profile [rad/s2]; no default: it follows from motor, gear and fin."""
     quick_stop_rad_s2: float = Field(gt=0)
     """Deceleration of a quick stop [rad/s2]; no default: as much as the fin's mount bears."""
     following_error_rad: float = Field(gt=0)
@@ -69,11 +67,7 @@ class DriveConfig(Configuration):
     """Refuse to move before the fin was zeroed since the drive's power-up; false only for an absolute encoder."""
 
     @model_validator(mode="after")
-    def _fits(self) -> "DriveConfig":
-        if not self.angle_min_rad < self.angle_max_rad:
-            raise ValueError(f"angle_min_rad {self.angle_min_rad:g} must be below angle_max_rad {self.angle_max_rad:g}")
-        if not self.slowest_rad_s <= self.fastest_rad_s:
-            raise ValueError(f"slowest_rad_s {self.slowest_rad_s:g} is above fastest_rad_s {self.fastest_rad_s:g}")
+    def _fits(self) -> "Epos2Config":
         limits = Limits(self.angle_min_rad, self.angle_max_rad, self.slowest_rad_s, self.fastest_rad_s)
         if problem := limits.problem(one_velocity=True):
             raise ValueError(problem)
@@ -85,37 +79,33 @@ class DriveConfig(Configuration):
                 f"quick_stop_rad_s2 {self.quick_stop_rad_s2:g} takes {braking:.1f} s to stop from fastest_rad_s: "
                 f"at most {LONGEST_BRAKE_S:g} s; give {self.fastest_rad_s / LONGEST_BRAKE_S:.1f} or more"
             )
-        units = Units.of(self)
-        for angle in (self.angle_min_rad, self.angle_max_rad):
-            if abs(units.counts(angle)) > LARGEST_COUNT:
-                raise ValueError(f"{angle:g} rad is more counts than the drive can hold; check encoder and gear")
-        if units.rpm(self.slowest_rad_s) == 0:
+        if Units.of(self).rpm(self.slowest_rad_s) == 0:
             raise ValueError(f"slowest_rad_s {self.slowest_rad_s:g} is less than 1 rpm of the motor; raise it")
         return self
 
 
 class Units(NamedTuple):
-    """From the fin's angle to the drive's counts, rpm and rpm/s, and back."""
+    """Conversion of the fin's angle to the drive's counts, rpm and rpm/s, and back."""
 
     counts_per_rad: float
     rpm_per_rad_s: float
     direction: int
     zero: float
-    """Angle where the drive counts zero [rad]."""
+    """Angle of the fin where the drive counts zero [rad]."""
 
     @classmethod
-    def of(cls, config: DriveConfig) -> "Units":
-        """Of a drive."""
+    def of(cls, config: Epos2Config) -> "Units":
+        """Units of a drive."""
         turns_per_rad = config.gear_ratio / (2 * math.pi)
         counts_a_turn = COUNTS_A_LINE * config.encoder_lines
         return cls(turns_per_rad * counts_a_turn, 60 * turns_per_rad, config.direction, config.zero_offset_rad)
 
     def counts(self, angle: float) -> int:
-        """Position at an angle [rad], to the nearest count."""
+        """Position [counts] at an angle [rad], to the nearest count."""
         return self.direction * round((angle - self.zero) * self.counts_per_rad)
 
     def angle(self, counts: int) -> float:
-        """Angle [rad] at a position."""
+        """Angle [rad] at a position [counts]."""
         return self.direction * counts / self.counts_per_rad + self.zero
 
     def distance(self, angle: float) -> int:
@@ -123,17 +113,13 @@ class Units(NamedTuple):
         return max(1, round(angle * self.counts_per_rad))
 
     def rpm(self, velocity: float) -> int:
-        """Of the motor, for a speed of the fin [rad/s] in either direction; its size."""
+        """Speed of the motor [rpm] for a velocity of the fin [rad/s]; its size."""
         return round(abs(velocity) * self.rpm_per_rad_s)
 
-    def signed_rpm(self, velocity: float) -> int:
-        """Of the motor, for a velocity of the fin [rad/s]."""
-        return self.direction * round(velocity * self.rpm_per_rad_s)
-
     def velocity(self, rpm: int) -> float:
-        """Of the fin [rad/s]."""
+        """Velocity of the fin [rad/s] for one of the motor [rpm]."""
         return self.direction * rpm / self.rpm_per_rad_s
 
     def rpm_s(self, acceleration: float) -> int:
-        """Of the motor, for an acceleration of the fin [rad/s2]; at least 1."""
+        """Acceleration of the motor [rpm/s] for one of the fin [rad/s2]; at least 1."""
         return max(1, round(acceleration * self.rpm_per_rad_s))

@@ -1,23 +1,23 @@
-"""What goes to and fro between host and drive: SYNC, process data, heartbeats, new targets, and the stop.
+"""What goes to and fro between host and drive: SYNC, process data, heartbeats, new targets, and the quick stop.
 
 Frames are taken in the receiver's thread, everything else is sent from the caller's. Nothing that could move the fin is
 sent but under the lock, with `armed` set: so nothing follows a stop.
 """
 
 from collections.abc import Callable
+from enum import Enum, auto
 from typing import NamedTuple
 
 from softfin.core.clock import Clock
 from softfin.core.errors import DeviceError
 from softfin.rig.epos2 import cia402, objects
 from softfin.rig.epos2.cia402 import Bit, State
-from softfin.rig.epos2.config import BusConfig, DriveConfig, Units
-from softfin.rig.epos2.seen import ALL, Seen
-from softfin.rig.epos2.target import Handshake, Setpoint
-from softfin.rig.epos2.wire import Wire
+from softfin.rig.epos2.config import BusConfig, Epos2Config, Units
+from softfin.rig.epos2.connection import CanConnection
+from softfin.rig.epos2.status import ALL, DriveStatus
 
 PATIENCE_TICKS = 6
-"""In which the drive must acknowledge a target; its statuswords come once a tick."""
+"""Ticks in which the drive must acknowledge a target; its statuswords come once a tick."""
 LOCK_TIMEOUT_S = 0.05
 """A thread that hangs in a send must not keep a stop from going out."""
 
@@ -26,38 +26,103 @@ _VELOCITY = objects.layout(objects.TAKEN[1])
 
 
 class DriveReading(NamedTuple):
-    """The newest that the drive said."""
+    """The newest values of the drive."""
 
     time: float
     """The SYNC that the drive sampled its position at [s]."""
     angle: float
-    """[rad]"""
+    """Angle of the fin [rad]."""
     velocity: float
-    """[rad/s]"""
+    """Angular velocity of the fin [rad/s]."""
     current: float
-    """Of the motor [A]."""
+    """Current of the motor [A]."""
     following_error: float
     """Angle demanded less angle [rad]."""
-    statusword: int
     state: State | None
     new: bool
     """Whether all of it answers the SYNC of this reading."""
 
 
+class Setpoint(NamedTuple):
+    """A target in the drive's units."""
+
+    counts: int
+    rpm: int
+
+
+class Stage(Enum):
+    """How far the hand-shake of a target is: bit 4 of the controlword is raised, or lowered again."""
+
+    IDLE = auto()
+    RAISED = auto()
+    LOWERED = auto()
+
+
+class Handshake:
+    """The hand-shake by which an EPOS2 takes a target; `patience` [s] is how long an answer may take.
+
+    Bit 4 of the controlword rises with the target; the drive answers with bit 12 of the statusword; bit 4 falls, then
+    bit 12 (maxon "EPOS2 Firmware Specification", rel5466). The newest target wins while another is on its way.
+    """
+
+    def __init__(self, patience: float) -> None:
+        self._patience = patience
+        self._stage, self._since = Stage.IDLE, 0.0
+        self._waiting: Setpoint | None = None
+        self.current: Setpoint | None = None
+        """The target that the drive has, or is being given."""
+        self.superseded = self.repeated = 0
+        self.unanswered = 0
+        """Times in a row that the drive did not acknowledge the current target."""
+
+    def clear(self) -> None:
+        """Forget everything: the drive was stopped, or is enabled anew."""
+        self._stage, self._waiting, self.current, self.unanswered = Stage.IDLE, None, None, 0
+
+    def offer(self, setpoint: Setpoint) -> None:
+        """Give this to the drive as soon as it can take it."""
+        self.superseded += self._waiting is not None
+        self._waiting = setpoint
+
+    def step(self, acknowledged: bool, now: float) -> Setpoint | bool | None:
+        """What to send next: a target to raise, True to lower bit 4, or None."""
+        late = now - self._since > self._patience
+        if self._stage is Stage.RAISED and (acknowledged or late):
+            self._stage, self._since = Stage.LOWERED, now
+            self.unanswered = 0 if acknowledged else self.unanswered + 1
+            if not acknowledged:
+                self.repeated += 1
+                self._waiting = self._waiting or self.current
+            return True
+        if self._stage is Stage.LOWERED or (self._stage is Stage.IDLE and self._waiting):
+            if acknowledged:
+                # A drive whose bit 12 does not fall takes no target.
+                self._since = now if late else self._since
+                self.unanswered += late
+                return late or None
+            self._stage = Stage.IDLE
+        if self._stage is Stage.IDLE and self._waiting and not acknowledged:
+            self.current, self._waiting = self._waiting, None
+            self._stage, self._since = Stage.RAISED, now
+            return self.current
+        return None
+
+
 class Exchange:
-    """`on_fault(line)` is called in the receiver's thread within milliseconds of a fault."""
+    """One drive on one bus; `on_fault(line)` is called in the receiver's thread within milliseconds of a fault."""
 
     def __init__(
-        self, bus: BusConfig, config: DriveConfig, clock: Clock, on_fault: Callable[[str], None] | None
+        self, bus: BusConfig, config: Epos2Config, clock: Clock, on_fault: Callable[[str], None] | None
     ) -> None:
         self._config, self._units, self.clock, self._on_fault = config, Units.of(config), clock, on_fault
-        self.wire = Wire(bus, config.node, self._take, self._troubled, clock)
-        self.news = clock.condition()
+        self.connection = CanConnection(bus, config.node, self._take, self._report, clock)
+        self.lock = clock.condition()
+        """Guards all below; notified of every frame."""
         self.reset()
 
     def reset(self) -> None:
-        """As before the first frame."""
-        self.seen = Seen(self._config.node)
+        """Forget everything, as before the first frame."""
+        self.status = DriveStatus(self._config.node)
         self.handshake = Handshake(PATIENCE_TICKS * self._config.sync_s)
         self.trouble: str | None = None
         """The newest that went wrong on the bus; it stays until the drive is connected anew."""
@@ -70,48 +135,59 @@ class Exchange:
 
     def sync_and_read(self, timeout: float) -> DriveReading:
         """Have the drive sample, wait for the answers [s]; the newest known where they do not all come."""
-        with self.news:
-            self.seen.synchronised(self.clock())
+        status, units = self.status, self._units
+        with self.lock:
+            status.synchronise(self.clock())
             self.attempt(objects.SYNC, b"")
-            self.news.wait_for(lambda: self.seen.fresh == ALL, timeout)
-            self._shake()
-            return self._reading()
+            self.lock.wait_for(lambda: status.answered == ALL, timeout)
+            self._carry_on()
+            angle = units.angle(status.position)
+            return DriveReading(
+                status.times[0],
+                angle,
+                units.velocity(status.velocity),
+                status.current / 1000,
+                units.angle(status.demand) - angle,
+                status.state,
+                status.answered == ALL,
+            )
 
-    def beat(self) -> None:
-        """Our heartbeat."""
+    def send_heartbeat(self) -> None:
+        """Send the host's heartbeat."""
         self.attempt(objects.HEARTBEAT + self._config.host_node, bytes([objects.OPERATIONAL]))
 
     def nmt(self, command: int) -> None:
-        """A command to the node's state."""
-        self.wire.send(objects.NMT, bytes([command, self._config.node]))
+        """Send a command to the node's state (NMT)."""
+        self.connection.send(objects.NMT, bytes([command, self._config.node]))
 
     def attempt(self, cob_id: int, data: bytes) -> None:
         """Send in the loop, where a bus that fails is a complaint and no error."""
         try:
-            self.wire.send(cob_id, data)
+            self.connection.send(cob_id, data)
         except DeviceError as error:
             self.trouble = str(error)
 
     def offer(self, setpoint: Setpoint) -> None:
-        """A new target; raises DeviceError where the drive is not enabled."""
-        with self.news:
+        """Give the drive a new target; raises DeviceError where the drive is not enabled."""
+        with self.lock:
             if not self.armed:
                 raise DeviceError("drive is not enabled; enable it before it is asked to move")
             self.handshake.offer(setpoint)
-            self._shake()
+            self._carry_on()
 
-    def control(self, word: int) -> None:
-        """A controlword, without a new target."""
-        self._order(word, self.seen.position)
+    def control(self, word: int, counts: int | None = None) -> None:
+        """Send a controlword with a target; without one, where the drive is."""
+        data = _WORD_AND_TARGET.pack(word, self.status.position if counts is None else counts)
+        self.connection.send(objects.RPDO[0] + self._config.node, data)
 
     def refuse_halted(self, halts: int) -> None:
-        """Raises DeviceError where it was stopped since."""
+        """Raise DeviceError where the drive was stopped since it had been stopped so many times."""
         if self.halts != halts:
             raise DeviceError("drive was stopped while it was being enabled; enable it again")
 
     def brake(self) -> bool:
         """Quick stop at once, from any thread; nothing is enabled or moved after it. False where a send hangs."""
-        locked = self.news.acquire(timeout=LOCK_TIMEOUT_S)
+        locked = self.lock.acquire(timeout=LOCK_TIMEOUT_S)
         try:
             self.armed = False
             self.halts += 1
@@ -120,73 +196,59 @@ class Exchange:
                 self.insist(cia402.QUICK_STOP)
         finally:
             if locked:
-                self.news.release()
+                self.lock.release()
         return locked
 
     def insist(self, word: int) -> bool:
-        """By process data; where that fails or the node does not take them, by SDO; whether the bus took any of it."""
+        """Send a controlword by process data; where that fails or the node does not take them, by SDO.
+
+        Whether the bus took any of it.
+        """
         sent = True
         try:
             self.control(word)
         except DeviceError as error:
             sent, self.trouble = False, str(error)
-        if not sent or self.seen.nmt != objects.OPERATIONAL:
+        if not sent or self.status.nmt != objects.OPERATIONAL:
             try:
-                self.wire.shout(objects.CONTROLWORD, word)
+                self.connection.write_unconfirmed(objects.CONTROLWORD, word)
                 sent = True
             except DeviceError as error:
                 self.trouble = str(error)
         return sent
 
-    def _reading(self) -> DriveReading:
-        seen, units = self.seen, self._units
-        angle = units.angle(seen.position)
-        return DriveReading(
-            seen.position_time,
-            angle,
-            units.velocity(seen.velocity),
-            seen.current / 1000,
-            units.angle(seen.demand) - angle,
-            seen.statusword,
-            seen.state,
-            seen.fresh == ALL,
-        )
-
     def _take(self, cob_id: int, data: bytes) -> None:
-        with self.news:
-            trouble = self.seen.take(cob_id, data, self.clock())
+        with self.lock:
+            fault = self.status.take(cob_id, data, self.clock())
             if cob_id == objects.TPDO[0] + self._config.node:
-                self._shake()
-            self.news.notify_all()
-        if trouble:
-            self._tell(trouble)
+                self._carry_on()
+            self.lock.notify_all()
+        if fault:
+            self._call_on_fault(fault)
 
-    def _troubled(self, line: str) -> None:
+    def _report(self, line: str) -> None:
         self.trouble = line
-        self._tell(line)
+        self._call_on_fault(line)
 
-    def _tell(self, line: str) -> None:
-        if self._on_fault:
-            try:
+    def _call_on_fault(self, line: str) -> None:
+        try:
+            if self._on_fault:
                 self._on_fault(line)
-            except Exception as error:
-                # The receiver's thread must live on: it also brings the answers to the stop.
-                self.trouble = f"{line} (and what was to be done then failed: {error})"
+        except Exception as error:
+            # The receiver's thread must live on: it also brings the answers to the stop.
+            self.trouble = f"{line} (and what was to be done then failed: {error})"
 
-    def _shake(self) -> None:
+    def _carry_on(self) -> None:
         """Carry the hand-shake on, as far as the newest statusword lets it."""
         if not self.armed:
             return
         try:
-            step = self.handshake.step(self.seen.has(Bit.ACKNOWLEDGED), self.clock())
+            step = self.handshake.step(self.status.has(Bit.ACKNOWLEDGED), self.clock())
             if isinstance(step, Setpoint):
-                self.wire.send(objects.RPDO[1] + self._config.node, _VELOCITY.pack(step.rpm))
-                self._order(cia402.NEW_TARGET, step.counts)
+                self.connection.send(objects.RPDO[1] + self._config.node, _VELOCITY.pack(step.rpm))
+                self.control(cia402.NEW_TARGET, step.counts)
             elif step:
                 target = self.handshake.current
-                self._order(cia402.ENABLE_OPERATION, target.counts if target else self.seen.position)
+                self.control(cia402.ENABLE_OPERATION, target.counts if target else None)
         except DeviceError as error:
             self.trouble = str(error)
-
-    def _order(self, word: int, counts: int) -> None:
-        self.wire.send(objects.RPDO[0] + self._config.node, _WORD_AND_TARGET.pack(word, counts))

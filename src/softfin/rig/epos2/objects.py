@@ -7,13 +7,13 @@ the sub-indices of 0x2210 and 0x6410 and the home position 0x2081 are the ones t
 import struct
 from typing import NamedTuple
 
-BOOT_UP, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0x00, 0x04, 0x05, 0x7F
-"""What a heartbeat says."""
+BOOT_UP, OPERATIONAL = 0x00, 0x05
+"""States of a node in its heartbeat."""
 
 NMT_START, NMT_PRE_OPERATIONAL, NMT_RESET = 0x01, 0x80, 0x81
 
 NMT, SYNC, EMERGENCY, SDO_ANSWER, SDO_REQUEST, HEARTBEAT = 0x000, 0x080, 0x080, 0x580, 0x600, 0x700
-"""COB-IDs; the node's number is added but to NMT and SYNC."""
+"""COB-IDs; to all but NMT and SYNC the node's number is added."""
 TPDO = (0x180, 0x280, 0x380)
 RPDO = (0x200, 0x300)
 
@@ -29,20 +29,20 @@ class Object(NamedTuple):
     """One entry of the drive's object dictionary."""
 
     number: int
-    """The index; a tuple has a method of that name."""
+    """Index in the dictionary; a tuple has a method of that name."""
     sub: int
     form: str
-    """As `struct` writes it: B, H, I unsigned; b, h, i signed."""
+    """Letter of its type in `struct`: B, H, I unsigned; b, h, i signed."""
     name: str
 
     @property
     def layout(self) -> struct.Struct:
-        """Little-endian, as CANopen has it."""
+        """Layout of its bytes: little-endian, as CANopen has it."""
         return struct.Struct(f"<{self.form}")
 
     @property
     def mapping(self) -> int:
-        """As an entry of a PDO's mapping."""
+        """Entry that stands for it in a PDO's mapping."""
         return self.number << 16 | self.sub << 8 | 8 * self.layout.size
 
     def __str__(self) -> str:
@@ -84,15 +84,15 @@ SUPPORTED_MODES = Object(0x6502, 0, "I", "supported modes")
 OBJECTS = tuple(value for value in list(globals().values()) if isinstance(value, Object))
 
 SENT = ((STATUSWORD, POSITION), (VELOCITY, CURRENT), (DEMAND,))
-"""By the drive on every SYNC: TPDO 1, 2, 3."""
+"""Objects that the drive sends on every SYNC: TPDO 1, 2, 3."""
 TAKEN = ((CONTROLWORD, TARGET), (PROFILE_VELOCITY,))
-"""By the drive, at once: RPDO 1, 2."""
+"""Objects that the drive takes at once: RPDO 1, 2."""
 ON_SYNC, AT_ONCE = 1, 255
-"""Transmission types."""
+"""Transmission types of process data."""
 INVALID = 1 << 31
 """Bit of a PDO's COB-ID: it is off."""
 
 
 def layout(objects: tuple[Object, ...]) -> struct.Struct:
-    """Of a PDO that carries these objects."""
+    """Layout of a PDO that carries these objects."""
     return struct.Struct("<" + "".join(each.form for each in objects))

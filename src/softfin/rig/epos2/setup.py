@@ -5,55 +5,57 @@ Nothing here moves the motor, and nothing is stored for good: the drive forgets 
 
 from softfin.core.errors import DeviceError, RigError
 from softfin.rig.epos2 import cia402, objects
-from softfin.rig.epos2.config import DriveConfig, Units
-from softfin.rig.epos2.faults import fault_line
+from softfin.rig.epos2.config import Epos2Config, Units
+from softfin.rig.epos2.connection import CanConnection
 from softfin.rig.epos2.objects import Object
-from softfin.rig.epos2.wire import Wire
+from softfin.rig.epos2.status import fault_line
 
 NO_REMOTE_REQUEST = 1 << 30
 HEARTBEATS = 10
-"""The drive's in the time after which silence means that it is gone."""
+"""Heartbeats of the drive in the time after which silence means that it is gone."""
 HOME = {objects.HOMING_METHOD: objects.HOME_HERE, objects.HOME_OFFSET: 0, objects.HOME_POSITION: 0}
 """What makes the present position zero."""
 COB_ID_MASK = objects.INVALID | 0x7FF
 
 
 def milliseconds(seconds: float) -> int:
-    """As the heartbeat objects hold times; at least 1."""
+    """A time as the heartbeat objects hold it; at least 1."""
     return max(1, round(1000 * seconds))
 
 
-def identify(wire: Wire, config: DriveConfig) -> None:
-    """Raises RigError where the node is not there, and says which are; or where it is no drive."""
+def identify(connection: CanConnection, config: Epos2Config) -> None:
+    """Raise RigError where the node does not answer, naming those that do; or where it is not a drive."""
     try:
-        device = wire.ask(objects.DEVICE_TYPE)
+        device = connection.read(objects.DEVICE_TYPE)
     except DeviceError:
-        others = [node for node in wire.scan() if node != config.node]
+        others = [node for node in connection.scan() if node != config.node]
         found = f"node{'s' * (len(others) > 1)} {', '.join(map(str, others))} did: set drive.node" if others else ""
         raise RigError(
-            f"no drive answers as node {config.node} on {wire.name}; "
+            f"no drive answers as node {config.node} on {connection.name}; "
             + (found or "no other node does either: look at supply, cable, termination and bus.bitrate")
         ) from None
     if device & 0xFFFF != objects.SERVO_DRIVE:
         raise RigError(
-            f"node {config.node} is no drive: its device type is 0x{device:08X}, not CiA {objects.SERVO_DRIVE}; "
+            f"node {config.node} is not a drive: its device type is 0x{device:08X}, not CiA {objects.SERVO_DRIVE}; "
             "set drive.node of the rig's file to the EPOS2's"
         )
 
 
-def fault_of(wire: Wire) -> str:
-    """Name of the drive's newest error."""
-    if wire.ask(objects.ERROR_COUNT):
-        return fault_line(wire.ask(objects.NEWEST_ERROR) & 0xFFFF)
+def fault_of(connection: CanConnection) -> str | None:
+    """The fault that the drive is in, asked for; None when it is in none."""
+    if cia402.decode(connection.read(objects.STATUSWORD)) not in cia402.FAULTS:
+        return None
+    if connection.read(objects.ERROR_COUNT):
+        return fault_line(connection.read(objects.NEWEST_ERROR) & 0xFFFF)
     return "drive is in fault without an entry in its error history"
 
 
-def refuse_busy(wire: Wire) -> None:
-    """Raises RigError for a drive in fault, or one that somebody else has enabled."""
-    word = wire.ask(objects.STATUSWORD)
+def refuse_busy(connection: CanConnection) -> None:
+    """Raise RigError for a drive in fault, or one that somebody else has enabled."""
+    if fault := fault_of(connection):
+        raise RigError(f"{fault}; then run: softfin rig check --reset-fault")
+    word = connection.read(objects.STATUSWORD)
     state = cia402.decode(word)
-    if state in cia402.FAULTS:
-        raise RigError(f"{fault_of(wire)}; then run: softfin rig check --reset-fault")
     if state is None:
         raise RigError(f"drive's statusword 0x{word:04X} is none of an EPOS2; check drive.node of the rig's file")
     if state in cia402.POWERED:
@@ -62,39 +64,24 @@ def refuse_busy(wire: Wire) -> None:
         )
 
 
-def check(wire: Wire, config: DriveConfig) -> None:
-    """Motor, modes and encoder as the drive is set up, against the rig's file; raises RigError."""
-    motor = wire.ask(objects.MOTOR_TYPE)
+def check(connection: CanConnection, config: Epos2Config) -> None:
+    """Compare motor, modes and encoder as the drive is set up with the rig's file; raises RigError."""
+    motor = connection.read(objects.MOTOR_TYPE)
     if motor not in objects.BRUSHLESS:
-        known = " or ".join(f"{number} ({name})" for number, name in objects.BRUSHLESS.items())
-        raise RigError(f"drive's motor type is {motor}; an EC-max has {known}: set the motor up in EPOS Studio")
-    if not wire.ask(objects.SUPPORTED_MODES) & 1 << objects.PROFILE_POSITION - 1:
+        allowed = " or ".join(f"{number} ({name})" for number, name in objects.BRUSHLESS.items())
+        raise RigError(f"drive's motor type is {motor}; an EC-max has {allowed}: set the motor up in EPOS Studio")
+    if not connection.read(objects.SUPPORTED_MODES) & 1 << objects.PROFILE_POSITION - 1:
         raise RigError("drive has no profile position mode; update its firmware")
-    lines = wire.ask(objects.ENCODER_LINES)
+    lines = connection.read(objects.ENCODER_LINES)
     if lines != config.encoder_lines:
         raise RigError(
-            f"drive is set to an encoder of {lines} lines, the rig's file says encoder_lines {config.encoder_lines}; "
+            f"drive is set to an encoder of {lines} lines, the rig's file to encoder_lines {config.encoder_lines}; "
             "correct whichever is wrong, or every angle is"
         )
 
 
-def configure(wire: Wire, config: DriveConfig) -> None:
-    """Limits, profile, mode, heartbeat and process data; the node must be pre-operational."""
-    for entry, value in limits(config).items():
-        write(wire, entry, value)
-    set_mode(wire, objects.PROFILE_POSITION)
-    write(wire, objects.HEARTBEAT_PRODUCER, milliseconds(config.heartbeat_s / HEARTBEATS))
-    for number, entries in enumerate(objects.SENT):
-        _map(wire, 0x1800 + number, objects.TPDO[number] + config.node, entries, objects.ON_SYNC)
-    for number, entries in enumerate(objects.TAKEN):
-        _map(wire, 0x1400 + number, objects.RPDO[number] + config.node, entries, objects.AT_ONCE)
-    # What else the drive was once told to send and take: TPDO 4, RPDO 3 and 4.
-    for unused, cob_id in ((0x1803, 0x480), (0x1402, 0x400), (0x1403, 0x500)):
-        _set_cob_id(wire, unused, cob_id + config.node | objects.INVALID)
-
-
-def limits(config: DriveConfig) -> dict[Object, int]:
-    """What the drive itself is to keep to."""
+def configure(connection: CanConnection, config: Epos2Config) -> None:
+    """Write limits, profile, mode, heartbeat and process data; the node must be pre-operational."""
     units = Units.of(config)
     ends = sorted((units.counts(config.angle_min_rad), units.counts(config.angle_max_rad)))
     values = {
@@ -111,40 +98,50 @@ def limits(config: DriveConfig) -> dict[Object, int]:
     }
     if config.current_limit_a is not None:
         values[objects.CURRENT_LIMIT] = round(1000 * config.current_limit_a)
-    return values
+    for entry, value in values.items():
+        write(connection, entry, value)
+    set_mode(connection, objects.PROFILE_POSITION)
+    write(connection, objects.HEARTBEAT_PRODUCER, milliseconds(config.heartbeat_s / HEARTBEATS))
+    for number, entries in enumerate(objects.SENT):
+        _map(connection, 0x1800 + number, objects.TPDO[number] + config.node, entries, objects.ON_SYNC)
+    for number, entries in enumerate(objects.TAKEN):
+        _map(connection, 0x1400 + number, objects.RPDO[number] + config.node, entries, objects.AT_ONCE)
+    # What else the drive was once told to send and take: TPDO 4, RPDO 3 and 4.
+    for unused, cob_id in ((0x1803, 0x480), (0x1402, 0x400), (0x1403, 0x500)):
+        _set_cob_id(connection, unused, cob_id + config.node | objects.INVALID)
 
 
-def write(wire: Wire, entry: Object, value: int) -> None:
+def write(connection: CanConnection, entry: Object, value: int) -> None:
     """Write and read back; raises RigError where the drive holds another value."""
-    wire.tell(entry, value)
-    _same(entry, value, wire.ask(entry))
+    connection.write(entry, value)
+    _compare(entry, value, connection.read(entry))
 
 
-def set_mode(wire: Wire, mode: int) -> None:
-    """And see that the drive is in it."""
-    wire.tell(objects.MODE, mode)
-    _same(objects.MODE_DISPLAY, mode, wire.ask(objects.MODE_DISPLAY))
+def set_mode(connection: CanConnection, mode: int) -> None:
+    """Set the mode of operation; raises RigError where the drive is not in it then."""
+    connection.write(objects.MODE, mode)
+    _compare(objects.MODE_DISPLAY, mode, connection.read(objects.MODE_DISPLAY))
 
 
-def _map(wire: Wire, number: int, cob_id: int, entries: tuple[Object, ...], transmission: int) -> None:
+def _map(connection: CanConnection, number: int, cob_id: int, entries: tuple[Object, ...], transmission: int) -> None:
     """Mapping objects are 0x200 above those of the communication; a PDO must be off while its mapping changes."""
-    _set_cob_id(wire, number, cob_id | objects.INVALID)
+    _set_cob_id(connection, number, cob_id | objects.INVALID)
     count = Object(number + 0x200, 0, "B", "mapped objects")
-    wire.tell(count, 0)
+    connection.write(count, 0)
     for place, entry in enumerate(entries, 1):
-        write(wire, Object(number + 0x200, place, "I", "mapping"), entry.mapping)
-    write(wire, count, len(entries))
-    write(wire, Object(number, 2, "B", "transmission type"), transmission)
-    _set_cob_id(wire, number, cob_id)
+        write(connection, Object(number + 0x200, place, "I", "mapping"), entry.mapping)
+    write(connection, count, len(entries))
+    write(connection, Object(number, 2, "B", "transmission type"), transmission)
+    _set_cob_id(connection, number, cob_id)
 
 
-def _set_cob_id(wire: Wire, number: int, cob_id: int) -> None:
+def _set_cob_id(connection: CanConnection, number: int, cob_id: int) -> None:
     entry = Object(number, 1, "I", "COB-ID")
-    wire.tell(entry, cob_id | NO_REMOTE_REQUEST)
-    _same(entry, cob_id & COB_ID_MASK, wire.ask(entry) & COB_ID_MASK)
+    connection.write(entry, cob_id | NO_REMOTE_REQUEST)
+    _compare(entry, cob_id & COB_ID_MASK, connection.read(entry) & COB_ID_MASK)
 
 
-def _same(entry: Object, wanted: int, held: int) -> None:
+def _compare(entry: Object, wanted: int, held: int) -> None:
     if held != wanted:
         raise RigError(
             f"drive's {entry} stayed {held} where {wanted} was written; "

@@ -28,7 +28,7 @@ def test_no_frame_moves_an_enabled_drive_that_was_asked_for_nothing() -> None:
                 if cob_id not in ours:
                     sniffer.send(cob_id, data)
             made.clock.sleep(0.0)
-            made.drive.beat()
+            made.drive.send_heartbeat()
             made.drive.sync_and_read(0.01)
             assert all("\n" not in line for line in made.drive.complaints())
         assert 0x003F not in sniffer.controlwords()

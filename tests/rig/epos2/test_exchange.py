@@ -1,7 +1,8 @@
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softfin.rig.epos2.target import Handshake, Setpoint
+from softfin.rig.epos2.exchange import Handshake, Setpoint
 
 FIRST, SECOND, THIRD = Setpoint(1, 1), Setpoint(2, 2), Setpoint(3, 3)
 
@@ -56,6 +57,20 @@ def test_a_lowering_that_was_lost_is_sent_again() -> None:
     assert shake.step(True, 0.01) is True
     assert shake.step(True, 0.02) is None
     assert shake.step(True, 0.1) is True
+
+
+@pytest.mark.parametrize("raised", [True, False], ids=["after a target", "before the first target"])
+def test_a_drive_whose_acknowledgement_never_falls_is_counted(raised: bool) -> None:
+    shake, now = Handshake(0.06), 5.0
+    shake.offer(FIRST)
+    if raised:
+        assert shake.step(False, now) == FIRST
+        assert shake.step(True, now) is True
+        shake.offer(SECOND)
+    while shake.unanswered < 3:
+        now += 0.01
+        assert now < 6
+        assert not isinstance(shake.step(True, now), Setpoint)
 
 
 @given(st.lists(st.tuples(st.booleans(), st.booleans(), st.floats(0.001, 0.1)), max_size=60))

@@ -1,0 +1,144 @@
+"""Power stage and motor of an emulated EPOS2: states, profile position mode, homing; the fin in counts and rpm.
+
+Every target takes effect at once, as our driver asks for; a relative one is not taken.
+"""
+
+from collections.abc import Callable
+
+from softfin.rig.emulation.fin import EmulatedFin
+from softfin.rig.epos2 import cia402, objects
+from softfin.rig.epos2.cia402 import State
+from softfin.rig.epos2.config import Units
+from softfin.rig.epos2.objects import Object
+
+MODES = frozenset({objects.PROFILE_POSITION, objects.HOMING})
+NEW_TARGET, RELATIVE = 1 << 4, 1 << 6
+"""Bits of the controlword."""
+POSITION_LIMIT = 0xFF09
+"""Emergency: the target lies outside the drive's own limits."""
+
+BY_ITSELF = {
+    State.START: State.NOT_READY,
+    State.NOT_READY: State.SWITCH_ON_DISABLED,
+    State.REFRESH: State.MEASURE_INIT,
+    State.MEASURE_INIT: State.OPERATION_ENABLED,
+    State.FAULT_REACTION_DISABLED: State.FAULT,
+    State.FAULT_REACTION_ENABLED: State.FAULT,
+}
+"""States that a drive leaves by itself, a tick later."""
+
+
+def next_state(state: State, word: int, before: int) -> State:
+    """The state after a controlword, `before` being the last one: CiA 402 with maxon's two states on the way."""
+    if state is State.FAULT and word & ~before & cia402.FAULT_RESET:
+        return State.SWITCH_ON_DISABLED
+    if state in cia402.FAULTS or state in (State.START, State.NOT_READY) or word & cia402.FAULT_RESET:
+        return state
+    if not word & 2:
+        return State.SWITCH_ON_DISABLED
+    if not word & 4:
+        return State.QUICK_STOP_ACTIVE if state in cia402.POWERED else State.SWITCH_ON_DISABLED
+    if state is State.QUICK_STOP_ACTIVE:
+        return State.OPERATION_ENABLED if word & 9 == 9 else state
+    if not word & 1:
+        return State.READY
+    if not word & 8:
+        return state if state is State.SWITCH_ON_DISABLED else State.SWITCHED_ON
+    return State.REFRESH if state is State.SWITCHED_ON else state
+
+
+class EmulatedMotor:
+    """`value(entry)` is the drive's object, `fault(code)` its fault."""
+
+    def __init__(
+        self, fin: EmulatedFin, units: Units, value: Callable[[Object], int], fault: Callable[[int], None]
+    ) -> None:
+        self._fin, self._units, self._value, self._fault = fin, units, value, fault
+        self.ignored = 0
+        """So many of the next targets are not taken."""
+        self.power_up()
+
+    def power_up(self) -> None:
+        """Begin anew: the zero is lost."""
+        self._mode = objects.PROFILE_POSITION
+        self._homed = self.referenced = False
+        self._stalled_at: int | None = None
+        # An incremental encoder counts from wherever it wakes up; [counts] of the fin's own angle.
+        self.zero = self._units.counts(self._fin.now().angle)
+        self.halt()
+
+    def halt(self) -> None:
+        """Brake and forget the target."""
+        self._fin.halt()
+        self._goal: int | None = None
+        self._acknowledged = False
+
+    def stall(self) -> None:
+        """Leave the fin where it is while the profile goes on."""
+        self._stalled_at = self.position
+
+    @property
+    def mode(self) -> int:
+        """One of `MODES`; a change of it ends a homing."""
+        return self._mode
+
+    @mode.setter
+    def mode(self, mode: int) -> None:
+        self._mode, self._homed = mode, False
+
+    @property
+    def position(self) -> int:
+        """Position of the fin [counts]."""
+        return self._counts(self._fin.now().angle) if self._stalled_at is None else self._stalled_at
+
+    @property
+    def demand(self) -> int:
+        """Position of the profile [counts]."""
+        return self._counts(self._fin.now().demand)
+
+    @property
+    def rpm(self) -> int:
+        """Velocity of the motor [rpm]."""
+        velocity = 0.0 if self._stalled_at is not None else self._fin.now().velocity
+        return self._units.direction * round(velocity * self._units.rpm_per_rad_s)
+
+    @property
+    def current(self) -> int:
+        """Current of the motor [mA]."""
+        return min(max(round(1000 * self._fin.now().current), -0x7FFF), 0x7FFF)
+
+    @property
+    def is_target_reached(self) -> bool:
+        """Bit 10 of the statusword: the profile has ended, or without one the shaft is at rest."""
+        return self.rpm == 0 if self._goal is None else self._goal == self.demand
+
+    @property
+    def is_acknowledged(self) -> bool:
+        """Bit 12 of the statusword: target acknowledged, or home attained."""
+        return self._homed if self._mode == objects.HOMING else self._acknowledged
+
+    def control(self, word: int, before: int) -> None:
+        """Follow a controlword while operation is enabled."""
+        is_new = bool(word & ~before & NEW_TARGET)
+        if self._mode == objects.HOMING:
+            if is_new and self._value(objects.HOMING_METHOD) == objects.HOME_HERE:
+                self.zero += self.position
+                self.referenced = self._homed = True
+        elif not word & NEW_TARGET:
+            self._acknowledged = False
+        elif is_new and self.ignored:
+            self.ignored -= 1
+        elif is_new and not word & RELATIVE:
+            self._acknowledged = True
+            self._move(self._value(objects.TARGET))
+
+    def _move(self, goal: int) -> None:
+        self._goal = goal
+        if not self._value(objects.POSITION_MIN) <= goal <= self._value(objects.POSITION_MAX):
+            self._fault(POSITION_LIMIT)
+            return
+        rpm = min(self._value(objects.PROFILE_VELOCITY), self._value(objects.FASTEST))
+        self._fin.move(self._units.angle(goal + self.zero), abs(self._units.velocity(rpm)))
+
+    def _counts(self, angle: float) -> int:
+        return self._units.counts(angle) - self.zero

@@ -1,0 +1,242 @@
+"""The connection to the drive: a python-can bus with its receiving thread, and SDO transfers on it; bounded in time.
+
+canopen's `Network` is not used: a malformed frame or one receiving error ends its thread, and every later frame, a
+quick stop too, then raises. Its SDO client waits on the real clock alone; every object used here fits into one frame.
+"""
+
+import contextlib
+import logging
+import socket
+import struct
+import threading
+from collections import Counter
+from collections.abc import Callable
+
+import can
+from canopen import SdoAbortedError
+
+from softfin.core.clock import REAL, Clock, Thread
+from softfin.core.errors import DeviceError, RigError
+from softfin.rig.epos2 import objects
+from softfin.rig.epos2.config import BusConfig
+from softfin.rig.epos2.objects import Object
+from softfin.rig.simulated_bus import open_bus
+
+SDO_TIMEOUT_S = 0.5
+SEND_TIMEOUT_S = 0.05
+RECEIVER_CYCLE_S = 0.05
+CLOSE_TIMEOUT_S = 0.5
+ERROR_PAUSE_S = 0.05
+"""Pause after a receiving error, so that a bus that is gone does not take a whole core."""
+SCAN_PAUSE_S = 0.002
+"""Pause between two requests to all nodes: the transmit queue of a SocketCAN interface holds ten frames."""
+
+UPLOAD, DOWNLOADED, ABORTED = 0x40, 0x60, 0x80
+"""Commands of an SDO: read an object; it was written; the transfer was refused."""
+
+MAXON_ABORTS = {
+    0x0F00FFB9: "Wrong node number",
+    0x0F00FFBC: "Not in service mode",
+    0x0F00FFBE: "Wrong password",
+    0x0F00FFBF: "Command illegal",
+    0x0F00FFC0: "Wrong NMT state",
+}
+"""Abort codes of an EPOS2 beyond those of CiA 301 (maxon "EPOS2 Communication Guide", rel4054)."""
+
+# python-can would write to the terminal what our errors report.
+logging.getLogger("can").addHandler(logging.NullHandler())
+
+
+class CanConnection:
+    """A bus with one drive; `on_frame(cob_id, data)` and `on_problem(line)` are called in the receiver's thread."""
+
+    def __init__(
+        self,
+        config: BusConfig,
+        node: int,
+        on_frame: Callable[[int, bytes], None],
+        on_problem: Callable[[str], None],
+        clock: Clock = REAL,
+    ) -> None:
+        self._config, self._node, self._clock = config, node, clock
+        self._on_frame, self._on_problem = on_frame, on_problem
+        self._bus: can.BusABC | None = None
+        self._receiving: Thread | None = None
+        self._receiver: threading.Thread | None = None
+        # Re-entrant, for a stop in a signal handler that interrupts a send.
+        self._sending, self._requesting = clock.rlock(), clock.lock()
+        self._answered = clock.condition()
+        self._request, self._answer = b"", b""
+        self.nodes: set[int] = set()
+        """Nodes that sent anything."""
+        self.counters: Counter[str] = Counter()
+
+    @property
+    def name(self) -> str:
+        """Interface and channel of the bus, for messages."""
+        return f"CAN bus {self._config.interface} {self._config.channel}"
+
+    @property
+    def in_receiver(self) -> bool:
+        """Whether this is the receiver's thread, which must not wait for an answer."""
+        return threading.current_thread() is self._receiver
+
+    def open(self) -> None:
+        """Open the bus and start the receiver; raises RigError where the bus does not exist."""
+        self.nodes.clear()
+        options = self._config.options
+        try:
+            if self._config.interface == "socketcand":
+                # python-can would try for ten seconds, and fill the terminal.
+                address = (str(options.get("host", "127.0.0.1")), int(options.get("port", 29536)))
+                socket.create_connection(address, timeout=2).close()
+            bus = self._bus = open_bus(self._config, self._clock)
+            self._receiving = self._clock.spawn(lambda: self._receive(bus), "drive receiver")
+        except Exception as error:
+            # Every interface of python-can has errors of its own.
+            self.close()
+            raise RigError(
+                f"{self.name} cannot be opened ({_one_line(error)}); check bus.interface, bus.channel and bus.options "
+                "of the rig's file, and that the adapter is plugged in and up"
+            ) from None
+
+    def close(self) -> None:
+        """Close the bus; any number of times, never raises."""
+        receiving, bus, self._receiving, self._bus = self._receiving, self._bus, None, None
+        if receiving is not None and not self.in_receiver:
+            receiving.join(CLOSE_TIMEOUT_S)
+        if bus is not None:
+            with contextlib.suppress(Exception):
+                bus.shutdown()
+
+    def send(self, cob_id: int, data: bytes) -> None:
+        """Send one frame; raises DeviceError where the bus does not take it."""
+        bus = self._bus
+        if bus is None:
+            raise DeviceError(f"{self.name} is closed; open the drive first")
+        if not self._sending.acquire(timeout=2 * SEND_TIMEOUT_S):
+            raise DeviceError(f"{self.name} takes no frames; look at the adapter and its cable")
+        try:
+            bus.send(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False), SEND_TIMEOUT_S)
+        except Exception as error:
+            raise DeviceError(
+                f"{self.name} takes no frames ({_one_line(error)}); look at the adapter, cable, termination and bitrate"
+            ) from None
+        finally:
+            self._sending.release()
+
+    def read(self, entry: Object) -> int:
+        """Read an object of the drive; raises DeviceError."""
+        size = entry.layout.size
+        request = struct.pack("<BHBI", UPLOAD, entry.number, entry.sub, 0)
+        # The answer may leave out its size.
+        answer = self._transfer(entry, request, (0x43 | 4 - size << 2, 0x42))
+        value: int = entry.layout.unpack(answer[4 : 4 + size])[0]
+        return value
+
+    def write(self, entry: Object, value: int) -> None:
+        """Write an object of the drive; raises DeviceError."""
+        self._transfer(entry, _download(entry, value), (DOWNLOADED,))
+
+    def write_unconfirmed(self, entry: Object, value: int) -> None:
+        """Write an object without waiting for the answer; raises DeviceError where the bus takes no frame."""
+        self.send(objects.SDO_REQUEST + self._node, _download(entry, value))
+
+    def scan(self) -> list[int]:
+        """Ask every node for its device type; the nodes that sent anything since `open`."""
+        for node in range(1, 128):
+            self.send(objects.SDO_REQUEST + node, struct.pack("<BHBI", UPLOAD, objects.DEVICE_TYPE.number, 0, 0))
+            self._clock.sleep(SCAN_PAUSE_S)
+        self._clock.sleep(50 * SCAN_PAUSE_S)
+        return sorted(self.nodes)
+
+    def problem(self) -> str | None:
+        """What the adapter reports as wrong with the bus; None when nothing is."""
+        try:
+            state = self._bus.state if self._bus else can.BusState.ACTIVE
+        except Exception as error:
+            return f"{self.name} cannot be asked for its state ({_one_line(error)}); look at the adapter"
+        if state is can.BusState.ACTIVE:
+            return None
+        return f"{self.name} is {'off' if state is can.BusState.ERROR else 'passive'}; look at cable and termination"
+
+    def _transfer(self, entry: Object, request: bytes, allowed: tuple[int, ...]) -> bytes:
+        """The answer to a request, which must begin with one of the allowed commands."""
+        if self.in_receiver or not self._requesting.acquire(timeout=2 * SDO_TIMEOUT_S):
+            raise DeviceError(f"drive's {entry} cannot be asked for: another request is not answered yet; try again")
+        try:
+            self._request, self._answer = request, b""
+            self.send(objects.SDO_REQUEST + self._node, request)
+            with self._answered:
+                self._answered.wait_for(lambda: bool(self._answer), SDO_TIMEOUT_S)
+            answer = self._answer
+        finally:
+            self._request = b""
+            self._requesting.release()
+        if not answer:
+            raise DeviceError(
+                f"drive {self._node} does not answer for {entry} within {SDO_TIMEOUT_S:g} s; "
+                "look at its supply, the bus's cable and its bitrate"
+            )
+        if answer[0] == ABORTED:
+            raise DeviceError(f"drive refuses {entry}: {abort_line(int.from_bytes(answer[4:], 'little'))}")
+        if answer[0] not in allowed:
+            raise DeviceError(f"drive's answer for {entry} makes no sense ({answer.hex()}); try again")
+        return answer
+
+    def _receive(self, bus: can.BusABC) -> None:
+        """The receiver's thread: nothing that a frame brings can end it."""
+        self._receiver = threading.current_thread()
+        while self._bus is bus:
+            try:
+                message = bus.recv(RECEIVER_CYCLE_S)
+                if message is not None and self._bus is bus:
+                    self._sort(message)
+            except Exception as error:
+                if self._bus is bus:
+                    self.counters["receiving errors"] += 1
+                    self._on_problem(f"{self.name} cannot be read ({_one_line(error)}); look at the adapter and cable")
+                    self._clock.sleep(ERROR_PAUSE_S)
+
+    def _sort(self, message: can.Message) -> None:
+        if message.is_error_frame:
+            self.counters["error frames"] += 1
+            self._on_problem(f"{self.name} reports an error frame; look at cable, termination and bitrate")
+            return
+        if message.is_remote_frame or message.is_extended_id:
+            self.counters["foreign frames"] += 1
+            return
+        cob_id, data = message.arbitration_id, bytes(message.data)
+        if cob_id & 0x780 in (objects.SDO_ANSWER, objects.HEARTBEAT) and cob_id & 0x7F:
+            self.nodes.add(cob_id & 0x7F)
+        if cob_id != objects.SDO_ANSWER + self._node:
+            self._on_frame(cob_id, data)
+        elif len(data) != 8:
+            self.counters["malformed frames"] += 1
+        # An answer names its object: late ones to earlier requests are dropped.
+        elif self._request and data[1:4] == self._request[1:4]:
+            with self._answered:
+                self._answer = data
+                self._answered.notify_all()
+
+
+def abort_line(code: int) -> str:
+    """Name and way out of an SDO abort, such as ``0x06020000, Object does not exist: check that ..``."""
+    name = MAXON_ABORTS.get(code) or SdoAbortedError.CODES.get(code, "Not in softfin's list")
+    way_out = "check that the device is an EPOS2, close other programs such as EPOS Studio, switch the drive off and on"
+    if 0x06090030 <= code <= 0x06090036:
+        way_out = "change the value in the rig's file to one that the drive takes"
+    return f"0x{code:08X}, {name}: {way_out}"
+
+
+def _download(entry: Object, value: int) -> bytes:
+    unused = 4 - entry.layout.size
+    try:
+        data = entry.layout.pack(value) + bytes(unused)
+    except struct.error:
+        raise DeviceError(f"drive's {entry} cannot hold {value}; change the value in the rig's file") from None
+    return struct.pack("<BHB", 0x23 | unused << 2, entry.number, entry.sub) + data
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:200] or type(error).__name__
