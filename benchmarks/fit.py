@@ -16,12 +16,13 @@ from softfin.core.quantities import Command
 from softfin.surrogate import FitConfig, StreamingConfig
 from softfin.surrogate.paper.fit import COLUMNS, Learner
 from softfin.surrogate.paper.network import NetworkConfig
+from softfin.surrogate.streaming.core import products
 from softfin.surrogate.streaming.force import Motion, Scales
 from softfin.surrogate.streaming.learner import Learner as StreamingLearner
 from softfin.surrogate.streaming.learner import force_loss
 from softfin.surrogate.streaming.member import ensemble, single
 from softfin.surrogate.streaming.profile import LONGEST_DELAY, ProfileConfig
-from softfin.surrogate.streaming.sequences import Table
+from softfin.surrogate.streaming.segments import Table
 
 ROWS, UPDATES = 400_000, 25
 
@@ -44,9 +45,7 @@ def main() -> list[dict[str, Any]]:
     batches = jnp.asarray(random.integers(0, ROWS - 101, (UPDATES, config.batch)), jnp.int32)
     state = learner.start(jax.random.key(0))
     product, flops = matmul()
-    call, square = interleaved(
-        [lambda: learner.run((state.nets, state.optimiser), table, batches, jax.random.key(1)), product]
-    )
+    call, square = interleaved([lambda: learner.run(state, table, batches, jax.random.key(1)), product])
     streaming, ticks, per_tick = streaming_updates(random)
     stepped, square_then = interleaved([streaming, product], repeats=3)
     rate, samples = flops / square, UPDATES * config.batch / call
@@ -73,5 +72,5 @@ def streaming_updates(random: np.random.Generator) -> tuple[Callable[[], Any], i
     learner = StreamingLearner(force_loss(config), config, config.force_updates)
     state = learner.start(members.force)
     ticks = config.members * config.batch * config.ticks
-    per_tick = 3 * 2 * single(members).force.products()
+    per_tick = 3 * 2 * products(single(members).force)
     return lambda: learner.run(state, table, foretold, jnp.int32(0), 1, jax.random.key(1)), ticks, per_tick

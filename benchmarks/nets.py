@@ -6,11 +6,9 @@ Speed does not depend on the weights' values, and the published files are not pa
 import jax
 
 from softfin.surrogate import Surrogate
-from softfin.surrogate.paper.forcenet import FORCES
-from softfin.surrogate.paper.network import LSTM, Dense, Dropout, Network, NetworkConfig
-from softfin.surrogate.paper.posnet import COMMANDS, POSNET
-from softfin.surrogate.paper.scaling import ChannelScaling, Scaling
-from softfin.surrogate.paper.surrogate import ANGLE
+from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, ChannelScaling, Scaling
+from softfin.surrogate.paper.layers import LSTM, Dense, Dropout
+from softfin.surrogate.paper.network import POSNET, Network, NetworkConfig
 
 PUBLISHED_FORCENET = NetworkConfig(
     channels=(ANGLE, *COMMANDS),

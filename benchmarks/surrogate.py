@@ -13,7 +13,7 @@ from benchmarks.nets import paper_layout
 from benchmarks.task import TICKS, steps
 from softfin.core.quantities import PAPER_LIMITS
 from softfin.surrogate import StreamingConfig, StreamingSurrogate
-from softfin.surrogate.paper.forcenet import FORCENET
+from softfin.surrogate.paper.network import FORCENET
 from softfin.surrogate.streaming.force import Motion, Scales
 from softfin.surrogate.streaming.member import ensemble, single
 from softfin.surrogate.streaming.profile import ProfileConfig

@@ -30,9 +30,8 @@ from softfin.storage.dataset import Dataset, write_dataset
 from softfin.storage.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, save_figure, styled
 from softfin.surrogate import FitConfig, StreamingConfig, load_surrogate
 from softfin.surrogate.active import ActiveCollectConfig
-from softfin.surrogate.compare.compare import half_width_of
-from softfin.surrogate.compare.horizons import free_running, from_rest, places, take
-from softfin.surrogate.compare.prediction_scores import judge, ranges
+from softfin.surrogate.compare.free_running import free_run, run_from_rest, segments_of, take
+from softfin.surrogate.compare.metrics import measured_ranges, score_segments
 from softfin.tank import SensorConfig, Tank, TankConfig
 
 MINUTE = 60 * RATE_HZ
@@ -200,15 +199,16 @@ def test_logs(options: Options, name: str) -> list[Log]:
 def scored(surrogate: Any, logs: Sequence[Log]) -> dict[str, float]:
     """Left alone for 30 s, again and again."""
     where = stretches(logs)
-    said, members = free_running(surrogate, logs, where, HORIZON)
+    predicted, members = free_run(surrogate, logs, where, HORIZON)
     measured = take(logs, where, HORIZON)
-    found = judge(measured, said, ranges(logs), members, half_width_of(surrogate)).scores
-    return found | offset_free(said, measured.reading)
+    half_width = getattr(getattr(surrogate, "interval", None), "half_width", None)
+    found = score_segments(measured, predicted, measured_ranges(logs), members, half_width).scores
+    return found | offset_free(predicted, measured.reading)
 
 
-def offset_free(said: Reading, measured: Reading) -> dict[str, float]:
+def offset_free(predicted: Reading, measured: Reading) -> dict[str, float]:
     """Of the force error less its mean: what drift in the logs to learn from has no part in; both axes together [N]."""
-    error = np.asarray(said.force, np.float64) - measured.force
+    error = np.asarray(predicted.force, np.float64) - measured.force
     error -= error.mean(axis=(0, 1))
     return {"force_sd_n": float(error.std()), "force_p999_n": float(np.quantile(np.abs(error), 0.999))}
 
@@ -223,7 +223,8 @@ def floor(run: Path, tests: dict[str, list[Log]]) -> None:
         for name, logs in tests.items():
             where = stretches(logs)
             measured, second = (take(some, where, HORIZON).reading for some in (logs, again(plant, logs)))
-            found[name] = judge(take(logs, where, HORIZON), second, ranges(logs)).scores | offset_free(second, measured)
+            scores = score_segments(take(logs, where, HORIZON), second, measured_ranges(logs)).scores
+            found[name] = scores | offset_free(second, measured)
         artifacts.write_file(path, artifacts.dump_json(found))
 
 
@@ -238,7 +239,7 @@ def without_sensor(run: Path, logs: Sequence[Log]) -> list[Log]:
 
 def again(plant: Tank, logs: Sequence[Log]) -> list[Log]:
     """The same commands once more, from rest."""
-    readings = from_rest(plant, logs, key_of(TEST_SEED, "again"))
+    readings = run_from_rest(plant, logs, key_of(TEST_SEED, "again"))
     return [Log(log.command, reading) for log, reading in zip(logs, readings, strict=True)]
 
 
@@ -248,7 +249,7 @@ def silent() -> Tank:
 
 
 def stretches(logs: Sequence[Log]) -> Any:
-    return places([len(log.reading.time) for log in logs], HORIZON, FIRST)
+    return segments_of([len(log.reading.time) for log in logs], HORIZON, FIRST)
 
 
 def gathered(run: Path) -> list[dict[str, Any]]:

@@ -24,8 +24,7 @@ from softfin.stages.offline import identity
 from softfin.storage.dataset import write_dataset
 from softfin.storage.registry import find_plant
 from softfin.surrogate import Surrogate, save_surrogate
-from softfin.surrogate.paper.posnet import COMMANDS
-from softfin.surrogate.paper.scaling import ChannelScaling, Scaling
+from softfin.surrogate.channels import COMMANDS, ChannelScaling, Scaling
 from softfin.surrogate.streaming import identify
 from tests.control.test_controllers import untrained
 from tests.data import bags
@@ -97,7 +96,7 @@ CONFIGURATIONS = MappingProxyType({
 def short_search(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a search finds is tested with it; here it only has to go through."""
     monkeypatch.setattr(identify, "GENERATIONS", 2)
-    monkeypatch.setattr(identify, "STRETCHES", 4)
+    monkeypatch.setattr(identify, "SEGMENTS", 4)
 
 
 def dataset(path: Path) -> None:

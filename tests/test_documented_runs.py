@@ -33,7 +33,7 @@ TINY = {
     "collect --excitation active": f"--plant {staged.PLANT} --test-logs 0 --set active.candidates=2",
     "fit": "--config streaming.yaml",
     "fit --model paper": "--config paper.yaml",
-    "compare": f"--horizons 1 --floor {staged.PLANT}",
+    "compare": f"--horizons 1 --noise-floor {staged.PLANT}",
     "calibrate": "--config calibrate.yaml --evaluations 0",
     "calibrate --config": "--config docs/calibration.yaml "
     + " ".join(f"--set {change}" for change in flat(staged.CALIBRATE)),

@@ -36,7 +36,7 @@ def folders(tmp_path_factory):
         (["s0", "--horizons", "1,,2"], "--horizons 1,,2: not numbers"),
         (["s0", "--horizons", "nan"], "horizons_s"),
         (["s0", "--horizons", "0,1"], "horizons are at least 0.1 s"),
-        (["s0", "--horizons", "1", "--floor", "pool"], "plant pool: unknown (is no folder)"),
+        (["s0", "--horizons", "1", "--noise-floor", "pool"], "plant pool: unknown (does not exist)"),
         (["s0", "--out", "data"], "data: exists already; give another --out"),
     ],
 )
@@ -51,13 +51,13 @@ def test_wrong_input_is_one_line_and_exit_code_2(capsys, folders, monkeypatch, w
 
 def test_surrogates_are_compared_and_the_result_is_a_table_a_json_and_a_folder(capsys, folders, monkeypatch, tmp_path):
     monkeypatch.chdir(folders)
-    words = ["compare", "s0", "s1", "s2", "--dataset", "data", "--horizons", "2.5,1", "--floor", "tank"]
+    words = ["compare", "s0", "s1", "s2", "--dataset", "data", "--horizons", "2.5,1", "--noise-floor", "tank"]
     main([*words, "--out", str(tmp_path / "x"), "--json"])
     result = json.loads(capsys.readouterr().out)
     assert result["horizons_s"] == [1, 2.5]
     assert [group["seeds"] for group in result["groups"]] == [3]
     assert result["test_logs"] == 2
-    assert result["floor"]["name"] == "second recording (tank)"
+    assert result["noise_floor"]["name"] == "second recording (tank)"
     written = json.loads((tmp_path / "x" / "comparison.json").read_text())
     assert written == {name: value for name, value in result.items() if name != "comparison"}
     # A comparison is a folder of softfin's, so it may be replaced.
@@ -75,8 +75,7 @@ def horizon(seconds, half=None, **more):
         "force_mae_n": 0.1, "force_x_r2": 0.99, "force_y_r2": -1234.5,
     }  # fmt: skip
     for quantity, unit in (("angle", "rad"), ("force", "n")):
-        for kind in ("raw", "path"):
-            scores |= {f"{quantity}_dtw_{kind}_{unit}": 12.345, f"{quantity}_dtw_{kind}_scaled": 1e-7}
+        scores |= {f"{quantity}_dtw_mae_{unit}": 12.345, f"{quantity}_dtw_mae_scaled": 1e-7}
     return {"horizon_s": seconds, **{name: cell(value, half) for name, value in (scores | more).items()}}
 
 
@@ -93,7 +92,7 @@ SUMMARY = {
             "horizons": [horizon(1, 0.011), horizon(30, 0.011, **MEANS, coverage=0.912, half_width_n=0.07)],
         },
     ],
-    "floor": {"name": "second recording (tank)", "horizons": [horizon(1), horizon(30, **MEANS)]},
+    "noise_floor": {"name": "second recording (tank)", "horizons": [horizon(1), horizon(30, **MEANS)]},
     "notes": ["paper: 1 seed; fit at least 3 before a difference is believed"],
 }  # fmt: skip
 
@@ -119,7 +118,12 @@ def test_the_tables_say_seeds_cost_coverage_floor_and_notes():
 
 
 def test_what_no_group_has_is_left_out_of_the_tables():
-    alone = {**SUMMARY, "groups": [{**SUMMARY["groups"][0], "horizons": [horizon(1)]}], "floor": None, "notes": []}
+    alone = {
+        **SUMMARY,
+        "groups": [{**SUMMARY["groups"][0], "horizons": [horizon(1)]}],
+        "noise_floor": None,
+        "notes": [],
+    }
     text = tables(alone)
     assert "Mean force" not in text
     assert "floor" not in text

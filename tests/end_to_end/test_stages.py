@@ -124,14 +124,14 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
     words = ("reproduce", "--plant", PLANT, "--config", reproduction(tmp_path), "--out", str(out))
     update, updates = TrainingRun.update, []
 
-    def counted(run, lanes):
+    def counted(run, agents, number):
         updates.append(run.config.controller)
-        return update(run, lanes)
+        return update(run, agents, number)
 
-    def stopped(run, lanes):
+    def stopped(run, agents, number):
         if updates:
             signal.raise_signal(signal.SIGINT)
-        return counted(run, lanes)
+        return counted(run, agents, number)
 
     monkeypatch.setattr(TrainingRun, "update", stopped)
     with pytest.raises(SystemExit) as stop:

@@ -6,9 +6,9 @@ import pytest
 
 from softfin.core.plant import roll
 from softfin.core.quantities import Command
+from softfin.core.window import moving_average
 from softfin.evaluation.evaluate import EvaluateConfig, evaluate
 from softfin.evaluation.experiment import ExperimentRecording, run
-from softfin.evaluation.scores import moving_average
 from softfin.evaluation.uncertainty import SurrogateUncertainty, uncertainty_of
 from softfin.surrogate.streaming.uncertainty import Familiarity
 from tests.evaluation.test_experiment import Echo

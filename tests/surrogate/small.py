@@ -5,11 +5,9 @@ import numpy as np
 
 from softfin.core.quantities import Command, Log, Reading
 from softfin.surrogate import Surrogate
-from softfin.surrogate.paper.forcenet import FORCES
-from softfin.surrogate.paper.network import LSTM, Conv1D, Dense, Dropout, Flatten, MeanPool, Network, NetworkConfig
-from softfin.surrogate.paper.posnet import COMMANDS
-from softfin.surrogate.paper.scaling import ChannelScaling, Scaling
-from softfin.surrogate.paper.surrogate import ANGLE
+from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, ChannelScaling, Scaling
+from softfin.surrogate.paper.layers import LSTM, Conv1D, Dense, Dropout, Flatten, MeanPool
+from softfin.surrogate.paper.network import Network, NetworkConfig
 
 WINDOW = 12
 

@@ -8,10 +8,10 @@ from softfin.core.errors import ArtifactError, LogError
 from softfin.storage.run_directory import LOG, Workspace, read_log
 from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig, StreamingSurrogate, Surrogate
 from softfin.surrogate import selection as choice
-from softfin.surrogate.compare.horizons import Freed, free_running, places, take
+from softfin.surrogate.compare.free_running import FreeRunPrediction, free_run, segments_of, take
 from softfin.surrogate.selection import fit_any
 from softfin.surrogate.streaming import fit as module
-from softfin.surrogate.streaming.sequences import scales_of
+from softfin.surrogate.streaming.segments import scales_of
 from tests.surrogate import small as paper
 from tests.surrogate.streaming import small
 
@@ -58,8 +58,8 @@ def test_the_candidate_with_the_least_error_on_held_out_logs_is_kept(tmp_path, s
     assert scores[chosen] == min(scores.values(), key=lambda score: score["force_rmse_n"])
     assert fitted.members.force.config.mirror == (chosen == "streaming")
 
-    where = places([600], 300, 300)
-    said, measured = free_running(fitted, data[-1:], where, 300).reading, take(data[-1:], where, 300).reading
+    where = segments_of([600], 300, 300)
+    said, measured = free_run(fitted, data[-1:], where, 300).reading, take(data[-1:], where, 300).reading
     assert scores[chosen]["force_rmse_n"] == pytest.approx(
         np.sqrt(np.mean((said.force - measured.force) ** 2)), rel=1e-4
     )
@@ -114,11 +114,11 @@ def test_logs_that_fit_no_candidate_are_refused_in_the_words_of_the_first(tmp_pa
 def silent(monkeypatch):
     """A surrogate that says zero: its error is what was measured."""
 
-    def free_running(surrogate, logs, where, ticks):
+    def free_run(surrogate, logs, where, ticks):
         measured = take(logs, where, ticks).reading
-        return Freed(jax.tree.map(np.zeros_like, measured), None)
+        return FreeRunPrediction(jax.tree.map(np.zeros_like, measured), None)
 
-    monkeypatch.setattr("softfin.surrogate.selection.free_running", free_running)
+    monkeypatch.setattr("softfin.surrogate.selection.free_run", free_run)
 
 
 @pytest.mark.usefixtures("silent")

@@ -82,14 +82,14 @@ def test_a_surrogate_from_before_there_was_another_kind_is_the_papers(tmp_path):
     [
         (lambda d: d.update(rate_hz=50), "made for 50 Hz; softfin runs at 100 Hz"),
         (lambda d: d.update(format=2), "format 2; this softfin reads 1; update it"),
-        (lambda d: d.update(model="oracle"), "model 'oracle'; this softfin knows paper, streaming; update it"),
+        (lambda d: d.update(model="oracle"), "model 'oracle'; this softfin has paper, streaming; update it"),
         (
             lambda d: d["channels"]["out"].pop(),
-            r"channels .*'force_x_n'\]\}; softfin steps surrogates with .*'force_y_n'",
+            r"channels .*'force_x_n'\]\}; streaming surrogates have .*'force_y_n'",
         ),
         (
             lambda d: d["networks"]["force"].update(units=4),
-            r"members\.force\.core\.\w+ has the shape .* must have .*copy",
+            r"familiarity\.mean has the shape .* must have .*copy",
         ),
         (lambda d: d.update(members=3), r"has the shape \(2, .* must have \(3, "),
         (lambda d: d.update(members="many"), "not a surrogate's description"),

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from softfin.core.sobolev import sobolev_mean, sobolev_sum
-from softfin.task.reward import RewardConfig, RewardTerms, moving_average, window_error
+from softfin.core.window import moving_average, window_error
+from softfin.task.reward import RewardConfig, RewardTerms
 
 FORCES = np.random.default_rng(0).normal(0, 4, (200, 2)).astype(np.float32)
 

@@ -27,7 +27,7 @@ class Arguments(Configured):
     """Folder to write comparison.json and the figure to."""
     horizons: Horizons | None = None
     """How long they run free, as 1,5,30 in seconds (1,5,30)."""
-    floor: Plant | None = None
+    noise_floor: Plant | None = None
     """A plant that records the same commands once more, such as the tank that was recorded: the error that noise,
     drift and other conditions leave."""
     seed: int | None = None
@@ -42,7 +42,7 @@ class Arguments(Configured):
         with progress() as report:
             result = stages.compare(
                 self.surrogates, self.dataset, Path(self.out), config,
-                floor=self.floor, overwrite=self.overwrite, progress=report,
+                noise_floor=self.noise_floor, overwrite=self.overwrite, progress=report,
             )  # fmt: skip
         self.tell({"comparison": str(self.out), **result}, tables(result))
 
@@ -78,14 +78,10 @@ INTERVALS = (
     Column("half-width", "[N]", "half_width_n"),
 )
 WARPED = (
-    Column("angle", "[mrad]", "angle_dtw_raw_rad", 1000),
-    Column("/ path", "[mrad]", "angle_dtw_path_rad", 1000),
-    Column("angle", "scaled 1e-3", "angle_dtw_raw_scaled", 1000),
-    Column("/ path", "scaled 1e-3", "angle_dtw_path_scaled", 1000),
-    Column("force", "[mN]", "force_dtw_raw_n", 1000),
-    Column("/ path", "[mN]", "force_dtw_path_n", 1000),
-    Column("force", "scaled 1e-3", "force_dtw_raw_scaled", 1000),
-    Column("/ path", "scaled 1e-3", "force_dtw_path_scaled", 1000),
+    Column("angle", "[mrad]", "angle_dtw_mae_rad", 1000),
+    Column("angle", "scaled 1e-3", "angle_dtw_mae_scaled", 1000),
+    Column("force", "[mN]", "force_dtw_mae_n", 1000),
+    Column("force", "scaled 1e-3", "force_dtw_mae_scaled", 1000),
 )
 
 LABEL = 8
@@ -95,8 +91,8 @@ LINE = 120
 def tables(summary: Mapping[str, Any]) -> str:
     """For a terminal of 120 columns: errors, mean force, DTW, then what a reader should know."""
     groups = [(_heading(row, summary["flops_ratio_to"]), row["horizons"]) for row in summary["groups"]]
-    if summary["floor"] is not None:
-        groups.append((summary["floor"]["name"], summary["floor"]["horizons"]))
+    if (floor := summary["noise_floor"]) is not None:
+        groups.append((floor["name"], floor["horizons"]))
     several = any(row["seeds"] > 1 for row in summary["groups"])
     spread = "; mean over the seeds \N{PLUS-MINUS SIGN} half of its 95% interval" if several else ""
     lines = [f"Free-running over {_scored(summary)}{spread}", *_table(ERRORS, groups)]
@@ -104,7 +100,7 @@ def tables(summary: Mapping[str, Any]) -> str:
         stated = any("coverage" in row for _, rows in groups for row in rows)
         title = "Mean force over 200 samples" + (", and the intervals stated for it at 90%" if stated else "")
         lines += ["", title, *_table(MEANS + INTERVALS * stated, groups)]
-    title = "DTW in a band of 1 s: raw distance sqrt(sum d^2), and that over the length of its path; in units, scaled"
+    title = "DTW in a band of 1 s: mean absolute difference after warping, in units and scaled"
     lines += ["", title, *_table(WARPED, groups), *[f"note: {note}" for note in summary["notes"]]]
     return "\n".join(lines)
 

@@ -4,17 +4,19 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from softfin.cli.common import Configured, progress
 from softfin.cli.kinds import Logs, Out
 from softfin.cli.log_options import LogOptions, columns_read
-from softfin.core.choices import Model
 from softfin.core.errors import ConfigurationError
 from softfin.core.printable import printable
 
 if TYPE_CHECKING:
     from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig
+
+Model: TypeAlias = Literal["streaming", "paper", "auto"]
+"""Kinds of surrogate that are fitted; auto keeps the best on held-out logs."""
 
 
 @dataclass(frozen=True, kw_only=True)

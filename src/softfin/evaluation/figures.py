@@ -13,10 +13,11 @@ from matplotlib.projections.polar import PolarAxes
 
 from softfin.core.action_clock import WINDOW
 from softfin.core.quantities import AXES, RATE_HZ
+from softfin.core.window import moving_average
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.moving import MovingScores
 from softfin.evaluation.range_errors import ErrorMap
-from softfin.evaluation.scores import SETTLED_N, moving_average
+from softfin.evaluation.scores import SETTLED_N
 from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, styled, with_minus_signs
 

@@ -3,7 +3,7 @@
 With m the moving average of the force f over the 200 samples up to each instant, where those are all recorded, and r
 the reference, which is averaged over the same samples where it moves:
 
-    error = mean |m - r|        std = standard deviation of m        raw std = standard deviation of f
+    error = mean |m - r| (`softfin.core.window`)        std = standard deviation of m        raw std = standard deviation of f
 
 Responses are also of m: of a force that jumped at once it would rise for 1.6 s and settle after at most 2.0 s.
 """
@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 from softfin.core.action_clock import ACTION_TICKS, WINDOW, ticks_of
 from softfin.core.quantities import AXES, RATE_HZ
+from softfin.core.window import moving_average, moving_error
 from softfin.evaluation.experiment import ExperimentRecording
 
 STILL_RAD_S = 0.1
@@ -47,28 +48,17 @@ class Scores(NamedTuple):
 def score(recording: ExperimentRecording) -> Scores:
     """Score every experiment of a recording, of at least one window."""
     force = np.asarray(recording.reading.force, np.float64)
-    average = moving_average(force)
     asked = np.asarray(recording.reference, np.float64)
     reference = (asked[:, None] if asked.ndim == 2 else moving_average(asked))[:, None]
     shaft = np.asarray(recording.reading.angle, np.float64)
     return Scores(
-        error=np.abs(average - reference).mean(axis=2),
-        std=average.std(axis=2),
+        error=moving_error(force, reference),
+        std=moving_average(force).std(axis=2),
         raw_std=force.std(axis=2),
         command_travel=travel(np.asarray(recording.command.angle, np.float64)),
         shaft_travel=travel(shaft),
         late_travel=travel(shaft[..., shaft.shape[-1] // (2 * RATE_HZ) * RATE_HZ :]),
     )
-
-
-def moving_average(
-    series: Float[np.ndarray, "*batch ticks channels"], window: int = WINDOW
-) -> Float[np.ndarray, "*batch windows channels"]:
-    """Over each `window` samples that are all there: element 0 is the mean of the first `window` samples."""
-    # In float64: the difference of two cumulative sums over a long series loses its digits in float32.
-    total = np.cumsum(np.asarray(series, np.float64), axis=-2)
-    total = np.concatenate([np.zeros_like(total[..., :1, :]), total], axis=-2)
-    return (total[..., window:, :] - total[..., :-window, :]) / window
 
 
 def travel(angle: Float[np.ndarray, "*batch ticks"]) -> Float[np.ndarray, "*batch"]:
@@ -81,7 +71,7 @@ def travel(angle: Float[np.ndarray, "*batch ticks"]) -> Float[np.ndarray, "*batc
 def instantaneous_error(force: Float[np.ndarray, "*batch ticks 2"], reference: Force) -> Float[np.ndarray, "*batch 2"]:
     """Mean |m(t) - r(t)| against the reference of that very instant, so the window's own delay counts too [N]."""
     late = np.asarray(reference, np.float64)[WINDOW - 1 :]
-    return np.asarray(np.abs(moving_average(force) - late).mean(axis=-2))
+    return np.asarray(moving_error(force, late))
 
 
 class StepResponse(NamedTuple):

@@ -15,8 +15,8 @@ from jaxtyping import Array, Float
 from softfin.core.plant import EnsemblePlant, State
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import AXES, Command
+from softfin.core.window import moving_average
 from softfin.evaluation.experiment import EvaluationTarget, ExperimentRecording
-from softfin.evaluation.scores import moving_average
 
 RARELY = 0.01
 """Fraction of samples beyond the data up to which there is no warning: ten times that of the data themselves."""

@@ -14,10 +14,10 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from softfin.core.action_clock import ACTION_TICKS, ticks_of
 from softfin.core.plant import EnsemblePlant, Ticks, counted
 from softfin.core.quantities import AnyArray
+from softfin.core.window import moving_average, moving_error
 from softfin.learning.lstm import Memory, cleared
 from softfin.learning.policy import Policy
 from softfin.task.references import References
-from softfin.task.reward import moving_average
 from softfin.task.task import ForceTracking, TaskState
 
 
@@ -146,6 +146,6 @@ def evaluate_policy(
     actions = task.config.episode_actions
     _, (forces, distances) = jax.lax.scan(act, (states, memories), jnp.asarray(ticks_of(actions)))
     series = jnp.swapaxes(counted(forces, actions), 0, 1)
-    average = jax.vmap(partial(moving_average, window=window))(series)
+    error, average = moving_error(series, references[:, None], window), moving_average(series, window)
     outside = None if plant is None else (distances > 1).mean(axis=0)
-    return PolicyEvaluation(jnp.abs(average - references[:, None]).mean(axis=1), average.std(axis=1), outside)
+    return PolicyEvaluation(error, average.std(axis=-2), outside)

@@ -60,11 +60,12 @@ from softfin.surrogate.active import ActiveCollectConfig, chooser
 from softfin.surrogate.compare.candidates import candidates
 from softfin.surrogate.compare.compare import CompareConfig
 from softfin.surrogate.compare.compare import compare as _compare
-from softfin.surrogate.compare.metrics import SKIPPED, measured_scaling, table_one
+from softfin.surrogate.compare.metrics import measured_ranges, table_one
 from softfin.surrogate.compare.report import write_comparison
-from softfin.surrogate.paper.fit import check_lengths
+from softfin.surrogate.model import SKIPPED
 from softfin.surrogate.range import check_commands_learnt, learnt_from, training_range
 from softfin.surrogate.selection import fit_any
+from softfin.surrogate.training import check_lengths
 from softfin.tank import DomainRandomization, RandomizedTank, Tank, sample_tank
 from softfin.tank.calibration.calibrate import calibrate as _calibrate
 from softfin.tank.calibration.config import CalibrateConfig
@@ -192,12 +193,12 @@ def fit(
         test = opened.test
         check_lengths(test, SKIPPED, "test")
         if test:
-            measured_scaling(test)
+            measured_ranges(test)
         fitted, evidence = fit_any(opened.train, config, seed, workspace, progress)
         provenance = artifacts.provenance(seed=seed, data_hash=opened.data_hash, dataset=str(dataset), **opened.facts)
         save_surrogate(
             out, fitted, table_one(fitted, test) if test else None, provenance,
-            also=workspace.keep_log, overwrite=overwrite, configuration=facts["configuration"],
+            extra_files=workspace.keep_log, overwrite=overwrite, configuration=facts["configuration"],
             training_range=training_range(opened.train), fin=_fin_of(dataset),
             **({} if evidence is None else {"candidates": evidence}),
         )  # fmt: skip
@@ -265,14 +266,14 @@ def compare(
     out: Path | None = None,
     config: CompareConfig | None = None,
     *,
-    floor: str | Plant | None = None,
+    noise_floor: str | Plant | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Score surrogates on a dataset's test logs, left alone for several horizons; writes JSON and a figure.
+    """Score surrogates on a dataset's test logs, free-running over several horizons; writes JSON and a figure.
 
-    `floor` is a plant that records the same commands once more, such as the tank: what noise and drift, twice over, and
-    other conditions leave.
+    `noise_floor` is a plant that records the same commands once more, such as the tank: what noise and drift, twice
+    over, and other conditions leave.
     """
     config = config or CompareConfig()
     if out is not None:
@@ -281,16 +282,17 @@ def compare(
     data = Dataset.open(dataset)
     if not data.test:
         raise ArtifactError(f"{dataset}: holds no test logs to compare on; put Parquet logs into {dataset / 'test'}")
-    named = floor if isinstance(floor, str) or floor is None else type(floor).__name__
-    bottom = find_plant(floor) if isinstance(floor, str) else floor
+    floor: tuple[str, Plant] | None = None
+    if isinstance(noise_floor, str):
+        floor = noise_floor, find_plant(noise_floor)
+    elif noise_floor is not None:
+        floor = type(noise_floor).__name__, noise_floor
 
     def report(done: float, note: str) -> None:
         if progress is not None:
             progress("compare", done, note)
 
-    comparison = _compare(
-        found, list(data.load(data.test)), config, None if bottom is None or named is None else (named, bottom), report
-    )
+    comparison = _compare(found, list(data.load(data.test)), config, floor, report)
     facts = {
         "dataset": str(dataset),
         "test_logs": len(data.test),

@@ -35,8 +35,7 @@ from softfin.storage.dataset import Dataset
 from softfin.storage.registry import find_plant, is_surrogate
 from softfin.storage.run_directory import LOG, TRAINING_LOG, read_log
 from softfin.surrogate import FitConfig, StreamingConfig, load_surrogate
-from softfin.surrogate.compare.horizons import Place, free_running
-from softfin.surrogate.paper.predict import predict
+from softfin.surrogate.compare.free_running import Segment, free_run
 
 KIND = "reproduction"
 RESULTS = "results.json"
@@ -246,11 +245,11 @@ class _Reproduction:
         first = max(surrogate.memory, min(10 * RATE_HZ, rows // 2))
         ticks = min(SHOWN_S * RATE_HZ, rows - first)
         stretch = slice(first, first + ticks)
-        freed = free_running(surrogate, [log], [Place(0, first)], ticks)
-        said = {"free-running": np.asarray(freed.reading.force[0])}
+        free = free_run(surrogate, [log], [Segment(0, first)], ticks)
+        said = {"free-running": np.asarray(free.reading.force[0])}
         if not isinstance(surrogate, EnsemblePlant):
             behind = slice(first - surrogate.window, stretch.stop - surrogate.window)
-            said = {"given the angle": predict(surrogate, log, "measured").force[behind], **said}
+            said = {"given the angle": surrogate.predict_force(log, free_running=False)[behind], **said}
         return {"Force in a test log and in the surrogate": prediction_figure(
             np.asarray(log.reading.force[stretch]), said, first / RATE_HZ
         )}  # fmt: skip

@@ -1,12 +1,12 @@
 """Active excitation: the commands whose force the members of an ensemble agree on least, for the next log of the fin.
 
 A log is a chain of pieces. For each, many random sequences of commands are rolled through the ensemble side by side,
-from the state that the pieces before have led to, and the most telling one is taken. How telling a piece is:
+from the state that the pieces before have led to, and the most informative one is taken. Its score is
 
     sum over its windows and both axes of  log(1 + var / noise^2) / 2,  times  unlikeness ** novelty
 
-with var the variance over the members of the force's mean over a window. The first factor is what a reading tells of a
-Gaussian with that variance through noise (Shannon's information; Lindley 1956, Ann. Math. Stat. 27:986). Unlikeness is
+with var the variance over the members of the force's mean over a window. The first factor is the information in a
+reading of a Gaussian with that variance through noise (Shannon; Lindley 1956, Ann. Math. Stat. 27:986). Unlikeness is
 how far the piece's windows are from those already taken, in the memory of the first member's force net.
 """
 
@@ -31,10 +31,10 @@ from softfin.surrogate.streaming.streaming import StreamingState, StreamingSurro
 from softfin.surrogate.streaming.uncertainty import remembered
 
 FEWEST = 2
-"""Members that can disagree."""
+"""Fewest members that can disagree."""
 
 KNOWN = 0.5
-"""Share of the plant's range of commands that an ensemble must have learnt from: far beyond it, it means little."""
+"""Least share of the plant's range of commands that an ensemble must have learnt from: else it means little."""
 
 
 class ActiveConfig(Configuration):
@@ -45,21 +45,21 @@ class ActiveConfig(Configuration):
     piece_s: float = pydantic.Field(default=2.0, gt=0)
     """Length of a piece [s]: a few strokes, so that a sequence can lead to where the members disagree."""
     window_s: float = pydantic.Field(default=0.25, gt=0)
-    """Means of the force are compared over so long [s]: a whole number of samples, a whole number of them a piece."""
+    """Length of the windows of the compared mean forces [s]: whole samples, and a whole number of them a piece."""
     noise_n: float = pydantic.Field(default=0.05, gt=0)
-    """Of such a mean [N]: disagreement far above it counts by its logarithm only, so that no single stroke outweighs
-    all others; a great value makes it count by its square."""
+    """Noise of such a mean [N]: disagreement far above it counts by its logarithm only, so that no single stroke
+    outweighs all others; a great value makes it count by its square."""
     novelty: float = pydantic.Field(default=0.5, ge=0)
-    """Exponent of the unlikeness; 0 does not ask for it."""
+    """Exponent of the unlikeness; 0 leaves it out."""
 
     @pydantic.model_validator(mode="after")
     def _in_whole_numbers(self) -> "ActiveConfig":
-        for whole, part, name in (
+        for whole, part, message in (
             (self.window_s, 1 / RATE_HZ, "window_s must be a whole number of 10 ms samples, such as 0.25"),
             (self.piece_s, self.window_s, f"piece_s must be a whole number of windows of {self.window_s:g} s"),
         ):
             if abs(whole / part - round(whole / part)) > 1e-6 or round(whole / part) < 1:
-                raise ValueError(name)
+                raise ValueError(message)
         return self
 
     @property
@@ -69,7 +69,7 @@ class ActiveConfig(Configuration):
 
     @property
     def windows(self) -> int:
-        """Of a piece."""
+        """Windows of a piece."""
         return round(self.piece_s / self.window_s)
 
 
@@ -77,7 +77,7 @@ class ActiveCollectConfig(CollectConfig):
     """How much is recorded, under commands that an ensemble chooses."""
 
     active: ActiveConfig = ActiveConfig()
-    """How they are chosen, from random ones as `excitation` says."""
+    """How the commands are chosen among random ones, which `excitation` describes."""
 
     @pydantic.model_validator(mode="after")
     def _holds_fit_pieces(self) -> "ActiveCollectConfig":
@@ -88,20 +88,20 @@ class ActiveCollectConfig(CollectConfig):
 
 
 class Chain(NamedTuple):
-    """What the pieces taken so far have led to."""
+    """State after the pieces taken so far."""
 
     state: StreamingState
     visited: Float[Array, "pieces windows remembered"]
     """Memories at the ends of their windows; infinite where no piece is yet."""
 
 
-class Rollout(NamedTuple):
-    """Of a piece, by the ensemble."""
+class PieceRollout(NamedTuple):
+    """The ensemble's prediction of a piece."""
 
     force: Float[Array, "windows members 2"]
-    """Means over the windows [N]."""
+    """Mean forces over the windows [N]."""
     memory: Float[Array, "windows remembered"]
-    """At their ends, in the units of the ensemble's distance."""
+    """Memories at the ends of the windows, in the units of the ensemble's distance."""
 
 
 class Chooser(eqx.Module):
@@ -112,49 +112,47 @@ class Chooser(eqx.Module):
     excitation: ExcitationConfig = eqx.field(static=True)
 
     def __call__(self, key: PRNGKeyArray, rows: int, limits: Limits) -> Command:
-        """One command a tick, fields ``(rows,)``, from rest on; pure and traceable."""
+        """Choose one command a tick, fields ``(rows,)``, from rest on; pure and traceable."""
         config = self.config
         pieces = -(-rows // (config.windows * config.window))
-        start = self.ensemble.init(key)
         visited = jnp.full((pieces, config.windows, self.ensemble.familiarity.mean.size), jnp.inf)
 
         def piece(chain: Chain, index: Array) -> tuple[Chain, Command]:
             keys = jax.random.split(jax.random.fold_in(key, index), config.candidates)
             commands = jax.vmap(lambda key: self._sequence(key, limits))(keys)
-            states, rollouts = jax.vmap(self._rolled, in_axes=(None, 0))(chain.state, commands)
-            told = jax.vmap(lambda force: information(force, config.noise_n))(rollouts.force)
-            new = jax.vmap(lambda memory: unlikeness(memory, chain.visited))(rollouts.memory)
-            best = jnp.argmax(told * new**config.novelty)
+            states, rollouts = jax.vmap(self._roll, in_axes=(None, 0))(chain.state, commands)
+            informative = jax.vmap(lambda force: information(force, config.noise_n))(rollouts.force)
+            unlike = jax.vmap(lambda memory: unlikeness(memory, chain.visited))(rollouts.memory)
+            best = jnp.argmax(informative * unlike**config.novelty)
             state, memory, command = jax.tree.map(lambda x: x[best], (states, rollouts.memory, commands))
             return Chain(state, chain.visited.at[index].set(memory)), command
 
-        _, chosen = jax.lax.scan(piece, Chain(start, visited), jnp.arange(pieces))
+        _, chosen = jax.lax.scan(piece, Chain(self.ensemble.init(key), visited), jnp.arange(pieces))
         return Command(*(channel.reshape(-1)[:rows] for channel in chosen))
 
     def _sequence(self, key: PRNGKeyArray, limits: Limits) -> Command:
-        """Random, but for the last command, which is held for the shortest hold at least."""
+        """Random commands, but for the last, which is held for the shortest hold at least."""
         ticks = self.config.windows * self.config.window
-        drawn = self.excitation(key, ticks, limits)
-        last = ticks - round(self.excitation.hold_min_s * RATE_HZ)
-        kept = jnp.minimum(jnp.arange(ticks), last)
-        return Command(drawn.angle[kept], drawn.velocity[kept])
+        random = self.excitation(key, ticks, limits)
+        kept = jnp.minimum(jnp.arange(ticks), ticks - round(self.excitation.hold_min_s * RATE_HZ))
+        return Command(random.angle[kept], random.velocity[kept])
 
-    def _rolled(self, state: StreamingState, commands: Command) -> tuple[StreamingState, Rollout]:
+    def _roll(self, state: StreamingState, commands: Command) -> tuple[StreamingState, PieceRollout]:
         def tick(state: StreamingState, command: Command) -> tuple[StreamingState, Array]:
             state, each = self.ensemble.advance_members(state, command, 1)
             return state, jnp.asarray(each.force[:, 0])
 
-        def window(state: StreamingState, commands: Command) -> tuple[StreamingState, Rollout]:
+        def window(state: StreamingState, commands: Command) -> tuple[StreamingState, PieceRollout]:
             state, force = jax.lax.scan(tick, state, commands)
             memory = remembered(single(state.members.force)) @ self.ensemble.familiarity.whitening
-            return state, Rollout(force.mean(0), memory)
+            return state, PieceRollout(force.mean(0), memory)
 
         parts = jax.tree.map(lambda x: x.reshape(self.config.windows, self.config.window), commands)
         return jax.lax.scan(window, state, parts)
 
 
 def information(force: Float[Array, "windows members 2"], noise_n: float) -> Float[Array, ""]:
-    """What readings of these means through noise would tell [nat], were each mean by itself."""
+    """Information in readings of these means through noise [nat], were each mean by itself."""
     return jnp.log1p(force.var(axis=1) / noise_n**2).sum() / 2
 
 
@@ -162,17 +160,16 @@ def unlikeness(
     memory: Float[Array, "windows remembered"], visited: Float[Array, "pieces windows remembered"]
 ) -> Float[Array, ""]:
     """Mean distance of a piece's windows to the nearest that was visited; 1 where none was yet."""
-    apart = jnp.linalg.norm(memory[:, None, None] - visited, axis=-1)
-    nearest = apart.min(axis=(1, 2))
+    nearest = jnp.linalg.norm(memory[:, None, None] - visited, axis=-1).min(axis=(1, 2))
     return jnp.where(jnp.isfinite(nearest), nearest, 1.0).mean()
 
 
 def chooser(folder: Path, config: ActiveCollectConfig, limits: Limits) -> tuple[Commands, dict[str, Any]]:
-    """Of the ensemble in a folder, for a plant with these limits; and what a dataset says of it.
+    """Load the ensemble that chooses for a plant with these limits; also its entries of the dataset's description.
 
     Raises:
         ArtifactError: the folder holds no surrogate.
-        ConfigurationError: the surrogate is no ensemble, or was trained on commands of another range.
+        ConfigurationError: the surrogate is not an ensemble, or was trained on commands of another range.
     """
     surrogate = load_surrogate(folder)
     members = surrogate.size if isinstance(surrogate, StreamingSurrogate) else 1
@@ -180,26 +177,17 @@ def chooser(folder: Path, config: ActiveCollectConfig, limits: Limits) -> tuple[
         what = f"a {surrogate.model} surrogate" + (" of 1 member" if surrogate.model == "streaming" else "")
         raise ConfigurationError(f"{folder}: {what}; active excitation needs members that can disagree: fit one with "
                                  f"--model streaming and members of at least {FEWEST}")  # fmt: skip
-    _check_range(folder, surrogate.limits, limits)
-    description = artifacts.load_description(folder, "surrogate")
-    facts: dict[str, Any] = {
-        "surrogate": str(folder),
-        "members": members,
-        "data_hash": (description.get("provenance") or {}).get("data_hash"),
-    }
-    return Chooser(surrogate, config.active, config.excitation), facts
-
-
-def _check_range(folder: Path, known: Limits, taken: Limits) -> None:
     for name, unit, low, high in (("angle", "rad", 0, 1), ("velocity", "rad/s", 2, 3)):
-        ours, theirs = (known[low], known[high]), (taken[low], taken[high])
-        span = theirs[1] - theirs[0]
-        common = min(ours[1], theirs[1]) - max(ours[0], theirs[0])
-        beyond = max(theirs[0] - ours[0], ours[1] - theirs[1]) > 1e-3 * span
+        learnt, plant = ((ends[low], ends[high]) for ends in (surrogate.limits, limits))
+        span, common = plant[1] - plant[0], min(learnt[1], plant[1]) - max(learnt[0], plant[0])
+        beyond = max(plant[0] - learnt[0], learnt[1] - plant[1]) > 1e-3 * span
         if beyond or common < KNOWN * span:
             raise ConfigurationError(
-                f"{folder}: learnt from commands with {name}s of {ours[0]:.3g} .. {ours[1]:.3g} {unit}, where the "
-                f"plant takes {theirs[0]:.3g} .. {theirs[1]:.3g}; "
+                f"{folder}: learnt from commands with {name}s of {learnt[0]:.3g} .. {learnt[1]:.3g} {unit}, where the "
+                f"plant takes {plant[0]:.3g} .. {plant[1]:.3g}; "
                 + ("it is of another fin: " if beyond else f"less than {KNOWN:.0%} of that: ")
                 + "fit it to random logs of this plant"
             )
+    provenance = artifacts.load_description(folder, "surrogate").get("provenance") or {}
+    metadata = {"surrogate": str(folder), "members": members, "data_hash": provenance.get("data_hash")}
+    return Chooser(surrogate, config.active, config.excitation), metadata

@@ -1,27 +1,28 @@
-"""Which model: the one that is asked for, or the best of several on logs that none of them was fitted to."""
+"""Fits the model that is asked for, or the best of several on logs that none of them was fitted to."""
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import LogError
 from softfin.core.quantities import RATE_HZ, Log
 from softfin.storage.run_directory import Workspace
-from softfin.surrogate.compare.horizons import free_running, places, take
-from softfin.surrogate.paper.fit import FitConfig, Progress, check_fit, check_lengths, fit, held_out
+from softfin.surrogate.compare.free_running import free_run, segments_of, take
+from softfin.surrogate.compare.metrics import rms
+from softfin.surrogate.paper.fit import FitConfig, fit, split
 from softfin.surrogate.store import AnySurrogate
-from softfin.surrogate.streaming.config import StreamingConfig
-from softfin.surrogate.streaming.fit import check_streaming, fit_streaming
+from softfin.surrogate.streaming.fit import StreamingFit, fit_streaming
+from softfin.surrogate.streaming.learner import StreamingConfig
 from softfin.surrogate.streaming.streaming import MEMORY
+from softfin.surrogate.training import Progress, check_lengths, held_out_count
 
 HORIZON_S = 30
-"""That candidates are left alone for, where a held-out log is as long [s]."""
+"""Time that candidates run free for, where a held-out log is as long [s]."""
 
 SHORTEST_S = 10
-"""Of a held-out log, behind what warms a candidate, that is not passed over for longer ones [s]."""
+"""Shortest part of a held-out log, behind what warms a candidate, that is not passed over for longer ones [s]."""
 
 
 class AutoConfig(Configuration):
@@ -33,7 +34,7 @@ class AutoConfig(Configuration):
     """Streaming nets; the third candidate is the same without `mirror` and `turning`."""
 
     def candidates(self) -> dict[str, FitConfig | StreamingConfig]:
-        """By name, in order of preference where two are equally good; of equal ones the first."""
+        """Configurations by name, in order of preference where two are equally good; of equal ones the first."""
         free = {"drive": {"mirror": False}, "force": {"mirror": False, "turning": False}}
         without = self.streaming.merged(free, "streaming")
         return {
@@ -47,30 +48,29 @@ def fit_any(
     logs: Sequence[Log],
     config: FitConfig | StreamingConfig | AutoConfig,
     seed: int,
-    workspace: Workspace,
+    run_directory: Workspace,
     progress: Progress | None = None,
 ) -> tuple[AnySurrogate, dict[str, Any] | None]:
-    """Fit what the configuration says; of several candidates the best, with the evidence for it (else None).
+    """Fit the model of the configuration; of several candidates the best, with the evidence for it (else None).
 
-    The evidence: which was ``chosen``, what each left on ``held_out`` logs, on how many of them, and why others were
+    The evidence: which was ``chosen``, the errors of each on ``held_out`` logs, how many of these, and why others were
     ``left_out``.
     """
     if isinstance(config, FitConfig):
-        return fit(logs, config, seed, workspace, progress), None
+        return fit(logs, config, seed, run_directory, progress), None
     if isinstance(config, StreamingConfig):
-        return fit_streaming(logs, config, seed, workspace, progress), None
-    candidates, left_out = _possible(logs, config.candidates(), workspace)
-    # The shares may differ: what none was fitted to is what the least share holds out.
-    holding = list(logs[-min(held_out(len(logs), one.held_out) for one in candidates.values()) :])
+        return fit_streaming(logs, config, seed, run_directory, progress), None
+    candidates, left_out = _possible(logs, config.candidates(), run_directory)
+    # The shares may differ: the least share holds out what none was fitted to.
+    holding = list(logs[-min(held_out_count(len(logs), one.held_out) for one in candidates.values()) :])
     first = max([MEMORY, *(one.posnet.window for one in candidates.values() if isinstance(one, FitConfig))])
     scored = _long_enough(holding, first)
-    fitted, scores = dict[str, AnySurrogate](), dict[str, dict[str, float]]()
+    fitted = dict[str, AnySurrogate]()
     for number, (name, one) in enumerate(candidates.items()):
         report = None if progress is None else _part(progress, name, number, len(candidates))
-        fitted[name], _ = fit_any(logs, one, seed, workspace.part(str(number)), report)
-    for name, surrogate in fitted.items():
-        scores[name] = _scores(surrogate, scored, first)
-    record = workspace.log()
+        fitted[name], _ = fit_any(logs, one, seed, run_directory.part(str(number)), report)
+    scores = {name: _scores(surrogate, scored, first) for name, surrogate in fitted.items()}
+    record = run_directory.log()
     for number, each in enumerate(scores.values()):
         record.write(number, **each)
     record.close()
@@ -80,25 +80,24 @@ def fit_any(
 
 
 def _possible(
-    logs: Sequence[Log], candidates: dict[str, FitConfig | StreamingConfig], workspace: Workspace
+    logs: Sequence[Log], candidates: dict[str, FitConfig | StreamingConfig], run_directory: Workspace
 ) -> tuple[dict[str, FitConfig | StreamingConfig], dict[str, str]]:
     """Candidates that can be fitted to the logs, and why others cannot: before hours of fitting, not behind them.
 
-    Raises:
-        LogError: none can; the words are the first one's.
+    Raises the first candidate's LogError where none can.
     """
-    reasons = dict[str, LogError]()
+    possible, reasons = dict[str, FitConfig | StreamingConfig](), dict[str, LogError]()
     for name, one in candidates.items():
         try:
             if isinstance(one, FitConfig):
-                check_fit(logs, one)
+                split(logs, one)
             else:
-                check_streaming(logs, one, workspace)
+                StreamingFit(logs, one, 0, run_directory, None)
+            possible[name] = one
         except LogError as error:
             reasons[name] = error
-    if len(reasons) == len(candidates):
+    if not possible:
         raise next(iter(reasons.values()))
-    possible = {name: one for name, one in candidates.items() if name not in reasons}
     return possible, {name: str(error) for name, error in reasons.items()}
 
 
@@ -113,24 +112,20 @@ def _long_enough(logs: Sequence[Log], first: int) -> list[Log]:
 
 
 def _scores(surrogate: AnySurrogate, logs: Sequence[Log], first: int) -> dict[str, float]:
-    """Free-running from row `first` on, each log in stretches as long as it allows; over both axes."""
+    """Errors free-running from row `first` on, each log in segments as long as it allows; over both axes."""
     lengths = [min(HORIZON_S * RATE_HZ, len(log.reading.time) - first) for log in logs]
     force, angle = [], []
     for ticks in sorted(set(lengths)):
         alike = [log for log, length in zip(logs, lengths, strict=True) if length == ticks]
-        where = places([len(log.reading.time) for log in alike], ticks, first)
-        said, measured = free_running(surrogate, alike, where, ticks).reading, take(alike, where, ticks).reading
-        force.append(np.ravel(said.force - measured.force))
-        angle.append(np.ravel(said.angle - measured.angle))
+        where = segments_of([len(log.reading.time) for log in alike], ticks, first)
+        predicted, measured = free_run(surrogate, alike, where, ticks).reading, take(alike, where, ticks).reading
+        force.append(np.ravel(predicted.force - measured.force))
+        angle.append(np.ravel(predicted.angle - measured.angle))
     return {
-        "force_rmse_n": _rms(np.concatenate(force)),
-        "angle_rmse_rad": _rms(np.concatenate(angle)),
+        "force_rmse_n": rms(np.concatenate(force)),
+        "angle_rmse_rad": rms(np.concatenate(angle)),
         "seconds": sum(map(len, angle)) / RATE_HZ,
     }
-
-
-def _rms(error: Float[np.ndarray, "samples"]) -> float:
-    return float(np.sqrt(np.mean(np.square(error, dtype=np.float64))))
 
 
 def _part(progress: Progress, name: str, number: int, of: int) -> Progress:

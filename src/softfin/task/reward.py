@@ -51,22 +51,5 @@ class RewardConfig(Configuration):
         return -jnp.sum(weight * cost, axis=-1)
 
 
-def window_mean(forces: Forces, count: Count) -> PerAxis:
-    """Mean force over the last `count` samples [N]; ``count >= 1``."""
-    counts = jnp.arange(len(forces)) >= len(forces) - count
-    return jnp.where(counts[:, None], forces, 0).sum(axis=0) / count
-
-
-def window_error(forces: Forces, count: Count, reference: PerAxis) -> PerAxis:
-    """|F_e| = |mean(F) - F_r| [N]."""
-    return jnp.abs(window_mean(forces, count) - reference)
-
-
 SMOOTHNESS: Mapping[str, Smoothness] = MappingProxyType({"sum": sobolev_sum, "mean": sobolev_mean})
 """The two forms of the Sobolev term by name."""
-
-
-def moving_average(forces: Float[Array, "samples 2"], window: int) -> Float[Array, "windows 2"]:
-    """Mean force over every whole window of a series [N]; the first ends with sample ``window - 1``."""
-    total = jnp.concatenate([jnp.zeros((1, 2)), jnp.cumsum(forces, axis=0)])
-    return (total[window:] - total[:-window]) / window

@@ -21,8 +21,9 @@ from softfin.core.configuration import Configuration
 from softfin.core.operations import JAX
 from softfin.core.plant import EnsemblePlant, Plant, State, Ticks, hold_action, mean_of, repeat, rest_command
 from softfin.core.quantities import Command, Limits, Reading, command_of
+from softfin.core.window import window_error, window_mean
 from softfin.task.references import References
-from softfin.task.reward import SMOOTHNESS, RewardConfig, RewardTerms, window_error, window_mean
+from softfin.task.reward import SMOOTHNESS, RewardConfig, RewardTerms
 
 Action = Float[Array, "2"]
 """(angle, velocity) normalised to [-1, 1], the plant's limits."""

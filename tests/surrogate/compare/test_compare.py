@@ -53,7 +53,7 @@ def saved(path, seed=0, configuration=None, data_hash="d"):
 @functools.cache
 def compared():
     found = [candidate(0), candidate(1), candidate(2), candidate(0, "b", Attentive)]
-    return compare(found, LOGS, CONFIG, floor=("fin", AnalyticFin()))
+    return compare(found, LOGS, CONFIG, noise_floor=("fin", AnalyticFin()))
 
 
 def test_seeds_of_one_configuration_and_dataset_are_one_group(tmp_path):
@@ -105,19 +105,19 @@ def test_all_surrogates_are_scored_on_the_same_rows():
     # The attentive one needs 40 rows to be warm, so all begin there.
     comparison = compared()
     assert comparison.scored == [
-        {"stretches": 10, "rows": 1000, "rows_left": 120},
-        {"stretches": 4, "rows": 1000, "rows_left": 120},
+        {"segments": 10, "rows": 1000, "rows_left": 120},
+        {"segments": 4, "rows": 1000, "rows_left": 120},
     ]
     np.testing.assert_array_equal(comparison.measured.reading.force[1], LOGS[0].reading.force[290:540])
     # The same weights with the same rows have the same errors, whatever the kind is called.
     paper, attentive = comparison.groups
-    assert paper.runs[0].judgements[1].scores["force_mae_n"] == attentive.runs[0].judgements[1].scores["force_mae_n"]
+    assert paper.runs[0].scores[1].scores["force_mae_n"] == attentive.runs[0].scores[1].scores["force_mae_n"]
 
 
 def test_a_score_is_the_mean_over_the_seeds_with_its_interval():
     comparison = compared()
     row = comparison.summary()["groups"][0]
-    each = np.array([run.judgements[1].scores["force_x_rmse_n"] for run in comparison.groups[0].runs])
+    each = np.array([run.scores[1].scores["force_x_rmse_n"] for run in comparison.groups[0].runs])
     assert len(set(each)) == 3
     assert row["seeds"] == 3
     assert row["surrogates"] == ["a-0", "a-1", "a-2"]
@@ -140,18 +140,18 @@ def test_only_surrogates_that_state_intervals_have_a_coverage():
     assert "coverage" not in attentive["horizons"][0]
 
 
-def test_the_floor_runs_from_rest_and_is_scored_on_the_same_stretches():
+def test_the_noise_floor_runs_from_rest_and_is_scored_on_the_same_segments():
     fin = AnalyticFin(noise_n=0.0)
-    from softfin.surrogate.compare.horizons import from_rest
+    from softfin.surrogate.compare.free_running import run_from_rest
 
-    own = from_rest(fin, LOGS, jax.random.key(0))
+    own = run_from_rest(fin, LOGS, jax.random.key(0))
     logs = [Log(log.command, Reading(*map(np.asarray, reading))) for log, reading in zip(LOGS, own, strict=True)]
-    comparison = compare([candidate(0)], logs, CONFIG, floor=("fin", fin))
-    floor = comparison.summary()["floor"]
+    comparison = compare([candidate(0)], logs, CONFIG, noise_floor=("fin", fin))
+    floor = comparison.summary()["noise_floor"]
     assert floor["name"] == "second recording (fin)"
     assert [row["force_x_rmse_n"]["mean"] for row in floor["horizons"]] == [0.0, 0.0]
     assert [row["angle_rmse_rad"]["mean"] for row in floor["horizons"]] == [0.0, 0.0]
-    assert compare([candidate(0)], logs, CONFIG).summary()["floor"] is None
+    assert compare([candidate(0)], logs, CONFIG).summary()["noise_floor"] is None
 
 
 def test_few_seeds_and_commands_beyond_training_are_noted():

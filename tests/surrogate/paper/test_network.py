@@ -5,9 +5,8 @@ import pytest
 from pydantic import ValidationError
 
 from softfin.core.errors import ArtifactError
-from softfin.surrogate.paper.forcenet import FORCENET
-from softfin.surrogate.paper.network import LSTM, Conv1D, Dropout, Flatten, Network, NetworkConfig
-from softfin.surrogate.paper.posnet import POSNET
+from softfin.surrogate.paper.layers import LSTM, Conv1D, Dropout, Flatten
+from softfin.surrogate.paper.network import FORCENET, POSNET, Network, NetworkConfig
 
 
 def convolution(x, kernel, bias):

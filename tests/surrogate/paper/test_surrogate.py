@@ -7,7 +7,6 @@ from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.plant import hold, roll
 from softfin.core.quantities import Command
 from softfin.surrogate.paper.network import Network
-from softfin.surrogate.paper.predict import predict
 from softfin.surrogate.paper.surrogate import Surrogate, SurrogateState, windows
 from softfin.testing import check_plant
 from tests.surrogate import small
@@ -62,16 +61,16 @@ def test_the_plant_says_what_the_nets_say_of_the_windows_of_its_own_log():
     _, reading = roll(plant, plant.init(jax.random.key(0)), commands)
     # The reading after command k stands in row k + 1.
     angle = np.concatenate([[0.0], reading.angle[:-1]]).astype(np.float32)
-    said = predict(plant, log._replace(reading=log.reading._replace(angle=angle)), "free-running")
-    np.testing.assert_allclose(said.angle, angle[small.WINDOW :], atol=1e-5)
-    np.testing.assert_allclose(said.force, reading.force[small.WINDOW - 1 : -1], atol=1e-3)
+    own = log._replace(reading=log.reading._replace(angle=angle))
+    np.testing.assert_allclose(plant.predict_angle(own), angle[small.WINDOW :], atol=1e-5)
+    force = plant.predict_force(own, free_running=True)
+    np.testing.assert_allclose(force, reading.force[small.WINDOW - 1 : -1], atol=1e-3)
 
 
 def test_angles_given_and_angles_predicted_lead_to_other_forces():
     plant, log = small.surrogate(), small.log(rows=100)
-    free, given = predict(plant, log, "free-running"), predict(plant, log, "measured")
-    np.testing.assert_array_equal(free.angle, given.angle)
-    assert np.abs(free.force - given.force).max() > 0.01
+    free, given = (plant.predict_force(log, free_running=free) for free in (True, False))
+    assert np.abs(free - given).max() > 0.01
 
 
 def test_velocity_is_the_change_of_the_angle():

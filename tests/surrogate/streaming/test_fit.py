@@ -7,10 +7,9 @@ from softfin.core.randomness import key_of
 from softfin.storage.run_directory import LOG, Workspace, read_log
 from softfin.surrogate.streaming import fit as module
 from softfin.surrogate.streaming.fit import fit_streaming
-from softfin.surrogate.streaming.follow import follow
-from softfin.surrogate.streaming.member import ensemble, single
+from softfin.surrogate.streaming.member import ensemble, predict_logs, single
 from softfin.surrogate.streaming.profile import ProfileConfig
-from softfin.surrogate.streaming.sequences import scales_of
+from softfin.surrogate.streaming.segments import scales_of
 from tests.surrogate.streaming import small
 
 CONFIG = small.CONFIG
@@ -68,7 +67,7 @@ def test_a_killed_fit_resumes_to_the_same_surrogate(tmp_path, whole, after, from
     assert (resumed.interval, resumed.limits) == (surrogate.interval, surrogate.limits)
     assert read_log(workspace.folder / LOG) == history
     assert [entry["step"] for entry in history] == list(range(21))
-    assert history[0]["logs_shorter_than_a_stretch"] == 0
+    assert history[0]["logs_shorter_than_a_segment"] == 0
 
 
 def test_every_weight_learns_but_the_profile_which_is_what_the_logs_say(whole):
@@ -91,7 +90,7 @@ def test_the_members_are_not_alike(whole):
 
 def test_the_best_weights_of_each_member_are_kept(whole):
     surrogate, history, _ = whole
-    (said,) = follow(surrogate.members, LOGS[-1:])
+    (said,) = predict_logs(surrogate.members, LOGS[-1:])
     error = (said.force - LOGS[-1].reading.force)[:, CONFIG.burn_in :]
     assert np.mean(np.sum(error**2, axis=-1)) <= min(of("held_out/force_mse", history)) * 1.001
 
@@ -157,7 +156,7 @@ def test_a_loss_that_explodes_stops_the_fit(tmp_path, monkeypatch):
         return jax.tree.map(lambda x: x + np.float32(1e30), ensemble(*parts))
 
     monkeypatch.setattr(module, "ensemble", far_off)
-    with pytest.raises(RunError, match=r"drive nets' loss is not finite; lower learning_rate \(--set\), start anew"):
+    with pytest.raises(RunError, match=r"loss of the drive nets is not finite; lower learning_rate \(--set\), start"):
         fit_streaming(LOGS, CONFIG, 0, Workspace(tmp_path / "s", {}))
 
 

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from softfin.core.quantities import TICK_S
+from softfin.surrogate.streaming.core import products
 from softfin.surrogate.streaming.force import Motion
 from softfin.surrogate.streaming.member import forces
 from tests.surrogate.streaming import small
@@ -103,11 +104,11 @@ def test_the_sensor_turns_and_shifts_what_is_read():
 
 
 def test_a_deviation_is_said_only_where_it_is_asked_for():
-    assert not np.any(force_of(small.force_net(), MOTION).log_deviation)
+    assert not np.any(force_of(small.force_net(), MOTION).log_std)
     said = force_of(small.force_net(heteroscedastic=True, on_mount=False), MOTION)
     other = force_of(small.force_net(heteroscedastic=True, on_mount=False), mirror(MOTION))
-    assert np.std(said.log_deviation) > 0.1
-    np.testing.assert_allclose(said.log_deviation, other.log_deviation, atol=1e-5)
+    assert np.std(said.log_std) > 0.1
+    np.testing.assert_allclose(said.log_std, other.log_std, atol=1e-5)
 
 
 def test_forces_is_step_by_step():
@@ -120,4 +121,4 @@ def test_forces_is_step_by_step():
 def test_products_are_those_of_the_core_and_of_the_wake():
     # 3 units: 4 x 8 odd ... see test_core; the wake is pushed by 3 even and 3 odd units, 2 vectors each.
     net = small.force_net()
-    assert net.products() == (3 + 5) * 6 + (6 + 2) * 12 + 6 * 4 + 4 + 3 + 4 * 3 + 2 * 3 * 2
+    assert products(net) == (3 + 5) * 6 + (6 + 2) * 12 + 6 * 4 + 4 + 3 + 4 * 3 + 2 * 3 * 2

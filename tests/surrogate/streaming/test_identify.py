@@ -13,7 +13,7 @@ NOISE_RAD = 1e-3
 
 
 def test_the_coefficients_of_a_drive_are_read_off_its_logs(monkeypatch):
-    monkeypatch.setattr(module, "STRETCHES", 32)
+    monkeypatch.setattr(module, "SEGMENTS", 32)
     monkeypatch.setattr(module, "STARTS", 1)
     logs = [small.recorded(800, seed, TRUE, noise_rad=NOISE_RAD) for seed in range(4)]
     found, error = identify(logs, seed=0)
@@ -36,7 +36,7 @@ def test_short_logs_are_read_in_shorter_pieces(monkeypatch):
 
 def test_numpys_global_generator_is_left_alone_and_the_seed_alone_decides(monkeypatch):
     monkeypatch.setattr(module, "GENERATIONS", 1)
-    monkeypatch.setattr(module, "STRETCHES", 2)
+    monkeypatch.setattr(module, "SEGMENTS", 2)
     logs, found = [small.recorded(80, 0)], []
     for state in (5, 6):
         np.random.seed(state)  # noqa: NPY002

@@ -4,32 +4,35 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from softfin.core.errors import ConfigurationError
+from softfin.surrogate import StreamingConfig
 from softfin.surrogate.streaming.force import Motion
-from softfin.surrogate.streaming.learner import Learner, drive_loss, force_loss, keep_best
+from softfin.surrogate.streaming.learner import Learner, drive_loss, force_loss
 from softfin.surrogate.streaming.member import ensemble, single
-from softfin.surrogate.streaming.sequences import Table
+from softfin.surrogate.streaming.segments import Table
+from softfin.surrogate.training import keep_best
 from tests.surrogate.streaming import small
 
 CONFIG = small.CONFIG
 TABLE = Table.of([small.recorded(200, seed) for seed in range(3)], CONFIG.ticks)
-STRETCH = TABLE.draw(jax.random.key(0), CONFIG.batch, CONFIG.ticks)
+SEGMENTS = TABLE.draw(jax.random.key(0), CONFIG.batch, CONFIG.ticks)
 KEY = jax.random.key(1)
 
 
-def foretold(shift=0.3):
+def predicted(shift=0.3):
     """Another motion than was measured."""
-    whole = jax.tree.map(lambda x, y: jnp.concatenate([x[:, None], y], axis=1), STRETCH.before, STRETCH.motion)
+    whole = jax.tree.map(lambda x, y: jnp.concatenate([x[:, None], y], axis=1), SEGMENTS.before, SEGMENTS.motion)
     return Motion(whole.angle + shift, whole.velocity * (1 + shift))
 
 
 @eqx.filter_jit
-def force_error(net, stretch, motion, done):
-    return force_loss(CONFIG)(net, stretch, motion, jnp.float32(done), KEY)
+def force_error(net, segments, motion, done):
+    return force_loss(CONFIG)(net, segments, motion, jnp.float32(done), KEY)
 
 
 @eqx.filter_jit
-def drive_error(net, stretch):
-    return drive_loss(CONFIG)(net, stretch, foretold(), jnp.float32(0), KEY)
+def drive_error(net, segments):
+    return drive_loss(CONFIG)(net, segments, predicted(), jnp.float32(0), KEY)
 
 
 def slopes(function, net):
@@ -39,14 +42,14 @@ def slopes(function, net):
 @pytest.mark.parametrize("options", [{}, {"mirror": False}, {"turning": False}, {"heteroscedastic": True}])
 def test_gradients_reach_every_weight_of_a_force_net(options):
     net = small.force_net(**options)
-    found = slopes(lambda net: force_loss(CONFIG)(net, STRETCH, foretold(), jnp.float32(0.5), KEY), net)
+    found = slopes(lambda net: force_loss(CONFIG)(net, SEGMENTS, predicted(), jnp.float32(0.5), KEY), net)
     assert [jax.tree_util.keystr(path) for path, slope in found.items() if not np.all(slope)] == []
 
 
 @pytest.mark.parametrize("options", [{}, {"mirror": False}, {"profile": False}])
 def test_gradients_reach_every_weight_of_a_drive_net_and_none_of_its_profile(options):
     net = small.drive_net(**options)
-    found = slopes(lambda net: drive_loss(CONFIG)(net, STRETCH, foretold(), jnp.float32(0), KEY), net)
+    found = slopes(lambda net: drive_loss(CONFIG)(net, SEGMENTS, predicted(), jnp.float32(0), KEY), net)
     names = {jax.tree_util.keystr(path): slope for path, slope in found.items()}
     coefficients = {name for name in names if name.startswith(".profile")}
     assert len(coefficients) == (7 if options.get("profile", True) else 0)
@@ -58,27 +61,27 @@ def test_gradients_reach_every_weight_of_a_drive_net_and_none_of_its_profile(opt
 def test_what_is_wrong_within_the_burn_in_does_not_count(part):
     def with_error(tick):
         if part == "force":
-            return STRETCH._replace(force=STRETCH.force.at[:, tick].add(5.0))
-        return STRETCH._replace(motion=STRETCH.motion._replace(angle=STRETCH.motion.angle.at[:, tick].add(5.0)))
+            return SEGMENTS._replace(force=SEGMENTS.force.at[:, tick].add(5.0))
+        return SEGMENTS._replace(motion=SEGMENTS.motion._replace(angle=SEGMENTS.motion.angle.at[:, tick].add(5.0)))
 
-    def error(stretch):
+    def error(segments):
         if part == "force":
-            return float(force_error(small.force_net(), stretch, foretold(), 0.0))
-        return float(drive_error(small.drive_net(), stretch))
+            return float(force_error(small.force_net(), segments, predicted(), 0.0))
+        return float(drive_error(small.drive_net(), segments))
 
-    assert error(with_error(CONFIG.burn_in - 1)) == pytest.approx(error(STRETCH), rel=1e-6)
-    assert error(with_error(CONFIG.burn_in)) > 1.01 * error(STRETCH)
+    assert error(with_error(CONFIG.burn_in - 1)) == pytest.approx(error(SEGMENTS), rel=1e-6)
+    assert error(with_error(CONFIG.burn_in)) > 1.01 * error(SEGMENTS)
 
 
-def test_force_nets_see_the_measured_motion_first_and_the_foretold_one_in_the_end():
+def test_force_nets_see_the_measured_motion_first_and_the_predicted_one_in_the_end():
     net, begin, end = small.force_net(), *CONFIG.free_running
-    told = foretold()
-    fed = STRETCH._replace(before=small.rows_of_ticks(told, 0), motion=small.rows_of_ticks(told, slice(1, None)))
-    measured, free = (float(force_error(net, stretch, foretold(0.0), 0.0)) for stretch in (STRETCH, fed))
+    told = predicted()
+    fed = SEGMENTS._replace(before=small.rows_of_ticks(told, 0), motion=small.rows_of_ticks(told, slice(1, None)))
+    measured, free = (float(force_error(net, segments, predicted(0.0), 0.0)) for segments in (SEGMENTS, fed))
     assert abs(free - measured) > 0.05 * measured
     for done, expected in ((0.0, measured), (begin, measured), (end, free), (1.0, free)):
-        assert float(force_error(net, STRETCH, told, done)) == pytest.approx(expected, rel=1e-5)
-    between = float(force_error(net, STRETCH, told, (begin + end) / 2))
+        assert float(force_error(net, SEGMENTS, told, done)) == pytest.approx(expected, rel=1e-5)
+    between = float(force_error(net, SEGMENTS, told, (begin + end) / 2))
     assert abs(between - measured) > 1e-4
     assert abs(between - free) > 1e-4
 
@@ -136,8 +139,23 @@ def test_nets_learn_that_the_noise_grows_with_the_speed():
     state, _ = learner.run(learner.start(fresh.force), table, as_measured, jnp.int32(0), updates, KEY)
     net, motion = single(state.nets), small.recorded(400, seed=50).reading
     said = small.forces_of(net, motion)
-    deviation = np.exp(np.asarray(said.log_deviation)) * small.SCALES.force_n
+    deviation = np.exp(np.asarray(said.log_std)) * small.SCALES.force_n
     speed = np.abs(motion.velocity[1:])
     for low, high in ((0.0, 0.1), (1.0, 1.5), (2.0, 2.5)):
         there = (speed >= low) & (speed < high)
         assert deviation[there].mean() == pytest.approx(0.02 + 0.2 * speed[there].mean(), rel=0.35, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("burn_in=400", r"burn_in must be less than ticks = 400"),
+        ("free_running=[0.8, 0.2]", r"two parts of the training in order, such as 0\.2, 0\.8"),
+        ("free_running=[0.5, 1.2]", r"two parts of the training in order"),
+        ("members=0", r"members = 0: Input should be greater than 0"),
+        ("force.mirors=true", r"did you mean 'mirror'"),
+    ],
+)
+def test_what_cannot_be_fitted_is_refused(change, words):
+    with pytest.raises(ConfigurationError, match=words):
+        StreamingConfig().changed([change])

@@ -7,8 +7,8 @@ from softfin.core.errors import ArtifactError, LogError
 from softfin.core.plant import rest_command, roll
 from softfin.core.quantities import PAPER_LIMITS, Command
 from softfin.surrogate import StreamingSurrogate
-from softfin.surrogate.streaming.follow import follow
-from softfin.surrogate.streaming.member import parameters, single
+from softfin.surrogate.streaming.core import products
+from softfin.surrogate.streaming.member import parameters, predict_logs, single
 from softfin.surrogate.streaming.profile import LONGEST_DELAY
 from softfin.testing import check_plant
 from tests.surrogate.streaming import small
@@ -76,13 +76,13 @@ LOG = small.recorded(400, seed=5)
 
 def test_warm_is_where_following_the_log_from_there_on_comes_to():
     begin = PAST - PLANT.memory + LONGEST_DELAY
-    # Held before that row, as `follow` takes it to have been.
+    # Held before that row, as `predict_logs` takes it to have been.
     held = Command(*(np.where(np.arange(400) < begin, part[begin], part) for part in LOG.command))
     log = LOG._replace(command=held)
     ahead = jax.tree.map(jnp.asarray, small.rows_of(held, PAST - 1, 399))
     _, reading = roll(PLANT, PLANT.warm(small.rows_of(log, 0, PAST)), ahead)
-    (said,) = follow(PLANT.members, [small.rows_of(log, begin, None)])
-    np.testing.assert_allclose(reading.angle, said.angle.mean(axis=0)[-40:], atol=1e-5)
+    (said,) = predict_logs(PLANT.members, [small.rows_of(log, begin, None)])
+    np.testing.assert_allclose(reading.angle, said.motion.angle.mean(axis=0)[-40:], atol=1e-5)
     np.testing.assert_allclose(reading.force, said.force.mean(axis=0)[-40:], atol=1e-4)
 
 
@@ -106,7 +106,7 @@ def test_a_short_history_is_refused():
 
 def test_the_cost_of_a_tick_is_that_of_the_products_of_all_members():
     member = single(PLANT.members)
-    assert PLANT.flops_per_tick() == 2 * 2 * (member.drive.products() + member.force.products())
+    assert PLANT.flops_per_tick() == 2 * 2 * (products(member.drive) + products(member.force))
     assert PLANT.parameters() == sum(leaf.size for leaf in jax.tree.leaves(PLANT.members)) == 2 * parameters(member)
     assert (PLANT.model, PLANT.size) == ("streaming", 2)
 
@@ -132,14 +132,14 @@ def test_deviations_are_said_by_nets_that_learnt_them_and_by_no_others():
     nets = small.members(force=small.FORCE.merged({"heteroscedastic": True}, "test"))
     plant = StreamingSurrogate(nets, PAPER_LIMITS, small.interval(), small.surrogate().familiarity)
     state, command = plant.init(jax.random.key(0)), Command(jnp.float32(1.0), jnp.float32(2.0))
-    said = jax.jit(lambda state: plant.deviation(state, command, 5))(state)
+    said = jax.jit(lambda state: plant.force_std(state, command, 5))(state)
     step, logs = jax.jit(lambda member, state: member.step(state, command)), []
     for index in range(2):
         member, own = single(nets, index), single(state.members, index)
         logs.append([])
         for _ in range(5):
             own, (_, spoken) = step(member, own)
-            logs[-1].append(float(spoken.log_deviation))
+            logs[-1].append(float(spoken.log_std))
     np.testing.assert_allclose(said, 2.0 * np.sqrt(np.exp(2 * np.array(logs)).mean(axis=0)), rtol=1e-4)
     with pytest.raises(ArtifactError, match=r"learnt no deviations; fit it with --set force\.heteroscedastic=true"):
-        small.surrogate().deviation(small.surrogate().init(jax.random.key(0)), command, 5)
+        small.surrogate().force_std(small.surrogate().init(jax.random.key(0)), command, 5)

@@ -5,11 +5,12 @@ import pytest
 
 from softfin.core.action_clock import WINDOW
 from softfin.core.quantities import Command, Log, Reading
+from softfin.core.window import window_means
 from softfin.surrogate.streaming.member import single
-from softfin.surrogate.streaming.uncertainty import Interval, calibrated, familiar, remembered, window_means
+from softfin.surrogate.streaming.uncertainty import Interval, calibrated, familiar, remembered
 from tests.surrogate.streaming import small
 
-CONFIG = small.CONFIG.changed(["burn_in=7"])
+BURN_IN = 7
 
 
 def log_of(means):
@@ -37,7 +38,7 @@ def test_the_interval_holds_its_share_of_errors_that_it_was_not_calibrated_with(
         error, spread = random.normal(0, 0.3, size.shape) * size, 0.3 * size
         members = [error + spread, error - spread]
         found = calibrated(
-            [said_of([m[:windows] for m in members])], [log_of(np.zeros((windows, 2)))], CONFIG
+            [said_of([m[:windows] for m in members])], [log_of(np.zeros((windows, 2)))], BURN_IN
         ) if windows == 10 or len(held) < 10 else found  # fmt: skip
         fresh = np.stack(members)[:, windows:]
         held.append(np.mean(np.abs(fresh.mean(axis=0)) <= found.half_width(fresh)))
@@ -91,6 +92,6 @@ def test_commands_that_were_never_trained_are_far(known):
 
 
 @pytest.mark.parametrize(("logs", "said"), [(10, None), (9, "9 held-out logs;"), (1, "1 held-out log;")])
-def test_an_interval_from_few_logs_says_that_it_knows_little(logs, said):
+def test_an_interval_from_few_logs_says_that_it_hardly_covers_them(logs, said):
     caveat = small.interval().model_copy(update={"logs": logs}).caveat()
     assert (caveat is None) if said is None else said in caveat

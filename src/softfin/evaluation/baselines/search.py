@@ -17,8 +17,8 @@ from softfin.core.configuration import Configuration
 from softfin.core.plant import Plant, roll
 from softfin.core.quantities import RATE_HZ, Command, Limits, Reading
 from softfin.core.randomness import generator_of, key_of
+from softfin.core.window import moving_error
 from softfin.evaluation.baselines.sines import ShaftSine, fit_constant
-from softfin.evaluation.scores import moving_average
 
 Forces = Float[np.ndarray, "cases ticks 2"]
 References = Float[np.ndarray, "references 2"]
@@ -99,8 +99,7 @@ class OpenLoop:
 
 def force_errors(forces: Forces, references: References) -> Float[np.ndarray, "cases references"]:
     """Error of each case at each reference: those of x and y together [N], as in Table II."""
-    average = moving_average(forces)
-    return np.stack([np.abs(average - reference).mean(axis=1).sum(axis=1) for reference in references], axis=1)
+    return np.stack([moving_error(forces, reference).sum(axis=1) for reference in references], axis=1)
 
 
 def best_sines(player: OpenLoop, references: References, config: SearchConfig, seed: int) -> ShaftSine:

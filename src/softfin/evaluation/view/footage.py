@@ -16,7 +16,7 @@ from softfin.core.action_clock import WINDOW
 from softfin.core.errors import PlantError
 from softfin.core.plant import Plant, State
 from softfin.core.quantities import Command, Reading
-from softfin.evaluation.scores import moving_average
+from softfin.core.window import moving_average
 from softfin.tank import Tank, TankConfig, TankState
 
 

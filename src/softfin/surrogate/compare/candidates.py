@@ -1,4 +1,4 @@
-"""What is compared: surrogates from their folders, those that are seeds of one configuration told from the others."""
+"""The surrogates that are compared, from their folders; seeds of one configuration and dataset form a group."""
 
 import json
 import re
@@ -11,10 +11,10 @@ import numpy as np
 
 from softfin.core.errors import ConfigurationError
 from softfin.core.plant_identity import identity
-from softfin.core.quantities import PAPER_LIMITS, Limits, Log
+from softfin.core.quantities import PAPER_LIMITS, Log
 from softfin.storage import artifact as artifacts
-from softfin.surrogate import load_surrogate
-from softfin.surrogate.compare.horizons import FreeRunner
+from softfin.surrogate.model import SurrogateModel
+from softfin.surrogate.store import load_surrogate
 
 SEED_IN_NAME = re.compile(r"[-_./]?(seed)?[-_.]?\d+$")
 
@@ -23,13 +23,13 @@ class Candidate(NamedTuple):
     """A surrogate and where it lies."""
 
     folder: Path
-    surrogate: FreeRunner
+    surrogate: SurrogateModel
     group: str
-    """Equal for seeds of one configuration on the same data."""
+    """Key of the group: equal for seeds of one configuration on the same data."""
 
 
 def candidates(folders: Sequence[Path]) -> list[Candidate]:
-    """Load surrogates; raises ConfigurationError where one is given twice, under one name or two."""
+    """Load surrogates; raises ConfigurationError where there is none, or one is given twice."""
     if not folders:
         raise ConfigurationError("no surrogate: give the folders of those that are to be compared")
     seen: dict[str, Path] = {}
@@ -48,7 +48,7 @@ def candidates(folders: Sequence[Path]) -> list[Candidate]:
 
 
 def names_of(groups: Sequence[Sequence[Candidate]]) -> list[str]:
-    """Of groups: the model; where several groups are of one, with the name of the first folder, less its seed."""
+    """Name each group by its model; where several are of one model, also by its first folder, less its seed."""
     models = Counter(members[0].surrogate.model for members in groups)
 
     def name(members: Sequence[Candidate], whole: bool) -> str:
@@ -66,32 +66,30 @@ def names_of(groups: Sequence[Sequence[Candidate]]) -> list[str]:
 def beyond_limits(members: Sequence[Candidate], logs: Sequence[Log]) -> tuple[float, float]:
     """Share of the logs' commands beyond those a group was trained on, and how far the furthest is, over their range.
 
-    Of the member for which they are greatest.
+    For the member for which they are greatest.
     """
-    each = [_beyond(member.surrogate.limits, logs) for member in members]
-    return max(share for share, _ in each), max(furthest for _, furthest in each)
+    commands = [np.concatenate([np.asarray(log.command[i], np.float64) for log in logs]) for i in range(2)]
+    shares, furthest = [], []
+    for member in members:
+        excess = []
+        for values, index in zip(commands, (0, 2), strict=True):
+            (low, high), (paper_low, paper_high) = (
+                x[index : index + 2] for x in (member.surrogate.limits, PAPER_LIMITS)
+            )
+            # Where the training commands never changed, over the range of the paper's.
+            span = high - low or paper_high - paper_low
+            excess.append(np.maximum(np.maximum(low - values, values - high) / span, 0))
+        shares.append(float(np.mean(np.max(excess, axis=0) > 0)))
+        furthest.append(float(np.max(excess)))
+    return max(shares), max(furthest)
 
 
-def _beyond(limits: Limits, logs: Sequence[Log]) -> tuple[float, float]:
-    excess = []
-    # Where the training commands never changed, over the range of the paper's.
-    paper = PAPER_LIMITS
-    for field, low, high, usual in (
-        ("angle", limits.angle_min, limits.angle_max, paper.angle_max - paper.angle_min),
-        ("velocity", limits.velocity_min, limits.velocity_max, paper.velocity_max - paper.velocity_min),
-    ):
-        values = np.concatenate([np.asarray(getattr(log.command, field), np.float64) for log in logs])
-        excess.append(np.maximum(np.maximum(low - values, values - high) / (high - low or usual), 0))
-    most = np.max(excess, axis=0)
-    return float(np.mean(most > 0)), float(most.max())
-
-
-def _group(folder: Path, surrogate: FreeRunner) -> str:
+def _group(folder: Path, surrogate: SurrogateModel) -> str:
     description = artifacts.load_description(folder, "surrogate")
     data = (description.get("provenance") or {}).get("data_hash")
     if description.get("configuration") is None or data is None:
         # Imported: nothing says that two such are seeds of one another.
         return str(folder.resolve())
     # The networks too: of several candidates one seed may have chosen another than the next.
-    facts = [surrogate.model, description["configuration"], description.get("networks"), data]
-    return json.dumps(facts, sort_keys=True)
+    parts = [surrogate.model, description["configuration"], description.get("networks"), data]
+    return json.dumps(parts, sort_keys=True)

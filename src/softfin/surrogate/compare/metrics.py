@@ -1,153 +1,160 @@
-"""Table I: how far a surrogate's predictions are from unseen logs, in physical units and on the scaled series.
+"""Scores of predictions: Table I one log at a time, and those of free-running segments of several horizons.
 
-The paper does not say how its DTW is normalised, so four definitions stand side by side, each along the best path
-inside a Sakoe-Chiba band of 1 s (100 samples), with n the samples of a series and k >= n the steps of its path:
-`dtw_raw` = sqrt(sum d^2), which grows with n; `dtw_path` = sqrt(sum d^2) / k; `dtw_rms` = sqrt(sum d^2 / n);
-`dtw_mae` = sum |d| / n along the path that makes that sum least.
+The paper cites dynamic time warping (DTW) and does not say how it normalises the distance. Here it is `dtw_mae`, in the
+unit of the series and no greater than their mean absolute error: the least sum of |difference| over all warping paths
+inside a Sakoe-Chiba band of 1 s, divided by the number of samples (computed by dtaidistance). It forgives a lag, so it
+never stands without RMSE.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from dtaidistance import dtw
 from jaxtyping import Float
 
+from softfin.core.action_clock import WINDOW
 from softfin.core.errors import LogError
-from softfin.core.quantities import Log
-from softfin.surrogate.paper.forcenet import FORCES
-from softfin.surrogate.paper.predict import channels_of, predict
-from softfin.surrogate.paper.scaling import Scaling
-from softfin.surrogate.paper.surrogate import ANGLE, Surrogate
-from softfin.surrogate.store import AnySurrogate
-from softfin.surrogate.streaming.follow import follow, follow_force
-from softfin.surrogate.streaming.force import Motion
-from softfin.surrogate.streaming.member import parameters
-from softfin.surrogate.streaming.streaming import StreamingSurrogate
-
-SKIPPED = 100
-"""Rows at the beginning of a log that are not scored: as many as PosNet's and ForceNet's first window."""
+from softfin.core.quantities import AXES, AnyArray, Log, Reading
+from softfin.core.window import moving_average
+from softfin.surrogate.channels import ANGLE, FORCES, channels_of, joined_channels
+from softfin.surrogate.model import NetPrediction, SurrogateModel
 
 DTW_BAND = 100
-"""Half-width of the band [samples]: a stretch of more than a second is no longer the same motion."""
-
-Scores = dict[str, float]
-Series = Float[np.ndarray, "samples channels"]
-
-
-def series_scores(predicted: Series, measured: Series) -> Scores:
-    """RMSE, MAE and DTW, each the mean over the channels."""
-    error = predicted.astype(np.float64) - measured
-    warped = [dtw_scores(p, m) for p, m in zip(predicted.T, measured.T, strict=True)]
-    return {
-        "rmse": float(np.mean(np.sqrt(np.mean(error**2, axis=0)))),
-        "mae": float(np.mean(np.abs(error))),
-        **_mean(warped),
-    }
-
-
-def dtw_scores(predicted: Float[np.ndarray, "samples"], measured: Float[np.ndarray, "samples"]) -> Scores:
-    """Of one channel, in its unit: all are proportional to a change of scale."""
-    a, b = (np.ascontiguousarray(series, np.float64) for series in (predicted, measured))
-    path, distance = dtw.warping_path_fast(a, b, window=DTW_BAND, include_distance=True)
-    absolute = dtw.distance_fast(a, b, window=DTW_BAND, inner_dist="euclidean")
-    return {
-        "dtw_raw": float(distance),
-        "dtw_path": float(distance / len(path)),
-        "dtw_rms": float(distance / np.sqrt(len(a))),
-        "dtw_mae": float(absolute / len(a)),
-    }
-
-
-def table_one(surrogate: AnySurrogate, logs: Sequence[Log]) -> dict[str, Any]:
-    """Table I, averaged over the test logs; rows behind the first `SKIPPED` count.
-
-    Keys: ``posnet``, ``forcenet_measured`` (given the measured angle) and ``forcenet_free_running`` (behind PosNet,
-    commands in, forces out), each with ``window``, ``parameters``, ``physical`` (rad or N) and ``scaled`` scores. Of a
-    streaming surrogate ``drive``, ``force_measured`` and ``force_free_running``, with no window; all members together.
-    """
-    if isinstance(surrogate, StreamingSurrogate):
-        # It has no scaling of its own; so, as in `softfin compare`, the range of what was measured.
-        said, scaling = _streaming_said(surrogate, logs), measured_scaling(logs)
-    else:
-        said, scaling = [_paper_said(surrogate, log) for log in logs], surrogate.scaling
-    rows: dict[str, list[dict[str, Scores]]] = {name: [] for name in said[0]}
-    for log, each in zip(logs, said, strict=True):
-        measured = channels_of(log)
-        for name, (channels, series) in each.items():
-            actual = np.stack([measured[channel][-len(series) :] for channel in channels], axis=1)
-            rows[name].append(_both(scaling, channels, series, actual))
-    return {
-        name: {
-            **_facts(surrogate, name),
-            **{unit: _mean([row[unit] for row in each]) for unit in ("physical", "scaled")},
-        }
-        for name, each in rows.items()
-    }
-
-
-def measured_scaling(logs: Sequence[Log]) -> Scaling:
-    """Of angle and forces in test logs; raises LogError where one of them never changes."""
-    columns = [channels_of(log) for log in logs]
-    joined = {name: np.concatenate([each[name] for each in columns]) for name in (ANGLE, *FORCES)}
-    for name, values in joined.items():
-        if not values.max() > values.min():
-            raise LogError(f"column {name} is {values[0]:g} in every row of the test logs: nothing can be scored on "
-                           "it; give test logs in which it changes, or none")  # fmt: skip
-    return Scaling.fit(joined)
-
-
-Said = dict[str, tuple[tuple[str, ...], Series]]
-"""Of one log, by row of the table: channels, and what was predicted of the last rows of the log."""
-
-
-def _paper_said(surrogate: Surrogate, log: Log) -> Said:
-    free, given = predict(surrogate, log, "free-running"), predict(surrogate, log, "measured")
-    return {
-        "posnet": ((ANGLE,), free.angle[:, None]),
-        "forcenet_measured": (FORCES, given.force),
-        "forcenet_free_running": (FORCES, free.force),
-    }
-
-
-def _streaming_said(surrogate: StreamingSurrogate, logs: Sequence[Log]) -> list[Said]:
-    members = surrogate.members
-    measured = [Motion(*np.tile(np.stack([r.angle, r.velocity])[:, None], (surrogate.size, 1))) for _, r in logs]
-    given = follow_force(members.force, measured)
-    return [
-        {
-            "drive": ((ANGLE,), free.angle.mean(axis=0)[SKIPPED:, None]),
-            "force_measured": (FORCES, np.asarray(said.force).mean(axis=0)[SKIPPED:]),
-            "force_free_running": (FORCES, free.force.mean(axis=0)[SKIPPED:]),
-        }
-        for free, said in zip(follow(members, logs), given, strict=True)
-    ]
-
-
-def _facts(surrogate: AnySurrogate, name: str) -> dict[str, Any]:
-    if isinstance(surrogate, StreamingSurrogate):
-        net = surrogate.members.drive if name == "drive" else surrogate.members.force
-        return {"window": None, "parameters": parameters(net)}
-    network = surrogate.posnet if name == "posnet" else surrogate.forcenet
-    return {"window": surrogate.window, "parameters": network.config.parameters()}
-
-
-def _both(scaling: Scaling, names: Sequence[str], predicted: Series, measured: Series) -> dict[str, Scores]:
-    def scaled(series: Series) -> Series:
-        return np.stack([scaling.scaled(n, c) for n, c in zip(names, series.T, strict=True)], axis=1)
-
-    return {
-        "physical": series_scores(predicted, measured),
-        "scaled": series_scores(scaled(predicted), scaled(measured)),
-    }
-
-
-def _mean(scores: Sequence[Mapping[str, float]]) -> Scores:
-    return {name: float(np.mean([score[name] for score in scores])) for name in scores[0]}
-
+"""Half-width of the band [samples]: a shift of more than a second is no longer the same motion."""
 
 PAPER_TABLE_I = {
     "posnet": {"window": 100, "parameters": 113_601, "rmse": 0.03, "mae": 0.002, "dtw": 0.002},
     "forcenet": {"window": 100, "parameters": 129_794, "rmse": 0.2, "mae": 0.04, "dtw": 0.03},
 }
 """The paper's Table I; units and the normalisation of DTW are not stated there."""
+
+Samples = Float[np.ndarray, "samples"]
+
+Means = Float[np.ndarray, "segments windows *axes"]
+"""Mean forces over the evaluation window, (x, y) [N]."""
+
+HalfWidth: TypeAlias = Callable[[Float[np.ndarray, "members segments windows 2"]], AnyArray]
+"""Takes the members' mean forces to the half-width of the stated interval of their mean."""
+
+
+def rms(error: AnyArray) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(error, dtype=np.float64))))
+
+
+def rmse(predicted: AnyArray, measured: AnyArray) -> float:
+    """Root mean square error."""
+    return rms(np.asarray(predicted, np.float64) - measured)
+
+
+def mae(predicted: AnyArray, measured: AnyArray) -> float:
+    """Mean absolute error."""
+    return float(np.mean(np.abs(np.asarray(predicted, np.float64) - measured)))
+
+
+def dtw_mae(predicted: Samples, measured: Samples) -> float:
+    """Mean absolute difference of one channel after warping: see the module."""
+    series = [np.ascontiguousarray(samples, np.float64) for samples in (predicted, measured)]
+    return float(dtw.distance_fast(*series, window=DTW_BAND, inner_dist="euclidean") / len(predicted))
+
+
+TABLE_I_SCORES: Mapping[str, Callable[[Samples, Samples], float]] = {"rmse": rmse, "mae": mae, "dtw_mae": dtw_mae}
+
+
+def table_one(surrogate: SurrogateModel, logs: Sequence[Log]) -> dict[str, Any]:
+    """Table I, averaged over the test logs.
+
+    Rows are the nets that `SurrogateModel.predictions` names, each with ``window``, ``parameters``, ``physical`` (rad
+    or N) and ``scaled`` scores, the means over its channels. Scaled scores are those times the surrogate's scaling, or
+    over the range of what was measured: a score is proportional to the scale of its series.
+    """
+    if surrogate.scaling is None:
+        scales = {name: 1 / span for name, span in measured_ranges(logs).items()}
+    else:
+        scales = {name: channel.scale for name, channel in surrogate.scaling.channels.items()}
+    predictions = surrogate.predictions(logs)
+    table = {}
+    for name, first in predictions[0].items():
+        scores = np.array([_channel_scores(log, each[name]) for log, each in zip(logs, predictions, strict=True)])
+        units = {"physical": np.ones(len(first.channels)), "scaled": np.array([scales[c] for c in first.channels])}
+        means = {unit: (scores * scale).mean(axis=(0, 2)).tolist() for unit, scale in units.items()}
+        rows = {unit: dict(zip(TABLE_I_SCORES, values, strict=True)) for unit, values in means.items()}
+        table[name] = {"window": first.window, "parameters": first.parameters, **rows}
+    return table
+
+
+def _channel_scores(log: Log, prediction: NetPrediction) -> list[list[float]]:
+    """Each score of each channel."""
+    measured, rows = channels_of(log), len(prediction.series)
+    pairs = [
+        (each, measured[name][-rows:]) for name, each in zip(prediction.channels, prediction.series.T, strict=True)
+    ]
+    return [[score(*pair) for pair in pairs] for score in TABLE_I_SCORES.values()]
+
+
+def measured_ranges(logs: Sequence[Log]) -> dict[str, float]:
+    """Greatest minus least measured value of each channel over test logs; raises LogError where one never changes."""
+    columns = joined_channels(logs)
+    spans = {name: float(columns[name].max()) - float(columns[name].min()) for name in (ANGLE, *FORCES)}
+    for name, span in spans.items():
+        if not span > 0:
+            raise LogError(
+                f"test logs: column {name} is {columns[name][0]:g} in every row, so that no prediction of it can be "
+                "scored; give test logs in which it changes, or none"
+            )
+    return spans
+
+
+class HorizonScores(NamedTuple):
+    """Scores of one surrogate at one horizon."""
+
+    scores: dict[str, float]
+    """Scores by name with unit; those of the mean force and of its interval only where there are such."""
+    mean_errors: Means | None
+    """Errors of the mean force, predicted minus measured."""
+    half_widths: Means | None
+    """Half-width of the stated interval of each."""
+
+
+def score_segments(
+    measured: Log,
+    predicted: Reading,
+    ranges: Mapping[str, float],
+    members: Float[np.ndarray, "members segments ticks 2"] | None = None,
+    half_width: HalfWidth | None = None,
+) -> HorizonScores:
+    """Score segments, fields ``(segments, ticks)``; `members` and `half_width` of an ensemble that states intervals.
+
+    Errors are pooled over all rows of all segments; horizons shorter than the evaluation window have no mean force.
+    docs/files.md describes each score.
+    """
+    pairs = {"angle": (predicted.angle, measured.reading.angle)}
+    pairs |= {f"force_{x}": (predicted.force[..., i], measured.reading.force[..., i]) for i, x in enumerate(AXES)}
+    units = {"angle": "rad", **{f"force_{axis}": "n" for axis in AXES}}
+    errors = {name: rmse(*pair) for name, pair in pairs.items()}
+    scores = {f"{name}_rmse_{units[name]}": error for name, error in errors.items()}
+    scores |= {"angle_mae_rad": mae(*pairs["angle"]), "force_mae_n": mae(predicted.force, measured.reading.force)}
+    with np.errstate(divide="ignore", invalid="ignore"):  # a channel that never changes has none
+        variances = {name: np.var(np.asarray(actual, np.float64)) for name, (_, actual) in pairs.items()}
+        scores |= {f"{name}_r2": float(1 - np.square(error) / variances[name]) for name, error in errors.items()}
+    warped = {name: np.mean([dtw_mae(*one) for one in zip(*pair, strict=True)]) for name, pair in pairs.items()}
+    scaled = {name: warped[name] / span for name, span in zip(pairs, ranges.values(), strict=True)}
+    for quantity, unit in (("angle", "rad"), ("force", "n")):
+        names = [name for name in pairs if name.startswith(quantity)]
+        scores[f"{quantity}_dtw_mae_{unit}"] = float(np.mean([warped[name] for name in names]))
+        scores[f"{quantity}_dtw_mae_scaled"] = float(np.mean([scaled[name] for name in names]))
+    if measured.reading.angle.shape[1] < WINDOW:
+        return HorizonScores(scores, None, None)
+    mean_errors = moving_average(np.asarray(predicted.force)) - moving_average(np.asarray(measured.reading.force))
+    size = np.abs(mean_errors)
+    scores |= {f"mean_force_{axis}_mae_n": float(size[..., i].mean()) for i, axis in enumerate(AXES)}
+    scores |= {"mean_force_mae_n": float(size.mean()), "mean_force_p95_n": float(np.quantile(size, 0.95)),
+               "mean_force_worst_n": float(size.max())}  # fmt: skip
+    if half_width is None or members is None:
+        return HorizonScores(scores, mean_errors, None)
+    half_widths = np.asarray(half_width(moving_average(members)))
+    inside = size <= half_widths
+    scores |= {"coverage": float(inside.mean()), "half_width_n": float(half_widths.mean())}
+    scores |= {f"coverage_{axis}": float(inside[..., i].mean()) for i, axis in enumerate(AXES)}
+    return HorizonScores(scores, mean_errors, half_widths)

@@ -1,13 +1,14 @@
-"""The surrogate: PosNet and ForceNet as a Plant, commands in and readings out at 100 Hz (paper Sec. III-C1).
+"""PosNet and ForceNet as a Plant: commands in and readings out at 100 Hz (paper Sec. III-C1).
 
     command ──> last 100 commands ──> PosNet ──> angle ──> last 100 angles ─┐
                         └───────────────────────────────────────────────────┴──> ForceNet ──> force
 
 A held command lets all ticks of an action go through each net at once: PosNet sees commands alone, and ForceNet sees
-angles that PosNet has then said already. Only the new ticks are computed.
+angles that PosNet has then predicted already. Only the new ticks are computed.
 """
 
-from typing import ClassVar, NamedTuple
+from collections.abc import Sequence
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -20,37 +21,33 @@ from softfin.core.errors import ArtifactError, LogError
 from softfin.core.plant import Ticks, rest_command
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading
 from softfin.core.ticks import tick_at
-from softfin.surrogate.paper.forcenet import FORCES
-from softfin.surrogate.paper.network import Network
-from softfin.surrogate.paper.posnet import COMMANDS
-from softfin.surrogate.paper.scaling import Scaling
-
-ANGLE = "angle_rad"
+from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, Scaling
+from softfin.surrogate.model import NetPrediction
+from softfin.surrogate.paper.network import Network, NetworkConfig
 
 
 class SurrogateState(NamedTuple):
     """The last second, scaled; the newest sample last."""
 
     tick: Int[Array, ""]
-    """Since the start [10 ms]."""
+    """Ticks since the start [10 ms]."""
     commands: Float[Array, "2 window"]
     angles: Float[Array, "window"]
 
 
 class Surrogate(eqx.Module):
-    """A learnt fin; meets the Plant contract."""
+    """The paper's surrogate of a fin; meets the Plant contract and that of a `SurrogateModel`."""
 
     model: ClassVar[str] = "paper"
-    """Among the kinds of surrogates."""
 
     posnet: Network
     forcenet: Network
     scaling: Scaling = eqx.field(static=True)
 
     def __check_init__(self) -> None:
-        seen = self.posnet.config.window, self.forcenet.config.window
-        if seen[0] != seen[1]:
-            raise ArtifactError(f"PosNet sees {seen[0]} samples and ForceNet {seen[1]}; both must see the same window")
+        posnet, forcenet = self.posnet.config.window, self.forcenet.config.window
+        if posnet != forcenet:
+            raise ArtifactError(f"PosNet sees {posnet} samples and ForceNet {forcenet}; both must see the same window")
 
     @property
     def window(self) -> int:
@@ -75,19 +72,19 @@ class Surrogate(eqx.Module):
         return SurrogateState(jnp.int32(0), jnp.tile(rest[:, None], self.window), angle)
 
     def warm(self, history: Log) -> SurrogateState:
-        """As if the fin had been followed through a recording: the next tick says row ``len(history)`` of the log.
+        """The state after a recording, whose last `memory` rows count: the next tick predicts row ``len(history)``.
 
-        That tick is given the command of the last row, as the log's order wants it. Only the last `memory` rows matter;
-        raises LogError where there are fewer.
+        That tick is given the command of the last row, as the log's order wants it. Raises LogError where there are too
+        few rows.
         """
         rows = len(history.reading.time)
         if rows < self.memory:
             raise LogError(f"{rows} rows of history; a surrogate that sees {self.memory} samples is warm after as many")
-        seen = slice(rows - self.window, rows)
-        table = np.stack([self.scaling.scaled(n, c[seen]) for n, c in zip(COMMANDS, history.command, strict=True)])
+        last = slice(rows - self.window, rows)
+        table = np.stack([self.scaling.scaled(n, c[last]) for n, c in zip(COMMANDS, history.command, strict=True)])
         # The last row's command is yet to be given; the oldest of the state's leaves before it is looked at.
         commands = np.concatenate([table[:, :1], table[:, :-1]], axis=1)
-        angles = self.scaling.scaled(ANGLE, history.reading.angle[seen])
+        angles = self.scaling.scaled(ANGLE, history.reading.angle[last])
         tick = tick_at(float(history.reading.time[-1]))
         return SurrogateState(jnp.int32(tick), jnp.asarray(commands, jnp.float32), jnp.asarray(angles, jnp.float32))
 
@@ -96,17 +93,16 @@ class Surrogate(eqx.Module):
         return self._held(state, command, ticks, ticks)
 
     def hold_action(self, state: SurrogateState, command: Command, ticks: Ticks) -> tuple[SurrogateState, Reading]:
-        """The same for an action, as one batch of the longest."""
+        """Hold the command for an action, as one batch of the longest."""
         return self._held(state, command, MOST_TICKS, ticks)
 
     def _held(self, state: SurrogateState, command: Command, rows: int, ticks: Ticks) -> tuple[SurrogateState, Reading]:
-        """So many rows, of which the first `ticks` count."""
+        """Readings of so many rows, of which the first `ticks` count."""
         held = jnp.tile(self._scaled(command)[:, None], rows)
         commands = jnp.concatenate([state.commands, held], axis=1)
-        seen = windows(commands[:, 1:], self.window)
-        fresh = self.posnet(seen)[:, 0]
-        angles = jnp.concatenate([state.angles, fresh])
-        motion = jnp.concatenate([windows(angles[None, :-1], self.window), seen], axis=1)
+        passed = windows(commands[:, 1:], self.window)
+        angles = jnp.concatenate([state.angles, self.posnet(passed)[:, 0]])
+        motion = jnp.concatenate([windows(angles[None, :-1], self.window), passed], axis=1)
         force = self.scaling.physical(FORCES, self.forcenet(motion))
 
         angle = self.scaling.physical([ANGLE], angles[-rows - 1 :, None])[:, 0]
@@ -118,6 +114,33 @@ class Surrogate(eqx.Module):
     def _scaled(self, command: Command) -> Float[Array, "2"]:
         return jnp.stack([self.scaling.scaled(name, value) for name, value in zip(COMMANDS, command, strict=True)])
 
+    def predict_angle(self, log: Log) -> Float[np.ndarray, "predicted"]:
+        """PosNet's angles from the commands of a log, for its rows from `window` on [rad]."""
+        angle = self.posnet.over_table(self.scaling.table(COMMANDS, log))
+        return np.asarray(self.scaling.physical([ANGLE], jnp.asarray(angle)))[:, 0]
+
+    def predict_force(self, log: Log, free_running: bool) -> Float[np.ndarray, "predicted 2"]:
+        """ForceNet's forces for the rows of a log from `window` on [N], from the measured angles or from PosNet's.
+
+        Free-running, the first window's angles are the measured ones: nothing was predicted for them.
+        """
+        table = self.scaling.table((ANGLE, *COMMANDS), log)
+        if free_running:
+            table[self.window :, 0] = self.posnet.over_table(table[:, 1:])[:, 0]
+        return np.asarray(self.scaling.physical(FORCES, jnp.asarray(self.forcenet.over_table(table))))
+
+    def predictions(self, logs: Sequence[Log]) -> list[dict[str, NetPrediction]]:
+        """Predictions of every log by PosNet, and by ForceNet given the measured angle and behind PosNet."""
+        posnet, forcenet = ((self.window, net.config.parameters()) for net in (self.posnet, self.forcenet))
+        return [
+            {
+                "posnet": NetPrediction((ANGLE,), self.predict_angle(log)[:, None], *posnet),
+                "forcenet_measured": NetPrediction(FORCES, self.predict_force(log, free_running=False), *forcenet),
+                "forcenet_free_running": NetPrediction(FORCES, self.predict_force(log, free_running=True), *forcenet),
+            }
+            for log in logs
+        ]
+
     def flops_per_tick(self) -> int:
         """Floating-point operations of the matrix products for one sample of one fin."""
         return self.posnet.config.flops() + self.forcenet.config.flops()
@@ -125,6 +148,28 @@ class Surrogate(eqx.Module):
     def parameters(self) -> int:
         """Trainable numbers of both nets."""
         return self.posnet.config.parameters() + self.forcenet.config.parameters()
+
+    def to_files(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+        """Entries of ``surrogate.json``, and the weights by name: ``posnet.3.kernel``."""
+        nets = {"posnet": self.posnet, "forcenet": self.forcenet}
+        weights = {f"{name}.{key}": array for name, net in nets.items() for key, array in net.arrays().items()}
+        return {
+            "networks": {name: net.config.model_dump(mode="json") for name, net in nets.items()},
+            "parameters": {name: net.config.parameters() for name, net in nets.items()},
+            "scaling": self.scaling.model_dump(mode="json")["channels"],
+        }, weights
+
+    @classmethod
+    def from_files(cls, description: dict[str, Any], weights: dict[str, np.ndarray], source: str) -> "Surrogate":
+        """The surrogate that `to_files` described; raises ArtifactError where channels or weights do not fit."""
+        scaling = Scaling(channels=description["scaling"])
+        scaling.require(source)
+
+        def net(name: str) -> Network:
+            own = {key.removeprefix(f"{name}."): x for key, x in weights.items() if key.startswith(f"{name}.")}
+            return Network.of(NetworkConfig.model_validate(description["networks"][name]), own, source)
+
+        return cls(net("posnet"), net("forcenet"), scaling)
 
 
 def windows(series: Float[Array, "channels samples"], window: int) -> Float[Array, "count channels window"]:

@@ -17,23 +17,15 @@ SLOWEST = 60.0
 
 
 class Parity(NamedTuple):
-    """Something of each kind: sizes, inputs, outputs, memory."""
+    """Sizes, inputs, outputs or memory, split by what a mirror does to them."""
 
     even: Any
-    """Not changed by a mirror."""
+    """Part that a mirror does not change."""
     odd: Any
-    """Changes sign in a mirror."""
+    """Part whose sign a mirror changes."""
 
 
-class Core(eqx.Module):
-    """A recurrent net without a clock: has `blank() -> memory` and `step(memory, inputs) -> (memory, outputs)`."""
-
-    def products(self) -> int:
-        """Multiplications of the matrix products of one tick."""
-        return sum(leaf.size for leaf in jax.tree.leaves(self) if leaf.ndim == 2)
-
-
-class MirrorCore(Core):
+class MirrorCore(eqx.Module):
     """Mirrored inputs give mirrored outputs, exactly.
 
     Odd candidates are odd functions of odd inputs; gates, even candidates and what multiplies the odd ones are
@@ -43,7 +35,7 @@ class MirrorCore(Core):
     odd_in: Float[Array, "odd_inputs candidates_and_magnitudes"]
     even_in: Float[Array, "even_inputs gates_candidates_factors"]
     bias: Float[Array, "gates_candidates_factors"]
-    hidden_in: Float[Array, "seen hidden"]
+    hidden_in: Float[Array, "hidden_inputs hidden"]
     hidden_bias: Float[Array, "hidden"]
     even_out: Float[Array, "hidden even_outputs"]
     odd_out: Float[Array, "units odd_outputs"]
@@ -52,10 +44,9 @@ class MirrorCore(Core):
 
     def __init__(self, inputs: Parity, outputs: Parity, units: int, hidden: int, key: PRNGKeyArray) -> None:
         keys = jax.random.split(key, 4)
-        seen = 2 * units + inputs.even
         self.units = units
         self.odd_in = _uniform(keys[0], units + inputs.odd, 2 * units)
-        self.even_in = _uniform(keys[1], seen, 4 * units)
+        self.even_in = _uniform(keys[1], 2 * units + inputs.even, 4 * units)
         self.bias = jnp.concatenate([_gates(keys[2], 2 * units), jnp.zeros(units), jnp.ones(units)])
         self.hidden_in = _uniform(keys[3], 2 * units, hidden)
         self.hidden_bias = jnp.zeros(hidden)
@@ -65,11 +56,11 @@ class MirrorCore(Core):
         self.odd_factors = jnp.zeros((hidden, outputs.odd * units))
 
     def blank(self) -> Parity:
-        """Nothing remembered."""
+        """Memory that holds nothing yet."""
         return Parity(jnp.zeros(self.units), jnp.zeros(self.units))
 
     def step(self, memory: Parity, inputs: Parity) -> tuple[Parity, Parity]:
-        """One tick: (memory, inputs) -> (memory, outputs)."""
+        """Step by one tick: (memory, inputs) -> (memory, outputs)."""
         n = self.units
         candidates, mixtures = jnp.split(jnp.concatenate([memory.odd, inputs.odd]) @ self.odd_in, 2)
         sizes = magnitude(mixtures)
@@ -82,12 +73,12 @@ class MirrorCore(Core):
         return Parity(even, odd), Parity(hidden @ self.even_out, factors @ odd)
 
 
-class PlainCore(Core):
+class PlainCore(eqx.Module):
     """No symmetry: a gated recurrent unit with a hidden layer behind it; all its memory stands under `even`."""
 
-    gates_in: Float[Array, "seen gates"]
+    gates_in: Float[Array, "memory_and_inputs gates"]
     gates_bias: Float[Array, "gates"]
-    candidate_in: Float[Array, "seen units"]
+    candidate_in: Float[Array, "memory_and_inputs units"]
     candidate_bias: Float[Array, "units"]
     hidden_in: Float[Array, "units hidden"]
     hidden_bias: Float[Array, "hidden"]
@@ -96,10 +87,10 @@ class PlainCore(Core):
 
     def __init__(self, inputs: Parity, outputs: Parity, units: int, hidden: int, key: PRNGKeyArray) -> None:
         keys = jax.random.split(key, 4)
-        seen = units + inputs.even + inputs.odd
-        self.gates_in = _uniform(keys[0], seen, 2 * units)
+        rows = units + inputs.even + inputs.odd
+        self.gates_in = _uniform(keys[0], rows, 2 * units)
         self.gates_bias = jnp.concatenate([_gates(keys[1], units), jnp.ones(units)])
-        self.candidate_in = _uniform(keys[2], seen, units)
+        self.candidate_in = _uniform(keys[2], rows, units)
         self.candidate_bias = jnp.zeros(units)
         self.hidden_in = _uniform(keys[3], units, hidden)
         self.hidden_bias = jnp.zeros(hidden)
@@ -107,31 +98,36 @@ class PlainCore(Core):
         self.outputs = outputs
 
     def blank(self) -> Parity:
-        """Nothing remembered."""
+        """Memory that holds nothing yet."""
         return Parity(jnp.zeros(self.candidate_bias.shape), jnp.zeros(0))
 
     def step(self, memory: Parity, inputs: Parity) -> tuple[Parity, Parity]:
-        """One tick: (memory, inputs) -> (memory, outputs)."""
-        seen = jnp.concatenate([inputs.even, inputs.odd])
-        gates = jnp.concatenate([memory.even, seen]) @ self.gates_in + self.gates_bias
+        """Step by one tick: (memory, inputs) -> (memory, outputs)."""
+        both = jnp.concatenate([inputs.even, inputs.odd])
+        gates = jnp.concatenate([memory.even, both]) @ self.gates_in + self.gates_bias
         opening, reset = jnp.split(jax.nn.sigmoid(gates), 2)
-        candidate = jnp.concatenate([reset * memory.even, seen]) @ self.candidate_in + self.candidate_bias
+        candidate = jnp.concatenate([reset * memory.even, both]) @ self.candidate_in + self.candidate_bias
         units = memory.even + opening * (jnp.tanh(candidate) - memory.even)
-        said = jnp.tanh(units @ self.hidden_in + self.hidden_bias) @ self.out
-        return Parity(units, memory.odd), Parity(said[: self.outputs.even], said[self.outputs.even :])
+        outputs = jnp.tanh(units @ self.hidden_in + self.hidden_bias) @ self.out
+        return Parity(units, memory.odd), Parity(outputs[: self.outputs.even], outputs[self.outputs.even :])
+
+
+def products(net: eqx.Module) -> int:
+    """Multiplications of the matrix products of one tick: every matrix of one fin's nets is used once."""
+    return sum(leaf.size for leaf in jax.tree.leaves(net) if leaf.ndim == 2)
 
 
 def magnitude(x: Array) -> Array:
-    """sqrt(1 + x^2) - 1: even and smooth, x^2 / 2 where small and |x| where large, as forces go with velocities."""
+    """Return sqrt(1 + x^2) - 1: even and smooth, x^2 / 2 where small and |x| where large, as drag in the velocity."""
     return jnp.sqrt(1 + x * x) - 1
 
 
 def _uniform(key: PRNGKeyArray, inputs: int, outputs: int) -> Float[Array, "inputs outputs"]:
-    """Entries of variance 1/2 over the inputs: a little less than keeps the spread, since all memory is fed back."""
+    """Draw entries of variance 1/2 over the inputs: less than keeps the spread, since all memory is fed back."""
     reach = jnp.sqrt(1.5 / inputs)
     return jax.random.uniform(key, (inputs, outputs), minval=-reach, maxval=reach)
 
 
 def _gates(key: PRNGKeyArray, units: int) -> Float[Array, "units"]:
-    """Biases that open the gates by 1 / time constant, from 1/2 to 1/`SLOWEST` of the way a tick, in random order."""
+    """Draw biases that open the gates by 1 / time constant, from 1/2 to 1/`SLOWEST` a tick, in random order."""
     return jax.random.permutation(key, -jnp.log(jnp.geomspace(2.0, SLOWEST, units) - 1))

@@ -1,7 +1,7 @@
 """The drive net: commands in, the shaft's angle and velocity out, tick by tick.
 
-Where the profile is known, the net says only how far the shaft is from it (the fin's load, the servo, the play); where
-it is not, the net says the change of the velocity, and the angle is its integral.
+Where the profile is known, the net gives only the shaft's distance from it (the fin's load, the servo, the play); where
+it is not, the net gives the change of the velocity, and the angle is its integral.
 """
 
 from typing import Any, NamedTuple, TypeAlias
@@ -20,25 +20,25 @@ from softfin.surrogate.streaming.profile import Profile, ProfileConfig, ProfileS
 
 
 class DriveNetConfig(Configuration):
-    """Its size and what is known of the drive beforehand."""
+    """Size of the drive net, and what is known of the drive beforehand."""
 
     units: PositiveInt = 8
     """Remembered numbers of each parity; twice as many without `mirror`."""
     hidden: PositiveInt = 16
-    """Of the layer between memory and what is said."""
+    """Units of the layer between memory and output."""
     mirror: bool = True
     """Whether the drive goes both ways alike."""
     profile: bool = True
-    """Whether the trapezoidal profile is known, and the net says only what is left."""
+    """Whether the trapezoidal profile is known, and the net gives only the rest."""
 
     def core(self, inputs: Parity, outputs: Parity, key: PRNGKeyArray) -> MirrorCore | PlainCore:
-        """With fresh weights."""
+        """Make the net's recurrent core with fresh weights."""
         kind, units = (MirrorCore, self.units) if self.mirror else (PlainCore, 2 * self.units)
         return kind(inputs, outputs, units, self.hidden, key)
 
 
 class FollowingState(NamedTuple):
-    """What a net that follows the profile carries from tick to tick."""
+    """State of a `FollowingNet`."""
 
     profile: ProfileState
     memory: Parity
@@ -46,7 +46,7 @@ class FollowingState(NamedTuple):
 
 
 class FreeState(NamedTuple):
-    """What a net that knows no profile carries from tick to tick."""
+    """State of a `FreeNet`."""
 
     memory: Parity
     motion: Motion
@@ -57,7 +57,7 @@ DriveState: TypeAlias = Any
 
 
 class FollowingNet(eqx.Module):
-    """Says how far the shaft is from its profile; one fin, no batch axes."""
+    """Predicts how far the shaft is from its profile; one fin, no batch axes."""
 
     core: MirrorCore | PlainCore
     profile: Profile
@@ -70,37 +70,33 @@ class FollowingNet(eqx.Module):
         self.config, self.scales = config, scales
 
     def start(self, motion: Motion, waiting: Command) -> FollowingState:
-        """In motion, with the commands of the last `LONGEST_DELAY` ticks, newest first."""
-        return FollowingState(self._follower().start(motion, waiting), self.core.blank(), motion)
+        """State in motion, with the commands of the last `LONGEST_DELAY` ticks, newest first."""
+        return FollowingState(self._fixed_profile().start(motion, waiting), self.core.blank(), motion)
 
     def step(self, state: FollowingState, command: Command) -> FollowingState:
-        """One tick under a command; `motion` of the state that comes out is what the shaft has come to."""
-        follower = self._follower()
-        profile, target = follower.step(state.profile, command)
-        before, now = follower.motion(state.profile), follower.motion(profile)
+        """Step by one tick under a command; `motion` of the new state is what the shaft has come to."""
+        fixed = self._fixed_profile()
+        profile, target = fixed.step(state.profile, command)
+        before, now = fixed.motion(state.profile), fixed.motion(profile)
         velocity, change = self.scales.velocity_rad_s, self.scales.change_rad_s
         odd = jnp.stack([
             (target.angle - now.angle) / self.scales.angle_rad,
             now.velocity / velocity,
             (now.velocity - before.velocity) / change,
         ])  # fmt: skip
-        memory, said = self.core.step(state.memory, Parity((target.velocity / velocity)[None], odd))
-        # About a tick of what the scales say: the net is a correction.
-        angle = now.angle + TICK_S * velocity * said.odd[0]
-        return FollowingState(profile, memory, Motion(angle, now.velocity + change * said.odd[1]))
+        memory, outputs = self.core.step(state.memory, Parity((target.velocity / velocity)[None], odd))
+        # Outputs of 1 move the shaft by about a tick's motion: the net is a correction.
+        angle = now.angle + TICK_S * velocity * outputs.odd[0]
+        return FollowingState(profile, memory, Motion(angle, now.velocity + change * outputs.odd[1]))
 
-    def _follower(self) -> Profile:
-        """Read off the logs beforehand, and not learnt: its corners make a poor slope to descend."""
+    def _fixed_profile(self) -> Profile:
+        """The profile, identified beforehand and not learnt: its corners make a poor slope to descend."""
         profile: Profile = jax.lax.stop_gradient(self.profile)
         return profile
 
-    def products(self) -> int:
-        """Multiplications of the matrix products of one tick."""
-        return self.core.products()
-
 
 class FreeNet(eqx.Module):
-    """Says how the shaft's velocity changes, of a drive of which nothing is known; one fin, no batch axes."""
+    """Predicts how the shaft's velocity changes, of a drive of which nothing is known; one fin, no batch axes."""
 
     core: MirrorCore | PlainCore
     config: DriveNetConfig = eqx.field(static=True)
@@ -111,29 +107,25 @@ class FreeNet(eqx.Module):
         self.config, self.scales = config, scales
 
     def start(self, motion: Motion, waiting: Command) -> FreeState:
-        """In motion; the commands on their way are not used: the memory has to learn what delay there is."""
+        """State in motion; the commands on their way are not used: the memory has to learn what delay there is."""
         return FreeState(self.core.blank(), motion)
 
     def step(self, state: FreeState, command: Command) -> FreeState:
-        """One tick under a command; `motion` of the state that comes out is what the shaft has come to."""
+        """Step by one tick under a command; `motion` of the new state is what the shaft has come to."""
         scales, before = self.scales, state.motion
         speed = jnp.asarray(command.velocity / scales.velocity_rad_s)[None]
         odd = jnp.stack([
             (command.angle - before.angle) / scales.angle_rad,
             before.velocity / scales.velocity_rad_s,
         ])  # fmt: skip
-        memory, said = self.core.step(state.memory, Parity(speed, odd))
-        velocity = before.velocity + scales.change_rad_s * said.odd[0]
+        memory, outputs = self.core.step(state.memory, Parity(speed, odd))
+        velocity = before.velocity + scales.change_rad_s * outputs.odd[0]
         return FreeState(memory, Motion(before.angle + TICK_S * (before.velocity + velocity) / 2, velocity))
-
-    def products(self) -> int:
-        """Multiplications of the matrix products of one tick."""
-        return self.core.products()
 
 
 DriveNet: TypeAlias = FollowingNet | FreeNet
 
 
 def drive_net(config: DriveNetConfig, profile: ProfileConfig, scales: Scales, key: PRNGKeyArray) -> DriveNet:
-    """Of the kind that the configuration says, with fresh weights."""
+    """Make the net that the configuration describes, with fresh weights."""
     return FollowingNet(config, profile, scales, key) if config.profile else FreeNet(config, scales, key)

@@ -1,7 +1,7 @@
 """The force net: the shaft's motion, tick by tick, in; the force on the mount out.
 
-In the frame that turns with the shaft the fin knows nothing of its angle: still water looks alike in all directions. So
-the net sees rates alone and says the force along the fin's axis (thrust, even) and across it (odd). What the water
+In the frame that turns with the shaft the angle has no effect: still water looks alike in all directions. So
+the net takes rates alone and gives the force along the fin's axis (thrust, even) and across it (odd). What the water
 remembers in the tank's own axes, a wake, is a few vectors that the turning frame turns back at each tick.
 """
 
@@ -18,12 +18,12 @@ from softfin.surrogate.streaming.core import MirrorCore, Parity, PlainCore
 
 
 class ForceNetConfig(Configuration):
-    """Its size and what is known of the fin beforehand."""
+    """Size of the force net, and what is known of the fin beforehand."""
 
     units: PositiveInt = 16
     """Remembered numbers of each parity; twice as many without `mirror`."""
     hidden: PositiveInt = 32
-    """Of the layer between memory and force."""
+    """Units of the layer between memory and force."""
     wake: int = Field(default=4, ge=0, le=64)
     """Vectors remembered in the tank's axes; they begin with time constants of 0.05 to 1.5 s."""
     mirror: bool = True
@@ -33,16 +33,16 @@ class ForceNetConfig(Configuration):
     quasi_steady: bool = True
     """Whether a force of added mass and drag, with fitted coefficients, stands beside the net."""
     heteroscedastic: bool = False
-    """Whether the net also says the standard deviation of the force that is read."""
+    """Whether the net also learns the standard deviation of the force that is read."""
 
 
 class Motion(NamedTuple):
-    """Of the shaft."""
+    """Motion of the shaft."""
 
     angle: Float[AnyArray, "*shape"]
-    """[rad]"""
+    """Angle of the shaft [rad]."""
     velocity: Float[AnyArray, "*shape"]
-    """[rad/s]"""
+    """Angular velocity of the shaft [rad/s]."""
 
 
 class ForceState(NamedTuple):
@@ -50,40 +50,41 @@ class ForceState(NamedTuple):
 
     memory: Parity
     wake: Parity
-    """Along and across the fin [1]."""
+    """Components along and across the fin [1]."""
     motion: Motion
-    """Of the tick before."""
+    """Motion of the tick before."""
 
 
 class Scales(Configuration):
-    """Units in which the nets see and say things: standard deviations in the training logs."""
+    """Units of the nets' inputs and outputs: standard deviations in the training logs."""
 
     velocity_rad_s: float = Field(gt=0)
-    """Of the shaft [rad/s]."""
+    """Standard deviation of the shaft's velocity [rad/s]."""
     change_rad_s: float = Field(gt=0)
-    """Of the velocity, from tick to tick [rad/s]."""
+    """Standard deviation of the velocity's change from tick to tick [rad/s]."""
     force_n: float = Field(gt=0)
-    """Root mean square of both axes [N]."""
+    """Root mean square of the force on both axes [N]."""
     angle_rad: float = Field(gt=0)
-    """Of the shaft [rad]."""
+    """Standard deviation of the shaft's angle [rad]."""
 
 
-class Said(NamedTuple):
-    """By the force net, of one tick."""
+class ForcePrediction(NamedTuple):
+    """Output of the force net for one tick."""
 
     force: Float[AnyArray, "*shape 2"]
-    """In the tank's axes (x, y) [N]."""
-    log_deviation: Float[AnyArray, "*shape"]
+    """Force in the tank's axes (x, y) [N]."""
+    log_std: Float[AnyArray, "*shape"]
     """Logarithm of the standard deviation of what is read, in all directions alike [force scale]; 0 if not learnt."""
 
 
 class ForceNet(eqx.Module):
-    """See the module; one fin, no batch axes."""
+    """The force net of one fin; no batch axes."""
 
     core: MirrorCore | PlainCore
     along: Float[Array, "wake_source wake"]
-    """What of the memory pushes the wake along the fin."""
+    """Weights by which the memory pushes the wake along the fin."""
     across: Float[Array, "wake_source wake"]
+    """Weights by which the memory pushes the wake across the fin."""
     log_time: Float[Array, "wake"]
     """Logarithm of the wake's time constants [s]."""
     thrust: Float[Array, "2"]
@@ -91,7 +92,7 @@ class ForceNet(eqx.Module):
     resistance: Float[Array, "3"]
     """Coefficients of the velocity's change (added mass), velocity times speed (drag) and velocity (friction)."""
     mount_turn: Float[Array, ""]
-    """Of the sensor against the tank's axes [rad]."""
+    """Angle of the sensor against the tank's axes [rad]."""
     offset: Float[Array, "2"]
     """What the sensor reads without force [force scale]."""
     config: ForceNetConfig = eqx.field(static=True)
@@ -111,12 +112,12 @@ class ForceNet(eqx.Module):
         self.config, self.scales = config, scales
 
     def start(self, motion: Motion) -> ForceState:
-        """Nothing remembered but the motion of the tick before."""
+        """State that remembers nothing but the motion of the tick before."""
         still = jnp.zeros(self.config.wake)
         return ForceState(self.core.blank(), Parity(still, still), motion)
 
-    def step(self, state: ForceState, motion: Motion) -> tuple[ForceState, Said]:
-        """One tick: the motion that the shaft has come to, and the force that is read with it."""
+    def step(self, state: ForceState, motion: Motion) -> tuple[ForceState, ForcePrediction]:
+        """Step to the motion that the shaft has come to; predicts the force that is read with it."""
         turn, wake = motion.angle - state.motion.angle, state.wake
         velocity = motion.velocity / self.scales.velocity_rad_s
         change = (motion.velocity - state.motion.velocity) / self.scales.change_rad_s
@@ -127,8 +128,8 @@ class ForceNet(eqx.Module):
         else:
             even, odd = [jnp.cos(motion.angle)], [*odd, jnp.sin(motion.angle)]
         inputs = Parity(*(jnp.concatenate([jnp.asarray(own), old]) for own, old in zip((even, odd), wake, strict=True)))
-        memory, said = self.core.step(state.memory, inputs)
-        along, across = said.even[0], said.odd[0]
+        memory, outputs = self.core.step(state.memory, inputs)
+        along, across = outputs.even[0], outputs.odd[0]
         if self.config.quasi_steady:
             thrust = self.thrust @ jnp.stack([velocity**2, velocity * change])
             resistance = self.resistance @ jnp.stack([change, velocity * jnp.abs(velocity), velocity])
@@ -139,18 +140,11 @@ class ForceNet(eqx.Module):
         frame = self.mount_turn + (motion.angle if self.config.turning else 0.0)
         x, y = _turned(along, across, frame)
         force = self.scales.force_n * (jnp.stack([x, y]) + self.offset)
-        log_deviation = said.even[1] if self.config.heteroscedastic else jnp.zeros(())
-        return ForceState(memory, self._stirred(wake, memory), motion), Said(force, log_deviation)
-
-    def _stirred(self, wake: Parity, memory: Parity) -> Parity:
+        log_std = outputs.even[1] if self.config.heteroscedastic else jnp.zeros(())
         kept = jnp.exp(-TICK_S * jnp.exp(-self.log_time))
-        sources = (memory.even, memory.odd if self.config.mirror else memory.even)
-        pushed = (source @ weights for source, weights in zip(sources, (self.along, self.across), strict=True))
-        return Parity(*(kept * old + (1 - kept) * new for old, new in zip(wake, pushed, strict=True)))
-
-    def products(self) -> int:
-        """Multiplications of the matrix products of one tick."""
-        return self.core.products() + self.along.size + self.across.size
+        pushed = (memory.even @ self.along, (memory.odd if self.config.mirror else memory.even) @ self.across)
+        wake = Parity(*(kept * old + (1 - kept) * new for old, new in zip(wake, pushed, strict=True)))
+        return ForceState(memory, wake, motion), ForcePrediction(force, log_std)
 
 
 def _turned(along: Array, across: Array, angle: AnyArray) -> tuple[Array, Array]:

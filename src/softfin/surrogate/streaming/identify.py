@@ -14,19 +14,19 @@ from softfin.core.evolution import cma_es
 from softfin.core.quantities import TICK_S, AnyArray, Command, Log
 from softfin.core.randomness import generator_of
 from softfin.surrogate.streaming.profile import LONGEST_DELAY, Profile, ProfileConfig, ProfileState
-from softfin.surrogate.streaming.sequences import Stretch, Table
+from softfin.surrogate.streaming.segments import SegmentBatch, Table
 
-STRETCHES, TICKS = 96, 300
-"""How many pieces of the logs the coefficients are read off, and how long they are at most [10 ms]."""
+SEGMENTS, TICKS = 96, 300
+"""How many segments of the logs the coefficients are read off, and how long they are at most [10 ms]."""
 
 POPULATION, GENERATIONS, STARTS = 16, 150, 2
 
 
 def identify(logs: Sequence[Log], seed: int) -> tuple[ProfileConfig, float]:
-    """The coefficients, and the mean absolute error of the angle [rad] that they leave."""
+    """Find the coefficients, and the mean absolute error of the angle [rad] that they leave."""
     ticks = min(TICKS, max(len(log.reading.time) for log in logs) - LONGEST_DELAY - 1)
-    stretch = Table.of(logs, ticks).draw(jax.random.key(seed), STRETCHES, ticks)
-    errors = jax.jit(jax.vmap(lambda coded: _error(_profile(coded), stretch)))
+    segments = Table.of(logs, ticks).draw(jax.random.key(seed), SEGMENTS, ticks)
+    errors = jax.jit(jax.vmap(lambda coded: _error(_profile(coded), segments)))
     best, least = None, np.inf
     for start in range(STARTS):
         random = generator_of(seed, f"identify/{start}")
@@ -39,21 +39,11 @@ def identify(logs: Sequence[Log], seed: int) -> tuple[ProfileConfig, float]:
             search.tell(asked, np.asarray(errors(jnp.asarray(np.stack(asked), jnp.float32)), np.float64).tolist())
         if search.result.fbest < least:
             best, least = search.result.xbest, search.result.fbest
-    found = _profile(jnp.asarray(best, jnp.float32))
-    config = ProfileConfig(
-        gain=float(found.gain),
-        zero_rad=float(found.zero),
-        delay_ticks=float(found.delay),
-        velocity_factor=float(found.velocity_factor),
-        velocity_limit_rad_s=float(found.velocity_limit),
-        acceleration_rad_s2=float(found.acceleration),
-        lag_s=float(found.lag),
-    )
-    return config, float(least)
+    return _profile(jnp.asarray(best, jnp.float32)).config(), float(least)
 
 
 def _guess(logs: Sequence[Log]) -> Float[np.ndarray, "coefficients"]:
-    """A drive that does what it is told three ticks later, no faster than it was ever seen."""
+    """Coefficients of a drive that does what it is told three ticks later, no faster than in the logs."""
     speed = np.abs(np.concatenate([log.reading.velocity for log in logs]))
     change = np.abs(np.concatenate([np.diff(log.reading.velocity) for log in logs])) / TICK_S
     steep = change[change > 0.1 * change.max()]
@@ -61,9 +51,9 @@ def _guess(logs: Sequence[Log]) -> Float[np.ndarray, "coefficients"]:
 
 
 def _profile(coded: Float[Array, "coefficients"]) -> Profile:
-    """Gains, limits and acceleration are searched by their logarithms; delay and lag from 0 on.
+    """Decode a point of the search: gains, limits and acceleration are logarithms; delay and lag count from 0 on.
 
-    The limit in small steps: where it is above all commands it does not show, and a search gets lost there.
+    The limit moves in small steps: where it is above all commands it has no effect, and a search gets lost there.
     """
     gain, zero, delay, factor, limit, acceleration, lag = coded
     profile = Profile(ProfileConfig())
@@ -75,13 +65,13 @@ def _profile(coded: Float[Array, "coefficients"]) -> Profile:
     return found
 
 
-def _error(profile: Profile, stretch: Stretch) -> Float[Array, ""]:
-    def one(stretch: Stretch) -> Float[Array, ""]:
+def _error(profile: Profile, segments: SegmentBatch) -> Float[Array, ""]:
+    def one(segment: SegmentBatch) -> Float[Array, ""]:
         def step(state: ProfileState, command: Command) -> tuple[ProfileState, AnyArray]:
             state, _ = profile.step(state, command)
             return state, profile.motion(state).angle
 
-        _, angle = jax.lax.scan(step, profile.start(stretch.before, stretch.waiting), stretch.commands)
-        return jnp.mean(jnp.abs(angle - stretch.motion.angle))
+        _, angle = jax.lax.scan(step, profile.start(segment.before, segment.waiting), segment.commands)
+        return jnp.mean(jnp.abs(angle - segment.motion.angle))
 
-    return jnp.mean(jax.vmap(one)(stretch))
+    return jnp.mean(jax.vmap(one)(segments))

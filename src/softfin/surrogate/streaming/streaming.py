@@ -1,6 +1,7 @@
-"""An ensemble of streaming nets as a Plant: commands in, readings out at 100 Hz, with what is known of their errors."""
+"""An ensemble of streaming nets as a Plant: commands in, readings out at 100 Hz, with estimates of their errors."""
 
-from typing import Any, ClassVar, NamedTuple
+from collections.abc import Sequence
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -12,9 +13,21 @@ from softfin.core.errors import ArtifactError, LogError
 from softfin.core.plant import rest_command
 from softfin.core.quantities import TICK_S, Command, Limits, Log, Reading
 from softfin.core.ticks import tick_at
-from softfin.surrogate.streaming.force import Motion, Said
-from softfin.surrogate.streaming.member import Member, MemberState, parameters, single
-from softfin.surrogate.streaming.profile import LONGEST_DELAY
+from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES
+from softfin.surrogate.model import SKIPPED, NetPrediction
+from softfin.surrogate.streaming.core import products
+from softfin.surrogate.streaming.drive import DriveNetConfig
+from softfin.surrogate.streaming.force import ForceNetConfig, ForcePrediction, Motion, Scales
+from softfin.surrogate.streaming.member import (
+    Member,
+    MemberState,
+    ensemble,
+    parameters,
+    predict_force,
+    predict_logs,
+    single,
+)
+from softfin.surrogate.streaming.profile import LONGEST_DELAY, ProfileConfig
 from softfin.surrogate.streaming.uncertainty import Familiarity, Interval, remembered
 
 MEMORY = 300
@@ -23,12 +36,16 @@ MEMORY = 300
 SETTLED = 3000
 """Ticks that `init` has been at rest for: twenty of the longest time constants that a wake begins with."""
 
+CHANNELS = {"in": list(COMMANDS), "out": [ANGLE, "velocity_rad_s", *FORCES]}
+
+Tree = TypeVar("Tree")
+
 
 class StreamingState(NamedTuple):
-    """Of every member; it does not grow, whatever it remembers."""
+    """State of every member; it does not grow, whatever it remembers."""
 
     tick: Int[Array, ""]
-    """Since the start [10 ms]."""
+    """Ticks since the start [10 ms]."""
     members: MemberState
 
 
@@ -56,33 +73,31 @@ class StreamingMember(eqx.Module):
 
 
 class StreamingSurrogate(eqx.Module):
-    """A learnt fin; meets the Plant contract. Readings are the mean over the members."""
+    """An ensemble; meets the contracts of Plant, EnsemblePlant and SurrogateModel. Readings are the members' mean."""
 
     members: Member
-    """Stacked."""
+    """Members, stacked."""
     rest: MemberState
-    """Long at rest at angle 0; stacked."""
+    """Their states long at rest at angle 0, stacked."""
     familiarity: Familiarity
     interval: Interval = eqx.field(static=True)
     limits: Limits = eqx.field(static=True)
     """The range of the commands in the training data: beyond it the nets extrapolate."""
 
     model: ClassVar[str] = "streaming"
-    """Among the kinds of surrogates."""
     memory: ClassVar[int] = MEMORY
     """Rows of a log that `warm` needs."""
+    scaling: ClassVar[None] = None
 
     def __init__(self, members: Member, limits: Limits, interval: Interval, familiarity: Familiarity) -> None:
         self.members, self.limits, self.interval, self.familiarity = members, limits, interval, familiarity
         command = rest_command(limits)
-        waiting = Command(*(jnp.full(LONGEST_DELAY, value) for value in command))
-        still = Motion(jnp.zeros(()), jnp.zeros(()))
-
-        self.rest = _after(members, still, waiting, Command(*(jnp.full(SETTLED, value) for value in command)))
+        waiting, passed = (Command(*(jnp.full(n, value) for value in command)) for n in (LONGEST_DELAY, SETTLED))
+        self.rest = _after(members, Motion(jnp.zeros(()), jnp.zeros(())), waiting, passed)
 
     @property
     def size(self) -> int:
-        """How many members."""
+        """Number of members."""
         return int(self.members.force.offset.shape[0])
 
     def init(self, key: PRNGKeyArray) -> StreamingState:
@@ -111,17 +126,17 @@ class StreamingSurrogate(eqx.Module):
         )
 
     def advance_members(self, state: StreamingState, command: Command, ticks: int) -> tuple[StreamingState, Reading]:
-        """The same with every member's own reading: fields ``(members, ticks)``."""
-        state, (motion, said) = self._held(state, command, ticks)
+        """As `advance`, with every member's own reading: fields ``(members, ticks)``."""
+        state, (motion, predicted) = self._held(state, command, ticks)
         time = (state.tick - ticks + 1 + jnp.arange(ticks)) * jnp.float32(TICK_S)
-        reading = Reading(jnp.tile(time, (self.size, 1)), motion.angle, motion.velocity, said.force)
-        return state, reading
+        return state, Reading(jnp.tile(time, (self.size, 1)), motion.angle, motion.velocity, predicted.force)
 
     def member(self, index: Int[Array, ""]) -> "StreamingMember":
         """One member as a plant of its own; `index` may be a value in a program."""
-        return StreamingMember(*jax.tree.map(lambda leaf: leaf[index], (self.members, self.rest)), self.limits)
+        net, rest = jax.tree.map(lambda leaf: leaf[index], (self.members, self.rest))
+        return StreamingMember(net, rest, self.limits)
 
-    def deviation(self, state: StreamingState, command: Command, ticks: int) -> Float[Array, "ticks"]:
+    def force_std(self, state: StreamingState, command: Command, ticks: int) -> Float[Array, "ticks"]:
         """Standard deviation of each axis' reading about the mean [N], as the nets learnt it while a command is held.
 
         Raises ArtifactError where they learnt none.
@@ -129,38 +144,101 @@ class StreamingSurrogate(eqx.Module):
         net = self.members.force
         if not net.config.heteroscedastic:
             raise ArtifactError("this surrogate learnt no deviations; fit it with --set force.heteroscedastic=true")
-        _, (_, said) = self._held(state, command, ticks)
-        return net.scales.force_n * jnp.sqrt(jnp.exp(2 * jnp.asarray(said.log_deviation)).mean(axis=0))
+        _, (_, predicted) = self._held(state, command, ticks)
+        return net.scales.force_n * jnp.sqrt(jnp.exp(2 * jnp.asarray(predicted.log_std)).mean(axis=0))
 
-    def _held(self, state: StreamingState, command: Command, ticks: int) -> tuple[StreamingState, tuple[Motion, Said]]:
-        """What every member says while a command is held: fields ``(members, ticks)``."""
+    def _held(
+        self, state: StreamingState, command: Command, ticks: int
+    ) -> tuple[StreamingState, tuple[Motion, ForcePrediction]]:
+        """What every member predicts while a command is held: fields ``(members, ticks)``."""
         held = Command(*(jnp.asarray(part, jnp.float32) for part in command))
 
-        def tick(each: MemberState, _: None) -> tuple[MemberState, tuple[Motion, Said]]:
-            stepped: tuple[MemberState, tuple[Motion, Said]]
-            stepped = jax.vmap(lambda member, state: member.step(state, held))(self.members, each)
-            return stepped
+        def tick(each: MemberState, _: None) -> Any:
+            return jax.vmap(lambda member, state: member.step(state, held))(self.members, each)
 
-        members, said = jax.lax.scan(tick, state.members, length=ticks)
-        each: tuple[Motion, Said] = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), said)
-        return StreamingState(state.tick + ticks, members), each
+        members, predicted = jax.lax.scan(tick, state.members, length=ticks)
+        return StreamingState(state.tick + ticks, members), jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), predicted)
 
     def distance(self, state: StreamingState) -> Float[Array, ""]:
-        """Of what the fin has been doing to the training data: 1 is as far as one in a thousand moments of them."""
+        """Distance of the last motion from the training data: 1 is as far as one in a thousand moments of them."""
         return self.familiarity.distance(remembered(single(state.members.force)))
+
+    def predictions(self, logs: Sequence[Log]) -> list[dict[str, NetPrediction]]:
+        """Mean predictions of every log by the drive nets, and by the force nets given the motion and behind those."""
+        nets = self.members
+        drive, force = ((None, parameters(net)) for net in (nets.drive, nets.force))
+        measured = [Motion(*np.tile(np.stack([r.angle, r.velocity])[:, None], (self.size, 1))) for _, r in logs]
+        return [
+            {
+                "drive": NetPrediction((ANGLE,), np.mean(free.motion.angle, axis=0)[SKIPPED:, None], *drive),
+                "force_measured": NetPrediction(FORCES, given.mean(axis=0)[SKIPPED:], *force),
+                "force_free_running": NetPrediction(FORCES, free.force.mean(axis=0)[SKIPPED:], *force),
+            }
+            for free, given in zip(predict_logs(nets, logs), predict_force(nets.force, measured), strict=True)
+        ]
 
     def flops_per_tick(self) -> int:
         """Floating-point operations of the matrix products for one sample of one fin, all members together."""
-        return 2 * single(self.members).products() * self.size
+        return 2 * products(single(self.members)) * self.size
 
     def parameters(self) -> int:
-        """Of all members."""
+        """Trainable numbers of all members."""
         return parameters(self.members)
+
+    def to_files(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+        """Entries of ``surrogate.json``, and the arrays by their place in the nets."""
+        drive, force = self.members.drive, self.members.force
+        entries = {
+            "channels": CHANNELS,
+            "members": self.size,
+            "networks": {"drive": drive.config.model_dump(mode="json"), "force": force.config.model_dump(mode="json")},
+            "scales": force.scales.model_dump(mode="json"),
+            "interval": self.interval.model_dump(mode="json"),
+            "parameters": self.parameters(),
+        }
+        arrays = jax.tree_util.tree_leaves_with_path({"members": self.members, "familiarity": self.familiarity})
+        return entries, {_name(path): np.asarray(leaf) for path, leaf in arrays}
+
+    @classmethod
+    def from_files(
+        cls, description: dict[str, Any], weights: dict[str, np.ndarray], source: str
+    ) -> "StreamingSurrogate":
+        """The surrogate that `to_files` described; raises ArtifactError where channels or arrays do not fit."""
+        if description["channels"] != CHANNELS:
+            raise ArtifactError(f"{source}: channels {description['channels']}; streaming surrogates have {CHANNELS}")
+        drive = DriveNetConfig.model_validate(description["networks"]["drive"])
+        force = ForceNetConfig.model_validate(description["networks"]["force"])
+        scales = Scales.model_validate(description["scales"])
+
+        def skeleton() -> dict[str, Any]:
+            size = int(description["members"])
+            members = ensemble(size, drive, force, ProfileConfig(), scales, jax.random.key(0))
+            memory = remembered(single(members.force).start(Motion(jnp.zeros(()), jnp.zeros(())))).size
+            familiarity = Familiarity(jnp.zeros(memory), jnp.zeros((memory, memory)))
+            return {"members": members, "familiarity": familiarity}
+
+        def leaf(path: Any, shape: Any) -> Any:
+            array = weights.get(_name(path))
+            if array is None or array.shape != shape.shape:
+                what = "is missing" if array is None else f"has the shape {array.shape}"
+                raise ArtifactError(
+                    f"{source}: {_name(path)} {what}, must have {shape.shape}; copy the whole folder again"
+                )
+            return jnp.asarray(array)
+
+        trees = jax.tree_util.tree_map_with_path(leaf, eqx.filter_eval_shape(skeleton))
+        limits = Limits.of(description["limits"], one_velocity=True)
+        interval = Interval.model_validate(description["interval"])
+        return cls(trees["members"], limits, interval, trees["familiarity"])
+
+
+def _name(path: Any) -> str:
+    return jax.tree_util.keystr(path, simple=True, separator=".")
 
 
 @eqx.filter_jit
 def _after(members: Member, motion: Motion, waiting: Command, passed: Command) -> MemberState:
-    """What every member remembers when these commands have passed, one a tick."""
+    """State of every member after these commands, one a tick."""
 
     def one(member: Member) -> MemberState:
         def step(state: MemberState, command: Any) -> tuple[MemberState, None]:

@@ -1,10 +1,9 @@
-"""What an ensemble knows of its own errors: an interval on the mean force, and how far a motion is from its data.
+"""An ensemble's estimates of its own errors: an interval on the mean force, and how far a motion is from its data.
 
 The interval is split conformal (Lei et al. 2018, J. Am. Stat. Assoc. 113:1094): errors on logs that no weight was
 trained on, divided by what the members' disagreement expects of them, and their quantile. The same logs chose among the
 ten sets of weights of each member, and windows of one log share its drift: so it is calibrated, not guaranteed. The
-distance is Mahalanobis's in the memory of a net (Lee et al. 2018, NeurIPS): what the fin has been doing, as the force
-net sees it.
+distance is Mahalanobis's in the memory of a net (Lee et al. 2018, NeurIPS), which depends on the last motion.
 """
 
 from collections.abc import Sequence
@@ -16,29 +15,30 @@ import numpy as np
 from jaxtyping import Array, Float
 from pydantic import Field
 
-from softfin.core.action_clock import WINDOW
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import AnyArray, Log
-from softfin.surrogate.streaming.config import StreamingConfig
-from softfin.surrogate.streaming.follow import follow_motion
+from softfin.core.window import window_means
 from softfin.surrogate.streaming.force import ForceNet, ForceState, Motion
-from softfin.surrogate.streaming.member import Member, single
+from softfin.surrogate.streaming.member import Member, predict_motion, single
 
 COVERAGE = 0.9
 """Share of the mean forces that an interval should hold."""
 
 ENOUGH_LOGS = 10
-"""Held-out logs below which an interval knows little of what differs from log to log, such as the sensor's drift."""
+"""Held-out logs below which an interval hardly covers what differs from log to log, such as the sensor's drift."""
 
 RARE = 0.999
 """Share of the training data that is nearer than distance 1."""
 
 LOGS, EVERY = 50, 7
-"""For the distance: logs, and ticks between the moments that are taken from them."""
+"""Logs that the distance is measured from, and ticks between the moments that are taken from them."""
 
 
 class Interval(Configuration):
-    """Of the mean force over `WINDOW` samples, on either axis: half width = factor * sqrt(spread^2 + floor^2)."""
+    """Interval of the mean force over the evaluation window, on either axis.
+
+    half width = factor * sqrt(spread^2 + floor^2), with the variance spread^2 over the members.
+    """
 
     coverage: float = Field(gt=0, lt=1)
     """Share of the means that it should hold [-]."""
@@ -49,43 +49,33 @@ class Interval(Configuration):
     windows: int = Field(ge=1)
     """Means that it was calibrated with, those of both axes."""
     logs: int = Field(ge=1)
-    """Logs that they came from."""
+    """Logs that these means came from."""
 
     def half_width(self, means: Float[AnyArray, "members *shape"]) -> Float[AnyArray, "*shape"]:
-        """From the members' own means [N]."""
+        """Half width of the interval, from the members' own means [N]."""
         return self.factor * (means.var(axis=0) + self.floor_n**2) ** 0.5
 
     def caveat(self) -> str | None:
-        """Why it is not to be relied on, in words; None where there is no such reason."""
+        """Why the interval is not to be relied on, in a sentence; None if it may be."""
         if self.logs >= ENOUGH_LOGS:
             return None
         return (
             f"intervals come from {self.logs} held-out log{'s' * (self.logs != 1)}; with less than {ENOUGH_LOGS} they "
-            "know little of what differs from log to log, as the sensor's drift"
+            "hardly cover what differs from log to log, such as the sensor's drift"
         )
 
 
-def calibrated(
-    said: Sequence[Float[np.ndarray, "members rows 2"]], logs: Sequence[Log], config: StreamingConfig
-) -> Interval:
-    """From what the members say of held-out logs; windows side by side, not overlapping."""
-    means = np.concatenate([window_means(force[:, config.burn_in :]) for force in said], axis=1)
-    read = [window_means(np.asarray(log.reading.force)[None, config.burn_in :]) for log in logs]
-    measured = np.concatenate(read, axis=1)
-    error = np.abs(means.mean(axis=0) - measured[0])
-    floor = float(np.sqrt(np.mean(error**2)))
-    ratio = error / (means.var(axis=0) + floor**2) ** 0.5
+def calibrated(predicted: Sequence[Float[np.ndarray, "members rows 2"]], logs: Sequence[Log], burn_in: int) -> Interval:
+    """Calibrate the interval on the members' predictions of held-out logs behind the first `burn_in` ticks."""
+    means = np.concatenate([window_means(force[:, burn_in:]) for force in predicted], axis=1)
+    measured = np.concatenate([window_means(np.asarray(log.reading.force)[burn_in:]) for log in logs])
+    error = np.abs(means.mean(axis=0) - measured)
+    floor_n = float(np.sqrt(np.mean(error**2)))
+    ratio = error / (means.var(axis=0) + floor_n**2) ** 0.5
     # One more than there are, so that the next error is covered and not only these.
     level = min(1.0, COVERAGE * (1 + 1 / ratio.size))
     factor = float(np.quantile(ratio, level, method="inverted_cdf"))
-    return Interval(coverage=COVERAGE, factor=factor, floor_n=floor, windows=ratio.size, logs=len(logs))
-
-
-def window_means(force: Float[np.ndarray, "members rows 2"]) -> Float[np.ndarray, "members windows 2"]:
-    """Over `WINDOW` samples each; a rest at the end is left out."""
-    count = force.shape[1] // WINDOW
-    windows = force[:, : count * WINDOW].astype(np.float64).reshape(len(force), count, WINDOW, 2)
-    return np.asarray(windows.mean(axis=2))
+    return Interval(coverage=COVERAGE, factor=factor, floor_n=floor_n, windows=ratio.size, logs=len(logs))
 
 
 class Familiarity(eqx.Module):
@@ -96,22 +86,22 @@ class Familiarity(eqx.Module):
     """Inverse square root of the covariance, over the distance that only 1 of 1000 training moments exceeds."""
 
     def distance(self, memory: Float[Array, "remembered"]) -> Float[Array, ""]:
-        """1 where only one of a thousand moments of the training data is as far out."""
+        """Out-of-distribution score: 1 where only one of a thousand moments of the training data is as far out."""
         return jnp.sqrt(jnp.sum(((memory - self.mean) @ self.whitening) ** 2))
 
 
 def remembered(state: ForceState) -> Float[Array, "remembered"]:
-    """What the distance is measured in."""
+    """Memory of a force net, in which the distance is measured."""
     return jnp.concatenate(jax.tree.leaves((state.memory, state.wake)))
 
 
 def familiar(members: Member, logs: Sequence[Log], burn_in: int) -> Familiarity:
-    """From training logs, free-running; of the first `burn_in` ticks of each the net does not know what was before."""
+    """Where the training logs lie, free-running; the first `burn_in` ticks of each depend on what was before it."""
     first: Member = jax.tree.map(lambda x: x[:1], members)
     some = [log for log in logs if len(log.reading.time) > burn_in + 1][:LOGS]
     net = single(first.force)
-    seen = [np.asarray(_memories(net, motion))[burn_in::EVERY] for motion in follow_motion(first.drive, some)]
-    memory = np.concatenate(seen).astype(np.float64)
+    each = [np.asarray(_memories(net, motion))[burn_in::EVERY] for motion in predict_motion(first.drive, some)]
+    memory = np.concatenate(each).astype(np.float64)
     mean = memory.mean(axis=0)
     values, vectors = np.linalg.eigh(np.cov(memory, rowvar=False))
     # A direction in which nothing moves would make rounding errors look far.
@@ -122,7 +112,7 @@ def familiar(members: Member, logs: Sequence[Log], burn_in: int) -> Familiarity:
 
 @eqx.filter_jit
 def _memories(net: ForceNet, motion: Motion) -> Float[Array, "ticks remembered"]:
-    """Behind every row of a motion ``(1, rows)`` but the first."""
+    """Memory behind every row of a motion ``(1, rows)`` but the first."""
 
     def step(state: ForceState, now: Motion) -> tuple[ForceState, Array]:
         state, _ = net.step(state, now)

@@ -8,8 +8,7 @@ from softfin.core.plant import roll
 from softfin.core.quantities import Command, Log, Reading
 from softfin.data.checks.side_by_side import simulate
 from softfin.data.excitation import ExcitationConfig, excite
-from softfin.surrogate.compare.horizons import Place, free_running, from_rest, places, take
-from softfin.surrogate.paper.predict import predict
+from softfin.surrogate.compare.free_running import Segment, free_run, run_from_rest, segments_of, take
 from tests.plants import AnalyticFin, PlainFin
 from tests.surrogate import small
 
@@ -18,14 +17,13 @@ def rows_of(log, begin, end):
     return Log(*jax.tree.map(lambda x: x[begin:end], log))
 
 
-def test_a_warm_surrogate_left_alone_says_what_the_windows_of_the_log_say():
+def test_a_warm_free_running_surrogate_predicts_what_its_nets_do_over_the_log():
     plant, log, start = small.surrogate(), small.log(rows=200), small.WINDOW
     _, reading = roll(
         plant, plant.warm(rows_of(log, 0, start)), jax.tree.map(jnp.asarray, rows_of(log, start - 1, -1)[0])
     )
-    said = predict(plant, log, "free-running")
-    np.testing.assert_allclose(reading.angle, said.angle, atol=1e-5)
-    np.testing.assert_allclose(reading.force, said.force, atol=1e-5)
+    np.testing.assert_allclose(reading.angle, plant.predict_angle(log), atol=1e-5)
+    np.testing.assert_allclose(reading.force, plant.predict_force(log, free_running=True), atol=1e-5)
 
 
 def test_warm_counts_on_from_the_time_of_the_last_row():
@@ -58,10 +56,10 @@ def test_parameters_are_the_leaves_of_both_nets():
     assert (plant.model, plant.memory) == ("paper", small.WINDOW)
 
 
-def test_stretches_lie_end_to_end_and_whole_in_each_log():
-    assert places([100, 65], ticks=20, first=12) == [
-        *(Place(0, row) for row in (12, 32, 52, 72)),
-        *(Place(1, row) for row in (12, 32)),
+def test_segments_lie_end_to_end_and_whole_in_each_log():
+    assert segments_of([100, 65], ticks=20, first=12) == [
+        *(Segment(0, row) for row in (12, 32, 52, 72)),
+        *(Segment(1, row) for row in (12, 32)),
     ]
 
 
@@ -69,15 +67,15 @@ def test_a_log_shorter_than_the_horizon_is_named_with_what_it_needs():
     with pytest.raises(
         LogError, match=r"test log 1: 111 rows; 12 to begin with and a horizon of 1 s need 112; .*--hor"
     ):
-        places([500, 111], ticks=100, first=12)
-    assert places([112], ticks=100, first=12) == [Place(0, 12)]
+        segments_of([500, 111], ticks=100, first=12)
+    assert segments_of([112], ticks=100, first=12) == [Segment(0, 12)]
 
 
-def test_stretches_in_batches_are_those_rolled_one_by_one():
+def test_segments_in_batches_are_those_rolled_one_by_one():
     plant, logs = small.surrogate(), [small.log(rows=150, seed=1), small.log(rows=90, seed=2)]
-    where = places([150, 90], ticks=25, first=20)
-    # Eight stretches in batches of at most three: the last one is filled up.
-    reading, members = free_running(plant, logs, where, ticks=25, batch=3)
+    where = segments_of([150, 90], ticks=25, first=20)
+    # Eight segments in batches of at most three: the last one is filled up.
+    reading, members = free_run(plant, logs, where, ticks=25, batch=3)
     assert members is None
     assert reading.force.shape == (len(where), 25, 2) == (7, 25, 2)
     for index, (log, row) in enumerate(where):
@@ -89,7 +87,7 @@ def test_stretches_in_batches_are_those_rolled_one_by_one():
 
 def test_rows_that_are_taken_are_those_of_the_log():
     logs = [small.log(rows=60, seed=seed) for seed in range(2)]
-    taken = take(logs, [Place(1, 7), Place(0, 30)], ticks=5)
+    taken = take(logs, [Segment(1, 7), Segment(0, 30)], ticks=5)
     np.testing.assert_array_equal(taken.reading.force, [logs[1].reading.force[7:12], logs[0].reading.force[30:35]])
     np.testing.assert_array_equal(taken.command.angle, [logs[1].command.angle[7:12], logs[0].command.angle[30:35]])
 
@@ -99,7 +97,7 @@ def test_a_plant_from_rest_repeats_its_own_logs_whatever_their_lengths(fin):
     keys = list(jax.random.split(jax.random.key(0), 2))
     whole = list(simulate([fin] * 2, keys, 400, ExcitationConfig(), 2, lambda rows: None))
     logs = [whole[0], rows_of(whole[1], 0, 250)]
-    readings = from_rest(fin, logs, jax.random.key(5))
+    readings = run_from_rest(fin, logs, jax.random.key(5))
     for reading, log in zip(readings, logs, strict=True):
         assert reading.angle.shape == log.reading.angle.shape
         np.testing.assert_allclose(reading.angle, log.reading.angle, atol=1e-6)
@@ -110,7 +108,7 @@ def test_a_floor_that_does_not_take_the_commands_of_the_logs_is_an_error():
     log = small.log(rows=50)
     fast = log._replace(command=log.command._replace(velocity=log.command.velocity + 5))
     with pytest.raises(CommandError, match="command velocity"):
-        from_rest(AnalyticFin(), [fast], jax.random.key(0))
+        run_from_rest(AnalyticFin(), [fast], jax.random.key(0))
 
 
 def test_a_prediction_that_is_no_number_is_an_error_with_its_place():
@@ -122,5 +120,5 @@ def test_a_prediction_that_is_no_number_is_an_error_with_its_place():
 
     commands = Command(*excite(jax.random.key(0), 60, AnalyticFin().limits, ExcitationConfig()))
     log = small.log(rows=60)._replace(command=jax.tree.map(np.asarray, commands))
-    with pytest.raises(PlantError, match="no finite number for test log 0, row 30, 31 ticks after"):
-        from_rest(Broken(), [log], jax.random.key(0))
+    with pytest.raises(PlantError, match="a value that is not finite for test log 0, row 30, 31 ticks after"):
+        run_from_rest(Broken(), [log], jax.random.key(0))

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from softfin.core.errors import LogError
 from softfin.core.quantities import Command, Log, Reading
 from softfin.surrogate.streaming.profile import LONGEST_DELAY
-from softfin.surrogate.streaming.sequences import Table, scales_of
+from softfin.surrogate.streaming.segments import Table, scales_of
 from tests.surrogate.streaming import small
 
 
@@ -19,7 +19,7 @@ def numbered(rows, log):
 
 @settings(max_examples=15, deadline=None)
 @given(rows=st.lists(st.integers(20, 120), min_size=1, max_size=4), ticks=st.integers(2, 60))
-def test_stretches_may_begin_wherever_all_of_them_lies_in_one_log(rows, ticks):
+def test_segments_may_begin_wherever_all_of_them_lies_in_one_log(rows, ticks):
     fitting = [count for count in rows if count >= ticks + LONGEST_DELAY + 1]
     logs = [numbered(count, i) for i, count in enumerate(rows)]
     if not fitting:
@@ -33,14 +33,14 @@ def test_stretches_may_begin_wherever_all_of_them_lies_in_one_log(rows, ticks):
     np.testing.assert_array_equal(last - first, LONGEST_DELAY + ticks)
 
 
-def test_a_stretch_holds_commands_and_what_the_row_behind_each_shows_of_them():
-    stretch = Table.of([numbered(80, 0), numbered(90, 1)], ticks=10).draw(jax.random.key(0), 16, 10)
-    at = np.asarray(stretch.before.angle)
+def test_a_segment_holds_commands_and_what_the_row_behind_each_shows_of_them():
+    segment = Table.of([numbered(80, 0), numbered(90, 1)], ticks=10).draw(jax.random.key(0), 16, 10)
+    at = np.asarray(segment.before.angle)
     assert len(set(at)) > 8
-    np.testing.assert_array_equal(stretch.commands.angle, at[:, None] + np.arange(10))
-    np.testing.assert_array_equal(stretch.motion.velocity, at[:, None] + np.arange(1, 11))
-    np.testing.assert_array_equal(stretch.force[..., 1], at[:, None] + np.arange(1, 11))
-    np.testing.assert_array_equal(stretch.waiting.velocity, at[:, None] - np.arange(1, LONGEST_DELAY + 1))
+    np.testing.assert_array_equal(segment.commands.angle, at[:, None] + np.arange(10))
+    np.testing.assert_array_equal(segment.motion.velocity, at[:, None] + np.arange(1, 11))
+    np.testing.assert_array_equal(segment.force[..., 1], at[:, None] + np.arange(1, 11))
+    np.testing.assert_array_equal(segment.waiting.velocity, at[:, None] - np.arange(1, LONGEST_DELAY + 1))
 
 
 def test_scales_are_the_spreads_of_the_logs_and_no_change_reaches_over_their_ends():

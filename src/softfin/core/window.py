@@ -1,0 +1,49 @@
+"""The evaluation window: controllers are rewarded and scored by the mean force over 200 samples (paper, Sec. IV-B).
+
+    mean = sum(f) / 200        error = |mean - reference|
+
+Everything that computes such a mean or its error does it here; all functions take NumPy and JAX arrays.
+"""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from softfin.core.action_clock import WINDOW
+from softfin.core.quantities import AnyArray
+
+
+def window_mean(forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""]) -> Any:
+    """Mean force over the last `count` of `n` samples [N]; ``count >= 1``."""
+    xp: Any = forces.__array_namespace__()
+    counts = xp.arange(len(forces)) >= len(forces) - count
+    return xp.where(counts[:, None], forces, 0).sum(axis=0) / count
+
+
+def window_error(forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""], reference: Float[AnyArray, "2"]) -> Any:
+    """|F_e| = |mean(F) - F_r| over the last `count` samples [N]."""
+    return abs(window_mean(forces, count) - reference)
+
+
+def moving_average(series: Float[AnyArray, "*batch ticks channels"], window: int = WINDOW) -> Any:
+    """Mean over every whole window, ``(*batch, windows, channels)``; the first is of the first `window` samples."""
+    xp: Any = series.__array_namespace__()
+    # In float64 where there is one: the difference of two long cumulative sums loses its digits in float32.
+    total = xp.cumsum(series, axis=-2, dtype=np.float64 if xp is np else series.dtype)
+    total = xp.concatenate([xp.zeros_like(total[..., :1, :]), total], axis=-2)
+    return (total[..., window:, :] - total[..., :-window, :]) / window
+
+
+def moving_error(series: Float[AnyArray, "*batch ticks channels"], reference: AnyArray, window: int = WINDOW) -> Any:
+    """Mean over every whole window of |moving average - reference|; `reference` is broadcast against the windows."""
+    return abs(moving_average(series, window) - reference).mean(axis=-2)
+
+
+def window_means(
+    series: Float[np.ndarray, "*batch ticks channels"],
+) -> Float[np.ndarray, "*batch windows channels"]:
+    """Means over windows side by side, which do not overlap; a rest at the end is left out."""
+    count = series.shape[-2] // WINDOW
+    windows = series[..., : count * WINDOW, :].astype(np.float64)
+    return np.asarray(windows.reshape(*series.shape[:-2], count, WINDOW, series.shape[-1]).mean(axis=-2))

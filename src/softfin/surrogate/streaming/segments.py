@@ -1,0 +1,96 @@
+"""Logs as one table on the device, and the segments of it that training draws."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from softfin.core.errors import LogError
+from softfin.core.quantities import AnyArray, Command, Log
+from softfin.surrogate.streaming.force import Motion, Scales
+from softfin.surrogate.streaming.profile import LONGEST_DELAY
+
+
+class SegmentBatch(NamedTuple):
+    """Segments of logs, ``(batch, ticks)``: commands of rows k, and the motion and force of rows k + 1."""
+
+    before: Motion
+    """Motion of the first row, ``(batch,)``."""
+    waiting: Command
+    """Commands before the first row, newest first, ``(batch, LONGEST_DELAY)``."""
+    commands: Command
+    motion: Motion
+    force: Float[Array, "batch ticks 2"]
+    """Measured force [N]."""
+    starts: Int[Array, "batch"]
+    """First rows, in the table."""
+
+
+class Table(NamedTuple):
+    """Logs end to end, ``(rows,)``."""
+
+    command: Command
+    motion: Motion
+    force: Float[Array, "rows 2"]
+    starts: Int[Array, "choices"]
+    """Rows that a segment may begin at: all of it lies in one log."""
+
+    @classmethod
+    def of(cls, logs: Sequence[Log], ticks: int) -> "Table":
+        """Make the table for segments of `ticks`; raises LogError where no log holds one."""
+        rows = [len(log.reading.time) for log in logs]
+        first = np.cumsum([0, *rows[:-1]])
+        starts = [offset + np.arange(LONGEST_DELAY, count - ticks) for offset, count in zip(first, rows, strict=True)]
+        choices = np.concatenate(starts).astype(np.int32)
+        if not choices.size:
+            raise LogError(
+                f"the longest of {len(logs)} training logs has {max(rows)} rows; {ticks + LONGEST_DELAY + 1} are "
+                "needed in one piece; record longer, or make the segments shorter (--set ticks=N)"
+            )
+        columns = [(*log.command, log.reading.angle, log.reading.velocity, log.reading.force) for log in logs]
+        joined = [jnp.asarray(np.concatenate(parts, dtype=np.float32)) for parts in zip(*columns, strict=True)]
+        return cls(Command(*joined[:2]), Motion(*joined[2:4]), joined[4], jnp.asarray(choices))
+
+    def draw(self, key: PRNGKeyArray, batch: int, ticks: int) -> SegmentBatch:
+        """Draw segments at random."""
+        starts = self.starts[jax.random.randint(key, (batch,), 0, self.starts.size)]
+        command, motion, force = slices((self.command, self.motion, self.force), starts, ticks + 1)
+        waiting = slices(self.command, starts - LONGEST_DELAY, LONGEST_DELAY)
+        return SegmentBatch(
+            before=jax.tree.map(lambda x: x[:, 0], motion),
+            waiting=jax.tree.map(lambda x: x[:, ::-1], waiting),
+            commands=jax.tree.map(lambda x: x[:, :-1], command),
+            motion=jax.tree.map(lambda x: x[:, 1:], motion),
+            force=force[:, 1:],
+            starts=starts,
+        )
+
+
+def slices(columns: Any, starts: Int[Array, "batch"], length: int) -> Any:
+    """Cut the rows ``start .. start + length`` out of columns, for each start: fields ``(batch, length, ...)``."""
+    return jax.vmap(lambda start: jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, start, length), columns))(
+        starts
+    )
+
+
+def scales_of(logs: Sequence[Log]) -> Scales:
+    """Scales of the training logs; raises LogError where nothing moves."""
+
+    def joined(columns: Sequence[AnyArray]) -> Float[np.ndarray, "..."]:
+        return np.concatenate(columns, dtype=np.float64)
+
+    readings = [log.reading for log in logs]
+    change = joined([np.diff(np.asarray(reading.velocity, np.float64)) for reading in readings])
+    values = {
+        "angle_rad": joined([reading.angle for reading in readings]).std(),
+        "velocity_rad_s": joined([reading.velocity for reading in readings]).std(),
+        "change_rad_s": change.std(),
+        "force_n": np.sqrt(np.mean(joined([reading.force for reading in readings]) ** 2)),
+    }
+    for name, value in values.items():
+        if not value > 0:
+            raise LogError(f"{name.partition('_')[0]} never changes in the training logs: nothing can be learnt")
+    return Scales(**{name: float(value) for name, value in values.items()})
