@@ -29,9 +29,8 @@ from softfin.rig.config import RigConfig
 from softfin.rig.emulation.fin import SimpleFin
 from softfin.rig.emulation.rig import EmulatedRig
 from softfin.rig.epos2 import cia402
-from softfin.rig.loop import hold
+from softfin.rig.loop import run_controller
 from softfin.rig.machine import Sample, Target
-from softfin.rig.recording import recording
 from softfin.rig.rig import Rig
 from softfin.rig.safety import Guard, SafetyConfig
 from softfin.rig.session import Session
@@ -70,16 +69,16 @@ def _loop(folder: Path, controller: LoadedController) -> list[dict[str, Any]]:
     """100 Hz with recording and a controller; the emulated devices are another process, over sockets."""
     with _emulators(folder / "rig.yaml") as config:
         rig = Rig(config)
-        with Session(rig, Guard(config.safety, rig.limits)) as session, recording(session, folder / "loop.mcap"):
+        with Session(rig, Guard(config.safety, rig.limits)) as session, session.recording(folder / "loop.mcap"):
             session.activate()
             # The first actions fill caches; the loop is judged as it goes on.
-            list(hold(session, controller, lambda at: (1.0, 0.0), 3))
+            list(run_controller(session, controller, lambda at: (1.0, 0.0), 3))
             before, skipped = rig.counters(), session.pace.skipped
             late: list[float] = []
             wait = session.pace.wait
             session.pace.wait = lambda: late.append(wait()) or late[-1]  # type: ignore[method-assign, func-returns-value]
             cpu, start = time.process_time(), time.monotonic()
-            list(hold(session, controller, lambda at: (1.0, 0.0), 3 * SECONDS))
+            list(run_controller(session, controller, lambda at: (1.0, 0.0), 3 * SECONDS))
             share = (time.process_time() - cpu) / (time.monotonic() - start)
             counted = {name: count - before.get(name, 0) for name, count in rig.counters().items()}
             session.deactivate()

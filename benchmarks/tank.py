@@ -11,8 +11,8 @@ import jax.numpy as jnp
 from benchmarks.measure import entry, interleaved, matmul
 from softfin.core.plant import roll
 from softfin.core.quantities import TICK_S, Command
-from softfin.data.checks.side_by_side import simulate
 from softfin.data.excitation import ExcitationConfig
+from softfin.data.simulate import simulate
 from softfin.tank import Tank, TankConfig
 
 TICKS = 1000

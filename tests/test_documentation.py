@@ -31,7 +31,7 @@ from softfin.evaluation.view.view import ViewConfig
 from softfin.gaits.force_map import MapConfig
 from softfin.learning.configuration import TRAIN_PRESETS
 from softfin.rig.config import load_rig, load_ros2
-from softfin.rig.ros2.node import NodeConfig
+from softfin.rig.ros2.config import NodeConfig
 from softfin.stages import offline as stages
 from softfin.stages.reproduce import PRESETS
 from softfin.storage.dataset import Dataset

@@ -110,14 +110,15 @@ def faulty(index):
     return log._replace(reading=log.reading._replace(angle=np.degrees(log.reading.angle)))
 
 
-def test_errors_that_an_import_accepted_do_not_stop_the_fit(capsys, tmp_path, asked):
+@pytest.mark.parametrize("key", ["ignore_errors", "accepted"])
+def test_errors_that_an_import_ignored_do_not_stop_the_fit(capsys, tmp_path, asked, key):
     for accepted in (False, True):
-        write_dataset(tmp_path / "d", [faulty(1), faulty(2)], [], {"accepted": accepted}, overwrite=accepted)
+        write_dataset(tmp_path / "d", [faulty(1), faulty(2)], [], {key: accepted}, overwrite=accepted)
         words = ["fit", str(tmp_path / "d"), "--out", str(tmp_path / "s")]
         if accepted:
             main(words)
         else:
-            assert "--accept takes these logs in spite of it" in fails(capsys, *words)
+            assert "--ignore-errors takes these logs in spite of it" in fails(capsys, *words)
     assert len(asked) == 1
     (line,) = [line for line in capsys.readouterr().err.splitlines() if "softfin inspect" in line]
     assert line.startswith(f"{tmp_path / 'd'}: 1 error")

@@ -4,11 +4,11 @@ import pytest
 
 from softfin.cli.live import Armed
 from softfin.core.errors import ConfigurationError
-from softfin.rig.bench import Bench
+from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import SafetyConfig
 from tests.rig.machines import FreeFin
 
-BENCH = Bench(FreeFin(), SafetyConfig())
+BENCH = RobotSetup(FreeFin(), SafetyConfig())
 
 
 class Typed(io.StringIO):

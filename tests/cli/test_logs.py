@@ -53,14 +53,14 @@ def test_inspect_says_what_is_wrong_and_how_to_get_out_of_it(authors, capsys):
     assert "degrees, not rad" in text
     assert "-> --angles deg" in text
     assert "-> --force=y,x" in text
-    assert "errors stop fit and import-logs, unless --accept" in text
+    assert "errors stop fit and import-logs, unless --ignore-errors" in text
 
 
 def test_inspect_writes_json_and_a_figure(authors, tmp_path, capsys):
     assert softfin("inspect", authors, *options("--json", "--out", tmp_path / "i")) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed == json.loads((tmp_path / "i" / "inspection.json").read_text())
-    assert {one["name"] for one in printed["findings"]} == {"degrees", "force axes", "columns", "velocity derived"}
+    assert {one["name"] for one in printed["issues"]} == {"degrees", "force axes", "columns", "velocity derived"}
     assert printed["options"]["rows_per_log"] == 6000
     assert softfin("inspect", authors, *options("--out", tmp_path / "i")) == 2
     assert softfin("inspect", authors, *options("--out", tmp_path / "i", "--overwrite")) == 0
@@ -68,7 +68,7 @@ def test_inspect_writes_json_and_a_figure(authors, tmp_path, capsys):
 
 def test_what_cannot_be_read_is_exit_code_2_in_one_line(authors, tmp_path, capsys):
     assert softfin("inspect", authors) == 2
-    assert "no column of time; give --rate 100" in capsys.readouterr().err
+    assert "no column of time in a known unit" in capsys.readouterr().err
     assert softfin("inspect", authors, "--rate", "100", "--columns", "angle=-") == 2
     assert "which column is angle?" in capsys.readouterr().err
     assert softfin("inspect", tmp_path / "nowhere") == 2
@@ -82,13 +82,13 @@ def test_import_refuses_errors_and_writes_nothing(authors, tmp_path, capsys):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_import_takes_them_as_they_are_when_accepted(authors, tmp_path):
-    assert softfin("import-logs", authors, *options("--out", tmp_path / "d", "--accept")) == 0
+def test_import_takes_them_as_they_are_when_errors_are_ignored(authors, tmp_path):
+    assert softfin("import-logs", authors, *options("--out", tmp_path / "d", "--ignore-errors")) == 0
     data = Dataset.open(tmp_path / "d")
     (log,) = data.load(data.test)
     assert np.abs(log.reading.angle).max() > 10
-    assert data.description["accepted"] is True
-    assert data.description["findings"][0]["name"] == "degrees"
+    assert data.description["ignore_errors"] is True
+    assert data.description["issues"][0]["name"] == "degrees"
 
 
 def test_import_writes_a_dataset_that_says_what_was_done(authors, tmp_path, capsys):
@@ -121,14 +121,14 @@ def test_logs_to_score_on_alone_are_inspected_but_not_learnt_from(authors, tmp_p
     assert "0 + 1 logs, 6,000 rows" in capsys.readouterr().out
     for command in ("import-logs", "fit"):
         assert softfin(command, logs, *right, "--out", tmp_path / ".out") == 2
-        assert "no logs to learn from: all of its 1 are to score on; see --test" in capsys.readouterr().err
+        assert "no training logs: all of its 1 logs are test logs; see --test" in capsys.readouterr().err
 
 
 def test_an_unknown_unit_of_angles_is_told_the_known_ones(authors, capsys):
     assert softfin("inspect", authors, *options("--angles", "degrees")) == 2
-    assert "'degrees' is no unit of angles; say rad, mrad, deg, turn" in capsys.readouterr().err
+    assert "'degrees' is not a unit of angles; allowed are rad, mrad, deg, turn" in capsys.readouterr().err
     assert softfin("inspect", authors, *options("--angles", "angle=degrees")) == 2
-    assert "'degrees' is no unit of angles; say rad, mrad, deg, turn" in capsys.readouterr().err
+    assert "'degrees' is not a unit of angles; allowed are rad, mrad, deg, turn" in capsys.readouterr().err
 
 
 def test_a_frame_that_begins_with_a_minus_is_taken_as_it_is_printed(authors, capsys):

@@ -11,11 +11,11 @@ from softfin.cli.common import progress
 from softfin.cli.live import Armed
 from softfin.control.store import load_controller
 from softfin.core.errors import ConfigurationError
-from softfin.rig.bench import Bench
 from softfin.rig.config import RigConfig
-from softfin.rig.loop import Held
+from softfin.rig.loop import ActionResult
 from softfin.rig.machine import Sample, Target
 from softfin.rig.rig import Rig
+from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import Guard, SafetyConfig
 from softfin.rig.session import Session
 from softfin.stages.live import _differing
@@ -86,11 +86,11 @@ def test_a_recording_or_folder_that_is_there_is_neither_moved_nor_replaced(contr
 
 def test_zeroing_asks_for_what_it_does(values, monkeypatch, capsys):
     config = RigConfig.build(values)
-    bench = Bench(Rig(config), config.safety)
+    robot = RobotSetup(Rig(config), config.safety)
     with pytest.raises(ConfigurationError, match="rig of emulated: stays still: nothing moves without --arm"):
-        Armed().confirm(bench, "the motor is powered")
+        Armed().confirm(robot, "the motor is powered")
     monkeypatch.setattr(sys, "stdin", _Typed("move\n"))
-    Armed(arm=True).confirm(bench, "the motor is powered")
+    Armed(arm=True).confirm(robot, "the motor is powered")
     said = capsys.readouterr().err
     assert "rig of emulated: the motor is powered.\nCtrl-C" in said
     assert "will move" not in said
@@ -106,8 +106,8 @@ def test_lines_that_nobody_reads_any_more_stop_the_fin(controller, monkeypatch):
         raise BrokenPipeError(32, "Broken pipe")
 
     sample = Sample(0.0, 0.0, 0.0, None, None, 0.0, (0.0,) * 6, ())
-    held = Held((1.0, 0.0), Target(0.0, 1.0), [sample] * 100)
-    monkeypatch.setattr(driving, "hold", lambda *_: iter([held]))
+    held = ActionResult((1.0, 0.0), Target(0.0, 1.0), [sample] * 100)
+    monkeypatch.setattr(driving, "run_controller", lambda *_: iter([held]))
     monkeypatch.setattr(driving, "say", gone)
     machine = FreeFin()
     session = Session(machine, Guard(SafetyConfig(), machine.limits))
@@ -140,7 +140,7 @@ def test_the_check_of_the_disk_writes_through_no_link_either(tmp_path, monkeypat
     victim.write_text("mine")
     monkeypatch.setattr(check.os, "getpid", lambda: 7)
     (tmp_path / ".softfin-check-7").symlink_to(victim)
-    finding = next(check._disk(tmp_path))
+    finding = check._check_disk(tmp_path, False)
     assert finding.state == "wrong"
     assert victim.read_text() == "mine"
 

@@ -9,9 +9,10 @@ from softfin.cli import driving
 from softfin.control.controller import Artifact, LoadedController
 from softfin.core.errors import CoverageError
 from softfin.core.quantities import Command, Limits
-from softfin.rig.bench import Bench
 from softfin.rig.machine import Machine, Sample
-from softfin.rig.ros2.plant import Ros2Machine, Ros2PlantConfig
+from softfin.rig.robot_setup import RobotSetup
+from softfin.rig.ros2.config import Ros2PlantConfig
+from softfin.rig.ros2.plant import Ros2Machine
 from softfin.rig.safety import SafetyConfig
 from tests.rig.ros2_memory import MemoryTransport
 
@@ -30,7 +31,7 @@ TOPICS = {
 class StillFin:
     """A machine that stays at angle 0."""
 
-    name, limits, notes, doubt = "still", LIMITS, (), None
+    name, limits, notes, stop_unconfirmed = "still", LIMITS, (), None
 
     def __init__(self):
         self.commands, self.stops, self.on_enable = [], 0, lambda: None
@@ -88,8 +89,8 @@ def there(monkeypatch, tmp_path):
     safety = SafetyConfig(stale_s=0.5, force_stale_s=0.5, overrun_s=1.0, watchdog_s=2.0)
     assert isinstance(fin, Machine)
     monkeypatch.setattr(driving, "load_controller", lambda folder: controller)
-    monkeypatch.setattr(driving, "find_bench", lambda name: Bench(fin, safety, settle_s=0.0))
-    monkeypatch.setattr("softfin.rig.ros2.transport.open_transport", lambda config, messages: transport)
+    monkeypatch.setattr(driving, "find_robot", lambda name: RobotSetup(fin, safety, settle_s=0.0))
+    monkeypatch.setattr("softfin.rig.ros2.connection.open_transport", lambda config, messages: transport)
     return SimpleNamespace(fin=fin, controller=controller, transport=transport)
 
 
@@ -154,7 +155,7 @@ def test_what_cannot_be_is_told_in_one_line_before_anything_moves(there, words, 
 
 def test_a_topic_of_the_fins_own_is_not_spoken_on(there, monkeypatch, capsys):
     machine = Ros2Machine(Ros2PlantConfig.build(TOPICS))
-    monkeypatch.setattr(driving, "find_bench", lambda name: Bench(machine, SafetyConfig()))
+    monkeypatch.setattr(driving, "find_robot", lambda name: RobotSetup(machine, SafetyConfig()))
     with pytest.raises(SystemExit):
         run("--plant", "ros2", "--reference=0,0")
     assert "command_topic = /fin/command: is a topic of the fin's own" in capsys.readouterr().err

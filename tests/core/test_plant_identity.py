@@ -11,8 +11,8 @@ import pytest
 from softfin.core.errors import PlantError
 from softfin.core.plant_identity import identity, jit_argument
 from softfin.core.quantities import PAPER_LIMITS
-from softfin.data.checks.side_by_side import simulate
 from softfin.data.excitation import ExcitationConfig
+from softfin.data.simulate import simulate
 from softfin.evaluation.experiment import run
 from softfin.tank import Tank
 from softfin.testing import check_plant

@@ -5,8 +5,8 @@ import pytest
 
 from softfin.core.errors import ConfigurationError, PlantError
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Log
-from softfin.data.checks.side_by_side import CHUNK_ROWS
 from softfin.data.collect import CollectConfig, collect
+from softfin.data.simulate import CHUNK_ROWS
 from tests.plants import AnalyticFin, PlainFin
 
 ROWS = CHUNK_ROWS + 501
@@ -160,7 +160,7 @@ def test_logs_that_are_recorded_on_are_those_that_one_recording_would_have_given
 
 def test_what_was_known_of_a_dataset_is_kept_when_it_is_recorded_on(tmp_path):
     config = CollectConfig(logs=1, test_logs=1, rows=300, seed=7)
-    first = collect(AnalyticFin(), config, tmp_path / "first", facts={"colour": "blue"})
+    first = collect(AnalyticFin(), config, tmp_path / "first", metadata={"colour": "blue"})
     both = collect(AnalyticFin(), config.changed(["seed=8"]), tmp_path / "both", before=first)
     told = both.description["extends"]
     assert (told["dataset"], told["data_hash"]) == (str(first.path), first.data_hash)

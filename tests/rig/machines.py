@@ -33,7 +33,7 @@ class FreeFin:
     def __init__(self, clock: Clock = REAL) -> None:
         self.name, self.limits = "free fin", Limits(*map(float, PAPER_LIMITS))
         self.notes: tuple[str, ...] = ()
-        self.doubt: str | None = None
+        self.stop_unconfirmed: str | None = None
         self.clock = clock
         self.calls: list[str] = []
         self.altered: Callable[[Sample], Sample] = lambda sample: sample

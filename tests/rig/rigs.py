@@ -9,11 +9,11 @@ import pytest
 import yaml
 
 from softfin.core.clock import REAL
-from softfin.rig.bench import Bench
 from softfin.rig.emulation.fin import SimpleFin
-from softfin.rig.emulation.plugged import Plugged, plug, unplug
+from softfin.rig.emulation.kept_rig import KeptRig, close_rigs, register_rig
 from softfin.rig.emulation.rig import EmulatedRig
 from softfin.rig.rig import Rig
+from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.tank import Tank
 
@@ -32,10 +32,10 @@ def values_of(behind: EmulatedRig, **safety: Any) -> dict[str, Any]:
 
 
 @contextmanager
-def emulated(tank: Tank | None = None, **safety: Any) -> Iterator[tuple[EmulatedRig, Bench]]:
+def emulated(tank: Tank | None = None, **safety: Any) -> Iterator[tuple[EmulatedRig, RobotSetup]]:
     """With a fin that needs no JAX, unless a tank is given."""
     with simulated(tank) as behind:
-        yield behind, bench_of(behind, **values_of(behind, **safety))
+        yield behind, robot_of(behind, **values_of(behind, **safety))
 
 
 @contextmanager
@@ -46,20 +46,22 @@ def simulated(tank: Tank | None = None) -> Iterator[EmulatedRig]:
         yield behind
 
 
-def bench_of(behind: EmulatedRig, **values: Any) -> Bench:
+def robot_of(behind: EmulatedRig, **values: Any) -> RobotSetup:
     config = behind.config(**values)
-    return Bench(Rig(config, behind.clock), config.safety, config.fin, config.settle_s, config.model_dump(mode="json"))
+    return RobotSetup(
+        Rig(config, behind.clock), config.safety, config.fin, config.settle_s, config.model_dump(mode="json")
+    )
 
 
 @contextmanager
 def filed(behind: EmulatedRig, path: Path, **safety: Any) -> Iterator[Path]:
     """Its file, for the command line in this process."""
     path.write_text(yaml.safe_dump(values_of(behind, **safety) | {"emulation": {}}))
-    plug(path, Plugged(behind.clock, keep=lambda: None, close=lambda: None))
+    register_rig(path, KeptRig(behind.clock, save=lambda: None, close=lambda: None))
     try:
         yield path
     finally:
-        unplug()
+        close_rigs()
 
 
 @contextmanager

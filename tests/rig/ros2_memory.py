@@ -4,7 +4,7 @@ from collections import defaultdict
 
 from softfin.core.errors import DeviceError
 from softfin.rig.ros2.messages import Messages
-from softfin.rig.ros2.transport import Received
+from softfin.rig.ros2.transport import Publisher, Received
 
 
 class MemoryTransport:
@@ -23,11 +23,24 @@ class MemoryTransport:
         self.failing = False
 
     def publish(self, topic, kind):
-        return MemoryOutlet(self, topic, kind)
+        def send(data):
+            if self.failing:
+                raise DeviceError(f"{topic}: not sent")
+            known = kind in self.messages.types.fielddefs
+            self.sent[topic].append(self.messages.decode(data, kind) if known else data)
+
+        return Publisher(send, lambda: self.readers[topic])
 
     def subscribe(self, topic, kind, best_effort=False):
         self.asked[topic] = (kind, best_effort)
-        return MemoryInlet(self, topic)
+
+        def take():
+            if self.failing:
+                raise DeviceError("the transport has stopped")
+            taken, self.waiting[topic] = self.waiting[topic], []
+            return taken
+
+        return take
 
     def topics(self):
         return {"/somebody": "std_msgs/msg/Bool"}
@@ -38,30 +51,3 @@ class MemoryTransport:
     def put(self, topic, message, at=None):
         data = message if isinstance(message, bytes) else self.messages.encode(message)
         self.waiting[topic].append(Received(data, self.clock() if at is None else at))
-
-
-class MemoryOutlet:
-    def __init__(self, transport, topic, kind):
-        self.transport, self.topic, self.kind = transport, topic, kind
-
-    def send(self, data):
-        if self.transport.failing:
-            raise DeviceError(f"{self.topic}: not sent")
-        if self.kind in self.transport.messages.types.fielddefs:
-            self.transport.sent[self.topic].append(self.transport.messages.decode(data, self.kind))
-        else:
-            self.transport.sent[self.topic].append(data)
-
-    def listeners(self):
-        return self.transport.readers[self.topic]
-
-
-class MemoryInlet:
-    def __init__(self, transport, topic):
-        self.transport, self.topic = transport, topic
-
-    def take(self):
-        if self.transport.failing:
-            raise DeviceError("the transport has stopped")
-        taken, self.transport.waiting[self.topic] = self.transport.waiting[self.topic], []
-        return taken

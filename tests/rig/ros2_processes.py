@@ -103,14 +103,15 @@ def plant(_: Path) -> dict[str, Any]:
     """A machine of topics on the child's driver: open, read, move, stop."""
     from softfin.core.errors import DeviceError
     from softfin.rig.machine import Target
-    from softfin.rig.ros2.plant import Ros2Machine, Ros2PlantConfig
+    from softfin.rig.ros2.config import Ros2PlantConfig
+    from softfin.rig.ros2.plant import Ros2Machine
 
     limits = {"angle_min_rad": -1.5, "angle_max_rad": 1.5, "velocity_min_rad_s": 1.0, "velocity_max_rad_s": 3.0}
     config = {"joint_topic": "/joint", "joint_name": "fin", "wrench_topic": "/wrench", "frame": "x,y",
               "command_topic": "/command", "stop_topic": "/stop", "wait_s": 20.0, "limits": limits}  # fmt: skip
     machine = Ros2Machine(Ros2PlantConfig.build(config))
     machine.open()
-    there = machine._transport.topics()
+    there = machine._topics.transport.topics()
     at_rest = [_ticked(machine) for _ in range(30)]
     machine.enable()
     machine.command(Target(0.5, 2.0))
@@ -141,27 +142,28 @@ def plant(_: Path) -> dict[str, Any]:
 
 
 def node(_: Path) -> dict[str, Any]:
-    """A bridge: the child reads what it says, then asks for a force and a stop."""
+    """A node: the child reads what it says, then asks for a force and a stop."""
     from softfin.rig.machine import Sample, Target
+    from softfin.rig.ros2.config import NodeConfig, TransportConfig
+    from softfin.rig.ros2.connection import open_transport
     from softfin.rig.ros2.messages import Messages
-    from softfin.rig.ros2.node import NodeConfig, RosBridge
-    from softfin.rig.ros2.transport import TransportConfig, open_transport
+    from softfin.rig.ros2.node import RosNode
 
     transport = open_transport(TransportConfig(transport="dds"), Messages())
-    bridge = RosBridge(transport, NodeConfig(reference_timeout_s=None))
+    ros_node = RosNode(transport, NodeConfig(reference_timeout_s=None))
     reference = stop = None
     deadline = time.monotonic() + 20
     tick = 0
     while stop is None and time.monotonic() < deadline:
         tick += 1
         now = time.monotonic()
-        bridge.publish(Sample(now, 0.25, -0.5, None, None, now - 0.02, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0), ()),
+        ros_node.publish(Sample(now, 0.25, -0.5, None, None, now - 0.02, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0), ()),
                        Target(0.001 * tick, 2.0))  # fmt: skip
-        reference, stop = bridge.reference() or reference, bridge.stop_asked()
+        reference, stop = ros_node.reference() or reference, ros_node.stop_reason()
         time.sleep(0.01)
-    listening = bridge._joint.listeners()
-    bridge.close()
-    return {"reference": reference, "stop": stop, "unsent": bridge.unsent, "listening": listening}
+    listening = ros_node.joint.readers()
+    ros_node.close()
+    return {"reference": reference, "stop": stop, "unsent": ros_node.unsent, "listening": listening}
 
 
 def _ticked(machine: Any) -> Any:

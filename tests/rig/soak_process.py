@@ -5,8 +5,7 @@ from pathlib import Path
 
 from softfin.core.errors import SoftfinError
 from softfin.rig.config import load_rig
-from softfin.rig.loop import hold
-from softfin.rig.recording import recording
+from softfin.rig.loop import run_controller
 from softfin.rig.rig import Rig
 from softfin.rig.safety import Guard, SafetyConfig
 from softfin.rig.session import Session
@@ -31,9 +30,9 @@ def main() -> None:
 
     try:
         session = Session(rig, Guard(SAFETY, rig.limits), observers=[tell])
-        with session, recording(session, Path(sys.argv[2])):
+        with session, session.recording(Path(sys.argv[2])):
             session.activate()
-            list(hold(session, Wagging(), lambda _: (0.0, 0.0), actions=60))
+            list(run_controller(session, Wagging(), lambda _: (0.0, 0.0), actions=60))
     except SoftfinError as error:
         sys.stderr.write(f"{error}\n")
         raise SystemExit(error.exit_code) from None

@@ -1,15 +1,17 @@
 """The sensor over UDP and HTTP, in real time: what simulated time cannot show."""
 
 import contextlib
+import socket
 import time
 
 import pytest
 
+from softfin.core.clock import RealClock
 from softfin.core.errors import DeviceError
+from softfin.rig.axia80 import pages
 from softfin.rig.axia80 import sensor as axia80
-from softfin.rig.axia80.config import SensorConfig
+from softfin.rig.axia80.config import Axia80Config
 from softfin.rig.axia80.sensor import Axia80
-from softfin.rig.axia80.xml import read_settings
 from softfin.rig.emulation.sensor import EmulatedAxia80
 from tests.rig.still_fin import StillFin
 
@@ -31,7 +33,7 @@ def emulated(*wrench):
 
 
 def config_of(sensor):
-    return SensorConfig(address="127.0.0.1", http_port=sensor.http_port, rdt_port=sensor.rdt_port, frame="x,y")
+    return Axia80Config(address="127.0.0.1", http_port=sensor.http_port, rdt_port=sensor.rdt_port, frame="x,y")
 
 
 def test_the_force_arrives_over_sockets_too():
@@ -48,8 +50,13 @@ def test_the_force_arrives_over_sockets_too():
 
 def test_a_wall_clock_that_is_set_moves_no_force_in_time():
     jumped = 0.0
+
+    class JumpingClock(RealClock):
+        def wall(self):
+            return time.time() + jumped
+
     with emulated() as sensor:
-        client = Axia80(config_of(sensor), wall=lambda: time.time() + jumped)
+        client = Axia80(config_of(sensor), JumpingClock())
         client.open()
         for step in (0.0, 3600.0, -86400.0, 0.01):
             jumped = step
@@ -61,8 +68,8 @@ def test_a_wall_clock_that_is_set_moves_no_force_in_time():
 
 
 def test_a_page_that_hangs_does_not_hold_the_opening_up(monkeypatch):
-    monkeypatch.setattr(axia80, "read_settings", lambda host, port: read_settings(host, port, 0.2))
-    with emulated() as sensor:
-        sensor.pages.stalled.set()
-        with pytest.raises(DeviceError, match="no whole answer in 0"):
-            Axia80(config_of(sensor)).open()
+    monkeypatch.setattr(pages, "PAGE_TIMEOUT_S", 0.2)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        config = Axia80Config(address="127.0.0.1", http_port=server.getsockname()[1], frame="x,y")
+        with pytest.raises(DeviceError, match=r"no answer in 0\.2 s"):
+            Axia80(config).open()

@@ -95,7 +95,7 @@ class InAFault(FreeFin):
         (StopsInTheLoopOnly, "moved by .* after stop"),
         (TimeGoesBack, "time went back"),
         (Frozen, "time.* ago|stand still"),
-        (NotANumber, "no finite number"),
+        (NotANumber, "not a finite number"),
         (Wordy, "read returns dict"),
         (Slow, "read takes 50 ms"),
         (InAFault, "0x3220"),
@@ -107,5 +107,5 @@ def test_each_breach_of_the_contract_is_told(machine, words):
 
 
 def test_what_is_no_machine_is_told_what_it_lacks():
-    with pytest.raises(RigError, match="object: has no name, limits, "):
+    with pytest.raises(RigError, match="object: has no close, command, "):
         check_machine(object())

@@ -2,12 +2,8 @@ import pytest
 
 from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.errors import RunError, SafetyStop
-from softfin.rig.loop import hold, seconds_to_actions
-from softfin.rig.machine import Target
-from softfin.rig.safety import Guard, SafetyConfig
-from softfin.rig.session import Session
-from softfin.rig.simulated_clock import SimulatedClock
-from tests.rig.machines import FreeFin, Notes, Wagging
+from softfin.rig.loop import run_controller, seconds_to_actions
+from tests.rig.machines import Wagging
 from tests.rig.test_session import Made
 
 
@@ -15,7 +11,7 @@ def held(controller, actions=6, references=lambda at: (1.0, -1.0)):
     made = Made()
     with made.session as session:
         session.activate()
-        return made, list(hold(session, controller, references, actions))
+        return made, list(run_controller(session, controller, references, actions))
 
 
 def test_three_actions_take_a_second_to_the_tick():
@@ -53,7 +49,7 @@ def test_a_controller_that_raises_stops_the_fin(error, words):
     with made.session as session:
         session.activate()
         with pytest.raises(SafetyStop, match=words) as raised:
-            list(hold(session, Wagging(worse), lambda at: (0.0, 0.0), 9))
+            list(run_controller(session, Wagging(worse), lambda at: (0.0, 0.0), 9))
         assert raised.value.exit_code == 3
         assert not made.machine.enabled
         assert made.notes.events[-1].startswith("stopped: controller: ")
@@ -67,33 +63,5 @@ def test_references_that_fail_stop_the_fin():
     with made.session as session:
         session.activate()
         with pytest.raises(SafetyStop, match="topic is gone"):
-            list(hold(session, Wagging(), references, 3))
+            list(run_controller(session, Wagging(), references, 3))
         assert not made.machine.enabled
-
-
-def test_a_policy_that_is_not_a_number_stops_the_fin():
-    made = Made()
-    with made.session as session:
-        session.activate()
-        with pytest.raises(SafetyStop, match="no finite number"):
-            list(hold(session, Wagging(lambda action: Target(float("nan"), 1.0)), lambda at: (0.0, 0.0), 3))
-        assert made.machine.commands[1:] == []
-
-
-def test_a_controller_that_hangs_is_stopped_while_it_hangs():
-    machine = FreeFin(SimulatedClock())
-    seen = []
-
-    def hang(action):
-        if action == 2:
-            machine.clock.sleep(0.2)
-            seen.append(machine.enabled)
-
-    safety = SafetyConfig(acceleration_rad_s2=1e6)
-    with Session(machine, Guard(safety, machine.limits)) as session:
-        notes = session.recorder = Notes(machine)
-        session.activate()
-        with pytest.raises(SafetyStop, match="silent"):
-            list(hold(session, Wagging(hang), lambda at: (0.0, 0.0), 9))
-    assert seen == [False]
-    assert sum("watchdog" in event for event in notes.events) == 1

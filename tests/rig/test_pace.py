@@ -11,8 +11,8 @@ def test_ticks_are_ten_milliseconds_apart_and_none_is_late():
     pace = quick_pace(hours)
     times = [(pace.wait(), hours.now)[1] for _ in range(100)]
     assert times == pytest.approx([100.01 + 0.01 * k for k in range(100)], abs=1e-6)
-    assert pace.described()["skipped_ticks"] == 0
-    assert pace.described()["late_max_ms"] < 0.001
+    assert pace.to_dict()["skipped_ticks"] == 0
+    assert pace.to_dict()["late_max_ms"] < 0.001
 
 
 def test_a_late_tick_does_not_move_the_next_ones():
@@ -55,6 +55,6 @@ def test_the_histogram_tells_quantiles_to_a_tenth_of_a_millisecond(lates):
 
 
 def test_a_pace_that_nobody_waited_for_has_no_lateness():
-    assert Pace().described() == {
+    assert Pace().to_dict() == {
         "ticks": 0, "skipped_ticks": 0, "late_p50_ms": 0.0, "late_p99_ms": 0.0, "late_max_ms": 0.0
     }  # fmt: skip

@@ -2,15 +2,13 @@ import pytest
 
 from softfin.core.errors import RunError, SafetyStop, SoftfinError
 from softfin.rig.machine import Target
-from softfin.rig.recording import recording
-from softfin.storage.bag.messages import CURRENT, EVENTS
-from softfin.storage.bag.topics import DEFAULT_TOPICS
+from softfin.storage.bag.messages import CURRENT, DEFAULT_TOPICS, EVENTS
 from tests.rig.bags import counts_of, events_of
 from tests.rig.test_session import Made
 
 
 def recorded(session, folder, act):
-    with recording(session, folder / "run.mcap"):
+    with session.recording(folder / "run.mcap"):
         act()
 
 
@@ -22,7 +20,7 @@ def leave_the_range(made):
 
 def test_a_session_is_recorded_whole(tmp_path):
     made = Made()
-    with made.session as session, recording(session, tmp_path / "run.mcap"):
+    with made.session as session, session.recording(tmp_path / "run.mcap"):
         session.activate()
         session.hold(Target(0.2, 1.0), 20)
         session.deactivate()
@@ -61,7 +59,7 @@ def test_recordings_that_are_there_are_kept_under_other_names(tmp_path):
     for text in (b"first", b"third"):
         path.write_bytes(text)
         made = Made()
-        with made.session as session, recording(session, path):
+        with made.session as session, session.recording(path):
             session.tick()
     kept = {file.name: file.read_bytes() for file in tmp_path.glob("run.cut-*")}
     assert kept == {"run.cut-1.mcap": b"first", "run.cut-2.mcap": b"second", "run.cut-3.mcap": b"third"}
@@ -77,6 +75,6 @@ def test_a_folder_that_cannot_be_written_is_told_before_anything_moves(tmp_path)
     (tmp_path / "file").write_text("")
     made = Made()
     with made.session as session:
-        with pytest.raises(SoftfinError, match=r"run\.mcap"), recording(session, tmp_path / "file" / "run.mcap"):
+        with pytest.raises(SoftfinError, match=r"run\.mcap"), session.recording(tmp_path / "file" / "run.mcap"):
             raise AssertionError("not reached")
         assert "enable" not in made.machine.calls

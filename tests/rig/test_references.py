@@ -3,7 +3,7 @@ import threading
 import pytest
 
 from softfin.core.errors import CoverageError
-from softfin.rig.references import Recorded, Said
+from softfin.rig.references import LiveReference, RecordedReference
 
 
 def admit(force):
@@ -15,13 +15,13 @@ def admit(force):
 
 def said(first=(1.0, 1.0)):
     told = []
-    return Said(first, admit, told.append), told
+    return LiveReference(first, admit, told.append), told
 
 
 def test_a_line_of_the_terminal_is_the_reference_from_then_on():
     references, told = said()
     assert references(0.0) == (1.0, 1.0)
-    references.line("2,-1")
+    references.set_from_text("2,-1")
     assert references(1.0) == (2.0, -1.0)
     assert told == []
 
@@ -29,7 +29,7 @@ def test_a_line_of_the_terminal_is_the_reference_from_then_on():
 @pytest.mark.parametrize("line", ["hello", "1", "1,2,3", "1;2", ",", "2,x"])
 def test_a_line_that_is_no_reference_is_told_and_not_taken(line):
     references, told = said()
-    references.line(line)
+    references.set_from_text(line)
     assert references(0.0) == (1.0, 1.0)
     assert "write X,Y in newton, as 2,-1; Enter alone stops the fin" in told[0]
 
@@ -37,7 +37,7 @@ def test_a_line_that_is_no_reference_is_told_and_not_taken(line):
 @pytest.mark.parametrize("line", ["9,0", "nan,0", "inf,0"])
 def test_a_reference_that_cannot_be_held_is_told_and_not_taken(line):
     references, told = said()
-    references.line(line)
+    references.set_from_text(line)
     assert references(0.0) == (1.0, 1.0)
     assert told[0].endswith("ask for less; the reference stays as it is")
 
@@ -45,7 +45,7 @@ def test_a_reference_that_cannot_be_held_is_told_and_not_taken(line):
 def test_the_nearest_is_held_with_a_warning():
     references, told = said((0.0, 3.0))
     assert references(0.0) == (0.0, 2.0)
-    references.say((1.0, 4.0))
+    references.set((1.0, 4.0))
     assert references(0.0) == (1.0, 2.0)
     assert told == ["nearest is held"] * 2
 
@@ -60,7 +60,7 @@ def test_references_from_another_thread_are_whole():
 
     def say():
         for k in range(2000):
-            references.say((k / 1000, -k / 1000))
+            references.set((k / 1000, -k / 1000))
 
     thread = threading.Thread(target=say)
     thread.start()
@@ -72,7 +72,7 @@ def test_references_from_another_thread_are_whole():
 
 def test_each_row_of_a_file_holds_from_its_time_on():
     told = []
-    references = Recorded([0.0, 1.0, 2.5], [(0.0, 0.0), (1.0, 3.0), (2.0, 3.0)], admit, told.append)
+    references = RecordedReference([0.0, 1.0, 2.5], [(0.0, 0.0), (1.0, 3.0), (2.0, 3.0)], admit, told.append)
     assert [references(at)[0] for at in (0.0, 0.99, 1.0, 2.0, 2.5, 99.0)] == [0, 0, 1, 1, 2, 2]
     assert references(1.0)[1] == 2.0
     assert told == ["nearest is held (and 1 more rows)"]
@@ -80,4 +80,4 @@ def test_each_row_of_a_file_holds_from_its_time_on():
 
 def test_a_file_with_a_row_that_cannot_be_held_is_refused_before_anything_moves():
     with pytest.raises(CoverageError):
-        Recorded([0.0, 1.0], [(0.0, 0.0), (9.0, 0.0)], admit, print)
+        RecordedReference([0.0, 1.0], [(0.0, 0.0), (9.0, 0.0)], admit, print)

@@ -1,8 +1,11 @@
+import itertools
+
 import pytest
 
 from softfin.core.errors import DeviceError, RigError, SafetyStop
 from softfin.rig.epos2.cia402 import State
 from softfin.rig.machine import Machine, Target
+from softfin.rig.rig import zero_angle, zero_force
 from softfin.rig.safety import Guard
 from softfin.rig.session import Session
 from softfin.testing import check_machine
@@ -18,15 +21,15 @@ def ticks(machine, count):
 
 
 def test_a_rig_meets_the_machine_contract():
-    with emulated() as (behind, bench):
-        assert isinstance(bench.machine, Machine)
-        check_machine(bench.machine)
+    with emulated() as (behind, robot):
+        assert isinstance(robot.machine, Machine)
+        check_machine(robot.machine)
         assert behind.drive.state is State.SWITCH_ON_DISABLED
 
 
 def test_angle_and_force_are_of_one_fin_in_softfins_axes():
-    with emulated() as (_, bench):
-        machine = bench.machine
+    with emulated() as (_, robot):
+        machine = robot.machine
         machine.open()
         machine.enable()
         machine.command(Target(1.2, 1.0))
@@ -40,19 +43,19 @@ def test_angle_and_force_are_of_one_fin_in_softfins_axes():
 
 
 def test_a_sensor_that_does_not_answer_leaves_nothing_open():
-    with emulated() as (behind, bench):
+    with emulated() as (behind, robot):
         behind.drive.close()
         with pytest.raises(RigError, match="no drive answers"):
-            bench.machine.open()
-        assert bench.machine.sensor._socket.closed
+            robot.machine.open()
+        assert robot.machine.sensor._stream.client.closed
         behind.sensor.close()
         with pytest.raises(DeviceError):
-            bench.machine.open()
+            robot.machine.open()
 
 
 def test_a_fault_stops_the_fin_before_the_loop_looks():
-    with emulated() as (behind, bench):
-        machine = bench.machine
+    with emulated() as (behind, robot):
+        machine = robot.machine
         machine.open()
         machine.enable()
         machine.command(Target(1.2, 1.0))
@@ -66,24 +69,49 @@ def test_a_fault_stops_the_fin_before_the_loop_looks():
 
 
 def test_counters_are_whole_numbers_by_name_after_close_too():
-    with emulated() as (_, bench):
-        bench.machine.open()
-        ticks(bench.machine, 5)
-        counters = bench.machine.counters()
+    with emulated() as (_, robot):
+        robot.machine.open()
+        ticks(robot.machine, 5)
+        counters = robot.machine.counters()
         assert counters["sensor_records"] > 0
         assert all(name.isidentifier() for name in counters)
-        bench.machine.close()
-        assert all(isinstance(count, int) for count in bench.machine.counters().values())
+        robot.machine.close()
+        assert all(isinstance(count, int) for count in robot.machine.counters().values())
+
+
+def test_the_force_at_rest_becomes_zero():
+    with emulated() as (behind, robot):
+        behind.fin.now = lambda now=behind.fin.now: now()._replace(wrench=(0.4, -1.5, 0.2, 0.0, 0.0, 0.0))
+        told = zero_force(robot.machine.config, seconds=0.3, clock=behind.clock)
+    assert told["force_before_n"] == pytest.approx([0.4, -1.5, 0.2], abs=1e-3)
+    assert told["force_after_n"] == pytest.approx([0, 0, 0], abs=1e-3)
+
+
+def test_a_fin_that_is_moved_is_not_zeroed():
+    with emulated() as (behind, robot):
+        signs = itertools.cycle((1.0, -1.0))
+        behind.fin.now = lambda now=behind.fin.now: now()._replace(wrench=(next(signs), 0.0, 0.0, 0.0, 0.0, 0.0))
+        with pytest.raises(DeviceError, match=r"force varies by .* N \(deviation\): at most 0.3 N; let the water rest"):
+            zero_force(robot.machine.config, seconds=0.3, clock=behind.clock)
+
+
+def test_the_angle_where_it_stands_becomes_zero_and_the_fin_does_not_move():
+    with emulated() as (behind, robot):
+        behind.fin.move(0.3, 100.0)
+        told = zero_angle(robot.machine.config, clock=behind.clock)
+        assert told["angle_before_rad"] == pytest.approx(0.3, abs=1e-3)
+        assert told["angle_after_rad"] == pytest.approx(0.0, abs=1e-3)
+        assert behind.fin.now().angle == pytest.approx(0.3)
 
 
 def test_a_stop_over_a_cut_cable_does_not_claim_that_the_motor_is_off():
-    with emulated() as (behind, bench):
-        guard = Guard(bench.safety, bench.machine.limits)
-        with Session(bench.machine, guard) as session:
+    with emulated() as (behind, robot):
+        guard = Guard(robot.safety, robot.machine.limits)
+        with Session(robot.machine, guard) as session:
             session.activate()
             behind.drive.go_silent()
             session.stop_request.ask("emergency_stop", "stopped by a key")
             with pytest.raises(SafetyStop) as stopped:
                 session.tick()
-    assert str(stopped.value).startswith("stopped: stopped by a key; BUT drive did not confirm")
+    assert str(stopped.value).startswith("stopped: stopped by a key; BUT the drive did not confirm power-off")
     assert stopped.value.exit_code == 3

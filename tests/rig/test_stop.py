@@ -1,12 +1,14 @@
+import ctypes
 import io
 import os
 import signal
+import sys
 import threading
 import time
 
 import pytest
 
-from softfin.rig.stop import SIGNALS, Keyboard, StopRequest, stopped_by_signals
+from softfin.rig.stop import SIGNALS, StopRequest, Watchdog, listen_to_keyboard, stopped_by_signals
 
 
 def test_the_first_reason_counts():
@@ -53,35 +55,52 @@ def test_outside_the_main_thread_signals_stay_as_they_are():
     assert inside == [before]
 
 
-def listened(text: str) -> tuple[StopRequest, list[str]]:
+def listened(text, on_line=None) -> tuple[StopRequest, list[str]]:
     request, lines = StopRequest(), []
-    keyboard = Keyboard(request, lines.append, io.StringIO(text))
-    keyboard.start()
-    keyboard._thread.join(5)
-    assert not keyboard._thread.is_alive()
+    stream = io.StringIO(text) if isinstance(text, str) else text
+    thread = listen_to_keyboard(request, on_line or lines.append, stream)
+    thread.join(5)
+    assert not thread.is_alive()
     return request, lines
 
 
-def test_enter_alone_says_stop_and_other_lines_are_handed_on():
+def test_enter_alone_asks_for_a_stop_and_other_lines_are_handed_on():
     request, lines = listened("2,-1\n  \n1,1\n")
     assert request.trip == ("emergency_stop", "stopped by a key")
     assert lines == ["2,-1", "1,1"]
 
 
-def test_a_terminal_that_is_gone_says_nothing():
-    request, _ = listened("")
-    assert request.trip is None
+def test_a_terminal_that_is_gone_asks_for_nothing():
     closed = io.StringIO("x")
     closed.close()
-    keyboard = Keyboard(request, print, closed)
-    keyboard.start()
-    keyboard._thread.join(5)
-    assert not keyboard._thread.is_alive()
+    for stream in ("", closed):
+        assert listened(stream)[0].trip is None
 
 
-def test_what_cannot_be_taken_does_not_end_the_listening():
-    request = StopRequest()
-    keyboard = Keyboard(request, float, io.StringIO("two\n\n"))
-    keyboard.start()
-    keyboard._thread.join(5)
-    assert request.trip is not None
+def test_a_line_that_cannot_be_used_does_not_end_the_listening():
+    assert listened("two\n\n", float)[0].trip is not None
+
+
+HANG_S = 0.15
+
+
+def test_a_hang_that_holds_the_interpreters_lock_is_seen_only_when_it_is_over():
+    bitten, silences = threading.Event(), []
+
+    def bite(silence: float) -> None:
+        silences.append(silence)
+        bitten.set()
+
+    dog = Watchdog(0.05, bite)
+    interval = sys.getswitchinterval()
+    # Nothing but the call could let the watchdog's thread run.
+    sys.setswitchinterval(60)
+    try:
+        dog.feed(time.monotonic())
+        ctypes.PyDLL(None).usleep(round(HANG_S * 1e6))
+        during = list(silences)
+    finally:
+        sys.setswitchinterval(interval)
+    assert during == []
+    assert bitten.wait(10)
+    assert silences[0] >= HANG_S

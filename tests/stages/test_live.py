@@ -12,8 +12,8 @@ from softfin.core.plant import roll
 from softfin.core.quantities import Command
 from softfin.data.collect import CollectConfig, collect
 from softfin.evaluation.evaluate import EvaluateConfig
-from softfin.rig.bench import Bench
 from softfin.rig.epos2.cia402 import State
+from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import SafetyConfig
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import StopRequest
@@ -28,11 +28,11 @@ from tests.rig.rigs import SAFETY, emulated
 CONFIG = CollectConfig(logs=1, test_logs=1, rows=60, seed=3)
 
 
-def yes(bench):
+def yes(robot):
     """Nobody stands by."""
 
 
-def no(bench):
+def no(robot):
     raise ConfigurationError("nothing moves without --arm")
 
 
@@ -44,9 +44,9 @@ def test_logs_are_recorded_one_by_one_and_a_stopped_collection_goes_on(tmp_path)
         if "test-" in note:
             request.ask("emergency_stop", "stopped by a key")
 
-    with emulated() as (behind, bench):
+    with emulated() as (behind, robot):
         with pytest.raises(SafetyStop, match="stopped by a key"):
-            collect_live(bench, out, CONFIG, yes, stop=request, progress=stop_in_the_second)
+            collect_live(robot, out, CONFIG, yes, stop=request, progress=stop_in_the_second)
         assert behind.drive.state is State.SWITCH_ON_DISABLED
         assert not out.exists()
         bags = bags_of(out)
@@ -57,14 +57,14 @@ def test_logs_are_recorded_one_by_one_and_a_stopped_collection_goes_on(tmp_path)
         first = (bags / "train-0000.parquet").read_bytes()
 
         with pytest.raises(ArtifactError, match="--resume"):
-            collect_live(bench, out, CONFIG, yes)
+            collect_live(robot, out, CONFIG, yes)
         other = CONFIG.model_copy(update={"seed": 4})
         with pytest.raises(ArtifactError, match="holds logs of another configuration"):
-            collect_live(bench, out, other, yes, resume=True)
+            collect_live(robot, out, other, yes, resume=True)
 
         told = []
-        data = collect_live(bench, out, CONFIG, yes, resume=True, progress=lambda *words: told.append(words))
-        again = collect_live(bench, out, CONFIG, yes, resume=True, progress=lambda *words: told.append("moved"))
+        data = collect_live(robot, out, CONFIG, yes, resume=True, progress=lambda *words: told.append(words))
+        again = collect_live(robot, out, CONFIG, yes, resume=True, progress=lambda *words: told.append("moved"))
     assert again.data_hash == data.data_hash
     assert "moved" not in told
     assert (bags / "train-0000.parquet").read_bytes() == first
@@ -81,9 +81,9 @@ def test_logs_are_recorded_one_by_one_and_a_stopped_collection_goes_on(tmp_path)
 
 
 def test_nothing_moves_and_nothing_is_written_where_nobody_confirms(tmp_path):
-    with emulated() as (behind, bench):
+    with emulated() as (behind, robot):
         with pytest.raises(ConfigurationError, match="--arm"):
-            collect_live(bench, tmp_path / "data", CONFIG, no)
+            collect_live(robot, tmp_path / "data", CONFIG, no)
         assert behind.drive.state is State.SWITCH_ON_DISABLED
         assert behind.fin.now().angle == 0.0
     assert list(tmp_path.iterdir()) == []
@@ -93,8 +93,8 @@ def test_a_controller_is_judged_on_a_fin_that_moves_by_itself(tmp_path):
     folder = folder_of("single", tmp_path)
     config = EvaluateConfig(references=((1.0, -1.0),), seconds=3, seeds=1)
     machine = FreeFin(SimulatedClock())
-    bench = Bench(machine, SafetyConfig.build(SAFETY, "safety"), settle_s=0.1)
-    summary = evaluate_live(folder, bench, tmp_path / "out", config, yes)
+    robot = RobotSetup(machine, SafetyConfig.build(SAFETY, "safety"), settle_s=0.1)
+    summary = evaluate_live(folder, robot, tmp_path / "out", config, yes)
     assert not machine.enabled
     assert machine.calls[-1] == "close"
     assert summary["references"][0]["reference_n"] == [1.0, -1.0]
@@ -105,11 +105,11 @@ def test_a_controller_is_judged_on_a_fin_that_moves_by_itself(tmp_path):
 
 def test_a_controller_of_another_fin_is_refused_before_anything_is_opened(tmp_path, monkeypatch):
     folder = folder_of("single", tmp_path)
-    with emulated() as (_, bench):
-        monkeypatch.setattr(bench.machine, "open", lambda: pytest.fail("opened"))
+    with emulated() as (_, robot):
+        monkeypatch.setattr(robot.machine, "open", lambda: pytest.fail("opened"))
         monkeypatch.setattr("softfin.stages.live.load_controller", _of_fin("red"))
         with pytest.raises(RigError, match="trained for the fin 'red'"):
-            evaluate_live(folder, bench, tmp_path / "out", EvaluateConfig(), yes)
+            evaluate_live(folder, robot, tmp_path / "out", EvaluateConfig(), yes)
 
 
 def _of_fin(fin):
@@ -128,8 +128,8 @@ def test_a_log_through_the_emulators_is_the_tanks_own(tmp_path):
     """The same commands to the same tank, once in a program and once behind drive and sensor."""
     tank = Tank()
     config = CollectConfig(logs=1, test_logs=0, rows=400, seed=5)
-    with emulated(tank) as (_, bench):
-        live = collect_live(bench, tmp_path / "live", config, yes)
+    with emulated(tank) as (_, robot):
+        live = collect_live(robot, tmp_path / "live", config, yes)
     alone = collect(tank, config, tmp_path / "alone")
     through, planned = (next(iter(data.load(data.train))) for data in (live, alone))
     # The commands are the same at the same rows, and nothing is ever late.

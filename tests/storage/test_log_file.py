@@ -144,7 +144,7 @@ def test_a_missing_column_is_named(tmp_path, table):
 
 def test_an_unknown_column_is_refused(tmp_path, table):
     message = refusal(tmp_path, table.append_column("angle_radian", table["angle_rad"]))
-    assert "unknown column 'angle_radian'; did you mean 'angle_rad'?" in message
+    assert "unknown column 'angle_radian'; remove it; " in message
 
 
 def test_a_column_that_is_there_twice_is_refused(tmp_path, table):

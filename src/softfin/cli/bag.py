@@ -9,7 +9,7 @@ from softfin.cli.kinds import File
 from softfin.cli.log_options import LogOptions, columns_read
 from softfin.cli.options import Option
 from softfin.core.errors import ConfigurationError
-from softfin.data.checks.findings import counted
+from softfin.data.issues import counted
 from softfin.storage import paths
 
 
@@ -23,8 +23,8 @@ class Arguments(LogOptions, Common):
     """What to recover, a .mcap file; what to convert, a recording or a folder of them."""
     out: File | None = None
     """What to write: of recover NAME.recovered.mcap beside it; convert must be told, and its ending says the kind."""
-    accept: bool = False
-    """Convert in spite of errors that were found."""
+    ignore_errors: bool = False
+    """Convert logs with errors, too."""
 
     def check(self) -> None:
         """Whether the recording is there."""
@@ -50,7 +50,7 @@ class Arguments(LogOptions, Common):
         recovery = recover(self.path, out, self.overwrite)
         messages = counted(sum(recovery.messages.values()), "message")
         span = f"{messages} over {recovery.seconds:.1f} s"
-        result = {"recovered": None if recovery.whole else str(out), **recovery.described()}
+        result = {"recovered": None if recovery.whole else str(out), **recovery.to_dict()}
         if recovery.whole:
             self.tell(result, f"{self.path}: whole already, {span}; nothing written")
             return
@@ -59,10 +59,12 @@ class Arguments(LogOptions, Common):
         self.tell(result, f"{out}: {span} saved; {lost:,} bytes could not be read ({reasons[:300]})")
 
     def _convert(self) -> None:
-        from softfin.data.importing.bag_convert import convert
+        from softfin.data.convert import convert
 
         assert self.out is not None
-        result = convert(self.path, self.out, self.import_config(), accept=self.accept, overwrite=self.overwrite)
+        result = convert(
+            self.path, self.out, self.import_config(), ignore_errors=self.ignore_errors, overwrite=self.overwrite
+        )
         counts = ", ".join(counted(count, kind) for kind, count in result["counts"].items())
         self.tell(
             result, f"{columns_read(result['columns'])}{', '.join(result['files'])}: {result['rows']:,} rows; {counts}"

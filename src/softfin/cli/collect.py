@@ -77,11 +77,11 @@ class Arguments(Armed, Configured):
             )  # fmt: skip
 
     def _live(self, config: "CollectConfig") -> "Dataset":
-        from softfin.rig.find import find_bench
+        from softfin.rig.robot_setup import find_robot
         from softfin.stages.live import collect_live
 
         with progress() as report:
             return collect_live(
-                find_bench(self.plant), Path(self.out), config, self.confirm,
+                find_robot(self.plant), Path(self.out), config, self.confirm,
                 resume=self.resume, overwrite=self.overwrite, progress=report,
             )  # fmt: skip

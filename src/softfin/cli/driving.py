@@ -14,34 +14,38 @@ from softfin.core.action_clock import CYCLE_ACTIONS
 from softfin.core.errors import RigError
 from softfin.core.printable import printable
 from softfin.core.quantities import RATE_HZ
-from softfin.rig.bench import Bench, check_fits
-from softfin.rig.find import find_bench
-from softfin.rig.loop import Acting, Held, References, hold, seconds_to_actions
+from softfin.rig.loop import (
+    ActionResult,
+    RealTimeController,
+    References,
+    mean_force,
+    run_controller,
+    seconds_to_actions,
+)
 from softfin.rig.machine import clock_of
-from softfin.rig.reach import knows_its_range
-from softfin.rig.recording import recording
+from softfin.rig.robot_setup import RobotSetup, find_robot
 from softfin.rig.safety import Guard
 from softfin.rig.session import Observer, Session
 from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.stop import Keyboard, StopRequest, stopped_by_signals
+from softfin.rig.stop import StopRequest, listen_to_keyboard
 
 LINE_S = 1.0
 """Between two lines of what goes on."""
 
 
-def parties(options: Driving) -> tuple[LoadedController, Bench]:
-    """The controller and the machine, which must fit each other; nothing is opened yet."""
+def parties(options: Driving) -> tuple[LoadedController, RobotSetup]:
+    """Load the controller and the machine, which must fit each other; nothing is opened yet."""
     controller = load_controller(options.controller)
-    bench = find_bench(options.plant)
-    check_fits(str(options.controller), controller.limits, controller.artifact.fin, bench)
-    return controller, bench
+    robot = find_robot(options.plant)
+    robot.check_fits(str(options.controller), controller.limits, controller.artifact.fin)
+    return controller, robot
 
 
-def check_real_time(bench: Bench) -> None:
+def check_real_time(robot: RobotSetup) -> None:
     """Raise RigError where its time is simulated: nobody outside this process lives in that."""
-    if isinstance(clock_of(bench.machine), SimulatedClock):
+    if isinstance(clock_of(robot.machine), SimulatedClock):
         raise RigError(
-            f"{bench.machine.name}: emulated in simulated time, in which no topic can be heard; start "
+            f"{robot.machine.name}: emulated in simulated time, in which no topic can be heard; start "
             "softfin rig emulate --real-time"
         )
 
@@ -49,7 +53,7 @@ def check_real_time(bench: Bench) -> None:
 def drive(
     options: Driving,
     controller: LoadedController,
-    bench: Bench,
+    robot: RobotSetup,
     references: References,
     seconds: int | None,
     *,
@@ -59,22 +63,22 @@ def drive(
 ) -> dict[str, Any]:
     """Ask, move, record; `line` gets what is typed meanwhile. Where the recording is, and how well it went."""
     bag = options.bag or Path(f"run-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
-    guard = Guard(bench.safety, bench.machine.limits, controller.artifact.training_range)
-    acting: Acting = DisturbanceObserver(controller) if options.trim else controller
-    with Session(bench.machine, guard, stop=stop, observers=observers) as session:
-        options.confirm(bench)
-        if not knows_its_range(controller.artifact.training_range):
+    guard = Guard(robot.safety, robot.machine.limits, controller.artifact.training_range)
+    acting: RealTimeController = DisturbanceObserver(controller) if options.trim else controller
+    with Session(robot.machine, guard, stop=stop, observers=observers) as session:
+        options.confirm(robot)
+        if not any(controller.artifact.training_range or ()):
             say(f"{options.controller}: says nothing of its surrogate's data; nobody sees whether the fin leaves them")
         if on_terminal():
-            Keyboard(stop, line, typed(stop, sys.stdin)).start()
+            listen_to_keyboard(stop, line, typed(stop, sys.stdin))
         bag.unlink(missing_ok=True)
-        session.until_closed(stopped_by_signals(stop))
-        with recording(session, bag):
+        session.stop_on_signals()
+        with session.recording(bag):
             session.activate()
-            session.rest(bench.settle_s)
+            session.rest(robot.settle_s)
             summary = _follow(session, acting, references, seconds)
             session.deactivate()
-    return {"bag": str(bag), **summary, "clock": session.pace.described(), "counters": bench.machine.counters()}
+    return {"bag": str(bag), **summary, "clock": session.pace.to_dict(), "counters": robot.machine.counters()}
 
 
 def sentence(result: dict[str, Any]) -> str:
@@ -96,27 +100,26 @@ def say(text: str) -> None:
     sys.stderr.write(printable(text) + "\n")
 
 
-def _follow(session: Session, controller: Acting, references: References, seconds: int | None) -> dict[str, Any]:
+def _follow(
+    session: Session, controller: RealTimeController, references: References, seconds: int | None
+) -> dict[str, Any]:
     """Run it, tell once a second how it goes; the errors of the last window."""
-    window: list[Held] = []
+    window: list[ActionResult] = []
     ticks, told = 0, 0.0
-    for held in hold(session, controller, references, None if seconds is None else seconds_to_actions(seconds)):
-        window = [*window[-CYCLE_ACTIONS + 1 :], held]
-        ticks += len(held.samples)
+    actions = None if seconds is None else seconds_to_actions(seconds)
+    for result in run_controller(session, controller, references, actions):
+        window = [*window[-CYCLE_ACTIONS + 1 :], result]
+        ticks += len(result.samples)
         if ticks / RATE_HZ - told >= LINE_S:
             told = ticks / RATE_HZ
-            x, y = _mean(window)
-            line = (f"{told:7.1f} s  reference ({held.reference[0]:+.2f}, {held.reference[1]:+.2f}) N  "
-                    f"mean over 2 s ({x:+.3f}, {y:+.3f}) N  angle {held.samples[-1].angle:+.2f} rad")  # fmt: skip
+            x, y = mean_force([sample for each in window for sample in each.samples])
+            line = (f"{told:7.1f} s  reference ({result.reference[0]:+.2f}, {result.reference[1]:+.2f}) N  "
+                    f"mean over 2 s ({x:+.3f}, {y:+.3f}) N  angle {result.samples[-1].angle:+.2f} rad")  # fmt: skip
             try:
                 say(line)
             except OSError as error:
                 # The terminal was closed, or what the lines are piped into has ended: nobody stands by any more.
                 session.stop_request.ask("emergency_stop", f"nobody reads its lines any more ({error.strerror})")
-    errors = [abs(made - asked) for made, asked in zip(_mean(window), window[-1].reference, strict=True)]
+    force = mean_force([sample for each in window for sample in each.samples])
+    errors = [abs(mean - asked) for mean, asked in zip(force, window[-1].reference, strict=True)]
     return {"seconds": ticks / RATE_HZ, "error_x_n": round(errors[0], 4), "error_y_n": round(errors[1], 4)}
-
-
-def _mean(window: list[Held]) -> tuple[float, float]:
-    wrenches = [sample.wrench for held in window for sample in held.samples]
-    return sum(w[0] for w in wrenches) / len(wrenches), sum(w[1] for w in wrenches) / len(wrenches)

@@ -100,12 +100,12 @@ class Arguments(Armed, Configured):
         )
 
     def _live(self, config: "EvaluateConfig") -> dict[str, Any]:
-        from softfin.rig.find import find_bench
+        from softfin.rig.robot_setup import find_robot
         from softfin.stages.live import evaluate_live
 
         with progress() as report:
             return evaluate_live(
-                self.controller, find_bench(self.plant), Path(self.out), config, self.confirm,
+                self.controller, find_robot(self.plant), Path(self.out), config, self.confirm,
                 overwrite=self.overwrite, progress=report,
             )  # fmt: skip
 

@@ -30,8 +30,8 @@ class Arguments(LogOptions, Configured):
     model: Model = "streaming"
     """streaming: an ensemble of recurrent nets; paper: PosNet and ForceNet; auto: both, and the streaming nets without
     symmetry, of which the best on held-out logs is kept."""
-    accept: bool = False
-    """Take the logs in spite of errors that were found."""
+    ignore_errors: bool = False
+    """Take logs with errors, too."""
     epochs: int | None = None
     """Most passes over the data, of --model paper."""
     seed: int = 0
@@ -54,10 +54,10 @@ class Arguments(LogOptions, Configured):
         config = self.configured(defaults(self.model), epochs=self.epochs)
         with progress() as report:
             result = stages.fit(
-                self.dataset, Path(self.out), config, logs=self.import_config(), accept=self.accept,
+                self.dataset, Path(self.out), config, logs=self.import_config(), ignore_errors=self.ignore_errors,
                 seed=self.seed, resume=self.resume, overwrite=self.overwrite, progress=report,
             )  # fmt: skip
-        sys.stderr.write(printable(columns_read(result["columns"]) + warning(result["findings"], self.dataset), "\n"))
+        sys.stderr.write(printable(columns_read(result["columns"]) + warning(result["issues"], self.dataset), "\n"))
         parts = [table_one(result["table_i"]), *([choice(result["candidates"])] if result["candidates"] else [])]
         if result["caveat"] is not None:
             parts.append(f"note: {result['caveat']}")
@@ -76,7 +76,7 @@ def defaults(model: Model) -> "StreamingConfig | FitConfig | AutoConfig":
 
 def warning(counts: Mapping[str, int], dataset: Path) -> str:
     """A line that says how much is wrong with the logs that were learnt from; none where nothing is."""
-    from softfin.data.checks.findings import counted
+    from softfin.data.issues import counted
 
     if not counts["error"] + counts["warning"]:
         return ""

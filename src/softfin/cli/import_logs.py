@@ -16,18 +16,18 @@ class Arguments(LogOptions, Common):
     """A folder of recordings, or one."""
     out: Out
     """Folder of the dataset to write."""
-    accept: bool = False
-    """Take the logs in spite of errors that were found."""
+    ignore_errors: bool = False
+    """Take logs with errors, too."""
 
     def run(self) -> None:
         """Import."""
-        from softfin.data.checks.findings import counted
+        from softfin.data.issues import counted
         from softfin.stages import offline as stages
 
         with progress() as report:
             data, inspection = stages.import_logs(
                 self.logs, Path(self.out), self.import_config(),
-                accept=self.accept, overwrite=self.overwrite, progress=report,
+                ignore_errors=self.ignore_errors, overwrite=self.overwrite, progress=report,
             )  # fmt: skip
         summary = inspection.summary()
         counts = ", ".join(counted(count, kind) for kind, count in summary["counts"].items())

@@ -1,4 +1,4 @@
-"""``softfin inspect``: recordings in, all that is wrong with them out, in words."""
+"""``softfin inspect``: recordings in, all that is wrong with them out."""
 
 import textwrap
 from collections.abc import Mapping
@@ -8,12 +8,12 @@ from typing import Any
 from softfin.cli.common import Common, progress
 from softfin.cli.kinds import Logs, Out
 from softfin.cli.log_options import LogOptions
-from softfin.data.checks.findings import counted
+from softfin.data.issues import counted
 
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(LogOptions, Common):
-    """Say what is wrong with logs before anyone trains on them; exit code 0 whatever is found."""
+    """Find what is wrong with logs before training on them; exit code 0 whatever is found."""
 
     logs: Logs
     """A dataset, a folder of CSV, Parquet or ROS 2 bags, or one of these."""
@@ -32,7 +32,7 @@ class Arguments(LogOptions, Common):
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """The logs in a line, and each finding in a few."""
+    """Text of an inspection: the logs in a line, and each issue in a few."""
     summary = result["summary"]
     minutes = summary["rows"] / 6000
     lines = [
@@ -41,28 +41,28 @@ def table(result: Mapping[str, Any]) -> str:
     ]
     if summary["frames"] is not None:
         best = max(summary["frames"], key=summary["frames"].__getitem__)
-        given = f"correlation with what a fin does {summary['frames']['x,y']:.2f}"
+        given = f"correlation with a model fin {summary['frames']['x,y']:.2f}"
         lines.append(f"force axes: {given}" + ("" if best == "x,y" else f"; as {best} {summary['frames'][best]:.2f}"))
     lines.append("")
-    for finding in result["findings"]:
-        lines += [_head(finding), *_indented(finding["finding"])]
-        lines += _indented(f"-> {finding['remedy']}") if finding["remedy"] else []
+    for issue in result["issues"]:
+        lines += [_head(issue), *_indented(issue["message"])]
+        lines += _indented(f"-> {issue['fix']}") if issue["fix"] else []
     counts = summary["counts"]
     lines.append(", ".join(counted(count, kind) for kind, count in counts.items()))
     if counts["error"]:
-        lines.append("errors stop fit and import-logs, unless --accept")
+        lines.append("errors stop fit and import-logs, unless --ignore-errors")
     return "\n".join(lines)
 
 
-def _head(finding: Mapping[str, Any]) -> str:
+def _head(issue: Mapping[str, Any]) -> str:
     place = [
-        finding["log"],
-        *([f"row {finding['row']}"] if finding["row"] is not None else []),
-        finding["column"] or "",
+        issue["log"],
+        *([f"row {issue['row']}"] if issue["row"] is not None else []),
+        issue["column"] or "",
     ]
-    others = len(finding["logs"]) - 1
+    others = len(issue["logs"]) - 1
     more = f" (and {counted(others, 'more log')})" if others else ""
-    return f"{finding['severity']:8} {finding['name']:16} {', '.join(filter(None, place))}{more}"
+    return f"{issue['severity']:8} {issue['name']:16} {', '.join(filter(None, place))}{more}"
 
 
 def _indented(text: str) -> list[str]:
@@ -72,4 +72,4 @@ def _indented(text: str) -> list[str]:
 
 
 def _lag(lag: Mapping[str, float] | None) -> str:
-    return "not told" if lag is None else f"{lag['median']:.0f} ms ({lag['least']:.0f} .. {lag['most']:.0f})"
+    return "not known" if lag is None else f"{lag['median']:.0f} ms ({lag['least']:.0f} .. {lag['most']:.0f})"

@@ -11,7 +11,7 @@ from softfin.core.errors import ConfigurationError
 from softfin.core.printable import printable
 
 if TYPE_CHECKING:
-    from softfin.rig.bench import Bench
+    from softfin.rig.robot_setup import RobotSetup
 
 WORD = "move"
 
@@ -32,13 +32,13 @@ class Armed:
     yes: bool = False
     """With --arm, do not ask: for scripts. Nobody stands by, so see that nobody can come near the fin."""
 
-    def confirm(self, bench: "Bench", motion: str | None = None) -> None:
+    def confirm(self, robot: "RobotSetup", motion: str | None = None) -> None:
         """Say what is to know of the machine; raise ConfigurationError unless a person says that it may move.
 
         `motion` is what it will do, if not to follow commands.
         """
-        name = bench.machine.name
-        for note in bench.machine.notes:
+        name = robot.machine.name
+        for note in robot.machine.notes:
             sys.stderr.write(f"note: {printable(note)}\n")
         if not self.arm:
             told = "answers, and " if motion is None else ""
@@ -47,7 +47,7 @@ class Armed:
             return
         if not on_terminal():
             raise ConfigurationError(f"{name}: --arm asks on a terminal whether it may move; in a script add --yes")
-        limits = bench.machine.limits
+        limits = robot.machine.limits
         motion = motion or (
             f"the fin will move between {limits.angle_min:.2f} and {limits.angle_max:.2f} rad, at up to "
             f"{limits.velocity_max:.2f} rad/s"

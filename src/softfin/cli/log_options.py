@@ -1,4 +1,4 @@
-"""Options that every command has which reads recordings that somebody else made."""
+"""Options of the commands that read recordings of other software."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,28 +20,28 @@ class LogOptions:
     topics: str | None = None
     """Topics of ROS 2 bags: command=/fin/command,joint=/fin/joint_states,wrench=/fin/wrench."""
     rate: float | None = None
-    """Rows a second [Hz], where no column holds the time."""
+    """Rows per second [Hz], where no column holds the time."""
     velocity: float | None = None
     """Velocity of all commands [rad/s], where no column holds it."""
     time_unit: TimeUnit | None = None
-    """Unit of the column of time (what its name says, else s)."""
+    """Unit of the column of time (by default the one in its name, else s)."""
     angles: str | None = None
-    """Unit of angles and their velocities: rad, mrad, deg, turn, or of each, as angle=deg,velocity=rpm (what the names
-    say, else rad)."""
+    """Unit of angles and their velocities: rad, mrad, deg, turn, or of each, as angle=deg,velocity=rpm (by default
+    the ones in the names, else rad)."""
     force_unit: ForceUnit | None = None
-    """Unit of the columns of force (what their names say, else N)."""
+    """Unit of the columns of force (by default the one in their names, else N)."""
     force: str | None = None
-    """What is +x (thrust) and +y in the recording's own axes, such as y,-x. Write --force=-y,x if it begins with -."""
+    """Axes of the recording that are +x (thrust) and +y, such as y,-x. Write --force=-y,x if it begins with -."""
     negate: str | None = None
     """Channels of the wrong sign, such as command_angle."""
     command_lag: float | None = None
-    """How much too late commands were stamped, beside the angle [ms]."""
+    """Time by which commands were stamped later than the angle [ms]."""
     force_lag: float | None = None
-    """How much too late forces were stamped, beside the angle [ms]."""
+    """Time by which forces were stamped later than the angle [ms]."""
     rows_per_log: int | None = None
-    """Where one file holds several logs, end to end."""
+    """Rows of each log, where one file holds several, end to end."""
     test: str | None = None
-    """Pattern of the files to score on (names that begin with test, and what lies in a folder test)."""
+    """Pattern of the files that are test logs (names that begin with test, and what lies in a folder test)."""
     gap: float | None = None
     """Longest gap that is bridged [s]; longer ones split a log (0.05)."""
     shortest: float | None = None
@@ -72,5 +72,5 @@ class LogOptions:
 
 
 def columns_read(columns: Mapping[str, str]) -> str:
-    """Lines that say how columns with names of their own were read, by the first log of each way; none where none."""
+    """Lines that tell how columns with names of their own were read, by the first log of each way."""
     return "".join(f"{log}: {text}\n" for log, text in columns.items())

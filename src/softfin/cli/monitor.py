@@ -39,7 +39,7 @@ class Arguments(Command):
 
         from softfin.rig.monitor.follow import Follower
         from softfin.rig.monitor.terminal import watch
-        from softfin.rig.monitor.web import Feed, Server, serve
+        from softfin.rig.monitor.web import Server
 
         follower = Follower(self.run_folder)
         # Whoever watches has lost nothing by stopping: exit code 0.
@@ -47,12 +47,12 @@ class Arguments(Command):
             if self.json:
                 _once(follower)
             elif self.web:
-                server = Server(Feed(follower), self.host, self.port)
+                server = Server(follower, self.host, self.port)
                 warning = (
                     "" if _is_loopback(self.host) else f"warning: {self.host}: others can watch too; no password\n"
                 )
                 sys.stderr.write(warning + f"{server.address} shows the recording; Ctrl-C ends\n")
-                serve(server, sleep=time.sleep)
+                server.run(sleep=time.sleep)
             else:
                 watch(follower, Console(), sleep=time.sleep)
 
@@ -61,7 +61,7 @@ def _once(follower: "Follower") -> None:
     follower.poll()
     while (summary := follower.summary()).state == "reading" and summary.problem is None:
         follower.poll()
-    sys.stdout.write(json.dumps(summary.described(), indent=2, allow_nan=False) + "\n")
+    sys.stdout.write(json.dumps(summary.to_dict(), indent=2, allow_nan=False) + "\n")
 
 
 def _is_loopback(host: str) -> bool:

@@ -2,6 +2,7 @@
 
 import contextlib
 import sys
+import threading
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -87,16 +88,15 @@ class Arguments(Armed, Common):
         sys.stderr.write(f"{'no fault to reset' if fault is None else f'reset: {printable(fault)}'}\n")
 
     def _zero(self) -> None:
-        from softfin.rig.bench import Bench
         from softfin.rig.config import load_rig
-        from softfin.rig.rig import Rig
-        from softfin.rig.zero import zero_angle, zero_force
+        from softfin.rig.rig import Rig, zero_angle, zero_force
+        from softfin.rig.robot_setup import RobotSetup
 
         config = load_rig(self.rig)
         both = self.angle == self.force
         result: dict[str, Any] = {}
         if both or self.angle:
-            self.confirm(Bench(Rig(config), config.safety), ZEROING)
+            self.confirm(RobotSetup(Rig(config), config.safety), ZEROING)
             result |= zero_angle(config)
         if both or self.force:
             result |= zero_force(config)
@@ -111,7 +111,7 @@ class Arguments(Armed, Common):
         if self.real_time:
             self._emulate_in_real_time(tank)
             return
-        from softfin.rig.emulation.plugged import state_file
+        from softfin.rig.emulation.kept_rig import state_file
         from softfin.rig.emulation.rig import write_simulated
 
         # A new rig knows nothing of the one that was there.
@@ -132,7 +132,7 @@ class Arguments(Armed, Common):
         with contextlib.suppress(KeyboardInterrupt), EmulatedRig(tank, self.seed, clock=REAL) as emulated:
             emulated.write(self.rig)
             sys.stdout.write(
-                f"{self.rig}: written; the emulated fin moves for it until Ctrl-C\n{emulated.described()}\n"
+                f"{self.rig}: written; the emulated fin moves for it until Ctrl-C\n{emulated.description()}\n"
             )
             sys.stdout.flush()
-            emulated.wait()
+            threading.Event().wait()

@@ -29,40 +29,41 @@ class Arguments(Driving, Configured):
         """Run."""
         from softfin.cli.driving import check_real_time, drive, parties, say, sentence
         from softfin.control.references import resolve_reference
+        from softfin.rig.ros2.config import NodeConfig
+        from softfin.rig.ros2.connection import open_transport
         from softfin.rig.ros2.messages import Messages
-        from softfin.rig.ros2.node import NodeConfig, RosBridge, check_apart
+        from softfin.rig.ros2.node import RosNode
         from softfin.rig.ros2.plant import Ros2Machine
-        from softfin.rig.ros2.transport import open_transport
         from softfin.rig.stop import StopRequest
 
         options = {"transport": self.transport, "domain": self.domain, "network": self.network}
         given = {name: value for name, value in options.items() if value is not None}
         topics = self.configured(NodeConfig(), connection=given or None)
-        controller, bench = parties(self)
-        check_real_time(bench)
-        if isinstance(bench.machine, Ros2Machine):
-            check_apart(topics, bench.machine.config)
+        controller, robot = parties(self)
+        check_real_time(robot)
+        if isinstance(robot.machine, Ros2Machine):
+            robot.machine.config.check_apart(topics)
         otherwise, warning = resolve_reference(controller, self.reference, self.strict)
         transport = open_transport(topics.connection, Messages())
         try:
-            bridge = RosBridge(transport, topics, admit=lambda asked: resolve_reference(controller, asked, self.strict))
+            node = RosNode(transport, topics, resolve=lambda asked: resolve_reference(controller, asked, self.strict))
             for note in (*transport.notes, *([] if warning is None else [warning])):
                 say(note)
-            newest = bridge.references(otherwise)
+            newest = node.references(otherwise)
 
             def references(at: float) -> tuple[float, float]:
                 asked = newest(at)
-                for note in bridge.notes():
+                for note in node.notes():
                     say(note)
                 return asked
 
             request = StopRequest()
             result = drive(
-                self, controller, bench, references, self.seconds,
-                stop=request, observers=(bridge.observer(request),),
+                self, controller, robot, references, self.seconds,
+                stop=request, observers=(node.observer(request),),
                 line=lambda _: say("references come by their topic; Enter alone stops the fin"),
             )  # fmt: skip
-            result["counters"] |= bridge.counters()
+            result["counters"] |= node.counters()
         finally:
             transport.close()
         self.tell(result, sentence(result))

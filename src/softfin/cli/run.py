@@ -11,7 +11,7 @@ from softfin.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from softfin.control.controller import LoadedController
-    from softfin.rig.references import Recorded
+    from softfin.rig.references import RecordedReference
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,29 +33,31 @@ class Arguments(Driving, Common):
         """Run."""
         from softfin.cli.driving import drive, parties, say, sentence
         from softfin.control.references import resolve_reference
-        from softfin.rig.references import Said
+        from softfin.rig.references import LiveReference
         from softfin.rig.stop import StopRequest
 
-        controller, bench = parties(self)
+        controller, robot = parties(self)
         if self.reference_file is not None:
             references, seconds = self._recorded(controller, self.reference_file)
-            result = drive(self, controller, bench, references, seconds, stop=StopRequest(), line=_deaf)
+            result = drive(self, controller, robot, references, seconds, stop=StopRequest(), line=_deaf)
         else:
             assert self.reference is not None
-            said = Said(self.reference, lambda asked: resolve_reference(controller, asked, self.strict), say)
-            result = drive(self, controller, bench, said, self.seconds, stop=StopRequest(), line=said.line)
+            live = LiveReference(self.reference, lambda asked: resolve_reference(controller, asked, self.strict), say)
+            result = drive(self, controller, robot, live, self.seconds, stop=StopRequest(), line=live.set_from_text)
         self.tell(result, sentence(result))
 
-    def _recorded(self, controller: "LoadedController", file: Path) -> "tuple[Recorded, int]":
+    def _recorded(self, controller: "LoadedController", file: Path) -> "tuple[RecordedReference, int]":
         # Imported here: the file's reader needs more than a robot's computer may have.
         from softfin.cli.driving import say
         from softfin.control.references import resolve_reference
-        from softfin.rig.references import Recorded
+        from softfin.rig.references import RecordedReference
         from softfin.task.reference_file import read_reference_file
 
         rows = read_reference_file(file)
         forces = [(float(x), float(y)) for x, y in rows.force_n]
-        recorded = Recorded(rows.time_s, forces, lambda asked: resolve_reference(controller, asked, self.strict), say)
+        recorded = RecordedReference(
+            rows.time_s, forces, lambda asked: resolve_reference(controller, asked, self.strict), say
+        )
         return recorded, self.seconds or rows.seconds
 
 

@@ -1,7 +1,7 @@
-"""Collect a dataset: commands to a plant, random or given, many logs side by side in one program (paper Sec. III-A).
+"""Collect a dataset: random or given commands to a plant, many logs in one program (paper Sec. III-A).
 
 A plant goes in; a dataset folder comes out, whole or not at all. Log number i of a part draws everything from the key
-``collect/PART/i``, so it is the same log whatever is simulated beside it.
+``collect/PART/i``, so it does not depend on what is simulated beside it.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -11,37 +11,35 @@ from typing import Any
 
 import numpy as np
 import pydantic
-from jaxtyping import PRNGKeyArray
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError, PlantError
 from softfin.core.plant import Plant
 from softfin.core.quantities import RATE_HZ, TICK_S, Log
 from softfin.core.randomness import key_of
-from softfin.data.checks.side_by_side import alike, simulate
 from softfin.data.excitation import Commands, ExcitationConfig
-from softfin.data.extension import extension
+from softfin.data.simulate import simulate
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.storage.paths import PARTS
 
 Progress = Callable[[int, int], None]
-"""Called with (rows done, all rows)."""
+"""Function that is called with (rows done, all rows)."""
 
 
 class CollectConfig(Configuration):
-    """How much is recorded, and under which commands."""
+    """Number and length of logs, and the commands."""
 
     logs: int = pydantic.Field(default=100, ge=1)
-    """Logs to learn from; the paper's 100."""
+    """Number of training logs; the paper's 100."""
     test_logs: int = pydantic.Field(default=3, ge=0)
-    """Logs to score on; the paper's 3, under other conditions."""
+    """Number of test logs; the paper's 3, under other conditions."""
     rows: int = pydantic.Field(default=20_000, ge=2)
-    """Readings a log at 100 Hz; the paper's 20,000, which are 200 s."""
+    """Readings per log at 100 Hz; the paper's 20,000, which are 200 s."""
     seed: int = pydantic.Field(default=0, ge=0)
-    """Of commands and of whatever is random in the plant."""
+    """Seed of the commands and of all that is random in the plant."""
     batch: int = pydantic.Field(default=100, ge=1)
-    """Logs simulated side by side, at most; more are faster, and each takes about 30 bytes a row while it runs."""
+    """Most logs simulated side by side; more are faster, and each takes about 30 bytes a row while it runs."""
     excitation: ExcitationConfig = ExcitationConfig()
     """The random commands."""
 
@@ -52,23 +50,22 @@ def collect(
     out: Path,
     test_plant: Plant | Sequence[Plant] | None = None,
     progress: Progress | None = None,
-    facts: dict[str, Any] | None = None,
+    metadata: dict[str, Any] | None = None,
     commands: Commands | None = None,
     before: Dataset | None = None,
     overwrite: bool = False,
 ) -> Dataset:
-    """Record `plant` into the new dataset folder `out`; `facts`, say what plant it is, go into its ``dataset.json``.
+    """Record `plant` into the new dataset folder `out`; `metadata`, such as its name, goes into ``dataset.json``.
 
-    One plant serves all logs; a sequence gives each log its own, such as tanks under different conditions. Plants that
-    are pytrees alike but for their arrays run side by side, others one after another. `test_plant` is for the test
-    logs; without it they are recorded from `plant` too, from the first of a sequence. `commands` are for the logs to
-    learn from, instead of random ones; test logs are always under random ones.
+    One plant serves all logs; a sequence gives each log its own, such as tanks under different conditions. `test_plant`
+    is for the test logs; without it they are recorded from `plant` too, from the first of a sequence. `commands` are
+    for the training logs, instead of random ones; test logs are always under random ones.
 
     `before` is a dataset whose logs are taken over. The new logs are numbered on from them, so that the same seed gives
-    others, but those to learn from stand first: a fit holds out the last ones, and what was held out stays held out.
+    others, but the new training logs stand first: a fit holds out the last ones, so the same ones stay held out.
     """
-    train = _one_a_log(plant, config.logs, "plant")
-    test = _one_a_log(train[0] if test_plant is None else test_plant, config.test_logs, "test_plant")
+    train = _one_per_log(plant, config.logs, "plant")
+    test = _one_per_log(train[0] if test_plant is None else test_plant, config.test_logs, "test_plant")
     all_rows = (config.logs + config.test_logs) * config.rows
     done = 0
 
@@ -78,34 +75,54 @@ def collect(
         if progress:
             progress(done, all_rows)
 
-    held = (0, 0) if before is None else (len(before.train), len(before.test))
-    described = {
+    first, first_test = (0, 0) if before is None else (len(before.train), len(before.test))
+    train_keys = [key_of(config.seed, f"collect/train/{first + index}") for index in range(len(train))]
+    test_keys = [key_of(config.seed, f"collect/test/{first_test + index}") for index in range(len(test))]
+    random = config.excitation
+    if commands in (None, random):
+        # One program for all.
+        logs = test_logs = simulate(train + test, train_keys + test_keys, config.rows, random, config.batch, report)
+    else:
+        logs = simulate(train, train_keys, config.rows, commands, config.batch, report)
+        test_logs = simulate(test, test_keys, config.rows, random, config.batch, report)
+    new_train, new_test = _checked(islice(logs, len(train)), "train"), _checked(test_logs, "test")
+    description = {
         "configuration": config.model_dump(),
         "plant": type(train[0]).__name__,
         "provenance": artifacts.provenance(seed=config.seed),
     }
-    train_keys, test_keys = _keys(config, "train", held[0], len(train)), _keys(config, "test", held[1], len(test))
-    random = config.excitation
-    if commands in (None, random) and alike(train + test):
-        # One program for all.
-        logs = simulate(train + test, train_keys + test_keys, config.rows, random, config.batch, report)
-        learning, testing = _checked(islice(logs, len(train)), "train"), _checked(logs, "test")
-    else:
-        logs = simulate(train, train_keys, config.rows, commands or random, config.batch, report)
-        test_logs = simulate(test, test_keys, config.rows, random, config.batch, report)
-        learning, testing = _checked(logs, "train"), _checked(test_logs, "test")
-    if before is None:
-        return write_dataset(out, learning, testing, described | (facts or {}), overwrite)
-    return write_dataset(
-        out,
-        chain(learning, before.load(before.train)),
-        chain(before.load(before.test), testing),
-        described | {"extends": extension(before)} | (facts or {}),
-        overwrite,
-    )
+    if before is not None:
+        new_train, new_test = chain(new_train, before.load(before.train)), chain(before.load(before.test), new_test)
+        earlier = {name: value for name, value in before.description.items() if name not in ("files", "data_hash")}
+        counts = {"logs": len(before.train), "test_logs": len(before.test)}
+        extends = {"dataset": str(before.path), "data_hash": before.data_hash, **counts, "description": earlier}
+        description["extends"] = extends
+    return write_dataset(out, new_train, new_test, description | (metadata or {}), overwrite)
 
 
-def _one_a_log(plant: Plant | Sequence[Plant], count: int, name: str) -> list[Plant]:
+def open_to_extend(path: Path, metadata: dict[str, Any]) -> Dataset:
+    """Open a dataset to which logs are added of the plant with the ``plant`` and ``plant_identity`` in `metadata`.
+
+    Raises:
+        ArtifactError: it is not a dataset, or damaged.
+        ConfigurationError: it is of another plant, or its plant is not known.
+    """
+    before = Dataset.open(path)
+    now, plant = str(metadata["plant"]), before.description.get("plant")
+    identity = before.description.get("plant_identity")
+    if plant is None:
+        raise ConfigurationError(
+            f"{path}: its dataset.json does not name a plant, so nothing is added to it; "
+            f'if it is of {now}, write "plant": "{now}" into it'
+        )
+    # Names may differ for one plant, and one name, as that of a file, may come to stand for another.
+    if identity != metadata["plant_identity"] if identity is not None else plant != now:
+        changed = f"{now}, but that has changed since" if plant == now else f"{plant}, not of {now}"
+        raise ConfigurationError(f"{path}: recorded of {changed}; logs of two plants do not mix: collect anew")
+    return before
+
+
+def _one_per_log(plant: Plant | Sequence[Plant], count: int, name: str) -> list[Plant]:
     if isinstance(plant, Plant):
         return [plant] * count
     if len(plant) != count:
@@ -113,17 +130,13 @@ def _one_a_log(plant: Plant | Sequence[Plant], count: int, name: str) -> list[Pl
     return list(plant)
 
 
-def _keys(config: CollectConfig, part: str, first: int, count: int) -> list[PRNGKeyArray]:
-    return [key_of(config.seed, f"collect/{part}/{first + index}") for index in range(count)]
-
-
 def _checked(logs: Iterator[Log], part: str) -> Iterator[Log]:
     for index, log in enumerate(logs):
-        yield _checked_log(log, f"{part}/{index:0{PARTS[part]}d}")
+        yield _with_exact_time(log, f"{part}/{index:0{PARTS[part]}d}")
 
 
-def _checked_log(log: Log, name: str) -> Log:
-    """With its time counted in float64; raises PlantError where the plant's own time or readings mean nothing."""
+def _with_exact_time(log: Log, name: str) -> Log:
+    """Count the time in float64; raises PlantError where the plant's own time or readings are not valid."""
     time = np.arange(1, log.reading.time.shape[0] + 1) / RATE_HZ
     for field, values in zip(log.reading._fields, log.reading, strict=True):
         bad = np.argwhere(~np.isfinite(values))

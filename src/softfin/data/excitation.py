@@ -14,7 +14,7 @@ from softfin.core.configuration import Configuration
 from softfin.core.quantities import RATE_HZ, Command, Limits
 
 Commands = Callable[[PRNGKeyArray, int, Limits], Command]
-"""What makes the commands of a log: from a key, so many, within these limits; one command a tick, traceable."""
+"""Function that makes the commands of a log from a key, their number and limits: one command per tick, traceable."""
 
 
 class ExcitationConfig(Configuration):
@@ -39,12 +39,12 @@ class ExcitationConfig(Configuration):
         return self
 
     def __call__(self, key: PRNGKeyArray, rows: int, limits: Limits) -> Command:
-        """Random `Commands`."""
+        """Make random `Commands`."""
         return excite(key, rows, limits, self)
 
 
 def excite(key: PRNGKeyArray, rows: int, limits: Limits, config: ExcitationConfig) -> Command:
-    """One command a tick, fields ``(rows,)``: angle and velocity uniform in the limits, hold times uniform in ticks."""
+    """Make one command per tick, fields ``(rows,)``: all three random quantities uniform."""
     shortest, longest = (round(hold * RATE_HZ) for hold in (config.hold_min_s, config.hold_max_s))
     holds = -(-rows // shortest)
     angle_key, velocity_key, hold_key = jax.random.split(key, 3)

@@ -1,9 +1,9 @@
 """The scores of Table II and of responses to steps: a recording goes in, errors by reference, seed and axis come out.
 
 With m the moving average of the force f over the 200 samples up to each instant, where those are all recorded, and r
-the reference, which is averaged over the same samples where it moves:
+the reference, which is averaged over the same samples where it moves (`softfin.core.window`):
 
-    error = mean |m - r| (`softfin.core.window`)        std = standard deviation of m        raw std = standard deviation of f
+    error = mean |m - r|        std = standard deviation of m        raw std = standard deviation of f
 
 Responses are also of m: of a force that jumped at once it would rise for 1.6 s and settle after at most 2.0 s.
 """

@@ -1,4 +1,4 @@
-"""A rig's file: which fin, which drive on which bus, which sensor, and the limits of safety. YAML in, checked whole."""
+"""Configuration of a real fin, read from YAML: which drive on which bus, which sensor, and the safety limits."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -8,54 +8,58 @@ from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 from softfin.core.configuration import Config, Configuration, read_yaml
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.core.quantities import TICK_S
-from softfin.rig.axia80.config import SensorConfig
+from softfin.rig.axia80.config import Axia80Config
 from softfin.rig.epos2.config import BusConfig, Epos2Config
 from softfin.rig.filter import design
-from softfin.rig.ros2.plant import Ros2PlantConfig
+from softfin.rig.ros2.config import Ros2PlantConfig
 from softfin.rig.safety import SafetyConfig
 from softfin.storage.paths import find_rig_file
 
 
-def _shown_as_it_is(name: str) -> str:
+def _check_printable(name: str) -> str:
     if not name.isprintable():
         raise ValueError("a name is of letters that can be printed")
     return name
 
 
-FinName = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_shown_as_it_is)]
+class RealFinConfig(Configuration):
+    """The settings that every kind of real fin has."""
+
+    fin: Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_check_printable)]
+    """Name of this fin; datasets, surrogates and controllers carry it on."""
+    safety: SafetyConfig = SafetyConfig()
+    """Safety limits."""
+    settle_s: float = Field(default=5.0, ge=0, le=600)
+    """Time for which the fin rests before each log or experiment, for the water to come to rest [s]."""
 
 
 class EmulationConfig(Configuration):
-    """Of a rig whose drive and sensor are emulated in simulated time, within each program that uses it."""
+    """A rig whose drive and sensor are emulated in simulated time, within each program that uses it."""
 
     seed: int = 0
-    """Of the sensor's noise."""
+    """Seed of the sensor's noise."""
     tank: dict[str, Any] = Field(default_factory=dict)
     """The tank behind both, where it is not the usual one: as in the file of `softfin rig emulate --tank`."""
 
 
-class RigConfig(Configuration):
-    """Everything that is to know of one rig; what must not be guessed has no default."""
+class RigConfig(RealFinConfig):
+    """Configuration of one rig; what must not be guessed has no default."""
 
-    fin: FinName
-    """What this fin is called; datasets, surrogates and controllers carry the name on."""
     bus: BusConfig
     """The CAN bus."""
     drive: Epos2Config
-    """The EPOS2 on it."""
-    sensor: SensorConfig
+    """The EPOS2 on the bus."""
+    sensor: Axia80Config
     """The Axia80."""
     safety: SafetyConfig
-    """When to stop."""
-    settle_s: float = Field(default=5.0, ge=0, le=600)
-    """How long the fin rests before each log or experiment, for the water to come to rest [s]."""
+    """Safety limits; a rig's must include the current."""
     emulation: EmulationConfig | None = None
-    """None for a rig that is reached over its bus and network, be it emulated in real time or there."""
+    """None for a rig that is reached over its bus and network, be it real or emulated in real time."""
     _file: Path | None = PrivateAttr(default=None)
 
     @property
     def file(self) -> Path | None:
-        """Where it was read from."""
+        """The file that it was read from."""
         return self._file
 
     @model_validator(mode="after")
@@ -80,21 +84,15 @@ class RigConfig(Configuration):
         return self
 
 
-class Ros2Config(Configuration):
-    """A fin made of topics of ROS 2."""
+class Ros2Config(RealFinConfig):
+    """Configuration of a fin that is reached by topics of ROS 2."""
 
-    fin: FinName
-    """What this fin is called; datasets, surrogates and controllers carry the name on."""
     topics: Ros2PlantConfig
-    """Where it is read and commanded."""
-    safety: SafetyConfig = SafetyConfig()
-    """When to stop."""
-    settle_s: float = Field(default=5.0, ge=0, le=600)
-    """How long the fin rests before each log or experiment, for the water to come to rest [s]."""
+    """The topics by which it is read and commanded."""
 
 
 def load_rig(path: Path | None = None) -> RigConfig:
-    """The rig in a file, by default rig.yaml; raises RigError naming the key, the value and what is allowed."""
+    """Read a rig's file, by default rig.yaml; raises RigError naming the key, the value and what is allowed."""
     file = find_rig_file("rig", path)
     config = _load(file, RigConfig)
     config._file = file.resolve()
@@ -102,7 +100,7 @@ def load_rig(path: Path | None = None) -> RigConfig:
 
 
 def load_ros2(path: Path | None = None) -> Ros2Config:
-    """The topics in a file, by default ros2.yaml; likewise."""
+    """Read the file of a fin behind ROS 2, by default ros2.yaml; likewise."""
     return _load(find_rig_file("ros2", path), Ros2Config)
 
 

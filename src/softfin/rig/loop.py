@@ -1,6 +1,6 @@
 """A controller on a machine: three actions a second on the 33/33/34 clock, each on what was measured since the last.
 
-References come live, from a constant, a recorded signal or anything that can be asked for the newest one.
+References come live, from a constant, a recorded signal or any function that returns the newest one.
 """
 
 from collections.abc import Callable, Iterator
@@ -17,23 +17,23 @@ from softfin.rig.safety import Trip
 from softfin.rig.session import Session
 
 Force: TypeAlias = tuple[float, float]
-"""(x, y) [N]."""
+"""Force (x, y) [N]."""
 
 References: TypeAlias = Callable[[float], Force]
-"""The reference [N] at so many seconds since the start, asked at each action."""
+"""Function that returns the reference [N] at so many seconds since the start; called at each action."""
 
 
 @runtime_checkable
-class Acting(Protocol):
+class RealTimeController(Protocol):
     """A controller with the limits of its commands: one of `softfin.load_controller`, or one's own."""
 
     @property
     def limits(self) -> Limits:
-        """Its commands stay within these."""
+        """Limits of its commands."""
         ...
 
     def init(self) -> Any:
-        """The state before the first action."""
+        """Return the state before the first action."""
         ...
 
     def act(self, state: Any, measured: Measured, reference: Force) -> tuple[Any, Command]:
@@ -42,16 +42,18 @@ class Acting(Protocol):
 
 
 @dataclass(frozen=True)
-class Held:
-    """What one action led to."""
+class ActionResult:
+    """The command of one action, and the samples while it was held."""
 
     reference: Force
     target: Target
     samples: list[Sample]
 
 
-def hold(session: Session, controller: Acting, references: References, actions: int | None = None) -> Iterator[Held]:
-    """Act so many times, or until somebody says stop; the session is active and its fin at rest."""
+def run_controller(
+    session: Session, controller: RealTimeController, references: References, actions: int | None = None
+) -> Iterator[ActionResult]:
+    """Act so many times, or until a stop; the session is active and its fin at rest."""
     state = controller.init()
     sample = session.newest or session.tick()
     angle, force = sample.angle, (0.0, 0.0)
@@ -65,15 +67,20 @@ def hold(session: Session, controller: Acting, references: References, actions: 
             session.abort(Trip("controller", str(error)))
         except Exception as error:
             session.abort(Trip("controller", f"the controller failed ({type(error).__name__}: {error}); see --debug"))
-        session.asked(reference)
+        session.record_reference(reference)
         length = ACTION_TICKS[index % len(ACTION_TICKS)]
         samples = session.hold(target, length)
         ticks += length
         angle = samples[-1].angle
-        force = (sum(s.wrench[0] for s in samples) / length, sum(s.wrench[1] for s in samples) / length)
-        yield Held(reference, target, samples)
+        force = mean_force(samples)
+        yield ActionResult(reference, target, samples)
+
+
+def mean_force(samples: list[Sample]) -> Force:
+    """Return the mean force (x, y) of samples [N]."""
+    return sum(s.wrench[0] for s in samples) / len(samples), sum(s.wrench[1] for s in samples) / len(samples)
 
 
 def seconds_to_actions(seconds: int) -> int:
-    """Whole seconds in actions."""
+    """Return the number of actions in whole seconds."""
     return seconds * len(ACTION_TICKS)

@@ -1,4 +1,4 @@
-"""The contract of a fin that moves by itself: what the 100 Hz loop drives, be it a rig, topics of ROS 2 or one's own.
+"""The contract of a real fin that the 100 Hz loop drives: the rig, topics of ROS 2, or a machine of one's own.
 
 All times are of `time.monotonic` [s], or of the machine's own `clock` where it has one. One thread, that of the loop,
 calls everything but `stop`.
@@ -14,34 +14,35 @@ Wrench: TypeAlias = tuple[float, float, float, float, float, float]
 
 
 class Target(NamedTuple):
-    """What a drive is asked to do: a Command as two Python floats."""
+    """A command to the drive: a Command as two Python floats."""
 
     angle: float
-    """[rad]"""
+    """Target angle [rad]."""
     velocity: float
-    """Profile velocity on the way there [rad/s], positive."""
+    """Velocity on the way there [rad/s], positive."""
 
 
 class Sample(NamedTuple):
-    """The newest that both devices have said, each with the time that it stands for."""
+    """The newest readings of the drive and of the force sensor, each with the time that it stands for."""
 
     time: float
-    """When the shaft was where it says [s]; older than a tick where no newer reading came."""
+    """Time of the angle [s]; older than a tick where no newer reading came."""
     angle: float
-    """Of the shaft [rad]."""
+    """Angle of the shaft [rad]."""
     velocity: float
-    """Of the shaft [rad/s]."""
+    """Angular velocity of the shaft [rad/s]."""
     current: float | None
-    """Of the motor [A]; None where it is not known."""
+    """Current of the motor [A]; None where it is not measured."""
     following_error: float | None
-    """Angle that the drive demands less the actual one [rad]; None where it is not known."""
+    """Angle that the drive demands minus the actual one [rad]; None where it is not measured."""
     force_time: float
-    """The moment that the filtered force stands for [s]."""
+    """Time of the filtered force [s]."""
     wrench: Wrench
+    """Filtered force and torque [N, N m]."""
     complaints: tuple[str, ...]
-    """What the devices say is wrong, each one line that ends in the way out; none when all is well."""
+    """Faults that the devices report, each one line that ends in the way out; empty when all is well."""
     peak: Wrench | None = None
-    """Largest sizes of the wrench since the sample before, unfiltered; None where no more is known than `wrench`."""
+    """Largest sizes of the unfiltered wrench since the sample before; None where only `wrench` is known."""
 
 
 @runtime_checkable
@@ -50,44 +51,38 @@ class Machine(Protocol):
 
     @property
     def name(self) -> str:
-        """What to call it in records and messages."""
+        """Name of the machine in records and messages."""
         ...
 
     @property
     def limits(self) -> Limits:
-        """The commands that it takes [rad, rad/s]."""
+        """Range of the commands that it takes [rad, rad/s]."""
         ...
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a person should know before it moves, each one line and no error: how it is connected, what is odd."""
+        """Notes for the person beside it before it moves, each one line: how it is connected, what is odd."""
         ...
 
     @property
-    def doubt(self) -> str | None:
-        """Why the motor may still be on after `stop`, one line with the way out; None where it is known to be off."""
+    def stop_unconfirmed(self) -> str | None:
+        """Reason why the motor may still be on after `stop`, with the way out; None where it is known to be off."""
         ...
 
     def open(self) -> None:
-        """Connect and configure, without moving; raises RigError or DeviceError in one line.
-
-        Closed again on failure.
-        """
+        """Connect and configure, without moving; on failure it is closed again and raises RigError or DeviceError."""
         ...
 
     def read(self) -> Sample:
-        """The newest sample; called once a tick, waits a few milliseconds at most."""
+        """Return the newest sample; called once a tick, waits a few milliseconds at most."""
         ...
 
     def enable(self) -> None:
-        """Ready to move, and hold where it is; raises DeviceError where the drive does not follow."""
+        """Power the motor, which holds where it is; raises DeviceError where the drive does not follow."""
         ...
 
     def command(self, target: Target) -> None:
-        """Go there from now on; returns at once.
-
-        Raises where it is not enabled: after a `stop` nothing is taken until the next `enable`.
-        """
+        """Go there from now on; returns at once, raises where it is not enabled since the last `stop`."""
         ...
 
     def stop(self) -> None:
@@ -95,15 +90,15 @@ class Machine(Protocol):
         ...
 
     def close(self) -> None:
-        """Stop, let go of both devices; any number of times, never raises."""
+        """Stop, and release both devices; any number of times, never raises."""
         ...
 
     def counters(self) -> dict[str, int]:
-        """What was counted since `open`: packets lost, late, doubled, heartbeats missed .. by name."""
+        """Return what was counted since `open`, by name: packets lost, late, doubled, heartbeats missed .."""
         ...
 
 
 def clock_of(machine: Any) -> Clock:
-    """That of the machine's times: its own `clock`, as an emulated rig in simulated time has one, else the real one."""
+    """Return the clock of a machine's times: its own `clock`, as in simulated time, else the real one."""
     clock = getattr(machine, "clock", None)
     return clock if isinstance(clock, Clock) else REAL

@@ -1,11 +1,13 @@
-"""The 100 Hz clock: absolute deadlines on the monotonic clock, with lateness and skipped ticks counted."""
+"""The 100 Hz ticks: absolute deadlines on the monotonic clock, with lateness and skipped ticks counted."""
+
+import numpy as np
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.quantities import TICK_S
 
 BIN_S = 1e-4
 BINS = 1000
-"""Of the histogram of lateness: 0.1 ms each, the last one for all that is later."""
+"""Bins of the histogram of lateness: 0.1 ms each, the last one for everything later."""
 
 
 class Pace:
@@ -14,49 +16,43 @@ class Pace:
     def __init__(self, period: float = TICK_S, clock: Clock = REAL) -> None:
         self.period, self.clock = period, clock
         self.ticks = 0
-        """Waited for so far."""
+        """Ticks waited for so far."""
         self.skipped = 0
-        """Whole periods that passed while nobody waited: what was due then is not made up for."""
-        self._late = [0] * BINS
-        self._worst = 0.0
+        """Whole periods that passed without a tick; they are not made up for."""
+        self._late = np.zeros(BINS, int)
+        self._latest = 0.0
         self._next: float | None = None
 
     def start(self) -> None:
-        """The first tick is one period from now."""
+        """Put the first tick one period from now."""
         self._next = self.clock() + self.period
 
     def wait(self) -> float:
         """Sleep until the next tick; returns how late it is [s], skipped ticks included."""
-        if self._next is None:
-            self.start()
-        due = self._next
-        assert due is not None
+        due = self.clock() + self.period if self._next is None else self._next
         while (left := due - self.clock()) > 0:
             self.clock.sleep(left)
         late = self.clock() - due
-        missed = int(late / self.period)
-        self._next = due + (1 + missed) * self.period
+        skipped = int(late / self.period)
+        self._next = due + (1 + skipped) * self.period
         self.ticks += 1
-        self.skipped += missed
+        self.skipped += skipped
         self._late[min(BINS - 1, int(late / BIN_S))] += 1
-        self._worst = max(self._worst, late)
+        self._latest = max(self._latest, late)
         return late
 
     def lateness(self, part: float) -> float:
-        """The lateness [s] that this part of all ticks does not exceed, to 0.1 ms; 0 before the first tick."""
-        seen = 0
-        for index, count in enumerate(self._late):
-            seen += count
-            if seen and seen >= part * self.ticks:
-                return min((index + 1) * BIN_S, self._worst)
-        return self._worst
+        """Return the lateness [s] that this part of all ticks does not exceed, to 0.1 ms; 0 before the first tick."""
+        reached = np.cumsum(self._late)
+        index = int(np.searchsorted(reached, max(1.0, part * self.ticks)))
+        return min((index + 1) * BIN_S, self._latest)
 
-    def described(self) -> dict[str, int | float]:
-        """For JSON."""
+    def to_dict(self) -> dict[str, int | float]:
+        """Return counts and quantiles, for JSON."""
         return {
             "ticks": self.ticks,
             "skipped_ticks": self.skipped,
             "late_p50_ms": round(self.lateness(0.5) * 1e3, 3),
             "late_p99_ms": round(self.lateness(0.99) * 1e3, 3),
-            "late_max_ms": round(self._worst * 1e3, 3),
+            "late_max_ms": round(self._latest * 1e3, 3),
         }

@@ -1,67 +1,61 @@
-"""References while a controller runs: a constant, rows of a file, or the newest that somebody has said."""
+"""References while a controller runs: rows of a file, or the newest that a person or a topic has set."""
 
-import threading
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
 
 from softfin.core.errors import SoftfinError
 from softfin.rig.loop import Force
 
-Admit = Callable[[Force], tuple[Force, str | None]]
-"""A reference to the one that is held, and a warning where it is another; raises CoverageError."""
+ResolveReference = Callable[[Force], tuple[Force, str | None]]
+"""A reference to the one that is tracked, and a warning where it is another; raises CoverageError."""
 
 
-class Said:
-    """The newest reference of a person or a topic, set from any thread; one that cannot be held is told, not taken."""
+class LiveReference:
+    """The newest reference of a person or a topic, set from any thread; one that cannot be tracked changes nothing."""
 
-    def __init__(self, first: Force, admit: Admit, tell: Callable[[str], None]) -> None:
-        self._admit, self._tell = admit, tell
-        self._lock = threading.Lock()
-        self._force, warning = admit(first)
+    def __init__(self, first: Force, resolve: ResolveReference, report: Callable[[str], None]) -> None:
+        self._resolve, self._report = resolve, report
+        self._force, warning = resolve(first)
         if warning:
-            tell(warning)
+            report(warning)
 
     def __call__(self, at: float) -> Force:
-        """The newest."""
-        with self._lock:
-            return self._force
+        """Return the newest reference [N]."""
+        return self._force
 
-    def say(self, force: Force) -> None:
-        """From now on."""
+    def set(self, force: Force) -> None:
+        """Track this force from now on [N]."""
         try:
-            held, warning = self._admit(force)
+            # One assignment of a whole pair: no lock is needed.
+            self._force, warning = self._resolve(force)
         except SoftfinError as error:
-            self._tell(f"{error}; the reference stays as it is")
-            return
+            warning = f"{error}; the reference stays as it is"
         if warning:
-            self._tell(warning)
-        with self._lock:
-            self._force = held
+            self._report(warning)
 
-    def line(self, text: str) -> None:
-        """A line of the terminal, as ``2,-1``."""
+    def set_from_text(self, text: str) -> None:
+        """Track the force in a line of the terminal, such as ``2,-1``."""
         try:
             x, y = (float(part) for part in text.split(","))
         except ValueError:
-            self._tell(f"{text!r}: no reference; write X,Y in newton, as 2,-1; Enter alone stops the fin")
-            return
-        self.say((x, y))
+            self._report(f"{text!r}: not a reference; write X,Y in newton, as 2,-1; Enter alone stops the fin")
+        else:
+            self.set((x, y))
 
 
-class Recorded:
-    """Rows of a file: each force from its time on; all are admitted before anything moves."""
+class RecordedReference:
+    """Rows of a file: each force from its time on; all are resolved before anything moves."""
 
     def __init__(
-        self, time: Sequence[float], force: Sequence[Force], admit: Admit, tell: Callable[[str], None]
+        self, time: Sequence[float], force: Sequence[Force], resolve: ResolveReference, report: Callable[[str], None]
     ) -> None:
         self._time = list(time)
-        pairs = [admit(each) for each in force]
-        self._force = [held for held, _ in pairs]
-        warnings = [warning for _, warning in pairs if warning is not None]
+        resolved = [resolve(each) for each in force]
+        self._force = [tracked for tracked, _ in resolved]
+        warnings = [warning for _, warning in resolved if warning is not None]
         if warnings:
-            more = f" (and {len(warnings) - 1} more rows)" if len(warnings) > 1 else ""
-            tell(warnings[0] + more)
+            report(warnings[0] + (f" (and {len(warnings) - 1} more rows)" if len(warnings) > 1 else ""))
 
     def __call__(self, at: float) -> Force:
-        """That of the last row that has come [s]."""
+        """Return the force of the last row whose time has come [N]."""
         return self._force[max(0, bisect_right(self._time, at + 1e-6) - 1)]

@@ -2,9 +2,10 @@
 
 import contextlib
 from collections.abc import Callable
+from typing import Any
 
 from softfin.core.clock import REAL, Clock
-from softfin.core.errors import SoftfinError
+from softfin.core.errors import DeviceError, SoftfinError
 from softfin.core.quantities import Limits
 from softfin.rig.axia80.sensor import Axia80
 from softfin.rig.config import RigConfig
@@ -15,21 +16,24 @@ ANSWER_S = 0.006
 """Longest wait for the drive's answers at a tick; on a real bus they take 1 ms, on a busy computer more."""
 
 BEAT_TICKS = 4
-"""Between two of our heartbeats: 40 ms, a fifth of what the drive waits for by default."""
+"""Ticks between two of our heartbeats: 40 ms, a fifth of what the drive waits for by default."""
+
+MOVING_N = 0.3
+"""Standard deviation of the force beyond which the water, or somebody, still moves the fin [N]."""
 
 
 class Rig:
     """Meets the Machine contract."""
 
     def __init__(self, config: RigConfig, clock: Clock | None = None) -> None:
-        """On the clock of its emulation where it has one, else on the real one."""
-        self._kept: Callable[[], None] | None = None
+        """Use the clock of the rig's emulation where it has one, else the real one."""
+        self._save: Callable[[], None] | None = None
         if clock is None and config.emulation is not None:
             # Imported here: a real rig needs no tank.
-            from softfin.rig.emulation.plugged import plugged
+            from softfin.rig.emulation.kept_rig import kept_rig
 
-            emulated = plugged(config)
-            clock, self._kept = emulated.clock, emulated.keep
+            emulated = kept_rig(config)
+            clock, self._save = emulated.clock, emulated.save
         clock = clock or REAL
         self.config, self.clock = config, clock
         drive = config.drive
@@ -42,12 +46,12 @@ class Rig:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Of the sensor."""
+        """Notes of the sensor."""
         return self.sensor.notes()
 
     @property
-    def doubt(self) -> str | None:
-        """Of the drive."""
+    def stop_unconfirmed(self) -> str | None:
+        """Reason of the drive why its motor may still be on."""
         return self.drive.stop_unconfirmed
 
     def open(self) -> None:
@@ -60,7 +64,7 @@ class Rig:
             raise
 
     def read(self) -> Sample:
-        """Have the drive sample now; of the force, what came until now."""
+        """Have the drive sample now; the force is the newest that has arrived."""
         if self._ticks % BEAT_TICKS == 0:
             self.drive.send_heartbeat()
         self._ticks += 1
@@ -79,11 +83,11 @@ class Rig:
         )
 
     def enable(self) -> None:
-        """Power to the motor, which holds where it is."""
+        """Power the motor, which holds where it is."""
         self.drive.enable()
 
     def command(self, target: Target) -> None:
-        """A new set-point, which takes effect at once."""
+        """Send a new set-point, which takes effect at once."""
         self.drive.command(target)
 
     def stop(self) -> None:
@@ -91,14 +95,45 @@ class Rig:
         self.drive.stop()
 
     def close(self) -> None:
-        """Stop, let go of both; in simulated time raises RunError where what must be remembered cannot be written."""
+        """Stop and release both; raises RunError where the state of an emulated rig cannot be written."""
         self.drive.close()
         with contextlib.suppress(OSError, SoftfinError):
             self.sensor.close()
-        if self._kept is not None:
-            self._kept()
+        if self._save is not None:
+            self._save()
 
     def counters(self) -> dict[str, int]:
-        """Of both."""
+        """Return the counters of both devices."""
         return {**{f"drive_{name.replace(' ', '_')}": n for name, n in self.drive.counters().items()},
                 **self.sensor.counters()}  # fmt: skip
+
+
+def zero_force(config: RigConfig, seconds: float = 2.0, clock: Clock | None = None) -> dict[str, Any]:
+    """Set the sensor's zero to the force at rest; raises DeviceError where the fin is not at rest."""
+    rig = Rig(config, clock)
+    sensor = rig.sensor
+    try:
+        sensor.open()
+        before = sensor.measured(seconds)
+        worst = max(before.std[:3])
+        if worst > MOVING_N:
+            raise DeviceError(f"force varies by {worst:.2f} N (deviation): at most {MOVING_N:g} N; let the water rest")
+        sensor.bias()
+        after = sensor.measured(seconds)
+    finally:
+        rig.close()
+    results = {"force_before_n": before.mean, "force_after_n": after.mean, "noise_n": after.std}
+    return {name: [round(value, 4) for value in values[:3]] for name, values in results.items()}
+
+
+def zero_angle(config: RigConfig, clock: Clock | None = None) -> dict[str, Any]:
+    """Make where the fin stands its angle 0 (or `drive.zero_offset_rad`); the motor is powered, nothing moves."""
+    rig = Rig(config, clock)
+    drive = rig.drive
+    try:
+        drive.open()
+        before = drive.sync_and_read(0.02).angle
+        drive.home_here()
+        return {"angle_before_rad": round(before, 5), "angle_after_rad": round(drive.sync_and_read(0.02).angle, 5)}
+    finally:
+        rig.close()

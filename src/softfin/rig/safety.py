@@ -1,12 +1,12 @@
-"""Safety: what the loop checks at every tick. Whatever is not as it should be stops the fin; nothing is clipped.
+"""Safety limits, checked by the loop at every tick: whatever is beyond them stops the fin; nothing is clipped.
 
-The guard is pure but for what it remembers of the last moments: samples and targets go in, a reason to stop comes out.
-The drive has limits of its own below it (position, following error, current, heartbeat), and a watchdog stands above.
+The guard is pure but for its memory of the last moments: samples and targets go in, a reason to stop comes out. The
+drive has limits of its own below it (position, following error, current, heartbeat), and a watchdog stands above.
 """
 
 import math
 from collections import deque
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 from pydantic import Field, PositiveFloat, model_validator
 
@@ -14,53 +14,54 @@ from softfin.control.controller import TrainingRange
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import Limits
 from softfin.rig.machine import Sample, Target
-from softfin.rig.reach import beyond
 
 OVERSHOOT_RAD = 0.15
-"""As far beyond the range of commands a fin may stand that was stopped in the middle of a fast stroke [rad]."""
+"""Angle beyond the range of commands that a fin may reach when it is stopped in the middle of a fast stroke [rad]."""
 
 
 class SafetyConfig(Configuration):
-    """Limits; the defaults hold a fin like the paper's with room to spare (its force stays under 13 N, 7.3 rad/s)."""
+    """Safety limits; the defaults leave room to spare for a fin like the paper's (under 13 N and 7.3 rad/s)."""
 
     angle_margin_rad: float = Field(default=OVERSHOOT_RAD, ge=0)
-    """The shaft may be beyond the range of commands by this [rad]: overshoot."""
+    """Overshoot: angle by which the shaft may be beyond the range of commands [rad]."""
     velocity_rad_s: PositiveFloat = 10.0
-    """Fastest that the shaft may turn [rad/s]."""
+    """Highest angular velocity of the shaft [rad/s]."""
     acceleration_rad_s2: PositiveFloat = 200.0
-    """Most that the velocity may change, over 30 ms [rad/s2]; the drive's own ramp must not be steeper."""
+    """Highest acceleration of the shaft, over 30 ms [rad/s2]; the drive's own ramp must not be steeper."""
     force_peak_n: PositiveFloat = 30.0
-    """Most that any axis of the force may show at any time [N]."""
+    """Largest force on any axis at any time [N]."""
     force_sustained_n: PositiveFloat = 15.0
-    """Most that the size of the force may be on average over `sustained_s` [N]."""
+    """Largest size of the force on average over `sustained_s` [N]."""
     torque_peak_nm: PositiveFloat = 5.0
-    """Likewise of the torque [N m]."""
+    """Largest torque on any axis at any time [N m]."""
     torque_sustained_nm: PositiveFloat = 3.0
+    """Largest size of the torque on average over `sustained_s` [N m]."""
     current_peak_a: PositiveFloat | None = None
-    """Likewise of the motor's current [A]; None where the machine does not tell its current. A rig must say it."""
+    """Largest current of the motor at any time [A]; required for a rig, None where the current is not measured."""
     current_sustained_a: PositiveFloat | None = None
+    """Largest current of the motor on average over `sustained_s` [A]."""
     sustained_s: float = Field(default=0.5, ge=0.05, le=10)
     """Time over which sustained values are averaged [s]."""
     stale_s: float = Field(default=0.05, ge=0.02, le=1)
-    """Oldest reading of the angle that is acted on [s]."""
+    """Greatest age of the angle that is acted on [s]."""
     force_stale_s: float = Field(default=0.1, ge=0.02, le=1)
-    """Likewise of the force, whose filter is part of its age [s]."""
+    """Greatest age of the force that is acted on, of which its filter is a part [s]."""
     following_rad: PositiveFloat = 0.2
     """Largest following error that may last for `following_s` [rad]; 0.01 in the virtual tank. A fin that is blocked
     within a stroke of less than twice this shows in the current alone."""
     following_s: float = Field(default=0.1, ge=0.02, le=2)
+    """Longest time for which the following error may be larger [s]."""
     overrun_s: float = Field(default=0.05, ge=0.01, le=1)
-    """Latest that a tick may come [s]."""
+    """Greatest lateness of a tick [s]."""
     watchdog_s: float = Field(default=0.15, ge=0.05, le=2)
     """Longest silence of the loop after which another thread stops the machine [s]."""
     training_margin: float | None = Field(default=0.5, ge=0)
-    """How far beyond the surrogate's training range angle, velocity and force may be on average over 1 s, in parts of
-    that range's width: further out nobody knows what the controller does. None does not look."""
+    """Distance by which angle, velocity and force may leave the surrogate's training range on average over 1 s, in
+    widths of that range; further out the controller is untested. None turns the check off."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "SafetyConfig":
-        for name in ("force", "torque", "current"):
-            unit = {"force": "n", "torque": "nm", "current": "a"}[name]
+        for name, unit in (("force", "n"), ("torque", "nm"), ("current", "a")):
             peak, sustained = getattr(self, f"{name}_peak_{unit}"), getattr(self, f"{name}_sustained_{unit}")
             if (peak is None) != (sustained is None) or (peak is not None and sustained > peak):
                 raise ValueError(
@@ -71,10 +72,10 @@ class SafetyConfig(Configuration):
 
 
 class Trip(NamedTuple):
-    """Why the fin was stopped."""
+    """The reason why the fin was stopped."""
 
     cause: str
-    """A short name for records: ``force_peak``."""
+    """Short name for records, such as ``force_peak``."""
     reason: str
     """One line for people, which ends in the way out."""
 
@@ -86,31 +87,28 @@ PAUSE_S = 1.0
 
 
 class Guard:
-    """Looks at every tick; the first thing that is wrong is returned."""
+    """Checks every tick against the limits, and returns the first thing that is wrong."""
 
     def __init__(self, config: SafetyConfig, limits: Limits, trained: TrainingRange | None = None) -> None:
-        self.config, self.limits = config, limits
-        self.trained = trained if config.training_margin is not None else None
+        self.config, self.limits, self.trained = config, limits, trained
         self.restart()
 
     def restart(self) -> None:
         """Forget the samples so far: what lasted before a pause of the motor has not lasted through it."""
-        config = self.config
-        self._force, self._torque = _Mean(config.sustained_s), _Mean(config.sustained_s)
-        self._current = _Mean(config.sustained_s)
+        self._force, self._torque, self._current = (_Mean(self.config.sustained_s) for _ in range(3))
         self._outside = _Mean(1.0)
-        self._velocities: list[tuple[float, float]] = []
+        self._velocities: deque[tuple[float, float]] = deque(maxlen=ACCELERATION_TICKS + 1)
         self._followed: float | None = None
         self._checked: float | None = None
 
     def check_target(self, target: Target) -> Trip | None:
-        """A command that is about to be issued."""
+        """Check a command that is about to be issued."""
         limits = self.limits
         if not (math.isfinite(target.angle) and math.isfinite(target.velocity)):
             return Trip(
                 "not_a_number",
-                f"the controller commanded angle {target.angle} rad, velocity {target.velocity} rad/s: no finite "
-                "number; its weights or what it was given are damaged: evaluate it in a surrogate first",
+                f"the controller commanded angle {target.angle} rad, velocity {target.velocity} rad/s: not a finite "
+                "number; its weights or its inputs are damaged: evaluate it in a surrogate first",
             )
         for name, unit, value, low, high in (
             ("angle", "rad", target.angle, limits.angle_min, limits.angle_max),
@@ -125,46 +123,35 @@ class Guard:
         return None
 
     def check(self, sample: Sample, now: float, late: float = 0.0) -> Trip | None:
-        """A sample that has just been read, `late` after its tick was due [s]."""
+        """Check a sample that has just been read, `late` after its tick was due [s]."""
         config = self.config
         if self._checked is not None and now - self._checked > PAUSE_S:
             self.restart()
         self._checked = now
         if sample.complaints:
             return Trip("device", sample.complaints[0])
-        known = (value for value in (sample.current, sample.following_error) if value is not None)
-        numbers = (
-            sample.time,
-            sample.angle,
-            sample.velocity,
-            sample.force_time,
-            *sample.wrench,
-            *(sample.peak or ()),
-            *known,
-        )
+        numbers = (sample.time, sample.angle, sample.velocity, sample.force_time, *sample.wrench, *(sample.peak or ()),
+                   sample.current or 0.0, sample.following_error or 0.0)  # fmt: skip
         if not all(map(math.isfinite, numbers)):
-            return Trip("reading", f"a reading is no finite number ({sample}); check cables and sensor")
+            return Trip("reading", f"a reading is not a finite number ({sample}); check cables and sensor")
         if late > config.overrun_s:
             return Trip(
                 "overrun",
                 f"the loop came {late * 1e3:.0f} ms late: at most {config.overrun_s * 1e3:.0f} ms (safety.overrun_s); "
                 "end other programs on this computer",
             )
-        return self._stale(sample, now) or self._moving(sample) or self._loaded(sample, now) or self._known(sample, now)
-
-    def _stale(self, sample: Sample, now: float) -> Trip | None:
         for what, age, most, way_out in (
-            ("angle", now - sample.time, self.config.stale_s, "check the drive's cable and supply"),
-            ("force", now - sample.force_time, self.config.force_stale_s, "check the sensor's cable and network"),
+            ("angle", now - sample.time, config.stale_s, "check the drive's cable and supply"),
+            ("force", now - sample.force_time, config.force_stale_s, "check the sensor's cable and network"),
         ):
-            # A time that lies ahead tells as little: what never grows old would never be missed.
+            # A time that lies ahead is as bad: it would never grow old.
             if abs(age) > most:
                 return Trip(
                     f"{what}_stale", f"no new {what} for {age * 1e3:.0f} ms: at most {most * 1e3:.0f} ms; {way_out}"
                 )
-        return None
+        return self._check_motion(sample) or self._check_loads(sample, now) or self._check_range(sample, now)
 
-    def _moving(self, sample: Sample) -> Trip | None:
+    def _check_motion(self, sample: Sample) -> Trip | None:
         config, limits = self.config, self.limits
         low, high = limits.angle_min - config.angle_margin_rad, limits.angle_max + config.angle_margin_rad
         if not low <= sample.angle <= high:
@@ -173,8 +160,14 @@ class Guard:
         if abs(sample.velocity) > config.velocity_rad_s:
             return Trip("velocity", f"the shaft turns at {sample.velocity:.2f} rad/s: at most "
                         f"{config.velocity_rad_s:g} (safety.velocity_rad_s); is the gear ratio right?")  # fmt: skip
-        rate = self._acceleration(sample)
-        if rate > config.acceleration_rad_s2:
+        velocities = self._velocities
+        if not velocities or sample.time > velocities[-1][0]:
+            velocities.append((sample.time, sample.velocity))
+        (start, before), (end, after) = velocities[0], velocities[-1]
+        if (
+            len(velocities) > ACCELERATION_TICKS
+            and (rate := abs(after - before) / (end - start)) > config.acceleration_rad_s2
+        ):
             return Trip("acceleration", f"the shaft's velocity changed by {rate:.0f} rad/s2: at most "
                         f"{config.acceleration_rad_s2:g} (safety.acceleration_rad_s2); was it hit?")  # fmt: skip
         error = sample.following_error
@@ -187,24 +180,16 @@ class Guard:
                         f"at most {config.following_rad:g} rad; is it blocked, or the load too high?")  # fmt: skip
         return None
 
-    def _acceleration(self, sample: Sample) -> float:
-        if not self._velocities or sample.time > self._velocities[-1][0]:
-            self._velocities = [*self._velocities[-ACCELERATION_TICKS:], (sample.time, sample.velocity)]
-        (start, before), (end, after) = self._velocities[0], self._velocities[-1]
-        return abs(after - before) / (end - start) if len(self._velocities) > ACCELERATION_TICKS else 0.0
-
-    def _loaded(self, sample: Sample, now: float) -> Trip | None:
-        config = self.config
-        sizes, wrench = sample.peak or sample.wrench, sample.wrench
-        loads: list[tuple[str, str, _Values, _Values, _Mean, float, float]] = [
+    def _check_loads(self, sample: Sample, now: float) -> Trip | None:
+        config, sizes, wrench = self.config, sample.peak or sample.wrench, sample.wrench
+        current = () if sample.current is None or config.current_peak_a is None else (sample.current,)
+        for name, unit, largest, values, mean, peak, sustained in (
             ("force", "N", sizes[:3], wrench[:3], self._force, config.force_peak_n, config.force_sustained_n),
             ("torque", "N m", sizes[3:], wrench[3:], self._torque, config.torque_peak_nm, config.torque_sustained_nm),
-        ]
-        if config.current_peak_a is not None and config.current_sustained_a is not None and sample.current is not None:
-            peak, sustained = config.current_peak_a, config.current_sustained_a
-            now_a = (sample.current,)
-            loads.append(("current", "A", now_a, now_a, self._current, peak, sustained))
-        for name, unit, largest, values, mean, peak, sustained in loads:
+            ("current", "A", current, current, self._current, config.current_peak_a, config.current_sustained_a),
+        ):
+            if not values or peak is None or sustained is None:
+                continue
             worst = max(map(abs, largest))
             if worst > peak:
                 return Trip(f"{name}_peak", f"{name} {worst:.2f} {unit}: at most {peak:g} {unit} at any time; "
@@ -215,23 +200,30 @@ class Guard:
                             f"{config.sustained_s:g} s: at most {sustained:g} {unit}; ask for less")  # fmt: skip
         return None
 
-    def _known(self, sample: Sample, now: float) -> Trip | None:
+    def _check_range(self, sample: Sample, now: float) -> Trip | None:
         margin = self.config.training_margin
         if self.trained is None or margin is None:
             return None
-        furthest, channel = beyond(self.trained, sample)
+        channels = zip(
+            ("angle", "velocity", "force x", "force y"),
+            (sample.angle, sample.velocity, sample.wrench[0], sample.wrench[1]),
+            self.trained,
+            strict=True,
+        )
+        beyond = [
+            (max(low - value, value - high, 0.0) / max(high - low, 1e-6), name)
+            for name, value, (low, high) in ((name, value, bounds) for name, value, bounds in channels if bounds)
+        ]
+        furthest, channel = max(beyond, key=lambda each: each[0], default=(0.0, ""))
         average = self._outside.after(now, furthest)
         if average > margin:
-            return Trip("beyond_training", f"{channel} was {average:.2f} of its range beyond what the surrogate "
-                        f"learnt from, for 1 s: at most {margin:g} (safety.training_margin); fit anew")  # fmt: skip
+            return Trip("beyond_training", f"{channel} was {average:.2f} of its range beyond the surrogate's training "
+                        f"data, for 1 s: at most {margin:g} (safety.training_margin); fit anew")  # fmt: skip
         return None
 
 
-_Values: TypeAlias = tuple[float, ...]
-
-
 class _Mean:
-    """Over the last seconds; 0 until so many have passed."""
+    """Mean over the last seconds; 0 until so many have passed."""
 
     def __init__(self, seconds: float) -> None:
         self.seconds = seconds
@@ -239,9 +231,9 @@ class _Mean:
         self._began: float | None = None
 
     def after(self, now: float, value: float) -> float:
-        """The mean with one more value."""
+        """Return the mean with one more value."""
         if self._began is None or now - self._items[-1][0] > self.seconds:
-            # A pause, as between two logs: what was before says nothing of now.
+            # After a pause, as between two logs, the values before it do not count.
             self._items.clear()
             self._began = now
         self._items.append((now, value))

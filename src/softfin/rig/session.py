@@ -1,66 +1,39 @@
 """One session on a machine: unconfigured, inactive (reads, does not move), active (moves), stopped; 100 ticks a second.
 
-At each tick: wait, read, ask everybody whether all is well, record, show. Whatever is wrong, or goes wrong in here,
-stops the machine first and is told after.
+At each tick: wait, read, check, record, call the observers. Whatever is wrong, or goes wrong in here, stops the machine
+first and is reported afterwards.
 """
 
+import contextlib
 import gc
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from itertools import count
+from pathlib import Path
 from types import TracebackType
-from typing import Literal, NoReturn, Protocol, runtime_checkable
+from typing import Literal, NoReturn
 
-from softfin.core.errors import SafetyStop, SoftfinError
+from softfin.core.errors import RunError, SafetyStop, SoftfinError
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.machine import Machine, Sample, Target, clock_of
 from softfin.rig.pace import Pace
 from softfin.rig.safety import Guard, Trip
-from softfin.rig.stop import StopRequest
-from softfin.rig.watchdog import Watchdog
+from softfin.rig.stop import StopRequest, Watchdog, stopped_by_signals
+from softfin.storage.bag.writer import BagRecorder
 
 State = Literal["unconfigured", "inactive", "active", "stopped"]
 
 Observer = Callable[[Sample, Target | None], None]
-"""Called at each tick with what was read and the command under which it came about; must return at once."""
+"""Called at each tick with the sample and the command under which it came about; must return at once."""
 
 FRESH_S = 1.0
-"""Longest time before activation in which all must be well once [s]."""
+"""Longest time before activation within which all checks must pass once [s]."""
 
 STILL_RAD = 0.03
-"""The shaft is at rest at angle 0 within this [rad]."""
+"""Angle and angular velocity below which the shaft is at rest at angle 0 [rad, rad/s]."""
 
 HOMING_S = 10.0
-"""Longest way to angle 0 [s]; at 1 rad/s it is 1.6 s. A slower fin has twice the time that it needs."""
-
-
-@runtime_checkable
-class Recorder(Protocol):
-    """What keeps a session on disk; none of its methods blocks or raises (`softfin.storage.bag.writer`)."""
-
-    @property
-    def failure(self) -> str | None:
-        """Why nothing is recorded any more, in one line; None while all is well."""
-        ...
-
-    def command(self, time: float, angle: float, velocity: float) -> None:
-        """A command as it is issued."""
-        ...
-
-    def joint(self, time: float, angle: float, velocity: float, current: float | None) -> None:
-        """A reading of the drive."""
-        ...
-
-    def wrench(self, time: float, wrench: tuple[float, ...]) -> None:
-        """A reading of the force sensor."""
-        ...
-
-    def reference(self, time: float, force: tuple[float, ...]) -> None:
-        """The force that is asked for, (x, y) [N]."""
-        ...
-
-    def event(self, time: float, text: str) -> None:
-        """Something worth knowing."""
-        ...
+"""Longest time to reach angle 0 [s]; at 1 rad/s it takes 1.6 s. A slower fin has twice the time that it needs."""
 
 
 class Session:
@@ -77,21 +50,22 @@ class Session:
     ) -> None:
         self.machine, self.guard, self.stop_request = machine, guard, stop or StopRequest()
         self.observers, self.pace = observers, pace or Pace(clock=clock_of(machine))
-        self._until_closed = ExitStack()
-        self.recorder: Recorder | None = None
+        self.recorder: BagRecorder | None = None
         self.state: State = "unconfigured"
         self.target: Target | None = None
         """The command in force."""
         self.newest: Sample | None = None
+        """The sample of the newest tick."""
         self.trip: Trip | None = None
-        """Why it was stopped."""
+        """The reason why the session was stopped."""
+        self._until_closed = ExitStack()
         self._watchdog: Watchdog | None = None
-        self._doubt: str | None = None
+        self._never_confirmed: str | None = None
 
     def __enter__(self) -> "Session":
         self.machine.open()
-        # That of a machine which never knows better; what is in doubt after a stop only is another one.
-        self._doubt = self.machine.doubt
+        # A machine that can never confirm its stops is used all the same; what is not confirmed later is reported.
+        self._never_confirmed = self.machine.stop_unconfirmed
         self.state = "inactive"
         self.pace.start()
         return self
@@ -101,23 +75,43 @@ class Session:
     ) -> None:
         self._unwatch()
         self.machine.stop()
-        doubt, told = self.machine.doubt, self.state == "stopped"
-        if not told:
-            self._tell("the session ended" if error is None else f"ended by {kind.__name__ if kind else ''}: {error}")
+        unconfirmed, was_reported = self.machine.stop_unconfirmed, self.state == "stopped"
+        if not was_reported:
+            self._record_event("the session ended" if kind is None else f"ended by {kind.__name__}: {error}")
         self.state = "stopped"
         try:
             self.machine.close()
         finally:
             gc.unfreeze()
             self._until_closed.close()
-        if not told and doubt is not None and doubt != self._doubt:
-            # Whatever ended the session, nobody may take the fin for safe.
-            reason = "the session ended" if error is None else _line(error, "the session was ended")
-            raise SafetyStop(f"{reason}; BUT {doubt}") from error
+        if not was_reported and unconfirmed not in (None, self._never_confirmed):
+            # Whatever ended the session, the person beside the fin must learn that it may not be safe.
+            reason = "the session ended" if error is None else _in_one_line(error, "the session was ended")
+            raise SafetyStop(f"{reason}; BUT {unconfirmed}") from error
 
-    def until_closed(self, context: AbstractContextManager[None]) -> None:
-        """Enter a context that ends after the machine is closed: a second Ctrl-C must not come between."""
-        self._until_closed.enter_context(context)
+    def stop_on_signals(self) -> None:
+        """Have Ctrl-C and its kin ask for a stop, until the machine is closed."""
+        self._until_closed.enter_context(stopped_by_signals(self.stop_request))
+
+    @contextmanager
+    def recording(self, path: Path) -> Iterator[BagRecorder]:
+        """Record everything that the session does meanwhile; an interrupted bag is kept under another name."""
+        if path.exists():
+            names = (path.with_name(f"{path.stem}.cut-{number}{path.suffix}") for number in count(1))
+            path.rename(next(name for name in names if not name.exists()))
+        recorder = self.recorder = BagRecorder(path, clock=self.pace.clock)
+        try:
+            yield recorder
+        except BaseException as error:
+            self.machine.stop()
+            if not isinstance(error, SafetyStop):
+                self._record_event(f"ended by {type(error).__name__}: {error}")
+            raise
+        finally:
+            self.recorder = None
+            recorder.close()
+        if recorder.failure is not None:
+            raise RunError(recorder.failure)
 
     def tick(self) -> Sample:
         """Wait for the next tick, read and check; raises SafetyStop, the machine stopped already."""
@@ -125,28 +119,31 @@ class Session:
         try:
             sample = self.machine.read()
         except Exception as error:
-            self.abort(Trip("device", _line(error, "reading the machine failed")))
+            self.abort(Trip("device", _in_one_line(error, "reading the machine failed")))
         now = self.pace.clock()
         if self._watchdog is not None:
             self._watchdog.feed(now)
-        moves = self.state == "active"
         # A person's stop first: nothing else explains why the fin stopped.
         trip = self.stop_request.trip or self.trip
         if trip is None and self.recorder is not None and self.recorder.failure is not None:
             trip = Trip("recording", self.recorder.failure)
-        if trip is None and moves:
+        if trip is None and self.state == "active":
             trip = self.guard.check(sample, now, late)
         if trip is not None:
             self.abort(trip)
         if self.recorder is not None:
-            self._record(self.recorder, sample)
+            before = self.newest
+            if before is None or sample.time > before.time:
+                self.recorder.joint(sample.time, sample.angle, sample.velocity, sample.current)
+            if before is None or sample.force_time > before.force_time:
+                self.recorder.wrench(sample.force_time, sample.wrench)
         try:
             for observe in self.observers:
                 observe(sample, self.target)
         except SafetyStop:
             raise
         except Exception as error:
-            self.abort(Trip("observer", _line(error, "what watches the loop failed")))
+            self.abort(Trip("observer", _in_one_line(error, "an observer of the loop failed")))
         self.newest = sample
         return sample
 
@@ -158,20 +155,20 @@ class Session:
         gc.unfreeze()
         gc.collect()
         gc.freeze()
-        sample = self._well()
+        sample = self._wait_until_well()
         limits = self.machine.limits
         here = min(max(sample.angle, limits.angle_min), limits.angle_max)
         self.machine.enable()
-        # Whatever was read without power says nothing about the motion that begins here.
+        # Samples read without power are not of the motion that begins here.
         self.guard.restart()
         self.state = "active"
-        self._tell(f"active: {self.machine.name}")
+        self._record_event(f"active: {self.machine.name}")
         self.pace.start()
-        self._watchdog = Watchdog(self.guard.config, self._bite, self.pace.clock)
+        self._watchdog = Watchdog(self.guard.config.watchdog_s, self._stop_silent_loop, self.pace.clock)
         self.command(Target(here, limits.velocity_min))
 
-    def _well(self) -> Sample:
-        """The first sample with which all is well; what was not read for a while needs a moment to be fresh again."""
+    def _wait_until_well(self) -> Sample:
+        """Return the first sample that passes all checks; devices that were not read need a moment to be fresh."""
         self.pace.start()
         self.guard.restart()
         trip: Trip | None = None
@@ -185,18 +182,17 @@ class Session:
 
     def deactivate(self) -> None:
         """Stop and disable the motor: slow work may be done now, and `activate` goes on after it."""
-        # A brake that takes its time is no silence of the loop.
+        # A slow brake is no silence of the loop.
         self._unwatch()
         self.machine.stop()
-        doubt = self.machine.doubt
-        if doubt is not None and doubt != self._doubt:
-            self.abort(Trip("motor_on", "the fin was told to rest"))
+        if self.machine.stop_unconfirmed not in (None, self._never_confirmed):
+            self.abort(Trip("motor_on", "the drive did not confirm power-off"))
         if self.state == "active":
             self.state, self.target = "inactive", None
-            self._tell("inactive")
+            self._record_event("inactive")
 
     def command(self, target: Target) -> None:
-        """Issue a command now; raises SafetyStop where it is none that this fin takes."""
+        """Issue a command now; raises SafetyStop where it is beyond this fin's limits or the drive refuses it."""
         trip = self.guard.check_target(target) or self.stop_request.trip or self.trip
         if trip is not None:
             self.abort(trip)
@@ -205,88 +201,77 @@ class Session:
         try:
             self.machine.command(target)
         except Exception as error:
-            self._refused(error)
+            self._unwatch()
+            self.machine.stop()
+            complaints: tuple[str, ...] = ()
+            with contextlib.suppress(Exception):
+                # A drive in fault takes no command, and its fault is the better reason.
+                complaints = self.machine.read().complaints
+            reason = complaints[0] if complaints else _in_one_line(error, "the machine took no command")
+            self.abort(Trip("device", reason))
         self.target = target
         if self.recorder is not None:
             self.recorder.command(self.pace.clock(), target.angle, target.velocity)
 
-    def asked(self, reference: tuple[float, float]) -> None:
-        """For the record: the force that is asked for from now on [N]."""
+    def record_reference(self, reference: tuple[float, float]) -> None:
+        """Record the reference force that holds from now on [N]."""
         if self.recorder is not None:
             self.recorder.reference(self.pace.clock(), reference)
 
     def hold(self, target: Target, ticks: int) -> list[Sample]:
-        """Hold a command for so many ticks; what was read after each."""
+        """Hold a command for so many ticks; returns the sample of each."""
         self.command(target)
         return [self.tick() for _ in range(ticks)]
 
     def rest(self, seconds: float) -> None:
-        """Go to angle 0 slowly, and wait for so long with the fin at rest, for the water to come to rest too."""
+        """Go to angle 0 slowly, then wait for so long with the fin at rest, for the water to come to rest too."""
         slowest = self.machine.limits.velocity_min
         self.command(Target(0.0, slowest))
-        way = 0.0 if self.newest is None else abs(self.newest.angle)
-        longest = max(HOMING_S, 2 * way / slowest)
+        longest = max(HOMING_S, 2 * abs(self.newest.angle if self.newest else 0.0) / slowest)
         for _ in range(round(longest * RATE_HZ)):
             sample = self.tick()
             if abs(sample.angle) < STILL_RAD and abs(sample.velocity) < STILL_RAD:
                 break
         else:
-            angle = 0.0 if self.newest is None else self.newest.angle
+            angle = self.newest.angle if self.newest else 0.0
             self.abort(Trip("rest", f"the shaft did not come to rest at angle 0 within {longest:.3g} s (it is at "
                             f"{angle:.3f} rad); is it blocked?"))  # fmt: skip
         for _ in range(round(seconds * RATE_HZ)):
             self.tick()
 
     def abort(self, trip: Trip) -> NoReturn:
-        """Stop the machine, note why, and raise SafetyStop; what stopped it first is the reason that is told."""
+        """Stop the machine, record why, and raise SafetyStop; the reason is that of the first stop."""
         trip = self.trip or trip
         self.machine.stop()
         self._unwatch()
         if self.state != "stopped":
             self.state, self.trip = "stopped", trip
-            self._tell(f"stopped: {trip.cause}: {trip.reason}")
-        doubt = self.machine.doubt
-        if doubt is None:
+            self._record_event(f"stopped: {trip.cause}: {trip.reason}")
+        unconfirmed = self.machine.stop_unconfirmed
+        if unconfirmed is None:
             raise SafetyStop(f"stopped, motor disabled: {trip.reason}")
-        self._tell(f"but {doubt}")
-        raise SafetyStop(f"stopped: {trip.reason}; BUT {doubt}")
-
-    def _refused(self, error: Exception) -> NoReturn:
-        """A drive in fault takes no command; its fault says more than that."""
-        self._unwatch()
-        self.machine.stop()
-        try:
-            complaints = self.machine.read().complaints
-        except Exception:
-            complaints = ()
-        self.abort(Trip("device", complaints[0] if complaints else _line(error, "the machine took no command")))
+        self._record_event(f"but {unconfirmed}")
+        raise SafetyStop(f"stopped: {trip.reason}; BUT {unconfirmed}")
 
     def _unwatch(self) -> None:
         if self._watchdog is not None:
             self._watchdog.end()
             self._watchdog = None
 
-    def _bite(self, silence: float) -> None:
+    def _stop_silent_loop(self, silence: float) -> None:
         """Called by the watchdog, in its thread."""
         if self.trip is None:
             self.trip = Trip("watchdog", f"the loop was silent for {silence * 1e3:.0f} ms: the computer is too busy, "
                              "or the controller hung; see the last event before")  # fmt: skip
         self.machine.stop()
 
-    def _record(self, recorder: Recorder, sample: Sample) -> None:
-        before = self.newest
-        if before is None or sample.time > before.time:
-            recorder.joint(sample.time, sample.angle, sample.velocity, sample.current)
-        if before is None or sample.force_time > before.force_time:
-            recorder.wrench(sample.force_time, sample.wrench)
-
-    def _tell(self, text: str) -> None:
+    def _record_event(self, text: str) -> None:
         if self.recorder is not None:
             self.recorder.event(self.pace.clock(), text)
 
 
-def _line(error: BaseException, what: str) -> str:
-    """Our own errors say it all in one line; others need a word of what was going on."""
+def _in_one_line(error: BaseException, what: str) -> str:
+    """Describe an error: softfin's own say it all in one line; others need a word of what was going on."""
     if isinstance(error, SoftfinError):
         return str(error)
     return f"{what} ({type(error).__name__}: {' '.join(str(error).split())[:300]}); see --debug"

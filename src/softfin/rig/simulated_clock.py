@@ -17,30 +17,24 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from softfin.core.clock import Condition, Event, Lock, Thread
-from softfin.core.errors import RunError
-
 BEGIN_S = 1000.0
-"""Of every simulated time; not 0, which stands for "never" in places."""
+"""Start of every simulated time [s]; not 0, which stands for "never" in places."""
 
-LOOK_S = 0.5
-"""Between two looks of a waiting thread at whether anybody is left that could wake it; real time."""
-
-
-class StandstillError(RunError):
-    """Every thread of a simulated clock waits for another one, and none of them for a time."""
+RECHECK_S = 0.5
+"""Real time between two looks of a waiting thread at whether it is its turn, should a Ctrl-C have lost its signal."""
 
 
-class _Turn:
+class _Wait:
     """One wait of one thread."""
 
-    __slots__ = ("asks_for_baton", "name", "over", "signal", "standstill", "woken")
+    __slots__ = ("is_member", "over", "parked", "signal", "woken")
 
-    def __init__(self, asks_for_baton: bool) -> None:
-        self.asks_for_baton = asks_for_baton
-        """Of a member, which goes on only when nobody else runs."""
-        self.name = threading.current_thread().name
-        self.over = self.woken = self.standstill = False
+    def __init__(self, is_member: bool) -> None:
+        self.is_member = is_member
+        """A member goes on only when no other member runs."""
+        self.parked = False
+        """The member has let the others run."""
+        self.over = self.woken = False
         """Over: no wait any more. Woken: by somebody, not by its time."""
         self.signal = threading.Lock()
         self.signal.acquire()
@@ -52,261 +46,200 @@ class SimulatedClock:
     def __init__(self) -> None:
         self._now, self._wall = BEGIN_S, time.time()
         self._guard = threading.RLock()
-        """Of all below; held for moments, as other threads than members come in as well."""
-        self._ready: deque[_Turn] = deque()
-        self._timers: list[tuple[float, int, _Turn]] = []
+        """Protects everything below; held for moments, since other threads than members come in as well."""
+        self._ready: deque[_Wait] = deque()
+        self._timers: list[tuple[float, int, _Wait]] = []
         self._number = itertools.count()
-        self._waiting: dict[_Turn, None] = {}
-        """Members."""
-        self._running: _Turn | None = _Turn(asks_for_baton=True)
-        """Who has the baton: the wait that has ended last."""
+        self._running: _Wait | None = _Wait(is_member=True)
+        """The wait after which the running member went on."""
         self._member = threading.local()
-        """Of a member alone: its newest `turn`."""
-        self._member.turn = self._running
-        self._members = {threading.current_thread()}
-        self._elders = set(threading.enumerate())
-        """Threads that were there before know nothing of this clock, until they use it."""
+        """A member's newest `wait`; other threads have none."""
+        self._member.wait = self._running
 
     def __call__(self) -> float:
-        """Now [s]."""
+        """Return the simulated time [s]."""
         return self._now
 
     def wall(self) -> float:
-        """The time of day at which it was made, and what has passed since [s]."""
+        """Return the time of day at which the clock was made, plus what has passed since [s]."""
         return self._wall + self._now - BEGIN_S
 
     def sleep(self, seconds: float) -> None:
         """Let the others run until so much time has passed."""
-        self._wait(self._turn(None, max(0.0, seconds)))
+        self._finish(self._begin([], max(0.0, seconds)))
 
-    def event(self) -> Event:
-        """Not set yet."""
+    def event(self) -> threading.Event:
+        """Make an event that is not set."""
         return _Event(self)
 
-    def lock(self) -> Lock:
-        """Not re-entrant."""
-        return _Lock(self, reentrant=False)
-
-    def rlock(self) -> Lock:
-        """Re-entrant."""
-        return _Lock(self, reentrant=True)
-
-    def condition(self) -> Condition:
-        """With a re-entrant lock of its own."""
+    def condition(self) -> threading.Condition:
+        """Make a condition with a re-entrant lock of its own."""
         return _Condition(self)
 
-    def spawn(self, target: Callable[[], None], name: str) -> Thread:
-        """A member; its first turn comes when its maker waits."""
-        return _Thread(self, target, name)
+    lock = condition
 
-    def _turn(self, queue: deque[_Turn] | None, timeout: float | None) -> _Turn:
-        """Begin a wait: in a queue of whoever may be woken, until a timeout [s]."""
+    def spawn(self, target: Callable[[], object], name: str) -> threading.Thread:
+        """Start a member; its first turn comes when its maker waits."""
+        thread = _Thread(self, target, name)
+        thread.start()
+        self._wake([thread.first])
+        return thread
+
+    def _begin(self, queue: list[_Wait], timeout: float | None) -> _Wait:
+        """Begin a wait: in a queue of those who may be woken, and until a timeout [s]; `_finish` ends it."""
         with self._guard:
-            turn = _Turn(asks_for_baton=hasattr(self._member, "turn"))
-            if not turn.asks_for_baton:
-                self._elders.discard(threading.current_thread())
-            if queue is not None:
-                queue.append(turn)
+            wait = _Wait(is_member=hasattr(self._member, "wait"))
+            queue[:] = [*(each for each in queue if not each.over), wait]
             if timeout is not None:
-                heapq.heappush(self._timers, (self._now + timeout, next(self._number), turn))
-            return turn
+                heapq.heappush(self._timers, (self._now + timeout, next(self._number), wait))
+            return wait
 
-    def _wait(self, turn: _Turn) -> bool:
-        """Let others run until it is this one's turn again; whether somebody woke it, and not its time."""
-        before = getattr(self._member, "turn", None)
+    def _finish(self, wait: _Wait) -> bool:
+        """Let others run until the wait is over; whether somebody woke it, and not its time."""
+        before = getattr(self._member, "wait", None)
         try:
-            self._give_up(before, turn)
-            self._until(turn)
+            self._park(before, wait)
+            self._until(wait)
         except BaseException:
             # Ctrl-C: this wait is over, but two members must not run at once; a second Ctrl-C does not wait for that.
-            self._wake([turn])
-            self._give_up(before, turn)
-            self._until(turn)
+            self._wake([wait])
+            self._park(before, wait)
+            self._until(wait)
             raise
-        if turn.standstill:
-            raise StandstillError(
-                f"simulated time stands still: every thread waits for another one, none for a time "
-                f"({turn.name} was the first)"
-            )
-        return turn.woken
+        return wait.woken
 
-    def _give_up(self, before: _Turn | None, turn: _Turn) -> None:
-        """From here on a member waits for its turn; `before` is the one that it had."""
+    def _park(self, before: _Wait | None, wait: _Wait) -> None:
+        """Let the next member run in place of this one; `before` is the wait after which this one went on."""
         with self._guard:
-            if before is not None and turn is not self._running:
-                self._member.turn = turn
-                # Of a wait that a second Ctrl-C has broken off.
-                self._waiting.pop(before, None)
-                self._waiting[turn] = None
-                if turn.over:
-                    self._ready.append(turn)
+            if before is not None and wait is not self._running:
+                self._member.wait = wait
+                # A second Ctrl-C may have broken that wait off.
+                before.parked = False
+                wait.parked = True
+                if wait.over:
+                    self._ready.append(wait)
                 if self._running is before:
                     self._running = None
-            self._pass_on()
+            self._run_next()
 
-    def _until(self, turn: _Turn) -> None:
-        while not (self._running is turn if turn.asks_for_baton else turn.over):
-            if not turn.signal.acquire(timeout=LOOK_S):
-                with self._guard:
-                    self._pass_on()
+    def _until(self, wait: _Wait) -> None:
+        while not (self._running is wait if wait.is_member else wait.over):
+            wait.signal.acquire(timeout=RECHECK_S)
 
-    def _wake(self, turns: list[_Turn]) -> int:
-        """End waits; how many of them were still waiting."""
+    def _wake(self, waits: list[_Wait]) -> bool:
+        """End waits; whether any of them was still waiting."""
         with self._guard:
-            waiting = [turn for turn in turns if not turn.over]
-            for turn in waiting:
-                turn.woken = True
-                self._end(turn)
-            if self._running is None:
-                self._pass_on()
-            return len(waiting)
+            waiting = [wait for wait in waits if not wait.over]
+            for wait in waiting:
+                wait.woken = True
+                self._end(wait)
+            self._run_next()
+            return bool(waiting)
 
-    def _end(self, turn: _Turn) -> None:
+    def _end(self, wait: _Wait) -> None:
         # In this order, so that a Ctrl-C in between loses nobody: who is in twice has one turn all the same.
-        if turn in self._waiting:
-            self._ready.append(turn)
-        turn.over = True
-        if not turn.asks_for_baton:
-            turn.signal.release()
+        if wait.parked:
+            self._ready.append(wait)
+        wait.over = True
+        if not wait.is_member:
+            wait.signal.release()
 
-    def _pass_on(self) -> None:
-        """Have the next one run; where all wait, move on to the earliest moment that one waits for."""
-        while self._running is None:
+    def _run_next(self) -> None:
+        """Have the next member run; where all wait, move time on to the earliest moment that one waits for."""
+        while self._running is None and (self._ready or self._timers):
             if self._ready:
-                turn = self._ready[0]
-                if turn in self._waiting:
-                    self._running = turn
-                    del self._waiting[turn]
+                wait = self._ready[0]
+                if wait.parked:
+                    self._running, wait.parked = wait, False
                 del self._ready[0]
-                if self._running is turn:
-                    turn.signal.release()
-            elif self._timers:
-                at, _, turn = self._timers[0]
-                if not turn.over:
-                    self._now = max(self._now, at)
-                    self._end(turn)
-                heapq.heappop(self._timers)
-            elif self._waiting and not self._others():
-                turn = next(iter(self._waiting))
-                turn.standstill = True
-                self._end(turn)
+                if self._running is wait:
+                    wait.signal.release()
             else:
-                return
-
-    def _forget(self, queue: deque[_Turn], turn: _Turn) -> None:
-        """A wait that its time has ended is still in its queue."""
-        with self._guard:
-            if turn in queue:
-                queue.remove(turn)
-
-    def _others(self) -> bool:
-        """Whether a thread that is no member may still wake one."""
-        known = self._elders | self._members
-        return any(thread not in known for thread in threading.enumerate())
+                at, _, wait = self._timers[0]
+                if not wait.over:
+                    self._now = max(self._now, at)
+                    self._end(wait)
+                heapq.heappop(self._timers)
 
 
-class _Thread:
-    def __init__(self, clock: SimulatedClock, target: Callable[[], None], name: str) -> None:
-        self._clock, self._target = clock, target
-        self._ended = _Event(clock)
-        self._first = _Turn(asks_for_baton=True)
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-        self._first.name = name
-        with clock._guard:
-            clock._members.add(self._thread)
-            clock._waiting[self._first] = None
-        self._thread.start()
-        clock._wake([self._first])
+class _Thread(threading.Thread):
+    def __init__(self, clock: SimulatedClock, target: Callable[[], object], name: str) -> None:
+        super().__init__(target=target, name=name, daemon=True)
+        self._clock, self._finished = clock, _Event(clock)
+        self.first = _Wait(is_member=True)
+        self.first.parked = True
 
-    def _run(self) -> None:
+    def run(self) -> None:
         clock = self._clock
-        clock._member.turn = self._first
-        clock._until(self._first)
+        clock._member.wait = self.first
+        clock._until(self.first)
         try:
-            self._target()
+            super().run()
         finally:
-            self._ended.set()
+            self._finished.set()
             with clock._guard:
-                clock._members.discard(threading.current_thread())
                 clock._running = None
-                clock._pass_on()
+                clock._run_next()
 
     def join(self, timeout: float | None = None) -> None:
-        self._ended.wait(timeout)
+        self._finished.wait(timeout)
 
     def is_alive(self) -> bool:
-        return not self._ended.is_set()
+        return not self._finished.is_set()
 
 
-class _Event:
+class _Event(threading.Event):
     def __init__(self, clock: SimulatedClock) -> None:
-        self._clock, self._set = clock, False
-        self._queue: deque[_Turn] = deque()
+        self._clock, self._flag = clock, False
+        self._queue: list[_Wait] = []
 
     def set(self) -> None:
-        if self._set:
-            return
         with self._clock._guard:
-            self._set = True
-            waiting = list(self._queue)
-            self._queue.clear()
-            self._clock._wake(waiting)
+            self._flag = True
+            self._clock._wake(self._queue)
 
     def clear(self) -> None:
-        self._set = False
+        self._flag = False
 
     def is_set(self) -> bool:
-        return self._set
+        return self._flag
 
     def wait(self, timeout: float | None = None) -> bool:
-        clock = self._clock
-        with clock._guard:
-            if self._set:
+        with self._clock._guard:
+            if self._flag:
                 return True
-            turn = clock._turn(self._queue, timeout)
-        try:
-            return clock._wait(turn) or self._set
-        finally:
-            clock._forget(self._queue, turn)
+            wait = self._clock._begin(self._queue, timeout)
+        return self._clock._finish(wait) or self._flag
 
 
-class _Lock:
-    def __init__(self, clock: SimulatedClock, reentrant: bool) -> None:
-        self._clock, self._reentrant = clock, reentrant
-        self._owner: int | None = None
-        self._count = 0
-        self._queue: deque[_Turn] = deque()
+class _Condition(threading.Condition):
+    def __init__(self, clock: SimulatedClock) -> None:
+        self._clock, self._owner, self._count = clock, 0, 0
+        self._lock: list[_Wait] = []
+        """Those who wait for the lock."""
+        self._waiters: list[_Wait] = []
+        """Those who wait to be notified."""
 
     def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:
         clock, me = self._clock, threading.get_ident()
         end = clock() + timeout
         while True:
             with clock._guard:
-                if self._owner is None or (self._reentrant and self._owner == me):
-                    self._owner = me
-                    self._count += 1
+                if self._owner in (0, me):
+                    self._owner, self._count = me, self._count + 1
                     return True
                 left = end - clock()
                 if not blocking or (timeout >= 0 and left <= 0):
                     return False
-                turn = clock._turn(self._queue, left if timeout >= 0 else None)
-            try:
-                clock._wait(turn)
-            finally:
-                clock._forget(self._queue, turn)
+                wait = clock._begin(self._lock, left if timeout >= 0 else None)
+            clock._finish(wait)
 
     def release(self) -> None:
         with self._clock._guard:
-            if self._owner is None or (self._reentrant and self._owner != threading.get_ident()):
-                raise RuntimeError("cannot release a lock that is not held")
+            self._check_held()
             self._count -= 1
             if self._count == 0:
-                self._owner = None
-                self._let_one_in()
-
-    def _let_one_in(self) -> None:
-        while self._queue and not self._clock._wake([self._queue.popleft()]):
-            pass
+                self._let_go()
 
     def __enter__(self) -> bool:
         return self.acquire()
@@ -314,37 +247,20 @@ class _Lock:
     def __exit__(self, *_: Any) -> None:
         self.release()
 
-
-class _Condition:
-    """As `threading.Condition`."""
-
-    def __init__(self, clock: SimulatedClock) -> None:
-        self._clock, self._lock = clock, _Lock(clock, reentrant=True)
-        self.acquire, self.release = self._lock.acquire, self._lock.release
-        self._queue: deque[_Turn] = deque()
-
-    def __enter__(self) -> bool:
-        return self._lock.acquire()
-
-    def __exit__(self, *_: Any) -> None:
-        self._lock.release()
-
     def wait(self, timeout: float | None = None) -> bool:
-        clock, lock = self._clock, self._lock
+        clock = self._clock
         with clock._guard:
-            if lock._owner != threading.get_ident():
-                raise RuntimeError("cannot wait on a condition that is not held")
-            turn = clock._turn(self._queue, timeout)
-            held, lock._owner, lock._count = lock._count, None, 0
-            lock._let_one_in()
+            self._check_held()
+            wait = clock._begin(self._waiters, timeout)
+            held, self._count = self._count, 0
+            self._let_go()
         try:
-            return clock._wait(turn)
+            return clock._finish(wait)
         finally:
-            clock._forget(self._queue, turn)
-            lock.acquire()
-            lock._count = held
+            self.acquire()
+            self._count = held
 
-    def wait_for(self, predicate: Callable[[], bool], timeout: float | None = None) -> bool:
+    def wait_for(self, predicate: Callable[[], Any], timeout: float | None = None) -> Any:
         end = None if timeout is None else self._clock() + timeout
         while not (result := predicate()):
             left = None if end is None else end - self._clock()
@@ -355,6 +271,14 @@ class _Condition:
 
     def notify_all(self) -> None:
         with self._clock._guard:
-            waiting = list(self._queue)
-            self._queue.clear()
-            self._clock._wake(waiting)
+            self._clock._wake(self._waiters)
+
+    def _check_held(self) -> None:
+        if self._owner != threading.get_ident():
+            raise RuntimeError("the lock is not held by this thread")
+
+    def _let_go(self) -> None:
+        """Let the one that has waited for longest in."""
+        self._owner = 0
+        while self._lock and not self._clock._wake([self._lock.pop(0)]):
+            pass

@@ -1,46 +1,39 @@
-"""Datagrams and web pages within the process, in simulated time: what an emulated force sensor is reached by."""
+"""Datagrams and web pages within the process, in simulated time: the network of an emulated force sensor."""
 
 import itertools
-import socket
 from collections import deque
 from collections.abc import Mapping
-from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 from softfin.core.errors import DeviceError
-from softfin.rig.axia80.clock import SO_TIMESTAMPNS, STAMP
 from softfin.rig.simulated_clock import SimulatedClock
 
-KEPT_BYTES = 768
-"""What Linux counts for a datagram of one record."""
+CAPACITY = 5461
+"""Datagrams that a socket keeps: those of one record for which Linux has room in 4 MiB."""
 
 Address = tuple[str, int]
 
 
-class Network:
+class SimulatedNetwork:
     """One for each simulated clock: whoever uses the same clock is on the same network."""
 
     def __init__(self) -> None:
         self.sockets: dict[Address, SimulatedSocket] = {}
         self.pages: dict[Address, Mapping[str, bytes]] = {}
-        """Of each web server, by path."""
-        self._ports = itertools.count(50_000)
-
-    def free_port(self) -> int:
-        """One that nobody has."""
-        return next(self._ports)
+        """Pages of each web server, by path."""
+        self.free_ports = itertools.count(50_000)
 
 
-_networks: WeakKeyDictionary[SimulatedClock, Network] = WeakKeyDictionary()
+_networks: WeakKeyDictionary[SimulatedClock, SimulatedNetwork] = WeakKeyDictionary()
 
 
-def network_of(clock: SimulatedClock) -> Network:
-    """That of a clock."""
-    return _networks.setdefault(clock, Network())
+def network_of(clock: SimulatedClock) -> SimulatedNetwork:
+    """The network of a clock."""
+    return _networks.setdefault(clock, SimulatedNetwork())
 
 
-def fetch_page(clock: SimulatedClock, host: str, port: int, path: str) -> bytes | None:
-    """A page of an emulated sensor, None where it has no such page; raises DeviceError where nobody serves any."""
+def fetch_simulated_page(clock: SimulatedClock, host: str, port: int, path: str) -> bytes | None:
+    """A page of an emulated sensor, None where it has no such page; raises DeviceError without a server."""
     pages = network_of(clock).pages.get((host, port))
     if pages is None:
         raise DeviceError(
@@ -50,97 +43,66 @@ def fetch_page(clock: SimulatedClock, host: str, port: int, path: str) -> bytes 
     return pages.get(path)
 
 
-class SimulatedPages:
-    """Serves bytes by path until it is closed."""
-
-    def __init__(self, clock: SimulatedClock, host: str, port: int, pages: Mapping[str, bytes]) -> None:
-        self._served = network_of(clock).pages
-        self.port = port or network_of(clock).free_port()
-        self.pages = dict(pages)
-        """Path: what is there; may be changed at any time."""
-        self._address = (host, self.port)
-        self._served[self._address] = self.pages
-
-    def close(self) -> None:
-        """Any number of times."""
-        self._served.pop(self._address, None)
-
-
-class _Received(NamedTuple):
-    data: bytes
-    at: float
-    sender: Address
-
-
 class SimulatedSocket:
-    """A UDP socket that is bound and does not block, as far as softfin uses one; stamps are the clock's own time."""
+    """A bound UDP socket, as far as softfin uses one; `receive` waits up to `timeout`."""
 
-    def __init__(self, clock: SimulatedClock, host: str, port: int = 0, buffer_bytes: int = 1 << 22) -> None:
-        self._clock, self._network, self._buffer_bytes = clock, network_of(clock), buffer_bytes
-        self.address = (host, port or self._network.free_port())
+    def __init__(self, clock: SimulatedClock, host: str, port: int = 0, timeout: float = 0.0) -> None:
+        self._clock, self._network = clock, network_of(clock)
+        self.timeout = timeout
+        self.address = (host, port or next(self._network.free_ports))
         if self.address in self._network.sockets:
             raise OSError(f"port {port} of {host} is in use")
         self._network.sockets[self.address] = self
+        self._peer: Address | None = None
         self._news = clock.event()
-        self._received: deque[_Received] = deque()
-        self._bytes = 0
+        self._received: deque[tuple[bytes, float, Address]] = deque()
 
     def getsockname(self) -> Address:
         """Its host and port."""
         return self.address
 
-    def getsockopt(self, level: int, option: int) -> int:
-        """The size of its buffer, the only option there is."""
-        return self._buffer_bytes
-
     def fileno(self) -> int:
         """-1 once it is closed."""
         return 0 if self._network.sockets.get(self.address) is self else -1
 
+    def connect(self, address: Address) -> None:
+        """Send to this address from now on, and receive only from it."""
+        self._peer = address
+
+    def send(self, data: bytes) -> int:
+        """Send to the address that it is connected to."""
+        assert self._peer is not None
+        return self.sendto(data, self._peer)
+
     def sendto(self, data: bytes, address: Address) -> int:
-        """Lost where nobody listens, or whoever does has no room."""
+        """Send a datagram; it is lost where nobody listens, or whoever does has no room."""
         if self.fileno() == -1:
             raise OSError("the socket is closed")
         receiver = self._network.sockets.get(address)
-        if receiver is not None:
-            receiver._put(data, self.address)
+        if receiver is not None and receiver._peer in (None, self.address) and len(receiver._received) < CAPACITY:
+            # In whole nanoseconds, as a kernel's stamp.
+            seconds = int(self._clock())
+            arrived = seconds + round((self._clock() - seconds) * 1e9) * 1e-9
+            receiver._received.append((bytes(data), arrived, self.address))
+            receiver._news.set()
         return len(data)
 
-    def wait(self, timeout: float) -> bool:
-        """Until something has arrived, and may be received."""
-        # Cleared before the look, so that what comes in between wakes it.
-        self._news.clear()
-        return bool(self._received) or self._news.wait(timeout)
-
-    def recvfrom(self, size: int) -> tuple[bytes, Address]:
-        """Raises BlockingIOError where nothing has arrived."""
-        data, _, _, sender = self.recvmsg(size, 0)
-        return data, sender
-
-    def recvmsg(self, size: int, ancillary: int) -> tuple[bytes, list[tuple[int, int, bytes]], int, Address]:
-        """With the stamp of its arrival; likewise."""
+    def receive(self) -> tuple[bytes, float, Address]:
+        """A datagram, the time of its arrival [s] and its sender; raises BlockingIOError where none comes in time."""
         if self.fileno() == -1:
             raise OSError("the socket is closed")
-        if not self._received:
+        # Cleared before the look, so that what comes in between wakes it.
+        self._news.clear()
+        if not self._received and not (self.timeout and self._news.wait(self.timeout)):
             raise BlockingIOError
-        data, at, sender = self._received.popleft()
-        self._bytes -= _counted(data)
-        seconds = int(at)
-        stamp = STAMP.pack(seconds, round((at - seconds) * 1e9))
-        flags = socket.MSG_TRUNC if len(data) > size else 0
-        return data[:size], [(socket.SOL_SOCKET, SO_TIMESTAMPNS, stamp)], flags, sender
+        return self._received.popleft()
+
+    def recvfrom(self, size: int) -> tuple[bytes, Address]:
+        """A datagram and its sender; raises BlockingIOError where none comes in time."""
+        data, _, sender = self.receive()
+        return data[:size], sender
 
     def close(self) -> None:
-        """Any number of times."""
+        """Close it; any number of times."""
         if self.fileno() != -1:
             del self._network.sockets[self.address]
-
-    def _put(self, data: bytes, sender: Address) -> None:
-        if self._bytes + _counted(data) <= self._buffer_bytes:
-            self._bytes += _counted(data)
-            self._received.append(_Received(bytes(data), self._clock(), sender))
-            self._news.set()
-
-
-def _counted(data: bytes) -> int:
-    return max(KEPT_BYTES, len(data))

@@ -1,4 +1,4 @@
-"""Who may say stop while the fin moves: signals, a key on the terminal, a topic, a device's own alarm."""
+"""What stops a moving fin besides the safety limits: signals, a key on the terminal, and a watchdog above the loop."""
 
 import contextlib
 import signal
@@ -8,25 +8,26 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any
 
+from softfin.core.clock import REAL, Clock
 from softfin.rig.safety import Trip
 
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
-"""The last is Ctrl-Z: a program that sleeps watches over nothing."""
+"""The signals that stop the fin; the last is Ctrl-Z: a program that sleeps watches over nothing."""
 
 PATIENCE_S = 2.0
-"""A second signal within this must not disturb the stop that the first one began: people press Ctrl-C twice [s]."""
+"""Time within which a second signal must not disturb the stop that the first one began: people press Ctrl-C twice [s].
+"""
 
 
 class StopRequest:
-    """A flag that anybody may raise, from any thread or signal handler; the first reason counts."""
+    """A flag that any thread or signal handler may raise; the first reason counts."""
 
     def __init__(self) -> None:
         self.trip: Trip | None = None
 
     def ask(self, cause: str, reason: str) -> None:
-        """Say stop."""
+        """Ask for a stop."""
         if self.trip is None:
             self.trip = Trip(cause, reason)
 
@@ -44,15 +45,12 @@ def stopped_by_signals(request: StopRequest) -> Iterator[None]:
         name = signal.Signals(number).name
         asked.append(time.monotonic())
         if asked[-1] - asked[0] > PATIENCE_S:
-            # Once said and not obeyed, as while figures are drawn: now it ends as programs do.
+            # The first one was not obeyed, as while figures are drawn: now the program ends as others do.
             raise KeyboardInterrupt
         request.ask("emergency_stop", f"stopped by {'Ctrl-C' if name == 'SIGINT' else name}")
 
-    before: dict[int, Any] = {}
-    for name in SIGNALS:
-        if hasattr(signal, name):
-            number = getattr(signal, name)
-            before[number] = signal.signal(number, handle)
+    numbers = [getattr(signal, name) for name in SIGNALS if hasattr(signal, name)]
+    before = {number: signal.signal(number, handle) for number in numbers}
     try:
         yield
     finally:
@@ -60,24 +58,50 @@ def stopped_by_signals(request: StopRequest) -> Iterator[None]:
             signal.signal(number, handler)
 
 
-class Keyboard:
-    """Lines from a terminal: Enter alone says stop, other lines are handed on; ends with the process."""
+def listen_to_keyboard(
+    request: StopRequest, on_line: Callable[[str], None], stream: Iterable[str] | None = None
+) -> threading.Thread:
+    """Start a thread that reads a terminal: Enter alone asks for a stop, other lines go to `on_line`."""
+    lines = sys.stdin if stream is None else stream
 
-    def __init__(self, request: StopRequest, line: Callable[[str], None], stream: Iterable[str] | None = None) -> None:
-        self._request, self._line, self._stream = request, line, stream or sys.stdin
-        self._thread = threading.Thread(target=self._listen, name="keyboard", daemon=True)
-
-    def start(self) -> None:
-        """From now on."""
-        self._thread.start()
-
-    def _listen(self) -> None:
-        try:
-            for line in self._stream:
+    def listen() -> None:
+        with contextlib.suppress(OSError, ValueError):
+            for line in lines:
                 if not line.strip():
-                    self._request.ask("emergency_stop", "stopped by a key")
+                    request.ask("emergency_stop", "stopped by a key")
                 else:
                     with contextlib.suppress(Exception):
-                        self._line(line.strip())
-        except (OSError, ValueError):
-            return
+                        on_line(line.strip())
+
+    return REAL.spawn(listen, "keyboard")
+
+
+class Watchdog:
+    """A thread that stops the machine when the loop is silent, as where a controller waits for ever.
+
+    It is a thread of the same Python interpreter. A loop that is stuck in C code which holds the interpreter's lock
+    stops this thread, too, as a stopped process or a computer that hangs does. Then the rig's drive stops the motor
+    itself: the loop's own thread sends the host's heartbeat, and without it for `drive.heartbeat_s` the drive faults
+    (0x8130). Behind ROS 2's topics nothing like it exists: the fin's driver has to notice missing commands.
+    """
+
+    def __init__(self, longest_s: float, on_silence: Callable[[float], None], clock: Clock = REAL) -> None:
+        self._longest, self._on_silence, self._clock = longest_s, on_silence, clock
+        self._fed = clock()
+        self._ended = clock.event()
+        clock.spawn(self._watch, "watchdog")
+
+    def feed(self, now: float) -> None:
+        """Note that the loop is alive."""
+        self._fed = now
+
+    def end(self) -> None:
+        """Watch no more."""
+        self._ended.set()
+
+    def _watch(self) -> None:
+        while not self._ended.wait(self._longest / 4):
+            silence = self._clock() - self._fed
+            if silence > self._longest:
+                self._on_silence(silence)
+                return

@@ -1,11 +1,11 @@
-"""The stages on a fin that moves by itself: logs recorded and controllers judged in real time, one after the other.
+"""The stages on a real fin: logs recorded and controllers evaluated in real time, one after the other.
 
 Beside the output folder NAME stands ``NAME-bags`` with a ROS 2 bag of everything, written while it happens and never
 removed, and with the logs that are finished, from which an interrupted collection goes on.
 """
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -14,47 +14,45 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from softfin.control.controller import LoadedController
 from softfin.control.disturbance_observer import DisturbanceObserver
 from softfin.control.store import load_controller
-from softfin.core.errors import ArtifactError
+from softfin.core.errors import ArtifactError, DeviceError
 from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading
 from softfin.core.randomness import key_of
 from softfin.data.collect import CollectConfig
+from softfin.data.importing.resample import held, interpolated
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.evaluation.experiment import ExperimentRecording
-from softfin.rig.bench import Bench, check_fits
-from softfin.rig.logged import GAP_S, log_of
-from softfin.rig.loop import Acting, hold, seconds_to_actions
+from softfin.rig.loop import RealTimeController, run_controller, seconds_to_actions
 from softfin.rig.machine import Sample, Target
-from softfin.rig.recording import recording
+from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import Guard
 from softfin.rig.session import Session
-from softfin.rig.stop import StopRequest, stopped_by_signals
+from softfin.rig.stop import StopRequest
 from softfin.stages import offline as stages
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.storage.log_file import read_log, write_log
 from softfin.storage.paths import PARTS
 
-Confirm = Callable[[Bench], None]
+Confirm = Callable[[RobotSetup], None]
 """Asks a person whether the fin may move; raises where the answer is not yes."""
 
 EXTRA_TICKS = 20
-"""Read after the last row of a log: its force comes out of the filter a little later."""
+"""Ticks that are read after the last row of a log: its force comes out of the filter a little later."""
 
 HALF_TICK_S = TICK_S / 2
 """Commands are stamped this early, so that the jitter of a tick does not move them to the next row."""
 
-STATE = "collect.json"
+GAP_S = 0.05
+"""Longest gap between two readings of a device that is bridged [s]; a fin at 3 Hz moves smoothly for as long."""
 
-SHOWN = 3
-"""Of what differs."""
+STATE = "collect.json"
 
 
 def collect_live(
-    bench: Bench,
+    robot: RobotSetup,
     out: Path,
     config: CollectConfig,
     confirm: Confirm,
@@ -66,51 +64,49 @@ def collect_live(
 ) -> Dataset:
     """Record random motions of a real fin as a dataset (paper Sec. III-A), log by log.
 
-    With `resume` those that are finished already are taken over. Raises SafetyStop where the fin had to be stopped;
-    what was recorded until then is kept.
+    With `resume` finished logs are taken over. Raises SafetyStop where the fin had to be stopped; what was recorded
+    until then is kept.
     """
     artifacts.check_vacant(out, overwrite or resume)
-    bags = bags_of(out)
-    facts = {"configuration": config.model_dump(mode="json"), "fin": bench.fin, "rig": bench.described}
+    bags, rig = bags_of(out), robot.configuration
+    metadata: dict[str, Any] = {"configuration": config.model_dump(mode="json"), "fin": robot.fin, "rig": rig}
     # Where the devices are reached may change from one day to the next.
-    same = facts | {"rig": {name: part for name, part in bench.described.items() if name not in ("bus", "sensor")}}
-    _check_claim(bags, same, resume)
+    claim = metadata | {"rig": {name: part for name, part in rig.items() if name not in ("bus", "sensor")}}
+    _check_claim(bags, claim, resume)
     if resume and not overwrite and artifacts.is_kind(out, "dataset"):
         # The recordings beside it are those of this collection, and it is written when they are complete.
         return Dataset.open(out)
     artifacts.check_vacant(out, overwrite)
-    names = [f"{part}-{i:0{PARTS[part]}d}" for part, count in _counts(config).items() for i in range(count)]
+    counts = {"train": config.logs, "test": config.test_logs}
+    names = [f"{part}-{i:0{PARTS[part]}d}" for part, count in counts.items() for i in range(count)]
     missing = [name for name in names if not (bags / f"{name}.parquet").exists()]
-    counters: dict[str, int] = {}
     if missing:
-        request = stop or StopRequest()
-        guard = Guard(bench.safety, bench.machine.limits)
-        with Session(bench.machine, guard, stop=request) as session:
-            _may_move(session, confirm, bench)
-            artifacts.write_file(bags / STATE, artifacts.dump_json(same))
+        with Session(robot.machine, Guard(robot.safety, robot.machine.limits), stop=stop) as session:
+            confirm(robot)
+            session.stop_on_signals()
+            artifacts.write_file(bags / STATE, artifacts.dump_json(claim))
             for index, name in enumerate(missing):
-                told = _Told(progress, name, index, len(missing), config.rows, bench.settle_s)
-                with recording(session, bags / f"{name}.mcap"):
-                    log = _record(session, bench, _commands(config, name, bench.machine.limits), told)
+                report = _progress_report(progress, name, index, len(missing), config.rows, robot.settle_s)
+                with session.recording(bags / f"{name}.mcap"):
+                    log = _record(session, robot, _commands(config, name, robot.machine.limits), report)
                 write_log(bags / f"{name}.parquet", log)
-            counters = bench.machine.counters() | {"skipped_ticks": session.pace.skipped}
-            lateness = session.pace.described()
-        facts |= {"counters": counters, "clock": lateness}
-    described = {
-        "plant": bench.machine.name,
-        "plant_identity": bench.machine.name,
+            metadata["counters"] = robot.machine.counters() | {"skipped_ticks": session.pace.skipped}
+            metadata["clock"] = session.pace.to_dict()
+    description = {
+        "plant": robot.machine.name,
+        "plant_identity": robot.machine.name,
         "commands": {"excitation": "random"},
         "bags": bags.name,
         "provenance": artifacts.provenance(seed=config.seed),
-        **facts,
+        **metadata,
     }
     train, test = ([bags / f"{name}.parquet" for name in names if name.startswith(part)] for part in PARTS)
-    return write_dataset(out, map(read_log, train), map(read_log, test), described, overwrite)
+    return write_dataset(out, map(read_log, train), map(read_log, test), description, overwrite)
 
 
 def evaluate_live(
     controller: Path,
-    bench: Bench,
+    robot: RobotSetup,
     out: Path,
     config: EvaluateConfig,
     confirm: Confirm,
@@ -119,113 +115,134 @@ def evaluate_live(
     stop: StopRequest | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Judge a controller on a real fin (paper Sec. IV-B, Table II), as `softfin.evaluate` does on a plant."""
+    """Evaluate a controller on a real fin (paper Sec. IV-B, Table II), as `softfin.evaluate` does on a plant."""
     artifacts.check_vacant(out, overwrite)
-    loaded = controller_for(controller, bench)
-    acting: Acting = loaded if config.trim is None else DisturbanceObserver(loaded, config.trim)
-    request = stop or StopRequest()
-    guard = Guard(bench.safety, bench.machine.limits, loaded.artifact.training_range)
+    loaded = load_controller(controller)
+    robot.check_fits(str(controller), loaded.limits, loaded.artifact.fin)
+    acting: RealTimeController = loaded if config.trim is None else DisturbanceObserver(loaded, config.trim)
+    guard = Guard(robot.safety, robot.machine.limits, loaded.artifact.training_range)
     bag = bags_of(out) / f"session-{datetime.now().astimezone():%Y%m%d-%H%M%S}.mcap"
-    with Session(bench.machine, guard, stop=request) as session:
-        _may_move(session, confirm, bench)
-        with recording(session, bag):
-            fin = LiveFin(session, acting, bench, progress)
+    with Session(robot.machine, guard, stop=stop) as session:
+        confirm(robot)
+        session.stop_on_signals()
+        with session.recording(bag):
+            fin = LiveFin(session, acting, robot, progress)
             return stages.evaluate(controller, fin, out, config, overwrite=overwrite)
 
 
 class LiveFin:
     """A real fin and the controller on it, as the evaluation's `RealTime`."""
 
-    def __init__(self, session: Session, controller: Acting, bench: Bench, progress: Progress | None = None) -> None:
-        self.limits = Limits(*bench.machine.limits)
-        self._session, self._controller, self._bench, self._progress = session, controller, bench, progress
+    def __init__(
+        self, session: Session, controller: RealTimeController, robot: RobotSetup, progress: Progress | None = None
+    ) -> None:
+        self.limits = Limits(*robot.machine.limits)
+        self._session, self._controller, self._robot = session, controller, robot
+        self._progress: Progress = progress or (lambda stage, done, note: None)
 
     def __str__(self) -> str:
-        return self._bench.machine.name
+        return self._robot.machine.name
 
     def experiments(
         self, references: Float[np.ndarray, "references *ticks 2"], seconds: int, repetitions: int
     ) -> ExperimentRecording:
-        """Every reference so many times, one after the other, each from rest."""
+        """Run every reference so many times, one after the other, each from rest."""
         self._session.activate()
         runs = []
         for index, reference in enumerate(references):
             asked = np.broadcast_to(reference, (seconds * RATE_HZ, 2))
             for repetition in range(repetitions):
                 done = (index * repetitions + repetition) / (len(references) * repetitions)
-                self._tell(done, f"reference {index + 1} of {len(references)}, repetition {repetition + 1}")
+                note = f"reference {index + 1} of {len(references)}, repetition {repetition + 1}"
+                self._progress("evaluate", done, note)
                 runs.append(self._one(asked, seconds))
         self._session.deactivate()
-        self._tell(1.0, "")
+        self._progress("evaluate", 1.0, "")
         shape = (len(references), repetitions)
         command, reading = jax.tree.map(lambda *parts: np.stack(parts).reshape(*shape, *parts[0].shape), *runs)
         return ExperimentRecording(references, command, reading)
 
     def _one(self, asked: Float[np.ndarray, "ticks 2"], seconds: int) -> tuple[Command, Reading]:
         session = self._session
-        session.rest(self._bench.settle_s)
+        session.rest(self._robot.settle_s)
         first = session.newest or session.tick()
 
         def reference(at: float) -> tuple[float, float]:
             x, y = asked[round(at * RATE_HZ)].tolist()
             return x, y
 
-        acted = list(hold(session, self._controller, reference, seconds_to_actions(seconds)))
-        samples = [first, *(sample for held in acted for sample in held.samples)]
+        results = list(run_controller(session, self._controller, reference, seconds_to_actions(seconds)))
+        samples = [first, *(sample for result in results for sample in result.samples)]
         tail = [session.tick() for _ in range(EXTRA_TICKS)]
         # A tick's reading is the one at its end: the rest before the first action is row 0, and left out.
-        issued = [(first.time - HALF_TICK_S, acted[0].target)]
-        log = log_of([*samples, *tail], issued, len(samples), gap_of(self._bench))
-        ticks = [target for held in acted for target in [held.target] * len(held.samples)]
-        command = Command(*(np.array([t[i] for t in ticks], np.float32) for i in range(2)))
+        issued = [(first.time - HALF_TICK_S, results[0].target)]
+        log = log_from_samples([*samples, *tail], issued, len(samples), longest_gap(self._robot))
+        ticks = [result.target for result in results for _ in result.samples]
+        command = Command(*np.array(ticks, np.float32).T)
         reading = Reading(*(field[1:] for field in log.reading))
         return command, reading._replace(time=(reading.time - reading.time[0] + 1 / RATE_HZ).astype(np.float32))
 
-    def _tell(self, done: float, note: str) -> None:
-        if self._progress is not None:
-            self._progress("evaluate", done, note)
 
-
-def controller_for(controller: Path, bench: Bench) -> LoadedController:
-    """Load a controller that is to act on this machine; raises RigError where it is for another fin."""
-    loaded = load_controller(controller)
-    check_fits(str(controller), loaded.limits, loaded.artifact.fin, bench)
-    return loaded
-
-
-def gap_of(bench: Bench) -> float:
-    """Longest gap that a log may have [s]: what safety lets pass is bridged, too."""
-    return max(GAP_S, bench.safety.stale_s, bench.safety.force_stale_s)
+def longest_gap(robot: RobotSetup) -> float:
+    """Return the longest gap that a log may have [s]: what the safety limits allow is bridged, too."""
+    return max(GAP_S, robot.safety.stale_s, robot.safety.force_stale_s)
 
 
 def bags_of(out: Path) -> Path:
-    """The folder of recordings beside an output."""
+    """Return the folder of recordings beside an output."""
     return out.absolute().with_name(f"{out.absolute().name}-bags")
 
 
-def _check_claim(bags: Path, facts: dict[str, Any], resume: bool) -> None:
-    """Raise ArtifactError where the folder of recordings holds others', or finished ones and `resume` is not asked."""
+def log_from_samples(
+    samples: Sequence[Sample], issued: Sequence[tuple[float, Target]], rows: int, gap_s: float = GAP_S
+) -> Log:
+    """Put both devices on one 100 Hz grid, from the first sample on, whatever the jitter of the loop was.
+
+    `issued` holds each command and when it was issued [s]. The force of a moment is known only after its filter, so a
+    few samples more than rows are needed. Raises DeviceError where the samples end early or have a longer gap.
+    """
+    grid = samples[0].time + TICK_S * np.arange(rows)
+    joint = _resample(np.array([(s.time, s.angle, s.velocity) for s in samples]), grid, "angle", gap_s)
+    force = _resample(np.array([(s.force_time, *s.wrench[:2]) for s in samples]), grid, "force", gap_s)
+    times, targets = np.array([time for time, _ in issued]), np.array([target for _, target in issued], float)
+    command = Command(*(held(times, channel, grid).astype(np.float32) for channel in targets.T))
+    return Log(command, Reading(TICK_S * np.arange(1, rows + 1), joint[0], joint[1], np.stack(force, axis=1)))
+
+
+def _resample(points: np.ndarray, grid: np.ndarray, name: str, gap_s: float) -> list[np.ndarray]:
+    points = points[np.diff(points[:, 0], prepend=-np.inf) > 0]
+    time = points[:, 0]
+    within = time[(time > grid[0]) & (time < grid[-1])]
+    gaps = np.diff(np.concatenate([[min(time[0], grid[0])], within, [grid[-1]]]))
+    if time[0] > grid[0] + gap_s or time[-1] < grid[-1] or gaps.max() > gap_s:
+        place = 0.0 if time[0] > grid[0] + gap_s else gaps[: gaps.argmax()].sum()
+        raise DeviceError(
+            f"no {name} for {gaps.max() * 1e3:.0f} ms at {place:.2f} s of the log: at most {gap_s * 1e3:.0f} ms; "
+            "see softfin rig check, and record this log again with --resume"
+        )
+    return [interpolated(time, points[:, i], grid).astype(np.float32) for i in (1, 2)]
+
+
+def _check_claim(bags: Path, claim: dict[str, Any], resume: bool) -> None:
+    """Raise ArtifactError where the folder holds other recordings, or finished ones without `resume`."""
     state = bags / STATE
-    wanted = json.loads(artifacts.dump_json(facts))
-    if state.exists():
-        before = artifacts.read_json(state)
-        finished = any(bags.glob("*.parquet"))
-        if finished and not resume:
+    if not state.exists():
+        if bags.exists() and any(bags.iterdir()):
+            raise ArtifactError(f"{bags}: exists and does not hold a collection; give another --out")
+    elif any(bags.glob("*.parquet")):
+        if not resume:
             raise ArtifactError(
                 f"{bags}: holds finished logs; go on with --resume, give another --out, or move it away"
             )
-        if finished and before != wanted:
-            differing = "; ".join(_differing(before, wanted)[:SHOWN]) or "collection"
+        if differing := _differing(artifacts.read_json(state), json.loads(artifacts.dump_json(claim))):
             raise ArtifactError(
-                f"{bags}: holds logs of another {differing}; resume with the same options and rig, or give another "
-                "--out"
+                f"{bags}: holds logs of another {'; '.join(differing[:3])}; resume with the same options and rig, or "
+                "give another --out"
             )
-    elif bags.exists() and any(bags.iterdir()):
-        raise ArtifactError(f"{bags}: exists and holds no collection; give another --out")
 
 
 def _differing(before: Any, now: Any, at: str = "") -> list[str]:
-    """Each value that is another one, with both."""
+    """Name each value that differs, with both."""
     if not (isinstance(before, dict) and isinstance(now, dict)):
         return [] if before == now else [f"{at} ({json.dumps(before)} there, {json.dumps(now)} here)"]
     names = dict.fromkeys([*now, *before])
@@ -233,12 +250,8 @@ def _differing(before: Any, now: Any, at: str = "") -> list[str]:
     return [each for part in inner for each in part]
 
 
-def _counts(config: CollectConfig) -> dict[str, int]:
-    return {"train": config.logs, "test": config.test_logs}
-
-
 def _commands(config: CollectConfig, name: str, limits: Limits) -> list[Target]:
-    """Those that a plant would get: one a tick, and one more to begin with."""
+    """Draw the commands that a plant would get: one a tick, and one more to begin with."""
     part, number = name.split("-")
     _, key = jax.random.split(key_of(config.seed, f"collect/{part}/{int(number)}"))
     commands = config.excitation(key, config.rows + 1, limits)
@@ -246,10 +259,10 @@ def _commands(config: CollectConfig, name: str, limits: Limits) -> list[Target]:
     return [Target(angle, velocity) for angle, velocity in zip(angles, velocities, strict=True)]
 
 
-def _record(session: Session, bench: Bench, commands: list[Target], told: "_Told") -> Log:
-    """Row k is what was read at tick k + 1 and the command that was issued right then."""
+def _record(session: Session, robot: RobotSetup, commands: list[Target], report: Callable[[int, Sample], None]) -> Log:
+    """Record a log whose row k is what was read at tick k + 1 and the command that was issued right then."""
     session.activate()
-    session.rest(bench.settle_s)
+    session.rest(robot.settle_s)
     samples: list[Sample] = []
     issued: list[tuple[float, Target]] = []
     for tick in range(len(commands) + EXTRA_TICKS):
@@ -259,34 +272,24 @@ def _record(session: Session, bench: Bench, commands: list[Target], told: "_Told
             if not issued or commands[tick] != issued[-1][1]:
                 session.command(commands[tick])
                 issued.append((sample.time - HALF_TICK_S, commands[tick]))
-            told(tick, sample)
+            report(tick, sample)
     session.deactivate()
-    return log_of(samples[1:], issued, len(commands) - 1, gap_of(bench))
+    return log_from_samples(samples[1:], issued, len(commands) - 1, longest_gap(robot))
 
 
-class _Told:
-    """Progress of a collection, twice a second: rows, force and what is left."""
+def _progress_report(
+    progress: Progress | None, name: str, index: int, count: int, rows: int, settle_s: float
+) -> Callable[[int, Sample], None]:
+    """Make a function that reports progress twice a second: the time left, the force and the angle."""
 
-    def __init__(self, progress: Progress | None, name: str, index: int, of: int, rows: int, settle_s: float) -> None:
-        self._progress, self._name, self._index, self._of = progress, name, index, of
-        self._rows, self._settle = rows, settle_s
-
-    def __call__(self, row: int, sample: Sample) -> None:
-        if self._progress is None or (row % (RATE_HZ // 2) and row < self._rows):
+    def report(row: int, sample: Sample) -> None:
+        if progress is None or (row % (RATE_HZ // 2) and row < rows):
             return
-        done = (self._index + row / self._rows) / self._of
-        left = ((self._of - self._index) * self._rows - row) / RATE_HZ + (self._of - self._index - 1) * self._settle
+        seconds = ((count - index) * rows - row) / RATE_HZ + (count - index - 1) * settle_s
+        minutes, rest = divmod(round(seconds), 60)
+        left = f"{minutes // 60} h {minutes % 60:02d} min" if minutes >= 60 else f"{minutes} min {rest:02d} s"
         x, y = sample.wrench[:2]
-        note = f"{_time(left)} left, {self._name}: ({x:+.2f}, {y:+.2f}) N, {sample.angle:+.2f} rad"
-        self._progress("collect", min(done, 1.0), note)
+        note = f"{left} left, {name}: ({x:+.2f}, {y:+.2f}) N, {sample.angle:+.2f} rad"
+        progress("collect", min((index + row / rows) / count, 1.0), note)
 
-
-def _time(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes // 60} h {minutes % 60:02d} min" if minutes >= 60 else f"{minutes} min {rest:02d} s"
-
-
-def _may_move(session: Session, confirm: Confirm, bench: Bench) -> None:
-    """Ask; from here on Ctrl-C and its kin stop the fin before anything else."""
-    confirm(bench)
-    session.until_closed(stopped_by_signals(session.stop_request))
+    return report

@@ -18,15 +18,14 @@ from softfin.core.plant_identity import identity
 from softfin.core.progress import Progress
 from softfin.core.quantities import Limits
 from softfin.core.randomness import key_of
-from softfin.data.checks.findings import check_accepted
 from softfin.data.checks.inspection import Inspection
 from softfin.data.checks.report import write_inspection
-from softfin.data.collect import CollectConfig
+from softfin.data.collect import CollectConfig, open_to_extend
 from softfin.data.collect import collect as _collect
 from softfin.data.excitation import Commands
-from softfin.data.extension import extended
 from softfin.data.importing.importing import ImportConfig
-from softfin.data.importing.recordings import Opened, check_train, open_logs
+from softfin.data.issues import check_issues
+from softfin.data.recordings import OpenedLogs, check_train, open_logs
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, write_evaluation
 from softfin.evaluation.evaluate import evaluate as _evaluate
 from softfin.evaluation.experiment import EvaluationTarget
@@ -95,9 +94,9 @@ def collect(
     config = config or CollectConfig()
     artifacts.check_vacant(out, overwrite)
     moving = find_plant(plant) if isinstance(plant, str) else plant
-    facts: dict[str, Any] = {"plant": str(plant), "plant_identity": identity(moving)}
-    before = None if extend is None else extended(extend, facts)
-    commands, facts["commands"] = _commands(config, surrogate, Limits(*moving.limits))
+    metadata: dict[str, Any] = {"plant": str(plant), "plant_identity": identity(moving)}
+    before = None if extend is None else open_to_extend(extend, metadata)
+    commands, metadata["commands"] = _commands(config, surrogate, Limits(*moving.limits))
     others: list[Plant] | None = None
     if isinstance(moving, Tank):
         first = 0 if before is None else len(before.test)
@@ -108,7 +107,7 @@ def collect(
         if progress is not None:
             progress("collect", rows / of, f"{rows:,} of {of:,} rows")
 
-    return _collect(moving, config, out, others, report, facts, commands, before, overwrite)
+    return _collect(moving, config, out, others, report, metadata, commands, before, overwrite)
 
 
 def _commands(
@@ -132,19 +131,19 @@ def inspect_logs(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Say what is wrong with recordings; writes ``inspection.json`` and a figure to `out`."""
+    """Find what is wrong with recordings; writes ``inspection.json`` and a figure to `out`."""
     if out is not None:
         artifacts.check_vacant(out, overwrite)
     config = config or ImportConfig()
     opened = open_logs(path, config, progress)
-    facts = {
+    metadata = {
         "source": str(path),
         "options": config.model_dump(mode="json"),
         "provenance": artifacts.provenance(data_hash=opened.data_hash),
     }
     if out is None:
-        return {**opened.inspection.described(), **facts}
-    return write_inspection(opened.inspection, opened.logs, out, facts, overwrite)
+        return {**opened.inspection.to_dict(), **metadata}
+    return write_inspection(opened.inspection, opened.logs, out, metadata, overwrite)
 
 
 def import_logs(
@@ -152,17 +151,17 @@ def import_logs(
     out: Path,
     config: ImportConfig | None = None,
     *,
-    accept: bool = False,
+    ignore_errors: bool = False,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> tuple[Dataset, Inspection]:
-    """Recordings of any kind become a dataset; raises LogError where they have errors, unless they are accepted."""
+    """Turn recordings of any kind into a dataset; raises LogError where they have errors, unless these are ignored."""
     artifacts.check_vacant(out, overwrite)
     opened = open_logs(path, config or ImportConfig(), progress)
     check_train(opened, str(path))
-    check_accepted(opened.findings, str(path), accept)
-    facts = {**opened.facts, "accepted": accept, "provenance": artifacts.provenance()}
-    return write_dataset(out, opened.train, opened.test, facts, overwrite), opened.inspection
+    check_issues(opened.issues, str(path), ignore_errors)
+    metadata = {**opened.metadata, "ignore_errors": ignore_errors, "provenance": artifacts.provenance()}
+    return write_dataset(out, opened.train, opened.test, metadata, overwrite), opened.inspection
 
 
 def fit(
@@ -171,21 +170,21 @@ def fit(
     config: FitConfig | StreamingConfig | AutoConfig | None = None,
     *,
     logs: ImportConfig | None = None,
-    accept: bool = False,
+    ignore_errors: bool = False,
     seed: int = 0,
     resume: bool = False,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Fit a surrogate to logs, score it on their test logs, write it; returns Table I, counts of findings, a caveat.
+    """Fit a surrogate to logs, score it on their test logs, write it; returns Table I, counts of issues, a caveat.
 
     The kind of configuration says which model: the paper's nets, streaming nets, or what is best on held-out logs.
     `dataset` is a dataset's folder, or recordings of any other kind, read as `logs` says; raises LogError where these
-    have errors, unless they are accepted, now or when the dataset was imported.
+    have errors, unless these are ignored, now or when the dataset was imported.
     """
     config = config or StreamingConfig()
     artifacts.check_vacant(out, overwrite or resume)
-    opened = _opened(dataset, logs, accept, progress)
+    opened = _opened(dataset, logs, ignore_errors, progress)
     facts = {"configuration": config.model_dump(mode="json"), "seed": seed, "data_hash": opened.data_hash}
     workspace = Workspace(out, facts, resume, overwrite)
     if not workspace.complete:
@@ -195,7 +194,9 @@ def fit(
         if test:
             measured_ranges(test)
         fitted, evidence = fit_any(opened.train, config, seed, workspace, progress)
-        provenance = artifacts.provenance(seed=seed, data_hash=opened.data_hash, dataset=str(dataset), **opened.facts)
+        provenance = artifacts.provenance(
+            seed=seed, data_hash=opened.data_hash, dataset=str(dataset), **opened.metadata
+        )
         save_surrogate(
             out, fitted, table_one(fitted, test) if test else None, provenance,
             extra_files=workspace.keep_log, overwrite=overwrite, configuration=facts["configuration"],
@@ -209,19 +210,21 @@ def fit(
         "model": surrogate.model,
         "table_i": description["scores"],
         "candidates": description.get("candidates"),
-        "findings": summary["counts"],
+        "issues": summary["counts"],
         "columns": summary["columns"],
         "caveat": surrogate.interval.caveat() if isinstance(surrogate, EnsemblePlant) else None,
     }
 
 
-def _opened(dataset: Path, config: ImportConfig | None, accept: bool, progress: Progress | None) -> Opened:
+def _opened(dataset: Path, config: ImportConfig | None, ignore_errors: bool, progress: Progress | None) -> OpenedLogs:
     opened = open_logs(dataset, config, progress)
     check_train(opened, str(dataset))
     known = artifacts.load_description(dataset, "dataset") if artifacts.is_kind(dataset, "dataset") else None
-    check_accepted(opened.findings, str(dataset), accept or (known is not None and known.get("accepted") is True))
-    # Of a dataset its folder tells what is known of it.
-    return dataclasses.replace(opened, facts={"logs": opened.facts} if known is None else {})
+    # Datasets of softfin before 0.2 have "accepted" in place of "ignore_errors".
+    were_ignored = known is not None and True in (known.get("ignore_errors"), known.get("accepted"))
+    check_issues(opened.issues, str(dataset), ignore_errors or were_ignored)
+    # A dataset's own folder has its metadata.
+    return dataclasses.replace(opened, metadata={"logs": opened.metadata} if known is None else {})
 
 
 def _fin_of(dataset: Path) -> str | None:

@@ -193,7 +193,7 @@ class _Reproduction:
         self.stage(
             "fit", self.surrogate,
             lambda: stages.fit(self.dataset, self.surrogate, self.config.fit, seed=self.seed, resume=True,
-                               accept=True, progress=self.progress),
+                               ignore_errors=True, progress=self.progress),
         )  # fmt: skip
         scores: dict[str, Any] | None = artifacts.load_description(self.surrogate, "surrogate")["scores"]
         return scores

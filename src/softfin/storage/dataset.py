@@ -1,6 +1,6 @@
-"""A dataset: a folder of Parquet logs, ``train/`` to learn from and ``test/`` to score on, with a ``dataset.json``.
+"""A dataset: a folder of Parquet logs, training logs in ``train/``, test logs in ``test/``, with a ``dataset.json``.
 
-Whoever puts own logs there needs no more than ``{}`` in ``dataset.json``; `write_dataset` adds what is known of them.
+For logs put there by hand, ``{}`` in ``dataset.json`` suffices; `write_dataset` adds their metadata.
 """
 
 import dataclasses
@@ -14,27 +14,26 @@ from softfin.core.files import regular_file
 from softfin.core.quantities import RATE_HZ, Log
 from softfin.storage import artifact as artifacts
 from softfin.storage.log_file import encode_log, read_log
-from softfin.storage.parquet_file import MOST_BYTES
 from softfin.storage.paths import PARTS
 
 
 @dataclasses.dataclass(frozen=True)
 class Dataset:
-    """The logs of a folder; opening it reads and compares every file's hash, but no rows."""
+    """Logs of a folder; opening it reads and compares every file's hash, but no rows."""
 
     path: Path
     train: tuple[Path, ...]
-    """Logs to learn from, at least one."""
+    """Training logs, at least one."""
     test: tuple[Path, ...]
-    """Logs to score on, recorded apart; none in a dataset that is only learnt from."""
+    """Test logs, recorded apart; a dataset may have none."""
     description: dict[str, Any]
     """``dataset.json``: rate_hz, files, data_hash, and what the writer added (configuration, plant, provenance)."""
     data_hash: str
-    """SHA-256 over the names and contents of all logs: a surrogate names its data by it."""
+    """SHA-256 over the names and contents of all logs, by which a surrogate names its data."""
 
     @classmethod
     def open(cls, path: Path) -> "Dataset":
-        """Raises ArtifactError for a folder that is not a dataset, lacks logs, or has changed since it was written."""
+        """Open a folder; raises ArtifactError where it lacks logs or changed since it was written."""
         description = artifacts.load_description(path, "dataset")
         hashes = _hash_files(path)
         _check_files(path, description.get("files"), hashes)
@@ -44,14 +43,14 @@ class Dataset:
         return cls(path, train, test, description, _hash_of(hashes))
 
     def load(self, paths: Sequence[Path]) -> Iterator[Log]:
-        """Read logs one by one; raises LogError for one that cannot be learnt from."""
+        """Read logs one by one; raises LogError for one that cannot be used for training."""
         return (read_log(path) for path in paths)
 
 
 def write_dataset(
-    path: Path, train: Iterable[Log], test: Iterable[Log], facts: dict[str, Any], overwrite: bool = False
+    path: Path, train: Iterable[Log], test: Iterable[Log], metadata: dict[str, Any], overwrite: bool = False
 ) -> Dataset:
-    """Write logs, taken one by one, as a dataset; `facts` go into ``dataset.json``."""
+    """Write logs, taken one by one, as a dataset; `metadata` goes into ``dataset.json``."""
 
     def write(folder: Path) -> None:
         for (part, digits), logs in zip(PARTS.items(), (train, test), strict=True):
@@ -60,7 +59,7 @@ def write_dataset(
                 name = f"{part}/{index:0{digits}d}.parquet"
                 (folder / name).write_bytes(encode_log(log, str(path / name)))
         hashes = _hash_files(folder)
-        description = {"rate_hz": RATE_HZ, **facts, "data_hash": _hash_of(hashes), "files": hashes}
+        description = {"rate_hz": RATE_HZ, **metadata, "data_hash": _hash_of(hashes), "files": hashes}
         (folder / "dataset.json").write_text(artifacts.dump_json(description))
 
     artifacts.write_folder(path, write, overwrite)
@@ -70,15 +69,14 @@ def write_dataset(
 def _hash_files(path: Path) -> dict[str, str]:
     """SHA-256 of each log by its name within the folder, in order."""
     files = sorted(file for part in PARTS for file in (path / part).glob("*.parquet"))
-    return {file.relative_to(path).as_posix(): _hash_file(file) for file in files}
-
-
-def _hash_file(file: Path) -> str:
-    try:
-        with regular_file(file, MOST_BYTES).open("rb") as content:
-            return hashlib.file_digest(content, "sha256").hexdigest()
-    except OSError as error:
-        raise ArtifactError(f"{file}: cannot be read ({error.strerror}); copy it again") from None
+    hashes = {}
+    for file in files:
+        try:
+            with regular_file(file).open("rb") as content:
+                hashes[file.relative_to(path).as_posix()] = hashlib.file_digest(content, "sha256").hexdigest()
+        except OSError as error:
+            raise ArtifactError(f"{file}: cannot be read ({error.strerror}); copy it again") from None
+    return hashes
 
 
 def _hash_of(hashes: dict[str, str]) -> str:

@@ -1,10 +1,9 @@
 """One log as one Parquet file: seven named columns, checked whole when written and when read.
 
-A Log goes in and the same Log comes out; whatever cannot be learnt from raises a LogError that says where and why.
+A Log goes in and the same Log comes out; a log that cannot be used for training raises a LogError with place and cause.
 """
 
 import difflib
-from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +30,7 @@ SCHEMA = pa.schema(
 )
 
 RATE_TOLERANCE = 0.01
-"""Relative error of the mean rate that is still 100 Hz."""
+"""Largest relative error of the mean rate."""
 
 Columns = dict[str, NDArray[np.floating]]
 
@@ -43,7 +42,13 @@ def write_log(path: Path, log: Log) -> None:
 
 def encode_log(log: Log, source: str) -> bytes:
     """The bytes of a log's file; raises LogError, under the name `source`, where `read_log` would refuse it."""
-    columns = _columns(log)
+    command, reading = log
+    force = np.asarray(reading.force)
+    series = (reading.time, *command, reading.angle, reading.velocity, force[..., 0], force[..., 1])
+    columns = {
+        field.name: np.asarray(values, field.type.to_pandas_dtype())
+        for field, values in zip(SCHEMA, series, strict=True)
+    }
     check_columns(columns, source)
     sink = pa.BufferOutputStream()
     pq.write_table(pa.table(columns, schema=SCHEMA), sink, compression="zstd", write_page_checksum=True)
@@ -52,7 +57,7 @@ def encode_log(log: Log, source: str) -> bytes:
 
 
 def read_log(path: Path) -> Log:
-    """Read a log, as NumPy arrays; raises LogError naming file, row, column, value and way out."""
+    """Read a log as NumPy arrays; raises LogError naming file, row, column, value and what to do."""
     columns = _read_columns(path)
     check_columns(columns, str(path))
     command = Command(columns["command_angle_rad"], columns["command_velocity_rad_s"])
@@ -76,8 +81,6 @@ def check_columns(columns: Columns, source: str) -> None:
 
 def _check_clock(time: NDArray[np.floating], source: str) -> None:
     steps = np.diff(time)
-    if not steps.size:
-        return
     backward = np.flatnonzero(steps <= 0)
     if backward.size:
         row = backward[0] + 1
@@ -86,7 +89,7 @@ def _check_clock(time: NDArray[np.floating], source: str) -> None:
             f"({time[row - 1]:.4f} s); remove repeated rows, sort by time_s"
         )
     # The median first: at a wrong rate every step would be called a gap.
-    if not 0.5 < np.median(steps) / TICK_S < 1.5:
+    if steps.size and not 0.5 < np.median(steps) / TICK_S < 1.5:
         raise _wrong_rate(1 / float(np.median(steps)), source)
     uneven = np.flatnonzero(np.abs(steps - TICK_S) > 0.5 * TICK_S)
     if uneven.size:
@@ -95,10 +98,11 @@ def _check_clock(time: NDArray[np.floating], source: str) -> None:
             f"{source}: row {row}, column time_s: {steps[row - 1] * 1e3:.1f} ms after row {row - 1}, must be 10 ms "
             f"({_count(uneven.size)} in this log); split the log there, or record it again"
         )
-    mean_rate = steps.size / float(time[-1] - time[0])
-    # A handful of rows on a clock with jitter tells no rate.
-    if steps.size >= RATE_HZ and abs(mean_rate / RATE_HZ - 1) > RATE_TOLERANCE:
-        raise _wrong_rate(mean_rate, source)
+    # A handful of rows on a clock with jitter does not show a rate.
+    if steps.size >= RATE_HZ:
+        mean_rate = steps.size / float(time[-1] - time[0])
+        if abs(mean_rate / RATE_HZ - 1) > RATE_TOLERANCE:
+            raise _wrong_rate(mean_rate, source)
 
 
 def _wrong_rate(rate: float, source: str) -> LogError:
@@ -107,20 +111,6 @@ def _wrong_rate(rate: float, source: str) -> LogError:
 
 def _count(number: int) -> str:
     return "the only one" if number == 1 else f"the first of {number}"
-
-
-def _columns(log: Log) -> Columns:
-    command, reading = log
-    values = {
-        "time_s": reading.time,
-        "command_angle_rad": command.angle,
-        "command_velocity_rad_s": command.velocity,
-        "angle_rad": reading.angle,
-        "velocity_rad_s": reading.velocity,
-        "force_x_n": reading.force[..., 0],
-        "force_y_n": reading.force[..., 1],
-    }
-    return {field.name: np.asarray(values[field.name], field.type.to_pandas_dtype()) for field in SCHEMA}
 
 
 def _read_columns(path: Path) -> Columns:
@@ -136,19 +126,17 @@ def _read_columns(path: Path) -> Columns:
 
 def _check_names(names: list[str], path: Path) -> None:
     allowed = f"a log has {', '.join(SCHEMA.names)}"
-    twice = [name for name, count in Counter(names).items() if count > 1]
-    if twice:
-        raise LogError(f"{path}: column {twice[0]!r} is there twice; {allowed}")
-    missing = [name for name in SCHEMA.names if name not in names]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise LogError(f"{path}: column {twice!r} is there twice; {allowed}")
     unknown = [name for name in names if name not in SCHEMA.names]
-    for name in missing:
-        near = difflib.get_close_matches(name, unknown, n=1)
+    missing = next((name for name in SCHEMA.names if name not in names), None)
+    if missing is not None:
+        near = difflib.get_close_matches(missing, unknown, n=1)
         hint = f"rename {near[0]!r} to it; " if near else ""
-        raise LogError(f"{path}: column {name!r} is missing; {hint}{allowed}")
-    for name in unknown:
-        near = difflib.get_close_matches(name, SCHEMA.names, n=1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        raise LogError(f"{path}: unknown column {name!r}; {hint}remove it; {allowed}")
+        raise LogError(f"{path}: column {missing!r} is missing; {hint}{allowed}")
+    if unknown:
+        raise LogError(f"{path}: unknown column {unknown[0]!r}; remove it; {allowed}")
 
 
 def _values(table: pa.Table, field: pa.Field, path: Path) -> NDArray[np.floating]:

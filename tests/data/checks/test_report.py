@@ -22,9 +22,9 @@ def axes_of(logs):
     return inspection_figure(inspect(logs), logs).get_axes()
 
 
-def test_the_trace_is_about_the_gravest_finding_that_has_a_row():
+def test_the_trace_is_about_the_gravest_issue_that_has_a_row():
     logs = faulty()
-    angle, force, findings, *_ = axes_of(logs)
+    angle, force, issues, *_ = axes_of(logs)
     assert "about row 3000: spikes" in angle.get_title(loc="left")
     shown = {line.get_label(): line for line in force.get_lines()}
     time, x = shown["force x"].get_data()
@@ -32,7 +32,7 @@ def test_the_trace_is_about_the_gravest_finding_that_has_a_row():
     assert x[np.flatnonzero(np.isclose(time, 30.01))[0]] == logs[0].log.reading.force[3000, 0]
     assert shown["spikes"].get_xdata()[0] == 30.01
     assert force.get_ylabel() == "force [N]"
-    text = findings.texts[0].get_text().replace("\n", " ")
+    text = issues.texts[0].get_text().replace("\n", " ")
     assert "force axes" in text
     assert "--force=x,-y" in text
 
@@ -55,7 +55,7 @@ def test_the_folder_holds_json_and_both_figures(tmp_path):
     logs = named(*tank_logs(2))
     written = write_inspection(inspect(logs), logs, tmp_path / "i", {"source": "here"})
     assert json.loads((tmp_path / "i" / "inspection.json").read_text()) == json.loads(json.dumps(written))
-    assert written["findings"] == []
+    assert written["issues"] == []
     ElementTree.parse(tmp_path / "i" / "inspection.svg")
     assert (tmp_path / "i" / "inspection.png").stat().st_size > 10_000
     assert "nothing is wrong" in (tmp_path / "i" / "inspection.svg").read_text()

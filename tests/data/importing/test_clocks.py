@@ -27,14 +27,14 @@ def logs(*tracks: Track, **options):
     return logs_of(Recording("run", "train", tracks), ImportConfig.build(options))
 
 
-def kinds(findings) -> list[str]:
-    return [one.name for one in findings]
+def kinds(issues) -> list[str]:
+    return [one.name for one in issues]
 
 
 def test_a_steady_100_hz_passes_bit_by_bit_but_for_where_its_time_begins():
-    (one,), findings = logs(track(3000))
+    (one,), issues = logs(track(3000))
     original = tank_logs()[0]
-    assert not findings
+    assert not issues
     np.testing.assert_array_equal(one.log.command.angle, original.command.angle[:3000])
     np.testing.assert_array_equal(one.log.reading.force, original.reading.force[:3000])
     np.testing.assert_allclose(one.log.reading.time, np.arange(3000) / 100, atol=1e-9)
@@ -75,30 +75,30 @@ def test_nothing_of_a_fast_source_gets_across_a_gap_however_long(gap_s):
 def test_jitter_of_less_than_half_a_sample_passes_too():
     one = track()
     jitter = np.random.default_rng(0).uniform(-0.002, 0.002, 1000)
-    (log,), findings = logs(one._replace(time=one.time + jitter))
-    assert not findings
+    (log,), issues = logs(one._replace(time=one.time + jitter))
+    assert not issues
     np.testing.assert_array_equal(log.log.reading.angle, one.channels["angle"].astype(np.float32))
 
 
 def test_a_long_gap_splits_and_is_never_bridged():
     keep = np.r_[0:400, 430:1000]
-    pieces, findings = logs(rows_of(track(), keep))
+    pieces, issues = logs(rows_of(track(), keep))
     assert [len(piece.log.reading.time) for piece in pieces] == [400, 570]
     assert [piece.name for piece in pieces] == ["run, piece 1 of 2", "run, piece 2 of 2"]
     assert pieces[1].log.reading.time[0] == pytest.approx(4.30)
-    (gap,) = findings
-    assert (gap.severity, gap.name, gap.place.row) == ("warning", "gap", 399)
-    assert "0.310 s after 3.99 s" in gap.sentence
+    (gap,) = issues
+    assert (gap.severity, gap.name, gap.row) == ("warning", "gap", 399)
+    assert "0.310 s after 3.99 s" in gap.message
     for piece in pieces:
         encode_log(piece.log, "a piece is a whole log")
 
 
 def test_a_short_gap_is_bridged_by_interpolation_and_counted():
     one = track()
-    (log,), findings = logs(rows_of(one, np.r_[0:400, 403:1000]))
+    (log,), issues = logs(rows_of(one, np.r_[0:400, 403:1000]))
     assert len(log.log.reading.time) == 1000
-    assert kinds(findings) == ["short gaps"]
-    assert "1 gap of up to 40 ms" in findings[0].sentence
+    assert kinds(issues) == ["short gaps"]
+    assert "1 gap of up to 40 ms" in issues[0].message
     angle = one.channels["angle"]
     np.testing.assert_allclose(log.log.reading.angle[401], angle[399] + (angle[403] - angle[399]) / 2, atol=1e-6)
     np.testing.assert_allclose(log.log.reading.angle[600:], angle[600:], atol=1e-6)
@@ -107,9 +107,9 @@ def test_a_short_gap_is_bridged_by_interpolation_and_counted():
 
 
 def test_pieces_that_are_too_short_are_left_out_and_counted():
-    pieces, findings = logs(rows_of(track(), np.r_[0:400, 430:500, 530:1000]))
+    pieces, issues = logs(rows_of(track(), np.r_[0:400, 430:500, 530:1000]))
     assert [len(piece.log.reading.time) for piece in pieces] == [400, 470]
-    assert "1 piece between gaps, shorter than 2 s, left out: 0.69 s" in findings[-1].sentence
+    assert "1 piece between gaps, shorter than 2 s, left out: 0.69 s" in issues[-1].message
     assert len(logs(rows_of(track(), np.r_[0:400, 430:500, 530:1000]), shortest_s=0.5)[0]) == 3
 
 
@@ -117,13 +117,13 @@ def test_rows_without_a_value_are_errors_and_split_where_there_are_many():
     one = track()
     one.channels["force_x"][300:320] = np.nan
     one.channels["angle"][700] = np.inf
-    pieces, findings = logs(one)
+    pieces, issues = logs(one)
     assert [len(piece.log.reading.time) for piece in pieces] == [300, 680]
-    errors = [finding for finding in findings if finding.severity == "error"]
-    assert [(e.name, e.place.column, e.place.row) for e in errors] == [
+    errors = [issue for issue in issues if issue.severity == "error"]
+    assert [(e.name, e.column, e.row) for e in errors] == [
         ("not a number", "angle", 700), ("not a number", "force_x", 300),
     ]  # fmt: skip
-    assert "20 of 1,000 rows" in errors[1].sentence
+    assert "20 of 1,000 rows" in errors[1].message
     assert all(np.isfinite(piece.log.reading.force).all() for piece in pieces)
 
 
@@ -131,42 +131,42 @@ def test_repeated_and_backward_times_are_errors_and_left_out():
     one = track()
     one.time[500] = one.time[499]
     one.time[600] -= 0.025
-    (log,), findings = logs(one)
+    (log,), issues = logs(one)
     assert len(log.log.reading.time) == 1000
-    (error, *_) = findings
-    assert (error.severity, error.name, error.place.row) == ("error", "repeated time", 500)
-    assert "repeats in 1 and goes back in 1 of 1,000 rows" in error.sentence
+    (error, *_) = issues
+    assert (error.severity, error.name, error.row) == ("error", "repeated time", 500)
+    assert "repeats in 1 and goes back in 1 of 1,000 rows" in error.message
 
 
 def test_a_clock_that_starts_anew_begins_another_log():
     one = track(1200)
     one.time[500:] -= one.time[500]
-    pieces, findings = logs(one)
+    pieces, issues = logs(one)
     assert [piece.name for piece in pieces] == ["run rows 0..499", "run rows 500..1199"]
     assert [len(piece.log.reading.time) for piece in pieces] == [500, 700]
-    assert not findings
+    assert not issues
 
 
 def test_a_fast_source_is_resampled_and_that_is_noted():
     time = np.arange(0, 10, 0.001)
     channels = {name: np.sin(time + i) for i, name in enumerate(NAMES)}
-    (log,), findings = logs(Track(time, channels))
-    assert kinds(findings) == ["resampled"]
-    assert "from 1000.0 Hz" in findings[0].sentence
+    (log,), issues = logs(Track(time, channels))
+    assert kinds(issues) == ["resampled"]
+    assert "from 1000.0 Hz" in issues[0].message
     np.testing.assert_allclose(log.log.reading.time[:3], [0, 0.01, 0.02])
     np.testing.assert_allclose(log.log.reading.force[20:-20, 0], np.sin(log.log.reading.time[20:-20] + 4), atol=1e-3)
 
 
 def test_a_slow_source_is_a_warning():
-    (log,), findings = logs(rows_of(track(), slice(0, None, 2)))
-    assert [(one.severity, one.name) for one in findings] == [("warning", "slow rate")]
+    (log,), issues = logs(rows_of(track(), slice(0, None, 2)))
+    assert [(one.severity, one.name) for one in issues] == [("warning", "slow rate")]
     assert len(log.log.reading.time) == 999
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms (100 Hz)"), (1e-4, "min (1.667e+04 Hz)"), (1e-9, "s or ms")])
 def test_a_clock_in_another_unit_is_refused_with_the_option(factor, unit):
     one = track()
-    with pytest.raises(LogError, match=re.escape(f"say its unit: --time-unit {unit}")):
+    with pytest.raises(LogError, match=re.escape(f"give its unit: --time-unit {unit}")):
         logs(one._replace(time=one.time * factor))
 
 

@@ -2,15 +2,12 @@ import shutil
 
 import numpy as np
 import pytest
-import zstandard
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from softfin.core.errors import LogError
-from softfin.data.importing import rosbag
 from softfin.data.importing.clocks import logs_of
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.importing.rosbag import read_bag
-from softfin.storage.bag import chunks as mcap_chunks
 from tests.data.bags import START_S, array, joint, topics_of, wrench, write_bag
 from tests.data.faulty import columns_of, tank_logs
 
@@ -30,8 +27,8 @@ def bag(tmp_path_factory, columns):
 def opened(path, **options):
     config = ImportConfig.build(options)
     recording = read_bag(path, path.name, "train", config)
-    logs, findings = logs_of(recording, config)
-    return logs, findings
+    logs, issues = logs_of(recording, config)
+    return logs, issues
 
 
 def check(one, columns):
@@ -48,10 +45,10 @@ def check(one, columns):
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
 def test_a_bag_comes_back_as_the_log_that_it_was(tmp_path, columns, storage):
     write_bag(tmp_path / "run", topics_of(columns), storage, delay_s=0.123)
-    (one,), findings = opened(tmp_path / "run")
+    (one,), issues = opened(tmp_path / "run")
     assert len(one.log.reading.time) == 999
     check(one, columns)
-    assert [finding.name for finding in findings] == ["resampled"]
+    assert [issue.name for issue in issues] == ["resampled"]
 
 
 def test_a_lone_mcap_file_is_a_bag(tmp_path, bag, columns):
@@ -63,9 +60,9 @@ def test_a_lone_mcap_file_is_a_bag(tmp_path, bag, columns):
 
 def test_without_stamps_the_time_of_logging_counts_and_is_told(tmp_path, columns):
     write_bag(tmp_path / "run", topics_of(columns, stamped=False), delay_s=0.25)
-    (one,), findings = opened(tmp_path / "run")
+    (one,), issues = opened(tmp_path / "run")
     assert one.start_s + one.log.reading.time[0] - START_S == pytest.approx(0.26, abs=1e-5)
-    assert [(f.severity, f.name) for f in findings].count(("warning", "no stamps")) == 3
+    assert [(f.severity, f.name) for f in issues].count(("warning", "no stamps")) == 3
 
 
 def test_a_command_may_be_an_array_of_angle_and_velocity(tmp_path, columns):
@@ -95,8 +92,8 @@ def test_a_joint_without_velocities_has_its_derived(tmp_path, columns):
     topics = topics_of(columns)
     topics["/fin/joint_states"] = [(t, joint(t, m.position[0], None)) for t, m in topics["/fin/joint_states"]]
     write_bag(tmp_path / "run", topics)
-    (one,), findings = opened(tmp_path / "run")
-    assert "velocity derived" in [finding.name for finding in findings]
+    (one,), issues = opened(tmp_path / "run")
+    assert "velocity derived" in [issue.name for issue in issues]
     angle = one.log.reading.angle.astype(float)
     np.testing.assert_allclose(one.log.reading.velocity[5:-5], (angle[6:-4] - angle[4:-6]) / 0.02, atol=1e-3)
 
@@ -107,9 +104,9 @@ def test_commands_without_velocities_take_the_one_that_is_told(tmp_path, columns
     write_bag(tmp_path / "run", topics)
     with pytest.raises(LogError, match=r"/fin/command: no velocity in the commands; --velocity 3\.1 takes its place"):
         opened(tmp_path / "run")
-    (one,), findings = opened(tmp_path / "run", velocity_rad_s=2.5, angles="deg")
+    (one,), issues = opened(tmp_path / "run", velocity_rad_s=2.5, angles="deg")
     assert set(one.log.command.velocity.tolist()) == {2.5}
-    assert "no velocity: 2.5 rad/s throughout, by --velocity" in findings[0].sentence
+    assert "no velocity: 2.5 rad/s throughout, by --velocity" in issues[0].message
 
 
 def test_a_topic_that_is_missing_or_of_another_type_is_named_with_what_there_is(tmp_path, columns, bag):
@@ -145,8 +142,8 @@ def test_what_no_log_can_hold_is_found_as_no_value(tmp_path, columns):
     topics = topics_of(columns)
     topics["/fin/wrench"][10] = (topics["/fin/wrench"][10][0], wrench(topics["/fin/wrench"][10][0], 1e300, 0))
     write_bag(tmp_path / "run", topics)
-    _, findings = opened(tmp_path / "run")
-    assert ("error", "not a number") in [(finding.severity, finding.name) for finding in findings]
+    _, issues = opened(tmp_path / "run")
+    assert ("error", "not a number") in [(issue.severity, issue.name) for issue in issues]
 
 
 def test_a_damaged_bag_is_refused_in_one_line(tmp_path, bag):
@@ -162,13 +159,6 @@ def test_a_damaged_bag_is_refused_in_one_line(tmp_path, bag):
         opened(tmp_path / "run")
 
 
-def test_a_bags_description_is_bounded_before_its_reader_gets_it(tmp_path):
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run" / "metadata.yaml").write_text("a: [" + ",".join(["[" * 200 + "]" * 200] * 200) + "]")
-    with pytest.raises(LogError, match="nested more than 20 deep"):
-        read_bag(tmp_path / "run", "run", "train", ImportConfig())
-
-
 @pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
 def test_a_bag_may_be_compressed_as_a_whole_or_message_by_message(tmp_path, columns, mode):
     topics = topics_of(columns, rows=200)
@@ -176,21 +166,3 @@ def test_a_bag_may_be_compressed_as_a_whole_or_message_by_message(tmp_path, colu
     write_bag(tmp_path / "packed", topics, StoragePlugin.SQLITE3, compression=mode)
     (plain,), (packed,) = (opened(tmp_path / name)[0] for name in ("plain", "packed"))
     np.testing.assert_array_equal(packed.log.reading.force, plain.log.reading.force)
-
-
-def test_a_file_that_inflates_without_end_is_no_bag(tmp_path, columns, monkeypatch):
-    monkeypatch.setattr(mcap_chunks, "LARGEST", 2**22)
-    write_bag(tmp_path / "run", topics_of(columns, rows=200), StoragePlugin.SQLITE3, compression=CompressionMode.FILE)
-    (file,) = (tmp_path / "run").glob("*.zstd")
-    file.write_bytes(zstandard.compress(bytes(2**24)))
-    with pytest.raises(LogError, match=r"zstd: inflates to more than 200 times its size: it is no recording"):
-        opened(tmp_path / "run")
-
-
-def test_a_message_that_inflates_without_end_is_not_read(tmp_path, columns, monkeypatch):
-    monkeypatch.setattr(rosbag, "LONGEST_MESSAGE", 20)
-    write_bag(
-        tmp_path / "run", topics_of(columns, rows=200), StoragePlugin.SQLITE3, compression=CompressionMode.MESSAGE
-    )
-    with pytest.raises(LogError, match="a message of over 20 bytes"):
-        opened(tmp_path / "run")

@@ -5,10 +5,10 @@ import re
 import pytest
 
 from softfin.core.errors import DeviceError, RigError
-from softfin.rig.axia80.config import SensorConfig
+from softfin.rig import simulated_network
+from softfin.rig.axia80.config import Axia80Config
+from softfin.rig.axia80.rdt import OVER_RANGE
 from softfin.rig.axia80.sensor import Axia80
-from softfin.rig.axia80.socket import MOST_DATAGRAMS
-from softfin.rig.axia80.status import BUSY, OVER_RANGE, SIMULATED
 from softfin.rig.emulation.sensor import EmulatedAxia80
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.simulated_network import SimulatedSocket
@@ -17,7 +17,7 @@ from tests.rig.still_fin import StillFin
 
 def config_of(sensor, **changes):
     values = {"http_port": sensor.http_port, "rdt_port": sensor.rdt_port, "frame": "x,y", **changes}
-    return SensorConfig(address="127.0.0.1", **values)
+    return Axia80Config(address="127.0.0.1", **values)
 
 
 @contextlib.contextmanager
@@ -66,7 +66,7 @@ def read_until(client, condition, seconds=10.0):
 
 @pytest.mark.parametrize(
     ("frame", "units"),
-    [("x,y", {}), ("y,-x", {"force_unit": "lbf", "torque_unit": "N-mm", "counts": (1e5, 1e3)}), ("-y,-x", {})],
+    [("x,y", {}), ("y,-x", {"units": ("lbf", "N-mm"), "counts": (1e5, 1e3)}), ("-y,-x", {})],
 )
 def test_the_force_arrives_in_newton_and_in_softfins_axes(frame, units):
     wrench = (1.5, -2.5, 3.5, 0.1, -0.2, 0.3)
@@ -75,17 +75,11 @@ def test_the_force_arrives_in_newton_and_in_softfins_axes(frame, units):
         assert client.measured(0.1).mean == pytest.approx(wrench, abs=1e-3)
 
 
-def test_another_frame_than_the_sensors_turns_the_force():
-    with emulated(1, 2, 3, 0, 0, 0) as sensor, opened(sensor, frame="y,-x") as client:
-        assert client.read().wrench[:3] == pytest.approx((2, -1, 3), abs=1e-6)
-
-
 def test_nothing_is_lost_and_the_time_goes_on(pair):
     sensor, client = pair
     readings = read_for(client, 0.5)
     times = [reading.force_time for reading in readings]
     assert times == sorted(times)
-    assert readings[-1].received - times[-1] == pytest.approx(client.delay_s, abs=0.002)
     assert times[-1] <= sensor.clock() - client.delay_s
     counters = client.counters()
     assert counters.pop("sensor_records") > 100
@@ -95,44 +89,34 @@ def test_nothing_is_lost_and_the_time_goes_on(pair):
     assert client.rate_hz == pytest.approx(sensor.rate_hz, rel=0.01)
 
 
-def test_a_reading_is_had_for_a_moment_before_the_newest(pair):
-    sensor, client = pair
-    newest = client.read()
-    earlier = client.read(at=newest.received - 0.05)
-    # A time that has been told is not taken back.
-    assert earlier.force_time >= newest.force_time
-    sensor.clock.sleep(0.15)
-    moment = newest.received + 0.05
-    reading = client.read(at=moment)
-    assert reading.force_time == pytest.approx(min(moment, reading.received) - client.delay_s, abs=0.004)
-
-
 def test_a_process_that_was_held_up_finds_its_records(pair):
     sensor, client = pair
     read_for(client, 0.05)
+    before = client.counters()["sensor_records"]
     sensor.clock.sleep(0.25)
-    assert client.read().records > 100
+    client.read()
+    assert client.counters()["sensor_records"] - before > 100
     assert client.counters()["sensor_lost"] == 0
 
 
 def test_a_process_that_was_held_up_for_long_does_not_take_the_sensor_for_silent(pair):
     sensor, client = pair
     sensor.clock.sleep(1.6)
-    assert client.read().records == MOST_DATAGRAMS
+    client.read()
     assert client.complaints() == ()
-    read_until(client, lambda: client.read().records < 100)
     counters = client.counters()
+    assert counters["sensor_records"] > 1500
     assert (counters["sensor_streams"], counters["sensor_asked_again"], counters["sensor_lost"]) == (1, 0, 0)
-    assert counters["sensor_crowded_reads"] >= 1
 
 
-def test_records_that_nobody_took_are_counted_as_lost():
+def test_records_that_nobody_took_are_counted_as_lost(monkeypatch):
     with emulated() as sensor:
-        client = Axia80(config_of(sensor), sensor.clock, buffer_bytes=20_000)
+        monkeypatch.setattr(simulated_network, "CAPACITY", 26)
+        client = Axia80(config_of(sensor), sensor.clock)
         client.open()
         sensor.clock.sleep(0.5)
         stale = client.read()
-        fresh = read_until(client, lambda: client.counters()["sensor_gaps"] and client.read().records < 100)
+        fresh = read_until(client, lambda: client.counters()["sensor_gaps"])
         client.close()
     assert client.counters()["sensor_lost"] > 100
     assert fresh.force_time >= stale.force_time
@@ -140,9 +124,9 @@ def test_records_that_nobody_took_are_counted_as_lost():
 
 def test_lost_records_are_counted_and_bridged(pair):
     sensor, client = pair
-    sensor.drop(0.05)
+    sensor.disturb(drop=0.05)
     read_for(client, 0.5)
-    sensor.drop(0.0)
+    sensor.disturb()
     read_for(client, 0.2)
     counters = client.counters()
     assert counters["sensor_lost"] == sensor.network.dropped > 0
@@ -152,9 +136,9 @@ def test_lost_records_are_counted_and_bridged(pair):
 
 def test_doubled_records_are_counted_and_used_once(pair):
     sensor, client = pair
-    sensor.duplicate(0.1)
+    sensor.disturb(duplicate=0.1)
     read_for(client, 0.5)
-    sensor.duplicate(0.0)
+    sensor.disturb()
     read_for(client, 0.1)
     assert client.counters()["sensor_duplicates"] == sensor.network.doubled > 0
     assert client.counters()["sensor_lost"] == 0
@@ -162,9 +146,9 @@ def test_doubled_records_are_counted_and_used_once(pair):
 
 def test_records_out_of_order_are_counted_and_not_lost(pair):
     sensor, client = pair
-    sensor.reorder(0.1)
+    sensor.disturb(reorder=0.1)
     read_for(client, 0.5)
-    sensor.reorder(0.0)
+    sensor.disturb()
     read_for(client, 0.1)
     assert client.counters()["sensor_late"] == sensor.network.swapped > 0
     assert client.counters()["sensor_lost"] == 0
@@ -172,7 +156,7 @@ def test_records_out_of_order_are_counted_and_not_lost(pair):
 
 def test_late_packets_make_a_late_force_and_nothing_else(pair):
     sensor, client = pair
-    sensor.delay(0.1)
+    sensor.disturb(delay_s=0.1)
     readings = read_for(client, 0.5)
     assert all(b.force_time >= a.force_time for a, b in itertools.pairwise(readings))
     assert client.counters()["sensor_lost"] == 0
@@ -210,14 +194,13 @@ def test_an_error_of_a_single_record_is_not_missed(pair):
     read_until(client, lambda: not client.complaints())
 
 
-@pytest.mark.parametrize(("status", "words"), [(BUSY, "busy"), (SIMULATED, "simulated")])
+@pytest.mark.parametrize(("status", "words"), [(0x80000008, "busy"), (0x10000000, "simulated")])
 def test_what_is_no_error_is_a_note(pair, status, words):
     sensor, client = pair
     sensor.status(status)
     read_until(client, client.notes)
     assert words in client.notes()[0]
     assert client.complaints() == ()
-    assert (client.counters()["sensor_busy_records"] > 0) == (status == BUSY)
 
 
 def test_a_force_beyond_the_range_is_a_complaint(pair):
@@ -236,7 +219,7 @@ def test_a_silent_sensor_is_a_complaint_and_is_asked_again_until_it_answers(pair
     assert client.counters()["sensor_asked_again"]
     assert re.search(r"nothing new for \d+\.\d s, requests repeated so far: \d", client.complaints()[0])
     after = client.read()
-    assert (after.force_time, after.records) == (before.force_time, 0)
+    assert after.force_time == before.force_time
     sensor.silence(0.0)
     assert read_until(client, lambda: not client.complaints()).force_time >= before.force_time
     assert client.counters()["sensor_restarts"] == 0
@@ -275,7 +258,7 @@ def test_the_zero_is_set_at_the_opening_where_that_is_asked_for():
 def test_another_sensor_than_the_file_says_is_refused(key, value):
     with (
         emulated() as sensor,
-        pytest.raises(RigError, match=f"{key} must be '{value}', it says '"),
+        pytest.raises(RigError, match=f"{key} must be '{value}', got '"),
         opened(sensor, **{key: value}),
     ):
         pass
@@ -288,9 +271,9 @@ def test_a_sensor_at_another_rate_is_refused():
 
 def test_a_sensor_with_other_units_is_refused():
     with emulated() as sensor:
-        page = sensor.pages.pages["/netftapi2.xml"]
-        sensor.pages.pages["/netftapi2.xml"] = page.replace(b">N<", b">dyn<")
-        with pytest.raises(RigError, match="<scfgfu> is 'dyn'; softfin knows N, kN"):
+        page = sensor.pages["/netftapi2.xml"]
+        sensor.pages["/netftapi2.xml"] = page.replace(b">N<", b">dyn<")
+        with pytest.raises(RigError, match="scfgfu = 'dyn': Value error, not a known unit; use one of N, kN"):
             Axia80(config_of(sensor), sensor.clock).open()
 
 
@@ -312,12 +295,12 @@ def test_a_sensor_is_opened_again_after_it_was_closed(pair):
     with pytest.raises(DeviceError, match="not open; open it first"):
         client.read()
     client.open()
-    assert client.read().records >= 0
+    client.read()
     assert client.counters()["sensor_streams"] == 1
 
 
 def test_before_it_is_open_there_is_nothing_to_say():
-    client = Axia80(SensorConfig(address="192.0.2.1", frame="x,y"))
+    client = Axia80(Axia80Config(address="192.0.2.1", frame="x,y"))
     client.close()
     assert (client.counters(), client.complaints(), client.notes()) == ({}, (), ())
 

@@ -12,7 +12,7 @@ class Recording:
 
     def __init__(self):
         self.stream = io.BytesIO()
-        self.bag = BagWriter(self.stream, "test")
+        self.bag = BagWriter(self.stream)
         self.bag.flush()
         self.ends = [len(self.stream.getvalue())]
         self.tick = 0

@@ -5,7 +5,7 @@ import pytest
 from rich.console import Console
 
 from softfin.rig.monitor.follow import Follower
-from softfin.rig.monitor.terminal import BLOCKS, COLUMNS, rendered, sparkline, watch
+from softfin.rig.monitor.terminal import BLOCKS, COLUMNS, render, sparkline, watch
 from tests.rig.monitor.bags import START_NS, Recording
 
 
@@ -28,7 +28,7 @@ def followed(tmp_path):
 @pytest.mark.parametrize("ascii_only", [False, True])
 def test_the_screen_fits_80_by_24_and_says_what_matters(followed, ascii_only):
     out = console()
-    out.print(rendered(followed.summary(), followed.traces, ascii_only=ascii_only))
+    out.print(render(followed.summary(), followed.traces, ascii_only=ascii_only))
     text = out.file.getvalue()
     lines = text.splitlines()
     assert len(lines) <= 23
@@ -44,7 +44,7 @@ def test_nothing_recorded_yet_is_a_screen_too(tmp_path):
     empty = Follower(tmp_path)
     empty.poll()
     out = console()
-    out.print(rendered(empty.summary(), empty.traces))
+    out.print(render(empty.summary(), empty.traces))
     assert "no rows yet" in out.file.getvalue()
 
 

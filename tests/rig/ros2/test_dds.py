@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import ConfigurationError, DeviceError, RigError
+from softfin.rig.ros2.config import TransportConfig
+from softfin.rig.ros2.connection import open_transport
 from softfin.rig.ros2.messages import BOOL, JOINT, VECTOR, WRENCH, Messages, joint_of, wrench_of
-from softfin.rig.ros2.transport import TransportConfig, open_transport
 
 pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
 
@@ -83,15 +84,14 @@ def test_cyclonedds_writes_the_same_bytes_as_rosbags():
 
 def test_names_are_ros_2s():
     messages = Messages()
-    assert dds.dds_topic("/fin/wrench") == "rt/fin/wrench"
     kind = dds.idl_type(WRENCH, messages, carries=True)
     assert kind.__idl_typename__ == "geometry_msgs::msg::dds_::WrenchStamped_"
     assert kind.__annotations__["wrench"].__idl_typename__ == "geometry_msgs::msg::dds_::Wrench_"
 
 
 def test_the_configuration_is_of_this_computer_alone():
-    assert 'address="127.0.0.1" multicast="false"' in dds.localhost()
-    assert "<AllowMulticast>false</AllowMulticast>" in dds.localhost()
+    assert 'address="127.0.0.1" multicast="false"' in dds.configuration(None)
+    assert "<AllowMulticast>false</AllowMulticast>" in dds.configuration(None)
 
 
 def test_a_machine_of_topics_reads_moves_and_stops_a_driver_in_another_process(tmp_path):
@@ -143,7 +143,7 @@ import os
 os.environ.pop("CYCLONEDDS_URI", None)
 from softfin.core.errors import SoftfinError
 from softfin.rig.ros2.messages import Messages
-from softfin.rig.ros2.transport import TransportConfig
+from softfin.rig.ros2.config import TransportConfig
 from softfin.rig.ros2.dds import DdsTransport
 def opened(**options):
     try:
@@ -158,20 +158,20 @@ def test_a_process_that_opens_and_closes_leaves_its_domain():
 first = opened(); second = opened()
 print(first.notes)
 first.close(); first.close()
-outlet = second.publish("/fin/x", "std_msgs/msg/Bool")
-print(second.topics(), outlet.listeners())
-second.close(); del outlet
+publisher = second.publish("/fin/x", "std_msgs/msg/Bool")
+print(second.topics(), publisher.readers())
+second.close(); del publisher
 print(opened(network="no-such").__class__.__name__)
 """
     lines = run(code).splitlines()
     assert lines[:2] == ["()", "{} 0"]
-    assert lines[2].startswith("DeviceError DDS domain 231:")
+    assert lines[2].startswith("DeviceError DDS domain 231 cannot be used")
     assert lines[2].endswith("is there such a network interface, and is it up?")
 
 
 def test_one_domain_cannot_be_on_two_networks():
     told = run(f'{OPEN}\nfirst = opened()\nopened(network="lo")')
-    assert told == "RigError DDS domain 231 is open on this computer alone, and cannot be on lo too: take another"
+    assert told == "RigError DDS domain 231 is open on this computer alone, and cannot be on lo too: use another"
 
 
 def test_a_network_of_ones_own_comes_with_a_warning():
@@ -181,8 +181,8 @@ def test_a_network_of_ones_own_comes_with_a_warning():
 
 def test_a_users_own_configuration_of_dds_stands():
     code = f"""{OPEN}
-from softfin.rig.ros2.dds import localhost
-os.environ["CYCLONEDDS_URI"] = localhost()
+from softfin.rig.ros2.dds import configuration
+os.environ["CYCLONEDDS_URI"] = configuration(None)
 print(opened().notes, opened(network="eth7").notes)
 os.environ["CYCLONEDDS_URI"] = "file:///no/such"
 """

@@ -4,8 +4,9 @@ import pytest
 
 from softfin.core.errors import ConfigurationError
 from softfin.rig.machine import Sample, Target
+from softfin.rig.ros2.config import NodeConfig
 from softfin.rig.ros2.messages import VECTOR
-from softfin.rig.ros2.node import NodeConfig, RosBridge
+from softfin.rig.ros2.node import RosNode
 from softfin.rig.stop import StopRequest
 from tests.rig.ros2_memory import MemoryTransport
 
@@ -16,7 +17,7 @@ class Node:
     def __init__(self, **changes):
         self.now = 10.0
         self.transport = MemoryTransport(lambda: self.now)
-        self.bridge = RosBridge(self.transport, NodeConfig.build(changes), lambda: self.now)
+        self.node = RosNode(self.transport, NodeConfig.build(changes), lambda: self.now)
 
     def ask(self, x, y, frame="", topic="/fin/reference"):
         self.transport.put(topic, self.transport.messages.wrench(7, frame, (x, y, 0.0, 0.0, 0.0, 0.0)))
@@ -29,7 +30,7 @@ class Node:
 def test_every_sample_goes_out_and_a_command_where_it_is_new():
     node = Node(joint_name="tail", frame="mount")
     for target in (None, Target(1.0, 2.0), Target(1.0, 2.0), Target(0.0, 2.0)):
-        node.bridge.publish(SAMPLE, target)
+        node.node.publish(SAMPLE, target)
     sent = node.transport.sent
     assert [len(sent[f"/fin/{name}"]) for name in ("joint_states", "wrench", "command")] == [4, 4, 2]
     joint, wrench, command = sent["/fin/joint_states"][0], sent["/fin/wrench"][0], sent["/fin/command"][0]
@@ -42,19 +43,19 @@ def test_every_sample_goes_out_and_a_command_where_it_is_new():
 
 def test_the_newest_reference_counts_and_an_old_one_does_not():
     node = Node(reference_timeout_s=0.5)
-    assert node.bridge.reference() is None
+    assert node.node.reference() is None
     node.ask(1.0, -1.0)
     node.ask(2.0, -0.5, "fin_mount")
-    assert node.bridge.reference() == (2.0, -0.5, 10.0)
+    assert node.node.reference() == (2.0, -0.5)
     node.now = 10.4
-    assert node.bridge.reference() == (2.0, -0.5, 10.0)
-    assert node.bridge.notes() == []
+    assert node.node.reference() == (2.0, -0.5)
+    assert node.node.notes() == []
     node.now = 10.6
-    assert node.bridge.reference() is None
-    assert node.bridge.notes() == ["/fin/reference: no reference for 0.5 s: the last one does not count any more"]
-    assert node.bridge.reference() is None
-    assert node.bridge.notes() == []
-    asked = node.bridge.references((0.25, 0.75))
+    assert node.node.reference() is None
+    assert node.node.notes() == ["/fin/reference: no reference for 0.5 s: the last one does not count any more"]
+    assert node.node.reference() is None
+    assert node.node.notes() == []
+    asked = node.node.references((0.25, 0.75))
     assert asked(1.0) == (0.25, 0.75)
     node.ask(3.0, 0.0)
     assert asked(2.0) == (3.0, 0.0)
@@ -66,28 +67,28 @@ def test_without_a_timeout_the_newest_is_obeyed_for_ever():
     vector = messages.make("geometry_msgs/msg/Vector3", 1.0, 2.0, 0.0)
     node.transport.put("/fin/reference", messages.make(VECTOR, messages.header(0, ""), vector))
     node.now = 1e6
-    assert node.bridge.reference() == (1.0, 2.0, 10.0)
+    assert node.node.reference() == (1.0, 2.0)
 
 
 @pytest.mark.parametrize("x", [math.nan, math.inf, -math.inf, 21.0, -1e300])
 def test_a_reference_that_cannot_be_is_refused_counted_and_told_once(x):
     node = Node()
     node.ask(1.0, 1.0)
-    node.bridge.reference()
+    node.node.reference()
     for _ in range(3):
         node.ask(x, 0.0)
-        assert node.bridge.reference() == (1.0, 1.0, 10.0)
-    assert node.bridge.counters()["references_refused"] == 3
-    assert len(node.bridge.notes()) == 1
+        assert node.node.reference() == (1.0, 1.0)
+    assert node.node.counters()["references_refused"] == 3
+    assert len(node.node.notes()) == 1
 
 
 def test_a_reference_in_another_frame_or_of_other_bytes_is_refused():
     node = Node()
     node.ask(1.0, 1.0, "camera")
-    assert node.bridge.reference() is None
+    assert node.node.reference() is None
     node.transport.put("/fin/reference", b"\x00\x01\x00\x00")
-    assert node.bridge.reference() is None
-    told = node.bridge.notes()
+    assert node.node.reference() is None
+    told = node.node.notes()
     assert len(told) == 2
     assert "in the frame 'camera'; this node's is 'fin_mount'" in told[0]
     assert all("\n" not in line for line in told)
@@ -95,28 +96,28 @@ def test_a_reference_in_another_frame_or_of_other_bytes_is_refused():
 
 def test_a_stop_is_for_good():
     node = Node()
-    assert node.bridge.stop_asked() is None
+    assert node.node.stop_reason() is None
     node.stop(False)
-    assert node.bridge.stop_asked() is None
+    assert node.node.stop_reason() is None
     node.stop()
     node.stop(False)
-    assert node.bridge.stop_asked() == "emergency stop on /fin/stop"
+    assert node.node.stop_reason() == "emergency stop on /fin/stop"
     node.stop(False)
-    assert node.bridge.stop_asked() == "emergency stop on /fin/stop"
+    assert node.node.stop_reason() == "emergency stop on /fin/stop"
 
 
 def test_a_stop_that_cannot_be_read_stops_too():
     node = Node()
     node.transport.put("/fin/stop", b"\x00\x01\x00\x00")
-    assert "no std_msgs/msg/Bool" in node.bridge.stop_asked()
+    assert "no std_msgs/msg/Bool" in node.node.stop_reason()
     node = Node()
     node.transport.failing = True
-    assert "cannot be heard" in node.bridge.stop_asked()
+    assert "cannot be heard" in node.node.stop_reason()
 
 
 def test_a_session_hears_of_the_stop_through_its_observer():
     node, request = Node(), StopRequest()
-    observe = node.bridge.observer(request)
+    observe = node.node.observer(request)
     observe(SAMPLE, None)
     assert request.trip is None
     node.stop()
@@ -128,12 +129,12 @@ def test_a_session_hears_of_the_stop_through_its_observer():
 def test_what_cannot_go_out_is_counted_and_does_not_stop_the_loop():
     node = Node()
     node.transport.failing = True
-    node.bridge.publish(SAMPLE, None)
-    node.bridge.publish(SAMPLE, None)
-    assert node.bridge.counters()["unsent"] == 2
-    assert node.bridge.notes() == ["/fin/joint_states: not sent"]
-    assert node.bridge.reference() is None
-    node.bridge.close()
+    node.node.publish(SAMPLE, None)
+    node.node.publish(SAMPLE, None)
+    assert node.node.counters()["unsent"] == 2
+    assert node.node.notes() == ["/fin/joint_states: not sent"]
+    assert node.node.reference() is None
+    node.node.close()
     assert node.transport.closed
 
 

@@ -5,7 +5,8 @@ import pytest
 
 from softfin.core.errors import CommandError, ConfigurationError, DeviceError, RigError
 from softfin.rig.machine import Machine, Target
-from softfin.rig.ros2.plant import Ros2Machine, Ros2PlantConfig
+from softfin.rig.ros2.config import Ros2PlantConfig
+from softfin.rig.ros2.plant import Ros2Machine
 from tests.rig.ros2_memory import MemoryTransport
 
 START = 1_700_000_000 * 10**9
@@ -175,8 +176,8 @@ def test_a_stop_never_raises(rig):
 
 def test_a_stop_in_the_middle_of_a_command_has_the_last_word(rig):
     rig.machine.enable()
-    outlet = rig.machine._commands._outlet
-    send, rig.sends = outlet.send, 0
+    publisher = rig.machine._topics.commands.publisher
+    send, rig.sends = publisher.send, 0
 
     def interrupted(data):
         rig.sends += 1
@@ -184,7 +185,7 @@ def test_a_stop_in_the_middle_of_a_command_has_the_last_word(rig):
             rig.machine.stop()
         send(data)
 
-    outlet.send = interrupted
+    publisher.send = interrupted
     rig.machine.command(Target(1.0, 2.0))
     assert rig.commands()[-1] == (0.25, 3.0)
 
@@ -203,13 +204,13 @@ def test_a_command_that_hangs_does_not_keep_a_stop_from_another_thread():
     rig = Rig(stop_topic="/stop")
     rig.machine.open()
     rig.machine.enable()
-    outlet, hangs, goes_on = rig.machine._commands._outlet, threading.Event(), threading.Event()
+    publisher, hangs, goes_on = rig.machine._topics.commands.publisher, threading.Event(), threading.Event()
 
     def send(data):
         hangs.set()
         goes_on.wait(10)
 
-    outlet.send = send
+    publisher.send = send
     thread = threading.Thread(target=rig.machine.command, args=(Target(1.0, 2.0),))
     thread.start()
     assert hangs.wait(10)
@@ -224,7 +225,7 @@ def test_a_reading_that_is_no_number_is_a_complaint(rig):
     rig.say(np.nan)
     sample = rig.machine.read()
     assert sample.angle == 0.25
-    assert sample.complaints == ("/joint: refused: its position is nan; mend its publisher",)
+    assert sample.complaints == ("/joint: refused: its position is nan; correct its publisher",)
     rig.say(0.3)
     assert rig.machine.read().complaints == ()
 
@@ -249,8 +250,8 @@ def test_another_joint_is_told_at_once_by_its_name():
     [
         ({"frame": "z,x"}, "frame = 'z,x'"),
         ({"joint_topic": "joint"}, "joint_topic = 'joint'"),
-        ({"limits": CONFIG["limits"] | {"angle_min_rad": 2.0}}, "angle: min 2 is not below max 1.5"),
-        ({"limits": CONFIG["limits"] | {"velocity_max_rad_s": 9000.0}}, "velocity_max_rad_s is 9000; a fin's are"),
+        ({"limits": CONFIG["limits"] | {"angle_min_rad": 2.0}}, "limits: angle_min_rad is 2, angle_max_rad is 1.5"),
+        ({"limits": CONFIG["limits"] | {"velocity_max_rad_s": 9000.0}}, "velocity_max_rad_s is 9000; "),
         ({"joint": "/joint"}, "unknown key 'joint'; did you mean 'joint_name'"),
     ],
 )

@@ -8,9 +8,11 @@ import types
 import pytest
 
 from softfin.core.errors import DeviceError, RigError
+from softfin.rig.ros2.config import NodeConfig, TransportConfig
+from softfin.rig.ros2.connection import open_transport
 from softfin.rig.ros2.messages import BOOL, JOINT, Messages
-from softfin.rig.ros2.node import NodeConfig, RosBridge
-from softfin.rig.ros2.transport import Transport, TransportConfig, open_transport
+from softfin.rig.ros2.node import RosNode
+from softfin.rig.ros2.transport import Transport
 
 
 class Rclpy:
@@ -114,20 +116,20 @@ def test_it_is_taken_where_it_is_and_leaves_signals_and_the_command_line_alone(r
 
 
 def test_messages_go_out_and_come_in_as_bytes(rclpy, transport):
-    outlet = transport.publish("/ours", JOINT)
-    outlet.send(b"one")
+    publisher = transport.publish("/ours", JOINT)
+    publisher.send(b"one")
     assert rclpy.published == [("/ours", b"one")]
-    assert outlet.listeners() == 3
-    inlet = transport.subscribe("/stop", BOOL, best_effort=True)
+    assert publisher.readers() == 3
+    take = transport.subscribe("/stop", BOOL, best_effort=True)
     assert ("create_publisher", "JointState", "/ours", (10, "reliable")) in rclpy.calls
     assert ("create_subscription", "Bool", "/stop", (10, "best effort")) in rclpy.calls
     before = time.monotonic()
     for index in range(12):
         rclpy.subscriptions["/stop"](bytes([index]))
-    taken = inlet.take()
+    taken = take()
     assert [data[0] for data, _ in taken] == list(range(2, 12)), "ten are kept, the newest"
     assert before <= taken[0].time <= taken[-1].time <= time.monotonic()
-    assert inlet.take() == []
+    assert take() == []
 
 
 def test_the_topics_are_those_that_somebody_else_publishes(transport):
@@ -147,13 +149,13 @@ def test_it_closes_once_and_its_thread_ends(rclpy, transport):
 
 
 def test_a_thread_that_failed_is_told_to_who_reads(rclpy, transport):
-    bridge = RosBridge(transport, NodeConfig())
+    node = RosNode(transport, NodeConfig())
     rclpy.fails = "context is not\nvalid"
     rclpy.ended.set()
     deadline = time.monotonic() + 10
     while transport.failure is None and time.monotonic() < deadline:
         time.sleep(0.001)
-    assert bridge.stop_asked() == (
+    assert node.stop_reason() == (
         "emergency stop cannot be heard: rclpy has stopped (context is not valid); start again"
     )
     with pytest.raises(DeviceError, match=r"/x: not sent \(context is not valid\)"):

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import LogError, RunError
-from softfin.data.importing.recordings import open_logs
 from softfin.data.importing.rosbag import TYPES as READABLE
+from softfin.data.recordings import open_logs
 from softfin.storage.bag import writer as bag_writer
-from softfin.storage.bag.messages import COMMAND, CURRENT, EVENTS, JOINT, REFERENCE, TYPES, WRENCH
+from softfin.storage.bag.messages import COMMAND, CURRENT, DEFAULT_TOPICS, EVENTS, JOINT, REFERENCE, TYPES, WRENCH
 from softfin.storage.bag.recovery import recover
-from softfin.storage.bag.topics import DEFAULT_TOPICS
 from softfin.storage.bag.writer import BagRecorder
 from tests.data.recorded import by_mcap_ros2, by_rosbags, record
 from tests.rig.machines import Hours
@@ -63,7 +62,7 @@ def test_a_recorded_bag_opens_as_a_log(tmp_path):
     assert len(one.log.reading.time) == 300
     np.testing.assert_array_equal(one.log.reading.angle, np.float32(0.001 * np.arange(300)))
     np.testing.assert_array_equal(one.log.reading.force[:, 1], np.float32(-0.001 * np.arange(300)))
-    assert not [finding for finding in opened.findings if finding.severity == "error"]
+    assert not [issue for issue in opened.issues if issue.severity == "error"]
 
 
 def test_the_topics_are_those_that_are_read_by_default():

@@ -6,8 +6,8 @@ import pytest
 from softfin.core.errors import CommandError, LogError, PlantError
 from softfin.core.plant import roll
 from softfin.core.quantities import Command, Log, Reading
-from softfin.data.checks.side_by_side import simulate
 from softfin.data.excitation import ExcitationConfig, excite
+from softfin.data.simulate import simulate
 from softfin.surrogate.compare.free_running import Segment, free_run, run_from_rest, segments_of, take
 from tests.plants import AnalyticFin, PlainFin
 from tests.surrogate import small

@@ -1,144 +1,127 @@
-"""A recording's clocks: rows that cannot stand are left out and counted, gaps split it, the pieces come at 100 Hz.
+"""Conversion of a recording to logs at 100 Hz: rows without a valid time or value are left out, gaps split it.
 
-Recording -> logs and findings. Time begins at 0. A piece on a steady 100 Hz clock passes as it is else; any other is
+Time begins at 0. A piece on a steady 100 Hz clock passes unchanged otherwise; any other is
 resampled.
 """
 
 import itertools
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from softfin.core.errors import LogError
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Log, Reading
-from softfin.data.checks.findings import Finding, Place, counted
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.importing.names import UNITS
 from softfin.data.importing.recording import Channels, NamedLog, Recording, Track
 from softfin.data.importing.resample import EARLY_S, held, interpolated
+from softfin.data.issues import Issue, counted
 from softfin.storage.log_file import RATE_TOLERANCE
 
 COMMANDS = ("command_angle", "command_velocity")
 
 RESTART_S = 1.0
-"""A clock that goes back by more than this has been started anew: another log begins."""
+"""Step back of a clock that counts as a restart: another log begins [s]."""
 
 RATES_HZ = (5.0, 20_000.0)
-"""Beyond these no clock is believed to be in the unit that was said."""
+"""Plausible rates; beyond them the unit of the time must be wrong."""
 
 
-class Piece(NamedTuple):
-    """From one gap to the next."""
-
-    start: float
-    end: float
+Span = tuple[float, float]
+"""Time from one gap to the next [s]."""
 
 
-def logs_of(recording: Recording, config: ImportConfig) -> tuple[list[NamedLog], list[Finding]]:
-    """The logs at 100 Hz that a recording holds; raises LogError where it has no clock that can be followed."""
+def logs_of(recording: Recording, config: ImportConfig) -> tuple[list[NamedLog], list[Issue]]:
+    """Make the logs at 100 Hz of a recording; raises LogError where it has no usable clock."""
     logs: list[NamedLog] = []
-    findings = list(recording.findings)
-    for run, start in map(_from_zero, _runs(recording)):
+    issues = list(recording.issues)
+    for run in _split_at_restarts(recording):
+        # Time from the first row of any track on: on a Unix clock doubles are coarse.
+        starts = [
+            float(track.time[np.isfinite(track.time)][0]) for track in run.tracks if np.isfinite(track.time).any()
+        ]
+        start = min(starts, default=0.0)
         tracks = []
         for track in run.tracks:
-            whole, found = _sound(track, run, config)
-            findings += found
-            tracks += _shifted(whole, config)
-        pieces, found = _pieces(tracks, run.name, config)
-        findings += found
-        several = len(pieces) > 1
-        for number, piece in enumerate(pieces):
-            name = f"{run.name}, piece {number + 1} of {len(pieces)}" if several else run.name
-            logs.append(NamedLog(name, run.part, _at_100_hz(tracks, piece), start))
-    return logs, findings
+            valid, found = _valid_rows(track._replace(time=track.time - start), run, config)
+            issues += found
+            tracks += _shifted(valid, config)
+        spans, found = _split_at_gaps(tracks, run.name, config)
+        issues += found
+        for number, span in enumerate(spans):
+            name = f"{run.name}, piece {number + 1} of {len(spans)}" if len(spans) > 1 else run.name
+            logs.append(NamedLog(name, run.part, _at_100_hz(tracks, span), start))
+    return logs, issues
 
 
-def _runs(recording: Recording) -> list[Recording]:
-    """A table whose clock starts anew is several logs end to end."""
-    if len(recording.tracks) > 1:
-        return [recording]
+def _split_at_restarts(recording: Recording) -> list[Recording]:
+    """Split a table whose clock starts anew: it is several logs end to end."""
     track = recording.tracks[0]
-    starts = np.flatnonzero(np.diff(track.time) < -RESTART_S) + 1
-    edges = [0, *starts.tolist(), len(track.time)]
-    if len(edges) == 2:
+    edges = [0, *(np.flatnonzero(np.diff(track.time) < -RESTART_S) + 1).tolist(), len(track.time)]
+    if len(recording.tracks) > 1 or len(edges) == 2:
         return [recording]
     return [
-        recording._replace(name=f"{recording.name} rows {a}..{b - 1}", tracks=(_rows(track, slice(a, b)),), findings=())
+        recording._replace(name=f"{recording.name} rows {a}..{b - 1}", tracks=(track.take(slice(a, b)),), issues=())
         for a, b in itertools.pairwise(edges)
     ]
 
 
-def _from_zero(recording: Recording) -> tuple[Recording, float]:
-    """With time from its first row on, of whichever track; and when that was. On a Unix clock doubles are coarse."""
-    times = np.concatenate([track.time[np.isfinite(track.time)][:1] for track in recording.tracks])
-    start = float(times.min(initial=np.inf))
-    if not times.size:
-        return recording, 0.0
-    tracks = tuple(track._replace(time=track.time - start) for track in recording.tracks)
-    return recording._replace(tracks=tracks), start
-
-
-def _rows(track: Track, rows: slice | Bool[np.ndarray, "rows"]) -> Track:
-    return Track(track.time[rows], {name: values[rows] for name, values in track.channels.items()})
-
-
-def _sound(track: Track, recording: Recording, config: ImportConfig) -> tuple[Track, list[Finding]]:
-    """Without rows that hold no value or whose time repeats or goes back."""
-    name, findings = recording.name, []
+def _valid_rows(track: Track, recording: Recording, config: ImportConfig) -> tuple[Track, list[Issue]]:
+    """Leave out rows that hold no value or whose time repeats or goes back."""
+    name, issues = recording.name, []
     good = np.ones(len(track.time), bool)
     for channel, values in {"time": track.time, **track.channels}.items():
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
             good[bad] = False
-            sentence = f"no value, or not a finite one, in {bad.size:,} of {len(values):,} rows"
-            remedy = (
-                f"record again or cut them; accepted, they are left out: holes over {config.gap_s:g} s split the log"
+            message = f"no value, or not a finite one, in {bad.size:,} of {len(values):,} rows"
+            fix = (
+                "record again or cut them; with errors ignored they are left out, and holes over "
+                f"{config.gap_s:g} s split the log"
             )
-            findings.append(Finding("error", "not a number", Place(name, channel, int(bad[0])), sentence, remedy))
-    finite = _rows(track, good)
+            issues.append(Issue("error", "not a number", name, message, fix, channel, int(bad[0])))
+    finite = track.take(good)
     if len(finite.time) < 2:
         raise LogError(f"{name}: {len(finite.time)} rows with a time and values; record it again")
     latest = np.maximum.accumulate(finite.time)
     forward = np.append(True, finite.time[1:] > latest[:-1])
     if not forward.all():
         first = int(np.flatnonzero(~forward)[0])
-        row = int(np.flatnonzero(good)[first])
-        repeats = int((np.diff(finite.time) == 0).sum())
-        late = int((~forward).sum())
-        sentence = (
+        repeats, late = int((np.diff(finite.time) == 0).sum()), int((~forward).sum())
+        message = (
             f"time repeats in {repeats:,} and goes back in {late - repeats:,} of {len(forward):,} rows, "
             f"first at {finite.time[first]:.4f} s after {latest[first]:.4f} s"
         )
-        remedy = "sort by time and remove repeated rows; accepted, rows that are not later than all before are left out"
-        findings.append(Finding("error", "repeated time", Place(name, "time", row), sentence, remedy))
-    sound = _rows(finite, forward)
-    return sound, findings + _rate(sound, name, recording.time_unit)
+        fix = "sort by time and remove repeated rows; with errors ignored, rows not later than all before are left out"
+        row = int(np.flatnonzero(good)[first])
+        issues.append(Issue("error", "repeated time", name, message, fix, "time", row))
+    valid = finite.take(forward)
+    return valid, issues + _rate(valid, name, recording.time_unit)
 
 
-def _rate(track: Track, name: str, time_unit: str) -> list[Finding]:
+def _rate(track: Track, name: str, time_unit: str) -> list[Issue]:
     if not track.channels.keys() - set(COMMANDS):
         return []
     steps = np.diff(track.time)
     rate = 1 / float(np.median(steps)) if len(steps) else 0.0
-    place = Place(name, "time")
     if not RATES_HZ[0] <= rate <= RATES_HZ[1]:
         rates = {unit: rate * UNITS["time"][time_unit] / seconds for unit, seconds in UNITS["time"].items()}
         fitting = [f"{unit} ({r:.4g} Hz)" for unit, r in rates.items() if RATES_HZ[0] <= r <= RATES_HZ[1]]
         raise LogError(
             f"{name}: column time: a row every {1 / rate if rate else 0:g} s ({rate:g} Hz) in {time_unit}; allowed are "
-            f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz; say its unit: --time-unit {' or '.join(fitting or rates)}"
+            f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz; give its unit: --time-unit {' or '.join(fitting or rates)}"
         )
     if rate < (1 - RATE_TOLERANCE) * RATE_HZ:
-        sentence = f"{rate:.1f} Hz, less than {RATE_HZ} Hz: rows between are interpolated"
-        return [Finding("warning", "slow rate", place, sentence, f"record at {RATE_HZ} Hz or faster")]
+        message = f"{rate:.1f} Hz, less than {RATE_HZ} Hz: rows between are interpolated"
+        return [Issue("warning", "slow rate", name, message, f"record at {RATE_HZ} Hz or faster", "time")]
     if rate > (1 + RATE_TOLERANCE) * RATE_HZ:
-        return [Finding("note", "resampled", place, f"from {rate:.1f} Hz to {RATE_HZ} Hz, behind a low-pass at 40 Hz")]
+        message = f"from {rate:.1f} Hz to {RATE_HZ} Hz, behind a low-pass at 40 Hz"
+        return [Issue("note", "resampled", name, message, column="time")]
     return []
 
 
 def _shifted(track: Track, config: ImportConfig) -> list[Track]:
-    """A track of its own for each clock that the user moves."""
+    """Split a track where the user moves the clock of some channels."""
     lags = {"command": config.command_lag_ms / 1e3, "force": config.force_lag_ms / 1e3}
     groups: dict[float, Channels] = {}
     for channel, values in track.channels.items():
@@ -146,99 +129,91 @@ def _shifted(track: Track, config: ImportConfig) -> list[Track]:
     return [Track(track.time - lag, channels) for lag, channels in groups.items()]
 
 
-def _pieces(tracks: list[Track], name: str, config: ImportConfig) -> tuple[list[Piece], list[Finding]]:
-    """Where all clocks have readings; gaps count in the readings, since a command holds until the next."""
+def _split_at_gaps(tracks: list[Track], name: str, config: ImportConfig) -> tuple[list[Span], list[Issue]]:
+    """Find where all clocks have readings; only gaps in readings count, since a command holds until the next."""
     reading = [track for track in tracks if track.channels.keys() - set(COMMANDS)]
     begin = max(float(track.time[0]) for track in tracks)
     end = min(float(track.time[-1]) for track in reading)
     if end - begin < TICK_S:
-        spans = "; ".join(
+        times = "; ".join(
             f"{'/'.join(track.channels)} {track.time[0]:.2f} .. {track.time[-1]:.2f} s" for track in tracks
         )
-        raise LogError(f"{name}: no time in common: {spans}; stamp all with one clock")
-    holes = [
-        (float(a), float(b), i)
-        for track in reading
-        for a, b, i in _holes(track.time, 1.5 * TICK_S)
-        if b > begin and a < end
-    ]
-    wide = sorted(hole for hole in holes if hole[1] - hole[0] > config.gap_s + 1e-9)
-    findings = []
-    narrow = [b - a for a, b, _ in holes if b - a <= config.gap_s + 1e-9]
+        raise LogError(f"{name}: no time in common: {times}; stamp all with one clock")
+    gaps = [gap for track in reading for gap in _gaps(track.time) if gap[1] > begin and gap[0] < end]
+    wide = sorted(gap for gap in gaps if gap[1] - gap[0] > config.gap_s + 1e-9)
+    narrow = [b - a for a, b, _ in gaps if b - a <= config.gap_s + 1e-9]
+    issues = []
     if narrow:
-        sentence = f"{counted(len(narrow), 'gap')} of up to {1e3 * max(narrow):.0f} ms, bridged by interpolation"
-        findings.append(Finding("note", "short gaps", Place(name, "time"), sentence))
+        message = f"{counted(len(narrow), 'gap')} of up to {1e3 * max(narrow):.0f} ms, bridged by interpolation"
+        issues.append(Issue("note", "short gaps", name, message, column="time"))
     if wide:
         a, b, row = wide[0]
-        lost = sum(b - a for a, b, _ in wide)
-        sentence = (
-            f"{counted(len(wide), 'gap')} over {1e3 * config.gap_s:.0f} ms, the first of {b - a:.3f} s "
-            f"after {a:.2f} s; {lost:.2f} s are missing: the log is split there"
+        message = (
+            f"{counted(len(wide), 'gap')} over {1e3 * config.gap_s:.0f} ms, the first of {b - a:.3f} s after "
+            f"{a:.2f} s; {sum(b - a for a, b, _ in wide):.2f} s are missing: the log is split there"
         )
-        remedy = f"record again if much is lost; --gap {1.01 * (b - a):.2g} would bridge the first"
-        findings.append(Finding("warning", "gap", Place(name, "time", row), sentence, remedy))
-    pieces, edge = [], begin
+        fix = f"record again if much is lost; --gap {1.01 * (b - a):.2g} would bridge the first"
+        issues.append(Issue("warning", "gap", name, message, fix, "time", row))
+    spans, edge = list[Span](), begin
     for a, b, _ in wide:
-        pieces.append(Piece(edge, a))
+        spans.append((edge, a))
         edge = max(edge, b)
-    pieces.append(Piece(edge, end))
-    whole = [piece for piece in pieces if len(pieces) == 1 or piece.end - piece.start >= config.shortest_s]
-    dropped = [piece.end - piece.start for piece in pieces if piece not in whole and piece.end > piece.start]
+    spans.append((edge, end))
+    kept = [(a, b) for a, b in spans if len(spans) == 1 or b - a >= config.shortest_s]
+    dropped = [b - a for a, b in spans if (a, b) not in kept and b > a]
     if dropped:
-        sentence = (
+        message = (
             f"{counted(len(dropped), 'piece')} between gaps, shorter than {config.shortest_s:g} s, left out: "
             f"{sum(dropped):.2f} s in all"
         )
-        findings.append(Finding("warning", "short piece", Place(name), sentence, "--shortest 1 would keep more"))
-    return whole, findings
+        issues.append(Issue("warning", "short piece", name, message, "--shortest 1 would keep more"))
+    return kept, issues
 
 
-def _holes(time: Float[np.ndarray, "rows"], longest_s: float) -> list[tuple[float, float, int]]:
-    """Of a clock slower than 100 Hz, each step that is longer than the usual one; last, the row before it."""
+def _gaps(time: Float[np.ndarray, "rows"]) -> list[tuple[float, float, int]]:
+    """Find steps longer than the usual one, and than 15 ms: their beginning, end, and the row before."""
     steps = np.diff(time)
     usual = float(np.median(steps)) if len(steps) else TICK_S
-    rows = np.flatnonzero(steps > max(longest_s, 1.5 * usual))
+    rows = np.flatnonzero(steps > 1.5 * max(TICK_S, usual))
     return [(float(time[row]), float(time[row + 1]), int(row)) for row in rows]
 
 
-def _at_100_hz(tracks: list[Track], piece: Piece) -> Log:
-    columns = _as_it_is(tracks, piece) or _resampled(tracks, piece)
+def _at_100_hz(tracks: list[Track], span: Span) -> Log:
+    columns = _unchanged(tracks, span) or _resampled(tracks, span)
     if "velocity" not in columns:
         columns["velocity"] = (
             np.gradient(columns["angle"], TICK_S) if len(columns["angle"]) > 1 else columns["angle"] * 0
         )
-
-    def single(name: str) -> Float[np.ndarray, "ticks"]:
-        return columns[name].astype(np.float32)
-
-    force = np.stack([single("force_x"), single("force_y")], axis=1)
-    reading = Reading(columns["time"], single("angle"), single("velocity"), force)
-    return Log(Command(single("command_angle"), single("command_velocity")), reading)
+    single = {name: values.astype(np.float32) for name, values in columns.items()}
+    force = np.stack([single["force_x"], single["force_y"]], axis=1)
+    reading = Reading(columns["time"], single["angle"], single["velocity"], force)
+    return Log(Command(single["command_angle"], single["command_velocity"]), reading)
 
 
-def _as_it_is(tracks: list[Track], piece: Piece) -> dict[str, Float[np.ndarray, "rows"]] | None:
-    """The rows themselves, where they share one steady clock of 100 Hz."""
+def _unchanged(tracks: list[Track], span: Span) -> dict[str, Float[np.ndarray, "rows"]] | None:
+    """Take the rows themselves, where they share one steady clock of 100 Hz."""
     if len(tracks) > 1:
         return None
     track = tracks[0]
-    rows = slice(int(np.searchsorted(track.time, piece.start)), int(np.searchsorted(track.time, piece.end, "right")))
-    time = track.time[rows]
+    rows = slice(int(np.searchsorted(track.time, span[0])), int(np.searchsorted(track.time, span[1], "right")))
+    time, channels = track.take(rows)
     steps = np.diff(time)
     even = len(steps) > 0 and bool((np.abs(steps - TICK_S) <= 0.5 * TICK_S).all())
-    # As `read_log`: a handful of rows on a clock with jitter tells no rate.
-    steady = len(steps) < RATE_HZ or abs(len(steps) / float(time[-1] - time[0]) / RATE_HZ - 1) <= RATE_TOLERANCE
-    return (
-        {"time": time, **{name: values[rows] for name, values in track.channels.items()}} if even and steady else None
-    )
+    # As `read_log`: a handful of rows on a clock with jitter does not show a rate.
+    is_100_hz = len(steps) < RATE_HZ or abs(len(steps) / float(time[-1] - time[0]) / RATE_HZ - 1) <= RATE_TOLERANCE
+    return {"time": time, **channels} if even and is_100_hz else None
 
 
-def _resampled(tracks: list[Track], piece: Piece) -> dict[str, Float[np.ndarray, "ticks"]]:
-    count = int((piece.end - piece.start + EARLY_S) * RATE_HZ) + 1
-    grid = piece.start + np.arange(count) / RATE_HZ
+def _resampled(tracks: list[Track], span: Span) -> dict[str, Float[np.ndarray, "ticks"]]:
+    start, end = span
+    count = int((end - start + EARLY_S) * RATE_HZ) + 1
+    grid = start + np.arange(count) / RATE_HZ
     columns = {"time": grid}
     for track in tracks:
-        # The low-pass must see nothing from beyond a gap. A command holds, however long ago it was issued.
-        within = _rows(track, _around(track, piece))
+        # The low-pass must see nothing from beyond a gap: from the last row by the start to the first from its
+        # end on, between which no wide gap lies. A command holds, however long ago it was issued.
+        first = int(np.searchsorted(track.time, start, "right")) - 1
+        within = track.take(slice(max(0, first), int(np.searchsorted(track.time, end)) + 1))
         for name, values in track.channels.items():
             columns[name] = (
                 held(track.time, values, grid)
@@ -246,9 +221,3 @@ def _resampled(tracks: list[Track], piece: Piece) -> dict[str, Float[np.ndarray,
                 else interpolated(within.time, within.channels[name], grid)
             )
     return columns
-
-
-def _around(track: Track, piece: Piece) -> slice:
-    """From the last row by the piece's start to the first from its end on: no wide gap lies between these."""
-    first = int(np.searchsorted(track.time, piece.start, "right")) - 1
-    return slice(max(0, first), int(np.searchsorted(track.time, piece.end)) + 1)

@@ -1,12 +1,12 @@
 """Which column is which channel, and from the recording's units and axes to softfin's.
 
-What the user says counts first, then softfin's own names, then what `names` reads in a name; two columns that may be
-the same channel are refused. Every column that is not named as softfin does is shown, with its unit (`shown`).
+What the user states counts first, then softfin's own names, then what `read_name` finds in a name; two columns that
+may be the same channel are refused. Every column that is not named as softfin does is shown with its unit.
 """
 
 import difflib
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,12 +18,12 @@ from softfin.data.importing.names import KINDS, SI, UNITS, read_name, unit_in
 from softfin.storage.log_file import SCHEMA
 
 OWN_NAMES = dict(zip(SCHEMA.names, CHANNELS, strict=True))
-"""Softfin's column: channel. These need no mapping."""
+"""Channel of each of softfin's own columns."""
 
 REQUIRED = ("command_angle", "command_velocity", "angle", "force_x", "force_y")
 
 LISTED = 12
-"""Names in a message, at most."""
+"""Most names that a message lists."""
 
 
 class Column(NamedTuple):
@@ -31,92 +31,70 @@ class Column(NamedTuple):
 
     name: str
     unit: str
-    """That its values are in."""
-    stated: bool
-    """Whether the name or an option says so; else it is the SI unit, assumed."""
-    guessed: bool
+    """Unit of its values."""
+    is_unit_stated: bool
+    """Whether its name or an option states the unit; else it is the SI unit, assumed."""
+    is_guessed: bool
     """Whether its name alone made it this channel."""
-    unclear: str = ""
-    """What stands in the brackets of its name and is no unit of this channel; its values are taken as SI."""
 
 
 def choose_columns(names: Sequence[str], config: ImportConfig, source: str) -> dict[str, Column]:
-    """Channel: its column; raises LogError, naming the option that decides, where one is missing or two may be it."""
-    mapped = {channel: name for channel, name in config.columns.items() if name != NO_COLUMN}
-    for channel, name in mapped.items():
+    """Find the column of each channel; raises LogError, naming the option that decides, where it is not certain."""
+    found = {channel: name for name, channel in OWN_NAMES.items() if name in names and channel not in config.columns}
+    for channel, name in config.columns.items():
+        if name == NO_COLUMN:
+            continue
         if name not in names:
             near = difflib.get_close_matches(name, names, n=1)
             hint = f"did you mean {near[0]!r}? " if near else ""
-            raise LogError(
-                f"{source}: --columns {channel}={name}: there is no such column; {hint}it has {_list(names)}"
-            )
-    own = {channel: name for name, channel in OWN_NAMES.items() if name in names and channel not in config.columns}
-    found = own | mapped
+            raise LogError(f"{source}: --columns {channel}={name}: no such column; {hint}it has {_listed(names)}")
+        found[channel] = name
     # What an option states for the whole file is not guessed.
-    stated = {"time": config.rate_hz is not None, "command_velocity": config.velocity_rad_s is not None}
-    settled = {*found, *config.columns, *(channel for channel, told in stated.items() if told)}
-    guessed = _guessed([name for name in names if name not in found.values()], settled, source)
-    found |= guessed
-    _check_complete(names, found, stated, source)
-    return {
-        channel: _column(channel, found[channel], channel in guessed, config)
-        for channel in CHANNELS
-        if channel in found
-    }
-
-
-def _guessed(names: Sequence[str], settled: set[str], source: str) -> dict[str, str]:
-    """The channels that are not settled, by the names that are understood whole."""
+    options = {"time": config.rate_hz, "command_velocity": config.velocity_rad_s}
+    stated = [channel for channel, value in options.items() if value is not None]
+    settled = {*found, *config.columns, *stated}
     candidates: dict[str, list[str]] = {}
     for name in names:
         read = read_name(name)
-        if read is not None and not read.unclear and read.channel not in settled:
+        if read is not None and name not in found.values() and read.channel not in settled:
             candidates.setdefault(read.channel, []).append(name)
     for channel, several in candidates.items():
         if len(several) > 1:
             raise LogError(
-                f"{source}: which column is {channel}? It may be {_list(several, ' or ')}; "
+                f"{source}: which column is {channel}? It may be {_listed(several, ' or ')}; "
                 f"decide it: --columns {_quoted({channel: several[0]})}"
             )
-    return {channel: name for channel, (name,) in candidates.items()}
+        found[channel] = several[0]
+    _check_complete(names, {*found, *stated}, source)
+    columns = {}
+    for channel in CHANNELS:
+        if channel in found:
+            unit = stated_unit(channel, config) or unit_in(found[channel], KINDS[channel])
+            is_stated, is_guessed = unit is not None, channel in candidates
+            columns[channel] = Column(found[channel], unit or SI[KINDS[channel]], is_stated, is_guessed)
+    return columns
 
 
-def _check_complete(names: Sequence[str], found: Mapping[str, str], stated: Mapping[str, bool], source: str) -> None:
-    missing = [channel for channel in REQUIRED if channel not in found and not stated.get(channel)]
+def _check_complete(names: Sequence[str], found: set[str], source: str) -> None:
+    missing = [channel for channel in REQUIRED if channel not in found]
     if missing:
-        way_out = f"say it: {suggestion(names, {**found, **{channel: '' for channel, told in stated.items() if told}})}"
+        way_out = f"name it: --columns {_quoted(dict.fromkeys(missing, 'NAME'))}"
         if "command_velocity" in missing:
             way_out += "; --velocity 3.1 takes its place, if all commands had that velocity [rad/s]"
-        doubt = _doubt(names, missing[0])
-        raise LogError(f"{source}: which column is {missing[0]}? {doubt}It has {_list(names)}; {way_out}")
-    if "time" not in found and not stated["time"]:
+        units = ", ".join(UNITS[KINDS[missing[0]]])
         raise LogError(
-            f"{source}: no column of time; {_doubt(names, 'time')}give --rate 100 if a row was written every 10 ms, "
-            f"or name it: --columns time=NAME (it has {_list(names)})"
+            f"{source}: which column is {missing[0]}? Of {_listed(names)} none has a name of known words and units "
+            f"({units}) that means it; {way_out}"
+        )
+    if "time" not in found:
+        raise LogError(
+            f"{source}: no column of time in a known unit ({', '.join(UNITS['time'])}); give --rate 100 if a row was "
+            f"written every 10 ms, or name it: --columns time=NAME (it has {_listed(names)})"
         )
 
 
-def _doubt(names: Sequence[str], channel: str) -> str:
-    """Why the columns that look like it were not taken."""
-    for name in names:
-        read = read_name(name)
-        if read is not None and read.channel == channel:
-            known = ", ".join(UNITS[KINDS[channel]])
-            why = f"{read.unclear!r} is no known word or unit (units: {known}; others must be converted first)"
-            return f"{name!r} may be, but {why}. "
-    return ""
-
-
-def _column(channel: str, name: str, guessed: bool, config: ImportConfig) -> Column:
-    kind = KINDS[channel]
-    stated, unclear = unit_in(name, kind)
-    told = told_unit(channel, config)
-    unit = told or stated
-    return Column(name, unit or SI[kind], unit is not None, guessed, "" if told else unclear)
-
-
-def told_unit(channel: str, config: ImportConfig) -> str | None:
-    """The unit of a channel that the options state, or None."""
+def stated_unit(channel: str, config: ImportConfig) -> str | None:
+    """Unit of a channel that the options state, or None."""
     if channel == "time":
         return config.time_unit
     if channel.startswith("force"):
@@ -125,43 +103,29 @@ def told_unit(channel: str, config: ImportConfig) -> str | None:
     return unit if unit is None or unit in UNITS[KINDS[channel]] else f"{unit}/s"
 
 
-def shown(columns: Mapping[str, Column]) -> str:
-    """What was read from where, of the columns that are not named as softfin names them; empty where there are none."""
-    foreign = {channel: column for channel, column in columns.items() if OWN_NAMES.get(column.name) != channel}
+def describe_columns(columns: Mapping[str, Column]) -> str:
+    """What was read from where, of the columns with names of their own; empty where there are none."""
     parts = []
-    for guessed, why in ((True, "by the names: "), (False, "by --columns: ")):
+    for is_guessed, why in ((True, "by the names: "), (False, "by --columns: ")):
         some = [
-            f"{channel}={column.name!r} in {column.unit}" + ("" if column.stated else " (assumed)")
-            for channel, column in foreign.items()
-            if column.guessed is guessed
+            f"{channel}={column.name!r} in {column.unit}" + ("" if column.is_unit_stated else " (assumed)")
+            for channel, column in columns.items()
+            if column.is_guessed is is_guessed and OWN_NAMES.get(column.name) != channel
         ]
         parts += [why + ", ".join(some)] if some else []
     return "; ".join(parts)
 
 
-def suggestion(names: Sequence[str], found: Mapping[str, str] | None = None) -> str:
-    """An option ``--columns ...`` with what the names look like, and NAME where none does."""
-    found = found or {}
-    taken = set(found.values())
-    guesses: dict[str, str] = {}
-    for name in names:
-        read = read_name(name)
-        if read is not None and name not in taken:
-            guesses.setdefault(read.channel, name)
-    asked = [channel for channel in CHANNELS if channel not in found and (channel in REQUIRED or channel in guesses)]
-    return "--columns " + _quoted({channel: guesses.get(channel, "NAME") for channel in asked})
-
-
 def converted(
     channels: Mapping[str, Float[np.ndarray, "rows"]], config: ImportConfig, units: Mapping[str, str] | None = None
 ) -> dict[str, Float[np.ndarray, "rows"]]:
-    """In SI units, with softfin's signs and axes of force; `units` are the channels' own, else the options' or SI."""
+    """Convert to SI units and softfin's signs and axes; `units` are the channels' own, else the options' or SI."""
     result = {}
     for channel, values in channels.items():
         kind = KINDS[channel]
-        unit = (units or {}).get(channel) or told_unit(channel, config) or SI[kind]
+        unit = (units or {}).get(channel) or stated_unit(channel, config) or SI[kind]
         result[channel] = values if unit == SI[kind] else values * UNITS[kind][unit]
-    # The commanded velocity is a magnitude: no sign to turn.
+    # The commanded velocity is a magnitude without a sign to turn.
     turned = {*config.negate, *(["velocity"] if "angle" in config.negate else [])} - {"command_velocity"}
     for channel in turned & result.keys():
         result[channel] = -result[channel]
@@ -173,13 +137,12 @@ def converted(
     return result
 
 
-def _list(names: Sequence[str], between: str = ", ") -> str:
-    shown = [repr(name) for name in names[:LISTED]]
-    return between.join(shown) + (f" and {len(names) - LISTED} more" if len(names) > LISTED else "")
+def _listed(names: Sequence[str], between: str = ", ") -> str:
+    shown = between.join(map(repr, names[:LISTED]))
+    return shown + (f" and {len(names) - LISTED} more" if len(names) > LISTED else "")
 
 
 def _quoted(columns: Mapping[str, str]) -> str:
-    """As a shell and `ImportConfig` read it; NAME for what cannot be typed."""
-    pairs = [f"{channel}={name if name.isprintable() else 'NAME'}" for channel, name in columns.items()]
-    text = ",".join(f'"{pair}"' if "," in pair else pair for pair in pairs)
-    return shlex.quote(text)
+    """Write columns as a shell and `ImportConfig` read them; NAME for what cannot be typed."""
+    pairs: Iterable[str] = (f"{channel}={name if name.isprintable() else 'NAME'}" for channel, name in columns.items())
+    return shlex.quote(",".join(f'"{pair}"' if "," in pair else pair for pair in pairs))

@@ -3,43 +3,47 @@
 from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from softfin.core.quantities import Log
-from softfin.data.checks.findings import Finding
+from softfin.data.issues import Issue
 
 Part = Literal["train", "test"]
 
 Channels = dict[str, Float[np.ndarray, "rows"]]
-"""By name."""
+"""Values by the channel's name."""
 
 
 class Track(NamedTuple):
     """Channels that share a clock: a whole table, or one topic of a bag."""
 
     time: Float[np.ndarray, "rows"]
-    """[s], as recorded: it may repeat, jump and lack values."""
+    """Time as recorded [s]: it may repeat, jump and lack values."""
     channels: Channels
-    """SI units and softfin's axes; NaN where there is no value."""
+    """Values in SI units and softfin's axes; NaN where there is none."""
+
+    def take(self, rows: slice | Bool[np.ndarray, "rows"]) -> "Track":
+        """Keep some of the rows."""
+        return Track(self.time[rows], {name: values[rows] for name, values in self.channels.items()})
 
 
 class Recording(NamedTuple):
-    """One log, as yet unchecked."""
+    """One recording, as yet unchecked."""
 
     name: str
     part: Part
     tracks: tuple[Track, ...]
-    findings: tuple[Finding, ...] = ()
-    """Of its reading."""
+    issues: tuple[Issue, ...] = ()
+    """Issues that were met in reading it."""
     time_unit: str = "s"
-    """That its clock was read in; the tracks' times are in seconds."""
+    """Unit in which its clock was read; the tracks' times are in seconds."""
 
 
 class NamedLog(NamedTuple):
-    """A log at 100 Hz, and what it is called."""
+    """A log at 100 Hz with its name."""
 
     name: str
     part: Part
     log: Log
     start_s: float = 0.0
-    """What the recording's clock said at the log's time 0 [s]."""
+    """Time of the recording's clock at the log's time 0 [s]."""

@@ -1,6 +1,7 @@
 """RDT, the protocol of ATI's Ethernet force sensors: requests of 8 bytes out, records of 36 bytes in; pure.
 
-Layout of the ATI manual 9610-05-Ethernet Axia (RDT protocol); every field is big-endian.
+Layout and status bits of the ATI manual 9610-05-Ethernet Axia (the bits differ from those of the older Net F/T; none
+was seen on a real sensor). Every field is big-endian.
 """
 
 import enum
@@ -12,74 +13,107 @@ HEADER = 0x1234
 REQUEST = struct.Struct("!HHI")
 RECORD = struct.Struct("!IIIiiiiii")
 
-MOST_RECORDS = 40
-"""In one datagram: as many as an Ethernet frame of 1500 bytes holds."""
+MAX_RECORDS = 40
+"""Most records in one datagram: as many as an Ethernet frame of 1500 bytes holds."""
+
+OVER_RANGE = 0xC0000000
+"""Status of a record whose force or torque is out of range."""
+
+SUMMARY_BIT, BUSY_BIT = 31, 3
 
 Counts: TypeAlias = tuple[int, int, int, int, int, int]
-"""Fx, Fy, Fz, Tx, Ty, Tz as the sensor counts them."""
+"""Fx, Fy, Fz, Tx, Ty, Tz in the sensor's counts."""
 
 
-class Order(enum.IntEnum):
-    """What the Axia can be asked for; it answers neither STOP nor BIAS."""
+class RdtCommand(enum.IntEnum):
+    """Commands of the Axia that softfin uses; it answers neither STOP nor BIAS."""
 
     STOP = 0x0000
     START_OLD = 0x0001
-    """The same as START on an Axia."""
+    """Another code of START."""
     START = 0x0002
-    """A record a datagram."""
-    START_BLOCKS = 0x0003
-    """Several records a datagram, as many as the sensor's own settings say."""
+    """One record in each datagram."""
     BIAS = 0x0042
 
 
-class Request(NamedTuple):
-    """What a client asks for."""
-
-    order: Order
-    wanted: int
-    """Records; 0 is without end."""
-
-
-class Record(NamedTuple):
+class RdtRecord(NamedTuple):
     """One reading of the sensor."""
 
     rdt_sequence: int
-    """Of this stream: starts at 1, rolls over from 2^32 - 1 to 0."""
+    """Number in this stream: starts at 1, rolls over from 2^32 - 1 to 0."""
     ft_sequence: int
-    """Of the sensor since it was switched on; a request does not reset it."""
+    """Number since the sensor was switched on; a request does not reset it."""
     status: int
     counts: Counts
 
 
-def encode_request(order: Order, count: int = 0) -> bytes:
-    """The datagram that asks for it."""
-    return REQUEST.pack(HEADER, order, count)
+def encode_request(command: RdtCommand, count: int = 0) -> bytes:
+    """The datagram of a command; `count` records, 0 for no end."""
+    return REQUEST.pack(HEADER, command, count)
 
 
-def decode_request(datagram: bytes) -> Request | str:
-    """What a client asks for, or why that cannot be told."""
+def decode_request(datagram: bytes) -> tuple[RdtCommand, int] | None:
+    """Command and number of records of a client's datagram; None if it is not a valid request."""
     if len(datagram) != REQUEST.size:
-        return f"{len(datagram)} bytes; a request has {REQUEST.size}"
-    header, order, count = REQUEST.unpack(datagram)
-    if header != HEADER:
-        return f"header 0x{header:04X}; a request has 0x{HEADER:04X}"
-    if order not in Order._value2member_map_:
-        return f"command 0x{order:04X} is none of an Axia's"
-    return Request(Order(order), count)
+        return None
+    header, command, count = REQUEST.unpack(datagram)
+    return (RdtCommand(command), count) if header == HEADER and command in set(RdtCommand) else None
 
 
-def encode_record(record: Record) -> bytes:
-    """As the sensor sends it."""
+def encode_record(record: RdtRecord) -> bytes:
+    """The bytes of one record as the sensor sends it."""
     return RECORD.pack(record.rdt_sequence, record.ft_sequence, record.status, *record.counts)
 
 
-def decode_records(datagram: bytes) -> tuple[Record, ...] | str:
-    """The records in a datagram, or why it cannot be one of the sensor's."""
-    if not datagram or len(datagram) % RECORD.size:
-        return f"{len(datagram)} bytes; records have {RECORD.size} each"
-    if len(datagram) > MOST_RECORDS * RECORD.size:
-        return f"{len(datagram)} bytes; a datagram holds {MOST_RECORDS * RECORD.size} at most"
+def decode_records(datagram: bytes) -> tuple[RdtRecord, ...] | None:
+    """The records in a datagram; None if its size is not that of 1 to `MAX_RECORDS` records."""
+    if not datagram or len(datagram) % RECORD.size or len(datagram) > MAX_RECORDS * RECORD.size:
+        return None
     return tuple(
-        Record(rdt, ft, status, (fx, fy, fz, tx, ty, tz))
+        RdtRecord(rdt, ft, status, (fx, fy, fz, tx, ty, tz))
         for rdt, ft, status, fx, fy, fz, tx, ty, tz in RECORD.iter_unpack(datagram)
     )
+
+
+class StatusBit(NamedTuple):
+    """One bit of the status word."""
+
+    name: str
+    is_error: bool
+    """An error stops the fin; any other bit is a note: the readings are valid, or nothing can be done about it."""
+    remedy: str
+
+    def __str__(self) -> str:
+        return f"{self.name}; {self.remedy}"
+
+
+STATUS_BITS = {
+    0: StatusBit("its temperature is out of range", True, "let it reach that of the water, check the cooling"),
+    1: StatusBit("its supply voltage is out of range", True, "give it 12 to 32 V, look at the cable"),
+    2: StatusBit("a gage is broken", True, "send the sensor to ATI"),
+    BUSY_BIT: StatusBit("it is busy with its settings", False, "wait, change nothing on its web pages"),
+    5: StatusBit("it reports an unspecified error", True, "switch it off and on, look at its web page"),
+    7: StatusBit("its calibration cannot be read", True, "switch it off and on; else send it to ATI"),
+    16: StatusBit("one of its own thresholds was passed", False, "clear the monitor conditions on its web page"),
+    27: StatusBit("a gage is out of range", True, "take the load off; if it stays, the sensor is damaged"),
+    28: StatusBit("its forces are simulated", False, "switch the simulation off on its web page"),
+    29: StatusBit("its calibration is damaged (checksum)", True, "send the sensor to ATI"),
+    30: StatusBit("force or torque is out of its range", True, "take the load off, look at the fin's mount"),
+}
+
+
+def decode_status(status: int) -> tuple[StatusBit, ...]:
+    """Errors and notes of a status word of 32 bits.
+
+    Bit 31 is the summary of all errors: it counts by itself only where no other bit explains it.
+    """
+    summary = bool(status >> SUMMARY_BIT & 1)
+    bits = [bit for number, bit in STATUS_BITS.items() if status >> number & 1]
+    unknown = [number for number in range(SUMMARY_BIT) if status >> number & 1 and number not in STATUS_BITS]
+    remedy = "look at the sensor's web page, switch it off and on"
+    if unknown:
+        numbers = ", ".join(map(str, unknown))
+        bits.append(StatusBit(f"unknown status bits are set ({numbers} of 0x{status:08X})", summary, remedy))
+    if summary and not status >> BUSY_BIT & 1 and not any(bit.is_error for bit in bits):
+        bits.append(StatusBit(f"it reports an unspecified error (0x{status:08X})", True, remedy))
+    return tuple(bits)

@@ -1,125 +1,217 @@
-"""What is made of an Axia80's records: counted, put in order, scaled, filtered, turned into softfin's axes, timed."""
+"""The stream of an Axia80's records: counted, put in order, timed, scaled, filtered, rotated into softfin's axes."""
 
+import enum
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from softfin.rig.axia80.clock import StreamClock
-from softfin.rig.axia80.config import SensorConfig, rotation
-from softfin.rig.axia80.rdt import Record
-from softfin.rig.axia80.sequence import Arrival, SequenceCounter
-from softfin.rig.axia80.socket import Datagram, RdtSocket
-from softfin.rig.axia80.status import BUSY_BIT, decode_status
-from softfin.rig.axia80.xml import SensorSettings
+from softfin.rig.axia80.client import RdtClient
+from softfin.rig.axia80.config import Axia80Config
+from softfin.rig.axia80.pages import SensorSettings
+from softfin.rig.axia80.rdt import RdtRecord, decode_status
 from softfin.rig.filter import AntiAlias
+from softfin.rig.frame import rotated, rotation
 from softfin.rig.machine import Wrench
+
+WINDOW = 1024
+"""Number of records that are remembered, to tell a late one from a duplicate."""
+
+MAX_GAP = 1 << 20
+"""Longest gap in records; two minutes at the sensor's fastest. A longer jump begins another stream."""
+
+KEPT_STAMPS = 12
+"""Number of stamps among which the earliest counts; a tenth of a second at 100 Hz. A packet that was held up moves no
+time."""
+
+PAUSE_S = 0.2
+"""Silence after which earlier stamps no longer count [s]."""
+
+BASE_S = 0.3
+"""Shortest stretch of a stream from which its rate is measured [s]."""
+
+
+class Arrival(enum.Enum):
+    """How a record relates to the ones before it; NEXT is newer than all, NEW_STREAM the first after a request."""
+
+    NEXT, LATE, DUPLICATE, NEW_STREAM = range(4)
+
+
+class SequenceCounter:
+    """Gives each record a place in one row of integers that never rolls over; counts what is lost, late or doubled.
+
+    A stream's own numbers show gaps; the sensor's, which only its power switch resets, show a restart. Both are modulo
+    2^32.
+    """
+
+    def __init__(self) -> None:
+        self.lost = self.late = self.duplicates = self.streams = self.restarts = 0
+        self._newest: tuple[int, int] | None = None
+        """Both numbers of the newest record."""
+        self._is_requested = True
+        self._index = self._first = 0
+        self._recent: dict[int, int] = {}
+        """Both numbers of recent records."""
+
+    def begin(self) -> None:
+        """A stream was requested: the next record is its first."""
+        self._is_requested = True
+
+    def take(self, rdt_sequence: int, ft_sequence: int) -> tuple[Arrival, int]:
+        """How a record relates to those before, and its place in the row."""
+        rdt, ft = self._newest or (rdt_sequence, ft_sequence)
+        step, age = _difference(rdt_sequence, rdt), _difference(ft_sequence, ft)
+        is_next = 0 < step <= MAX_GAP and age >= 0
+        is_late = -WINDOW < step <= 0 and age <= 0 and self._recent.get(rdt_sequence, ft_sequence) == ft_sequence
+        if self._is_requested or not (is_next or is_late):
+            self.streams += 1
+            self.restarts += age < 0
+            self._index += 1
+            self._first, self._is_requested = self._index, False
+            self._recent.clear()
+            arrival = Arrival.NEW_STREAM
+        elif is_next:
+            self.lost += step - 1
+            self._index += step
+            arrival = Arrival.NEXT
+        elif rdt_sequence in self._recent:
+            self.duplicates += 1
+            return Arrival.DUPLICATE, self._index + step
+        else:
+            self.late += 1
+            # Nothing is missing before the first record of a stream.
+            self.lost -= self._index + step > self._first
+            self._remember(rdt_sequence, ft_sequence)
+            return Arrival.LATE, self._index + step
+        self._newest = rdt_sequence, ft_sequence
+        self._remember(rdt_sequence, ft_sequence)
+        return arrival, self._index
+
+    def _remember(self, rdt_sequence: int, ft_sequence: int) -> None:
+        self._recent[rdt_sequence] = ft_sequence
+        if len(self._recent) > WINDOW:
+            del self._recent[next(iter(self._recent))]
+
+
+def _difference(after: int, before: int) -> int:
+    """Steps from one number to another the short way round [-2^31, 2^31)."""
+    return (after - before + (1 << 31)) % (1 << 32) - (1 << 31)
+
+
+class StreamClock:
+    """Monotonic times of places in an even stream, from noisy stamps: no record can be stamped too early."""
+
+    def __init__(self, rate_hz: float) -> None:
+        self.rate_hz = rate_hz
+        """Measured rate, once the stream has lasted `BASE_S`; until then the configured one [Hz]."""
+        self._stamps: deque[tuple[int, float]] = deque(maxlen=KEPT_STAMPS)
+        self._base: tuple[int, float] | None = None
+
+    def begin(self) -> None:
+        """Another stream begins, at the old one's rate until its own is measured."""
+        self._stamps.clear()
+        self._base = None
+
+    def stamp(self, place: int, time: float) -> None:
+        """The record at a place was received at a time."""
+        if self._base is None:
+            self._base = (place, time)
+        first, began = self._base
+        if time - began >= BASE_S and place > first:
+            self.rate_hz = (place - first) / (time - began)
+        if self._stamps and time - self._stamps[-1][1] > PAUSE_S:
+            self._stamps.clear()
+        self._stamps.append((place, time))
+
+    @property
+    def measured_s(self) -> float:
+        """Duration of the stream so far [s]."""
+        return self._stamps[-1][1] - self._base[1] if self._base and self._stamps else 0.0
+
+    def time_of(self, place: int) -> float:
+        """The monotonic time of a place near the newest ones [s]."""
+        return min(time + (place - stamped) / self.rate_hz for stamped, time in self._stamps)
 
 
 class ForceReading(NamedTuple):
-    """The newest that is known of the force."""
+    """The newest force."""
 
     force_time: float
-    """Monotonic time that the filtered wrench stands for [s]: the delay of the filter before its newest record."""
+    """Monotonic time of the filtered wrench [s]: the delay of the filter before its newest record."""
     wrench: Wrench
     peak: Wrench
-    """Largest sizes of all unfiltered records since the read before: what safety looks at, as the filter is slow."""
-    received: float
-    """When the newest record arrived [s]."""
-    records: int
-    """That came with this read."""
+    """Largest magnitudes of all unfiltered records since the read before, for safety, as the filter is slow."""
 
 
 class ForceStream:
-    """All that is known since the sensor was opened; several streams, where it had to be asked again."""
+    """Everything received since the sensor was opened; several streams, where it had to be asked again."""
 
-    def __init__(self, config: SensorConfig, settings: SensorSettings, opened: float) -> None:
+    def __init__(self, client: RdtClient, config: Axia80Config, settings: SensorSettings, opened: float) -> None:
+        self.client = client
         self.sequence = SequenceCounter()
         self.filter = AntiAlias(config.rate_hz, config.cutoff_hz)
         self.times = StreamClock(config.rate_hz)
-        self.records = self.error_records = self.busy_records = 0
+        self.records = self.error_records = 0
         self.status = 0
-        """Every bit that a record of the newest arrivals had set."""
-        self.received = opened
-        """When the newest record arrived [s]; until there is one, when the sensor was opened."""
-        self.heard = opened
-        """When it was taken [s]: later, where nobody came to take it. Silence counts from here."""
+        """Every status bit that a record of the newest arrivals had set."""
+        self.taken = opened
+        """When it was taken from the socket [s]: later, if the process was held up. Silence counts from here."""
         self.collected: list[Float[np.ndarray, " 6"]] | None = None
-        """Where records are kept as well, in the sensor's axes [N, N m], for whoever sets a list here."""
+        """A list that every record is appended to, in the sensor's axes [N, N m], if a caller sets one."""
+        self.rotation = rotation(config.frame)
         self._force: tuple[float, Wrench] | None = None
         self._scale = np.repeat([settings.newton_per_count, settings.newton_metre_per_count], 3)
-        self._rotation = rotation(config.frame)
         self._peak = np.zeros(6)
 
     @property
     def delay_s(self) -> float:
-        """Of the filter [s]."""
+        """Delay of the filter [s]."""
         return self.filter.delay / self.times.rate_hz
 
     @property
     def full(self) -> bool:
-        """Enough records came one after the other for a filtered force."""
+        """Whether enough records came without a gap for a filtered force."""
         return self.filter.full(self.filter.newest)
 
-    def take(self, receiver: RdtSocket) -> int:
-        """All that has arrived; how many records."""
-        datagrams = receiver.drain()
-        newest: tuple[int, Datagram] | None = None
-        status = 0
-        for datagram in datagrams:
-            for record in datagram.records:
-                status |= record.status
-                place = self._place(record)
-                if place is not None:
-                    newest = (place, datagram)
+    def take(self) -> None:
+        """Take all that has arrived."""
+        datagrams = self.client.drain()
+        newest: tuple[int, float] | None = None
         if datagrams:
-            self.status = status
+            self.status = 0
+        for records, received in datagrams:
+            for record in records:
+                self.status |= record.status
+                place = self._put(record)
+                if place is not None:
+                    newest = (place, received)
         if newest is not None:
-            self.received = receiver.received_at(newest[1])
-            self.heard = receiver.drained
-            self.times.stamp(newest[0], self.received)
-        return sum(len(datagram.records) for datagram in datagrams)
+            self.taken = self.client.drained
+            self.times.stamp(*newest)
 
-    def reading(self, at: float | None, records: int) -> ForceReading | None:
-        """The newest force, or that of records up to a moment [s] near it; the old one where nothing new can be told.
-
-        None before there was any.
-        """
-        if self.full:
-            newest = self.filter.newest
-            back = 0.0 if at is None else max(0.0, self.times.time_of(newest) - at) * self.times.rate_hz
-            output = self.filter.at(newest - back)
-            if output is not None:
-                moment = self.times.time_of(newest - back) - self.delay_s
-                # The measured rate still settles; a time that has been told is not taken back.
-                latest = moment if self._force is None else max(moment, self._force[0])
-                self._force = (latest, self.turned(output))
+    def reading(self) -> ForceReading | None:
+        """The newest force; the old one during a gap. None before there was any."""
+        if self.full and (output := self.filter.at(self.filter.newest)) is not None:
+            moment = self.times.time_of(self.filter.newest) - self.delay_s
+            # The measured rate still settles; a time that was reported is not taken back.
+            latest = moment if self._force is None else max(moment, self._force[0])
+            self._force = (latest, rotated(output, self.rotation))
         if self._force is None:
             return None
-        peak, self._peak = self._sizes(self._peak), np.zeros(6)
-        return ForceReading(*self._force, peak, self.received, records)
+        # The rotation only swaps axes and signs, so that magnitudes stay magnitudes.
+        peak, self._peak = rotated(self._peak, np.abs(self.rotation)), np.zeros(6)
+        return ForceReading(*self._force, peak)
 
-    def _sizes(self, sizes: Float[np.ndarray, " 6"]) -> Wrench:
-        """In softfin's axes; the turn swaps axes and signs alone, so that sizes stay sizes."""
-        x, y, z = (np.abs(self._rotation) @ sizes[:3]).tolist()
-        torque_x, torque_y, torque_z = (np.abs(self._rotation) @ sizes[3:]).tolist()
-        return x, y, z, torque_x, torque_y, torque_z
-
-    def turned(self, values: Float[np.ndarray, " 6"]) -> Wrench:
-        """From the sensor's axes into softfin's."""
-        x, y, z = (self._rotation @ values[:3]).tolist()
-        torque_x, torque_y, torque_z = (self._rotation @ values[3:]).tolist()
-        return x, y, z, torque_x, torque_y, torque_z
-
-    def _place(self, record: Record) -> int | None:
+    def _put(self, record: RdtRecord) -> int | None:
         """The record's place, where it is newer than all before."""
         self.records += 1
-        self.error_records += bool(decode_status(record.status).errors) if record.status else 0
-        self.busy_records += record.status >> BUSY_BIT & 1
+        if record.status:
+            self.error_records += any(bit.is_error for bit in decode_status(record.status))
         arrival, place = self.sequence.take(record.rdt_sequence, record.ft_sequence)
         if arrival is Arrival.DUPLICATE:
             return None
-        if arrival in (Arrival.NEW_STREAM, Arrival.RESTART):
+        if arrival is Arrival.NEW_STREAM:
             self.filter.clear()
             self.times.begin()
         values = self._scale * record.counts

@@ -5,6 +5,7 @@ serves its objects. What a test wants to go wrong is a method: `fault`, `stall`,
 """
 
 import contextlib
+import threading
 from collections import Counter
 from collections.abc import Callable
 from typing import Any
@@ -12,7 +13,7 @@ from typing import Any
 import can
 import canopen
 
-from softfin.core.clock import REAL, Clock, Thread
+from softfin.core.clock import REAL, Clock
 from softfin.rig.emulation import drive_motor
 from softfin.rig.emulation.drive_motor import MODES, EmulatedMotor
 from softfin.rig.emulation.drive_network import DriveNetwork
@@ -37,7 +38,7 @@ class EmulatedDrive:
 
     def __init__(self, bus: BusConfig, config: Epos2Config, fin: EmulatedFin, clock: Clock = REAL) -> None:
         self._bus, self._config, self._clock = bus, config, clock
-        self._lock = clock.rlock()
+        self._lock = clock.lock()
         self._network = DriveNetwork(self._take, clock)
         self.counters: Counter[str] = Counter()
         node: Any = canopen.LocalNode
@@ -57,7 +58,7 @@ class EmulatedDrive:
         }
         self._errors: list[int] = []
         self._ending = clock.event()
-        self._ticking: Thread | None = None
+        self._ticking: threading.Thread | None = None
         self._power_up()
 
     def start(self) -> None:

@@ -1,13 +1,14 @@
 """The emulated drive's end of the bus: canopen's network in a thread of our clock, over a cable that can be cut."""
 
 import contextlib
+import threading
 from collections.abc import Callable
 from typing import Any
 
 import can
 import canopen
 
-from softfin.core.clock import Clock, Thread
+from softfin.core.clock import Clock
 
 CYCLE_S = 0.05
 """Longest time between two looks of the receiver at whether it is to end."""
@@ -20,7 +21,7 @@ class DriveNetwork(canopen.Network):
         super().__init__()
         self._take, self._clock = take, clock
         self.silent = False
-        self._receiving: Thread | None = None
+        self._receiving: threading.Thread | None = None
 
     def receive(self, bus: can.BusABC) -> None:
         """Take frames from now on, in a thread of the clock."""

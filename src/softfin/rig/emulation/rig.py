@@ -26,18 +26,17 @@ from softfin.tank import Tank
 HOST = "127.0.0.1"
 
 FRAME = "y,-x"
-"""How the emulated sensor is mounted; not as softfin's axes, so that nobody's frame is right by chance."""
-
+"""Mounting of the emulated sensor; not softfin's axes, so that no frame is right by chance."""
 
 RDT_PORT, HTTP_PORT = 49152, 80
-"""Of a sensor as it is delivered."""
+"""Ports of a sensor as it is delivered."""
 
-PATIENT = {"overrun_s": 0.3, "stale_s": 0.3, "force_stale_s": 0.4, "watchdog_s": 0.8}
+REAL_TIME_SAFETY = {"overrun_s": 0.3, "stale_s": 0.3, "force_stale_s": 0.4, "watchdog_s": 0.8}
 """Limits for emulators in real time that share their computer with browsers and compilers; a real fin deserves the
 defaults, and in simulated time nothing is late."""
 
-HEARTBEAT_S = 1.0
-"""Likewise."""
+REAL_TIME_HEARTBEAT_S = 1.0
+"""Period of the heartbeat in real time, likewise."""
 
 
 class EmulatedRig:
@@ -57,27 +56,25 @@ class EmulatedRig:
         """
         tank = (tank or Tank()) if fin is None else None
         self.clock = clock or SimulatedClock()
-        self.fin = fin or TankFin(tank, seed, self.clock)
-        channel = channel or f"emulated-{uuid.uuid4().hex[:8]}"
+        self.fin: Any = fin or TankFin(tank, seed, self.clock)
+        self._channel = channel or f"emulated-{uuid.uuid4().hex[:8]}"
         simulated = isinstance(self.clock, SimulatedClock)
-        drive = _drive(tank, real_time=not simulated)
-        self.drive = EmulatedDrive(BusConfig(interface="virtual", channel=channel), drive, self.fin, self.clock)
-        self.server = None if simulated else SocketcandServer(channel)
+        self._drive = _drive_config(tank, real_time=not simulated)
+        bus = BusConfig(interface="virtual", channel=self._channel)
+        self.drive = EmulatedDrive(bus, self._drive, self.fin, self.clock)
+        self.server = None if simulated else SocketcandServer(self._channel)
         # Within the process nobody else has the ports that a real one has.
-        ports = (0, 0) if self.server else (RDT_PORT, HTTP_PORT)
+        ports = (RDT_PORT, HTTP_PORT) if simulated else (0, 0)
         self.sensor = EmulatedAxia80(self.fin, HOST, *ports, frame=FRAME, clock=self.clock)
-        self._channel, self._config = channel, drive
-        self._ended = self.clock.event()
 
     def start(self) -> None:
-        """Power-up."""
+        """Power up."""
         self.drive.start()
         if self.server is not None:
             self.server.start()
 
     def close(self) -> None:
-        """Power-down; any number of times."""
-        self._ended.set()
+        """Power down; any number of times."""
         if self.server is not None:
             self.server.close()
         self.drive.close()
@@ -90,58 +87,49 @@ class EmulatedRig:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def wait(self) -> None:
-        """Until `close`, or Ctrl-C."""
-        while not self._ended.wait(0.5):
-            pass
-
-    def described(self) -> str:
+    def description(self) -> str:
         """Where it listens, in words."""
         bus = f"socketcand {HOST}:{self.server.port}" if self.server else "in this process"
         return (
-            f"drive: {bus}, node {self._config.node}; sensor: {HOST}, RDT port "
+            f"drive: {bus}, node {self._drive.node}; sensor: {HOST}, RDT port "
             f"{self.sensor.rdt_port}, pages at http://{HOST}:{self.sensor.http_port}"
         )
 
-    def bus(self, same_process: bool) -> dict[str, Any]:
-        """Of the rig's file."""
-        if self.server is None:
-            return {"interface": SIMULATED, "channel": self._channel}
-        if same_process:
-            return {"interface": "virtual", "channel": self._channel}
-        return {"interface": "socketcand", "channel": self._channel,
-                "options": {"host": HOST, "port": self.server.port, "tcp_tune": True}}  # fmt: skip
-
     def values(self, same_process: bool = False, **changes: Any) -> dict[str, Any]:
-        """What the rig's file holds."""
+        """Contents of the rig's file."""
+        bus: dict[str, Any] = {"interface": "virtual" if self.server else SIMULATED, "channel": self._channel}
+        if self.server is not None and not same_process:
+            options = {"host": HOST, "port": self.server.port, "tcp_tune": True}
+            bus = {"interface": "socketcand", "channel": self._channel, "options": options}
         sensor = {"http_port": self.sensor.http_port, "rdt_port": self.sensor.rdt_port}
-        values = _values(self._config, self.bus(same_process), sensor)
+        values = _rig_values(self._drive, bus, sensor)
         if self.server is not None:
-            values["safety"] |= PATIENT
+            values["safety"] |= REAL_TIME_SAFETY
         return values | changes
 
     def config(self, **changes: Any) -> RigConfig:
-        """For this process."""
+        """Configuration of the rig for this process."""
         return RigConfig.build(self.values(same_process=True, **changes), "emulated rig")
 
     def write(self, path: Path) -> None:
-        """The rig's file, for other processes; of a rig in real time."""
+        """Write the rig's file for other processes; of a rig in real time."""
         _write(path, "An emulated rig, while `softfin rig emulate --real-time` runs", self.values())
 
 
 def write_simulated(path: Path, tank: Tank, values: dict[str, Any], seed: int) -> None:
-    """The file of a rig that each command emulates itself, in simulated time; `values` are the tank's, as in a file."""
-    emulation = {"seed": seed, "tank": values}
-    rig = _values(_drive(tank, real_time=False), {"interface": SIMULATED, "channel": "emulated"}, {})
-    _write(path, "An emulated rig in simulated time, within each command", {**rig, "emulation": emulation})
+    """Write the file of a rig that each command emulates itself, in simulated time; `values` are the tank's file's."""
+    drive = _drive_config(tank, real_time=False)
+    rig = _rig_values(drive, {"interface": SIMULATED, "channel": "emulated"}, {})
+    rig["emulation"] = {"seed": seed, "tank": values}
+    _write(path, "An emulated rig in simulated time, within each command", rig)
 
 
-def _write(path: Path, what: str, values: dict[str, Any]) -> None:
-    text = f"# {what}; a real one is described in docs/rig.md.\n"
+def _write(path: Path, comment: str, values: dict[str, Any]) -> None:
+    text = f"# {comment}; a real one is described in docs/rig.md.\n"
     artifacts.write_file(path, text + yaml.safe_dump(values, sort_keys=False))
 
 
-def _values(drive: Epos2Config, bus: dict[str, Any], sensor: dict[str, Any]) -> dict[str, Any]:
+def _rig_values(drive: Epos2Config, bus: dict[str, Any], sensor: dict[str, Any]) -> dict[str, Any]:
     return {
         "fin": "emulated",
         "bus": bus,
@@ -152,18 +140,19 @@ def _values(drive: Epos2Config, bus: dict[str, Any], sensor: dict[str, Any]) -> 
     }
 
 
-def _drive(tank: Tank | None, real_time: bool) -> Epos2Config:
-    """As the tank's drive is: 500 lines at a reduction of 111:1 are its encoder's steps."""
-    changes: dict[str, float] = {"heartbeat_s": HEARTBEAT_S} if real_time else {}
+def _drive_config(tank: Tank | None, real_time: bool) -> Epos2Config:
+    """The drive of the tank: 500 lines and a reduction of 111:1 are its encoder's steps."""
+    values: dict[str, float] = {
+        "node": 1, "encoder_lines": 500, "gear_ratio": 111.0, "acceleration_rad_s2": 80.0, "quick_stop_rad_s2": 80.0,
+        "following_error_rad": 0.5,
+    }  # fmt: skip
+    if real_time:
+        values["heartbeat_s"] = REAL_TIME_HEARTBEAT_S
     if tank is not None:
         limits = tank.limits
-        changes |= {
+        values |= {
             "angle_min_rad": limits.angle_min, "angle_max_rad": limits.angle_max,
             "slowest_rad_s": limits.velocity_min, "fastest_rad_s": limits.velocity_max,
             "acceleration_rad_s2": float(tank.drive.acceleration),
         }  # fmt: skip
-    return Epos2Config.build(
-        {"node": 1, "encoder_lines": 500, "gear_ratio": 111.0, "acceleration_rad_s2": 80.0, "quick_stop_rad_s2": 80.0,
-         "following_error_rad": 0.5, **changes},
-        "emulated drive",
-    )  # fmt: skip
+    return Epos2Config.build(values, "emulated drive")

@@ -1,87 +1,41 @@
-"""The web pages of an emulated Axia80, in the form of the real ones, and the server of them."""
+"""The web pages of an emulated Axia80, in the form of the real ones, and the server of them in real time."""
 
-import contextlib
 import threading
 from collections.abc import Mapping
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from xml.sax.saxutils import escape
 
-from softfin.rig.axia80.xml import CALIBRATION, SETTINGS
-from softfin.rig.web_server import BoundedServer, OneRequest
-
-STALLED_S = 30.0
-
-
-def page(root: str, fields: Mapping[str, object]) -> bytes:
-    """One element a field, under a root."""
-    rows = "\r\n".join(f"<{name}>{escape(str(value))}</{name}>" for name, value in fields.items())
-    return f'<?xml version="1.0" encoding="UTF-8"?>\r\n<{root}>\r\n{rows}\r\n</{root}>\r\n'.encode()
-
-
-class PageServer:
-    """Serves bytes by path from a daemon thread until it is closed."""
-
-    def __init__(self, host: str, port: int, pages: Mapping[str, bytes]) -> None:
-        self.pages = dict(pages)
-        """Path: what is there; may be changed at any time."""
-        self.stalled = threading.Event()
-        """Set: takes requests and never answers."""
-        self._closing = threading.Event()
-        self._server = _Server((host, port), _handler(self.pages, self.stalled, self._closing))
-        self.port = int(self._server.server_address[1])
-        self._thread = threading.Thread(
-            target=self._server.serve_forever, args=(0.05,), daemon=True, name="emulated sensor's pages"
-        )
-        self._thread.start()
-
-    def close(self) -> None:
-        """Any number of times."""
-        if not self._closing.is_set():
-            self._closing.set()
-            self._server.shutdown()
-            self._server.server_close()
-            self._thread.join()
-
-
-class _Server(BoundedServer):
-    allow_reuse_address = True
-
-
-def _handler(pages: Mapping[str, bytes], stalled: threading.Event, closing: threading.Event) -> type[OneRequest]:
-    class Handler(OneRequest):
-        def do_GET(self) -> None:
-            if stalled.is_set():
-                closing.wait(STALLED_S)
-                return
-            body = pages.get(self.path)
-            with contextlib.suppress(OSError):
-                if body is None:
-                    self.send_error(404)
-                    return
-                self.send_response(200)
-                self.send_header("Content-Type", "text/xml")
-                self.send_header("Content-Length", str(len(body)))
-                self.end_headers()
-                self.wfile.write(body)
-
-    return Handler
+from softfin.rig.axia80.pages import CALIBRATION, SETTINGS
 
 
 def sensor_pages(
-    product: str,
-    serial: str,
-    units: tuple[str, str],
-    counts: tuple[float, float],
-    adc_rate_hz: float,
-    rdt_rate_hz: float,
+    units: tuple[str, str], counts: tuple[float, float], product: str = "Emulated Axia80-M20", serial: str = "FT00000"
 ) -> dict[str, bytes]:
-    """The two pages that clients read, by path."""
-    scale = {"cfgcpf": f"{counts[0]:.10g}", "cfgcpt": f"{counts[1]:.10g}"}
-    settings = {
-        "prodname": product,
-        "setrate": f"{adc_rate_hz:.10g}",
-        "scfgfu": units[0],
-        "scfgtu": units[1],
-        "comrdtrate": f"{rdt_rate_hz:.10g}",
-    }
-    calibration = {"calsn": serial, "calcpf": scale["cfgcpf"], "calcpt": scale["cfgcpt"]}
-    return {SETTINGS: page("netft", {**settings, **scale}), CALIBRATION: page("netftCalibration", calibration)}
+    """The two pages that clients read, by path; units and counts of force and torque."""
+    settings = {"prodname": product, "scfgfu": units[0], "scfgtu": units[1],
+                "cfgcpf": f"{counts[0]:.10g}", "cfgcpt": f"{counts[1]:.10g}"}  # fmt: skip
+    return {SETTINGS: _xml("netft", settings), CALIBRATION: _xml("netftCalibration", {"calsn": serial})}
+
+
+def serve_pages(host: str, port: int, pages: Mapping[str, bytes]) -> ThreadingHTTPServer:
+    """Serve bytes by path from a daemon thread, until the server's `shutdown` and `server_close`."""
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            body = pages.get(self.path)
+            self.send_response(404 if body is None else 200)
+            self.send_header("Content-Length", str(len(body or b"")))
+            self.end_headers()
+            self.wfile.write(body or b"")
+
+        def log_message(self, format: str, *args: object) -> None:
+            """Nothing is logged."""
+
+    server = ThreadingHTTPServer((host, port), Handler)
+    threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True, name="emulated sensor's pages").start()
+    return server
+
+
+def _xml(root: str, fields: Mapping[str, str]) -> bytes:
+    rows = "\r\n".join(f"<{name}>{escape(value)}</{name}>" for name, value in fields.items())
+    return f'<?xml version="1.0" encoding="UTF-8"?>\r\n<{root}>\r\n{rows}\r\n</{root}>\r\n'.encode()

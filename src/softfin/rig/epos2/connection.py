@@ -15,7 +15,7 @@ from collections.abc import Callable
 import can
 from canopen import SdoAbortedError
 
-from softfin.core.clock import REAL, Clock, Thread
+from softfin.core.clock import REAL, Clock
 from softfin.core.errors import DeviceError, RigError
 from softfin.rig.epos2 import objects
 from softfin.rig.epos2.config import BusConfig
@@ -61,10 +61,10 @@ class CanConnection:
         self._config, self._node, self._clock = config, node, clock
         self._on_frame, self._on_problem = on_frame, on_problem
         self._bus: can.BusABC | None = None
-        self._receiving: Thread | None = None
+        self._receiving: threading.Thread | None = None
         self._receiver: threading.Thread | None = None
         # Re-entrant, for a stop in a signal handler that interrupts a send.
-        self._sending, self._requesting = clock.rlock(), clock.lock()
+        self._sending, self._requesting = clock.lock(), clock.lock()
         self._answered = clock.condition()
         self._request, self._answer = b"", b""
         self.nodes: set[int] = set()

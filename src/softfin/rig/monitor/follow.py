@@ -1,4 +1,4 @@
-"""A bag that grows in, its last seconds out: each byte is read once, memory holds a window, damage is one line.
+"""Follow a bag that grows: each byte is read once, memory holds a window, damage is reported in one line.
 
 It opens the file to read and for no longer than one look, so it disturbs no recorder and holds up no unmounting.
 """
@@ -7,45 +7,36 @@ import io
 import itertools
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
+
+from mcap.records import Channel, Footer, Message, Schema
 
 from softfin.core.errors import LogError
 from softfin.core.printable import printable
-from softfin.rig.monitor import choice, records
-from softfin.rig.monitor.messages import MOST_CHARACTERS, TOPICS, TYPES, decoded
 from softfin.rig.monitor.summary import State, Summary, readings
-from softfin.rig.monitor.trace import Trace
-from softfin.storage.bag.chunks import (
-    CHANNEL,
-    CHUNK,
-    FOOTER,
-    MAGIC,
-    MESSAGE,
-    SCHEMA,
-    bytes_held,
-    check_cost,
-    inflated,
-    promised,
-)
-from softfin.storage.bag.chunks import records as records_of
+from softfin.rig.monitor.trace import MOST_CHARACTERS, ROLES, Trace
+from softfin.storage.bag.records import MAGIC, RawRecord, decode, read_records
 from softfin.storage.paths import check_monitored
 
-READ_BYTES = 16 * 2**20
-"""At one look, packed or unpacked: whoever waits for an old recording sees it come in."""
-
-RECORD_COST = 100
-"""Bytes that take as long to read as a record takes besides its own."""
+READ_BYTES = 4 * 2**20
+"""Bytes that one look takes in, so that an old recording is seen to come in."""
 
 SILENT_S = 3.0
-"""Without a new row [s]: a recorder writes twice a second."""
+"""Time without a new row after which a recording is silent [s]; a recorder writes twice a second."""
 
 CHOOSE_S = 1.0
-"""Between two looks for a newer bag [s]."""
+"""Time between two looks for a newer bag [s]."""
+
+NEWER_S = 1.0
+"""Another bag must have been written to this much later: two recordings at once do not take turns [s]."""
+
+PATTERNS = ("*.mcap", "*/*.mcap", "*/*/*.mcap")
+"""A folder of bags, of bag folders, or of runs that hold them; no deeper, for a monitor should not read whole disks."""
 
 
 class Follower:
-    """The newest of a recording; call `poll` a few times a second."""
+    """The newest rows of a recording; call `poll` a few times a second."""
 
     def __init__(
         self,
@@ -55,175 +46,143 @@ class Follower:
         clock: Callable[[], float] = time.monotonic,
         wall: Callable[[], float] = time.time,
     ) -> None:
-        """A bag, or a folder that bags are written to; raises LogError where there is neither.
+        """Follow a bag, or the newest one of a folder; raises LogError where there is neither.
 
-        `window_s` is what is held of each topic.
+        Of each topic, rows of `window_s` seconds are held.
         """
         check_monitored(path)
         self.path = path
-        self.window_s = window_s
-        self._clock, self._wall = clock, wall
+        self.follows_folder = path.is_dir()
+        """A newer bag may come when this one has ended."""
+        self._window, self._clock, self._wall = window_s, clock, wall
         self._serials = itertools.count(1)
         self._number = 0
         self._chosen_at = -float("inf")
-        self._bag: Path | None = None
+        self._bag: Path | None = None if self.follows_folder else path
+        self._restart()
         self._choose()
-        self._begin()
 
-    def _begin(self) -> None:
-        """With nothing read yet."""
+    def _restart(self) -> None:
+        """Begin with nothing read yet."""
         self._number += 1
-        self.traces = {role: Trace(role) for role in TYPES}
-        self._kinds: dict[int, str] = {}
+        self.traces = {role: Trace(role) for role in ROLES}
+        self._traces_by_topic = {ROLES[role].topic: trace for role, trace in self.traces.items()}
+        self._types: dict[int, str] = {}
         self._channels: dict[int, tuple[Trace, str]] = {}
-        self._offset = self._size = self._damaged = self._taken = 0
-        self._held = self._inflated = self._records = 0
-        self._chunk: Iterator[tuple[int, memoryview]] = iter(())
-        """What is still to be taken in of a chunk."""
-        self._start_ns = 0
+        self._offset = self._size = self._damaged = self._start_ns = 0
         self._identity: tuple[int, int] | None = None
         self._problem: str | None = None
         self._ended = self._broken = self._caught_up = False
         self._grown_at: float | None = None
-        """When rows came that were not there at the first look."""
-
-    @property
-    def follows_folder(self) -> bool:
-        """A newer bag may come when this one has ended."""
-        return self.path.is_dir()
+        """Time at which rows came that were not there at the first look."""
 
     def poll(self) -> None:
         """Take in what was written since."""
         if self._choose():
-            self._begin()
+            self._restart()
         if self._bag is None or self._ended or self._broken:
             return
+        self._problem = None
         try:
             if not self._bag.is_file():
                 raise FileNotFoundError(0, "not there any more")
-            self._problem = None
-            self._read(self._bag)
+            with self._bag.open("rb") as file:
+                self._read(file)
         except OSError as error:
             self._problem = f"{self._shown()}: cannot be read ({error.strerror or error}); looking again"
+        except LogError as error:
+            self._broken, self._problem = True, f"{self._shown()}: {error}"
 
     def summary(self) -> Summary:
-        """The recording as of the last look."""
-        told = readings(self.traces)
-        logged = None if told["time_s"] is None else self._start_ns * 1e-9 + told["time_s"]
+        """Summarize the recording as of the last look."""
+        values = readings(self.traces)
+        logged = None if values["time_s"] is None else self._start_ns * 1e-9 + values["time_s"]
         # What is recorded in simulated time runs ahead of the day.
         age = None if logged is None else max(0.0, self._wall() - logged)
-        return Summary(
-            path=self._shown(),
-            number=self._number,
-            state=self._state(age),
-            problem=self._problem,
-            size_bytes=self._size,
-            damaged=self._damaged,
-            age_s=age,
-            **told,
-        )
+        return Summary(path=self._shown(), number=self._number, state=self._state(age), problem=self._problem,
+                       size_bytes=self._size, damaged=self._damaged, age_s=age, **values)  # fmt: skip
 
     def _choose(self) -> bool:
-        """Whether there is another bag to follow."""
-        before, now = self._bag, self._clock()
-        if not self.path.is_dir():
-            self._bag = self._bag or self.path
-        elif now - self._chosen_at >= CHOOSE_S:
-            self._chosen_at = now
-            self._bag = choice.newest(self.path, self._bag)
-        return before != self._bag
-
-    def _read(self, bag: Path) -> None:
-        with bag.open("rb") as file:
-            status = os.fstat(file.fileno())
-            identity = (status.st_dev, status.st_ino)
-            if self._identity is not None and (identity != self._identity or status.st_size < self._offset):
-                # Another file by the same name, as a copy or a repair leaves it.
-                self._begin()
-            self._identity, self._size = identity, status.st_size
-            self._held = bytes_held(file, self._size)
+        """Whether there is another bag to follow: the one written to last, if it is clearly newer."""
+        if not self.follows_folder or self._clock() - self._chosen_at < CHOOSE_S:
+            return False
+        self._chosen_at = self._clock()
+        times: dict[Path, float] = {}
+        for path in itertools.chain.from_iterable(map(self.path.glob, PATTERNS)):
             try:
-                self._take_in(file)
-            except LogError as error:
-                self._broken = True
-                self._problem = f"{self._shown()}: {error}"
+                if path.is_file() and not path.name.startswith("."):
+                    times[path] = path.stat().st_mtime
+            except OSError:
+                # Renamed or removed meanwhile.
+                continue
+        newest = max(times, key=lambda path: (times[path], path.name), default=None)
+        if newest is None or newest == self._bag:
+            return False
+        if self._bag in times and times[newest] <= times[self._bag] + NEWER_S:
+            return False
+        self._bag = newest
+        return True
 
-    def _take_in(self, file: io.BufferedIOBase) -> None:
+    def _read(self, file: io.BufferedIOBase) -> None:
+        status = os.fstat(file.fileno())
+        identity = (status.st_dev, status.st_ino)
+        if self._identity is not None and (identity != self._identity or status.st_size < self._offset):
+            # Another file by the same name, as a copy or a repair leaves it.
+            self._restart()
+        self._identity, self._size = identity, status.st_size
         if self._offset == 0:
             magic = file.read(len(MAGIC))
             if not MAGIC.startswith(magic):
-                raise LogError("no MCAP file; give a bag that softfin or ros2 bag has recorded as MCAP")
+                raise LogError("not an MCAP file; give a bag that softfin or ros2 bag has recorded as MCAP")
             if len(magic) < len(MAGIC):
                 self._caught_up = True
                 return
             self._offset = len(magic)
-        known, before, self._taken = self._caught_up, self._counted(), 0
+        was_caught_up, before, end = self._caught_up, self._count(), self._offset + READ_BYTES
         try:
-            if not self._take_chunk():
-                return
-            for record in records.whole_records(file, self._offset, self._size):
+            for record in read_records(file, self._offset, self._size):
                 self._offset = record.end
-                self._record(record.opcode, record.body)
-                self._taken += RECORD_COST + len(record.body)
-                check_cost(self._held, self._inflated, self._records)
-                if not self._take_chunk() or self._ended or self._taken >= READ_BYTES:
-                    return
-            self._caught_up = True
+                self._take(record)
+                if self._ended or self._offset >= end:
+                    break
+            else:
+                self._caught_up = True
+        except LogError as error:
+            raise LogError(f"damaged ({error}); softfin bag recover saves what is whole") from None
         finally:
-            # Of the joint where there is one: no other topic's wrong stamps empty all traces.
+            # The joint's time counts where there is one: no other topic's wrong stamps empty all traces.
             lasts = [trace.last for trace in self.traces.values() if trace.last is not None]
-            newest = max(lasts, default=0.0) if self.traces["joint"].last is None else self.traces["joint"].last
-            for trace in self.traces.values():
-                since = -float("inf") if trace.role == "event" else newest - self.window_s
-                trace.settle(since, decoded, self._serials)
-            if known and self._counted() > before:
+            newest = self.traces["joint"].last
+            newest = max(lasts, default=0.0) if newest is None else newest
+            for role, trace in self.traces.items():
+                trace.settle(-float("inf") if role == "event" else newest - self._window, self._serials)
+            if was_caught_up and self._count() > before:
                 self._grown_at = self._clock()
 
-    def _counted(self) -> int:
+    def _count(self) -> int:
         return sum(trace.count for trace in self.traces.values())
 
-    def _take_chunk(self) -> bool:
-        """Whether all of the chunk was taken in at this look."""
-        for opcode, content in self._chunk:
-            if opcode != CHUNK and opcode != FOOTER:
-                self._record(opcode, content)
-            self._taken += RECORD_COST + len(content)
-            if self._taken >= READ_BYTES:
-                return False
-        return True
-
-    def _record(self, opcode: int, content: bytes | memoryview) -> None:
-        """One that cannot be read is counted and passed over."""
-        self._records += 1
+    def _take(self, raw: RawRecord) -> None:
+        """Take a record in; one that is damaged is counted and passed over."""
         try:
-            if opcode == MESSAGE:
-                self._message(content)
-            elif opcode == CHUNK:
-                chunk = bytes(content)
-                self._inflated += promised(chunk)
-                self._chunk = records_of(inflated(chunk))
-            elif opcode == SCHEMA:
-                number, name = records.schema_of(content)
-                if any(name in kinds for kinds in TYPES.values()):
-                    self._kinds[number] = name
-            elif opcode == CHANNEL:
-                channel = records.channel_of(content)
-                if channel.topic in TOPICS:
-                    kind = self._kinds.get(channel.schema, "") if channel.encoding == "cdr" else ""
-                    self._channels[channel.number] = (self.traces[TOPICS[channel.topic]], kind)
-            elif opcode == FOOTER:
-                self._ended = True
-            elif opcode == 0:
-                raise LogError("a chunk that ends within a record")
+            records = decode(raw)
         except LogError:
             self._damaged += 1
-
-    def _message(self, content: bytes | memoryview) -> None:
-        number, logged_ns = records.message_of(content)
-        if number in self._channels:
-            trace, kind = self._channels[number]
-            self._start_ns = self._start_ns or logged_ns
-            trace.offer((logged_ns - self._start_ns) * 1e-9, kind, bytes(content[records.MESSAGE_HEAD :]))
+            return
+        for record in records:
+            if isinstance(record, Message):
+                if record.channel_id in self._channels:
+                    trace, type_name = self._channels[record.channel_id]
+                    self._start_ns = self._start_ns or record.log_time
+                    trace.offer((record.log_time - self._start_ns) * 1e-9, type_name, record.data)
+            elif isinstance(record, Schema):
+                self._types[record.id] = record.name
+            elif isinstance(record, Channel):
+                if record.topic in self._traces_by_topic:
+                    type_name = self._types.get(record.schema_id, "") if record.message_encoding == "cdr" else ""
+                    self._channels[record.id] = (self._traces_by_topic[record.topic], type_name)
+            elif isinstance(record, Footer):
+                self._ended = True
 
     def _state(self, age: float | None) -> State:
         if self._broken:
@@ -234,7 +193,7 @@ class Follower:
             return "reading"
         if age is None:
             return "waiting"
-        # Another computer's clock may differ from that of the recorder: what grows counts, once it was seen to.
+        # Another computer's clock may differ from the recorder's: growth counts, once it was seen.
         quiet = age if self._grown_at is None else self._clock() - self._grown_at
         return "recording" if abs(quiet) < SILENT_S else "silent"
 

@@ -1,8 +1,10 @@
-"""The traces of a recording in, what a person wants to know at a glance out."""
+"""What a person wants to know of a recording at a glance, from its traces; shown by the terminal and by the page."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
+
+import numpy as np
 
 from softfin.core.action_clock import WINDOW
 from softfin.core.quantities import TICK_S
@@ -20,12 +22,12 @@ STATES: dict[State, str] = {
 }
 
 WINDOW_S = WINDOW * TICK_S
-"""Of the mean force, as evaluation judges it [s]."""
+"""Window of the mean force, the same as in an evaluation [s]."""
 
 SHOWN_EVENTS = 8
 
-MOST = 1e100
-"""Of any unit: numbers beyond it come from damage, and their sums are no numbers any more."""
+LARGEST = 1e100
+"""Numbers beyond it, in any unit, come from damage, and their sums are not finite."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,30 +36,31 @@ class Summary:
 
     path: str
     number: int
-    """Of the recording, among all that were followed."""
+    """Number of the recording, among all that were followed."""
     state: State
     problem: str | None
     """What went wrong with the reading, in one line that ends in the way out."""
     size_bytes: int
     rows: int
-    """Of the joint."""
+    """Rows of the joint."""
     rate_hz: float | None
-    """Of the joint, over the last 2 s."""
+    """Rate of the joint's rows, over the last 2 s."""
     gaps: int
     """Places of the joint's rows where some are missing at 100 Hz."""
     missing: int
     """Rows that are missing there."""
     force_gaps: int
-    """Places of the force's rows."""
+    """Places of the force's rows where some are missing at 100 Hz."""
     force_missing: int
+    """Rows that are missing there."""
     damaged: int
     """Chunks and records that could not be read and were passed over."""
     unreadable: int
-    """Messages that are not what their type says."""
+    """Messages that could not be decoded as their type."""
     age_s: float | None
-    """Of the newest row, by this computer's clock."""
+    """Age of the newest row, by this computer's clock."""
     time_s: float | None
-    """Of the newest row, since the recording's first."""
+    """Time of the newest row, since the recording's first."""
     angle_rad: float | None
     velocity_rad_s: float | None
     command_angle_rad: float | None
@@ -65,22 +68,35 @@ class Summary:
     current_a: float | None
     force_n: tuple[float, float] | None
     mean_force_n: tuple[float, float] | None
-    """Over the last 2 s."""
+    """Mean force over the last 2 s."""
     reference_n: tuple[float, float] | None
     events: tuple[tuple[float, str], ...]
     """Time since the recording's first row [s] and text, the newest last."""
 
-    def described(self) -> dict[str, Any]:
-        """For JSON."""
+    def to_dict(self) -> dict[str, Any]:
+        """Return all fields, for JSON."""
         return asdict(self)
+
+    def counts(self) -> str:
+        """Describe rows, rate, gaps, size and damage in a line."""
+        gaps = (("joint", self.gaps, self.missing), ("force", self.force_gaps, self.force_missing))
+        found = ", ".join(f"{name} {count:,} ({rows:,} rows)" for name, count, rows in gaps if count)
+        parts = [
+            f"{self.rows:,} rows",
+            "" if self.rate_hz is None else f"{self.rate_hz:.1f} Hz",
+            f"gaps: {found}" if found else "no gaps",
+            f"{self.size_bytes / 1e6:.1f} MB",
+            f"{self.damaged:,} damaged records" if self.damaged else "",
+            f"{self.unreadable:,} unreadable messages" if self.unreadable else "",
+        ]
+        return ", ".join(filter(None, parts))
 
 
 def readings(traces: Mapping[str, Trace]) -> dict[str, Any]:
-    """Those fields of a Summary that the traces tell."""
+    """Return those fields of a Summary that come from the traces."""
     joint, wrench = traces["joint"], traces["wrench"]
     angle, velocity = _newest(joint, 2)
-    command = _newest(traces["command"], 2)
-    events = list(traces["event"].rows)[-SHOWN_EVENTS:]
+    command_angle, command_velocity = _newest(traces["command"], 2)
     return {
         "rows": joint.count,
         "rate_hz": _rate(joint),
@@ -92,19 +108,19 @@ def readings(traces: Mapping[str, Trace]) -> dict[str, Any]:
         "time_s": max((trace.newest.time for trace in (joint, wrench) if trace.newest), default=None),
         "angle_rad": angle,
         "velocity_rad_s": velocity,
-        "command_angle_rad": command[0],
-        "command_velocity_rad_s": command[1],
+        "command_angle_rad": command_angle,
+        "command_velocity_rad_s": command_velocity,
         "current_a": _newest(traces["current"], 1)[0],
         "force_n": _pair(_newest(wrench, 2)),
-        "mean_force_n": _mean(wrench),
+        "mean_force_n": _mean_force(wrench),
         "reference_n": _pair(_newest(traces["reference"], 2)),
-        "events": tuple((row.time, str(row.values[0])) for row in events),
+        "events": tuple((row.time, str(row.values[0])) for row in list(traces["event"].rows)[-SHOWN_EVENTS:]),
     }
 
 
 def finite(value: Any) -> float | None:
-    """The number; None where it is none that a device can mean."""
-    return value if isinstance(value, float) and abs(value) < MOST else None
+    """Return the number; None where it is not one that a device can mean."""
+    return value if isinstance(value, float) and abs(value) < LARGEST else None
 
 
 def _newest(trace: Trace, count: int) -> list[float | None]:
@@ -116,26 +132,22 @@ def _pair(values: list[float | None]) -> tuple[float, float] | None:
     return None if x is None or y is None else (x, y)
 
 
-def _within_window(trace: Trace) -> list[tuple[float, list[float | None]]]:
-    """The rows of the last 2 s."""
-    if trace.newest is None:
-        return []
-    since = trace.newest.time - WINDOW_S + TICK_S / 2
-    return [(row.time, [finite(value) for value in row.values]) for row in trace.rows if row.time >= since]
+def _last_seconds(trace: Trace) -> np.ndarray:
+    """Return time and values of the rows within the window of the mean."""
+    rows = trace.array()
+    return rows[rows[:, 0] >= rows[-1, 0] - WINDOW_S + TICK_S / 2] if len(rows) else rows
 
 
 def _rate(trace: Trace) -> float | None:
-    times = [time for time, _ in _within_window(trace)]
-    if len(times) < 2 or times[-1] <= times[0]:
-        return None
-    return (len(times) - 1) / (times[-1] - times[0])
+    times = _last_seconds(trace)[:, 0]
+    return None if len(times) < 2 or times[-1] <= times[0] else float((len(times) - 1) / (times[-1] - times[0]))
 
 
-def _mean(trace: Trace) -> tuple[float, float] | None:
-    """None before there are 2 s, and where a force in them is no number."""
-    rows = _within_window(trace)
-    whole = bool(rows) and trace.rows[0].time <= rows[-1][0] - WINDOW_S + 1.5 * TICK_S
-    forces = [force for _, values in rows if (force := _pair(values)) is not None]
-    if not whole or len(forces) < len(rows):
+def _mean_force(trace: Trace) -> tuple[float, float] | None:
+    """Return None before there are 2 s, and where a force in them is not a number."""
+    rows = _last_seconds(trace)
+    is_whole = len(rows) > 0 and trace.rows[0].time <= rows[-1, 0] - WINDOW_S + 1.5 * TICK_S
+    if not is_whole or not (np.abs(rows[:, 1:]) < LARGEST).all():
         return None
-    return sum(x for x, _ in forces) / len(forces), sum(y for _, y in forces) / len(forces)
+    x, y = rows[:, 1:].mean(axis=0).tolist()
+    return x, y

@@ -1,26 +1,75 @@
-"""The last seconds of one topic, its rows counted, and the gaps between them."""
+"""The last seconds of one topic of a recording: its rows counted, the gaps found, its messages decoded when needed."""
 
 from collections import deque
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float64
 
+from softfin.core.printable import printable
 from softfin.core.quantities import TICK_S
-from softfin.rig.monitor.messages import NAMES, Values
+from softfin.storage.bag.messages import COMMAND, CURRENT, EVENTS, JOINT, REFERENCE, WRENCH, type_store
 
 MOST_ROWS = 30_000
-"""Of one topic that are held, whatever their times say: 30 s of a sensor that streams at 1 kHz."""
+"""Rows of one topic that are held, whatever their times say: 30 s of a sensor that streams at 1 kHz."""
+
+MOST_CHARACTERS = 300
+"""Characters of an event's text that are shown."""
+
+Values: TypeAlias = tuple[float | str, ...]
+
+_DECODE: dict[str, Callable[[Any], Values]] = {
+    "sensor_msgs/msg/JointState": lambda message: (
+        float(message.position[0]),
+        float(message.velocity[0]) if len(message.velocity) else float("nan"),
+    ),
+    "std_msgs/msg/Float64MultiArray": lambda message: tuple(float(message.data[i]) for i in (0, 1)),
+    "geometry_msgs/msg/WrenchStamped": lambda message: (float(message.wrench.force.x), float(message.wrench.force.y)),
+    "std_msgs/msg/Float64": lambda message: (float(message.data),),
+    "std_msgs/msg/String": lambda message: (printable(message.data, most=MOST_CHARACTERS),),
+}
+
+
+class Role(NamedTuple):
+    """What a topic holds."""
+
+    topic: str
+    columns: tuple[str, ...]
+    types: tuple[str, ...]
+    """Types of messages that are understood."""
+
+
+_JOINT, _PAIR, _WRENCH, _NUMBER, _TEXT = _DECODE
+
+ROLES = {
+    "joint": Role(JOINT, ("angle_rad", "velocity_rad_s"), (_JOINT,)),
+    "wrench": Role(WRENCH, ("force_x_n", "force_y_n"), (_WRENCH,)),
+    "command": Role(COMMAND, ("angle_rad", "velocity_rad_s"), (_JOINT, _PAIR)),
+    "reference": Role(REFERENCE, ("force_x_n", "force_y_n"), (_WRENCH,)),
+    "current": Role(CURRENT, ("current_a",), (_NUMBER,)),
+    "event": Role(EVENTS, ("text",), (_TEXT,)),
+}
+
+
+def decode_message(role: str, type_name: str, data: bytes) -> Values | None:
+    """Return the values of a message; None where it cannot be decoded as its type."""
+    if type_name not in ROLES[role].types:
+        return None
+    try:
+        return _DECODE[type_name](type_store().deserialize_cdr(data, type_name))
+    except Exception:
+        # Generated code reads damaged bytes, and fails in ways of its own; the caller counts it.
+        return None
 
 
 class Row(NamedTuple):
     """One message."""
 
     serial: int
-    """Its number among all that the follower has taken in."""
+    """Number of the row among all that the follower has taken in."""
     time: float
-    """When it was logged, since the recording's first message [s]."""
+    """Time of logging, since the recording's first message [s]."""
     values: Values
 
 
@@ -36,31 +85,31 @@ class Trace:
         self.missing = 0
         """Rows that would fill them."""
         self.unreadable = 0
-        self._waiting: deque[tuple[float, str, bytes]] = deque(maxlen=MOST_ROWS)
         self.last: float | None = None
         """Time of the message that came last, decoded or not [s]."""
+        self._waiting: deque[tuple[float, str, bytes]] = deque(maxlen=MOST_ROWS)
 
     @property
     def newest(self) -> Row | None:
         """The row that came last."""
         return self.rows[-1] if self.rows else None
 
-    def offer(self, time: float, kind: str, data: bytes) -> None:
+    def offer(self, time: float, type_name: str, data: bytes) -> None:
         """Count a message, and hold it until `settle`."""
         self.count += 1
         if self.last is not None and time - self.last > 1.5 * TICK_S:
             self.gaps += 1
             self.missing += round((time - self.last) / TICK_S) - 1
         self.last = time
-        self._waiting.append((time, kind, data))
+        self._waiting.append((time, type_name, data))
 
-    def settle(self, since: float, decode: Callable[[str, str, bytes], Values | None], serials: Iterator[int]) -> None:
-        """Decode what was offered, from the last row before `since`: it holds until the next one comes."""
+    def settle(self, since: float, serials: Iterator[int]) -> None:
+        """Decode what was offered, from the last row before `since` on: it holds until the next one comes."""
         while self._waiting:
-            time, kind, data = self._waiting.popleft()
+            time, type_name, data = self._waiting.popleft()
             if self._waiting and self._waiting[0][0] < since:
                 continue
-            values = decode(self.role, kind, data)
+            values = decode_message(self.role, type_name, data)
             if values is None:
                 self.unreadable += 1
             else:
@@ -69,15 +118,10 @@ class Trace:
             self.rows.popleft()
 
     def after(self, serial: int) -> list[Row]:
-        """The rows that came after the one of that number."""
-        found = []
-        for row in reversed(self.rows):
-            if row.serial <= serial:
-                break
-            found.append(row)
-        return found[::-1]
+        """Return the rows that came after the one of that number."""
+        return [row for row in self.rows if row.serial > serial]
 
     def array(self) -> Float64[np.ndarray, "rows channels"]:
-        """Time [s] and values of the rows that are held, as messages.NAMES has them."""
+        """Return time [s] and values of the rows that are held, with the columns of the role."""
         table = [(row.time, *row.values) for row in self.rows]
-        return np.array(table, np.float64).reshape(len(table), 1 + len(NAMES[self.role]))
+        return np.array(table, np.float64).reshape(len(table), 1 + len(ROLES[self.role].columns))

@@ -16,8 +16,9 @@ from xml.sax.saxutils import quoteattr
 from rosbags.interfaces import Nodetype
 
 from softfin.core.errors import DeviceError, RigError
-from softfin.rig.ros2.messages import Messages
-from softfin.rig.ros2.transport import DEPTH, Received, TransportConfig
+from softfin.rig.ros2.config import TransportConfig
+from softfin.rig.ros2.messages import Messages, one_line
+from softfin.rig.ros2.transport import DEPTH, Publisher, Received, Take
 
 try:
     from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
@@ -35,7 +36,7 @@ except ImportError:
 URI = "CYCLONEDDS_URI"
 
 BLOCK_NS = 5_000_000
-"""Longest that a slow reader may hold up a writer [ns]: half a tick."""
+"""Longest time that a slow reader may hold up a writer [ns]: half a tick."""
 
 IDL: Any = types
 """Its types take their lengths in brackets, in a way of their own that type checkers do not know."""
@@ -46,7 +47,6 @@ BASES = {"byte": types.int8, "char": types.uint8, "string": str, "bool": bool} |
 }
 
 _domains: "weakref.WeakValueDictionary[int, Any]" = weakref.WeakValueDictionary()
-_networks: dict[int, str | None] = {}
 _lock = threading.Lock()
 
 
@@ -57,77 +57,100 @@ class Carrier(IdlStruct):
         self.data = data
 
     def serialize(self, *_: Any, **__: Any) -> bytes:
-        """As they are."""
+        """The bytes as they are."""
         return self.data
 
     @classmethod
     def deserialize(cls, data: bytes, *_: Any, **__: Any) -> "Carrier":
-        """As they are."""
+        """The bytes as they are."""
         return cls(bytes(data))
 
     deserialize_key = deserialize
 
 
 def idl_type(kind: str, messages: Messages, carries: bool = False) -> Any:
-    """The DDS type of a message; `carries`: its samples hold CDR in place of fields."""
+    """The DDS type of a message; with `carries` its samples hold CDR in place of fields."""
     fields = {name: _idl_field(descriptor, messages) for name, descriptor in messages.types.fielddefs[kind][1]}
     package, _, name = kind.split("/")
     bases = (Carrier,) if carries else ()
     return make_idl_struct(f"{name}_", f"{package}::msg::dds_::{name}_", fields, dataclassify=not carries, bases=bases)
 
 
-def dds_topic(topic: str) -> str:
-    """ROS 2's name of a topic on the wire."""
-    return f"rt{topic}"
-
-
-def localhost() -> str:
-    """Cyclone DDS's configuration for this computer alone: loopback, no multicast."""
-    return _configuration(
-        '<NetworkInterface address="127.0.0.1" multicast="false"/>',
-        "<AllowMulticast>false</AllowMulticast>",
-        '<Discovery><ParticipantIndex>auto</ParticipantIndex><Peers><Peer address="127.0.0.1"/></Peers></Discovery>',
-    )
+def configuration(network: str | None) -> str:
+    """Cyclone DDS's configuration for a network interface; None is this computer alone: loopback, no multicast."""
+    if network is not None:
+        inner = f"<General><Interfaces><NetworkInterface name={quoteattr(network)}/></Interfaces></General>"
+    else:
+        inner = (
+            '<General><Interfaces><NetworkInterface address="127.0.0.1" multicast="false"/></Interfaces>'
+            "<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>"
+            '<Peers><Peer address="127.0.0.1"/></Peers></Discovery>'
+        )
+    return f'<CycloneDDS><Domain Id="any">{inner}</Domain></CycloneDDS>'
 
 
 class DdsTransport:
     """Meets the Transport contract."""
 
     def __init__(self, config: TransportConfig, messages: Messages) -> None:
-        self._messages = messages
-        self._domain, self.notes = _open_domain(config)
+        self._messages, number = messages, config.domain_id()
         try:
-            self._participant: Any = DomainParticipant(config.domain_id())
+            self._domain, self.notes = _open_domain(number, config.network)
+            self._participant: Any = DomainParticipant(number)
             self._publications: Any = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
         except DDSException as error:
             self._domain = None
-            raise DeviceError(f"DDS cannot be used ({_reason(error)}); {_way_out(config)}") from None
+            remedy = "is there such a network interface, and is it up?" if config.network else "is loopback up?"
+            if os.environ.get(URI):
+                remedy = f"check {URI}"
+            raise DeviceError(f"DDS domain {number} cannot be used ({one_line(error)}); {remedy}") from None
         self._own: set[str] = set()
         self._seen: dict[str, tuple[str, str]] = {}
 
-    def publish(self, topic: str, kind: str) -> "DdsOutlet":
+    def publish(self, topic: str, kind: str) -> Publisher:
         """A writer of its own."""
-        return DdsOutlet(self._open(), self._carrier(topic, kind), topic, self._own)
+        carrier, quality = idl_type(kind, self._messages, carries=True), _quality()
+        writer: Any = DataWriter(self._open(), Topic(self._open(), f"rt{topic}", carrier, qos=quality), qos=quality)
+        self._own.add(str(writer.get_guid()))
 
-    def subscribe(self, topic: str, kind: str, best_effort: bool = False) -> "DdsInlet":
-        """A reader of its own."""
-        return DdsInlet(self._open(), self._carrier(topic, kind), topic, best_effort)
+        def send(data: bytes) -> None:
+            try:
+                writer.write(carrier(data))
+            except DDSException as error:
+                raise DeviceError(f"{topic}: not sent ({one_line(error)}); is its reader too slow?") from None
+
+        return Publisher(send, lambda: int(writer.get_publication_matched_status().current_count))
+
+    def subscribe(self, topic: str, kind: str, best_effort: bool = False) -> Take:
+        """A reader of its own, which keeps the last messages."""
+        carrier = idl_type(kind, self._messages, carries=True)
+        reader = DataReader(
+            self._open(), Topic(self._open(), f"rt{topic}", carrier, qos=_quality()), qos=_quality(best_effort)
+        )
+
+        def take() -> list[Received]:
+            try:
+                found = reader.take(DEPTH)
+            except DDSException as error:
+                raise DeviceError(f"{topic}: cannot be read ({one_line(error)}); start again") from None
+            now = time.monotonic()
+            return [Received(sample.data, now) for sample in found if not isinstance(sample, InvalidSample)]
+
+        return take
 
     def topics(self) -> dict[str, str]:
-        """From DDS's own discovery."""
-        if self._publications is None:
-            return {}
-        for found in self._publications.take(1000):
-            key = str(found.key)
-            gone = found.sample_info is not None and not found.sample_info.valid_data
-            if gone:
+        """Topics that other nodes publish, from DDS's own discovery."""
+        for found in self._publications.take(1000) if self._publications is not None else ():
+            key, name = str(found.key), str(found.topic_name)
+            if found.sample_info is not None and not found.sample_info.valid_data:
                 self._seen.pop(key, None)
-            elif str(found.topic_name).startswith("rt/"):
-                self._seen[key] = (found.topic_name[2:], _ros_type(found.type_name))
+            elif name.startswith("rt/"):
+                kind = found.type_name.replace("::dds_::", "::").removesuffix("_").replace("::", "/")
+                self._seen[key] = (name[2:], kind)
         return dict(sorted(pair for key, pair in self._seen.items() if key not in self._own))
 
     def close(self) -> None:
-        """Readers and writers that somebody still holds go with the last one who does."""
+        """Leave; readers and writers that somebody still holds go with the last one who does."""
         with contextlib.suppress(Exception):
             self._publications = self._participant = self._domain = None
 
@@ -135,48 +158,6 @@ class DdsTransport:
         if self._participant is None:
             raise DeviceError("the way to ROS 2 is closed; open it again")
         return self._participant
-
-    def _carrier(self, topic: str, kind: str) -> tuple[str, Any]:
-        return dds_topic(topic), idl_type(kind, self._messages, carries=True)
-
-
-class DdsOutlet:
-    """Meets the Outlet contract."""
-
-    def __init__(self, participant: Any, carrier: tuple[str, Any], name: str, own: set[str]) -> None:
-        quality = _quality()
-        self._name, (topic, self._carrier) = name, carrier
-        self._writer = DataWriter(participant, Topic(participant, topic, self._carrier, qos=quality), qos=quality)
-        own.add(str(self._writer.get_guid()))
-
-    def send(self, data: bytes) -> None:
-        """Written to the network before it returns."""
-        try:
-            self._writer.write(self._carrier(data))
-        except DDSException as error:
-            raise DeviceError(f"{self._name}: not sent ({_reason(error)}); is its reader too slow?") from None
-
-    def listeners(self) -> int:
-        """Matched readers."""
-        return int(self._writer.get_publication_matched_status().current_count)  # type: ignore[no-untyped-call]
-
-
-class DdsInlet:
-    """Meets the Inlet contract."""
-
-    def __init__(self, participant: Any, carrier: tuple[str, Any], name: str, best_effort: bool) -> None:
-        quality = _quality(best_effort)
-        self._name, (topic, kind) = name, carrier
-        self._reader = DataReader(participant, Topic(participant, topic, kind, qos=_quality()), qos=quality)
-
-    def take(self) -> list[Received]:
-        """All that DDS has kept."""
-        try:
-            found = self._reader.take(DEPTH)
-        except DDSException as error:
-            raise DeviceError(f"{self._name}: cannot be read ({_reason(error)}); start again") from None
-        now = time.monotonic()
-        return [Received(sample.data, now) for sample in found if not isinstance(sample, InvalidSample)]
 
 
 def _quality(best_effort: bool = False) -> Any:
@@ -200,46 +181,19 @@ def _idl_field(descriptor: Any, messages: Messages) -> Any:
     return IDL.sequence[inner, count] if count else IDL.sequence[inner]
 
 
-def _open_domain(config: TransportConfig) -> tuple[Any, tuple[str, ...]]:
-    """The domain with the configuration of ours, shared by all of this process, and what to tell of it."""
+def _open_domain(number: int, network: str | None) -> tuple[Any, tuple[str, ...]]:
+    """The domain with our configuration, shared by all of this process, and remarks on it."""
     if os.environ.get(URI):
         own = f"DDS is set up by {URI}"
-        return None, (own if config.network is None else f"{own}: --network {config.network} does not count",)
-    number = config.domain_id()
+        return None, (own if network is None else f"{own}: --network {network} does not count",)
     with _lock:
-        domain = _domains.get(number)
+        domain: Any = _domains.get(number)
         if domain is None:
-            try:
-                domain = Domain(number, localhost() if config.network is None else _on(config.network))
-            except DDSException as error:
-                raise DeviceError(f"DDS domain {number}: {_reason(error)}; {_way_out(config)}") from None
-            _domains[number], _networks[number] = domain, config.network
-        elif _networks[number] != config.network:
-            names = [name or "this computer alone" for name in (_networks[number], config.network)]
-            raise RigError(f"DDS domain {number} is open on {names[0]}, and cannot be on {names[1]} too: take another")
-    if config.network is None:
+            domain = _domains[number] = Domain(number, configuration(network))
+            domain.network = network
+        elif domain.network != network:
+            names = [name or "this computer alone" for name in (domain.network, network)]
+            raise RigError(f"DDS domain {number} is open on {names[0]}, and cannot be on {names[1]} too: use another")
+    if network is None:
         return domain, ()
-    return domain, (f"everybody on the network of {config.network} can read these topics and write to them",)
-
-
-def _on(network: str) -> str:
-    return _configuration(f"<NetworkInterface name={quoteattr(network)}/>", "", "")
-
-
-def _configuration(interface: str, general: str, rest: str) -> str:
-    inner = f"<General><Interfaces>{interface}</Interfaces>{general}</General>{rest}"
-    return f'<CycloneDDS><Domain Id="any">{inner}</Domain></CycloneDDS>'
-
-
-def _ros_type(name: str) -> str:
-    return name.replace("::dds_::", "::").removesuffix("_").replace("::", "/")
-
-
-def _reason(error: Exception) -> str:
-    return " ".join(str(error).split())[:160]
-
-
-def _way_out(config: TransportConfig) -> str:
-    if os.environ.get(URI):
-        return f"check {URI}"
-    return "is there such a network interface, and is it up?" if config.network else "is loopback up?"
+    return domain, (f"everybody on the network of {network} can read these topics and write to them",)

@@ -1,17 +1,14 @@
-"""ROS 2 messages without ROS: rosbags' types and their CDR, and what softfin takes from them and puts into them; pure.
+"""ROS 2 messages without ROS: rosbags' types and their CDR, and the values that softfin reads from and writes to them.
 
-A message that says something else than it should raises ValueError with the reason; who takes messages counts them.
+A message with unusable content raises ValueError with the reason.
 """
 
-import contextlib
 import math
 import re
-from collections.abc import Iterator, Mapping
-from typing import Annotated, Any
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
-import pydantic
-from jaxtyping import Float
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -23,25 +20,26 @@ WRENCH = "geometry_msgs/msg/WrenchStamped"
 VECTOR = "geometry_msgs/msg/Vector3Stamped"
 BOOL = "std_msgs/msg/Bool"
 
-TopicName = Annotated[str, pydantic.StringConstraints(pattern=r"^(/[A-Za-z_][A-Za-z0-9_]*)+$")]
-"""A full name, as ``/fin/wrench``: no relative ones, no ``~``."""
-
 
 class Messages:
     """Message types by name: those of ROS 2 Humble, and others whose definition is given as text."""
 
     def __init__(self, definitions: Mapping[str, str] | None = None) -> None:
         self.types = get_typestore(Stores.ROS2_HUMBLE)
-        given = definitions or {}
-        for kind, text in given.items():
-            with _told(kind):
+        definitions = definitions or {}
+        kind = ""
+        try:
+            for kind, text in definitions.items():
                 self.types.register(get_types_from_msg(text, kind))
-        for kind in given:
-            with _told(kind):
+            for kind in definitions:
                 self._check(kind)
+        except Exception as error:
+            # The parser, the registration and a type that is not there fail in ways of their own.
+            raise RigError(f"message {kind}: its definition cannot be used ({one_line(error)}); give that of its .msg "
+                           "file, and one for each type of its own in it") from None  # fmt: skip
 
     def make(self, kind: str, *values: Any) -> Any:
-        """A message of its fields, in order."""
+        """A message from its fields, in order."""
         return self.types.types[kind](*values)
 
     def encode(self, message: Any) -> bytes:
@@ -49,20 +47,19 @@ class Messages:
         return bytes(self.types.serialize_cdr(message, message.__msgtype__))
 
     def decode(self, data: bytes, kind: str) -> Any:
-        """From CDR; ValueError where the bytes are no such message."""
+        """A message from CDR; raises ValueError where the bytes are not such a message."""
         try:
             return self.types.deserialize_cdr(data, kind)
         except Exception as error:
             # Bytes that anybody sent fail at any step of the decoder.
-            reason = " ".join(str(error).split())[:100] or type(error).__name__
-            raise ValueError(f"{len(data)} bytes that are no {kind} ({reason})") from None
+            raise ValueError(f"{len(data)} bytes that are no {kind} ({one_line(error)})") from None
 
     def blank(self, kind: str) -> Any:
         """A message whose every number is 0, and whose texts and sequences are empty."""
-        return self.types.types[kind](*(self.blank_value(descriptor) for _, descriptor in self._fields(kind)))
+        return self.make(kind, *(self.blank_value(descriptor) for _, descriptor in self.types.fielddefs[kind][1]))
 
     def blank_value(self, descriptor: Any) -> Any:
-        """Of one field, as rosbags describes it."""
+        """The blank value of one field, as rosbags describes it."""
         node, detail = descriptor
         if node is Nodetype.NAME:
             return self.blank(detail)
@@ -74,18 +71,8 @@ class Messages:
             return np.zeros(length, {"byte": "int8", "char": "uint8"}.get(element[1][0], element[1][0]))
         return [self.blank_value(element) for _ in range(length)]
 
-    def _fields(self, kind: str) -> Any:
-        return self.types.fielddefs[kind][1]
-
-    def _check(self, kind: str) -> None:
-        """Every type in it is there, none within itself: KeyError, RecursionError."""
-        for _, (node, detail) in self._fields(kind):
-            inner = detail if node in (Nodetype.NAME, Nodetype.BASE) else detail[0][1]
-            if isinstance(inner, str):
-                self._check(inner)
-
     def header(self, stamp_ns: int, frame: str) -> Any:
-        """Of every message with a stamp."""
+        """A header with the time since 1970 [ns]."""
         seconds, rest = divmod(stamp_ns, 10**9)
         return self.make("std_msgs/msg/Header", self.make("builtin_interfaces/msg/Time", seconds, rest), frame)
 
@@ -99,16 +86,17 @@ class Messages:
         parts = (self.make("geometry_msgs/msg/Vector3", *map(float, part)) for part in (wrench[:3], wrench[3:]))
         return self.make(WRENCH, self.header(stamp_ns, frame), self.make("geometry_msgs/msg/Wrench", *parts))
 
+    def _check(self, kind: str) -> None:
+        """Raise KeyError where a type in it is missing, RecursionError where it is within itself."""
+        for _, (node, detail) in self.types.fielddefs[kind][1]:
+            inner = detail if node in (Nodetype.NAME, Nodetype.BASE) else detail[0][1]
+            if isinstance(inner, str):
+                self._check(inner)
 
-@contextlib.contextmanager
-def _told(kind: str) -> Iterator[None]:
-    try:
-        yield
-    except Exception as error:
-        # The parser, the registration and a type that is not there fail in ways of their own.
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise RigError(f"message {kind}: its definition cannot be used ({reason}); give that of its .msg file, and one "
-                       "for each type of its own in it") from None  # fmt: skip
+
+def one_line(error: Exception) -> str:
+    """The message of an error of any library, in one short line."""
+    return " ".join(str(error).split())[:160] or type(error).__name__
 
 
 def stamp_of(message: Any) -> int:
@@ -131,7 +119,7 @@ def joint_of(message: Any, name: str) -> tuple[float, float | None]:
 
 
 def wrench_of(message: Any) -> Wrench:
-    """Force and torque as they stand there."""
+    """Force and torque in the message's own axes."""
     force, torque = message.wrench.force, message.wrench.torque
     return (
         _finite("force x", force.x), _finite("force y", force.y), _finite("force z", force.z),
@@ -140,18 +128,12 @@ def wrench_of(message: Any) -> Wrench:
 
 
 def reference_of(message: Any, frame: str) -> tuple[float, float]:
-    """The force that is asked for, from a WrenchStamped or a Vector3Stamped in our frame, or without one."""
+    """The reference force of a WrenchStamped or a Vector3Stamped in our frame, or without one."""
     theirs = message.header.frame_id
     if theirs not in ("", frame):
         raise ValueError(f"it is in the frame {theirs!r}; this node's is {frame!r}")
     vector = message.wrench.force if hasattr(message, "wrench") else message.vector
     return _finite("x", vector.x), _finite("y", vector.y)
-
-
-def turned(wrench: Wrench, rotation: Float[np.ndarray, "3 3"]) -> Wrench:
-    """Force and torque in other axes."""
-    fx, fy, fz, tx, ty, tz = (np.reshape(wrench, (2, 3)) @ rotation.T).ravel().tolist()
-    return fx, fy, fz, tx, ty, tz
 
 
 def type_name(kind: str) -> str:
@@ -160,12 +142,12 @@ def type_name(kind: str) -> str:
     if len(parts) == 2:
         parts.insert(1, "msg")
     if len(parts) != 3 or not all(re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", part) for part in parts):
-        raise ValueError(f"{kind!r} is no message type; write package/msg/Type")
+        raise ValueError(f"{kind!r} is not a message type; write package/msg/Type")
     return "/".join(parts)
 
 
-def _finite(what: str, value: Any) -> float:
+def _finite(name: str, value: Any) -> float:
     number = float(value)
     if not math.isfinite(number):
-        raise ValueError(f"its {what} is {number}")
+        raise ValueError(f"its {name} is {number}")
     return number

@@ -4,25 +4,20 @@ Tried with drivers of our own making on loopback; it has met neither a real driv
 """
 
 import contextlib
-import math
 import threading
 import time
 from collections.abc import Callable
-from typing import Literal
+from typing import NamedTuple
 
-from pydantic import Field, PositiveFloat, model_validator
-
-from softfin.core.configuration import Configuration
 from softfin.core.errors import CommandError, DeviceError
 from softfin.core.quantities import Limits
-from softfin.data.importing.importing import FORCE_FRAMES
-from softfin.rig.axia80.config import rotation
+from softfin.rig.frame import rotated, rotation
 from softfin.rig.machine import Sample, Target, Wrench
-from softfin.rig.ros2.commands import Commands, JointCommands
-from softfin.rig.ros2.intake import Intake, Told
-from softfin.rig.ros2.messages import BOOL, JOINT, WRENCH, Messages, TopicName, joint_of, turned, wrench_of
-from softfin.rig.ros2.transport import Outlet, Transport, TransportConfig, open_transport
-from softfin.rig.ucat import FlipperCommands, FlipperConfig
+from softfin.rig.ros2.config import Ros2PlantConfig, TransportConfig
+from softfin.rig.ros2.connection import Stamped, Subscription, open_transport
+from softfin.rig.ros2.flipper import FlipperCommands
+from softfin.rig.ros2.messages import BOOL, JOINT, WRENCH, Messages, joint_of, wrench_of
+from softfin.rig.ros2.transport import Publisher, Transport
 
 ROUNDING = 1e-3
 """How far beyond a limit a command may be by rounding [rad, rad/s]."""
@@ -31,62 +26,40 @@ LOCK_S = 0.02
 """Longest that a stop waits for a command that is going out [s]; over DDS that takes 5 ms at most."""
 
 
-class LimitsConfig(Configuration):
-    """The commands that the fin takes."""
+class JointCommands:
+    """Commands as sensor_msgs/JointState, one message for each; the driver holds it. FlipperCommands sends others."""
 
-    angle_min_rad: float = Field(ge=-math.pi, le=math.pi)
-    """[rad]"""
-    angle_max_rad: float = Field(ge=-math.pi, le=math.pi)
-    """[rad]"""
-    velocity_min_rad_s: PositiveFloat
-    """Slowest profile velocity [rad/s]."""
-    velocity_max_rad_s: PositiveFloat
-    """Fastest profile velocity [rad/s]."""
+    def __init__(self, publisher: Publisher, messages: Messages, joint: str, velocity: float) -> None:
+        """`velocity` to where the fin holds [rad/s]."""
+        self.publisher, self._messages, self._joint, self._velocity = publisher, messages, joint, velocity
 
-    @model_validator(mode="after")
-    def _ordered(self) -> "LimitsConfig":
-        for name, low, high in (("angle", self.angle_min_rad, self.angle_max_rad),
-                                ("velocity", self.velocity_min_rad_s, self.velocity_max_rad_s)):  # fmt: skip
-            if not low < high:
-                raise ValueError(f"{name}: min {low:g} is not below max {high:g}")
-        if problem := self.limits().problem():
-            raise ValueError(problem)
-        return self
+    def send(self, target: Target, angle: float, now: float) -> None:
+        """Send the target, whatever the measured angle is."""
+        message = self._messages.joint(time.time_ns(), "", self._joint, target.angle, target.velocity)
+        self.publisher.send(self._messages.encode(message))
 
-    def limits(self) -> Limits:
-        """As every plant tells them."""
-        return Limits(self.angle_min_rad, self.angle_max_rad, self.velocity_min_rad_s, self.velocity_max_rad_s)
+    def tick(self, now: float) -> None:
+        """Send nothing; called at every tick while the fin is enabled, for drives that need messages more often."""
+
+    def hold(self, angle: float) -> None:
+        """Go no further: the last message until the next `send`."""
+        self.send(Target(angle, self._velocity), angle, 0.0)
 
 
-class Ros2PlantConfig(Configuration):
-    """Which topics are the fin. What depends on the robot has no default."""
+class _Topics(NamedTuple):
+    """Everything that is open."""
 
-    joint_topic: TopicName
-    """sensor_msgs/JointState with the shaft's angle, at 100 Hz or more."""
-    joint_name: str = Field(min_length=1)
-    """The fin's name in it."""
-    wrench_topic: TopicName
-    """geometry_msgs/WrenchStamped of the fin on its mount, at 100 Hz or more, filtered for 100 Hz by its driver."""
-    frame: Literal[FORCE_FRAMES]  # type: ignore[valid-type]
-    """What is +x (thrust that pushes the robot forward) and what is +y, in the sensor's own axes: ``y,-x``."""
-    command_topic: TopicName
-    """sensor_msgs/JointState with position and velocity, or the flipper's message."""
-    flipper: FlipperConfig | None = None
-    """For robots of the U-CAT family: commands as flipper messages."""
-    negate_angle: bool = False
-    """The driver's angles, velocities and commands count the other way round."""
-    limits: LimitsConfig
-    """The commands that the fin takes."""
-    stop_topic: TopicName | None = None
-    """std_msgs/Bool that the driver brakes and disables its motor on. None: a stop is a command to hold."""
-    stop_release: bool = False
-    """Send false on the stop topic when the fin is enabled: only where that takes back nobody else's stop."""
-    best_effort: bool = True
-    """Read joint and wrench as sensor data: it matches every publisher, and a lost reading is not sent again."""
-    wait_s: PositiveFloat = Field(default=5.0, le=120)
-    """Longest wait for the first messages [s]."""
-    connection: TransportConfig = Field(default_factory=TransportConfig)
-    """How to reach the driver."""
+    transport: Transport
+    messages: Messages
+    joint: Subscription[tuple[float, float | None]]
+    wrench: Subscription[Wrench]
+    commands: JointCommands | FlipperCommands
+    stop: Publisher | None
+
+    def send_stop(self, stop: bool) -> None:
+        """Ask the driver to stop, or take that back, where it has a topic for it."""
+        if self.stop is not None:
+            self.stop.send(self.messages.encode(self.messages.make(BOOL, stop)))
 
 
 class Ros2Machine:
@@ -107,210 +80,192 @@ class Ros2Machine:
         self._sign = -1.0 if config.negate_angle else 1.0
         # A signal's handler may stop the machine while this very thread is in the middle of a command.
         self._lock = threading.RLock()
-        self._transport: Transport | None = None
-        self._joint: Intake[tuple[float, float | None]] | None = None
-        self._wrench: Intake[Wrench] | None = None
-        self._commands: Commands | None = None
-        self._stop: Outlet | None = None
-        self._stops: dict[bool, bytes] = {}
+        self._topics: _Topics | None = None
         self._enabled = False
-        self._angle: Told[tuple[float, float]] | None = None
-        self._force: Told[Wrench] | None = None
+        self._angle: Stamped[tuple[float, float]] | None = None
+        self._force: Stamped[Wrench] | None = None
         self._counted: dict[str, int] = {}
 
     @property
     def limits(self) -> Limits:
-        """As the configuration says."""
-        return self.config.limits.limits()
+        """The configured limits."""
+        return self.config.limits
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a person should know of the connection."""
-        return () if self._transport is None else self._transport.notes
+        """Remarks on the connection."""
+        return () if self._topics is None else self._topics.transport.notes
 
     @property
-    def doubt(self) -> str | None:
+    def stop_unconfirmed(self) -> str | None:
         """Whatever was sent: whether the motor is off lies with its driver."""
         return "whether the motor is off lies with its driver; keep a switch of its supply at hand"
 
     def open(self) -> None:
-        """Wait until joint and wrench speak; nothing is sent."""
+        """Wait until joint and wrench publish; nothing is sent."""
         self.close()
         config = self.config
+        messages = Messages(config.flipper.definitions if config.flipper else None)
+        transport = self._opener(config.connection, messages)
         try:
-            messages = Messages(config.flipper.definitions if config.flipper else None)
-            transport = self._transport = self._opener(config.connection, messages)
-            turn = rotation(config.frame)
-            self._joint = Intake(
+            turn, best_effort = rotation(config.frame), config.best_effort
+            joint: Subscription[tuple[float, float | None]] = Subscription(
                 transport, messages, config.joint_topic, JOINT,
-                lambda message: joint_of(message, config.joint_name), best_effort=config.best_effort,
+                lambda message: joint_of(message, config.joint_name), best_effort=best_effort,
             )  # fmt: skip
-            self._wrench = Intake(
+            wrench = Subscription(
                 transport, messages, config.wrench_topic, WRENCH,
-                lambda message: turned(wrench_of(message), turn), best_effort=config.best_effort,
+                lambda message: rotated(wrench_of(message), turn), best_effort=best_effort,
             )  # fmt: skip
-            self._commands = self._made(transport, messages)
-            if config.stop_topic is not None:
-                self._stop = transport.publish(config.stop_topic, BOOL)
-                self._stops = {asked: messages.encode(messages.make(BOOL, asked)) for asked in (True, False)}
-            self._await_first()
+            commands: JointCommands | FlipperCommands
+            if config.flipper is not None:
+                commands = FlipperCommands(transport, messages, config.command_topic, config.flipper)
+            else:
+                publisher = transport.publish(config.command_topic, JOINT)
+                commands = JointCommands(publisher, messages, config.joint_name, self.limits.velocity_max)
+            stop = None if config.stop_topic is None else transport.publish(config.stop_topic, BOOL)
+            self._topics = _Topics(transport, messages, joint, wrench, commands, stop)
+            self._await_first(self._topics)
         except BaseException:
             self.close()
+            transport.close()
             raise
 
     def read(self) -> Sample:
         """The newest of both topics."""
-        joint, wrench = self._open()
-        self._take(joint, wrench)
+        topics = self._opened()
+        self._take(topics)
         if self._angle is None or self._force is None:
             raise DeviceError("nothing has been read yet; open the machine first")
         with self._lock:
             if self._enabled:
-                self._say(lambda commands: commands.tick(self._clock()))
-        (angle, velocity), complaints = self._angle.value, tuple(
-            intake.refusal for intake in (joint, wrench) if intake.refusal is not None
-        )  # fmt: skip
+                self._send(lambda commands: commands.tick(self._clock()))
+        angle, velocity = self._angle.value
+        refusals = (topics.joint.refusal, topics.wrench.refusal)
+        complaints = tuple(refusal for refusal in refusals if refusal is not None)
         return Sample(self._angle.time, angle, velocity, None, None, self._force.time, self._force.value, complaints)
 
     def enable(self) -> None:
-        """Hold where it is."""
-        joint, wrench = self._open()
-        assert self._commands is not None
-        self._take(joint, wrench)
-        angle, limits = self._measured(), self.limits
+        """Take commands, and hold where it is."""
+        topics, limits = self._opened(), self.limits
+        self._take(topics)
+        angle = self._measured()
         if not limits.angle_min - ROUNDING <= angle <= limits.angle_max + ROUNDING:
             raise DeviceError(f"the fin is at {angle:.3f} rad, beyond {limits.angle_min:.3f} to "
                               f"{limits.angle_max:.3f} rad; bring it back by its own driver")  # fmt: skip
-        if not self._commands.listeners():
+        if not topics.commands.publisher.readers():
             raise DeviceError(f"nobody reads {self.config.command_topic}: commands would go nowhere; start the driver, "
                               "and check the topic's type")  # fmt: skip
         with self._lock:
-            if self._stop is not None and self.config.stop_release:
-                self._stop.send(self._stops[False])
+            if self.config.stop_release:
+                topics.send_stop(False)
             self._enabled = True
             hold = Target(self._sign * angle, limits.velocity_min)
-            self._say(lambda commands: commands.send(hold, hold.angle, self._clock()))
+            self._send(lambda commands: commands.send(hold, hold.angle, self._clock()))
 
     def command(self, target: Target) -> None:
         """Go there from now on."""
         limits = self.limits
-        for what, value, low, high in (
+        for name, value, low, high in (
             ("angle", target.angle, limits.angle_min, limits.angle_max),
             ("velocity", target.velocity, limits.velocity_min, limits.velocity_max),
         ):
             if not low - ROUNDING <= value <= high + ROUNDING:
-                raise CommandError(f"{what} {value:g}: this fin takes {low:g} to {high:g}; train within them")
+                raise CommandError(f"{name} {value:g}: this fin takes {low:g} to {high:g}; train within them")
         with self._lock:
             if not self._enabled:
                 raise DeviceError("the fin is not enabled; enable it before it is commanded")
             aim, measured = Target(self._sign * target.angle, target.velocity), self._sign * self._measured()
-            self._say(lambda commands: commands.send(aim, measured, self._clock()))
+            self._send(lambda commands: commands.send(aim, measured, self._clock()))
 
     def stop(self) -> None:
         """See the class for what it can do and cannot."""
         # A command that hangs in its transport must not keep the watchdog from its stop.
         alone = self._lock.acquire(timeout=LOCK_S)
         try:
-            moving, self._enabled = self._enabled, False
-            if moving or self._stop is not None:
-                self._brake(moving)
+            was_enabled, self._enabled = self._enabled, False
+            self._brake(was_enabled)
         finally:
             if alone:
                 self._lock.release()
 
     def close(self) -> None:
-        """A machine that was not enabled sends nothing."""
+        """Stop and leave; a machine that was not enabled sends nothing."""
         with self._lock:
             if self._enabled:
                 self.stop()
             self._counted = self.counters()
-            transport, self._transport = self._transport, None
-            self._joint = self._wrench = self._commands = self._stop = None
+            topics, self._topics = self._topics, None
             self._angle = self._force = None
-        if transport is not None:
-            transport.close()
+        if topics is not None:
+            topics.transport.close()
 
     def counters(self) -> dict[str, int]:
-        """Of both topics; after `close`, what they were."""
-        joint, wrench = self._joint, self._wrench
-        if joint is None or wrench is None:
+        """Counts of both topics; after `close` the last ones."""
+        if self._topics is None:
             return self._counted
         return {
-            f"{name}_{what}": getattr(intake, what)
-            for name, intake in (("joint", joint), ("wrench", wrench))
-            for what in ("received", "refused", "not_newer")
+            f"{name}_{count}": getattr(subscription, count)
+            for name, subscription in (("joint", self._topics.joint), ("wrench", self._topics.wrench))
+            for count in ("received", "refused", "not_newer")
         }
 
-    def _made(self, transport: Transport, messages: Messages) -> Commands:
-        config = self.config
-        if config.flipper is not None:
-            return FlipperCommands(transport, messages, config.command_topic, config.flipper)
-        fastest = self.limits.velocity_max
-        return JointCommands(transport, messages, config.command_topic, config.joint_name, fastest)
-
-    def _await_first(self) -> None:
-        joint, wrench = self._open()
+    def _await_first(self, topics: _Topics) -> None:
         deadline = time.monotonic() + self.config.wait_s
         while self._angle is None or self._force is None:
-            self._take(joint, wrench)
+            self._take(topics)
             if time.monotonic() > deadline:
                 break
             time.sleep(0.002)
-        missing = [intake for intake, told in ((joint, self._angle), (wrench, self._force)) if told is None]
-        if missing:
-            raise DeviceError(self._silence(missing[0]))
+        for subscription, value in ((topics.joint, self._angle), (topics.wrench, self._force)):
+            if value is None:
+                there = list(topics.transport.topics().items())[:20]
+                listed = ", ".join(f"{topic} ({kind})" for topic, kind in there) or "nothing"
+                raise DeviceError(
+                    subscription.refusal
+                    or f"{subscription.topic}: no {subscription.kind} in {self.config.wait_s:g} s; there is {listed}; "
+                    "start its driver, correct the topic, or the domain (ROS_DOMAIN_ID) and the network"
+                )
 
-    def _silence(self, intake: Intake[tuple[float, float | None]] | Intake[Wrench]) -> str:
-        if intake.refusal is not None:
-            return intake.refusal
-        assert self._transport is not None
-        there = self._transport.topics()
-        listed = ", ".join(f"{topic} ({kind})" for topic, kind in list(there.items())[:20]) or "nothing"
-        head = f"{intake.topic}: no {intake.kind} in {self.config.wait_s:g} s; there is {listed}"
-        return f"{head}; start its driver, correct the topic, or the domain (ROS_DOMAIN_ID) and the network"
-
-    def _open(self) -> tuple["Intake[tuple[float, float | None]]", "Intake[Wrench]"]:
-        joint, wrench = self._joint, self._wrench
-        if joint is None or wrench is None:
+    def _opened(self) -> _Topics:
+        if self._topics is None:
             raise DeviceError("the machine is closed; open it first")
-        return joint, wrench
+        return self._topics
 
-    def _take(self, joint: "Intake[tuple[float, float | None]]", wrench: "Intake[Wrench]") -> None:
-        for told in joint.take():
-            angle, velocity = told.value
-            angle *= self._sign
-            if velocity is None:
-                velocity = self._difference(angle, told.time)
-            else:
+    def _take(self, topics: _Topics) -> None:
+        for joint in topics.joint.take():
+            angle, velocity, before = self._sign * joint.value[0], joint.value[1], self._angle
+            if velocity is not None:
                 velocity *= self._sign
-            self._angle = Told(told.time, told.received, (angle, velocity))
-        for force in wrench.take():
-            self._force = force
-
-    def _difference(self, angle: float, at: float) -> float:
-        """The velocity of a driver that tells none: from the reading before."""
-        if self._angle is None or at <= self._angle.time:
-            return 0.0
-        return (angle - self._angle.value[0]) / (at - self._angle.time)
+            elif before is None or joint.time <= before.time:
+                velocity = 0.0
+            else:
+                # A driver that reports no velocity: the difference from the reading before.
+                velocity = (angle - before.value[0]) / (joint.time - before.time)
+            self._angle = Stamped(joint.time, joint.received, (angle, velocity))
+        self._force = next(reversed(topics.wrench.take()), self._force)
 
     def _measured(self) -> float:
         if self._angle is None:
             raise DeviceError("the fin's angle is not known; open the machine first")
         return self._angle.value[0]
 
-    def _say(self, message: Callable[[Commands], None]) -> None:
+    def _send(self, message: Callable[[JointCommands | FlipperCommands], None]) -> None:
         """A message that moves; a stop in between, by a signal, has the last word."""
-        if self._commands is not None:
-            message(self._commands)
+        if self._topics is not None:
+            message(self._topics.commands)
         if not self._enabled:
-            self._brake()
+            self._brake(was_enabled=True)
 
-    def _brake(self, moving: bool = True) -> None:
+    def _brake(self, was_enabled: bool) -> None:
+        topics = self._topics
+        if topics is None:
+            return
         with contextlib.suppress(Exception):
-            if self._stop is not None:
-                self._stop.send(self._stops[True])
-                if self._stop.listeners():
+            if topics.stop is not None:
+                topics.send_stop(True)
+                if topics.stop.readers():
                     return
         with contextlib.suppress(Exception):
-            if moving and self._commands is not None and self._angle is not None:
-                self._commands.hold(self._sign * self._angle.value[0])
+            if was_enabled and self._angle is not None:
+                topics.commands.hold(self._sign * self._angle.value[0])

@@ -11,7 +11,9 @@ from collections import deque
 from typing import Any
 
 from softfin.core.errors import DeviceError, RigError
-from softfin.rig.ros2.transport import DEPTH, Received, TransportConfig
+from softfin.rig.ros2.config import TransportConfig
+from softfin.rig.ros2.messages import one_line
+from softfin.rig.ros2.transport import DEPTH, Publisher, Received, Take
 
 
 class RclpyTransport:
@@ -35,31 +37,50 @@ class RclpyTransport:
             self._executor.add_node(self._node)
         except Exception as error:
             # What it raises where the installation is broken is not documented.
-            raise RigError(f"rclpy cannot be used ({_reason(error)}); use transport: dds") from None
+            raise RigError(f"rclpy cannot be used ({one_line(error)}); use transport: dds") from None
         self._own: list[str] = []
         self.failure: str | None = None
         self._closed = False
         threading.Thread(target=self._spin, name="softfin-rclpy", daemon=True).start()
 
-    def publish(self, topic: str, kind: str) -> "RclpyOutlet":
+    def publish(self, topic: str, kind: str) -> Publisher:
         """A publisher of the node's."""
         self._own.append(topic)
-        return RclpyOutlet(self._node.create_publisher(_class(kind), topic, self._quality(False)), topic)
+        publisher = self._node.create_publisher(_class(kind), topic, self._quality(False))
 
-    def subscribe(self, topic: str, kind: str, best_effort: bool = False) -> "RclpyInlet":
+        def send(data: bytes) -> None:
+            try:
+                # It takes bytes as a message that is serialized already.
+                publisher.publish(data)
+            except Exception as error:
+                # rclpy's own errors are of several modules of its C extension.
+                raise DeviceError(f"{topic}: not sent ({one_line(error)}); is ROS 2 still up?") from None
+
+        return Publisher(send, lambda: int(publisher.get_subscription_count()))
+
+    def subscribe(self, topic: str, kind: str, best_effort: bool = False) -> Take:
         """A raw subscription: the bytes as they came."""
-        inlet = RclpyInlet(self)
-        self._node.create_subscription(_class(kind), topic, inlet.put, self._quality(best_effort), raw=True)
-        return inlet
+        waiting: deque[Received] = deque(maxlen=DEPTH)
+
+        def put(data: bytes) -> None:
+            waiting.append(Received(bytes(data), time.monotonic()))
+
+        def take() -> list[Received]:
+            if self.failure is not None:
+                raise DeviceError(f"rclpy has stopped ({self.failure}); start again")
+            return [waiting.popleft() for _ in range(len(waiting))]
+
+        self._node.create_subscription(_class(kind), topic, put, self._quality(best_effort), raw=True)
+        return take
 
     def topics(self) -> dict[str, str]:
-        """As `ros2 topic list -t` would say, without ours."""
+        """As `ros2 topic list -t` shows them, without ours."""
         found = dict(self._node.get_topic_names_and_types())
         theirs = (name for name in sorted(found) if self._node.count_publishers(name) > self._own.count(name))
         return {name: ", ".join(found[name]) for name in theirs}
 
     def close(self) -> None:
-        """The thread ends with its executor."""
+        """End the thread with its executor; any number of times."""
         if self._closed:
             return
         self._closed = True
@@ -69,59 +90,19 @@ class RclpyTransport:
                 step()
 
     def _spin(self) -> None:
+        failure = "its executor has ended"
         try:
             self._executor.spin()
         except Exception as error:
             # Whatever ends it ends the messages: those who take must hear of it.
-            self.failure = _reason(error)
-        if not self._closed and self.failure is None:
-            self.failure = "its executor has ended"
+            failure = one_line(error)
+        if not self._closed:
+            self.failure = failure
 
     def _quality(self, best_effort: bool) -> Any:
         qos = importlib.import_module("rclpy.qos")
         policy = qos.ReliabilityPolicy.BEST_EFFORT if best_effort else qos.ReliabilityPolicy.RELIABLE
         return qos.QoSProfile(depth=DEPTH, reliability=policy)
-
-
-class RclpyOutlet:
-    """Meets the Outlet contract."""
-
-    def __init__(self, publisher: Any, topic: str) -> None:
-        self._publisher, self._topic = publisher, topic
-
-    def send(self, data: bytes) -> None:
-        """A publisher takes bytes as a message that is serialized already."""
-        try:
-            self._publisher.publish(data)
-        except Exception as error:
-            # rclpy's own errors are of several modules of its C extension.
-            raise DeviceError(f"{self._topic}: not sent ({_reason(error)}); is ROS 2 still up?") from None
-
-    def listeners(self) -> int:
-        """Matched subscriptions."""
-        return int(self._publisher.get_subscription_count())
-
-
-class RclpyInlet:
-    """Meets the Inlet contract."""
-
-    def __init__(self, transport: RclpyTransport) -> None:
-        self._transport = transport
-        self._waiting: deque[Received] = deque(maxlen=DEPTH)
-
-    def put(self, data: bytes) -> None:
-        """Called by rclpy."""
-        self._waiting.append(Received(bytes(data), time.monotonic()))
-
-    def take(self) -> list[Received]:
-        """What was put, oldest first."""
-        if self._transport.failure is not None:
-            raise DeviceError(f"rclpy has stopped ({self._transport.failure}); start again")
-        taken = []
-        with contextlib.suppress(IndexError):
-            while True:
-                taken.append(self._waiting.popleft())
-        return taken
 
 
 def _class(kind: str) -> Any:
@@ -130,7 +111,3 @@ def _class(kind: str) -> Any:
         return getattr(importlib.import_module(f"{package}.msg"), name)
     except (ImportError, AttributeError):
         raise RigError(f"ROS 2 has no {kind} here; build and source its package, or use transport: dds") from None
-
-
-def _reason(error: Exception) -> str:
-    return " ".join(str(error).split())[:160] or type(error).__name__

@@ -1,35 +1,44 @@
-"""What softfin's bags hold: the topics, their messages as CDR, and the definitions that let any reader decode them.
+"""What softfin's bags hold: topics, their messages as CDR, and definitions by which any reader decodes them.
 
 Times are nanoseconds since 1970. Names of types are full, as ``sensor_msgs/msg/JointState``: readers refuse others.
 """
 
-import struct
+import importlib.metadata
+from functools import cache
 from typing import Any, NamedTuple
 
+import numpy as np
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
 
-from softfin.storage.bag.topics import DEFAULT_TOPICS
-
-COMMAND, JOINT, WRENCH = DEFAULT_TOPICS["command"], DEFAULT_TOPICS["joint"], DEFAULT_TOPICS["wrench"]
+COMMAND, JOINT, WRENCH = "/fin/command", "/fin/joint_states", "/fin/wrench"
 REFERENCE, CURRENT, EVENTS = "/fin/reference", "/fin/current", "/fin/events"
 
+DEFAULT_TOPICS = {"command": COMMAND, "joint": JOINT, "wrench": WRENCH}
+"""Topics that become a log, by the role that `softfin.data.importing` gives them."""
+
+JOINT_STATE, WRENCH_STAMPED = "sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped"
+
 TYPES = {
-    COMMAND: "sensor_msgs/msg/JointState",
-    JOINT: "sensor_msgs/msg/JointState",
-    WRENCH: "geometry_msgs/msg/WrenchStamped",
-    REFERENCE: "geometry_msgs/msg/WrenchStamped",
+    COMMAND: JOINT_STATE,
+    JOINT: JOINT_STATE,
+    WRENCH: WRENCH_STAMPED,
+    REFERENCE: WRENCH_STAMPED,
     CURRENT: "std_msgs/msg/Float64",
     EVENTS: "std_msgs/msg/String",
 }
 
 QUALITY = {"offered_qos_profiles": ""}
-"""MCAP's profile for ROS 2 wants it there; empty is ROS 2's default quality of service."""
+"""Entry that MCAP's profile for ROS 2 requires; empty is ROS 2's default quality of service."""
 
 FRAME = "fin"
 """Frame of the force and name of the joint."""
 
 SECOND_NS = 1_000_000_000
+
+CHUNK_BYTES = 1024 * 1024
+"""Length at which a chunk ends unless it was flushed before."""
 
 
 class Row(NamedTuple):
@@ -37,66 +46,60 @@ class Row(NamedTuple):
 
     topic: str
     stamp_ns: int
-    """Since 1970."""
+    """Time since 1970 [ns]."""
     values: tuple[float, ...] | str
-    """Of a joint or command angle and velocity [rad, rad/s]; force and torque [N, N m]; a current [A]; a text."""
+    """Angle and velocity [rad, rad/s] of a joint or command; force and torque [N, N m]; a current [A]; a text."""
 
 
-_CDR = b"\0\1\0\0"
-"""What precedes a message: little-endian CDR."""
-
-_TEXT = struct.Struct("<4sI")
-_NUMBER = struct.Struct("<4sd")
-_HEADER = "4sIII4s"
-"""CDR's own, stamp, length of the frame's name, the name with its zero."""
-_WRENCH = struct.Struct(f"<{_HEADER}6d")
-_JOINT = struct.Struct(f"<{_HEADER}II4sIdI4xdI")
-"""One name, one angle, one velocity, no effort; doubles stand at multiples of eight, counted behind the first four."""
-
-_NAME = FRAME.encode() + b"\0"
+@cache
+def type_store() -> Typestore:
+    """ROS 2's own definitions of messages, which serialise and deserialise CDR."""
+    return get_typestore(Stores.ROS2_HUMBLE)
 
 
 def cdr(row: Row) -> bytes:
-    """The bytes of a message, in OMG's CDR as ROS 2 uses it.
-
-    Packed at once: general serialisers take several times as long, and the loop waits for Python meanwhile.
-    """
-    kind, values = TYPES[row.topic], row.values
+    """The bytes of a message, in OMG's CDR as ROS 2 uses it."""
+    store, kind, values = type_store(), TYPES[row.topic], row.values
+    make: Any = store.types
+    message: Any
     if isinstance(values, str):
-        text = values.encode(errors="replace") + b"\0"
-        return _TEXT.pack(_CDR, len(text)) + text
-    if kind == TYPES[CURRENT]:
-        return _NUMBER.pack(_CDR, *values)
-    head = (_CDR, *divmod(row.stamp_ns, SECOND_NS), len(_NAME), _NAME)
-    if kind == TYPES[JOINT]:
-        angle, velocity = values
-        return _JOINT.pack(*head, 1, len(_NAME), _NAME, 1, angle, 1, velocity, 0)
-    return _WRENCH.pack(*head, *values)
-
-
-def definitions() -> dict[str, bytes]:
-    """Of each type and of all that it is made of, as ROS 2's .msg files are joined."""
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    return {kind: store.generate_msgdef(kind, ros_version=2)[0].encode() for kind in dict.fromkeys(TYPES.values())}
+        message = make[kind](values.encode(errors="replace").decode())
+    elif kind == TYPES[CURRENT]:
+        message = make[kind](*values)
+    else:
+        time = make["builtin_interfaces/msg/Time"](*divmod(row.stamp_ns, SECOND_NS))
+        header = make["std_msgs/msg/Header"](time, FRAME)
+        if kind == JOINT_STATE:
+            angle, velocity = (np.array([value], np.float64) for value in values)
+            message = make[kind](header, [FRAME], angle, velocity, np.zeros(0))
+        else:
+            vector, (*force, x, y, z) = make["geometry_msgs/msg/Vector3"], values
+            wrench = make["geometry_msgs/msg/Wrench"](vector(*force), vector(x, y, z))
+            message = make[kind](header, wrench)
+    return bytes(store.serialize_cdr(message, kind))
 
 
 class BagWriter:
-    """Rows in, MCAP on a stream out.
+    """An MCAP file that is written to a stream, row by row.
 
-    Chunks are not compressed: of one that a cut of power left half-written every whole message can be read.
+    Chunks are not compressed: of one that a power cut left half-written every whole message can be read.
     """
 
-    def __init__(self, stream: Any, library: str) -> None:
-        self._writer = writer_on(stream, library)
-        schemas = {kind: self._writer.register_schema(kind, "ros2msg", text) for kind, text in definitions().items()}
+    def __init__(self, stream: Any) -> None:
+        self._writer = start_writer(stream)
+        store = type_store()
+        schemas = {
+            kind: self._writer.register_schema(kind, "ros2msg", store.generate_msgdef(kind, ros_version=2)[0].encode())
+            for kind in dict.fromkeys(TYPES.values())
+        }
         self._channels = {
             topic: self._writer.register_channel(topic, "cdr", schemas[kind], QUALITY) for topic, kind in TYPES.items()
         }
         self.written = dict.fromkeys(TYPES, 0)
-        """Messages by topic."""
+        """Number of messages by topic."""
 
     def write(self, row: Row) -> None:
-        """Add to the chunk."""
+        """Add a message to the chunk."""
         stamp, sequence = row.stamp_ns, self.written[row.topic]
         self._writer.add_message(self._channels[row.topic], stamp, cdr(row), stamp, sequence)
         self.written[row.topic] += 1
@@ -106,16 +109,12 @@ class BagWriter:
         self._writer.flush()
 
     def finish(self) -> None:
-        """The index and the end."""
+        """Write the index and the end."""
         self._writer.finish()
 
 
-def writer_on(stream: Any, library: str) -> Any:
-    """As all of softfin's bags are written; a chunk ends with `flush`, or at `CHUNK_BYTES`."""
+def start_writer(stream: Any) -> Any:
+    """Start an MCAP file as all of softfin's are written."""
     writer: Any = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE)
-    writer.start(profile="ros2", library=library)
+    writer.start(profile="ros2", library=f"softfin {importlib.metadata.version('softfin')}")
     return writer
-
-
-CHUNK_BYTES = 1024 * 1024
-"""No chunk is longer by more than one message."""

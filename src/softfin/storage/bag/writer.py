@@ -1,11 +1,10 @@
-"""Live recording as a ROS 2 bag in MCAP: the loop hands rows in and never waits; a thread of its own writes them.
+"""Live recording as a ROS 2 bag in MCAP: the control loop hands rows in and never waits; a thread writes them.
 
-Every `flush_s` the rows so far are closed as a chunk, written and synchronised to the disk, so a kill or a cut of power
-loses what came since. What is in the file is at any time a beginning of a whole bag: `softfin bag recover` ends it.
+Every `flush_s` the rows so far are closed as a chunk, written and synchronised to the disk, so a kill or a power cut
+loses what came since. The file is at any time the beginning of a whole bag: `softfin bag recover` completes it.
 """
 
 import contextlib
-import importlib.metadata
 import os
 import queue
 import shutil
@@ -17,39 +16,34 @@ from softfin.core.errors import LogError, RunError
 from softfin.storage.bag.messages import COMMAND, CURRENT, EVENTS, JOINT, REFERENCE, SECOND_NS, WRENCH, BagWriter, Row
 
 POLL_S = 0.05
-"""Between two looks at the queue [s]: so few rows at a time hold the loop up by tenths of a millisecond at most."""
+"""Period at which the queue is emptied [s]: so few rows at a time delay the loop by tenths of a millisecond at most."""
 
 BACKLOG = 50_000
-"""Rows that may wait for the disk: two minutes at 400 a second, some 20 MB."""
+"""Most rows that wait for the disk: two minutes at 400 per second, some 20 MB."""
 
 PENDING_BYTES = 50_000_000
-"""What a full disk may leave unwritten in memory; beyond it rows are dropped and counted."""
+"""Most bytes that wait for a full disk; beyond it rows are dropped and counted."""
 
 STALL_S = 5.0
-"""A disk that takes longer than this for one synchronisation keeps no promise [s]."""
+"""Longest time that the disk may take to synchronise [s]."""
 
 CLOSE_S = 10.0
-"""What `close` waits for the thread at most [s]."""
+"""Longest time that `close` waits for the thread [s]."""
 
 APART_S = 1e-6
-"""Between two commands at least [s]: in simulated time two may come at one moment, and their order must be seen."""
+"""Least time between two commands [s]: in simulated time two may come at one moment, and their order must be kept."""
 
 Values = tuple[float, ...] | str
 
 
 class BagRecorder:
-    """A bag that grows while the fin moves; one thread hands rows in, times are of `clock`.
+    """A bag that grows while the fin moves; one thread hands rows in, with times of `clock`.
 
-    Stamps are `clock` plus what the wall clock was ahead of it at the start: a jump of the wall clock harms nothing.
+    Stamps are `clock` plus the wall clock's lead over it at the start, so that a jump of the wall clock does no harm.
     """
 
     def __init__(
-        self,
-        path: Path,
-        *,
-        flush_s: float = 0.5,
-        reserve_bytes: int = 50_000_000,
-        clock: Clock = REAL,
+        self, path: Path, *, flush_s: float = 0.5, reserve_bytes: int = 50_000_000, clock: Clock = REAL
     ) -> None:
         """Create the file, and its folder; raises LogError where it exists, RunError where it cannot be written."""
         self.path = path
@@ -59,14 +53,14 @@ class BagRecorder:
         self._pending = _Pending()
         self._failure: str | None = None
         self._dropped = 0
-        self._bag = BagWriter(self._pending, f"softfin {importlib.metadata.version('softfin')}")
+        self._bag = BagWriter(self._pending)
         self._file = _create(path)
         self._flushed = clock()
         self._began: float | None = None
         self._commanded = -float("inf")
         self._closing = clock.event()
         try:
-            # Whoever opens the file before the first row finds a bag, and a disk without room is known before a motion.
+            # The file is a bag before the first row comes, and a disk without room is noticed before a motion.
             self._flush()
             if self._failure is not None:
                 raise RunError(self._failure)
@@ -84,7 +78,7 @@ class BagRecorder:
 
     @property
     def failure(self) -> str | None:
-        """Why this is no whole recording, in one line that ends in the way out; None as long as all is well."""
+        """Reason why this recording is not whole, in one line with what to do; None as long as all is well."""
         began = self._began
         if began is not None and self._clock() - began > STALL_S:
             self._fail(f"the disk has taken no rows for {STALL_S:g} s", "record on a faster disk")
@@ -92,39 +86,39 @@ class BagRecorder:
 
     @property
     def written(self) -> dict[str, int]:
-        """Messages by topic, of those that are in the file or wait for its disk."""
+        """Number of messages by topic that are in the file or wait for its disk."""
         return dict(self._bag.written)
 
     @property
     def dropped(self) -> int:
-        """Messages that are not in the file: handed in after a failure, or after `close`."""
+        """Number of messages that are not in the file: handed in after a failure, or after `close`."""
         return self._dropped
 
     def command(self, time: float, angle: float, velocity: float) -> None:
-        """What the drive was asked to do [rad, rad/s]; the later one of two at one moment is written a little later."""
+        """Record a command [rad, rad/s]; the later one of two at one moment is stamped a little later."""
         self._commanded = max(time, self._commanded + APART_S)
         self._hand_in(COMMAND, self._commanded, (angle, velocity))
 
     def joint(self, time: float, angle: float, velocity: float, current: float | None) -> None:
-        """Where the shaft was [rad, rad/s], and the motor's current [A] if it is known."""
+        """Record the shaft's angle and velocity [rad, rad/s], and the motor's current [A] if it is measured."""
         self._hand_in(JOINT, time, (angle, velocity))
         if current is not None:
             self._hand_in(CURRENT, time, (current,))
 
     def wrench(self, time: float, wrench: Sequence[float]) -> None:
-        """Force [N] and torque [N m] of the fin on its mount, (x, y, z) each."""
+        """Record force [N] and torque [N m] of the fin on its mount, (x, y, z) each."""
         self._hand_in(WRENCH, time, tuple(wrench))
 
     def reference(self, time: float, force: Sequence[float]) -> None:
-        """The force that was asked for, (x, y) [N]."""
+        """Record the reference force, (x, y) [N]."""
         self._hand_in(REFERENCE, time, (*force, 0.0, 0.0, 0.0, 0.0))
 
     def event(self, time: float, text: str) -> None:
-        """Anything that happened, in words."""
+        """Record an event as text."""
         self._hand_in(EVENTS, time, text)
 
     def close(self) -> None:
-        """Write what is left, the index and the end; any number of times, never raises, `failure` tells the rest."""
+        """Write what is left, the index and the end; may be called again, never raises; `failure` holds any error."""
         if self._closing.is_set():
             return
         self._closing.set()
@@ -150,7 +144,7 @@ class BagRecorder:
             self._take()
             self._flush(end=True)
         except Exception as error:
-            # Whatever it is, the loop must learn of it and go on to stop the fin.
+            # Whatever it is, the loop must be told and go on to stop the fin.
             self._fail(f"{type(error).__name__}: {' '.join(str(error).split())}", f"softfin bag recover {self.path}")
         finally:
             with contextlib.suppress(OSError):
@@ -173,7 +167,7 @@ class BagRecorder:
         self._began = self._clock()
         try:
             if shutil.disk_usage(self.path.parent).free < self._reserve:
-                # Said while there is room for the stop, the events and the end of the file.
+                # Reported while there is room for the stop, the events and the end of the file.
                 self._fail(f"less than {self._reserve / 1e6:g} MB of the disk are free", "make room")
             self._pending.write_to(self._file)
             os.fsync(self._file)
@@ -182,9 +176,9 @@ class BagRecorder:
             self._fail(error.strerror or str(error), f"make room on its disk; softfin bag recover {self.path}")
         self._began, self._flushed = None, self._clock()
 
-    def _fail(self, reason: str, way_out: str) -> None:
+    def _fail(self, reason: str, fix: str) -> None:
         if self._failure is None:
-            self._failure = f"{self.path}: the recording fails: {reason}; what was written stays; {way_out}"
+            self._failure = f"{self.path}: the recording fails: {reason}; what was written stays; {fix}"
 
 
 class _Pending:
@@ -205,10 +199,10 @@ class _Pending:
         return self._gone + len(self._bytes)
 
     def flush(self) -> None:
-        """Nothing: `write_to` is called when it is time."""
+        """Do nothing: `write_to` writes when it is time."""
 
     def write_to(self, file: int) -> None:
-        """Let the disk take them; raises OSError, and keeps what it did not take."""
+        """Write to the disk; raises OSError, and keeps what was not written."""
         while self._bytes:
             taken = os.write(file, self._bytes)
             del self._bytes[:taken]
@@ -223,15 +217,11 @@ def _create(path: Path) -> int:
         raise LogError(f"{path}: exists already, recordings are never overwritten; give another name") from None
     except OSError as error:
         raise RunError(f"{path}: cannot be written ({error.strerror or error}); record elsewhere") from None
-    _sync_folder(path.parent)
-    return file
-
-
-def _sync_folder(folder: Path) -> None:
-    """Without it a cut of power may take the file's name."""
+    # Otherwise a power cut may take the file's name.
     with contextlib.suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY)
+        folder = os.open(path.parent, os.O_RDONLY)
         try:
-            os.fsync(descriptor)
+            os.fsync(folder)
         finally:
-            os.close(descriptor)
+            os.close(folder)
+    return file

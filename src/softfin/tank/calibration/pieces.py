@@ -12,8 +12,8 @@ from softfin.core.errors import LogError
 from softfin.core.plant import Plant
 from softfin.core.quantities import RATE_HZ, Command, Log, Reading
 from softfin.core.randomness import key_of
-from softfin.data.checks.side_by_side import simulate
 from softfin.data.excitation import ExcitationConfig
+from softfin.data.simulate import simulate
 
 CHANNELS = ("angle", "force_x", "force_y")
 

@@ -1,0 +1,145 @@
+"""Recordings of any kind, a file or a folder of them, opened as logs at 100 Hz with all that is wrong with them.
+
+`softfin inspect`, `softfin import-logs` and `softfin fit` share this.
+"""
+
+import dataclasses
+import fnmatch
+import hashlib
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+from softfin.core.errors import ConfigurationError, LogError
+from softfin.core.quantities import Log
+from softfin.data.checks.inspection import Inspection, inspect
+from softfin.data.importing.clocks import logs_of
+from softfin.data.importing.importing import ImportConfig
+from softfin.data.importing.recording import NamedLog, Part, Recording
+from softfin.data.importing.tables import read_table
+from softfin.data.issues import Issue, counted
+from softfin.storage import artifact as artifacts
+from softfin.storage.dataset import Dataset
+from softfin.storage.paths import find_recordings, is_bag
+
+Progress = Callable[[str, float, str], None]
+"""Function that is called with the stage of work, the part of it that is done (0 .. 1), and a note."""
+
+
+@dataclasses.dataclass(frozen=True)
+class OpenedLogs:
+    """Logs at 100 Hz with their inspection; `check_train` and `check_issues` tell whether they may be used."""
+
+    logs: tuple[NamedLog, ...]
+    inspection: Inspection
+    data_hash: str
+    """Hash of a dataset; else SHA-256 over the files and what was done to them."""
+    metadata: dict[str, Any]
+    """Files, options and issues, for ``dataset.json``."""
+
+    @property
+    def train(self) -> list[Log]:
+        """Training logs."""
+        return [one.log for one in self.logs if one.part == "train"]
+
+    @property
+    def test(self) -> list[Log]:
+        """Test logs."""
+        return [one.log for one in self.logs if one.part == "test"]
+
+    @property
+    def issues(self) -> list[Issue]:
+        """Issues of all logs, gravest first."""
+        return self.inspection.issues
+
+
+def open_logs(path: Path, config: ImportConfig | None = None, progress: Progress | None = None) -> OpenedLogs:
+    """Read and inspect everything at `path`; raises LogError or ArtifactError where it cannot be read at all."""
+    config = config or ImportConfig()
+    # A dataset that changed since it was written is refused before anything is read.
+    dataset = Dataset.open(path) if artifacts.is_kind(path, "dataset") else None
+    files = {file: _name(file, path) for file in find_recordings(path)}
+    parts = _parts(list(files.values()), config.test)
+    logs: list[NamedLog] = []
+    issues: list[Issue] = []
+    for index, (file, name) in enumerate(files.items()):
+        for recording in _read(file, name, parts[name], config):
+            some, found = logs_of(recording, config)
+            logs += some
+            issues += found
+        if progress is not None:
+            progress("read", (index + 1) / len(files), f"{len(logs):,} logs")
+    if not logs:
+        raise LogError(
+            f"{path}: no logs: all pieces between gaps are shorter than {config.shortest_s:g} s; "
+            "--shortest 1 would keep more, --gap bridges longer gaps"
+        )
+    others = 0 if dataset or path.is_file() else sum(
+        not entry.is_dir() and not entry.name.startswith(".") and not files.keys() & {entry, *entry.parents}
+        for entry in path.rglob("*")
+    )  # fmt: skip
+    if others:
+        text = f"{counted(others, 'file')} not read: no CSV, Parquet or ROS 2 bag"
+        issues.append(Issue("note", "other files", str(path), text))
+
+    def report(done: int, of: int) -> None:
+        if progress is not None:
+            progress("inspect", done / of, f"{done:,} of {of:,} logs")
+
+    inspection = inspect(logs, issues, config, report)
+    options = config.model_dump(mode="json", exclude_defaults=True)
+    data_hash = dataset.data_hash if dataset and not options else _hash(files, path, options)
+    metadata = {
+        "imported_from": {"path": path.name, "files": list(files.values()), "data_hash": data_hash},
+        "options": config.model_dump(mode="json"),
+        "logs": [
+            {"log": one.name, "part": one.part, "rows": len(one.log.reading.time), "start_s": one.start_s}
+            for one in logs
+        ],
+        "issues": [issue.to_dict() for issue in inspection.issues],
+    }
+    return OpenedLogs(tuple(logs), inspection, data_hash, metadata)
+
+
+def check_train(opened: OpenedLogs, source: str) -> None:
+    """Raise LogError where all logs are test logs."""
+    if not opened.train:
+        raise LogError(f"{source}: no training logs: all of its {len(opened.logs)} logs are test logs; see --test")
+
+
+def _parts(names: list[str], pattern: str | None) -> dict[str, Part]:
+    def is_test(name: str) -> bool:
+        *folders, last = name.split("/")
+        if pattern is not None:
+            return fnmatch.fnmatch(name, pattern) or fnmatch.fnmatch(last, pattern)
+        return last.lower().startswith("test") or "test" in map(str.lower, folders)
+
+    parts: dict[str, Part] = {name: "test" if is_test(name) else "train" for name in names}
+    if pattern is not None and "test" not in parts.values():
+        some = f"{', '.join(names[:6])}{' ...' * (len(names) > 6)}"
+        raise ConfigurationError(f"--test {pattern}: matches none of the files: {some}")
+    return parts
+
+
+def _read(file: Path, name: str, part: Part, config: ImportConfig) -> list[Recording]:
+    if not is_bag(file):
+        return read_table(file, name, part, config)
+    # Without bags, what reads them need not be loaded.
+    from softfin.data.importing.rosbag import read_bag
+
+    return [read_bag(file, name, part, config)]
+
+
+def _name(file: Path, path: Path) -> str:
+    return file.name if file == path else file.relative_to(path).as_posix()
+
+
+def _hash(files: Iterable[Path], path: Path, options: dict[str, Any]) -> str:
+    digest = hashlib.sha256(artifacts.dump_json(options).encode())
+    for file in files:
+        for content in sorted(file.rglob("*")) if file.is_dir() else [file]:
+            if content.is_file():
+                digest.update(_name(content, path).encode())
+                with content.open("rb") as stream:
+                    digest.update(hashlib.file_digest(stream, "sha256").digest())
+    return digest.hexdigest()

@@ -1,0 +1,125 @@
+"""Simulate many plants under commands of their own: one compiled program over all, run piece by piece in time."""
+
+import functools
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Key, PRNGKeyArray, PyTree
+
+from softfin.core.compilation import briefly_used, used_once
+from softfin.core.plant import Plant, State, roll
+from softfin.core.plant_identity import jit_argument
+from softfin.core.quantities import Command, Limits, Log, Reading
+from softfin.data.excitation import Commands
+
+CHUNK_ROWS = 1000
+"""Approximate number of rows between two reports: 10 s, long beside the cost of one call."""
+
+Report = Callable[[int], None]
+"""Function that is called with the number of rows done since the last call."""
+
+
+def simulate(
+    plants: Sequence[Plant],
+    keys: Sequence[PRNGKeyArray],
+    rows: int,
+    commands: Commands,
+    batch: int,
+    report: Report,
+) -> Iterator[Log]:
+    """Yield one log of each plant and key, `rows` long, as NumPy arrays; at most `batch` run at once.
+
+    Plants that are pytrees alike but for their arrays run side by side, others one after another.
+    """
+    fleet = _fleet(plants)
+    if fleet is None:
+        for plant, key in zip(plants, keys, strict=True):
+            yield from simulate([plant], [key], rows, commands, 1, report)
+        return
+    count = len(plants)
+    batch = math.ceil(count / math.ceil(count / batch)) if count else 0
+    for start in range(0, count, batch or 1):
+        # The last batch is filled up with logs that are thrown away, so that one compiled program serves all.
+        index = [i % count for i in range(start, start + batch)]
+        wanted = min(batch, count - start)
+        arrays = fleet.arrays
+        if fleet.axis is not None:
+            arrays = jax.tree.map(lambda x, index=index: x[np.array(index)], arrays)
+        some = fleet._replace(arrays=arrays)
+        state, issued = _begin(some, jnp.stack([keys[i] for i in index]), rows + 1, commands)
+        yield from _logs(functools.partial(_advance, some), state, issued, rows, wanted, report)
+
+
+class _Fleet(NamedTuple):
+    """Plants that one program serves: what they share, and their arrays, stacked along `axis` or shared (None)."""
+
+    arrays: PyTree[Any]
+    static: PyTree[Any]
+    axis: int | None
+
+
+def _fleet(plants: Sequence[Plant]) -> _Fleet | None:
+    """Stack plants; None where they differ in more than their arrays."""
+    same = all(plant is plants[0] for plant in plants)
+    parts = [eqx.partition(jit_argument(plant), eqx.is_array) for plant in (plants[:1] if same else plants)]
+    if same:
+        arrays, static = parts[0] if parts else (None, None)
+        return _Fleet(arrays, static, None)
+    shapes = [jax.tree.map(lambda x: (x.shape, x.dtype), arrays) for arrays, _ in parts]
+    statics = [jax.tree.flatten(static) for _, static in parts]
+    if any(shape != shapes[0] for shape in shapes) or any(static != statics[0] for static in statics):
+        return None
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[arrays for arrays, _ in parts])
+    return _Fleet(stacked, parts[0][1], 0)
+
+
+@used_once
+def _begin(fleet: _Fleet, keys: Key[Array, "logs"], rows: int, commands: Commands) -> tuple[State, Command]:
+    """States and all commands of a batch."""
+
+    def one(arrays: PyTree[Any], key: PRNGKeyArray) -> tuple[State, Command]:
+        plant = eqx.combine(arrays, fleet.static)
+        plant_key, command_key = jax.random.split(key)
+        return plant.init(plant_key), commands(command_key, rows, Limits(*plant.limits))
+
+    begun: tuple[State, Command] = jax.vmap(one, in_axes=(fleet.axis, 0))(fleet.arrays, keys)
+    return begun
+
+
+@briefly_used
+def _advance(fleet: _Fleet, state: State, issued: Command) -> tuple[State, Reading]:
+    """One piece of a batch."""
+
+    def one(arrays: PyTree[Any], state: State, issued: Command) -> tuple[State, Reading]:
+        return roll(eqx.combine(arrays, fleet.static), state, issued)
+
+    rolled: tuple[State, Reading] = jax.vmap(one, in_axes=(fleet.axis, 0, 0))(fleet.arrays, state, issued)
+    return rolled
+
+
+def _logs(
+    advance: Callable[[State, Command], tuple[State, Reading]],
+    state: State,
+    commands: Command,
+    rows: int,
+    wanted: int,
+    report: Report,
+) -> list[Log]:
+    """Roll a batch through its commands ``(batch, rows + 1)``; row k keeps reading k and the command issued then."""
+    chunks = math.ceil(rows / CHUNK_ROWS)
+    chunk = math.ceil(rows / chunks)
+    # Repeated beyond the end, so that all pieces are equally long and share one program; the extra rows are cut off.
+    issued = jax.tree.map(lambda x: jnp.pad(x, ((0, 0), (0, chunk * chunks - rows)), mode="edge"), commands)
+    pieces = []
+    for start in range(0, rows, chunk):
+        state, piece = advance(state, jax.tree.map(lambda x, start=start: x[:, start : start + chunk], issued))
+        pieces.append(jax.tree.map(lambda x: np.asarray(x[:wanted]), piece))
+        report(wanted * min(chunk, rows - start))
+    reading = jax.tree.map(lambda *parts: np.concatenate(parts, axis=1)[:, :rows], *pieces)
+    command = jax.tree.map(lambda x: np.asarray(x[:, 1:]), commands)
+    return [Log(*jax.tree.map(lambda x, i=i: x[i], (command, reading))) for i in range(wanted)]

@@ -1,0 +1,133 @@
+"""The web pages of an Axia80, read over HTTP before its stream: product, scale and units.
+
+``/netftapi2.xml`` must be there, with the five fields that every client needs; ``/netftcalapi.xml`` adds the serial
+number of the calibration where the sensor has that page. The names of the five are those that public drivers read, that
+of the serial number is from memory; none was seen on a real Axia80.
+"""
+
+import contextlib
+import http.client
+from collections.abc import Callable, Iterable
+from typing import Annotated, Any, NamedTuple
+from xml.etree.ElementTree import ParseError
+
+import defusedxml.ElementTree
+import pydantic
+
+from softfin.core.configuration import Configuration
+from softfin.core.errors import ConfigurationError, DeviceError, RigError
+
+SETTINGS = "/netftapi2.xml"
+CALIBRATION = "/netftcalapi.xml"
+
+MAX_PAGE_BYTES = 256 * 1024
+"""Longest page; the real ones have a few thousand bytes."""
+
+PAGE_TIMEOUT_S = 3.0
+"""Longest wait for the connection, and for the next part of the answer."""
+
+POUND_FORCE_N, KILOGRAM_FORCE_N = 4.4482216152605, 9.80665
+INCH_M, FOOT_M = 0.0254, 0.3048
+
+FORCE_UNITS = {"N": 1.0, "kN": 1e3, "lbf": POUND_FORCE_N, "klbf": 1e3 * POUND_FORCE_N, "kgf": KILOGRAM_FORCE_N}
+"""Units of force in newton."""
+
+TORQUE_UNITS = {
+    "N-m": 1.0, "N-mm": 1e-3, "kN-m": 1e3, "lbf-in": POUND_FORCE_N * INCH_M, "lbf-ft": POUND_FORCE_N * FOOT_M,
+    "kgf-cm": KILOGRAM_FORCE_N / 100,
+}  # fmt: skip
+"""Units of torque in newton metre."""
+
+
+class SensorSettings(NamedTuple):
+    """Product, scale and serial number, as the sensor's pages state them."""
+
+    product: str
+    serial: str | None
+    """Serial number of its calibration; None where it has no such page or field."""
+    newton_per_count: float
+    newton_metre_per_count: float
+
+
+def fetch_page(host: str, port: int, path: str) -> bytes | None:
+    """A page of the sensor itself, never of where it may redirect to; None where it has no such page."""
+    where = f"http://{host}:{port}{path}"
+    try:
+        connection = http.client.HTTPConnection(host, port, timeout=PAGE_TIMEOUT_S)
+        with contextlib.closing(connection):
+            connection.request("GET", path, headers={"Connection": "close"})
+            response = connection.getresponse()
+            body = response.read(MAX_PAGE_BYTES + 1)
+    except (OSError, http.client.HTTPException, ValueError) as error:
+        reason = f"no answer in {PAGE_TIMEOUT_S:g} s" if isinstance(error, TimeoutError) else f"{error}"
+        raise DeviceError(
+            f"{where}: the force sensor's page cannot be read ({' '.join(reason.split()) or type(error).__name__}); "
+            "check its power, cable and address, and http_port"
+        ) from None
+    if response.status == http.client.NOT_FOUND:
+        return None
+    if response.status != http.client.OK or len(body) > MAX_PAGE_BYTES:
+        raise RigError(
+            f"{where}: answers {response.status} {response.reason[:80]} with {len(body)} bytes; expected 200 and at "
+            f"most {MAX_PAGE_BYTES}; is this the address of an Axia80?"
+        )
+    return body
+
+
+def read_settings(host: str, port: int, fetch: Callable[[str, int, str], bytes | None] = fetch_page) -> SensorSettings:
+    """Settings of a sensor; raises DeviceError where it does not answer, RigError where its pages cannot be used."""
+    page, source = fetch(host, port, SETTINGS), f"http://{host}:{port}{SETTINGS}"
+    if page is None:
+        raise RigError(f"{source}: page not found; is this the address of an Axia80?")
+    return parse_settings(page, fetch(host, port, CALIBRATION), source)
+
+
+def parse_settings(page: bytes, calibration: bytes | None, source: str) -> SensorSettings:
+    """Settings from the bytes of both pages; raises RigError that names the field, its value and what is allowed."""
+    try:
+        values = _SettingsPage.build(_fields(page, source, _SettingsPage.model_fields), source)
+    except ConfigurationError as error:
+        raise RigError(f"{error}; correct it on the sensor's configuration page, or check the address") from None
+    return SensorSettings(
+        product=values.prodname,
+        serial=None if calibration is None else _fields(calibration, source, ["calsn"]).get("calsn"),
+        newton_per_count=values.scfgfu / values.cfgcpf,
+        newton_metre_per_count=values.scfgtu / values.cfgcpt,
+    )
+
+
+def _factor_of(units: dict[str, float]) -> pydantic.BeforeValidator:
+    def factor(text: Any) -> float:
+        for unit, value in units.items():
+            if unit.casefold() == str(text).casefold():
+                return value
+        raise ValueError(f"not a known unit; use one of {', '.join(units)}")
+
+    return pydantic.BeforeValidator(factor)
+
+
+class _SettingsPage(Configuration):
+    """The fields that every client needs."""
+
+    prodname: str
+    cfgcpf: float = pydantic.Field(ge=1, le=1e12)
+    """Counts for one unit of force."""
+    cfgcpt: float = pydantic.Field(ge=1, le=1e12)
+    """Counts for one unit of torque."""
+    scfgfu: Annotated[float, _factor_of(FORCE_UNITS)]
+    """Unit of force [N]."""
+    scfgtu: Annotated[float, _factor_of(TORQUE_UNITS)]
+    """Unit of torque [N m]."""
+
+
+def _fields(page: bytes, source: str, names: Iterable[str]) -> dict[str, str]:
+    """Text of the elements of these names, where it is not empty."""
+    try:
+        root = defusedxml.ElementTree.fromstring(page, forbid_dtd=True)
+    except (ParseError, ValueError, LookupError, RecursionError) as error:
+        # Of defusedxml, too, whose errors are ValueErrors: a document type or entities.
+        reason = " ".join(str(error).split())
+        raise RigError(f"{source}: not a page of an Axia80 ({reason}); check the address") from None
+    found = {name: next(root.iter(name), None) for name in names}
+    texts = {name: " ".join((element.text or "").split()) for name, element in found.items() if element is not None}
+    return {name: text for name, text in texts.items() if text}

@@ -1,0 +1,66 @@
+"""Which machine a plant's name stands for, ``rig`` or ``ros2``, and how it is treated: safety limits and rests."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from softfin.core.errors import RigError
+from softfin.core.quantities import Limits
+from softfin.rig.machine import Machine
+from softfin.rig.safety import SafetyConfig
+from softfin.storage.registry import LIVE
+
+
+@dataclass(frozen=True)
+class RobotSetup:
+    """A machine, its safety limits and its configuration."""
+
+    machine: Machine
+    safety: SafetyConfig
+    fin: str | None = None
+    """Name of this fin; None where it was not given."""
+    settle_s: float = 5.0
+    """Time for which the fin rests before each log or experiment [s]."""
+    configuration: dict[str, Any] = field(default_factory=dict)
+    """The whole configuration, for JSON."""
+
+    def check_fits(self, controller: str, limits: Limits, fin: str | None) -> None:
+        """Raise RigError where a controller is for another fin, or commands more than this machine takes."""
+        if None not in (fin, self.fin) and fin != self.fin:
+            raise RigError(
+                f"{controller}: trained for the fin {fin!r}; this rig's is {self.fin!r}; train one for it, or correct "
+                "'fin' in the rig's file"
+            )
+        for quantity, unit in (("angle", "rad"), ("velocity", "rad/s")):
+            (low, high), (lowest, highest) = (
+                (getattr(each, f"{quantity}_min"), getattr(each, f"{quantity}_max"))
+                for each in (limits, self.machine.limits)
+            )
+            if low < lowest - 1e-3 or high > highest + 1e-3:
+                raise RigError(
+                    f"{controller}: commands a {quantity} of {low:.5g} .. {high:.5g} {unit}; {self.machine.name} takes "
+                    f"{lowest:.5g} .. {highest:.5g}; train it within these, or widen the rig's limits"
+                )
+
+
+def find_robot(name: str) -> RobotSetup:
+    """Find a machine by name, ``rig``, ``ros2`` or one of these with ``:FILE``, without opening it; raises RigError."""
+    # Imported here: one kind of robot needs no libraries of the other.
+    kind, _, file = name.partition(":")
+    path = Path(file) if file else None
+    if kind == "rig":
+        from softfin.rig.config import load_rig
+        from softfin.rig.rig import Rig
+
+        rig = load_rig(path)
+        # A real rig's configuration stays as it was before there were emulated ones.
+        values = rig.model_dump(mode="json", exclude={"emulation"} if rig.emulation is None else None)
+        return RobotSetup(Rig(rig), rig.safety, rig.fin, rig.settle_s, values)
+    if kind == "ros2":
+        from softfin.rig.config import load_ros2
+        from softfin.rig.ros2.plant import Ros2Machine
+
+        ros2 = load_ros2(path)
+        machine = Ros2Machine(ros2.topics)
+        return RobotSetup(machine, ros2.safety, ros2.fin, ros2.settle_s, ros2.model_dump(mode="json"))
+    raise RigError(f"{name}: not a machine; give {' or '.join(LIVE)}, or one of these with :FILE")

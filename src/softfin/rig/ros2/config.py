@@ -1,0 +1,120 @@
+"""Configuration of ROS 2: how to reach other nodes, the topics of softfin's node, the topics of a fin."""
+
+import os
+from typing import Annotated, Literal
+
+from pydantic import BeforeValidator, Field, PlainSerializer, PositiveFloat, StringConstraints, model_validator
+
+from softfin.core.choices import TransportName
+from softfin.core.configuration import Configuration
+from softfin.core.errors import RigError
+from softfin.core.quantities import Limits
+from softfin.data.importing.importing import FORCE_FRAMES
+from softfin.rig.ros2.flipper import FlipperConfig
+
+TopicName = Annotated[str, StringConstraints(pattern=r"^(/[A-Za-z_][A-Za-z0-9_]*)+$")]
+"""A full name, as ``/fin/wrench``: no relative ones, no ``~``."""
+
+LimitsField = Annotated[
+    Limits,
+    BeforeValidator(lambda value: value if isinstance(value, Limits) else Limits.of(value)),
+    PlainSerializer(lambda limits: limits.described()),
+]
+
+
+class TransportConfig(Configuration):
+    """How to reach other nodes."""
+
+    transport: TransportName = "auto"
+    """auto: rclpy where it is installed, else DDS."""
+    domain: int | None = Field(default=None, ge=0, le=232)
+    """ROS domain; None takes the variable ROS_DOMAIN_ID, else 0."""
+    network: str | None = Field(default=None, pattern=r"^[A-Za-z0-9_.:-]+$")
+    """Network interface that DDS uses, as eth0; None is this computer alone. rclpy takes ROS's own settings."""
+    node: str = Field(default="softfin", pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")
+    """Name of the node, with rclpy."""
+
+    def domain_id(self) -> int:
+        """The domain, from the environment where it is not configured; raises RigError."""
+        if self.domain is not None:
+            return self.domain
+        text = os.environ.get("ROS_DOMAIN_ID", "").strip() or "0"
+        if not text.isdecimal() or int(text) > 232:
+            raise RigError(f"ROS_DOMAIN_ID={text}: a domain is a whole number from 0 to 232; correct it or unset it")
+        return int(text)
+
+
+class NodeConfig(Configuration):
+    """Topics and frames of the node; the names are those that `softfin import-logs` looks for in a bag."""
+
+    joint_topic: TopicName = "/fin/joint_states"
+    """sensor_msgs/JointState of every sample: angle [rad] and velocity [rad/s]."""
+    wrench_topic: TopicName = "/fin/wrench"
+    """geometry_msgs/WrenchStamped of every sample: force [N] and torque [N m] of the fin on its mount."""
+    command_topic: TopicName = "/fin/command"
+    """sensor_msgs/JointState of every new command: angle and profile velocity."""
+    reference_topic: TopicName = "/fin/reference"
+    """The reference force, x and y [N]."""
+    reference_type: Literal["wrench", "vector3"] = "wrench"
+    """Its type: geometry_msgs/WrenchStamped or geometry_msgs/Vector3Stamped."""
+    stop_topic: TopicName = "/fin/stop"
+    """std_msgs/Bool: true stops the fin; false does not take that back."""
+    joint_name: str = "fin"
+    """Name of the joint in the messages."""
+    frame: str = "fin_mount"
+    """Frame of the forces: +x is thrust that pushes the robot forward."""
+    reference_timeout_s: PositiveFloat | None = 1.0
+    """Age beyond which a reference does not count any more [s]; None obeys the newest for ever."""
+    reference_limit_n: PositiveFloat = Field(default=20.0)
+    """A reference beyond this on either axis is refused [N]: twice what a fin like the paper's can make."""
+
+    connection: TransportConfig = Field(default_factory=TransportConfig)
+    """How to reach other nodes."""
+
+    @model_validator(mode="after")
+    def _apart(self) -> "NodeConfig":
+        names = [getattr(self, name) for name in type(self).model_fields if name.endswith("_topic")]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"{name} is the name of two topics; give each its own")
+        return self
+
+
+class Ros2PlantConfig(Configuration):
+    """Which topics are the fin. What depends on the robot has no default."""
+
+    joint_topic: TopicName
+    """sensor_msgs/JointState with the shaft's angle, at 100 Hz or more."""
+    joint_name: str = Field(min_length=1)
+    """The fin's name in it."""
+    wrench_topic: TopicName
+    """geometry_msgs/WrenchStamped of the fin on its mount, at 100 Hz or more, filtered for 100 Hz by its driver."""
+    frame: Literal[FORCE_FRAMES]  # type: ignore[valid-type]
+    """softfin's +x (thrust that pushes the robot forward) and +y, in the sensor's own axes: ``y,-x``."""
+    command_topic: TopicName
+    """sensor_msgs/JointState with position and velocity, or the flipper's message."""
+    flipper: FlipperConfig | None = None
+    """For robots of the U-CAT family: commands as flipper messages."""
+    negate_angle: bool = False
+    """The driver's angles, velocities and commands count the other way round."""
+    limits: LimitsField
+    """The commands that the fin accepts: angle_min_rad, angle_max_rad, velocity_min_rad_s, velocity_max_rad_s."""
+    stop_topic: TopicName | None = None
+    """std_msgs/Bool that the driver brakes and disables its motor on. None: a stop is a command to hold."""
+    stop_release: bool = False
+    """Send false on the stop topic when the fin is enabled: only where that takes back nobody else's stop."""
+    best_effort: bool = True
+    """Read joint and wrench as sensor data: it matches every publisher, and a lost reading is not sent again."""
+    wait_s: PositiveFloat = Field(default=5.0, le=120)
+    """Longest wait for the first messages [s]."""
+    connection: TransportConfig = Field(default_factory=TransportConfig)
+    """How to reach the driver."""
+
+    def check_apart(self, node: NodeConfig) -> None:
+        """Raise RigError where the node would publish on a topic of this fin, or take one for a reference."""
+        ours = {self.joint_topic, self.wrench_topic, self.command_topic, self.stop_topic}
+        for name in ("joint_topic", "wrench_topic", "command_topic", "reference_topic"):
+            if (topic := getattr(node, name)) in ours:
+                raise RigError(
+                    f"{name} = {topic}: is a topic of the fin's own; give the node another: --set {name}=/NAME"
+                )

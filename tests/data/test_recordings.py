@@ -1,0 +1,166 @@
+import os
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet as pq
+import pytest
+
+from softfin.core.errors import ArtifactError, ConfigurationError, LogError
+from softfin.data.importing.importing import ImportConfig
+from softfin.data.issues import Issue, check_issues
+from softfin.data.recordings import check_train, find_recordings, open_logs
+from softfin.storage.dataset import Dataset, write_dataset
+from tests.data.bags import topics_of, write_bag
+from tests.data.faulty import columns_of, cut, tank_logs, write_parquet
+
+
+@pytest.fixture(scope="module")
+def logs():
+    return [cut(log, 0, 2000) for log in tank_logs(3)]
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory, logs):
+    path = tmp_path_factory.mktemp("data") / "dataset"
+    write_dataset(path, logs[:2], logs[2:], {})
+    return path
+
+
+def folder_of(path, logs):
+    path.mkdir()
+    for index, log in enumerate(logs[:2]):
+        pyarrow.csv.write_csv(pa.table(columns_of(log)), path / f"run{index}.csv")
+    write_parquet(path / "Test_a.parquet", columns_of(logs[2]))
+    write_bag(path / "test" / "bag", topics_of(columns_of(logs[2])))
+    (path / "notes.md").write_text("a calm day")
+    (path / ".hidden.csv").write_text("")
+    return path
+
+
+def test_a_dataset_opens_as_it_is_and_keeps_its_hash(dataset, logs):
+    opened = open_logs(dataset)
+    assert opened.issues == []
+    assert [one.name for one in opened.logs] == ["train/0000.parquet", "train/0001.parquet", "test/000.parquet"]
+    assert opened.data_hash == Dataset.open(dataset).data_hash
+    np.testing.assert_array_equal(opened.train[1].reading.force, logs[1].reading.force)
+    assert len(opened.test) == 1
+
+
+def test_a_dataset_that_was_changed_is_refused_as_ever(tmp_path, logs):
+    write_dataset(tmp_path / "d", logs[:1], [], {})
+    write_parquet(tmp_path / "d" / "train" / "0000.parquet", columns_of(logs[1]))
+    with pytest.raises(ArtifactError, match="truncated or changed"):
+        open_logs(tmp_path / "d")
+
+
+def test_faulty_files_put_into_a_dataset_are_issues_not_the_first_error(tmp_path, logs):
+    for index, log in enumerate(logs[:2]):
+        columns = columns_of(log)
+        columns["force_x_n"][5 + index] = np.nan
+        write_parquet(tmp_path / "train" / f"{index}.parquet", columns)
+    (tmp_path / "dataset.json").write_text("{}")
+    issues = open_logs(tmp_path).issues
+    assert issues[0].name == "not a number"
+    assert issues[0].logs == ("train/0.parquet", "train/1.parquet")
+
+
+def test_a_folder_of_all_kinds_opens_as_one_set_of_logs(tmp_path, logs):
+    opened = open_logs(folder_of(tmp_path / "all", logs))
+    assert [(one.name, one.part) for one in opened.logs] == [
+        ("Test_a.parquet", "test"), ("run0.csv", "train"), ("run1.csv", "train"), ("test/bag", "test"),
+    ]  # fmt: skip
+    assert not [one for one in opened.issues if one.severity != "note"]
+    assert "1 file not read" in next(one.message for one in opened.issues if one.name == "other files")
+    np.testing.assert_allclose(opened.train[0].reading.angle, logs[0].reading.angle, atol=1e-6)
+    assert opened.metadata["imported_from"]["files"] == ["Test_a.parquet", "run0.csv", "run1.csv", "test/bag"]
+    assert opened.metadata["logs"][0] == {"log": "Test_a.parquet", "part": "test", "rows": 2000, "start_s": 0.01}
+
+
+def test_one_file_is_enough(tmp_path, logs):
+    path = folder_of(tmp_path / "all", logs) / "run0.csv"
+    assert [one.name for one in open_logs(path).logs] == ["run0.csv"]
+
+
+def test_test_logs_are_chosen_by_a_pattern(tmp_path, logs):
+    path = folder_of(tmp_path / "all", logs)
+    opened = open_logs(path, ImportConfig(test="run1*"))
+    assert [one.name for one in opened.logs if one.part == "test"] == ["run1.csv"]
+    with pytest.raises(ConfigurationError, match="--test walk: matches none of the files"):
+        open_logs(path, ImportConfig(test="walk"))
+    opened = open_logs(path, ImportConfig(test="*"))
+    assert opened.train == []
+    with pytest.raises(LogError, match="runs: no training logs: all of its 4 logs are test logs; see --test"):
+        check_train(opened, "runs")
+
+
+def test_the_hash_tells_files_and_options_apart(tmp_path, logs):
+    path = folder_of(tmp_path / "all", logs)
+    plain = open_logs(path).data_hash
+    assert plain == open_logs(path).data_hash
+    assert plain != open_logs(path, ImportConfig(force="x,-y")).data_hash
+    (path / "run1.csv").rename(path / "run2.csv")
+    assert plain != open_logs(path).data_hash
+
+
+def test_files_whose_columns_are_read_in_another_way_are_each_shown(tmp_path, logs):
+    for name, angle in (("a", "theta"), ("b", "theta"), ("c", "pos [rad]")):
+        columns = {angle if own == "angle_rad" else own: each for own, each in columns_of(logs[0]).items()}
+        write_parquet(tmp_path / f"{name}.parquet", columns)
+    opened = open_logs(tmp_path)
+    assert opened.inspection.summary()["columns"] == {
+        "a.parquet": "by the names: angle='theta' in rad (assumed)",
+        "c.parquet": "by the names: angle='pos [rad]' in rad",
+    }
+    assert [one.logs for one in opened.issues if one.name == "columns"] == [
+        ("a.parquet", "b.parquet"),
+        ("c.parquet",),
+    ]
+
+
+def test_pieces_that_are_all_too_short_are_refused(tmp_path, logs):
+    columns = {name: values[np.r_[0:100, 150:250]] for name, values in columns_of(logs[0]).items()}
+    write_parquet(tmp_path / "a.parquet", columns)
+    with pytest.raises(LogError, match="no logs: all pieces between gaps are shorter than 2 s; --shortest 1"):
+        open_logs(tmp_path)
+
+
+def test_nanoseconds_since_1970_are_a_clock_too(tmp_path, logs):
+    columns = columns_of(logs[0])
+    columns["time_s"] = 1_700_000_000_123_456_789 + 10_000_000 * np.arange(2000)
+    pq.write_table(pa.table(columns), tmp_path / "a.parquet")
+    (one,) = open_logs(tmp_path, ImportConfig(time_unit="ns")).logs
+    np.testing.assert_allclose(one.log.reading.time, np.arange(2000) / 100, atol=1e-6)
+
+
+def test_nothing_to_read_is_refused(tmp_path):
+    with pytest.raises(LogError, match="holds no recordings"):
+        open_logs(tmp_path)
+    with pytest.raises(LogError, match="no such file or folder"):
+        open_logs(tmp_path / "nowhere")
+
+
+def test_errors_stop_unless_they_are_accepted_and_warnings_do_not():
+    def issue(severity, name):
+        return Issue(severity, name, "run.csv", "spans -90 .. 90: degrees", "--angles deg", "angle", 7)
+
+    check_issues([issue("warning", "a"), issue("note", "b")], "runs")
+    errors = [issue("error", "a"), issue("error", "b"), issue("error", "c")]
+    check_issues(errors, "runs", ignore_errors=True)
+    with pytest.raises(LogError) as error:
+        check_issues(errors, "runs")
+    message = str(error.value)
+    assert message.startswith("runs: run.csv, row 7, column angle: spans -90 .. 90: degrees; --angles deg")
+    assert "2 more" in message
+    assert "--ignore-errors" in message
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="without pipes in folders")
+def test_pipes_broken_links_and_links_in_circles_are_no_recordings(tmp_path):
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "logs" / "a.csv").write_text("time_s\n0\n")
+    os.mkfifo(tmp_path / "logs" / "b.csv")
+    (tmp_path / "logs" / "c.csv").symlink_to(tmp_path / "none")
+    for name in ("d", "e"):
+        (tmp_path / "logs" / name).symlink_to(tmp_path)
+    assert find_recordings(tmp_path) == [tmp_path / "logs" / "a.csv"]

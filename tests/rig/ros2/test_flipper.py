@@ -1,0 +1,88 @@
+import pytest
+
+from softfin.core.errors import ConfigurationError, RigError
+from softfin.rig.machine import Target
+from softfin.rig.ros2.flipper import FlipperCommands, FlipperConfig, put
+from softfin.rig.ros2.messages import Messages
+from tests.rig.ros2_memory import MemoryTransport
+
+DEFINITIONS = {
+    "own/msg/Flipper": "float32 frequency\nfloat32 amplitude\nfloat32 zero_direction\nstring name\nbool on\n",
+    "own/msg/Flippers": "std_msgs/Header header\nFlipper[] flippers\nFlipper[2] two\nfloat64[] angles\nfloat64[2] pair",
+}
+
+
+def encoded(**changes):
+    config = FlipperConfig.build({"type": "own/Flippers", "definitions": DEFINITIONS} | changes)
+    transport = MemoryTransport()
+    transport.messages = Messages(config.definitions)
+    commands = FlipperCommands(transport, transport.messages, "/flippers", config)
+    commands.send(Target(0.5, 1.0), 0.5, 3.0)
+    return transport.sent["/flippers"][0]
+
+
+def test_fields_are_found_by_their_path_and_sequences_grow():
+    constants = {"flippers.2.frequency": 1.5, "flippers.2.name": "left", "flippers.2.on": True}
+    ways = {name: f"flippers.2.{name}" for name in ("zero_direction", "amplitude")}
+    message = encoded(constants=constants, **ways)
+    assert [flipper.zero_direction for flipper in message.flippers] == [0.0, 0.0, 0.5]
+    last = message.flippers[2]
+    assert (last.frequency, last.amplitude, last.name, last.on) == (1.5, 0.0, "left", True)
+    assert message.header.stamp.sec > 0
+
+
+def test_numbers_in_sequences_and_arrays_are_fields_too():
+    message = encoded(zero_direction="angles.1", amplitude="pair.0")
+    assert message.angles.tolist() == [0.0, 0.5]
+    assert encoded(zero_direction="two.1.zero_direction", amplitude="two.1.amplitude").two[1].zero_direction == 0.5
+
+
+@pytest.mark.parametrize(
+    ("way", "words"),
+    [
+        ("flippers.0.zero", "own/msg/Flipper has no field 'zero'; it has frequency, amplitude"),
+        ("pair.2", "it has 2 elements, 0 to 1; there is no 2"),
+        ("flippers.x.amplitude", "'x' is not an element of it"),
+        ("flippers.0", "it is not a number"),
+        ("angles", "it is not a number"),
+        ("flippers.0.name", "of type string"),
+        ("flippers.0.name.1", "'1' is not an element of it"),
+        ("__class__", "a path is names and numbers"),
+        ("flippers.9999.amplitude", "a path is names and numbers"),
+        ("", "a path is names and numbers"),
+    ],
+)
+def test_a_field_that_is_not_there_is_told_before_anything_is_sent(way, words):
+    with pytest.raises(RigError, match=words):
+        encoded(zero_direction=way, amplitude="pair.0")
+
+
+def test_a_constant_that_a_field_cannot_hold_is_told():
+    with pytest.raises(RigError, match="cannot hold these values"):
+        encoded(zero_direction="angles.0", amplitude="pair.0", constants={"header.stamp.sec": 1e30})
+
+
+def test_a_type_that_is_none_is_a_wrong_configuration():
+    with pytest.raises(ConfigurationError, match="is not a message type"):
+        FlipperConfig.build({"type": "Flipper"})
+
+
+def test_late_ticks_are_not_made_up_for():
+    transport = MemoryTransport()
+    config = FlipperConfig.build({"type": "own/Flippers", "definitions": DEFINITIONS,
+                                  "zero_direction": "angles.0", "amplitude": "pair.0"})  # fmt: skip
+    transport.messages = Messages(config.definitions)
+    commands = FlipperCommands(transport, transport.messages, "/flippers", config)
+    commands.tick(0.0)
+    commands.send(Target(1.0, 1.0), 0.0, 0.0)
+    for now in (0.04, 0.33, 0.34, 0.36):
+        commands.tick(now)
+    angles = [message.angles[0] for message in transport.sent["/flippers"]]
+    assert angles == [0.0, 0.33, 0.36]
+
+
+def test_a_field_is_put_by_name_only():
+    messages = Messages(DEFINITIONS)
+    message = messages.blank("own/msg/Flipper")
+    put(messages, message, "zero_direction", 1.0)
+    assert message.zero_direction == 1.0

@@ -1,0 +1,63 @@
+import pytest
+import yaml
+
+from softfin.core.errors import RigError
+from softfin.core.quantities import PAPER_LIMITS, Limits
+from softfin.rig.rig import Rig
+from softfin.rig.robot_setup import RobotSetup, find_robot
+from softfin.rig.safety import SafetyConfig
+from tests.rig.machines import FreeFin
+from tests.rig.test_config import VALUES, written
+
+LIMITS = Limits(*map(float, PAPER_LIMITS))
+
+
+def robot(fin="blue"):
+    return RobotSetup(FreeFin(), SafetyConfig(), fin)
+
+
+def test_a_controller_of_this_fin_within_its_limits_fits():
+    robot().check_fits("c", LIMITS, "blue")
+    robot().check_fits("c", LIMITS, None)
+    robot(None).check_fits("c", LIMITS, "blue")
+
+
+def test_a_controller_of_another_fin_is_refused():
+    with pytest.raises(RigError, match="c: trained for the fin 'red'; this rig's is 'blue'; train one for it"):
+        robot().check_fits("c", LIMITS, "red")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"angle_max": 1.8}, r"an? angle of -1\.5708 \.\. 1\.8 rad; free fin takes -1\.5708 \.\. 1\.5708"),
+        ({"angle_min": -1.8}, "angle"),
+        ({"velocity_min": 0.5}, "velocity of 0.5"),
+        ({"velocity_max": 4.0}, "velocity of 1 .. 4 rad/s"),
+    ],
+)
+def test_a_controller_that_commands_more_than_the_machine_takes_is_refused(change, words):
+    with pytest.raises(RigError, match=words):
+        robot().check_fits("c", LIMITS._replace(**change), None)
+
+
+def test_a_rig_is_found_by_its_file_without_being_opened(tmp_path):
+    robot = find_robot(f"rig:{written(tmp_path)}")
+    assert isinstance(robot.machine, Rig)
+    assert (robot.fin, robot.machine.name) == ("blue", "rig of blue")
+    assert robot.configuration["sensor"]["address"] == "192.168.1.1"
+    assert "emulation" not in robot.configuration
+    assert robot.machine.counters()["drive_targets_repeated"] == 0
+
+
+def test_the_file_beside_one_is_the_default(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(VALUES))
+    assert find_robot("rig").fin == "blue"
+    with pytest.raises(RigError, match=r"ros2\.yaml: no such file"):
+        find_robot("ros2")
+
+
+def test_another_name_says_what_there_is():
+    with pytest.raises(RigError, match="tank: not a machine; give rig or ros2, or one of these with :FILE"):
+        find_robot("tank")
