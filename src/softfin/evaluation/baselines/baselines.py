@@ -153,7 +153,7 @@ def _evaluate_recurrent(plant: Plant, limits: Limits, search_in: Plant, config: 
     learnt, task = Limits(*search_in.limits), TaskConfig()
     if not np.allclose(learnt, limits, rtol=0, atol=1e-3):
         raise PlantError(
-            f"it would learn commands that the plant does not take, {learnt.described()}; let it learn in a surrogate "
+            f"it would learn commands that the plant does not take, {learnt.to_dict()}; let it learn in a surrogate "
             "of the fin itself"
         )
     box = bounding_box([Cell.around(reference, 0.0) for reference in config.references])
@@ -169,8 +169,8 @@ def shared_limits(one: Limits, other: Limits) -> Limits:
     for quantity, least, greatest in zip(("angle", "velocity"), low, high, strict=True):
         if not least < greatest:
             raise PlantError(
-                f"baselines: no {quantity} that both plants take: the search plant takes {one.described()}, the "
-                f"evaluated one {other.described()}; search in a surrogate of the fin itself"
+                f"baselines: no {quantity} that both plants take: the search plant takes {one.to_dict()}, the "
+                f"evaluated one {other.to_dict()}; search in a surrogate of the fin itself"
             )
     return Limits(*(float(value) for value in (low[0], high[0], low[1], high[1])))
 
