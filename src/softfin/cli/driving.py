@@ -43,7 +43,7 @@ class Driving(Armed, Common):
     bag: File | None = None
     """The recording, a ROS 2 bag, NAME.mcap (run-DATE.mcap)."""
     strict: bool = False
-    """Refuse a reference that the fin cannot make; else the nearest one that it can make is held, with a warning."""
+    """Refuse a reference that the fin cannot make; else the nearest one that it can make is tracked, with a warning."""
     trim: bool = False
     """Add a slow outer loop that cancels the steady-state force error, from the measured mean force."""
 

@@ -31,10 +31,10 @@ class Arguments(Armed, Configured):
     seed: int | None = None
     """Seed of the plant's noise (0)."""
     strict: bool = False
-    """Refuse a reference that the fin cannot make; else the nearest one that it can make is held, with a warning."""
+    """Refuse a reference that the fin cannot make; else the nearest one that it can make is tracked, with a warning."""
     trim: bool = False
     """Add a slow outer loop that cancels the steady-state force error, from the measured mean force."""
-    spread: float | None = None
+    randomize: float | None = None
     """With the tank: each repetition in another one, material, water and servo within this part of theirs, from 0 (the
     same tank) to less than 1, such as 0.15."""
     moving: tuple[MovingReference, ...] = ()
@@ -50,8 +50,10 @@ class Arguments(Armed, Configured):
         """Refuse options that do not go with the plant."""
         super().check()
         if is_live(self.plant):
-            if self.spread is not None:
-                raise ConfigurationError(f"--spread {self.spread:g}: {self.plant} is no virtual tank; leave it out")
+            if self.randomize is not None:
+                raise ConfigurationError(
+                    f"--randomize {self.randomize:g} needs the virtual tank as plant, got {self.plant!r}; leave it out"
+                )
         elif self.arm:
             raise ConfigurationError(f"--arm: {self.plant} is not a real fin; leave it out, or give --plant rig")
 
@@ -59,7 +61,7 @@ class Arguments(Armed, Configured):
         """Evaluate."""
         from softfin.cli.tables import table_two
         from softfin.evaluation.evaluate import EvaluateConfig
-        from softfin.evaluation.forceplane import POINTS
+        from softfin.evaluation.range_errors import LATTICE_POINTS
         from softfin.rig.robot_setup import find_robot
         from softfin.stages import live
         from softfin.stages import offline as stages
@@ -70,7 +72,7 @@ class Arguments(Armed, Configured):
             EvaluateConfig(), references=self.reference, recorded=recorded, strict=self.strict or None
         )
         if self.error_map and config.error_map is None:
-            config = config.merged({"error_map": POINTS}, "options")
+            config = config.merged({"error_map": LATTICE_POINTS}, "options")
         if self.trim and config.trim is None:
             config = config.merged({"trim": {}}, "options")
         if is_live(self.plant):
@@ -78,7 +80,7 @@ class Arguments(Armed, Configured):
             summary = self.stage(live.evaluate_live, self.controller, robot, self.out, config, self.confirm)
         else:
             summary = stages.evaluate(
-                self.controller, self.plant, self.out, config, spread=self.spread, overwrite=self.overwrite
+                self.controller, self.plant, self.out, config, randomize=self.randomize, overwrite=self.overwrite
             )
         lines = [table_two({stages.kind_of(self.controller): summary})]
         lines += [moving_table(summary["moving"])] if "moving" in summary else []

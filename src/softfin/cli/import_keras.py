@@ -30,4 +30,4 @@ class Arguments(Common):
         nets = {"posnet": surrogate.posnet, "forcenet": surrogate.forcenet}
         counts = {name: net.config.parameters() for name, net in nets.items()}
         text = f"{self.out}: PosNet {counts['posnet']:,} and ForceNet {counts['forcenet']:,} parameters"
-        self.tell({"surrogate": str(self.out), "parameters": counts, "limits": surrogate.limits.described()}, text)
+        self.tell({"surrogate": str(self.out), "parameters": counts, "limits": surrogate.limits.to_dict()}, text)

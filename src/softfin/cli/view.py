@@ -19,25 +19,27 @@ class Arguments(Configured):
     seconds: float | None = None
     """Duration in the plant's time [s] (10)."""
     centre: float | None = None
-    """Angle about which the gait oscillates [rad] (0); --set beat.amplitude_rad, beat.velocity_rad_s for the rest."""
+    """Angle about which the gait oscillates [rad] (0); --set gait.amplitude_rad, gait.velocity_rad_s for the rest."""
     excitation: bool = False
     """Random commands, as datasets are recorded under, in place of the gait."""
     controller: Annotated[Path, folder_of("controller")] | None = None
     """Folder of a controller that moves the fin in place of the gait."""
     reference: Force | None = None
     """Reference force of the controller, as --reference=X,Y in newton."""
-    then: tuple[Force, ...] = ()
-    """The next one, as --then=X,Y; each is asked for an equal part of the time."""
+    next_reference: tuple[Force, ...] = ()
+    """The next one, as --next-reference=X,Y; each is asked for an equal part of the time."""
     seed: int | None = None
     """Seed of the plant's noise and the random commands (0)."""
 
     def run(self) -> None:
         """View."""
-        from softfin.evaluation.view import ViewConfig
+        from softfin.evaluation.view.view import ViewConfig
         from softfin.stages import offline as stages
 
         centre = None if self.centre is None else {"centre_rad": self.centre}
-        config = self.configured(ViewConfig(), beat=centre, random=self.excitation or None)
+        config = self.configured(
+            ViewConfig(), gait=centre, random=self.excitation or None, next_references=self.next_reference
+        )
         summary = self.stage(
             stages.view, self.plant, self.out, config, controller=self.controller, reference=self.reference
         )
