@@ -11,14 +11,10 @@ from tests.cli.test_cli import fails
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["nothing"], "plant nothing: unknown (does not exist)"),
-        (["."], ".: not a dataset: it holds no dataset.json"),
-        (["tank", "--velocity", "fast"], "--velocity fast: not a range; write LOW,HIGH in rad/s, as 0.3,1.57"),
         (["tank", "--velocity", "3,2"], "velocity_rad_s = 3, 2: the plant takes"),
         (["tank", "--set", "parameters.fin.lenght_m=[0.1, 0.3]"], "there is no 'lenght_m'; did you mean 'length_m'?"),
         (["tank", "--set", "parameters.fin.length_m=3"], "parameters.fin.length_m = 3: Input should be a valid tuple"),
         (["tank", "--evaluations", "-1"], "evaluations = -1: Input should be greater than or equal to 0"),
-        (["tank", "--preset", "huge"], "huge"),
     ],
 )
 def test_wrong_input_is_one_line_and_exit_code_2(capsys, tmp_path, monkeypatch, words, expected):

@@ -60,19 +60,6 @@ def test_a_key_of_the_rigs_file_is_named_where_it_is_misspelt_or_missing(
     refused(capsys, told, words)
 
 
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        (("--plant", "rigx"), "plant rigx: not a real fin; give rig or ros2"),
-        (("--seconds", "0"), "--seconds 0: at least 1"),
-        (("--bag", "a.txt"), "--bag a.txt: a recording is a file NAME.mcap"),
-        (("--bag", "."), "--bag .: a recording is a file NAME.mcap"),
-    ],
-)
-def test_wrong_options_are_told_before_the_rig_is_looked_for(controller, capsys, words, expected):
-    refused(capsys, ["run", str(controller), "--reference=1,0", "--arm", "--yes", *words], expected)
-
-
 def test_a_recording_or_folder_that_is_there_is_neither_moved_nor_replaced(controller, tmp_path, capsys):
     (tmp_path / "a.mcap").write_text("of yesterday")
     (tmp_path / "folder.mcap").mkdir()

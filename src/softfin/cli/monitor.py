@@ -1,7 +1,6 @@
 """``softfin monitor``: a recording while it is made in, its state on the terminal or as a page out; it only reads."""
 
 import contextlib
-import ipaddress
 import json
 import sys
 import time
@@ -46,16 +45,9 @@ class Arguments(Command):
                 sys.stdout.write(json.dumps(summary.to_dict(), indent=2, allow_nan=False) + "\n")
             elif self.web:
                 server = Server(follower, self.host, self.port)
-                if not _is_loopback(self.host):
+                if self.host not in (LOOPBACK, "::1", "localhost"):
                     sys.stderr.write(f"warning: {self.host}: others can watch too; no password\n")
                 sys.stderr.write(f"{server.address} shows the recording; Ctrl-C ends\n")
                 server.run(sleep=time.sleep)
             else:
                 watch(follower, Console(), sleep=time.sleep)
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"

@@ -50,7 +50,7 @@ def table_two(controllers: Mapping[str, Any]) -> str:
     lines = []
     for name, summary in controllers.items():
         paper = PAPER_TABLE_II.get(name, {})
-        rows = [[f"Table II, {name}", *titles, *([f"paper's {title}" for title in titles] if paper else [])]]
+        rows = [[f"Table II, {name}", *titles, *(("paper: x error", *titles[1:]) if paper else ())]]
         notes = [""]
         for row in summary["references"]:
             x, y = row["reference_n"]
