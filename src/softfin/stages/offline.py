@@ -346,25 +346,25 @@ def find_gaits(
     out: Path,
     config: MapConfig | None = None,
     *,
-    known: Path | None = None,
+    force_map: Path | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> None:
     """Find the gaits of a lattice of reference forces and write them as a controller, the folder `out`.
 
-    The folder of a map, `known`, has them already, over its own lattice.
+    The folder of a map, `force_map`, has them already, over its own lattice.
     """
     artifacts.check_vacant(out, overwrite)
     moving = find_plant(plant) if isinstance(plant, str) else plant
-    if known is None:
+    if force_map is None:
         config = config or MapConfig(box=PAPER_RANGE)
         found = _map_forces(moving, config, None if progress is None else partial(progress, "gaits"))
     elif config is None:
-        loaded = load_force_map(known, moving, _named(plant))
+        loaded = load_force_map(force_map, moving, _named(plant))
         found, config = loaded.force_map, loaded.config
     else:
-        raise ConfigurationError(f"map {known}: its lattice is made; give no configuration or range beside it")
-    origin = _origin(plant, moving, **({} if known is None else {"map": str(known)}))
+        raise ConfigurationError(f"map {force_map}: its lattice is made; give no configuration or range beside it")
+    origin = _origin(plant, moving, **({} if force_map is None else {"map": str(force_map)}))
     save_gaits(out, found, config, Limits(*map(float, moving.limits)), origin, None, learnt_from(plant), overwrite)
 
 
@@ -381,7 +381,7 @@ def train(
     out: Path,
     config: TrainConfig | None = None,
     *,
-    known: Path | None = None,
+    force_map: Path | None = None,
     seeds: Sequence[int] = (0,),
     refine: int = 0,
     engine: EngineName = "local",
@@ -395,7 +395,7 @@ def train(
     """Train controllers inside a plant, as a rule a surrogate: by LSTM-PPO (paper Sec. III-C) or by gradients.
 
     Without a configuration it is a grid over the paper's cells, by gradients wherever the plant has them. The folder of
-    a map of the plant, `known`, says what the fin can do and saves the search for gaits; without, only training by
+    a map of the plant, `force_map`, says what the fin can do and saves the search for gaits; without, only training by
     gradients that begins as gaits looks for it, and references beyond reach are trained for as they are.
     One seed writes the controller's folder `out`; several are written as ``out/seed-N``. All is one program, unless
     it is `split` into jobs; the `engine` does these one after the other, or all at once on a Ray `cluster`. A grid's
@@ -407,8 +407,11 @@ def train(
     if config is None:
         config, reason = choose_preset(moving)
     check_refinable(config, refine)
-    can = None if known is None else load_force_map(known, moving, _named(plant)).force_map
-    origin, learnt = _origin(plant, moving, **({} if known is None else {"map": str(known)})), learnt_from(plant)
+    can = None if force_map is None else load_force_map(force_map, moving, _named(plant)).force_map
+    origin, learnt = (
+        _origin(plant, moving, **({} if force_map is None else {"map": str(force_map)})),
+        learnt_from(plant),
+    )
     origin["algorithm"] = reason or f"{config.algorithm}, as configured"
     facts = {
         "configuration": config.model_dump(mode="json"),
