@@ -33,11 +33,11 @@ class Arguments(Configured):
 
     def run(self) -> None:
         """Calibrate."""
-        from softfin.stages import offline as stages
+        from softfin.stages.calibrate import calibrate
         from softfin.tank.calibration.config import PRESETS
 
         config = self.configured(PRESETS[self.preset], velocity_rad_s=self.velocity)
-        result = self.stage(stages.calibrate, self.data, self.out, config, seed=self.seed, resume=self.resume)
+        result = self.stage(calibrate, self.data, self.out, config, seed=self.seed, resume=self.resume)
         self.tell({"calibration": str(self.out), **result}, table(result))
 
 

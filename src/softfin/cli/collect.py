@@ -52,17 +52,18 @@ class Arguments(Armed, Configured):
         """Collect."""
         from softfin.data.collect import CollectConfig
         from softfin.rig.robot_setup import find_robot
-        from softfin.stages import live, offline
+        from softfin.stages.collect import collect
+        from softfin.stages.live import collect_live
         from softfin.surrogate.active import ActiveCollectConfig
 
         kind = ActiveCollectConfig if self.excitation == "active" else CollectConfig
         config = self.configured(kind() if self.extend is None else kind(test_logs=0))
         if is_live(self.plant):
             robot = find_robot(self.plant)
-            data = self.stage(live.collect_live, robot, self.out, config, self.confirm, resume=self.resume)
+            data = self.stage(collect_live, robot, self.out, config, self.confirm, resume=self.resume)
         else:
             chosen = {"surrogate": self.surrogate, "extend": self.extend}
-            data = self.stage(offline.collect, self.plant, self.out, config, **chosen)
+            data = self.stage(collect, self.plant, self.out, config, **chosen)
         counts = {"logs": len(data.train), "test_logs": len(data.test), "rows": config.rows}
         more = "" if self.extend is None else f", and those of {self.extend}"
         self.tell(

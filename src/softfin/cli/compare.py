@@ -34,13 +34,11 @@ class Arguments(Configured):
 
     def run(self) -> None:
         """Compare."""
-        from softfin.stages import offline as stages
+        from softfin.stages.compare import compare
         from softfin.surrogate.compare.compare import CompareConfig
 
         config = self.configured(CompareConfig(), horizons_s=self.horizons)
-        result = self.stage(
-            stages.compare, self.surrogates, self.dataset, self.out, config, noise_floor=self.noise_floor
-        )
+        result = self.stage(compare, self.surrogates, self.dataset, self.out, config, noise_floor=self.noise_floor)
         self.tell({"comparison": str(self.out), **result}, tables(result))
 
 

@@ -63,8 +63,8 @@ class Arguments(Armed, Configured):
         from softfin.evaluation.evaluate import EvaluateConfig
         from softfin.evaluation.range_errors import LATTICE_POINTS
         from softfin.rig.robot_setup import find_robot
-        from softfin.stages import live
-        from softfin.stages import offline as stages
+        from softfin.stages.evaluate import evaluate, kind_of
+        from softfin.stages.live import evaluate_live
         from softfin.task.reference_file import read_reference_file
 
         recorded = None if self.reference_file is None else read_reference_file(self.reference_file).model_dump()
@@ -77,12 +77,12 @@ class Arguments(Armed, Configured):
             config = config.merged({"trim": {}}, "options")
         if is_live(self.plant):
             robot = find_robot(self.plant)
-            summary = self.stage(live.evaluate_live, self.controller, robot, self.out, config, self.confirm)
+            summary = self.stage(evaluate_live, self.controller, robot, self.out, config, self.confirm)
         else:
-            summary = stages.evaluate(
+            summary = evaluate(
                 self.controller, self.plant, self.out, config, randomize=self.randomize, overwrite=self.overwrite
             )
-        lines = [table_two({stages.kind_of(self.controller): summary})]
+        lines = [table_two({kind_of(self.controller): summary})]
         lines += [moving_table(summary["moving"])] if "moving" in summary else []
         lines += [map_line(summary["error_map"])] if "error_map" in summary else []
         lines += [random_line(summary["random"])] if "random" in summary else []

@@ -47,10 +47,10 @@ class Arguments(LogOptions, Configured):
     def run(self) -> None:
         """Fit."""
         from softfin.cli.tables import aligned, table_one
-        from softfin.stages import offline as stages
+        from softfin.stages.fit import fit
 
         result = self.stage(
-            stages.fit, self.dataset, self.out, self.configured(defaults(self.model)), logs=self.recordings,
+            fit, self.dataset, self.out, self.configured(defaults(self.model)), logs=self.recordings,
             ignore_errors=self.ignore_errors, seed=self.seed, resume=self.resume,
         )  # fmt: skip
         sys.stderr.write(printable(columns_read(result["columns"]) + warning(result["issues"], self.dataset), "\n"))

@@ -24,9 +24,9 @@ class Arguments(Common):
 
     def run(self) -> None:
         """Import."""
-        from softfin.stages import offline as stages
+        from softfin.stages.fit import import_keras
 
-        surrogate = stages.import_keras(self.posnet, self.forcenet, self.scalers, self.out, overwrite=self.overwrite)
+        surrogate = import_keras(self.posnet, self.forcenet, self.scalers, self.out, overwrite=self.overwrite)
         nets = {"posnet": surrogate.posnet, "forcenet": surrogate.forcenet}
         counts = {name: net.config.parameters() for name, net in nets.items()}
         text = f"{self.out}: PosNet {counts['posnet']:,} and ForceNet {counts['forcenet']:,} parameters"

@@ -20,10 +20,10 @@ class Arguments(LogOptions, Common):
 
     def run(self) -> None:
         """Import."""
-        from softfin.stages import offline as stages
+        from softfin.stages.logs import import_logs
 
         data, inspection = self.stage(
-            stages.import_logs, self.logs, self.out, self.recordings, ignore_errors=self.ignore_errors
+            import_logs, self.logs, self.out, self.recordings, ignore_errors=self.ignore_errors
         )
         summary = inspection.summary()
         counts = ", ".join(counted(count, kind) for kind, count in summary["counts"].items())

@@ -21,9 +21,9 @@ class Arguments(LogOptions, Common):
 
     def run(self) -> None:
         """Inspect."""
-        from softfin.stages import offline as stages
+        from softfin.stages.logs import inspect_logs
 
-        result = self.stage(stages.inspect_logs, self.logs, self.out, self.recordings)
+        result = self.stage(inspect_logs, self.logs, self.out, self.recordings)
         self.tell(result, table(result))
 
 

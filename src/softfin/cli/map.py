@@ -19,10 +19,10 @@ class Arguments(Configured):
     def run(self) -> None:
         """Map."""
         from softfin.gaits.force_map import MapConfig
-        from softfin.stages import offline as stages
+        from softfin.stages.train import map_forces
 
         config = self.configured(MapConfig())
-        summary = self.stage(stages.map_forces, self.plant, self.out, config)
+        summary = self.stage(map_forces, self.plant, self.out, config)
         # Adding 0 turns -0.0 into 0.
         (x0, y0), (x1, y1) = (tuple(round(x, 2) + 0.0 for x in corner) for corner in summary["box_n"])
         beyond = ", ".join(f"({x:g}, {y:g})" for x, y in summary["beyond"]) or "none"

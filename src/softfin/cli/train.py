@@ -70,7 +70,7 @@ class Arguments(Configured):
         """Train."""
         from softfin.gaits.force_map import MapConfig
         from softfin.learning.configuration import choose_preset
-        from softfin.stages import offline as stages
+        from softfin.stages.train import find_gaits, train
         from softfin.storage.registry import find_plant
         from softfin.task.references import PAPER_RANGE
 
@@ -80,7 +80,7 @@ class Arguments(Configured):
             lattice = self.configured(MapConfig(box=PAPER_RANGE), box=box)
             # Beside a map only a changed lattice is handed on, to be refused.
             given = None if self.map is not None and lattice == MapConfig(box=PAPER_RANGE) else lattice
-            self.stage(stages.find_gaits, self.surrogate, self.out, given, force_map=self.map)
+            self.stage(find_gaits, self.surrogate, self.out, given, force_map=self.map)
             return self._tell((0,))
         begin, reason = choose_preset(find_plant(self.surrogate), self.controller, self.algorithm)
         config = self.configured(begin, cells=cells)
@@ -90,7 +90,7 @@ class Arguments(Configured):
                 f"{config.algorithm}"
             )
         self.stage(
-            stages.train, self.surrogate, self.out, config, force_map=self.map, seeds=seeds, refine=self.refine,
+            train, self.surrogate, self.out, config, force_map=self.map, seeds=seeds, refine=self.refine,
             engine=self.engine, split=self.split, cluster=self.cluster, reason=reason, resume=self.resume,
         )  # fmt: skip
         return self._tell(seeds)

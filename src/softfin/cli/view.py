@@ -34,15 +34,13 @@ class Arguments(Configured):
     def run(self) -> None:
         """View."""
         from softfin.evaluation.view.view import ViewConfig
-        from softfin.stages import offline as stages
+        from softfin.stages.view import view
 
         centre = None if self.centre is None else {"centre_rad": self.centre}
         config = self.configured(
             ViewConfig(), gait=centre, random=self.excitation or None, next_references=self.next_reference
         )
-        summary = self.stage(
-            stages.view, self.plant, self.out, config, controller=self.controller, reference=self.reference
-        )
+        summary = self.stage(view, self.plant, self.out, config, controller=self.controller, reference=self.reference)
         x, y = summary["mean_force_n"]
         frames = "" if summary["frames"] is None else f", {summary['frames']} frames"
         warning = "" if summary["warning"] is None else f"\nwarning: {summary['warning']}"
