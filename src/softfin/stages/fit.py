@@ -82,12 +82,12 @@ def fit(
 def _opened(dataset: Path, config: ImportConfig | None, ignore_errors: bool, progress: Progress | None) -> OpenedLogs:
     opened = open_logs(dataset, config, progress)
     check_train(opened, str(dataset))
-    known = artifacts.load_description(dataset, "dataset") if artifacts.is_kind(dataset, "dataset") else None
+    description = artifacts.load_description(dataset, "dataset") if artifacts.is_kind(dataset, "dataset") else None
     # Datasets of softfin before 0.2 have "accepted" in place of "ignore_errors".
-    were_ignored = known is not None and True in (known.get("ignore_errors"), known.get("accepted"))
+    were_ignored = description is not None and True in (description.get("ignore_errors"), description.get("accepted"))
     check_issues(opened.issues, str(dataset), ignore_errors or were_ignored)
     # A dataset's own folder has its metadata.
-    return dataclasses.replace(opened, metadata={"logs": opened.metadata} if known is None else {})
+    return dataclasses.replace(opened, metadata={"logs": opened.metadata} if description is None else {})
 
 
 def _fin_of(dataset: Path) -> str | None:

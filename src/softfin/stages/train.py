@@ -41,16 +41,16 @@ def map_forces(
     config = config or MapConfig()
     artifacts.check_vacant(out, overwrite)
     moving = find_plant(plant) if isinstance(plant, str) else plant
-    known = _map_forces(moving, config, None if progress is None else partial(progress, "map"))
-    write_map(out, known, config, Limits(*map(float, moving.limits)), origin_of(plant, moving), overwrite)
-    missed, star = known.gaits.force_error(), check_star(known, config.tolerance_n)
+    found = _map_forces(moving, config, None if progress is None else partial(progress, "map"))
+    write_map(out, found, config, Limits(*map(float, moving.limits)), origin_of(plant, moving), overwrite)
+    errors, star = found.gaits.force_error(), check_star(found, config.tolerance_n)
     return {
         "map": str(out),
-        "box_n": known.reachable.bounds(),
-        "area_n2": known.reachable.area(),
-        "nodes": missed.size,
-        "held": int((missed <= config.tolerance_n).sum()),
-        "beyond": [list(force) for force in PAPER_REFERENCES if not known.reachable.contains(force)],
+        "box_n": found.reachable.bounds(),
+        "area_n2": found.reachable.area(),
+        "nodes": errors.size,
+        "held": int((errors <= config.tolerance_n).sum()),
+        "beyond": [list(force) for force in PAPER_REFERENCES if not found.reachable.contains(force)],
         "star_shape": star._asdict(),
         "warning": star.warning,
     }
