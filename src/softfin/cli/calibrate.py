@@ -51,7 +51,7 @@ class Arguments(Configured):
 def table(result: Mapping[str, Any]) -> str:
     """Scores and parameters for a terminal."""
     lines = [f"{'R2 (RMSE)':34}{'angle':>18}{'force x':>18}{'force y':>18}"]
-    for part, title in (("train", "fitted pieces"), ("test", "unseen pieces")):
+    for part, title in (("train", "fitted segments"), ("test", "unseen segments")):
         rows = result["scores"][part]
         units = {"angle": "rad", "force_x": "N", "force_y": "N"}
         cells = [f"{row['r2']:.3f} ({row['rmse']:.2f} {units[channel]})" for channel, row in rows.items()]
