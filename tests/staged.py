@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 import yaml
 
+from softfin.core.plant_identity import identity
 from softfin.core.quantities import PAPER_LIMITS, Limits
 from softfin.gaits.force_map import MapConfig
 from softfin.gaits.map_store import save_map
 from softfin.learning.configuration import SINGLE
 from softfin.learning.controllers import save_controller
-from softfin.stages.offline import identity
 from softfin.storage.dataset import write_dataset
 from softfin.storage.registry import find_plant
 from softfin.surrogate import Surrogate, save_surrogate

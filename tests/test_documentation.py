@@ -32,7 +32,6 @@ from softfin.gaits.force_map import MapConfig
 from softfin.learning.configuration import TRAIN_PRESETS
 from softfin.rig.config import load_rig, load_ros2
 from softfin.rig.ros2.config import NodeConfig
-from softfin.stages import offline as stages
 from softfin.stages.reproduce import PRESETS
 from softfin.storage.dataset import Dataset
 from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig
@@ -245,7 +244,7 @@ def stop_at_work(monkeypatch):
     def work(*words, **options):
         raise Parsed
 
-    monkeypatch.setattr(stages, "collect", work)
+    monkeypatch.setattr("softfin.stages.collect.collect", work)
     monkeypatch.setattr(Dataset, "open", work)
     monkeypatch.setattr(subprocess, "Popen", work)
 

@@ -4,7 +4,6 @@ import pytest
 
 from softfin.cli import main
 from softfin.cli.calibrate import table
-from softfin.stages import offline as stages
 from tests.cli.test_cli import fails
 
 
@@ -49,7 +48,7 @@ def test_options_reach_the_stage_and_the_result_is_a_table(capsys, tmp_path, mon
         seen.update(options, data=data, config=config)
         return RESULT
 
-    monkeypatch.setattr(stages, "calibrate", stage)
+    monkeypatch.setattr("softfin.stages.calibrate.calibrate", stage)
     words = ["calibrate", "tank", "--preset", "quick", "--velocity", "1,2", "--seed", "3", "--evaluations", "5"]
     main([*words, "--resume", "--out", str(tmp_path / "x")])
     assert (seen["data"], seen["seed"], seen["resume"]) == ("tank", 3, True)

@@ -34,7 +34,7 @@ def asked(monkeypatch):
         configs.append((config, seed, len(logs)))
         return small.surrogate(), evidence if isinstance(config, AutoConfig) else None
 
-    monkeypatch.setattr("softfin.stages.offline.fit_any", fit_any)
+    monkeypatch.setattr("softfin.stages.fit.fit_any", fit_any)
     return configs
 
 
@@ -146,7 +146,7 @@ def test_an_unfinished_run_is_not_lost(capsys, tmp_path, dataset, monkeypatch):
         workspace.save({}, {})
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("softfin.stages.offline.fit_any", stopped)
+    monkeypatch.setattr("softfin.stages.fit.fit_any", stopped)
     words = ["fit", dataset, "--out", str(tmp_path / "s")]
     with pytest.raises(SystemExit):
         main(words)

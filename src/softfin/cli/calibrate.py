@@ -36,12 +36,12 @@ class Arguments(Configured):
 
     def run(self) -> None:
         """Calibrate."""
-        from softfin.stages import offline as stages
+        from softfin.stages.calibrate import calibrate
         from softfin.tank.calibration.config import PRESETS
 
         config = self.configured(PRESETS[self.preset], evaluations=self.evaluations, velocity_rad_s=self.velocity)
         with progress() as report:
-            result = stages.calibrate(
+            result = calibrate(
                 self.data, Path(self.out), config,
                 seed=self.seed, resume=self.resume, overwrite=self.overwrite, progress=report,
             )  # fmt: skip

@@ -68,10 +68,10 @@ class Arguments(Armed, Configured):
         self.tell(result, f"{self.out}: {config.logs} + {config.test_logs} logs of {of}")
 
     def _simulated(self, config: "CollectConfig") -> "Dataset":
-        from softfin.stages import offline as stages
+        from softfin.stages.collect import collect
 
         with progress() as report:
-            return stages.collect(
+            return collect(
                 self.plant, Path(self.out), config, surrogate=self.surrogate, extend=self.extend,
                 overwrite=self.overwrite, progress=report,
             )  # fmt: skip

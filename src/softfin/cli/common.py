@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 Config = TypeVar("Config", bound="Configuration")
 
 Report = Callable[[str, float, str], None]
-"""`softfin.stages.offline.Progress`; that module needs JAX, which not every command does."""
+"""`softfin.core.progress.Progress`; that module needs JAX, which not every command does."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -35,12 +35,12 @@ class Arguments(Configured):
 
     def run(self) -> None:
         """Compare."""
-        from softfin.stages import offline as stages
+        from softfin.stages.compare import compare
         from softfin.surrogate.compare.compare import CompareConfig
 
         config = self.configured(CompareConfig(), horizons_s=self.horizons, seed=self.seed)
         with progress() as report:
-            result = stages.compare(
+            result = compare(
                 self.surrogates, self.dataset, Path(self.out), config,
                 noise_floor=self.noise_floor, overwrite=self.overwrite, progress=report,
             )  # fmt: skip

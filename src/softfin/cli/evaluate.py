@@ -67,7 +67,7 @@ class Arguments(Armed, Configured):
         from softfin.cli.tables import table_two
         from softfin.evaluation.evaluate import EvaluateConfig
         from softfin.evaluation.range_errors import LATTICE_POINTS
-        from softfin.stages import offline as stages
+        from softfin.stages.evaluate import kind_of
         from softfin.task.reference_file import read_reference_file
 
         recorded = None if self.reference_file is None else read_reference_file(self.reference_file).model_dump()
@@ -81,7 +81,7 @@ class Arguments(Armed, Configured):
         if self.trim and config.trim is None:
             config = config.merged({"trim": {}}, "options")
         summary = self._live(config) if is_live(self.plant) else self._simulated(config)
-        lines = [table_two({stages.kind_of(self.controller): summary})]
+        lines = [table_two({kind_of(self.controller): summary})]
         if "moving" in summary:
             lines.append(moving_table(summary["moving"]))
         if "error_map" in summary:
@@ -93,9 +93,9 @@ class Arguments(Armed, Configured):
         self.tell(summary, "\n".join(lines))
 
     def _simulated(self, config: "EvaluateConfig") -> dict[str, Any]:
-        from softfin.stages import offline as stages
+        from softfin.stages.evaluate import evaluate
 
-        return stages.evaluate(
+        return evaluate(
             self.controller, self.plant, Path(self.out), config, randomize=self.randomize, overwrite=self.overwrite
         )
 

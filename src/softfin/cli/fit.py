@@ -49,11 +49,11 @@ class Arguments(LogOptions, Configured):
     def run(self) -> None:
         """Fit."""
         from softfin.cli.tables import choice, table_one
-        from softfin.stages import offline as stages
+        from softfin.stages.fit import fit
 
         config = self.configured(defaults(self.model), epochs=self.epochs)
         with progress() as report:
-            result = stages.fit(
+            result = fit(
                 self.dataset, Path(self.out), config, logs=self.import_config(), ignore_errors=self.ignore_errors,
                 seed=self.seed, resume=self.resume, overwrite=self.overwrite, progress=report,
             )  # fmt: skip

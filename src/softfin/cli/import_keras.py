@@ -30,11 +30,9 @@ class Arguments(Common):
 
     def run(self) -> None:
         """Import."""
-        from softfin.stages import offline as stages
+        from softfin.stages.fit import import_keras
 
-        surrogate = stages.import_keras(
-            self.posnet, self.forcenet, self.scalers, Path(self.out), overwrite=self.overwrite
-        )
+        surrogate = import_keras(self.posnet, self.forcenet, self.scalers, Path(self.out), overwrite=self.overwrite)
         counts = {
             "posnet": surrogate.posnet.config.parameters(),
             "forcenet": surrogate.forcenet.config.parameters(),

@@ -22,10 +22,10 @@ class Arguments(LogOptions, Common):
     def run(self) -> None:
         """Import."""
         from softfin.data.issues import counted
-        from softfin.stages import offline as stages
+        from softfin.stages.logs import import_logs
 
         with progress() as report:
-            data, inspection = stages.import_logs(
+            data, inspection = import_logs(
                 self.logs, Path(self.out), self.import_config(),
                 ignore_errors=self.ignore_errors, overwrite=self.overwrite, progress=report,
             )  # fmt: skip

@@ -22,12 +22,10 @@ class Arguments(LogOptions, Common):
 
     def run(self) -> None:
         """Inspect."""
-        from softfin.stages import offline as stages
+        from softfin.stages.logs import inspect_logs
 
         with progress() as report:
-            result = stages.inspect_logs(
-                self.logs, self.out, self.import_config(), overwrite=self.overwrite, progress=report
-            )
+            result = inspect_logs(self.logs, self.out, self.import_config(), overwrite=self.overwrite, progress=report)
         self.tell(result, table(result))
 
 

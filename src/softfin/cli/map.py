@@ -20,11 +20,11 @@ class Arguments(Configured):
     def run(self) -> None:
         """Map."""
         from softfin.gaits.force_map import MapConfig
-        from softfin.stages import offline as stages
+        from softfin.stages.train import map_forces
 
         config = self.configured(MapConfig())
         with progress() as report:
-            summary = stages.map_forces(self.plant, Path(self.out), config, overwrite=self.overwrite, progress=report)
+            summary = map_forces(self.plant, Path(self.out), config, overwrite=self.overwrite, progress=report)
         # Adding 0 turns -0.0 into 0.
         (x0, y0), (x1, y1) = (tuple(round(x, 2) + 0.0 for x in corner) for corner in summary["box_n"])
         lines = [

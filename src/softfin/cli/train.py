@@ -67,7 +67,7 @@ class Arguments(Configured):
         """Train."""
         from softfin.gaits.force_map import MapConfig
         from softfin.learning.configuration import choose_preset
-        from softfin.stages import offline as stages
+        from softfin.stages.train import find_gaits, train
         from softfin.storage.registry import find_plant
         from softfin.task.references import PAPER_RANGE
 
@@ -78,7 +78,7 @@ class Arguments(Configured):
             lattice = self.configured(MapConfig(box=PAPER_RANGE), box=box)
             given = None if self.map is not None and lattice == MapConfig(box=PAPER_RANGE) else lattice
             with progress() as report:
-                stages.find_gaits(self.surrogate, Path(self.out), given, known=self.map, overwrite=self.overwrite,
+                find_gaits(self.surrogate, Path(self.out), given, known=self.map, overwrite=self.overwrite,
                              progress=report)  # fmt: skip
             return self._tell((0,))
         begin, reason = choose_preset(find_plant(self.surrogate), self.controller, self.algorithm)
@@ -89,7 +89,7 @@ class Arguments(Configured):
                 f"{config.algorithm}"
             )
         with progress() as report:
-            stages.train(
+            train(
                 self.surrogate, Path(self.out), config,
                 known=self.map, seeds=seeds, refine=self.refine, engine=self.engine, split=self.split,
                 cluster=self.cluster, reason=reason, resume=self.resume, overwrite=self.overwrite, progress=report,

@@ -36,7 +36,7 @@ class Arguments(Configured):
     def run(self) -> None:
         """View."""
         from softfin.evaluation.view.view import ViewConfig
-        from softfin.stages import offline as stages
+        from softfin.stages.view import view
 
         gait = None if self.centre is None else {"centre_rad": self.centre}
         config = self.configured(
@@ -44,7 +44,7 @@ class Arguments(Configured):
             next_references=list(self.next_reference) or None,
         )  # fmt: skip
         with progress() as report:
-            facts = stages.view(
+            facts = view(
                 self.plant, self.out, config,
                 controller=self.controller, reference=self.reference, overwrite=self.overwrite, progress=report,
             )  # fmt: skip

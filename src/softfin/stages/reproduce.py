@@ -29,7 +29,10 @@ from softfin.evaluation.scores import Scores
 from softfin.evaluation.uncertainty import SurrogateUncertainty
 from softfin.learning.configuration import GRADIENT_GRID, GRADIENT_SINGLE, GRID, SINGLE, TrainConfig
 from softfin.learning.figure import learning_figure
-from softfin.stages import offline as stages
+from softfin.stages.collect import collect
+from softfin.stages.evaluate import evaluation_of
+from softfin.stages.fit import fit
+from softfin.stages.train import train as train_stage
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset
 from softfin.storage.registry import find_plant, is_surrogate
@@ -188,11 +191,11 @@ class _Reproduction:
         """Collect and fit; Table I."""
         self.stage(
             "collect", self.dataset,
-            lambda: stages.collect(self.plant, self.dataset, self.settings, progress=self.progress),
+            lambda: collect(self.plant, self.dataset, self.settings, progress=self.progress),
         )  # fmt: skip
         self.stage(
             "fit", self.surrogate,
-            lambda: stages.fit(self.dataset, self.surrogate, self.config.fit, seed=self.seed, resume=True,
+            lambda: fit(self.dataset, self.surrogate, self.config.fit, seed=self.seed, resume=True,
                                ignore_errors=True, progress=self.progress),
         )  # fmt: skip
         scores: dict[str, Any] | None = artifacts.load_description(self.surrogate, "surrogate")["scores"]
@@ -201,9 +204,7 @@ class _Reproduction:
     def train(self, kind: str) -> None:
         """All seeds of one kind of controller, in one program."""
         config = getattr(self.config, kind)
-        stages.train(
-            str(self.surrogate), self.out / kind, config, seeds=self.seeds, resume=True, progress=self.progress
-        )
+        train_stage(str(self.surrogate), self.out / kind, config, seeds=self.seeds, resume=True, progress=self.progress)
 
     def judge(self, plant: str, folder: str) -> dict[str, tuple[dict[str, Any], Evaluation]]:
         """Every seed's controller of each kind on a plant, as one evaluation over the seeds."""
@@ -214,7 +215,7 @@ class _Reproduction:
                 if self.progress is not None:
                     self.progress(f"evaluate {kind}", (index + 1) / len(self.seeds), plant)
                 path = self.out / kind / f"seed-{seed}" if len(self.seeds) > 1 else self.out / kind
-                each.append(stages.evaluation_of(path, plant, self.config.evaluate.model_copy(update={"seed": seed})))
+                each.append(evaluation_of(path, plant, self.config.evaluate.model_copy(update={"seed": seed})))
             whole = _together(each)
             facts = {"controller": kind, "plant": plant, "repetitions": "controllers trained from different seeds"}
             judged[kind] = write_evaluation(whole, self.out / folder / kind, facts, overwrite=True), whole

@@ -10,7 +10,7 @@ import yaml
 from softfin.core.configuration import read_yaml
 from softfin.core.errors import ArtifactError, ConfigurationError, LogError, PlantError
 from softfin.data.collect import CollectConfig, collect
-from softfin.stages import offline as stages
+from softfin.stages.calibrate import calibrate as calibrate_stage
 from softfin.storage.artifact import dump_json
 from softfin.storage.dataset import write_dataset
 from softfin.storage.log_file import read_log
@@ -130,7 +130,7 @@ def test_a_resumed_run_ends_where_an_uninterrupted_one_does(logs, found, tmp_pat
 
 def test_the_folder_holds_a_tank_that_can_be_built_and_all_that_is_known_of_it(dataset, tmp_path):
     out = tmp_path / "calibration"
-    result = stages.calibrate(dataset.path, out, CONFIG.changed(["evaluations=0", "iterations=2"]))
+    result = calibrate_stage(dataset.path, out, CONFIG.changed(["evaluations=0", "iterations=2"]))
     assert json.loads((out / "calibration.json").read_text()) == json.loads(dump_json(result))
     tank = TankConfig.build(read_yaml(out / "tank.yaml"))
     assert tank.water.drag_coefficient == result["parameters"]["water.drag_coefficient"]["value"]
@@ -193,7 +193,7 @@ def test_material_that_is_neither_logs_nor_a_plant_is_refused(dataset, tmp_path)
 
 
 def test_the_tank_is_written_as_yaml_that_people_can_read(dataset, tmp_path):
-    stages.calibrate(dataset.path, tmp_path / "out", CONFIG.changed(["evaluations=0", "iterations=1"]))
+    calibrate_stage(dataset.path, tmp_path / "out", CONFIG.changed(["evaluations=0", "iterations=1"]))
     text = (tmp_path / "out" / "tank.yaml").read_text()
     assert text.startswith("# ")
     assert list(yaml.safe_load(text)) == list(TankConfig().model_dump())

@@ -2,7 +2,8 @@
 
 Standard errors are the sandwich estimator clustered by blocks of time: errors within a block may be correlated in any
 way, as those of a model always are; blocks are taken as independent (Cameron and Miller 2015, J. Human Resources 50,
-317, sec. II). A parameter that sits on an end of its range is taken as known there, and one without any effect, such as
+317, sec. II). Where a few strokes say most, that is too small by chance, so no standard error is less than the one for
+errors without any correlation. A parameter that sits on an end of its range is taken as known there, and one without any effect, such as
 a limit that is never met, is left out.
 """
 
@@ -51,8 +52,12 @@ def determination(linear: Linear, block_ticks: int, parameters: tuple[Parameter,
     covariance = moved @ moved.T * blocks / (blocks - 1)
 
     errors, correlation, weakest = np.full(count, np.nan), np.full((count, count), np.nan), np.zeros(count)
-    errors[free] = np.sqrt(np.diag(covariance))
-    correlation[np.ix_(free, free)] = covariance / np.outer(errors[free], errors[free])
+    clustered = np.sqrt(np.diag(covariance))
+    # Without correlation, each channel has the variance of its own errors.
+    variance = np.mean(np.square(linear.residuals, dtype=np.float64), axis=(0, 1))
+    flat = (inverse @ linear.jacobian[free].reshape(free.size, -1)).reshape(linear.jacobian[free].shape)
+    errors[free] = np.maximum(clustered, np.sqrt((flat**2 * variance).sum(axis=(1, 2, 3))))
+    correlation[np.ix_(free, free)] = covariance / np.outer(clustered, clustered)
     weakest[free] = directions[:, 0] if free.size else 0.0
     pairs = np.argwhere(np.triu(np.abs(np.nan_to_num(correlation)), 1) > TRADING).tolist()
     names = [parameter.name for parameter in parameters]
