@@ -73,7 +73,7 @@ MAP = {
     "box": {"low": [1, -1], "high": [2, 0]}, "spacing_n": 1,
 }  # fmt: skip
 CALIBRATE = {
-    "pieces": 4, "test_pieces": 4, "piece_s": 1, "warm_up_s": 0.2, "block_s": 0.04, "iterations": 1,
+    "segments": 4, "test_segments": 4, "segment_s": 1, "warm_up_s": 0.2, "block_s": 0.04, "iterations": 1,
     "tank": COARSE,
 }  # fmt: skip
 

@@ -56,7 +56,7 @@ def test_options_reach_the_stage_and_the_result_is_a_table(capsys, tmp_path, mon
 
 def test_the_table_says_what_is_determined_what_is_at_an_end_and_what_trades():
     text = table(RESULT)
-    assert "unseen pieces  0.900 (0.12 rad)  0.900 (0.12 N)  0.900 (0.12 N)" in text
+    assert "unseen segments  0.900 (0.12 rad)  0.900 (0.12 N)  0.900 (0.12 N)" in text
     assert "fin.length_m    0.2  0.013  m        roughly" in text
     assert "drive.lag_s   0.003         s        low end" in text
     assert "fin.length_m and water.drag_coefficient trade against each other: correlation -0.95" in text

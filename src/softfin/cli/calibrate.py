@@ -46,7 +46,7 @@ def table(result: Mapping[str, Any]) -> str:
     from softfin.cli.tables import aligned
 
     scores = [["R2 (RMSE)", "angle", "force x", "force y"]]
-    for part, title in (("train", "fitted pieces"), ("test", "unseen pieces")):
+    for part, title in (("train", "fitted segments"), ("test", "unseen segments")):
         rows = zip(result["scores"][part].values(), ("rad", "N", "N"), strict=True)
         scores.append([title, *(f"{row['r2']:.3f} ({row['rmse']:.2f} {unit})" for row, unit in rows)])
     parameters = [["parameter", "value", "error", "unit", "determined"]]

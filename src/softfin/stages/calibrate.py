@@ -9,8 +9,8 @@ from softfin.storage import artifact as artifacts
 from softfin.storage.run_directory import Workspace
 from softfin.tank.calibration.calibrate import calibrate as _calibrate
 from softfin.tank.calibration.config import CalibrateConfig
-from softfin.tank.calibration.material import material
 from softfin.tank.calibration.report import write_calibration
+from softfin.tank.calibration.segments import material
 
 
 def calibrate(
@@ -27,15 +27,15 @@ def calibrate(
     config = config or CalibrateConfig()
     artifacts.check_vacant(out, overwrite or resume)
     found = material(data, config, seed)
-    facts = {"configuration": config.model_dump(mode="json"), "seed": seed, **found.facts}
+    facts = {"configuration": config.model_dump(mode="json"), "seed": seed, **found.metadata}
     workspace = Workspace(out, facts, resume, overwrite)
     if workspace.complete:
         workspace.finish()
         return artifacts.load_description(out, "calibration")
     calibration = _calibrate(config, found.train, found.test, seed, workspace, progress)
     named = str(data) if isinstance(data, str | Path) else type(data).__name__
-    origin = artifacts.provenance(seed=seed, data=named, **found.facts)
+    origin = artifacts.provenance(seed=seed, data=named, **found.metadata)
     written = {"configuration": facts["configuration"], "provenance": origin}
-    summary = write_calibration(calibration, found.beats, out, written, workspace.keep_log, overwrite)
+    summary = write_calibration(calibration, found.gaits, out, written, workspace.keep_log, overwrite)
     workspace.finish()
     return summary
