@@ -24,7 +24,7 @@ TOPICS = {
     "wrench_topic": "/wrench",
     "frame": "x,y",
     "command_topic": "/fin/command",
-    "limits": LIMITS.described(),
+    "limits": LIMITS.to_dict(),
 }
 
 

@@ -40,7 +40,7 @@ def test_cells_beyond_reach_are_refused():
 
 def test_the_errors_have_mean_percentile_and_worst():
     drawn = hold_drawn(Covering(), AnalyticFin(), 20, 0, 3, jax.random.key(0))
-    described = drawn.described()
+    described = drawn.to_dict()
     assert described["count"] == len(drawn.error) == 20
     for i, axis in enumerate("xy"):
         assert described[axis]["worst_n"] == drawn.error[:, i].max()

@@ -21,9 +21,9 @@ def errors():
 def test_the_lattice_is_laid_over_the_range_and_leaves_out_what_is_not_covered(errors):
     # Six of the nine squares of 1 N are covered, each with four of the 36 references.
     assert errors.references.shape == errors.error.shape == (24, 2)
-    assert errors.described()["not_covered"] == 12
+    assert errors.to_dict()["not_covered"] == 12
     np.testing.assert_allclose(errors.references[0], [0.75, -1.25])
-    assert errors.described()["low_n"] == [0.5, -1.5]
+    assert errors.to_dict()["low_n"] == [0.5, -1.5]
 
 
 def test_each_error_is_that_of_its_reference_alone(errors):
@@ -68,7 +68,7 @@ def test_what_the_fin_cannot_make_is_counted_and_not_scored():
         cells: tuple[Cell, ...] = (Cell(low=(0, 0), high=(2, 2)),)
         reachable: Reachable = Reachable(np.float32([0, 0]), np.full(64, 1.0, np.float32))
 
-    described = map_range(Weak(), AnalyticFin(), 2, 3, KEY).described()
+    described = map_range(Weak(), AnalyticFin(), 2, 3, KEY).to_dict()
     assert [row["reference_n"] for row in described["references"]] == [[0.5, 0.5]]
     assert (described["not_covered"], described["not_reachable"], described["seeds"]) == (0, 3, 1)
 

@@ -50,7 +50,7 @@ def test_a_step_between_two_actions_is_seen_at_the_second():
 
 
 def test_every_signal_has_errors_and_the_answers_to_its_steps(moving):
-    step, hold = moving.described()
+    step, hold = moving.to_dict()
     assert (step["kind"], step["signal"]["at_s"], step["duration_s"]) == ("step", 3.0, 6.0)
     assert len(step["steps"]) == 1
     assert len(step["steps"][0]) == 2
@@ -59,7 +59,7 @@ def test_every_signal_has_errors_and_the_answers_to_its_steps(moving):
     assert (hold["steps"], hold["settles"]) == ([], None)
     # A reference that stays is tracked alike by both measures.
     assert hold["y"]["error_n"] == pytest.approx(hold["y"]["instantaneous_error_n"])
-    json.dumps(moving.described(), allow_nan=False)
+    json.dumps(moving.to_dict(), allow_nan=False)
 
 
 def test_the_default_signals_lie_within_the_papers_range_and_its_cells():

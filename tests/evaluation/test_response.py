@@ -50,7 +50,7 @@ def test_a_step_that_is_never_reached_has_no_times():
     (response,) = responses(np.tile([1.0, 0.0], (1500, 1)), reference)
     assert response.rise_s == (None, None)
     assert response.settling_s is None
-    assert response.described()["settling_s"] is None
+    assert response.to_dict()["settling_s"] is None
 
 
 def test_one_step_is_judged_up_to_the_next():

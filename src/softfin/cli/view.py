@@ -44,14 +44,15 @@ class Arguments(Configured):
             then=list(self.then) or None,
         )  # fmt: skip
         with progress() as report:
-            facts = stages.view(
+            metadata = stages.view(
                 self.plant, self.out, config,
                 controller=self.controller, reference=self.reference, overwrite=self.overwrite, progress=report,
             )  # fmt: skip
-        x, y = facts["mean_force_n"]
-        frames = "" if facts["frames"] is None else f", {facts['frames']} frames"
-        warning = "" if facts["warning"] is None else f"\nwarning: {facts['warning']}"
+        x, y = metadata["mean_force_n"]
+        frames = "" if metadata["frames"] is None else f", {metadata['frames']} frames"
+        warning = "" if metadata["warning"] is None else f"\nwarning: {metadata['warning']}"
         self.tell(
-            facts,
-            f"{self.out}: {facts['title']}; {facts['seconds']:g} s{frames}, mean force ({x:.2f}, {y:.2f}) N{warning}",
+            metadata,
+            f"{self.out}: {metadata['title']}; {metadata['seconds']:g} s{frames}, "
+            f"mean force ({x:.2f}, {y:.2f}) N{warning}",
         )

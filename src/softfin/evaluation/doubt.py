@@ -29,7 +29,7 @@ class Doubt(NamedTuple):
     half_width: Float[np.ndarray, "references 2"]
     """Of the stated interval of the mean force, mean over the windows [N]."""
 
-    def described(self, index: int) -> dict[str, Any]:
+    def to_dict(self, index: int) -> dict[str, Any]:
         """Of one reference, for JSON."""
         return {
             "beyond_data": float(self.beyond[index]),

@@ -31,7 +31,7 @@ class Drawn(NamedTuple):
     error: Float[np.ndarray, "references 2"]
     """Mean |moving average - reference| [N]."""
 
-    def described(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """For JSON; the 95th percentile is over the references."""
         return {
             "count": len(self.references),

@@ -103,15 +103,15 @@ class Evaluation:
                     "held_n": [round(float(x), 4) for x in self.recording.reference[i]],
                     **_row(Scores(*(field[i] for field in self.scores))),
                     "still": still[i],
-                    **({} if self.doubt is None else {"surrogate": self.doubt.described(i)}),
+                    **({} if self.doubt is None else {"surrogate": self.doubt.to_dict(i)}),
                 }
                 for i, reference in enumerate(self.config.references)
             ],
             "mean": _row(Scores(*(field.mean(axis=0) for field in self.scores))),
             "warning": "; ".join(self._warnings()) or None,
-            **({"moving": [row for moving in self.moving for row in moving.described()]} if self.moving else {}),
-            **({} if self.error_map is None else {"error_map": self.error_map.described()}),
-            **({} if self.drawn is None else {"random": self.drawn.described()}),
+            **({"moving": [row for moving in self.moving for row in moving.to_dict()]} if self.moving else {}),
+            **({} if self.error_map is None else {"error_map": self.error_map.to_dict()}),
+            **({} if self.drawn is None else {"random": self.drawn.to_dict()}),
         }
 
     def _warnings(self) -> list[str]:
@@ -154,13 +154,13 @@ def evaluate(controller: Controller, plant: Subject, config: EvaluateConfig) -> 
 
 
 def write_evaluation(
-    evaluation: Evaluation, out: Path, facts: Mapping[str, Any] | None = None, overwrite: bool = False
+    evaluation: Evaluation, out: Path, metadata: Mapping[str, Any] | None = None, overwrite: bool = False
 ) -> dict[str, Any]:
     """Write ``evaluation.json`` and figures, each as ``.svg`` and ``.png``, as one folder; returns the JSON.
 
     ======================== ========================================================================================
     ``conditions``           duration_s, seeds, seed, window_samples, rate_hz, action_rate_hz, start, confidence, ...;
-                             and the caller's `facts`, such as the controller and the plant
+                             and the caller's `metadata`, such as the controller and the plant
     ``references``           a list, one entry a reference force: ``reference_n`` [x, y] [N]; ``held_n``, the nearest to
                              it that the fin can make, which the scores are against; ``x`` and ``y``, each with
                              ``error_n``, ``std_n``, ``raw_std_n`` [N], which are means over the seeds, and the 95%
@@ -184,7 +184,7 @@ def write_evaluation(
     ======================== ========================================================================================
     """
     summary = evaluation.summary()
-    summary["conditions"] |= dict(facts or {})
+    summary["conditions"] |= dict(metadata or {})
     summary["configuration"] = _described(evaluation.config)
     summary["provenance"] = artifacts.provenance(seed=evaluation.config.seed)
 

@@ -50,7 +50,7 @@ class ErrorMap(NamedTuple):
     not_reachable: int = 0
     """References of the lattice that the controller covers and the fin cannot make."""
 
-    def described(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """For JSON."""
         rows = [
             {"reference_n": reference, "error_x_n": x, "error_y_n": y}

@@ -105,7 +105,7 @@ class Moving:
     replaced: tuple[int, ...] = ()
     """Of each signal, ticks at which another force was held than it asks for, as the fin cannot make that one."""
 
-    def described(self) -> list[dict[str, Any]]:
+    def to_dict(self) -> list[dict[str, Any]]:
         """One row a signal, for JSON."""
         return [self._row(i) for i in range(len(self.signals))]
 
@@ -134,7 +134,7 @@ class Moving:
             },
             "settles": None if longest is None else bool(np.isfinite(longest)),
             "longest_settling_s": longest if longest is not None and np.isfinite(longest) else None,
-            "steps": [[seed[k].described() for seed in each] for k in range(len(each[0]))],
+            "steps": [[seed[k].to_dict() for seed in each] for k in range(len(each[0]))],
         }
 
 

@@ -40,7 +40,7 @@ class Response(NamedTuple):
     settling_s: float | None
     """Until m is within `SETTLED_N` of the new reference on both axes and stays there; None if it never does."""
 
-    def described(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """For JSON."""
         return {
             "at_s": self.at_s,

@@ -31,13 +31,13 @@ def baselines(
     search_in = moving if surrogate is None else find_plant(surrogate) if isinstance(surrogate, str) else surrogate
     report = None if progress is None else partial(progress, "baselines")
     found = evaluate_baselines(moving, search_in, config, report)
-    facts = {
+    metadata = {
         "plant": _named(plant),
         "searched_in": _named(searched),
         "configuration": config.model_dump(mode="json"),
         "provenance": artifacts.provenance(seed=config.seed),
     }
-    return write_baselines(found, out, facts, overwrite)
+    return write_baselines(found, out, metadata, overwrite)
 
 
 def _named(plant: str | Plant) -> str:

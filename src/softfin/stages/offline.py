@@ -46,7 +46,7 @@ from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.storage.paths import check_view
 from softfin.storage.registry import find_plant
-from softfin.storage.run_directory import TRAINING_LOG, Workspace
+from softfin.storage.run_directory import TRAINING_LOG, RunDirectory
 from softfin.surrogate import (
     AutoConfig,
     FitConfig,
@@ -186,25 +186,25 @@ def fit(
     config = config or StreamingConfig()
     artifacts.check_vacant(out, overwrite or resume)
     opened = _opened(dataset, logs, ignore_errors, progress)
-    facts = {"configuration": config.model_dump(mode="json"), "seed": seed, "data_hash": opened.data_hash}
-    workspace = Workspace(out, facts, resume, overwrite)
-    if not workspace.complete:
+    metadata = {"configuration": config.model_dump(mode="json"), "seed": seed, "data_hash": opened.data_hash}
+    run_directory = RunDirectory(out, metadata, resume, overwrite)
+    if not run_directory.complete:
         check_commands_learnt(opened.train, str(dataset))
         test = opened.test
         check_lengths(test, SKIPPED, "test")
         if test:
             measured_ranges(test)
-        fitted, evidence = fit_any(opened.train, config, seed, workspace, progress)
+        fitted, evidence = fit_any(opened.train, config, seed, run_directory, progress)
         provenance = artifacts.provenance(
             seed=seed, data_hash=opened.data_hash, dataset=str(dataset), **opened.metadata
         )
         save_surrogate(
             out, fitted, table_one(fitted, test) if test else None, provenance,
-            extra_files=workspace.keep_log, overwrite=overwrite, configuration=facts["configuration"],
+            extra_files=run_directory.keep_log, overwrite=overwrite, configuration=metadata["configuration"],
             training_range=training_range(opened.train), fin=_fin_of(dataset),
             **({} if evidence is None else {"candidates": evidence}),
         )  # fmt: skip
-    workspace.finish()
+    run_directory.finish()
     description, surrogate = artifacts.load_description(out, "surrogate"), load_surrogate(out)
     summary = opened.inspection.summary()
     return {
@@ -250,17 +250,17 @@ def calibrate(
     config = config or CalibrateConfig()
     artifacts.check_vacant(out, overwrite or resume)
     found = material(data, config, seed)
-    facts = {"configuration": config.model_dump(mode="json"), "seed": seed, **found.facts}
-    workspace = Workspace(out, facts, resume, overwrite)
-    if workspace.complete:
-        workspace.finish()
+    metadata = {"configuration": config.model_dump(mode="json"), "seed": seed, **found.metadata}
+    run_directory = RunDirectory(out, metadata, resume, overwrite)
+    if run_directory.complete:
+        run_directory.finish()
         return artifacts.load_description(out, "calibration")
-    calibration = _calibrate(config, found.train, found.test, seed, workspace, progress)
+    calibration = _calibrate(config, found.train, found.test, seed, run_directory, progress)
     named = str(data) if isinstance(data, str | Path) else type(data).__name__
-    origin = artifacts.provenance(seed=seed, data=named, **found.facts)
-    written = {"configuration": facts["configuration"], "provenance": origin}
-    summary = write_calibration(calibration, found.beats, out, written, workspace.keep_log, overwrite)
-    workspace.finish()
+    origin = artifacts.provenance(seed=seed, data=named, **found.metadata)
+    written = {"configuration": metadata["configuration"], "provenance": origin}
+    summary = write_calibration(calibration, found.beats, out, written, run_directory.keep_log, overwrite)
+    run_directory.finish()
     return summary
 
 
@@ -297,13 +297,15 @@ def compare(
             progress("compare", done, note)
 
     comparison = _compare(found, list(data.load(data.test)), config, floor, report)
-    facts = {
+    metadata = {
         "dataset": str(dataset),
         "test_logs": len(data.test),
         "configuration": config.model_dump(mode="json"),
         "provenance": artifacts.provenance(seed=config.seed, data_hash=data.data_hash),
     }
-    return {**comparison.summary(), **facts} if out is None else write_comparison(comparison, out, facts, overwrite)
+    return (
+        {**comparison.summary(), **metadata} if out is None else write_comparison(comparison, out, metadata, overwrite)
+    )
 
 
 def import_keras(posnet: Path, forcenet: Path, scalers: Path, out: Path, *, overwrite: bool = False) -> Surrogate:
@@ -369,8 +371,8 @@ def find_gaits(
     save_gaits(out, found, config, Limits(*map(float, moving.limits)), origin, None, learnt_from(plant), overwrite)
 
 
-def _origin(plant: str | Plant, moving: Plant, **facts: Any) -> dict[str, Any]:
-    return artifacts.provenance(plant=_named(plant), plant_identity=identity(moving), **facts)
+def _origin(plant: str | Plant, moving: Plant, **metadata: Any) -> dict[str, Any]:
+    return artifacts.provenance(plant=_named(plant), plant_identity=identity(moving), **metadata)
 
 
 def _named(plant: str | Plant) -> str:
@@ -411,7 +413,7 @@ def train(
     can = None if known is None else load_force_map(known, moving, _named(plant)).force_map
     origin, learnt = _origin(plant, moving, **({} if known is None else {"map": str(known)})), learnt_from(plant)
     origin["algorithm"] = reason or f"{config.algorithm}, as configured"
-    facts = {
+    metadata = {
         "configuration": config.model_dump(mode="json"),
         "seeds": list(seeds),
         "plant": origin["plant_identity"],
@@ -420,21 +422,21 @@ def train(
         "map": None if can is None else can.to_dict(),
     }
     check(moving, config, seeds, can)
-    workspace = Workspace(out, facts, resume, overwrite)
-    if workspace.complete:
-        return workspace.finish()
+    run_directory = RunDirectory(out, metadata, resume, overwrite)
+    if run_directory.complete:
+        return run_directory.finish()
     if progress is not None and reason is not None:
         progress("algorithm", 1.0, reason)
-    trained = train_jobs(moving, config, seeds, workspace, progress, engine=working, split=split, force_map=can)
+    trained = train_jobs(moving, config, seeds, run_directory, progress, engine=working, split=split, force_map=can)
     if refine:
-        trained, parents = train_refined(moving, trained, refine, workspace.part(REFINED), progress)
+        trained, parents = train_refined(moving, trained, refine, run_directory.part(REFINED), progress)
         origin |= {"refined_from": [cell.model_dump(mode="json") for cell in config.cells], "parents": list(parents)}
 
-    def save(folder: Path, seed: int, also: Callable[[Path], None] | None = None) -> None:
-        save_controller(folder, trained, seed, origin | {"seed": seed}, also, learnt, overwrite)
+    def save(folder: Path, seed: int, extra_files: Callable[[Path], None] | None = None) -> None:
+        save_controller(folder, trained, seed, origin | {"seed": seed}, extra_files, learnt, overwrite)
 
     def keep_log(folder: Path) -> None:
-        workspace.keep_log(folder)
+        run_directory.keep_log(folder)
         write_learning(folder / TRAINING_LOG)
 
     def save_all(folder: Path) -> None:
@@ -447,7 +449,7 @@ def train(
         save(out, seeds[0], keep_log)
     else:
         artifacts.write_folder(out, save_all, overwrite)
-    workspace.finish()
+    run_directory.finish()
 
 
 def evaluate(
@@ -475,9 +477,9 @@ def evaluate(
     evaluation = judged(controller, moving, config or EvaluateConfig(), str(plant))
     if out is None:
         return evaluation.summary()
-    facts = {"controller": str(controller), "kind": kind_of(controller), "plant": str(plant),
+    metadata = {"controller": str(controller), "kind": kind_of(controller), "plant": str(plant),
              "spread": None if widths is None else widths.model_dump(mode="json")}  # fmt: skip
-    return write_evaluation(evaluation, out, facts, overwrite)
+    return write_evaluation(evaluation, out, metadata, overwrite)
 
 
 def view(

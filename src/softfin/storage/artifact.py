@@ -156,17 +156,17 @@ def save(
     kind: str,
     description: Mapping[str, Any],
     weights: Weights,
-    also: Callable[[Path], None] | None = None,
+    extra_files: Callable[[Path], None] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write ``KIND.json``, the weights and what `also` adds as one folder; likewise."""
+    """Write ``KIND.json``, the weights and what `extra_files` adds as one folder; likewise."""
 
     def write(folder: Path) -> None:
         # Bytes through Path: safetensors' own writer hides a full disk, and makes files that others cannot read.
         (folder / WEIGHTS).write_bytes(encode(weights))
         (folder / f"{kind}.json").write_text(dump_json(description))
-        if also is not None:
-            also(folder)
+        if extra_files is not None:
+            extra_files(folder)
 
     write_folder(path, write, overwrite)
 
@@ -248,10 +248,10 @@ def plain(value: Any) -> Any:
     return plain(value.tolist()) if hasattr(value, "tolist") else str(value)
 
 
-def provenance(**facts: Any) -> dict[str, Any]:
-    """Where an artifact comes from: the given facts, versions, git commit, time."""
+def provenance(**metadata: Any) -> dict[str, Any]:
+    """Where an artifact comes from: the given metadata, versions, git commit, time."""
     return {
-        **facts,
+        **metadata,
         "softfin": importlib.metadata.version("softfin"),
         "jax": _version("jax"),
         "numpy": _version("numpy"),

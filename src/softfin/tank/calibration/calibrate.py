@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from softfin.core.errors import ConfigurationError, LogError
 from softfin.core.quantities import RATE_HZ, Command, Log
-from softfin.storage.run_directory import Workspace
+from softfin.storage.run_directory import RunDirectory
 from softfin.tank import TankConfig
 from softfin.tank.calibration.config import CalibrateConfig
 from softfin.tank.calibration.determination import Determination, determination, parameters_to_dict
@@ -79,10 +79,10 @@ def calibrate(
     train: Sequence[Log],
     test: Sequence[Log],
     seed: int,
-    workspace: Workspace,
+    run_directory: RunDirectory,
     progress: Progress | None = None,
 ) -> Calibration:
-    """Fit a tank to the training logs; goes on from the workspace's checkpoint where there is one.
+    """Fit a tank to the training logs; goes on from its checkpoint where there is one.
 
     Raises:
         ConfigurationError: a parameter that does not exist, or a range without its starting point.
@@ -91,7 +91,7 @@ def calibrate(
     """
     space, fitted, unseen = prepared(config, train, test)
     weights = weights_of([getattr(config.weights, channel) for channel in CHANNELS])
-    point = _global(config, space, fitted, weights, seed, workspace, progress)
+    point = _global(config, space, fitted, weights, seed, run_directory, progress)
     whole = Fitting(space, fitted, config.population)
 
     def report(iteration: int, loss: float) -> None:
@@ -131,23 +131,23 @@ def _global(
     pieces: Pieces,
     weights: Float[np.ndarray, "channels"],
     seed: int,
-    workspace: Workspace,
+    run_directory: RunDirectory,
     progress: Progress | None,
 ) -> Point:
     generations = -(-config.evaluations // config.population)
     if generations == 0:
-        workspace.log().close()
+        run_directory.log().close()
         return space.start
     coarse = Fitting(space, pieces, config.population, (config.search_plates, config.search_steps))
     losses, done = np.full((generations, config.population), np.nan, np.float32), 0
-    if (resumed := workspace.load(jnp.asarray(losses))) is not None:
+    if (resumed := run_directory.load(jnp.asarray(losses))) is not None:
         losses, done = np.asarray(resumed[0]), resumed[1]["generation"]
-    record = workspace.log(rewind_to=done)
+    record = run_directory.log(rewind_to=done)
 
     def report(generation: int, losses: Float[np.ndarray, "generations population"]) -> None:
         least = float(np.nanmin(losses))
         record.write(generation, loss=float(losses[generation - 1].min()), best=least)
-        workspace.save(jnp.asarray(losses), {"generation": generation})
+        run_directory.save(jnp.asarray(losses), {"generation": generation})
         if progress is not None:
             progress("search", generation / generations, f"1 - R2 {least:.4f}")
 

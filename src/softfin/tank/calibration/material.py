@@ -36,7 +36,7 @@ class Material(NamedTuple):
     test: list[Log]
     beats: Pieces | None
     """One piece about each of `CENTRES`, where there is a plant to beat."""
-    facts: dict[str, Any]
+    metadata: dict[str, Any]
     """What tells it from other material."""
 
 

@@ -32,8 +32,8 @@ def write_calibration(
     found: Calibration,
     beats: Pieces | None,
     out: Path,
-    facts: dict[str, Any],
-    also: Callable[[Path], None],
+    metadata: dict[str, Any],
+    extra_files: Callable[[Path], None],
     overwrite: bool = False,
 ) -> dict[str, Any]:
     """Write the folder, whole or not at all; returns the content of its JSON.
@@ -53,7 +53,7 @@ def write_calibration(
     """
     modelled = found.read(found.test.command)
     beating = None if beats is None else means(beats, found.read(beats.command))
-    summary = {**found.summary(), "beating": None if beating is None else _means_to_list(*beating), **facts}
+    summary = {**found.summary(), "beating": None if beating is None else _means_to_list(*beating), **metadata}
 
     def write(folder: Path) -> None:
         (folder / "calibration.json").write_text(artifacts.dump_json(summary))
@@ -62,7 +62,7 @@ def write_calibration(
         figure = calibration_figure(found.test, modelled, beating)
         for kind in ("svg", "png"):
             (folder / f"calibration.{kind}").write_bytes(render(figure, kind))
-        also(folder)
+        extra_files(folder)
 
     artifacts.write_folder(out, write, overwrite)
     return summary
