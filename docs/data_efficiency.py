@@ -27,7 +27,7 @@ from softfin.data.collect import CollectConfig
 from softfin.stages import offline as stages
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
-from softfin.storage.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, save, styled
+from softfin.storage.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, save_figure, styled
 from softfin.surrogate import FitConfig, StreamingConfig, load_surrogate
 from softfin.surrogate.active import ActiveCollectConfig
 from softfin.surrogate.compare.free_running import free_run, run_from_rest, segments_of, take
@@ -317,7 +317,7 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
         panels[0].plot([], [], color=BLACK, linestyle=":", label="the tank itself")
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
-    save(figure, path)
+    save_figure(figure, path.parent, path.stem, (path.suffix[1:],))
 
 
 def curve(axes: Any, rows: Sequence[dict[str, Any]], name: str, score: str, factor: float, **look: Any) -> None:

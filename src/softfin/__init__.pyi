@@ -8,7 +8,7 @@ from .data.collect import CollectConfig as CollectConfig
 from .data.importing.importing import ImportConfig as ImportConfig
 from .evaluation.baselines.baselines import BaselinesConfig as BaselinesConfig
 from .evaluation.evaluate import EvaluateConfig as EvaluateConfig
-from .evaluation.view import ViewConfig as ViewConfig
+from .evaluation.view.view import ViewConfig as ViewConfig
 from .gaits.force_map import MapConfig as MapConfig
 from .learning.configuration import GRID as GRID
 from .learning.configuration import SINGLE as SINGLE

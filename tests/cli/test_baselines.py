@@ -30,8 +30,8 @@ def test_baselines_are_a_table_and_a_json(capsys, tmp_path):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["--plant", "pool"], "plant pool: unknown (is no folder)"),
-        (["--plant", "tank", "--surrogate", "pool"], "plant pool: unknown (is no folder)"),
+        (["--plant", "pool"], "plant pool: unknown (does not exist)"),
+        (["--plant", "tank", "--surrogate", "pool"], "plant pool: unknown (does not exist)"),
         (["--seconds", "2"], "seconds = 2: Input should be greater than or equal to 3"),
         (["--set", "search.gait=3"], "did you mean 'gaits'?"),
         (["--set", "inverse.area_m2=0"], "inverse.area_m2 = 0: Input should be greater than 0"),

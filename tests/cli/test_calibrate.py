@@ -11,7 +11,7 @@ from tests.cli.test_cli import fails
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["nothing"], "plant nothing: unknown (is no folder)"),
+        (["nothing"], "plant nothing: unknown (does not exist)"),
         (["."], ".: not a dataset: it holds no dataset.json"),
         (["tank", "--velocity", "fast"], "--velocity fast: no range; write LOW,HIGH in rad/s, as 0.3,1.57"),
         (["tank", "--velocity", "3,2"], "velocity_rad_s = 3, 2: the plant takes"),

@@ -26,7 +26,7 @@ def test_a_map_is_a_folder_and_a_summary(capsys, tmp_path):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["pool"], "plant pool: unknown (is no folder)"),
+        (["pool"], "plant pool: unknown (does not exist)"),
         (["tank", "--set", "spacing_n=0"], "spacing_n = 0: Input should be greater than 0"),
         (["tank", "--set", "survey.direction=8"], "did you mean 'directions'?"),
         (["tank", "--set", "box={low: [1, 0], high: [0, 1]}"], "is above high"),

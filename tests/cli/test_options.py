@@ -7,9 +7,9 @@ from typing import Annotated, Any, Literal
 import pytest
 
 from softfin.cli import COMMANDS
+from softfin.cli.kinds import Force
 from softfin.cli.options import HelpRequested, Option, check, docstrings, fields_of, help_of, parse
 from softfin.core.errors import ArtifactError, ConfigurationError
-from softfin.gaits.reachable import Force
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -176,5 +176,5 @@ def test_reproduce_takes_the_logs_that_it_recorded_as_they_are_and_fits_what_its
     small = write(tmp_path / "small.yaml", {"collect": COLLECT})
     with pytest.raises(SystemExit):
         main(["reproduce", "--preset", "best", "--plant", PLANT, "--config", small, "--out", str(tmp_path / "run")])
-    assert asked["accept"] is True
+    assert asked["ignore_errors"] is True
     assert asked["config"] == PRESETS["best"].fit

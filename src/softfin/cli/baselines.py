@@ -11,12 +11,12 @@ from softfin.cli.kinds import Out, Plant
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(Configured):
-    """Judge what needs no learnt controller: still fin, best sine, inverse model, random search, or RecurrentPPO."""
+    """Evaluate what needs no learnt controller: still fin, best sine, inverse model, random search, or RecurrentPPO."""
 
     out: Out
     """Folder to write baselines.json to."""
     plant: Plant = "tank"
-    """The fin that all are judged on: tank, a tank's YAML, the folder of a surrogate, or package.module:plant."""
+    """The fin that all are evaluated on: tank, a tank's YAML, the folder of a surrogate, or package.module:plant."""
     surrogate: Plant | None = None
     """Where sines and gaits are searched, as a rule the folder of a surrogate of the fin (the fin itself)."""
     seconds: int | None = None
@@ -29,7 +29,7 @@ class Arguments(Configured):
     """Actions that RecurrentPPO (extra sb3) learns from; the paper's 30,000 take minutes (0: left out)."""
 
     def run(self) -> None:
-        """Find and judge."""
+        """Find and evaluate."""
         from softfin.evaluation.baselines.baselines import BaselinesConfig
         from softfin.stages.baselines import baselines
 

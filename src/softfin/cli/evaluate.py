@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(Armed, Configured):
-    """Judge a controller on a fin over reference forces (paper Sec. IV-B, Table II)."""
+    """Evaluate a controller on a fin over reference forces (paper Sec. IV-B, Table II)."""
 
     controller: Controller
     """Folder of the controller."""
@@ -36,10 +36,10 @@ class Arguments(Armed, Configured):
     seed: int | None = None
     """Seed of the plant's noise (0)."""
     strict: bool = False
-    """Refuse a reference that the fin cannot make; else the nearest one that it can make is held, with a warning."""
+    """Refuse a reference that the fin cannot make; else the nearest one that it can make is tracked, with a warning."""
     trim: bool = False
-    """Take off, slowly, what the fin makes besides what it is asked for, from the measured mean force."""
-    spread: float | None = None
+    """Add a slow outer loop that cancels the steady-state force error, from the measured mean force."""
+    randomize: float | None = None
     """With the tank: each repetition in another one, material, water and servo within this part of theirs, from 0 (the
     same tank) to less than 1, such as 0.15."""
     moving: tuple[MovingReference, ...] = ()
@@ -49,14 +49,16 @@ class Arguments(Armed, Configured):
     error_map: bool = False
     """Draw the error over the whole range of the controller, 7 x 7 references; --set error_map=N for N x N."""
     random: int | None = None
-    """Judge it, too, on so many references drawn over all that it was trained for and the fin can make."""
+    """Evaluate it, too, on so many references drawn over all that it was trained for and the fin can make."""
 
     def check(self) -> None:
         """Whether the options go with the plant."""
         super().check()
         if is_live(self.plant):
-            if self.spread is not None:
-                raise ConfigurationError(f"--spread {self.spread:g}: {self.plant} is no virtual tank; leave it out")
+            if self.randomize is not None:
+                raise ConfigurationError(
+                    f"--randomize {self.randomize:g} needs the virtual tank as plant, got {self.plant!r}; leave it out"
+                )
         elif self.arm:
             raise ConfigurationError(f"--arm: {self.plant} is no real fin; leave it out, or give --plant rig")
 
@@ -64,7 +66,7 @@ class Arguments(Armed, Configured):
         """Evaluate."""
         from softfin.cli.tables import table_two
         from softfin.evaluation.evaluate import EvaluateConfig
-        from softfin.evaluation.forceplane import POINTS
+        from softfin.evaluation.range_errors import LATTICE_POINTS
         from softfin.stages import offline as stages
         from softfin.task.reference_file import read_reference_file
 
@@ -75,7 +77,7 @@ class Arguments(Armed, Configured):
             random=self.random,
         )  # fmt: skip
         if self.error_map and config.error_map is None:
-            config = config.merged({"error_map": POINTS}, "options")
+            config = config.merged({"error_map": LATTICE_POINTS}, "options")
         if self.trim and config.trim is None:
             config = config.merged({"trim": {}}, "options")
         summary = self._live(config) if is_live(self.plant) else self._simulated(config)
@@ -94,7 +96,7 @@ class Arguments(Armed, Configured):
         from softfin.stages import offline as stages
 
         return stages.evaluate(
-            self.controller, self.plant, Path(self.out), config, spread=self.spread, overwrite=self.overwrite
+            self.controller, self.plant, Path(self.out), config, randomize=self.randomize, overwrite=self.overwrite
         )
 
     def _live(self, config: "EvaluateConfig") -> dict[str, Any]:

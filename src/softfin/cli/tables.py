@@ -68,8 +68,8 @@ def _published(scores: PaperScores | None) -> str:
 
 def held(row: Mapping[str, Any]) -> str:
     """Where another force is held than was asked for."""
-    held = row.get("held_n")
-    if held is None or max(abs(a - b) for a, b in zip(held, row["reference_n"], strict=True)) < 1e-3:
+    held = row.get("tracked_reference_n") or row["held_n"]
+    if max(abs(a - b) for a, b in zip(held, row["reference_n"], strict=True)) < 1e-3:
         return ""
     return f"  cannot be made: ({held[0]:.2f}, {held[1]:.2f}) N is held"
 

@@ -21,27 +21,27 @@ class Arguments(Configured):
     seconds: float | None = None
     """Duration in the plant's time [s] (10)."""
     centre: float | None = None
-    """Angle about which the fin beats [rad] (0); --set beat.amplitude_rad and beat.velocity_rad_s change the rest."""
+    """Angle about which the fin beats [rad] (0); --set gait.amplitude_rad and gait.velocity_rad_s change the rest."""
     excitation: bool = False
-    """Random commands, as datasets are recorded under, in place of the beat."""
+    """Random commands, as datasets are recorded under, in place of the gait."""
     controller: Annotated[Path, folder_of("controller")] | None = None
-    """Folder of a controller that moves the fin in place of the beat."""
+    """Folder of a controller that moves the fin in place of the gait."""
     reference: Force | None = None
     """Reference force that the controller is asked for, as --reference=X,Y in newton."""
-    then: tuple[Force, ...] = ()
-    """The next one, as --then=X,Y; each is asked for an equal part of the time."""
+    next_reference: tuple[Force, ...] = ()
+    """The next one, as --next-reference=X,Y; each is asked for an equal part of the time."""
     seed: int | None = None
     """Seed of the plant's noise and the random commands (0)."""
 
     def run(self) -> None:
         """View."""
-        from softfin.evaluation.view import ViewConfig
+        from softfin.evaluation.view.view import ViewConfig
         from softfin.stages import offline as stages
 
-        beat = None if self.centre is None else {"centre_rad": self.centre}
+        gait = None if self.centre is None else {"centre_rad": self.centre}
         config = self.configured(
-            ViewConfig(), seconds=self.seconds, seed=self.seed, beat=beat, random=self.excitation or None,
-            then=list(self.then) or None,
+            ViewConfig(), seconds=self.seconds, seed=self.seed, gait=gait, random=self.excitation or None,
+            next_references=list(self.next_reference) or None,
         )  # fmt: skip
         with progress() as report:
             metadata = stages.view(

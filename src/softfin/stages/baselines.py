@@ -1,4 +1,4 @@
-"""The stage that judges what needs no learnt controller; as the other stages, a function of folders."""
+"""The stage that evaluates what needs no learnt controller; as the other stages, a function of folders."""
 
 from functools import partial
 from pathlib import Path
@@ -20,7 +20,7 @@ def baselines(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Judge a still fin, the best sine, an inverse model, random gaits on a plant; writes ``baselines.json`` to `out`.
+    """Evaluate a still fin, the best sine, an inverse model, random gaits; writes ``baselines.json`` to `out`.
 
     Sines and gaits are searched for in the `surrogate`, or in the plant itself.
     """
@@ -29,7 +29,7 @@ def baselines(
     moving = find_plant(plant) if isinstance(plant, str) else plant
     searched = plant if surrogate is None else surrogate
     search_in = moving if surrogate is None else find_plant(surrogate) if isinstance(surrogate, str) else surrogate
-    report = None if progress is None else partial(progress, "baselines")
+    report = (lambda *_: None) if progress is None else partial(progress, "baselines")
     found = evaluate_baselines(moving, search_in, config, report)
     metadata = {
         "plant": _named(plant),

@@ -23,7 +23,7 @@ from softfin.core.randomness import key_of
 from softfin.data.collect import CollectConfig
 from softfin.data.importing.resample import held, interpolated
 from softfin.evaluation.evaluate import EvaluateConfig
-from softfin.evaluation.experiment import Recording
+from softfin.evaluation.experiment import ExperimentRecording
 from softfin.rig.loop import RealTimeController, run_controller, seconds_to_actions
 from softfin.rig.machine import Sample, Target
 from softfin.rig.robot_setup import RobotSetup
@@ -145,7 +145,7 @@ class LiveFin:
 
     def experiments(
         self, references: Float[np.ndarray, "references *ticks 2"], seconds: int, repetitions: int
-    ) -> Recording:
+    ) -> ExperimentRecording:
         """Run every reference so many times, one after the other, each from rest."""
         self._session.activate()
         runs = []
@@ -160,7 +160,7 @@ class LiveFin:
         self._progress("evaluate", 1.0, "")
         shape = (len(references), repetitions)
         command, reading = jax.tree.map(lambda *parts: np.stack(parts).reshape(*shape, *parts[0].shape), *runs)
-        return Recording(references, command, reading)
+        return ExperimentRecording(references, command, reading)
 
     def _one(self, asked: Float[np.ndarray, "ticks 2"], seconds: int) -> tuple[Command, Reading]:
         session = self._session

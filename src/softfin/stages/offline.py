@@ -28,10 +28,9 @@ from softfin.data.issues import check_issues
 from softfin.data.recordings import OpenedLogs, check_train, open_logs
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, write_evaluation
 from softfin.evaluation.evaluate import evaluate as _evaluate
-from softfin.evaluation.experiment import Subject
-from softfin.evaluation.view import ViewConfig
+from softfin.evaluation.experiment import EvaluationTarget
 from softfin.evaluation.view.video import ticks_of
-from softfin.evaluation.view.view import draw, footage_of, title_of
+from softfin.evaluation.view.view import ViewConfig, draw, footage_of, title_of
 from softfin.gaits.figure import write_map
 from softfin.gaits.force_map import MapConfig, check_star
 from softfin.gaits.force_map import map_forces as _map_forces
@@ -454,31 +453,31 @@ def train(
 
 def evaluate(
     controller: Path,
-    plant: str | Subject,
+    plant: str | EvaluationTarget,
     out: Path | None = None,
     config: EvaluateConfig | None = None,
     *,
-    spread: float | int | DomainRandomization | None = None,
+    randomize: float | int | DomainRandomization | None = None,
     overwrite: bool = False,
 ) -> dict[str, Any]:
-    """Judge a controller on a plant (paper Sec. IV-B, Table II); writes ``evaluation.json`` and figures to `out`.
+    """Evaluate a controller on a plant (paper Sec. IV-B, Table II); writes ``evaluation.json`` and figures to `out`.
 
-    With `spread` the plant must be a tank, and every repetition is run in another one, drawn about it; 0 is the tank.
+    With `randomize` the plant must be a tank; every repetition is run in another one, drawn about it; 0 is the tank.
     """
     if out is not None:
         artifacts.check_vacant(out, overwrite)
     moving = find_plant(plant) if isinstance(plant, str) else plant
-    widths = DomainRandomization.of(float(spread)) if isinstance(spread, int | float) else spread
+    widths = DomainRandomization.of(float(randomize)) if isinstance(randomize, int | float) else randomize
     if widths is not None:
         if not isinstance(moving, Tank):
-            raise ConfigurationError(f"spread {spread}: {plant} is no tank, so there are no others like it to draw")
-        # Without a spread the sensor's noise is the tank's own, too.
+            raise ConfigurationError(f"--randomize {randomize} needs the virtual tank as plant, got {plant!r}")
+        # At 0 the sensor's noise is the tank's own, too.
         moving = moving if widths.is_none else RandomizedTank(moving, widths)
-    evaluation = judged(controller, moving, config or EvaluateConfig(), str(plant))
+    evaluation = evaluation_of(controller, moving, config or EvaluateConfig(), str(plant))
     if out is None:
         return evaluation.summary()
     metadata = {"controller": str(controller), "kind": kind_of(controller), "plant": str(plant),
-             "spread": None if widths is None else widths.model_dump(mode="json")}  # fmt: skip
+             "randomization": None if widths is None else widths.model_dump(mode="json")}  # fmt: skip
     return write_evaluation(evaluation, out, metadata, overwrite)
 
 
@@ -492,7 +491,7 @@ def view(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Show a plant in motion as a .gif, .mp4, .html or .png, beating or held to a `reference` [N] by a controller."""
+    """Show a plant in motion as .gif, .mp4, .html or .png, in a simple gait or under a controller."""
     config = config or ViewConfig()
     check_view(out, overwrite)
     moving = find_plant(plant) if isinstance(plant, str) else plant
@@ -503,9 +502,9 @@ def view(
         raise ConfigurationError("random commands and a controller at once; give one of them")
     warnings: list[str] = []
     if controller is not None and holding is not None and reference is not None:
-        pairs = [resolve_reference(holding, asked, strict=False) for asked in (reference, *config.then)]
+        pairs = [resolve_reference(holding, asked, strict=False) for asked in (reference, *config.next_references)]
         reference, *following = (force for force, _ in pairs)
-        config = config.merged({"then": following}, "view")
+        config = config.merged({"next_references": following}, "view")
         warnings = [said for _, said in pairs if said is not None]
         _check_limits(holding.limits, Limits(*moving.limits), controller, plant)
     named = plant if isinstance(plant, str) else type(plant).__name__
@@ -537,7 +536,9 @@ def kind_of(controller: Path) -> str:
     return kind
 
 
-def judged(controller: Path, plant: str | Subject, config: EvaluateConfig, named: str | None = None) -> Evaluation:
+def evaluation_of(
+    controller: Path, plant: str | EvaluationTarget, config: EvaluateConfig, named: str | None = None
+) -> Evaluation:
     """A controller's experiments on a plant, not yet written."""
     moving = find_plant(plant) if isinstance(plant, str) else plant
     holding = load_controller(controller)
@@ -545,7 +546,7 @@ def judged(controller: Path, plant: str | Subject, config: EvaluateConfig, named
     return _evaluate(holding, moving, config)
 
 
-def _check_limits(asked: Limits, taken: Limits, controller: Path, plant: str | Subject) -> None:
+def _check_limits(asked: Limits, taken: Limits, controller: Path, plant: str | EvaluationTarget) -> None:
     for low, high in (("angle_min", "angle_max"), ("velocity_min", "velocity_max")):
         ours, theirs = ((getattr(limits, low), getattr(limits, high)) for limits in (asked, taken))
         tolerance = 1e-3 * (theirs[1] - theirs[0])

@@ -22,15 +22,15 @@ from softfin.core.plant_identity import identity
 from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ
 from softfin.data.collect import CollectConfig
-from softfin.evaluation.doubt import Doubt
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, write_evaluation
 from softfin.evaluation.figures import experiments_figure
-from softfin.evaluation.report import write_report
+from softfin.evaluation.report import prediction_figure, write_report
 from softfin.evaluation.scores import Scores
+from softfin.evaluation.uncertainty import SurrogateUncertainty
 from softfin.learning.configuration import GRADIENT_GRID, GRADIENT_SINGLE, GRID, SINGLE, TrainConfig
+from softfin.learning.figure import learning_figure
 from softfin.stages import offline as stages
 from softfin.storage import artifact as artifacts
-from softfin.storage.curves import learning_figure, prediction_figure
 from softfin.storage.dataset import Dataset
 from softfin.storage.registry import find_plant, is_surrogate
 from softfin.storage.run_directory import LOG, TRAINING_LOG, read_log
@@ -216,7 +216,7 @@ class _Reproduction:
                 if self.progress is not None:
                     self.progress(f"evaluate {kind}", (index + 1) / len(self.seeds), plant)
                 path = self.out / kind / f"seed-{seed}" if len(self.seeds) > 1 else self.out / kind
-                each.append(stages.judged(path, plant, self.config.evaluate.model_copy(update={"seed": seed})))
+                each.append(stages.evaluation_of(path, plant, self.config.evaluate.model_copy(update={"seed": seed})))
             whole = _together(each)
             metadata = {"controller": kind, "plant": plant, "repetitions": "controllers trained from different seeds"}
             judged[kind] = write_evaluation(whole, self.out / folder / kind, metadata, overwrite=True), whole
@@ -261,14 +261,14 @@ def _together(each: list[Evaluation]) -> Evaluation:
     """One evaluation whose repetitions are the controllers, each the mean of its own; the recording is the first's."""
     means = [[field.mean(axis=1) for field in e.scores] for e in each]
     scores = Scores(*(np.stack(fields, axis=1) for fields in zip(*means, strict=True)))
-    doubts = [e.doubt for e in each if e.doubt is not None]
-    doubt = Doubt(
-        beyond=np.mean([each.beyond for each in doubts], axis=0),
-        furthest=np.max([each.furthest for each in doubts], axis=0),
-        half_width=np.mean([each.half_width for each in doubts], axis=0),
-    ) if doubts else None  # fmt: skip
+    estimates = [e.uncertainty for e in each if e.uncertainty is not None]
+    uncertainty = SurrogateUncertainty(
+        np.mean([estimate.out_of_distribution_fraction for estimate in estimates], axis=0),
+        np.max([estimate.furthest for estimate in estimates], axis=0),
+        np.mean([estimate.half_width for estimate in estimates], axis=0),
+    ) if estimates else None  # fmt: skip
     warnings = tuple(dict.fromkeys(said for e in each for said in e.warnings))
-    return Evaluation(each[0].config, scores, len(each), each[0].recording, doubt, warnings)
+    return Evaluation(each[0].config, scores, len(each), each[0].recording, uncertainty, warnings)
 
 
 def _curve(log: list[dict[str, Any]], seed: int, names: tuple[str, ...]) -> tuple[list[int], list[float]]:

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from softfin.tank.calibration.determination import _row, described, determination
+from softfin.tank.calibration.determination import _row, determination, parameters_to_dict
 from softfin.tank.calibration.parameters import Parameter
 from softfin.tank.calibration.polish import Linear
 
@@ -51,7 +51,7 @@ def test_errors_that_last_are_not_counted_as_independent():
 def test_parameters_that_do_the_same_trade_against_each_other(slopes):
     slopes[1] = slopes[0] + 0.05 * slopes[1]
     found = linear(slopes, white)
-    text = described(determination(found, 20), found, PARAMETERS)
+    text = parameters_to_dict(determination(found, 20), found, PARAMETERS)
     assert text["trades"][0]["parameters"] == ["fin.length_m", "fin.span_m"]
     assert text["trades"][0]["correlation"] < -0.99
     assert {*text["weakest"]} == {"fin.length_m", "fin.span_m"}
@@ -63,7 +63,7 @@ def test_a_parameter_without_effect_and_one_on_a_bound_have_no_standard_error(sl
     found = linear(slopes, white, point=(0.5, 1.0, 0.5))
     # Beyond the end of the range it would be better still.
     found = found._replace(residuals=found.residuals - 0.01 * slopes[1])
-    rows = described(determination(found, 20), found, PARAMETERS)["parameters"]
+    rows = parameters_to_dict(determination(found, 20), found, PARAMETERS)["parameters"]
     assert rows["fin.span_m"]["determined"] == "high end"
     assert rows["fin.density_kg_m3"]["determined"] == "no effect"
     assert rows["fin.density_kg_m3"]["standard_error"] is None
@@ -74,7 +74,7 @@ def test_a_parameter_without_effect_and_one_on_a_bound_have_no_standard_error(sl
 
 def test_the_poorer_the_logs_the_poorer_the_verdict(slopes):
     verdicts = [
-        described(determination(found, 20), found, PARAMETERS)["parameters"]["fin.length_m"]["determined"]
+        parameters_to_dict(determination(found, 20), found, PARAMETERS)["parameters"]["fin.length_m"]["determined"]
         for found in (linear(slopes * scale, white) for scale in (1.0, 0.01, 0.001))
     ]
     assert verdicts == ["well", "roughly", "poorly"]

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import RATE_HZ
 from softfin.storage import artifact as artifacts
-from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, render, styled
+from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, save_figure, styled
 from softfin.tank.calibration.calibrate import Calibration, scores
 from softfin.tank.calibration.pieces import CHANNELS, Pieces
 
@@ -60,8 +60,7 @@ def write_calibration(
         (folder / "tank.yaml").write_text(_yaml(found.tank, "The tank that was found."))
         (folder / "recording.yaml").write_text(_yaml(found.recording, "How the logs differ from what that tank reads."))
         figure = calibration_figure(found.test, modelled, beating)
-        for kind in ("svg", "png"):
-            (folder / f"calibration.{kind}").write_bytes(render(figure, kind))
+        save_figure(figure, folder, "calibration")
         extra_files(folder)
 
     artifacts.write_folder(out, write, overwrite)
