@@ -29,8 +29,8 @@ def asked(monkeypatch):
                                                 for name in ("streaming", "paper")},
                 "left_out": {"streaming, no symmetry": "too few rows"}}  # fmt: skip
 
-    def fit_any(logs, config, seed, workspace, progress):
-        workspace.log().close()
+    def fit_any(logs, config, seed, run_directory, progress):
+        run_directory.log().close()
         configs.append((config, seed, len(logs)))
         return small.surrogate(), evidence if isinstance(config, AutoConfig) else None
 
@@ -139,8 +139,8 @@ def test_one_log_is_too_few(capsys, tmp_path):
 
 
 def test_an_unfinished_run_is_not_lost(capsys, tmp_path, dataset, monkeypatch):
-    def stopped(logs, config, seed, workspace, progress):
-        workspace.save({}, {})
+    def stopped(logs, config, seed, run_directory, progress):
+        run_directory.save({}, {})
         raise KeyboardInterrupt
 
     monkeypatch.setattr("softfin.stages.fit.fit_any", stopped)

@@ -10,7 +10,7 @@ from softfin.data.importing.importing import ImportConfig
 from softfin.data.issues import check_issues
 from softfin.data.recordings import OpenedLogs, check_train, open_logs
 from softfin.storage import artifact as artifacts
-from softfin.storage.run_directory import Workspace
+from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate import (
     AutoConfig,
     FitConfig,
@@ -48,25 +48,25 @@ def fit(
     config = config or StreamingConfig()
     artifacts.check_vacant(out, overwrite or resume)
     opened = _opened(dataset, logs, ignore_errors, progress)
-    facts = {"configuration": config.model_dump(mode="json"), "seed": seed, "data_hash": opened.data_hash}
-    workspace = Workspace(out, facts, resume, overwrite)
-    if not workspace.complete:
+    metadata = {"configuration": config.model_dump(mode="json"), "seed": seed, "data_hash": opened.data_hash}
+    run_directory = RunDirectory(out, metadata, resume, overwrite)
+    if not run_directory.complete:
         check_commands_learnt(opened.train, str(dataset))
         test = opened.test
         check_lengths(test, SKIPPED, "test")
         if test:
             measured_ranges(test)
-        fitted, evidence = fit_any(opened.train, config, seed, workspace, progress)
+        fitted, evidence = fit_any(opened.train, config, seed, run_directory, progress)
         provenance = artifacts.provenance(
             seed=seed, data_hash=opened.data_hash, dataset=str(dataset), **opened.metadata
         )
         save_surrogate(
             out, fitted, table_one(fitted, test) if test else None, provenance,
-            extra_files=workspace.keep_log, overwrite=overwrite, configuration=facts["configuration"],
+            extra_files=run_directory.keep_log, overwrite=overwrite, configuration=metadata["configuration"],
             training_range=training_range(opened.train), fin=_fin_of(dataset),
             **({} if evidence is None else {"candidates": evidence}),
         )  # fmt: skip
-    workspace.finish()
+    run_directory.finish()
     description, surrogate = artifacts.load_description(out, "surrogate"), load_surrogate(out)
     summary = opened.inspection.summary()
     return {

@@ -69,7 +69,7 @@ class ReproduceConfig(Configuration):
             if value := getattr(self.evaluate, name):
                 given = "a signal" if name == "recorded" else repr(value)
                 raise ValueError(
-                    f"evaluate.{name} is {given}; a reproduction judges references that stay: leave it out, and give it "
+                    f"evaluate.{name} is {given}; a reproduction evaluates constant references: leave it out; give it "
                     "to softfin evaluate with a controller of the reproduction"
                 )
         for reference in self.evaluate.references:
@@ -160,13 +160,13 @@ class _Reproduction:
 
         A complete run that is to be replaced is kept beside it until this one is complete.
         """
-        facts = {
+        metadata = {
             "plant": identity(find_plant(self.plant)), "seed": self.seed,
             "configuration": self.config.model_dump(mode="json"),
         }  # fmt: skip
         if resume and artifacts.is_kind(self.out, KIND):
             before = artifacts.load_description(self.out, KIND)
-            changed = [name for name, value in facts.items() if before.get(name) != value]
+            changed = [name for name, value in metadata.items() if before.get(name) != value]
             if changed:
                 raise ArtifactError(f"{self.out}: holds a run with another {' and '.join(changed)}; resume with the "
                                     "same options, or give another --out")  # fmt: skip
@@ -176,8 +176,10 @@ class _Reproduction:
             shutil.rmtree(self.replaced, ignore_errors=True)
             self.out.rename(self.replaced)
         shutil.rmtree(self.out, ignore_errors=True)
-        artifacts.write_file(self.out / f"{KIND}.json", artifacts.dump_json(facts))
-        artifacts.write_file(self.out / "configuration.yaml", yaml.safe_dump(facts["configuration"], sort_keys=False))
+        artifacts.write_file(self.out / f"{KIND}.json", artifacts.dump_json(metadata))
+        artifacts.write_file(
+            self.out / "configuration.yaml", yaml.safe_dump(metadata["configuration"], sort_keys=False)
+        )
 
     def stage(self, name: str, result: Path, work: Callable[[], Any]) -> None:
         """Do the work unless its result stands there from before."""
@@ -217,8 +219,8 @@ class _Reproduction:
                 path = self.out / kind / f"seed-{seed}" if len(self.seeds) > 1 else self.out / kind
                 each.append(evaluation_of(path, plant, self.config.evaluate.model_copy(update={"seed": seed})))
             whole = _together(each)
-            facts = {"controller": kind, "plant": plant, "repetitions": "controllers trained from different seeds"}
-            evaluated[kind] = write_evaluation(whole, self.out / folder / kind, facts, overwrite=True), whole
+            metadata = {"controller": kind, "plant": plant, "repetitions": "controllers trained from different seeds"}
+            evaluated[kind] = write_evaluation(whole, self.out / folder / kind, metadata, overwrite=True), whole
         self.wall_s[folder] = time.perf_counter() - start
         return evaluated
 

@@ -24,7 +24,7 @@ from softfin.learning.jobs import default_split, find_engine, train_jobs
 from softfin.learning.refine import check_refinable, train_refined
 from softfin.storage import artifact as artifacts
 from softfin.storage.registry import find_plant
-from softfin.storage.run_directory import TRAINING_LOG, Workspace
+from softfin.storage.run_directory import TRAINING_LOG, RunDirectory
 from softfin.surrogate.range import learnt_from
 from softfin.task.references import PAPER_RANGE
 
@@ -83,9 +83,9 @@ def find_gaits(
     save_gaits(out, found, config, Limits(*map(float, moving.limits)), origin, None, learnt_from(plant), overwrite)
 
 
-def origin_of(plant: str | Plant, moving: Plant, **facts: Any) -> dict[str, Any]:
+def origin_of(plant: str | Plant, moving: Plant, **metadata: Any) -> dict[str, Any]:
     """Return the provenance of what was made in a plant."""
-    return artifacts.provenance(plant=name_of(plant), plant_identity=identity(moving), **facts)
+    return artifacts.provenance(plant=name_of(plant), plant_identity=identity(moving), **metadata)
 
 
 def name_of(plant: str | Plant) -> str:
@@ -130,7 +130,7 @@ def train(
         learnt_from(plant),
     )
     origin["algorithm"] = reason or f"{config.algorithm}, as configured"
-    facts = {
+    metadata = {
         "configuration": config.model_dump(mode="json"),
         "seeds": list(seeds),
         "plant": origin["plant_identity"],
@@ -139,21 +139,21 @@ def train(
         "map": None if can is None else can.to_dict(),
     }
     check(moving, config, seeds, can)
-    workspace = Workspace(out, facts, resume, overwrite)
-    if workspace.complete:
-        return workspace.finish()
+    run_directory = RunDirectory(out, metadata, resume, overwrite)
+    if run_directory.complete:
+        return run_directory.finish()
     if progress is not None and reason is not None:
         progress("algorithm", 1.0, reason)
-    trained = train_jobs(moving, config, seeds, workspace, progress, engine=working, split=split, force_map=can)
+    trained = train_jobs(moving, config, seeds, run_directory, progress, engine=working, split=split, force_map=can)
     if refine:
-        trained, parents = train_refined(moving, trained, refine, workspace.part(REFINED), progress)
+        trained, parents = train_refined(moving, trained, refine, run_directory.part(REFINED), progress)
         origin |= {"refined_from": [cell.model_dump(mode="json") for cell in config.cells], "parents": list(parents)}
 
-    def save(folder: Path, seed: int, also: Callable[[Path], None] | None = None) -> None:
-        save_controller(folder, trained, seed, origin | {"seed": seed}, also, learnt, overwrite)
+    def save(folder: Path, seed: int, extra_files: Callable[[Path], None] | None = None) -> None:
+        save_controller(folder, trained, seed, origin | {"seed": seed}, extra_files, learnt, overwrite)
 
     def keep_log(folder: Path) -> None:
-        workspace.keep_log(folder)
+        run_directory.keep_log(folder)
         write_learning(folder / TRAINING_LOG)
 
     def save_all(folder: Path) -> None:
@@ -166,4 +166,4 @@ def train(
         save(out, seeds[0], keep_log)
     else:
         artifacts.write_folder(out, save_all, overwrite)
-    workspace.finish()
+    run_directory.finish()

@@ -3,8 +3,8 @@
 Standard errors are the sandwich estimator clustered by blocks of time: errors within a block may be correlated in any
 way, as those of a model always are; blocks are taken as independent (Cameron and Miller 2015, J. Human Resources 50,
 317, sec. II). Where a few strokes say most, that is too small by chance, so no standard error is less than the one for
-errors without any correlation. A parameter that sits on an end of its range is taken as known there, and one without any effect, such as
-a limit that is never met, is left out.
+errors without any correlation. A parameter that sits on an end of its range is taken as given there, and one without
+any effect, such as a limit that is never met, is left out.
 """
 
 from typing import Any
