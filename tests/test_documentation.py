@@ -22,6 +22,7 @@ from PIL import Image
 
 import softfin
 from softfin.cli import COMMANDS, main
+from softfin.cli.options import fields_of
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
 from softfin.data.collect import CollectConfig
@@ -165,7 +166,8 @@ VALUES = {"--reference": "1,0", "--onnx": "x.onnx"}
 @cache
 def options() -> set[str]:
     """Of all commands and scripts."""
-    names = {field.name for command in COMMANDS for field in fields(arguments_of(command))} | {"help", "version"}
+    names = {field.name.removeprefix("--") for command in COMMANDS for field in fields_of(arguments_of(command))}
+    names |= {"help", "version"}
     scripts = "".join(path.read_text() for folder in ("docs", "examples") for path in (ROOT / folder).glob("*.py"))
     names |= set(re.findall(r'add_argument\("--([\w-]+)"', scripts))
     names |= set(re.findall(r"^    (\w+): .* = ", scripts, re.MULTILINE))

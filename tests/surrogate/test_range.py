@@ -63,12 +63,12 @@ def test_the_stages_hand_it_on_from_the_dataset_to_the_controllers(tmp_path, mon
     logs = [small.recorded(300, seed) for seed in range(4)]
     write_dataset(tmp_path / "dataset", logs[:3], logs[3:], {"fin": "blue, 2 mm"})
 
-    def fit_any(logs, config, seed, workspace, progress):
-        workspace.log().close()
+    def fit_any(logs, config, seed, run_directory, progress):
+        run_directory.log().close()
         return small.surrogate(), None
 
-    def train_jobs(plant, config, seeds, workspace, progress, **options):
-        workspace.log().close()
+    def train_jobs(plant, config, seeds, run_directory, progress, **options):
+        run_directory.log().close()
         return untrained(SINGLE)._replace(seeds=tuple(seeds))
 
     monkeypatch.setattr("softfin.stages.fit.fit_any", fit_any)

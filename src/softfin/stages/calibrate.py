@@ -6,7 +6,7 @@ from typing import Any
 from softfin.core.plant import Plant
 from softfin.core.progress import Progress
 from softfin.storage import artifact as artifacts
-from softfin.storage.run_directory import Workspace
+from softfin.storage.run_directory import RunDirectory
 from softfin.tank.calibration.calibrate import calibrate as _calibrate
 from softfin.tank.calibration.config import CalibrateConfig
 from softfin.tank.calibration.report import write_calibration
@@ -27,15 +27,15 @@ def calibrate(
     config = config or CalibrateConfig()
     artifacts.check_vacant(out, overwrite or resume)
     found = material(data, config, seed)
-    facts = {"configuration": config.model_dump(mode="json"), "seed": seed, **found.metadata}
-    workspace = Workspace(out, facts, resume, overwrite)
-    if workspace.complete:
-        workspace.finish()
+    metadata = {"configuration": config.model_dump(mode="json"), "seed": seed, **found.metadata}
+    run_directory = RunDirectory(out, metadata, resume, overwrite)
+    if run_directory.complete:
+        run_directory.finish()
         return artifacts.load_description(out, "calibration")
-    calibration = _calibrate(config, found.train, found.test, seed, workspace, progress)
+    calibration = _calibrate(config, found.train, found.test, seed, run_directory, progress)
     named = str(data) if isinstance(data, str | Path) else type(data).__name__
     origin = artifacts.provenance(seed=seed, data=named, **found.metadata)
-    written = {"configuration": facts["configuration"], "provenance": origin}
-    summary = write_calibration(calibration, found.gaits, out, written, workspace.keep_log, overwrite)
-    workspace.finish()
+    written = {"configuration": metadata["configuration"], "provenance": origin}
+    summary = write_calibration(calibration, found.gaits, out, written, run_directory.keep_log, overwrite)
+    run_directory.finish()
     return summary

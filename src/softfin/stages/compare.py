@@ -49,10 +49,12 @@ def compare(
             progress("compare", done, note)
 
     comparison = _compare(found, list(data.load(data.test)), config, floor, report)
-    facts = {
+    metadata = {
         "dataset": str(dataset),
         "test_logs": len(data.test),
         "configuration": config.model_dump(mode="json"),
         "provenance": artifacts.provenance(seed=config.seed, data_hash=data.data_hash),
     }
-    return {**comparison.summary(), **facts} if out is None else write_comparison(comparison, out, facts, overwrite)
+    return (
+        {**comparison.summary(), **metadata} if out is None else write_comparison(comparison, out, metadata, overwrite)
+    )

@@ -39,9 +39,9 @@ def evaluate(
     evaluation = evaluation_of(controller, moving, config or EvaluateConfig(), str(plant))
     if out is None:
         return evaluation.summary()
-    facts = {"controller": str(controller), "kind": kind_of(controller), "plant": str(plant),
+    metadata = {"controller": str(controller), "kind": kind_of(controller), "plant": str(plant),
              "randomization": None if widths is None else widths.model_dump(mode="json")}  # fmt: skip
-    return write_evaluation(evaluation, out, facts, overwrite)
+    return write_evaluation(evaluation, out, metadata, overwrite)
 
 
 def kind_of(controller: Path) -> str:

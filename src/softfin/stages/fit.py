@@ -10,7 +10,7 @@ from softfin.data.importing.importing import ImportConfig
 from softfin.data.issues import check_issues
 from softfin.data.recordings import OpenedLogs, check_train, open_logs
 from softfin.storage import artifact as artifacts
-from softfin.storage.run_directory import Workspace
+from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate import (
     AutoConfig,
     FitConfig,
@@ -48,25 +48,25 @@ def fit(
     config = config or StreamingConfig()
     artifacts.check_vacant(out, overwrite or resume)
     opened = _opened(dataset, logs, ignore_errors, progress)
-    facts = {"configuration": config.model_dump(mode="json"), "seed": seed, "data_hash": opened.data_hash}
-    workspace = Workspace(out, facts, resume, overwrite)
-    if not workspace.complete:
+    metadata = {"configuration": config.model_dump(mode="json"), "seed": seed, "data_hash": opened.data_hash}
+    run_directory = RunDirectory(out, metadata, resume, overwrite)
+    if not run_directory.complete:
         check_commands_learnt(opened.train, str(dataset))
         test = opened.test
         check_lengths(test, SKIPPED, "test")
         if test:
             measured_ranges(test)
-        fitted, evidence = fit_any(opened.train, config, seed, workspace, progress)
+        fitted, evidence = fit_any(opened.train, config, seed, run_directory, progress)
         provenance = artifacts.provenance(
             seed=seed, data_hash=opened.data_hash, dataset=str(dataset), **opened.metadata
         )
         save_surrogate(
             out, fitted, table_one(fitted, test) if test else None, provenance,
-            extra_files=workspace.keep_log, overwrite=overwrite, configuration=facts["configuration"],
+            extra_files=run_directory.keep_log, overwrite=overwrite, configuration=metadata["configuration"],
             training_range=training_range(opened.train), fin=_fin_of(dataset),
             **({} if evidence is None else {"candidates": evidence}),
         )  # fmt: skip
-    workspace.finish()
+    run_directory.finish()
     description, surrogate = artifacts.load_description(out, "surrogate"), load_surrogate(out)
     summary = opened.inspection.summary()
     return {
@@ -82,12 +82,12 @@ def fit(
 def _opened(dataset: Path, config: ImportConfig | None, ignore_errors: bool, progress: Progress | None) -> OpenedLogs:
     opened = open_logs(dataset, config, progress)
     check_train(opened, str(dataset))
-    known = artifacts.load_description(dataset, "dataset") if artifacts.is_kind(dataset, "dataset") else None
+    description = artifacts.load_description(dataset, "dataset") if artifacts.is_kind(dataset, "dataset") else None
     # Datasets of softfin before 0.2 have "accepted" in place of "ignore_errors".
-    were_ignored = known is not None and True in (known.get("ignore_errors"), known.get("accepted"))
+    were_ignored = description is not None and True in (description.get("ignore_errors"), description.get("accepted"))
     check_issues(opened.issues, str(dataset), ignore_errors or were_ignored)
     # A dataset's own folder has its metadata.
-    return dataclasses.replace(opened, metadata={"logs": opened.metadata} if known is None else {})
+    return dataclasses.replace(opened, metadata={"logs": opened.metadata} if description is None else {})
 
 
 def _fin_of(dataset: Path) -> str | None:

@@ -24,7 +24,7 @@ from softfin.learning.jobs import default_split, find_engine, train_jobs
 from softfin.learning.refine import check_refinable, train_refined
 from softfin.storage import artifact as artifacts
 from softfin.storage.registry import find_plant
-from softfin.storage.run_directory import TRAINING_LOG, Workspace
+from softfin.storage.run_directory import TRAINING_LOG, RunDirectory
 from softfin.surrogate.range import learnt_from
 from softfin.task.references import PAPER_RANGE
 
@@ -41,16 +41,16 @@ def map_forces(
     config = config or MapConfig()
     artifacts.check_vacant(out, overwrite)
     moving = find_plant(plant) if isinstance(plant, str) else plant
-    known = _map_forces(moving, config, None if progress is None else partial(progress, "map"))
-    write_map(out, known, config, Limits(*map(float, moving.limits)), origin_of(plant, moving), overwrite)
-    missed, star = known.gaits.force_error(), check_star(known, config.tolerance_n)
+    found = _map_forces(moving, config, None if progress is None else partial(progress, "map"))
+    write_map(out, found, config, Limits(*map(float, moving.limits)), origin_of(plant, moving), overwrite)
+    errors, star = found.gaits.force_error(), check_star(found, config.tolerance_n)
     return {
         "map": str(out),
-        "box_n": known.reachable.bounds(),
-        "area_n2": known.reachable.area(),
-        "nodes": missed.size,
-        "held": int((missed <= config.tolerance_n).sum()),
-        "beyond": [list(force) for force in PAPER_REFERENCES if not known.reachable.contains(force)],
+        "box_n": found.reachable.bounds(),
+        "area_n2": found.reachable.area(),
+        "nodes": errors.size,
+        "held": int((errors <= config.tolerance_n).sum()),
+        "beyond": [list(force) for force in PAPER_REFERENCES if not found.reachable.contains(force)],
         "star_shape": star._asdict(),
         "warning": star.warning,
     }
@@ -61,31 +61,31 @@ def find_gaits(
     out: Path,
     config: MapConfig | None = None,
     *,
-    known: Path | None = None,
+    force_map: Path | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> None:
     """Find the gaits of a lattice of reference forces and write them as a controller, the folder `out`.
 
-    The folder of a map, `known`, has them already, over its own lattice.
+    The folder of a map, `force_map`, has them already, over its own lattice.
     """
     artifacts.check_vacant(out, overwrite)
     moving = find_plant(plant) if isinstance(plant, str) else plant
-    if known is None:
+    if force_map is None:
         config = config or MapConfig(box=PAPER_RANGE)
         found = _map_forces(moving, config, None if progress is None else partial(progress, "gaits"))
     elif config is None:
-        loaded = load_force_map(known, moving, name_of(plant))
+        loaded = load_force_map(force_map, moving, name_of(plant))
         found, config = loaded.force_map, loaded.config
     else:
-        raise ConfigurationError(f"map {known}: its lattice is made; give no configuration or range beside it")
-    origin = origin_of(plant, moving, **({} if known is None else {"map": str(known)}))
+        raise ConfigurationError(f"map {force_map}: its lattice is made; give no configuration or range beside it")
+    origin = origin_of(plant, moving, **({} if force_map is None else {"map": str(force_map)}))
     save_gaits(out, found, config, Limits(*map(float, moving.limits)), origin, None, learnt_from(plant), overwrite)
 
 
-def origin_of(plant: str | Plant, moving: Plant, **facts: Any) -> dict[str, Any]:
+def origin_of(plant: str | Plant, moving: Plant, **metadata: Any) -> dict[str, Any]:
     """Return the provenance of what was made in a plant."""
-    return artifacts.provenance(plant=name_of(plant), plant_identity=identity(moving), **facts)
+    return artifacts.provenance(plant=name_of(plant), plant_identity=identity(moving), **metadata)
 
 
 def name_of(plant: str | Plant) -> str:
@@ -98,7 +98,7 @@ def train(
     out: Path,
     config: TrainConfig | None = None,
     *,
-    known: Path | None = None,
+    force_map: Path | None = None,
     seeds: Sequence[int] = (0,),
     refine: int = 0,
     engine: EngineName = "local",
@@ -112,7 +112,7 @@ def train(
     """Train controllers inside a plant, as a rule a surrogate: by LSTM-PPO (paper Sec. III-C) or by gradients.
 
     Without a configuration it is a grid over the paper's cells, by gradients wherever the plant has them. The folder of
-    a map of the plant, `known`, says what the fin can do and saves the search for gaits; without, only training by
+    a map of the plant, `force_map`, says what the fin can do and saves the search for gaits; without, only training by
     gradients that begins as gaits looks for it, and references beyond reach are trained for as they are.
     One seed writes the controller's folder `out`; several are written as ``out/seed-N``. All is one program, unless
     it is `split` into jobs; the `engine` does these one after the other, or all at once on a Ray `cluster`. A grid's
@@ -124,10 +124,13 @@ def train(
     if config is None:
         config, reason = choose_preset(moving)
     check_refinable(config, refine)
-    can = None if known is None else load_force_map(known, moving, name_of(plant)).force_map
-    origin, learnt = origin_of(plant, moving, **({} if known is None else {"map": str(known)})), learnt_from(plant)
+    can = None if force_map is None else load_force_map(force_map, moving, name_of(plant)).force_map
+    origin, learnt = (
+        origin_of(plant, moving, **({} if force_map is None else {"map": str(force_map)})),
+        learnt_from(plant),
+    )
     origin["algorithm"] = reason or f"{config.algorithm}, as configured"
-    facts = {
+    metadata = {
         "configuration": config.model_dump(mode="json"),
         "seeds": list(seeds),
         "plant": origin["plant_identity"],
@@ -136,21 +139,21 @@ def train(
         "map": None if can is None else can.to_dict(),
     }
     check(moving, config, seeds, can)
-    workspace = Workspace(out, facts, resume, overwrite)
-    if workspace.complete:
-        return workspace.finish()
+    run_directory = RunDirectory(out, metadata, resume, overwrite)
+    if run_directory.complete:
+        return run_directory.finish()
     if progress is not None and reason is not None:
         progress("algorithm", 1.0, reason)
-    trained = train_jobs(moving, config, seeds, workspace, progress, engine=working, split=split, force_map=can)
+    trained = train_jobs(moving, config, seeds, run_directory, progress, engine=working, split=split, force_map=can)
     if refine:
-        trained, parents = train_refined(moving, trained, refine, workspace.part(REFINED), progress)
+        trained, parents = train_refined(moving, trained, refine, run_directory.part(REFINED), progress)
         origin |= {"refined_from": [cell.model_dump(mode="json") for cell in config.cells], "parents": list(parents)}
 
-    def save(folder: Path, seed: int, also: Callable[[Path], None] | None = None) -> None:
-        save_controller(folder, trained, seed, origin | {"seed": seed}, also, learnt, overwrite)
+    def save(folder: Path, seed: int, extra_files: Callable[[Path], None] | None = None) -> None:
+        save_controller(folder, trained, seed, origin | {"seed": seed}, extra_files, learnt, overwrite)
 
     def keep_log(folder: Path) -> None:
-        workspace.keep_log(folder)
+        run_directory.keep_log(folder)
         write_learning(folder / TRAINING_LOG)
 
     def save_all(folder: Path) -> None:
@@ -163,4 +166,4 @@ def train(
         save(out, seeds[0], keep_log)
     else:
         artifacts.write_folder(out, save_all, overwrite)
-    workspace.finish()
+    run_directory.finish()

@@ -40,7 +40,7 @@ def view(
         pairs = [resolve_reference(holding, asked, strict=False) for asked in (reference, *config.next_references)]
         reference, *following = (force for force, _ in pairs)
         config = config.merged({"next_references": following}, "view")
-        warnings = [said for _, said in pairs if said is not None]
+        warnings = [warning for _, warning in pairs if warning is not None]
         check_limits(holding.limits, Limits(*moving.limits), controller, plant)
     named = plant if isinstance(plant, str) else type(plant).__name__
     title = title_of(named, config, reference)

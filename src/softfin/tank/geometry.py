@@ -34,7 +34,7 @@ class FinConfig(Configuration):
     tip_thickness_ratio: float = Field(1.0, gt=0)
     """Thickness at the tip over that at the shaft [-]."""
     youngs_modulus_pa: float = Field(2.72e6, gt=0)
-    """Modulus in bending [Pa]; from the hardness, Shore A 22, one expects 0.8e6 (Gent 1958), 1.1e6 in a plate."""
+    """Young's modulus in bending [Pa]; by the hardness, Shore A 22, 0.8e6 (Gent 1958), 1.1e6 in a plate."""
     density_kg_m3: float = Field(1150.0, gt=0)
     """Density of the silicone [kg/m3]; addition silicones have 1050 to 1200."""
     damping_s: float = Field(0.0273, ge=0)

@@ -150,11 +150,11 @@ def test_a_reference_beyond_reach_is_brought_to_it_and_told(tmp_path, monkeypatc
 
     monkeypatch.setattr("softfin.stages.view.load_controller", lambda path: Weak())
     config = ViewConfig(seconds=0.2, next_references=((0.5, 0.0),))
-    facts = softfin.view(
+    metadata = softfin.view(
         "tests.evaluation.view.fins:BendingFin", tmp_path / "f.html", config, controller=tmp_path, reference=(2.0, 0.0)
     )
-    assert facts["warning"].startswith("reference (2, 0) N: this fin cannot make it")
-    assert facts["title"].endswith("asked for (1, 0), then (0.5, 0) N")
+    assert metadata["warning"].startswith("reference (2, 0) N: this fin cannot make it")
+    assert metadata["title"].endswith("asked for (1, 0), then (0.5, 0) N")
 
 
 def test_strokes_go_to_either_side_of_the_centre_on_the_action_clock():

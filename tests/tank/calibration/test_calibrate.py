@@ -14,7 +14,7 @@ from softfin.stages.calibrate import calibrate as calibrate_stage
 from softfin.storage.artifact import dump_json
 from softfin.storage.dataset import write_dataset
 from softfin.storage.log_file import read_log
-from softfin.storage.run_directory import Workspace
+from softfin.storage.run_directory import RunDirectory
 from softfin.tank import Tank, TankConfig
 from softfin.tank.calibration.calibrate import calibrate, normalised, prepared, scores
 from softfin.tank.calibration.config import CalibrateConfig, RecordingConfig
@@ -54,7 +54,7 @@ def logs(dataset):
 
 @pytest.fixture(scope="module")
 def found(logs, tmp_path_factory):
-    return calibrate(CONFIG, *logs, 0, Workspace(tmp_path_factory.mktemp("work") / "out", {}))
+    return calibrate(CONFIG, *logs, 0, RunDirectory(tmp_path_factory.mktemp("work") / "out", {}))
 
 
 def test_it_finds_the_parameters_of_the_tank_that_made_the_logs_within_their_standard_errors(found):
@@ -119,10 +119,10 @@ def test_a_resumed_run_ends_where_an_uninterrupted_one_does(logs, found, tmp_pat
             raise Stopped
 
     with pytest.raises(Stopped):
-        calibrate(CONFIG, *logs, 0, Workspace(tmp_path / "out", {}), stop)
+        calibrate(CONFIG, *logs, 0, RunDirectory(tmp_path / "out", {}), stop)
     seen = []
     again = calibrate(
-        CONFIG, *logs, 0, Workspace(tmp_path / "out", {}, resume=True), lambda *report: seen.append(report[:2])
+        CONFIG, *logs, 0, RunDirectory(tmp_path / "out", {}, resume=True), lambda *report: seen.append(report[:2])
     )
     assert min(done for stage, done in seen if stage == "search") > 0.5
     assert again.summary() == found.summary()

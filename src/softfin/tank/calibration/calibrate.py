@@ -15,7 +15,7 @@ from jaxtyping import Float
 from softfin.core.errors import ConfigurationError, LogError
 from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ, Command, Log
-from softfin.storage.run_directory import Workspace
+from softfin.storage.run_directory import RunDirectory
 from softfin.tank import TankConfig
 from softfin.tank.calibration.config import CalibrateConfig, Point, RecordingConfig, parameters_of
 from softfin.tank.calibration.determination import determination
@@ -71,7 +71,7 @@ def calibrate(
     train: Sequence[Log],
     test: Sequence[Log],
     seed: int,
-    run_directory: Workspace,
+    run_directory: RunDirectory,
     progress: Progress | None = None,
 ) -> Calibration:
     """Fit a tank to the training logs; goes on from the run directory's checkpoint where there is one.
@@ -125,7 +125,7 @@ def _global(
     segments: Segments,
     weights: Weights,
     seed: int,
-    run_directory: Workspace,
+    run_directory: RunDirectory,
     progress: Progress,
 ) -> Point:
     generations = -(-config.evaluations // config.population)

@@ -3,7 +3,7 @@
 Standard errors are the jackknife's over blocks of time, in the linear model about the optimum: each block is left out
 once. Errors within a block may be correlated in any way, as those of a model always are; blocks are taken as
 independent (Cameron and Miller 2015, J. Human Resources 50, 317, sec. VI.B). No standard error is less than that for
-errors without correlation. A parameter that sits on an end of its range is taken as known there, and one without any
+errors without correlation. A parameter that sits on an end of its range is taken as given there, and one without any
 effect, such as a limit that is never met, is left out.
 """
 
