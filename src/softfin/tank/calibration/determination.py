@@ -1,10 +1,10 @@
 """How well the logs determine each parameter, from the residuals and their slopes at the optimum.
 
-Standard errors are the sandwich estimator clustered by blocks of time: errors within a block may be correlated in any
-way, as those of a model always are; blocks are taken as independent (Cameron and Miller 2015, J. Human Resources 50,
-317, sec. II). Where a few strokes say most, that is too small by chance, so no standard error is less than the one for
-errors without any correlation. A parameter that sits on an end of its range is taken as given there, and one without
-any effect, such as a limit that is never met, is left out.
+Standard errors are the jackknife's over blocks of time, in the linear model about the optimum: each block is left out
+once. Errors within a block may be correlated in any way, as those of a model always are; blocks are taken as
+independent (Cameron and Miller 2015, J. Human Resources 50, 317, sec. VI.B). No standard error is less than that for
+errors without correlation. A parameter that sits on an end of its range is taken as given there, and one without any
+effect, such as a limit that is never met, is left out.
 """
 
 from typing import Any
@@ -44,27 +44,36 @@ def determination(linear: Linear, block_ticks: int, parameters: tuple[Parameter,
     # Along a direction without any slope the error is huge, and not infinite.
     least = 1e-12 * max(float(values.max(initial=0.0)), 1e-12)
     inverse = directions / np.maximum(values, least) @ directions.T
-    slopes = (linear.jacobian[free].astype(np.float64) * linear.residuals).sum(axis=-1)
-    parts = np.array_split(slopes, max(slopes.shape[2] // block_ticks, 1), axis=2)
-    gradients = np.concatenate([part.sum(axis=2) for part in parts], axis=1)
-    blocks = gradients.shape[1]
-    moved = inverse @ gradients
-    covariance = moved @ moved.T * blocks / (blocks - 1)
+    jacobian, residuals = linear.jacobian[free].astype(np.float64), linear.residuals.astype(np.float64)
+    count_within = max(residuals.shape[1] // block_ticks, 1)
+    blocks = [
+        (slopes[:, k].reshape(free.size, -1), errors[k].reshape(-1))
+        for slopes, errors in zip(
+            np.array_split(jacobian, count_within, axis=2), np.array_split(residuals, count_within, axis=1), strict=True
+        )
+        for k in range(len(residuals))
+    ]
+    # Least squares, as without a block that alone tells something of a parameter the estimate is anywhere.
+    moved = np.asarray([
+        np.linalg.lstsq(np.eye(free.size) - inverse @ slopes @ slopes.T, inverse @ slopes @ errors, rcond=1e-9)[0]
+        for slopes, errors in blocks
+    ])  # fmt: skip
+    covariance = moved.T @ moved * (len(blocks) - 1) / len(blocks)
 
-    errors, correlation, weakest = np.full(count, np.nan), np.full((count, count), np.nan), np.zeros(count)
-    clustered = np.sqrt(np.diag(covariance))
+    error, correlation, weakest = np.full(count, np.nan), np.full((count, count), np.nan), np.zeros(count)
+    jackknife = np.sqrt(np.diag(covariance))
     # Without correlation, each channel has the variance of its own errors.
-    variance = np.mean(np.square(linear.residuals, dtype=np.float64), axis=(0, 1))
-    flat = (inverse @ linear.jacobian[free].reshape(free.size, -1)).reshape(linear.jacobian[free].shape)
-    errors[free] = np.maximum(clustered, np.sqrt((flat**2 * variance).sum(axis=(1, 2, 3))))
-    correlation[np.ix_(free, free)] = covariance / np.outer(clustered, clustered)
+    shares = (inverse @ jacobian.reshape(free.size, -1)).reshape(jacobian.shape)
+    uncorrelated = (shares**2 * np.mean(residuals**2, axis=(0, 1))).sum(axis=(1, 2, 3))
+    error[free] = np.maximum(jackknife, np.sqrt(uncorrelated))
+    correlation[np.ix_(free, free)] = covariance / np.outer(jackknife, jackknife)
     weakest[free] = directions[:, 0] if free.size else 0.0
     pairs = np.argwhere(np.triu(np.abs(np.nan_to_num(correlation)), 1) > TRADING).tolist()
     names = [parameter.name for parameter in parameters]
     rows = {}
     for i, parameter in enumerate(parameters):
         undetermined = "no effect" if idle[i] else "low end" if low[i] else "high end" if high[i] else None
-        rows[parameter.name] = _row(parameter, float(at[i]), float(errors[i]), undetermined)
+        rows[parameter.name] = _row(parameter, float(at[i]), float(error[i]), undetermined)
     return {
         "parameters": rows,
         "trades": [
@@ -74,7 +83,7 @@ def determination(linear: Linear, block_ticks: int, parameters: tuple[Parameter,
         "correlation": [[None if np.isnan(c) else float(c) for c in row] for row in correlation],
         "singular_values": np.sqrt(np.maximum(values[::-1], 0.0)).tolist(),
         "weakest": {names[i]: float(weakest[i]) for i in np.argsort(-np.abs(weakest)) if abs(weakest[i]) > 0.1},
-        "blocks": blocks,
+        "blocks": len(blocks),
     }
 
 
