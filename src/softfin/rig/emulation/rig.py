@@ -65,7 +65,7 @@ class EmulatedRig:
         self.server = None if simulated else SocketcandServer(self._channel)
         # Within the process nobody else has the ports that a real one has.
         ports = (RDT_PORT, HTTP_PORT) if simulated else (0, 0)
-        self.sensor = EmulatedAxia80(self.fin, HOST, *ports, frame=FRAME, clock=self.clock)
+        self.sensor = EmulatedAxia80(self.fin, *ports, frame=FRAME, clock=self.clock)
 
     def start(self) -> None:
         """Power up."""
