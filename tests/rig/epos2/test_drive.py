@@ -326,15 +326,6 @@ def test_receiving_errors_are_told_and_do_not_end_the_receiver(monkeypatch: pyte
         assert made.faults
 
 
-@pytest.mark.parametrize(("state", "words"), [("PASSIVE", "is passive"), ("ERROR", "is off")])
-def test_the_adapters_own_word_about_the_bus_is_passed_on(
-    monkeypatch: pytest.MonkeyPatch, state: str, words: str
-) -> None:
-    with enabled() as made:
-        monkeypatch.setattr(type(made.drive._connection._bus), "state", can.BusState[state], raising=False)
-        assert any(words in line for line in made.drive.complaints())
-
-
 def test_an_on_fault_that_fails_does_not_end_the_receiver() -> None:
     with enabled() as made:
         made.drive._exchange._on_fault = lambda line: 1 / 0

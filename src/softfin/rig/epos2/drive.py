@@ -128,7 +128,7 @@ class Epos2:
         with exchange.lock:
             status, fault = exchange.status, exchange.status.fault()
             silence = self._clock() - status.heartbeat_time
-            lines = [fault, status.reboot(), exchange.trouble, status.missing(), self._connection.problem()]
+            lines = [fault, status.reboot(), exchange.trouble, status.missing()]
             if silence > self.config.heartbeat_s:
                 lines.append(
                     f"drive's heartbeat is missing for {silence:.2f} s; look at its supply and the bus's cable"
