@@ -89,6 +89,11 @@ def network(**fault: Any) -> Inject:
     return lambda at: FaultyNetwork.between(at.emulated.sensor).disturb(**fault)
 
 
+def bus_off(at: Scene) -> None:
+    at.emulated.drive.go_silent()
+    at.emulated.drive.fault(0x81FD)
+
+
 def disk_full(at: Scene) -> None:
     import softfin.storage.bag.writer as writer
 
@@ -104,7 +109,7 @@ def clock_jump(at: Scene) -> None:
 
 
 STOPS: dict[str, tuple[Inject, str]] = {
-    "bus off": (lambda at: at.emulated.drive.bus_off(), "no new angle|heartbeat|did not take a target"),
+    "bus off": (bus_off, "no new angle|heartbeat|did not take a target"),
     "bus takes no frames": (bus_lost, "takes no frames|angle"),
     "cable of the drive cut": (lambda at: at.emulated.drive.go_silent(), "no new angle|heartbeat|did not take"),
     "heartbeat lost": (lambda at: at.emulated.drive.drop_heartbeat(), "heartbeat is missing"),

@@ -4,7 +4,7 @@ import socket
 
 from softfin.core.clock import Clock
 from softfin.core.errors import DeviceError
-from softfin.rig.axia80.rdt import RdtCommand, RdtRecord, decode_records, encode_request
+from softfin.rig.axia80.rdt import RdtCommand, RdtRecord, decode_record, encode_request
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.simulated_network import SimulatedSocket
 
@@ -67,11 +67,11 @@ class RdtClient:
                 # The answer to an earlier request that found no listener; the silence will tell.
                 self.refused += 1
                 return records, arrived
-            decoded = decode_records(data)
-            if decoded is None:
+            record = decode_record(data)
+            if record is None:
                 self.refused += 1
             else:
-                records += decoded
+                records.append(record)
                 arrived = stamp
 
     def close(self) -> None:

@@ -138,11 +138,6 @@ class EmulatedDrive:
         self._network.silent = True
         self._node.nmt.stop_heartbeat()
 
-    def bus_off(self) -> None:
-        """Give up as a CAN controller does: silent, and in fault."""
-        self.go_silent()
-        self.fault(0x81FD)
-
     def reboot(self) -> None:
         """Start anew, as after a moment without supply: the zero is lost."""
         with self._lock:
@@ -231,7 +226,7 @@ class EmulatedDrive:
                 mode = objects.MODE.layout.unpack(data)[0]
                 if mode not in MODES:
                     raise canopen.SdoAbortedError(OUT_OF_RANGE)
-                self._motor.mode = mode
+                self._motor.set_mode(mode)
             elif index == objects.HEARTBEAT_CONSUMER.number:
                 # Watching begins with the first heartbeat after this (CiA 301).
                 self._host_beat = None
