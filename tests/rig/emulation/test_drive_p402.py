@@ -68,18 +68,6 @@ def test_it_is_brought_up_and_moved_to_a_set_point(bench: CanopenBench, set_up: 
     assert bench.drive.state is State.SWITCH_ON_DISABLED
 
 
-def test_a_fault_is_seen_and_reset_by_it(bench: CanopenBench) -> None:
-    node = by_sync(bench)
-    node.state = "OPERATION ENABLED"
-    bench.drive.fault(0x8611)
-    bench.until(lambda: node.state == "FAULT")
-    # It waits for the end of the fault before it has asked for it.
-    node.TIMEOUT_RESET_FAULT = 0.0
-    node.reset_from_fault()
-    assert bench.drive.state is State.OPERATION_ENABLED
-    assert [entry.code for entry in node.emcy.log] == [0x8611, 0x0000]
-
-
 def test_the_fin_is_homed_by_it(bench: CanopenBench) -> None:
     bench.fin.move(0.5, 1.0)
     bench.clock.now += 1.0

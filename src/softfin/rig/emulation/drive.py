@@ -33,39 +33,48 @@ ERROR_REGISTER = 0x01
 
 
 class _Network(canopen.Network):
-    """canopen's network over a cable that can be cut; the drive's own threads send and receive."""
+    """canopen's network over a cable that can be cut; its threads are those of the clock."""
 
-    silent = False
+    def __init__(self, clock: Clock) -> None:
+        super().__init__()
+        self._clock, self.silent = clock, False
 
     def send_message(self, can_id: int, data: bytes | bytearray | list[int], remote: bool = False) -> None:
         if not self.silent and self.bus is not None:
             super().send_message(can_id, bytes(data), remote)
 
     def send_periodic(self, can_id: int, data: Any, period: float, remote: bool = False) -> Any:
-        return _Heartbeat(data, max(1, round(period / TICK_S)))
+        return _Heartbeat(lambda data: self.send_message(can_id, data), data, period, self._clock)
 
 
 class _Heartbeat:
-    """What canopen keeps as a periodic task; the drive's thread sends its data, which is None once it has ended."""
+    """What canopen keeps as a periodic task: sent at once, and then every period [s]."""
 
-    def __init__(self, data: Any, ticks: int) -> None:
-        self.data, self.ticks = data, ticks
+    def __init__(self, send: Callable[[Any], None], data: Any, period: float, clock: Clock) -> None:
+        self._send, self._data, self._period = send, data, period
+        self._ended = clock.event()
+        clock.spawn(self._run, "emulated drive's heartbeat")
 
     def stop(self) -> None:
-        self.data = None
+        self._ended.set()
 
     def update(self, data: Any) -> None:
-        self.data = data
+        self._data = data
+
+    def _run(self) -> None:
+        while not self._ended.is_set():
+            with contextlib.suppress(can.CanError, RuntimeError):
+                self._send(self._data)
+            self._ended.wait(self._period)
 
 
 class EmulatedDrive:
     """A drive set up as `config` describes a real one; `start` it, `close` it."""
 
     def __init__(self, bus: BusConfig, config: Epos2Config, fin: EmulatedFin, clock: Clock = REAL) -> None:
-        self._config, self._clock = config, clock
-        self._bus_config = bus
+        self._bus_config, self._config, self._clock = bus, config, clock
         self._lock = clock.lock()
-        self._network = _Network()
+        self._network = _Network(clock)
         node: Any = canopen.LocalNode
         self._node = node(config.node, dictionary(values(config)))
         self._node.add_read_callback(self._live)
@@ -100,6 +109,7 @@ class EmulatedDrive:
         while self._threads:
             self._threads.pop().join(1.0)
         self._motor.halt()
+        self._node.nmt.stop_heartbeat()
         bus, self._network.bus = self._network.bus, None
         if bus is not None:
             bus.shutdown()
@@ -197,9 +207,7 @@ class EmulatedDrive:
         return value
 
     def _run(self) -> None:
-        ticks = 0
         while not self._ending.wait(TICK_S):
-            ticks += 1
             with self._lock, contextlib.suppress(can.CanError):
                 self._enter(drive_motor.BY_ITSELF.get(self.state, self.state))
                 if self.state is State.OPERATION_ENABLED and self._is_behind():
@@ -208,9 +216,6 @@ class EmulatedDrive:
                 if silence and self._host_beat is not None and self._clock() - self._host_beat > silence / 1000:
                     self._host_beat = None
                     self.fault(0x8130)
-                beat = self._node.nmt._send_task
-                if beat is not None and ticks % beat.ticks == 0:
-                    self._network.send_message(objects.HEARTBEAT + self._config.node, beat.data)
 
     def _live(self, index: int, subindex: int, od: Any) -> int | None:
         with self._lock:
