@@ -1,14 +1,9 @@
 """The sensor over UDP and HTTP, in real time: what simulated time cannot show."""
 
 import contextlib
-import socket
-import time
 
 import pytest
 
-from softfin.core.clock import RealClock
-from softfin.core.errors import DeviceError
-from softfin.rig.axia80 import pages
 from softfin.rig.axia80 import sensor as axia80
 from softfin.rig.axia80.config import Axia80Config
 from softfin.rig.axia80.sensor import Axia80
@@ -46,30 +41,3 @@ def test_the_force_arrives_over_sockets_too():
             assert client.measured(0.1).mean == pytest.approx(wrench, abs=1e-3)
         finally:
             client.close()
-
-
-def test_a_wall_clock_that_is_set_moves_no_force_in_time():
-    jumped = 0.0
-
-    class JumpingClock(RealClock):
-        def wall(self):
-            return time.time() + jumped
-
-    with emulated() as sensor:
-        client = Axia80(config_of(sensor), JumpingClock())
-        client.open()
-        for step in (0.0, 3600.0, -86400.0, 0.01):
-            jumped = step
-            for _ in range(5):
-                assert 0 < time.monotonic() - client.read().force_time < 1
-                time.sleep(0.01)
-        client.close()
-    assert client.counters()["sensor_lost"] == 0
-
-
-def test_a_page_that_hangs_does_not_hold_the_opening_up(monkeypatch):
-    monkeypatch.setattr(pages, "PAGE_TIMEOUT_S", 0.2)
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        config = Axia80Config(address="127.0.0.1", http_port=server.getsockname()[1], frame="x,y")
-        with pytest.raises(DeviceError, match=r"no answer in 0\.2 s"):
-            Axia80(config).open()

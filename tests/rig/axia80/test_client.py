@@ -3,7 +3,7 @@ import time
 
 import pytest
 
-from softfin.core.clock import REAL, RealClock
+from softfin.core.clock import REAL
 from softfin.core.errors import DeviceError
 from softfin.rig.axia80.client import RdtClient
 from softfin.rig.axia80.rdt import RdtCommand, RdtRecord, encode_record
@@ -12,11 +12,11 @@ from softfin.rig.axia80.rdt import RdtCommand, RdtRecord, encode_record
 class Sensor:
     """A socket in the sensor's place."""
 
-    def __init__(self, clock=REAL):
+    def __init__(self):
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.settimeout(5)
         self.socket.bind(("127.0.0.1", 0))
-        self.client = RdtClient("127.0.0.1", self.socket.getsockname()[1], clock)
+        self.client = RdtClient("127.0.0.1", self.socket.getsockname()[1], REAL)
         self.client.send(RdtCommand.START)
         self.asked, self.address = self.socket.recvfrom(100)
 
@@ -45,59 +45,30 @@ def test_the_sensor_is_asked_in_eight_bytes(sensor):
     assert sensor.address[0] == "127.0.0.1"
 
 
-def test_datagrams_of_one_or_several_records_are_taken(sensor):
-    sensor.send(encode_record(record(1)), encode_record(record(2)) + encode_record(record(3)))
-    assert [records for records, _ in sensor.client.drain()] == [(record(1),), (record(2), record(3))]
-    assert sensor.client.drain() == []
+def test_all_that_has_arrived_is_taken_in_order(sensor):
+    sensor.send(encode_record(record(1)), encode_record(record(2)))
+    assert sensor.client.drain()[0] == [record(1), record(2)]
+    assert sensor.client.drain()[0] == []
 
 
 def test_what_others_send_is_not_taken(sensor):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.sendto(encode_record(record(1)), sensor.address)
-    assert sensor.client.drain() == []
+    assert sensor.client.drain()[0] == []
     assert sensor.client.refused == 0
 
 
 def test_what_is_no_record_is_counted_and_not_taken(sensor):
-    sensor.send(b"", bytes(35), bytes(36 * 41), bytes(36 * 200), encode_record(record(1)))
-    assert len(sensor.client.drain()) == 1
+    sensor.send(b"", bytes(35), bytes(72), bytes(36 * 200), encode_record(record(1)))
+    assert sensor.client.drain()[0] == [record(1)]
     assert sensor.client.refused == 4
 
 
-@pytest.mark.parametrize("jump_s", [0.0, -3600.0, 3600.0])
-def test_a_wall_clock_that_jumps_moves_no_stamp_out_of_the_drain(jump_s):
-    jumped = 0.0
-
-    class JumpingClock(RealClock):
-        def wall(self):
-            return time.time() + jumped
-
-    sensor = Sensor(JumpingClock())
-    try:
-        sensor.client.drain()
-        before = time.monotonic()
-        sensor.send(encode_record(record(1)))
-        jumped = jump_s
-        ((_, received),) = sensor.client.drain()
-        assert before - 5 < received <= time.monotonic()
-    finally:
-        sensor.close()
-
-
-def test_a_record_that_waited_is_stamped_with_its_arrival(sensor):
-    def waited(number):
-        sensor.client.drain()
-        sensor.send(encode_record(record(number)))
-        sent = time.monotonic()
-        time.sleep(0.05)
-        ((_, received),) = sensor.client.drain()
-        return received - sent
-
-    first = waited(1)
-    if not sensor.client._stamped:
-        pytest.skip("this system does not stamp what arrives")
-    # A busy machine may delay an arrival; a record that is stamped when it is read never has less than the wait.
-    assert first < 0.04 or any(waited(number) < 0.04 for number in range(2, 50))
+def test_a_record_is_stamped_no_earlier_than_it_was_sent_and_no_later_than_it_was_taken(sensor):
+    before = time.monotonic()
+    sensor.send(encode_record(record(1)))
+    _, arrived = sensor.client.drain()
+    assert before <= arrived <= time.monotonic()
 
 
 @pytest.mark.parametrize("host", ["no such host", "192.168.1.1.1", "a" * 300])

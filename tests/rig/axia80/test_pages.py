@@ -9,7 +9,7 @@ import pytest
 from softfin.core.errors import DeviceError, RigError
 from softfin.rig.axia80 import pages
 from softfin.rig.axia80.pages import MAX_PAGE_BYTES, SETTINGS, fetch_page, parse_settings, read_settings
-from softfin.rig.emulation.sensor_pages import sensor_pages, serve_pages
+from softfin.rig.emulation.sensor import sensor_pages, serve_pages
 
 CASES = 100_000 if os.environ.get("SOFTFIN_LONG") == "1" else 1_000
 
@@ -47,7 +47,7 @@ def answering(*chunks, pause_s=0.0):
 
 @contextlib.contextmanager
 def serving(content):
-    server = serve_pages("127.0.0.1", 0, content)
+    server = serve_pages(0, content)
     try:
         yield server.server_port
     finally:

@@ -83,9 +83,10 @@ def test_frames_go_both_ways_between_two_clients_and_the_virtual_bus() -> None:
                     assert message is not None
                     assert (message.arbitration_id, bytes(message.data)) == (0x123, data)
             inside.send(can.Message(arbitration_id=0x12345678, data=b"\xfe", is_extended_id=True))
+            inside.send(can.Message(arbitration_id=0x7FF, data=b"\xfe", is_extended_id=False))
             message = first.recv(PATIENCE_S)
             assert message is not None
-            assert (message.arbitration_id, message.is_extended_id, bytes(message.data)) == (0x12345678, True, b"\xfe")
+            assert (message.arbitration_id, bytes(message.data)) == (0x7FF, b"\xfe")
 
 
 @pytest.mark.parametrize(

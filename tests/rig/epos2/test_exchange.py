@@ -55,8 +55,10 @@ def test_a_lowering_that_was_lost_is_sent_again() -> None:
     shake.offer(FIRST)
     shake.step(False, 0.0)
     assert shake.step(True, 0.01) is True
+    shake.offer(SECOND)
     assert shake.step(True, 0.02) is None
     assert shake.step(True, 0.1) is True
+    assert shake.step(False, 0.11) == SECOND
 
 
 @pytest.mark.parametrize("raised", [True, False], ids=["after a target", "before the first target"])

@@ -57,19 +57,13 @@ def test_a_fault_in_the_statusword_alone_is_told_once() -> None:
     assert status.fault()
 
 
-def test_a_boot_up_message_is_told() -> None:
-    status = DriveStatus(NODE)
-    line = status.take(0x705, b"\0", 3.0)
-    assert line is not None
-    assert "started anew" in line
-    assert status.rebooted
-
-
-def test_frames_of_other_nodes_change_nothing() -> None:
+def test_a_boot_up_message_is_told_and_frames_of_other_nodes_change_nothing() -> None:
     status = DriveStatus(NODE)
     for function in (0x080, 0x180, 0x280, 0x380, 0x700):
         assert status.take(function + 6, bytes(8), 0.0) is None
     assert (status.ever, status.nmt, status.emergency) == (0, None, None)
+    assert "started anew" in str(status.take(0x705, b"\0", 3.0))
+    assert status.rebooted
 
 
 @pytest.mark.parametrize("function", [0x085, 0x185, 0x285, 0x385, 0x705])

@@ -13,9 +13,6 @@ HEADER = 0x1234
 REQUEST = struct.Struct("!HHI")
 RECORD = struct.Struct("!IIIiiiiii")
 
-MAX_RECORDS = 40
-"""Most records in one datagram: as many as an Ethernet frame of 1500 bytes holds."""
-
 OVER_RANGE = 0xC0000000
 """Status of a record whose force or torque is out of range."""
 
@@ -65,14 +62,12 @@ def encode_record(record: RdtRecord) -> bytes:
     return RECORD.pack(record.rdt_sequence, record.ft_sequence, record.status, *record.counts)
 
 
-def decode_records(datagram: bytes) -> tuple[RdtRecord, ...] | None:
-    """The records in a datagram; None if its size is not that of 1 to `MAX_RECORDS` records."""
-    if not datagram or len(datagram) % RECORD.size or len(datagram) > MAX_RECORDS * RECORD.size:
+def decode_record(datagram: bytes) -> RdtRecord | None:
+    """The record in a datagram; None if its size is another one."""
+    if len(datagram) != RECORD.size:
         return None
-    return tuple(
-        RdtRecord(rdt, ft, status, (fx, fy, fz, tx, ty, tz))
-        for rdt, ft, status, fx, fy, fz, tx, ty, tz in RECORD.iter_unpack(datagram)
-    )
+    rdt, ft, status, fx, fy, fz, tx, ty, tz = RECORD.unpack(datagram)
+    return RdtRecord(rdt, ft, status, (fx, fy, fz, tx, ty, tz))
 
 
 class StatusBit(NamedTuple):

@@ -12,7 +12,6 @@ import numpy as np
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import DeviceError, RigError
-from softfin.rig.axia80.client import RdtClient
 from softfin.rig.axia80.config import Axia80Config
 from softfin.rig.axia80.pages import SensorSettings, fetch_page, read_settings
 from softfin.rig.axia80.rdt import RdtCommand, decode_status
@@ -91,8 +90,7 @@ class Axia80:
             wanted, found = getattr(config, name), getattr(settings, name)
             if wanted is not None and wanted != found:
                 raise RigError(f"{self._name}: {name} must be {wanted!r}, got {found!r}; check address or {name}")
-        client = RdtClient(config.address, config.rdt_port, clock)
-        self._stream = ForceStream(client, config, settings, clock())
+        self._stream = ForceStream(config, settings, clock)
         self._retries = self._restarts_seen = 0
         try:
             self._await_stream()
@@ -179,7 +177,6 @@ class Axia80:
             "sensor_records": stream.records,
             "sensor_lost": stream.sequence.lost,
             "sensor_late": stream.sequence.late,
-            "sensor_duplicates": stream.sequence.duplicates,
             "sensor_streams": stream.sequence.streams,
             "sensor_restarts": stream.sequence.restarts,
             "sensor_bridged": stream.filter.bridged,

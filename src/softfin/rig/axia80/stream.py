@@ -1,12 +1,12 @@
 """The stream of an Axia80's records: counted, put in order, timed, scaled, filtered, rotated into softfin's axes."""
 
-import enum
 from collections import deque
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from softfin.core.clock import Clock
 from softfin.rig.axia80.client import RdtClient
 from softfin.rig.axia80.config import Axia80Config
 from softfin.rig.axia80.pages import SensorSettings
@@ -15,8 +15,8 @@ from softfin.rig.filter import AntiAlias
 from softfin.rig.frame import rotated, rotation
 from softfin.rig.machine import Wrench
 
-WINDOW = 1024
-"""Number of records that are remembered, to tell a late one from a duplicate."""
+LATE_RECORDS = 64
+"""Records by which one may be overtaken; one that comes later than that begins another stream."""
 
 MAX_GAP = 1 << 20
 """Longest gap in records; two minutes at the sensor's fastest. A longer jump begins another stream."""
@@ -32,12 +32,6 @@ BASE_S = 0.3
 """Shortest stretch of a stream from which its rate is measured [s]."""
 
 
-class Arrival(enum.Enum):
-    """How a record relates to the ones before it; NEXT is newer than all, NEW_STREAM the first after a request."""
-
-    NEXT, LATE, DUPLICATE, NEW_STREAM = range(4)
-
-
 class SequenceCounter:
     """Gives each record a place in one row of integers that never rolls over; counts what is lost, late or doubled.
 
@@ -46,52 +40,37 @@ class SequenceCounter:
     """
 
     def __init__(self) -> None:
-        self.lost = self.late = self.duplicates = self.streams = self.restarts = 0
+        self.lost = self.late = self.streams = self.restarts = 0
         self._newest: tuple[int, int] | None = None
         """Both numbers of the newest record."""
         self._is_requested = True
-        self._index = self._first = 0
-        self._recent: dict[int, int] = {}
-        """Both numbers of recent records."""
+        self._place = 0
 
     def begin(self) -> None:
         """A stream was requested: the next record is its first."""
         self._is_requested = True
 
-    def take(self, rdt_sequence: int, ft_sequence: int) -> tuple[Arrival, int]:
-        """How a record relates to those before, and its place in the row."""
+    def take(self, rdt_sequence: int, ft_sequence: int) -> tuple[int, bool] | None:
+        """Place of a record, and whether it begins a stream; None for one that is not newer than all before.
+
+        On one cable nothing is overtaken or doubled; where it is, it stays lost, and is counted as late.
+        """
         rdt, ft = self._newest or (rdt_sequence, ft_sequence)
         step, age = _difference(rdt_sequence, rdt), _difference(ft_sequence, ft)
-        is_next = 0 < step <= MAX_GAP and age >= 0
-        is_late = -WINDOW < step <= 0 and age <= 0 and self._recent.get(rdt_sequence, ft_sequence) == ft_sequence
-        if self._is_requested or not (is_next or is_late):
+        is_next = not self._is_requested and 0 < step <= MAX_GAP and age >= 0
+        if is_next:
+            self.lost += step - 1
+            self._place += step
+        elif not self._is_requested and -LATE_RECORDS < step <= 0 and age <= 0:
+            self.late += 1
+            return None
+        else:
             self.streams += 1
             self.restarts += age < 0
-            self._index += 1
-            self._first, self._is_requested = self._index, False
-            self._recent.clear()
-            arrival = Arrival.NEW_STREAM
-        elif is_next:
-            self.lost += step - 1
-            self._index += step
-            arrival = Arrival.NEXT
-        elif rdt_sequence in self._recent:
-            self.duplicates += 1
-            return Arrival.DUPLICATE, self._index + step
-        else:
-            self.late += 1
-            # Nothing is missing before the first record of a stream.
-            self.lost -= self._index + step > self._first
-            self._remember(rdt_sequence, ft_sequence)
-            return Arrival.LATE, self._index + step
+            self._place += 1
+            self._is_requested = False
         self._newest = rdt_sequence, ft_sequence
-        self._remember(rdt_sequence, ft_sequence)
-        return arrival, self._index
-
-    def _remember(self, rdt_sequence: int, ft_sequence: int) -> None:
-        self._recent[rdt_sequence] = ft_sequence
-        if len(self._recent) > WINDOW:
-            del self._recent[next(iter(self._recent))]
+        return self._place, not is_next
 
 
 def _difference(after: int, before: int) -> int:
@@ -147,15 +126,16 @@ class ForceReading(NamedTuple):
 class ForceStream:
     """Everything received since the sensor was opened; several streams, where it had to be asked again."""
 
-    def __init__(self, client: RdtClient, config: Axia80Config, settings: SensorSettings, opened: float) -> None:
-        self.client = client
+    def __init__(self, config: Axia80Config, settings: SensorSettings, clock: Clock) -> None:
+        self.client = RdtClient(config.address, config.rdt_port, clock)
+        self._clock = clock
         self.sequence = SequenceCounter()
         self.filter = AntiAlias(config.rate_hz, config.cutoff_hz)
         self.times = StreamClock(config.rate_hz)
         self.records = self.error_records = 0
         self.status = 0
         """Every status bit that a record of the newest arrivals had set."""
-        self.taken = opened
+        self.taken = clock()
         """When it was taken from the socket [s]: later, if the process was held up. Silence counts from here."""
         self.collected: list[Float[np.ndarray, " 6"]] | None = None
         """A list that every record is appended to, in the sensor's axes [N, N m], if a caller sets one."""
@@ -176,19 +156,13 @@ class ForceStream:
 
     def take(self) -> None:
         """Take all that has arrived."""
-        datagrams = self.client.drain()
-        newest: tuple[int, float] | None = None
-        if datagrams:
+        records, arrived = self.client.drain()
+        if records:
             self.status = 0
-        for records, received in datagrams:
-            for record in records:
-                self.status |= record.status
-                place = self._put(record)
-                if place is not None:
-                    newest = (place, received)
-        if newest is not None:
-            self.taken = self.client.drained
-            self.times.stamp(*newest)
+        places = [place for record in records if (place := self._put(record)) is not None]
+        if places:
+            self.taken = self._clock()
+            self.times.stamp(places[-1], arrived)
 
     def reading(self) -> ForceReading | None:
         """The newest force; the old one during a gap. None before there was any."""
@@ -204,14 +178,16 @@ class ForceStream:
         return ForceReading(*self._force, peak)
 
     def _put(self, record: RdtRecord) -> int | None:
-        """The record's place, where it is newer than all before."""
+        """Place of the record, where it is newer than all before."""
         self.records += 1
+        self.status |= record.status
         if record.status:
             self.error_records += any(bit.is_error for bit in decode_status(record.status))
-        arrival, place = self.sequence.take(record.rdt_sequence, record.ft_sequence)
-        if arrival is Arrival.DUPLICATE:
+        taken = self.sequence.take(record.rdt_sequence, record.ft_sequence)
+        if taken is None:
             return None
-        if arrival is Arrival.NEW_STREAM:
+        place, begins = taken
+        if begins:
             self.filter.clear()
             self.times.begin()
         values = self._scale * record.counts
@@ -219,4 +195,4 @@ class ForceStream:
         np.maximum(self._peak, np.abs(values), out=self._peak)
         if self.collected is not None:
             self.collected.append(values)
-        return None if arrival is Arrival.LATE else place
+        return place

@@ -17,7 +17,7 @@ HOST = "127.0.0.1"
 CYCLE_S = 0.2
 FIRST_FRAME_S = 0.05
 LONGEST_LINE = 256
-_SEND = re.compile(r"< send ([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8}) ([0-8]) ((?:[0-9A-Fa-f]{1,2} ?){0,8}) ?>")
+_SEND = re.compile(r"< send ([0-7][0-9A-Fa-f]{2}) ([0-8]) ((?:[0-9A-Fa-f]{1,2} ?){0,8}) ?>")
 
 
 class SocketcandServer(socketserver.ThreadingTCPServer):
@@ -78,7 +78,7 @@ class _Client(socketserver.BaseRequestHandler):
 
     def _forward(self, message: can.Message) -> None:
         with contextlib.suppress(OSError):
-            if not message.is_remote_frame:
+            if not (message.is_remote_frame or message.is_extended_id):
                 self.request.sendall(line_of(message).encode())
 
     def _lines(self) -> Iterator[str]:
@@ -94,19 +94,14 @@ class _Client(socketserver.BaseRequestHandler):
 
 
 def parse(line: str) -> can.Message | None:
-    """The frame in a line of a client; None where there is none."""
+    """The frame in a line of a client, of 11-bit identifiers alone; None where there is none."""
     match = _SEND.fullmatch(line)
-    if not match:
+    data = bytes(int(part, 16) for part in match[3].split()) if match else b""
+    if not match or len(data) != int(match[2]):
         return None
-    number, length, body = match.groups()
-    data = bytes(int(part, 16) for part in body.split())
-    cob_id, extended = int(number, 16), len(number) == 8
-    if len(data) != int(length) or cob_id > (0x1FFFFFFF if extended else 0x7FF):
-        return None
-    return can.Message(arbitration_id=cob_id, data=data, is_extended_id=extended)
+    return can.Message(arbitration_id=int(match[1], 16), data=data, is_extended_id=False)
 
 
 def line_of(message: can.Message) -> str:
     """A frame as a line for a client."""
-    number = f"{message.arbitration_id:0{8 if message.is_extended_id else 3}X}"
-    return f"< frame {number} {message.timestamp:.6f} {bytes(message.data).hex().upper()} >"
+    return f"< frame {message.arbitration_id:03X} {message.timestamp:.6f} {bytes(message.data).hex().upper()} >"

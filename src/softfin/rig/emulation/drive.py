@@ -6,7 +6,6 @@ serves its objects. What a test wants to go wrong is a method: `fault`, `stall`,
 
 import contextlib
 import threading
-from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -16,7 +15,6 @@ import canopen
 from softfin.core.clock import REAL, Clock
 from softfin.rig.emulation import drive_motor
 from softfin.rig.emulation.drive_motor import MODES, EmulatedMotor
-from softfin.rig.emulation.drive_network import DriveNetwork
 from softfin.rig.emulation.drive_objects import ERRORS_KEPT, OUT_OF_RANGE, ProcessData, dictionary, values
 from softfin.rig.emulation.fin import EmulatedFin
 from softfin.rig.epos2 import cia402, objects
@@ -26,21 +24,57 @@ from softfin.rig.epos2.objects import Object
 from softfin.rig.simulated_bus import open_bus
 
 TICK_S = 0.005
-SDO_LENGTH = 8
+CYCLE_S = 0.05
+"""Longest time between two looks of the receiver at whether it is to end."""
 NMT_STOP = 0x02
 NMT_COMMANDS = (objects.NMT_START, NMT_STOP, objects.NMT_PRE_OPERATIONAL, objects.NMT_RESET)
 ERROR_REGISTER = 0x01
 """Generic error: the bit of the error register that every error sets (CiA 301); those of its kind are not emulated."""
 
 
+class _Network(canopen.Network):
+    """canopen's network over a cable that can be cut; its threads are those of the clock."""
+
+    def __init__(self, clock: Clock) -> None:
+        super().__init__()
+        self._clock, self.silent = clock, False
+
+    def send_message(self, can_id: int, data: bytes | bytearray | list[int], remote: bool = False) -> None:
+        if not self.silent and self.bus is not None:
+            super().send_message(can_id, bytes(data), remote)
+
+    def send_periodic(self, can_id: int, data: Any, period: float, remote: bool = False) -> Any:
+        return _Heartbeat(lambda data: self.send_message(can_id, data), data, period, self._clock)
+
+
+class _Heartbeat:
+    """What canopen keeps as a periodic task: sent at once, and then every period [s]."""
+
+    def __init__(self, send: Callable[[Any], None], data: Any, period: float, clock: Clock) -> None:
+        self._send, self._data, self._period = send, data, period
+        self._ended = clock.event()
+        clock.spawn(self._run, "emulated drive's heartbeat")
+
+    def stop(self) -> None:
+        self._ended.set()
+
+    def update(self, data: Any) -> None:
+        self._data = data
+
+    def _run(self) -> None:
+        while not self._ended.is_set():
+            with contextlib.suppress(can.CanError, RuntimeError):
+                self._send(self._data)
+            self._ended.wait(self._period)
+
+
 class EmulatedDrive:
     """A drive set up as `config` describes a real one; `start` it, `close` it."""
 
     def __init__(self, bus: BusConfig, config: Epos2Config, fin: EmulatedFin, clock: Clock = REAL) -> None:
-        self._bus, self._config, self._clock = bus, config, clock
+        self._bus_config, self._config, self._clock = bus, config, clock
         self._lock = clock.lock()
-        self._network = DriveNetwork(self._take, clock)
-        self.counters: Counter[str] = Counter()
+        self._network = _Network(clock)
         node: Any = canopen.LocalNode
         self._node = node(config.node, dictionary(values(config)))
         self._node.add_read_callback(self._live)
@@ -58,25 +92,27 @@ class EmulatedDrive:
         }
         self._errors: list[int] = []
         self._ending = clock.event()
-        self._ticking: threading.Thread | None = None
+        self._threads: list[threading.Thread] = []
         self._power_up()
 
     def start(self) -> None:
         """Power-up: boot-up message, then pre-operational and switched off."""
-        self._network.receive(open_bus(self._bus, self._clock))
+        bus = self._network.bus = open_bus(self._bus_config, self._clock)
         self._network[self._config.node] = self._node
+        self._threads = [self._clock.spawn(lambda: self._receive(bus), "emulated drive's receiver")]
         self._boot()
-        self._ticking = self._clock.spawn(self._run, "emulated drive")
+        self._threads.append(self._clock.spawn(self._run, "emulated drive"))
 
     def close(self) -> None:
         """Power-down; any number of times."""
         self._ending.set()
-        if self._ticking:
-            self._ticking.join(1.0)
-            self._ticking = None
+        while self._threads:
+            self._threads.pop().join(1.0)
         self._motor.halt()
         self._node.nmt.stop_heartbeat()
-        self._network.disconnect()
+        bus, self._network.bus = self._network.bus, None
+        if bus is not None:
+            bus.shutdown()
 
     def __enter__(self) -> "EmulatedDrive":
         self.start()
@@ -92,8 +128,6 @@ class EmulatedDrive:
     def recall(self, remembered: dict[str, Any]) -> None:
         """Go on as if its supply had never been off."""
         self._motor.zero, self._motor.referenced = int(remembered["zero_counts"]), bool(remembered["referenced"])
-
-    # -- what can go wrong --------------------------------------------------------------------------------------------
 
     def fault(self, code: int) -> None:
         """Emergency frame, error history, fault reaction."""
@@ -114,11 +148,6 @@ class EmulatedDrive:
         self._network.silent = True
         self._node.nmt.stop_heartbeat()
 
-    def bus_off(self) -> None:
-        """Give up as a CAN controller does: silent, and in fault."""
-        self.go_silent()
-        self.fault(0x81FD)
-
     def reboot(self) -> None:
         """Start anew, as after a moment without supply: the zero is lost."""
         with self._lock:
@@ -133,8 +162,6 @@ class EmulatedDrive:
     def ignore_targets(self, count: int) -> None:
         """Take none of the next targets, as if their frames were lost."""
         self._motor.ignored = count
-
-    # -- state --------------------------------------------------------------------------------------------------------
 
     @property
     def statusword(self) -> int:
@@ -189,10 +216,6 @@ class EmulatedDrive:
                 if silence and self._host_beat is not None and self._clock() - self._host_beat > silence / 1000:
                     self._host_beat = None
                     self.fault(0x8130)
-                if self._node.nmt.state == "OPERATIONAL":
-                    self._process_data.send_events()
-
-    # -- objects ------------------------------------------------------------------------------------------------------
 
     def _live(self, index: int, subindex: int, od: Any) -> int | None:
         with self._lock:
@@ -208,7 +231,7 @@ class EmulatedDrive:
                 mode = objects.MODE.layout.unpack(data)[0]
                 if mode not in MODES:
                     raise canopen.SdoAbortedError(OUT_OF_RANGE)
-                self._motor.mode = mode
+                self._motor.set_mode(mode)
             elif index == objects.HEARTBEAT_CONSUMER.number:
                 # Watching begins with the first heartbeat after this (CiA 301).
                 self._host_beat = None
@@ -226,25 +249,31 @@ class EmulatedDrive:
         if self.state is State.OPERATION_ENABLED:
             self._motor.control(word, before)
 
-    # -- frames -------------------------------------------------------------------------------------------------------
+    def _receive(self, bus: can.BusABC) -> None:
+        while not self._ending.is_set():
+            try:
+                message = bus.recv(CYCLE_S)
+            except (can.CanError, OSError):
+                return
+            if message is None or self._network.silent:
+                continue
+            # canopen takes 29-bit identifiers for 11-bit ones.
+            if not (message.is_error_frame or message.is_extended_id or message.is_remote_frame):
+                self._take(message.arbitration_id, bytes(message.data))
 
-    def _take(self, message: can.Message) -> None:
-        cob_id, data = message.arbitration_id, bytes(message.data)
+    def _take(self, cob_id: int, data: bytes) -> None:
         is_sdo = cob_id & 0x780 == objects.SDO_REQUEST
         # canopen's server would print a traceback for the first, and has states of its own for the second.
-        wrong_sdo = is_sdo and len(data) != SDO_LENGTH
+        wrong_sdo = is_sdo and len(data) != 8
         wrong_nmt = cob_id == objects.NMT and (len(data) != 2 or data[0] not in NMT_COMMANDS)
         if wrong_sdo or wrong_nmt or (is_sdo and self._node.nmt.state == "STOPPED"):
-            self.counters["refused frames"] += 1
             return
-        try:
+        # Whatever canopen makes of a frame that makes no sense.
+        with contextlib.suppress(Exception):
             # canopen answers SDOs, and follows NMT commands.
-            self._network.notify(cob_id, message.data, message.timestamp)
+            self._network.notify(cob_id, bytearray(data), self._clock())
             with self._lock:
                 self._follow(cob_id, data)
-        except Exception:
-            # Whatever canopen makes of a frame that makes no sense.
-            self.counters["refused frames"] += 1
 
     def _follow(self, cob_id: int, data: bytes) -> None:
         is_operational = self._node.nmt.state == "OPERATIONAL"

@@ -60,8 +60,8 @@ class EmulatedMotor:
 
     def power_up(self) -> None:
         """Begin anew: the zero is lost."""
-        self._mode = objects.PROFILE_POSITION
-        self._homed = self.referenced = False
+        self.set_mode(objects.PROFILE_POSITION)
+        self.referenced = False
         self._stalled_at: int | None = None
         # An incremental encoder counts from wherever it wakes up; [counts] of the fin's own angle.
         self.zero = self._units.counts(self._fin.now().angle)
@@ -77,14 +77,9 @@ class EmulatedMotor:
         """Leave the fin where it is while the profile goes on."""
         self._stalled_at = self.position
 
-    @property
-    def mode(self) -> int:
-        """One of `MODES`; a change of it ends a homing."""
-        return self._mode
-
-    @mode.setter
-    def mode(self, mode: int) -> None:
-        self._mode, self._homed = mode, False
+    def set_mode(self, mode: int) -> None:
+        """Change to one of `MODES`, which ends a homing."""
+        self.mode, self._homed = mode, False
 
     @property
     def position(self) -> int:
@@ -115,12 +110,12 @@ class EmulatedMotor:
     @property
     def is_acknowledged(self) -> bool:
         """Bit 12 of the statusword: target acknowledged, or home attained."""
-        return self._homed if self._mode == objects.HOMING else self._acknowledged
+        return self._homed if self.mode == objects.HOMING else self._acknowledged
 
     def control(self, word: int, before: int) -> None:
         """Follow a controlword while operation is enabled."""
         is_new = bool(word & ~before & NEW_TARGET)
-        if self._mode == objects.HOMING:
+        if self.mode == objects.HOMING:
             if is_new and self._value(objects.HOMING_METHOD) == objects.HOME_HERE:
                 self.zero += self.position
                 self.referenced = self._homed = True

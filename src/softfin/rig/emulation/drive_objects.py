@@ -1,7 +1,7 @@
-"""The object dictionary of an emulated EPOS2, and its process data (PDO), as a CiA 402 client sets them up.
+"""The object dictionary of an emulated EPOS2, and its process data (PDO).
 
-Process data are sent at every n-th SYNC (transmission types 1 to 240) or as soon as something changes (254, 255), and
-act as soon as they are taken (254, 255); other transmission types are refused.
+Process data are off and empty at first. They are sent at every n-th SYNC (transmission types 1 to 240), and act as soon
+as they are taken (254, 255); other transmission types are refused.
 """
 
 from collections import Counter
@@ -23,14 +23,8 @@ ERRORS_KEPT = 5
 IDENTITY = tuple(Object(0x1018, sub, "I", "identity") for sub in range(1, 5))
 """Vendor, product, revision and serial number: every node has them (CiA 301)."""
 MAXON = 0x000000FB
-TARGET_VELOCITY = Object(0x60FF, 0, "i", "target velocity")
 TAKEN, SENT = 0x1400, 0x1800
 """First object of the process data of each kind; its mapping is 0x200 above it."""
-_MAPPED_BY_DEFAULT = {
-    TAKEN: (0x200, objects.CONTROLWORD, (objects.MODE, objects.TARGET, TARGET_VELOCITY)),
-    SENT: (0x180, objects.STATUSWORD, (objects.MODE_DISPLAY, objects.POSITION, objects.VELOCITY)),
-}
-"""First COB-ID, what each PDO carries, and what the second to fourth carry besides (CiA 402)."""
 READ_ONLY = frozenset(
     {objects.DEVICE_TYPE, objects.ERROR_REGISTER, objects.STATUSWORD, objects.MODE_DISPLAY, objects.DEMAND,
      objects.POSITION, objects.VELOCITY, objects.CURRENT, objects.SUPPORTED_MODES, *IDENTITY}
@@ -42,13 +36,13 @@ CANNOT_BE_MAPPED, OUT_OF_RANGE, WRONG_STATE = 0x06040041, 0x06090030, 0x08000022
 """Why a write is refused (SDO abort codes)."""
 LENGTH_ERROR = 0x8210
 """Emergency: a frame is shorter than what is mapped."""
-LAST_SYNCHRONOUS, FIRST_EVENT = 240, 254
+LAST_SYNCHRONOUS, FIRST_AT_ONCE = 240, 254
 """Transmission types."""
 
 
 def values(config: Epos2Config) -> dict[Object, int]:
     """The objects of a drive as delivered, set up for this motor and encoder: our limits are not in it yet."""
-    start: dict[Object, int] = dict.fromkeys((*objects.OBJECTS, TARGET_VELOCITY, *IDENTITY), 0)
+    start: dict[Object, int] = dict.fromkeys((*objects.OBJECTS, *IDENTITY), 0)
     start |= {
         objects.DEVICE_TYPE: 0x00020192,
         objects.ENCODER_LINES: config.encoder_lines,
@@ -68,17 +62,14 @@ def values(config: Epos2Config) -> dict[Object, int]:
         IDENTITY[0]: MAXON,
     }
     start |= {Object(objects.NEWEST_ERROR.number, place, "I", "error"): 0 for place in range(2, ERRORS_KEPT + 1)}
-    for first, (cob_id, word, others) in _MAPPED_BY_DEFAULT.items():
-        for place in range(PDOS):
-            number, mapped = first + place, [word, *others[place - 1 : place]] if place else [word]
+    for first, cob_id, transmission in ((TAKEN, 0x200, objects.AT_ONCE), (SENT, 0x180, objects.ON_SYNC)):
+        for number in range(first, first + PDOS):
             start |= {
-                Object(number, 1, "I", "COB-ID"): cob_id + 0x100 * place + config.node,
-                Object(number, 2, "B", "transmission type"): objects.AT_ONCE,
-                Object(number + 0x200, 0, "B", "mapped objects"): len(mapped),
+                Object(number, 1, "I", "COB-ID"): objects.INVALID | cob_id + 0x100 * (number - first) + config.node,
+                Object(number, 2, "B", "transmission type"): transmission,
+                Object(number + 0x200, 0, "B", "mapped objects"): 0,
             }
-            for entry in range(MAPPED):
-                held = mapped[entry].mapping if entry < len(mapped) else 0
-                start[Object(number + 0x200, entry + 1, "I", "mapping")] = held
+            start |= {Object(number + 0x200, entry + 1, "I", "mapping"): 0 for entry in range(MAPPED)}
     return start
 
 
@@ -117,25 +108,17 @@ class ProcessData:
         self.restart()
 
     def restart(self) -> None:
-        """Begin to count and to compare anew, as when the node becomes operational."""
+        """Begin to count anew, as when the node becomes operational."""
         self._pdos: dict[int, list[_Pdo]] = {}
         """Those that are on, until one of their objects is written."""
         self._syncs = 0
-        self._last: dict[int, bytes] = {}
-        """What was sent last, by its COB-ID."""
 
     def synchronise(self) -> None:
         """Send what is due at a SYNC."""
         self._syncs += 1
         for pdo in self._enabled(SENT):
-            if pdo.transmission <= LAST_SYNCHRONOUS and self._syncs % pdo.transmission == 0:
-                self._send(pdo.cob_id & 0x7FF, self._data(pdo))
-
-    def send_events(self) -> None:
-        """Send what has changed, where it is to be sent at once."""
-        for pdo in self._enabled(SENT):
-            if pdo.transmission >= FIRST_EVENT and (data := self._data(pdo)) != self._last.get(pdo.cob_id):
-                self._last[pdo.cob_id] = data
+            if self._syncs % pdo.transmission == 0:
+                data = b"".join(self._node.get_data(index, sub) for index, sub, _ in pdo.entries)
                 self._send(pdo.cob_id & 0x7FF, data)
 
     def take(self, cob_id: int, data: bytes) -> None:
@@ -158,19 +141,14 @@ class ProcessData:
         """Raise SdoAbortedError where this may not be written into an object of process data now."""
         self._pdos.clear()
         value, number = int.from_bytes(data, "little"), index & ~0x200
-        held = self._value(number, 1, "I")
-        is_on = not held & objects.INVALID
         if index != number:
-            if is_on or self._node.nmt.state == "OPERATIONAL" or (subindex and self._value(index, 0, "B")):
+            is_on = not self._value(number, 1, "I") & objects.INVALID
+            if is_on or (subindex and self._value(index, 0, "B")):
                 raise canopen.SdoAbortedError(WRONG_STATE)
-            entries = [value] if subindex else [self._value(index, 1 + place, "I") for place in range(value)]
-            for entry in entries:
-                found = self._node.object_dictionary.get_variable(entry >> 16, entry >> 8 & 0xFF)
-                if found is None or len(found) != entry & 0xFF:
-                    raise canopen.SdoAbortedError(CANNOT_BE_MAPPED)
-        elif subindex == 1 and is_on and not value & objects.INVALID and (value ^ held) & 0x7FF:
-            raise canopen.SdoAbortedError(WRONG_STATE)
-        elif subindex == 2 and value < FIRST_EVENT and not (number >= SENT and 1 <= value <= LAST_SYNCHRONOUS):
+            found = self._node.object_dictionary.get_variable(value >> 16, value >> 8 & 0xFF) if subindex else None
+            if subindex and (found is None or len(found) != value & 0xFF):
+                raise canopen.SdoAbortedError(CANNOT_BE_MAPPED)
+        elif subindex == 2 and not (1 <= value <= LAST_SYNCHRONOUS if number >= SENT else value >= FIRST_AT_ONCE):
             raise canopen.SdoAbortedError(OUT_OF_RANGE)
 
     def _enabled(self, first: int) -> list[_Pdo]:
@@ -188,6 +166,3 @@ class ProcessData:
     def _value(self, number: int, sub: int, form: str) -> int:
         value: int = Object(number, sub, form, "").layout.unpack(self._node.get_data(number, sub))[0]
         return value
-
-    def _data(self, pdo: _Pdo) -> bytes:
-        return b"".join(self._node.get_data(index, sub) for index, sub, _ in pdo.entries)

@@ -65,7 +65,7 @@ class EmulatedRig:
         self.server = None if simulated else SocketcandServer(self._channel)
         # Within the process nobody else has the ports that a real one has.
         ports = (RDT_PORT, HTTP_PORT) if simulated else (0, 0)
-        self.sensor = EmulatedAxia80(self.fin, HOST, *ports, frame=FRAME, clock=self.clock)
+        self.sensor = EmulatedAxia80(self.fin, *ports, frame=FRAME, clock=self.clock)
 
     def start(self) -> None:
         """Power up."""
@@ -101,8 +101,7 @@ class EmulatedRig:
         if self.server is not None and not same_process:
             options = {"host": HOST, "port": self.server.port, "tcp_tune": True}
             bus = {"interface": "socketcand", "channel": self._channel, "options": options}
-        sensor = {"http_port": self.sensor.http_port, "rdt_port": self.sensor.rdt_port}
-        values = _rig_values(self._drive, bus, sensor)
+        values = _rig_values(self._drive, bus, http_port=self.sensor.http_port, rdt_port=self.sensor.rdt_port)
         if self.server is not None:
             values["safety"] |= REAL_TIME_SAFETY
         return values | changes
@@ -118,8 +117,7 @@ class EmulatedRig:
 
 def write_simulated(path: Path, tank: Tank, values: dict[str, Any], seed: int) -> None:
     """Write the file of a rig that each command emulates itself, in simulated time; `values` are the tank's file's."""
-    drive = _drive_config(tank, real_time=False)
-    rig = _rig_values(drive, {"interface": SIMULATED, "channel": "emulated"}, {})
+    rig = _rig_values(_drive_config(tank, real_time=False), {"interface": SIMULATED, "channel": "emulated"})
     rig["emulation"] = {"seed": seed, "tank": values}
     _write(path, "An emulated rig in simulated time, within each command", rig)
 
@@ -129,12 +127,12 @@ def _write(path: Path, comment: str, values: dict[str, Any]) -> None:
     artifacts.write_file(path, text + yaml.safe_dump(values, sort_keys=False))
 
 
-def _rig_values(drive: Epos2Config, bus: dict[str, Any], sensor: dict[str, Any]) -> dict[str, Any]:
+def _rig_values(drive: Epos2Config, bus: dict[str, Any], **ports: int) -> dict[str, Any]:
     return {
         "fin": "emulated",
         "bus": bus,
         "drive": drive.model_dump(mode="json", exclude_defaults=True),
-        "sensor": {"address": HOST, **sensor, "frame": FRAME},
+        "sensor": {"address": HOST, **ports, "frame": FRAME},
         "safety": {"current_peak_a": 6.0, "current_sustained_a": 3.0},
         "settle_s": 1.0,
     }

@@ -150,16 +150,6 @@ class CanConnection:
         self._clock.sleep(50 * SCAN_PAUSE_S)
         return sorted(self.nodes)
 
-    def problem(self) -> str | None:
-        """What the adapter reports as wrong with the bus; None when nothing is."""
-        try:
-            state = self._bus.state if self._bus else can.BusState.ACTIVE
-        except Exception as error:
-            return f"{self.name} cannot be asked for its state ({_one_line(error)}); look at the adapter"
-        if state is can.BusState.ACTIVE:
-            return None
-        return f"{self.name} is {'off' if state is can.BusState.ERROR else 'passive'}; look at cable and termination"
-
     def _transfer(self, entry: Object, request: bytes, allowed: tuple[int, ...]) -> bytes:
         """The answer to a request, which must begin with one of the allowed commands."""
         if self.in_receiver or not self._requesting.acquire(timeout=2 * SDO_TIMEOUT_S):

@@ -59,9 +59,8 @@ class Epos2:
         """Connect, check, write the limits and start the node, without power to the motor; closed again on failure."""
         self.connect()
         try:
-            setup.refuse_busy(self._connection)
-            self._powered = False
             setup.check(self._connection, self.config)
+            self._powered = False
             self._exchange.owned = True
             self._exchange.nmt(objects.NMT_PRE_OPERATIONAL)
             self._connection.write(objects.CONTROLWORD, cia402.DISABLE_VOLTAGE)
@@ -128,7 +127,7 @@ class Epos2:
         with exchange.lock:
             status, fault = exchange.status, exchange.status.fault()
             silence = self._clock() - status.heartbeat_time
-            lines = [fault, status.reboot(), exchange.trouble, status.missing(), self._connection.problem()]
+            lines = [fault, status.reboot(), exchange.trouble, status.missing()]
             if silence > self.config.heartbeat_s:
                 lines.append(
                     f"drive's heartbeat is missing for {silence:.2f} s; look at its supply and the bus's cable"

@@ -5,7 +5,6 @@ sent but under the lock, with `armed` set: so nothing follows a stop.
 """
 
 from collections.abc import Callable
-from enum import Enum, auto
 from typing import NamedTuple
 
 from softfin.core.clock import Clock
@@ -50,14 +49,6 @@ class Setpoint(NamedTuple):
     rpm: int
 
 
-class Stage(Enum):
-    """How far the hand-shake of a target is: bit 4 of the controlword is raised, or lowered again."""
-
-    IDLE = auto()
-    RAISED = auto()
-    LOWERED = auto()
-
-
 class Handshake:
     """The hand-shake by which an EPOS2 takes a target; `patience` [s] is how long an answer may take.
 
@@ -67,17 +58,17 @@ class Handshake:
 
     def __init__(self, patience: float) -> None:
         self._patience = patience
-        self._stage, self._since = Stage.IDLE, 0.0
-        self._waiting: Setpoint | None = None
-        self.current: Setpoint | None = None
-        """The target that the drive has, or is being given."""
         self.superseded = self.repeated = 0
-        self.unanswered = 0
-        """Times in a row that the drive did not acknowledge the current target."""
+        self.clear()
 
     def clear(self) -> None:
         """Forget everything: the drive was stopped, or is enabled anew."""
-        self._stage, self._waiting, self.current, self.unanswered = Stage.IDLE, None, None, 0
+        self._is_raised, self._since = False, 0.0
+        self._waiting: Setpoint | None = None
+        self.current: Setpoint | None = None
+        """The target that the drive has, or is being given."""
+        self.unanswered = 0
+        """Times in a row that the drive did not acknowledge the current target."""
 
     def offer(self, setpoint: Setpoint) -> None:
         """Give this to the drive as soon as it can take it."""
@@ -87,25 +78,25 @@ class Handshake:
     def step(self, acknowledged: bool, now: float) -> Setpoint | bool | None:
         """What to send next: a target to raise, True to lower bit 4, or None."""
         late = now - self._since > self._patience
-        if self._stage is Stage.RAISED and (acknowledged or late):
-            self._stage, self._since = Stage.LOWERED, now
-            self.unanswered = 0 if acknowledged else self.unanswered + 1
-            if not acknowledged:
-                self.repeated += 1
+        if self._is_raised:
+            if not (acknowledged or late):
+                return None
+            self._is_raised, self._since = False, now
+            if acknowledged:
+                self.unanswered = 0
+            else:
+                self.unanswered, self.repeated = self.unanswered + 1, self.repeated + 1
                 self._waiting = self._waiting or self.current
             return True
-        if self._stage is Stage.LOWERED or (self._stage is Stage.IDLE and self._waiting):
-            if acknowledged:
-                # A drive whose bit 12 does not fall takes no target.
-                self._since = now if late else self._since
-                self.unanswered += late
-                return late or None
-            self._stage = Stage.IDLE
-        if self._stage is Stage.IDLE and self._waiting and not acknowledged:
-            self.current, self._waiting = self._waiting, None
-            self._stage, self._since = Stage.RAISED, now
-            return self.current
-        return None
+        if self._waiting is None or (acknowledged and not late):
+            return None
+        self._since = now
+        if acknowledged:
+            # A drive whose bit 12 does not fall takes no target: the lowering may have been lost.
+            self.unanswered += 1
+            return True
+        self._is_raised, self.current, self._waiting = True, self._waiting, None
+        return self.current
 
 
 class Exchange:
@@ -224,18 +215,18 @@ class Exchange:
                 self._carry_on()
             self.lock.notify_all()
         if fault:
-            self._call_on_fault(fault)
+            self._tell(fault)
 
     def _report(self, line: str) -> None:
         self.trouble = line
-        self._call_on_fault(line)
+        self._tell(line)
 
-    def _call_on_fault(self, line: str) -> None:
+    def _tell(self, line: str) -> None:
+        """Call `on_fault`; its errors must not end the receiver's thread, which also brings the answers to a stop."""
         try:
             if self._on_fault:
                 self._on_fault(line)
         except Exception as error:
-            # The receiver's thread must live on: it also brings the answers to the stop.
             self.trouble = f"{line} (and what was to be done then failed: {error})"
 
     def _carry_on(self) -> None:

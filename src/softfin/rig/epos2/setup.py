@@ -15,7 +15,6 @@ HEARTBEATS = 10
 """Heartbeats of the drive in the time after which silence means that it is gone."""
 HOME = {objects.HOMING_METHOD: objects.HOME_HERE, objects.HOME_OFFSET: 0, objects.HOME_POSITION: 0}
 """What makes the present position zero."""
-COB_ID_MASK = objects.INVALID | 0x7FF
 
 
 def milliseconds(seconds: float) -> int:
@@ -50,8 +49,8 @@ def fault_of(connection: CanConnection) -> str | None:
     return "drive is in fault without an entry in its error history"
 
 
-def refuse_busy(connection: CanConnection) -> None:
-    """Raise RigError for a drive in fault, or one that somebody else has enabled."""
+def check(connection: CanConnection, config: Epos2Config) -> None:
+    """Raise RigError for a drive in fault, enabled by somebody else, or set up otherwise than the rig's file says."""
     if fault := fault_of(connection):
         raise RigError(f"{fault}; then run: softfin rig check --reset-fault")
     word = connection.read(objects.STATUSWORD)
@@ -62,10 +61,6 @@ def refuse_busy(connection: CanConnection) -> None:
         raise RigError(
             f"drive is in state {state.words} already; close the program that drives it, or switch it off and on"
         )
-
-
-def check(connection: CanConnection, config: Epos2Config) -> None:
-    """Compare motor, modes and encoder as the drive is set up with the rig's file; raises RigError."""
     motor = connection.read(objects.MOTOR_TYPE)
     if motor not in objects.BRUSHLESS:
         allowed = " or ".join(f"{number} ({name})" for number, name in objects.BRUSHLESS.items())
@@ -111,16 +106,20 @@ def configure(connection: CanConnection, config: Epos2Config) -> None:
         _set_cob_id(connection, unused, cob_id + config.node | objects.INVALID)
 
 
-def write(connection: CanConnection, entry: Object, value: int) -> None:
-    """Write and read back; raises RigError where the drive holds another value."""
+def write(connection: CanConnection, entry: Object, value: int, shown: Object | None = None, mask: int = -1) -> None:
+    """Write an object, read it or the one that shows it back; raises RigError where the drive holds another value."""
     connection.write(entry, value)
-    _compare(entry, value, connection.read(entry))
+    held = connection.read(shown or entry)
+    if (held ^ value) & mask:
+        raise RigError(
+            f"drive's {shown or entry} stayed {held} where {value} was written; "
+            "close EPOS Studio and other programs, or change the value in the rig's file to one that the drive takes"
+        )
 
 
 def set_mode(connection: CanConnection, mode: int) -> None:
     """Set the mode of operation; raises RigError where the drive is not in it then."""
-    connection.write(objects.MODE, mode)
-    _compare(objects.MODE_DISPLAY, mode, connection.read(objects.MODE_DISPLAY))
+    write(connection, objects.MODE, mode, shown=objects.MODE_DISPLAY)
 
 
 def _map(connection: CanConnection, number: int, cob_id: int, entries: tuple[Object, ...], transmission: int) -> None:
@@ -136,14 +135,4 @@ def _map(connection: CanConnection, number: int, cob_id: int, entries: tuple[Obj
 
 
 def _set_cob_id(connection: CanConnection, number: int, cob_id: int) -> None:
-    entry = Object(number, 1, "I", "COB-ID")
-    connection.write(entry, cob_id | NO_REMOTE_REQUEST)
-    _compare(entry, cob_id & COB_ID_MASK, connection.read(entry) & COB_ID_MASK)
-
-
-def _compare(entry: Object, wanted: int, held: int) -> None:
-    if held != wanted:
-        raise RigError(
-            f"drive's {entry} stayed {held} where {wanted} was written; "
-            "close EPOS Studio and other programs, or change the value in the rig's file to one that the drive takes"
-        )
+    write(connection, Object(number, 1, "I", "COB-ID"), cob_id | NO_REMOTE_REQUEST, mask=objects.INVALID | 0x7FF)
