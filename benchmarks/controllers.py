@@ -17,7 +17,7 @@ from softfin.core.plant import Plant
 from softfin.gaits.force_map import MapConfig, map_forces
 from softfin.learning.configuration import TRAIN_PRESETS, TrainConfig
 from softfin.learning.train import train
-from softfin.stages import offline as stages
+from softfin.stages.fit import import_keras
 from softfin.storage.run_directory import LOG, RunDirectory, read_log
 from softfin.surrogate import Surrogate
 from softfin.task.references import PAPER_RANGE
@@ -69,7 +69,7 @@ def published() -> Surrogate | None:
         return None
     nets = Path(folder)
     with tempfile.TemporaryDirectory() as out:
-        return stages.import_keras(
+        return import_keras(
             nets / "cnn_pos_net.keras", nets / "lstm_force_net.keras", nets / "scalers.json", Path(out) / "published"
         )
 

@@ -23,8 +23,8 @@ class Loaded(Covering):
 
 @pytest.fixture
 def controller(monkeypatch, tmp_path):
-    monkeypatch.setattr("softfin.stages.offline.load_controller", lambda path: Loaded())
-    monkeypatch.setattr("softfin.stages.offline.kind_of", lambda path: "single")
+    monkeypatch.setattr("softfin.stages.evaluate.load_controller", lambda path: Loaded())
+    monkeypatch.setattr("softfin.stages.evaluate.kind_of", lambda path: "single")
     (tmp_path / "controller").mkdir()
     (tmp_path / "controller" / "controller.json").touch()
     return str(tmp_path / "controller")

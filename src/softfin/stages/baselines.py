@@ -7,6 +7,7 @@ from typing import Any
 from softfin.core.plant import Plant
 from softfin.core.progress import Progress
 from softfin.evaluation.baselines.baselines import BaselinesConfig, evaluate_baselines, write_baselines
+from softfin.stages.train import name_of
 from softfin.storage import artifact as artifacts
 from softfin.storage.registry import find_plant
 
@@ -32,13 +33,9 @@ def baselines(
     report = (lambda *_: None) if progress is None else partial(progress, "baselines")
     found = evaluate_baselines(moving, search_in, config, report)
     metadata = {
-        "plant": _named(plant),
-        "searched_in": _named(searched),
+        "plant": name_of(plant),
+        "searched_in": name_of(searched),
         "configuration": config.model_dump(mode="json"),
         "provenance": artifacts.provenance(seed=config.seed),
     }
     return write_baselines(found, out, metadata, overwrite)
-
-
-def _named(plant: str | Plant) -> str:
-    return plant if isinstance(plant, str) else type(plant).__name__

@@ -30,7 +30,7 @@ from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import Guard
 from softfin.rig.session import Session
 from softfin.rig.stop import StopRequest
-from softfin.stages import offline as stages
+from softfin.stages.evaluate import evaluate
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.storage.log_file import read_log, write_log
@@ -127,7 +127,7 @@ def evaluate_live(
         session.stop_on_signals()
         with session.recording(bag):
             fin = LiveFin(session, acting, robot, progress)
-            return stages.evaluate(controller, fin, out, config, overwrite=overwrite)
+            return evaluate(controller, fin, out, config, overwrite=overwrite)
 
 
 class LiveFin:
