@@ -261,9 +261,9 @@ def _git_commit() -> str | None:
     """Return the commit of softfin's checkout, with ``+`` when it has uncommitted changes; None outside a checkout."""
     # An environment inside somebody's repository is not a checkout of softfin: there git does not list this file.
     listed = ("ls-files", "--error-unmatch", Path(__file__).name)
-    described = ("describe", "--always", "--dirty=+", "--abbrev=12", "--exclude=*")
+    version = ("describe", "--always", "--dirty=+", "--abbrev=12", "--exclude=*")
     try:
-        for words in (listed, described):
+        for words in (listed, version):
             output = subprocess.check_output(
                 ["git", *words], cwd=Path(__file__).parent, stderr=subprocess.DEVNULL, text=True, timeout=5
             )
