@@ -85,7 +85,7 @@ def collect(
     else:
         logs = simulate(train, train_keys, config.rows, commands, config.batch, report)
         test_logs = simulate(test, test_keys, config.rows, random, config.batch, report)
-    new_train, new_test = _checked(islice(logs, len(train)), "train"), _checked(test_logs, "test")
+    new_train, new_test = _with_exact_time(islice(logs, len(train)), "train"), _with_exact_time(test_logs, "test")
     description = {
         "configuration": config.model_dump(),
         "plant": type(train[0]).__name__,
@@ -130,26 +130,23 @@ def _one_per_log(plant: Plant | Sequence[Plant], count: int, name: str) -> list[
     return list(plant)
 
 
-def _checked(logs: Iterator[Log], part: str) -> Iterator[Log]:
-    for index, log in enumerate(logs):
-        yield _with_exact_time(log, f"{part}/{index:0{PARTS[part]}d}")
-
-
-def _with_exact_time(log: Log, name: str) -> Log:
+def _with_exact_time(logs: Iterator[Log], part: str) -> Iterator[Log]:
     """Count the time in float64; raises PlantError where the plant's own time or readings are not valid."""
-    time = np.arange(1, log.reading.time.shape[0] + 1) / RATE_HZ
-    for field, values in zip(log.reading._fields, log.reading, strict=True):
-        bad = np.argwhere(~np.isfinite(values))
-        if bad.size:
+    for index, log in enumerate(logs):
+        name = f"{part}/{index:0{PARTS[part]}d}"
+        for field, values in zip(log.reading._fields, log.reading, strict=True):
+            bad = np.argwhere(~np.isfinite(values))
+            if bad.size:
+                raise PlantError(
+                    f"log {name}, row {bad[0, 0]}: the plant's {field} is {values[tuple(bad[0])]}; "
+                    "every reading must be finite under every command within the plant's limits"
+                )
+        time = np.arange(1, log.reading.time.shape[0] + 1) / RATE_HZ
+        late = np.flatnonzero(np.abs(log.reading.time - time) > TICK_S / 2)
+        if late.size:
+            row = late[0]
             raise PlantError(
-                f"log {name}, row {bad[0, 0]}: the plant's {field} is {values[tuple(bad[0])]}; "
-                "every reading must be finite under every command within the plant's limits"
+                f"log {name}, row {row}: the plant's time is {log.reading.time[row]:.4f} s, must be {time[row]:.2f} s; "
+                "time starts at 0 and each tick is 10 ms"
             )
-    late = np.flatnonzero(np.abs(log.reading.time - time) > TICK_S / 2)
-    if late.size:
-        row = late[0]
-        raise PlantError(
-            f"log {name}, row {row}: the plant's time is {log.reading.time[row]:.4f} s, must be {time[row]:.2f} s; "
-            "time starts at 0 and each tick is 10 ms"
-        )
-    return Log(log.command, log.reading._replace(time=time))
+        yield Log(log.command, log.reading._replace(time=time))

@@ -39,17 +39,12 @@ class ExcitationConfig(Configuration):
         return self
 
     def __call__(self, key: PRNGKeyArray, rows: int, limits: Limits) -> Command:
-        """Make random `Commands`."""
-        return excite(key, rows, limits, self)
-
-
-def excite(key: PRNGKeyArray, rows: int, limits: Limits, config: ExcitationConfig) -> Command:
-    """Make one command per tick, fields ``(rows,)``: all three random quantities uniform."""
-    shortest, longest = (round(hold * RATE_HZ) for hold in (config.hold_min_s, config.hold_max_s))
-    holds = -(-rows // shortest)
-    angle_key, velocity_key, hold_key = jax.random.split(key, 3)
-    angle = jax.random.uniform(angle_key, (holds,), minval=limits.angle_min, maxval=limits.angle_max)
-    velocity = jax.random.uniform(velocity_key, (holds,), minval=limits.velocity_min, maxval=limits.velocity_max)
-    ends = jnp.cumsum(jax.random.randint(hold_key, (holds,), shortest, longest + 1))
-    current = jnp.searchsorted(ends, jnp.arange(rows), side="right")
-    return Command(angle[current], velocity[current])
+        """Make one command per tick, fields ``(rows,)``: all three random quantities uniform."""
+        shortest, longest = (round(hold * RATE_HZ) for hold in (self.hold_min_s, self.hold_max_s))
+        holds = -(-rows // shortest)
+        angle_key, velocity_key, hold_key = jax.random.split(key, 3)
+        angle = jax.random.uniform(angle_key, (holds,), minval=limits.angle_min, maxval=limits.angle_max)
+        velocity = jax.random.uniform(velocity_key, (holds,), minval=limits.velocity_min, maxval=limits.velocity_max)
+        ends = jnp.cumsum(jax.random.randint(hold_key, (holds,), shortest, longest + 1))
+        current = jnp.searchsorted(ends, jnp.arange(rows), side="right")
+        return Command(angle[current], velocity[current])

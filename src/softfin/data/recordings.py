@@ -6,11 +6,12 @@
 import dataclasses
 import fnmatch
 import hashlib
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from softfin.core.errors import ConfigurationError, LogError
+from softfin.core.progress import Progress
 from softfin.core.quantities import Log
 from softfin.data.checks.inspection import Inspection, inspect
 from softfin.data.importing.clocks import logs_of
@@ -21,9 +22,6 @@ from softfin.data.issues import Issue, counted
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset
 from softfin.storage.paths import find_recordings, is_bag
-
-Progress = Callable[[str, float, str], None]
-"""Function that is called with the stage of work, the part of it that is done (0 .. 1), and a note."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,12 +79,7 @@ def open_logs(path: Path, config: ImportConfig | None = None, progress: Progress
     if others:
         text = f"{counted(others, 'file')} not read: no CSV, Parquet or ROS 2 bag"
         issues.append(Issue("note", "other files", str(path), text))
-
-    def report(done: int, of: int) -> None:
-        if progress is not None:
-            progress("inspect", done / of, f"{done:,} of {of:,} logs")
-
-    inspection = inspect(logs, issues, config, report)
+    inspection = inspect(logs, issues, config, progress)
     options = config.model_dump(mode="json", exclude_defaults=True)
     data_hash = dataset.data_hash if dataset and not options else _hash(files, path, options)
     metadata = {

@@ -1,6 +1,5 @@
 """Simulate many plants under commands of their own: one compiled program over all, run piece by piece in time."""
 
-import functools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
@@ -25,12 +24,7 @@ Report = Callable[[int], None]
 
 
 def simulate(
-    plants: Sequence[Plant],
-    keys: Sequence[PRNGKeyArray],
-    rows: int,
-    commands: Commands,
-    batch: int,
-    report: Report,
+    plants: Sequence[Plant], keys: Sequence[PRNGKeyArray], rows: int, commands: Commands, batch: int, report: Report
 ) -> Iterator[Log]:
     """Yield one log of each plant and key, `rows` long, as NumPy arrays; at most `batch` run at once.
 
@@ -47,12 +41,11 @@ def simulate(
         # The last batch is filled up with logs that are thrown away, so that one compiled program serves all.
         index = [i % count for i in range(start, start + batch)]
         wanted = min(batch, count - start)
-        arrays = fleet.arrays
+        some = fleet
         if fleet.axis is not None:
-            arrays = jax.tree.map(lambda x, index=index: x[np.array(index)], arrays)
-        some = fleet._replace(arrays=arrays)
+            some = fleet._replace(arrays=jax.tree.map(lambda x, index=index: x[np.array(index)], fleet.arrays))
         state, issued = _begin(some, jnp.stack([keys[i] for i in index]), rows + 1, commands)
-        yield from _logs(functools.partial(_advance, some), state, issued, rows, wanted, report)
+        yield from _logs(some, state, issued, rows, wanted, report)
 
 
 class _Fleet(NamedTuple):
@@ -102,14 +95,7 @@ def _advance(fleet: _Fleet, state: State, issued: Command) -> tuple[State, Readi
     return rolled
 
 
-def _logs(
-    advance: Callable[[State, Command], tuple[State, Reading]],
-    state: State,
-    commands: Command,
-    rows: int,
-    wanted: int,
-    report: Report,
-) -> list[Log]:
+def _logs(fleet: _Fleet, state: State, commands: Command, rows: int, wanted: int, report: Report) -> list[Log]:
     """Roll a batch through its commands ``(batch, rows + 1)``; row k keeps reading k and the command issued then."""
     chunks = math.ceil(rows / CHUNK_ROWS)
     chunk = math.ceil(rows / chunks)
@@ -117,7 +103,7 @@ def _logs(
     issued = jax.tree.map(lambda x: jnp.pad(x, ((0, 0), (0, chunk * chunks - rows)), mode="edge"), commands)
     pieces = []
     for start in range(0, rows, chunk):
-        state, piece = advance(state, jax.tree.map(lambda x, start=start: x[:, start : start + chunk], issued))
+        state, piece = _advance(fleet, state, jax.tree.map(lambda x, start=start: x[:, start : start + chunk], issued))
         pieces.append(jax.tree.map(lambda x: np.asarray(x[:wanted]), piece))
         report(wanted * min(chunk, rows - start))
     reading = jax.tree.map(lambda *parts: np.concatenate(parts, axis=1)[:, :rows], *pieces)

@@ -178,10 +178,9 @@ def load(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Array]]:
         for name, array in weights.items():
             if array.dtype.kind not in "fiu":
                 raise ValueError(f"{name[:80]!r} is of type {array.dtype}")
-    except FileNotFoundError:
-        raise ArtifactError(f"{path / WEIGHTS}: missing; copy the whole folder again") from None
     except OSError as error:
-        raise ArtifactError(f"{path / WEIGHTS}: cannot be read ({error.strerror or error}); copy it again") from None
+        reason = "missing" if isinstance(error, FileNotFoundError) else f"cannot be read ({error.strerror or error})"
+        raise ArtifactError(f"{path / WEIGHTS}: {reason}; copy the whole folder again") from None
     # Of bfloat16 and float8, which NumPy has not, safetensors says KeyError, AttributeError or TypeError.
     except (safetensors.SafetensorError, ValueError, KeyError, AttributeError, TypeError, OverflowError) as error:
         raise ArtifactError(f"{path / WEIGHTS}: truncated or damaged ({error}); copy it again") from None
@@ -262,9 +261,9 @@ def _git_commit() -> str | None:
     """Return the commit of softfin's checkout, with ``+`` when it has uncommitted changes; None outside a checkout."""
     # An environment inside somebody's repository is not a checkout of softfin: there git does not list this file.
     listed = ("ls-files", "--error-unmatch", Path(__file__).name)
-    described = ("describe", "--always", "--dirty=+", "--abbrev=12", "--exclude=*")
+    version = ("describe", "--always", "--dirty=+", "--abbrev=12", "--exclude=*")
     try:
-        for words in (listed, described):
+        for words in (listed, version):
             output = subprocess.check_output(
                 ["git", *words], cwd=Path(__file__).parent, stderr=subprocess.DEVNULL, text=True, timeout=5
             )

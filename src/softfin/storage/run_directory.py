@@ -8,8 +8,6 @@ import copy
 import importlib.metadata
 import json
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import safetensors
+from numpy.typing import NDArray
 
 from softfin.core.errors import ArtifactError, RunError
 from softfin.storage import artifact as artifacts
@@ -58,7 +57,7 @@ class RunDirectory:
         found = sorted(self.folder.rglob(CHECKPOINT))
         if resume:
             for path in found:
-                self._metadata(path)
+                self._read(path)
         elif self.folder.exists():
             if not overwrite and found:
                 raise ArtifactError(
@@ -87,9 +86,7 @@ class RunDirectory:
         path = self.folder / CHECKPOINT
         if not path.exists():
             return None
-        metadata = self._metadata(path)
-        with _reading(path), safetensors.safe_open(path, "numpy") as file:
-            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        arrays, metadata = self._read(path)
         expected, structure = _named(like)
         for name in sorted(arrays.keys() | expected.keys()):
             there, here = _kind(arrays.get(name)), _kind(expected.get(name))
@@ -100,21 +97,25 @@ class RunDirectory:
                 )
         return jax.tree.unflatten(structure, [jnp.asarray(arrays[name]) for name in expected]), metadata
 
-    def _metadata(self, path: Path) -> dict[str, Any]:
-        """Read the metadata of a checkpoint, which must belong to this run."""
-        with _reading(path), safetensors.safe_open(path, "numpy") as file:
-            metadata: dict[str, Any] = json.loads(file.metadata()["facts"])
-            before, software = metadata.pop("fingerprint", None), metadata.pop("software", "an older softfin")
+    def _read(self, path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Read the arrays and the metadata of a checkpoint, which must belong to this run."""
+        try:
+            with safetensors.safe_open(path, "numpy") as file:
+                arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+                metadata: dict[str, Any] = json.loads(file.metadata()["facts"])
+        except (OSError, KeyError, TypeError, ValueError, AttributeError, safetensors.SafetensorError) as error:
+            raise ArtifactError(f"{path}: damaged ({error}); start anew with --overwrite") from None
+        before, software = metadata.pop("fingerprint", {}), metadata.pop("software", "an older softfin")
         if software != _software():
             raise ArtifactError(
                 f"{path}: was written by {software}, and this is {_software()}; resume with that, or --overwrite"
             )
         if before != self.fingerprint:
-            differing = _differences(before or {}, self.fingerprint)
+            differing = _differences(before, self.fingerprint)
             raise ArtifactError(
                 f"{path}: is of another run ({differing}); resume with the same options, or --overwrite"
             )
-        return metadata
+        return arrays, metadata
 
     def log(self, rewind_to: int | None = None) -> "RunLog":
         """The training log; on resuming, entries beyond step `rewind_to` are dropped, because they will come again."""
@@ -204,14 +205,6 @@ def _named(tree: Any) -> tuple[dict[str, Any], Any]:
 
 def _kind(leaf: Any) -> str:
     return "missing" if leaf is None else f"{np.asarray(leaf).dtype} {np.shape(leaf)}"
-
-
-@contextmanager
-def _reading(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except (OSError, KeyError, TypeError, ValueError, AttributeError, safetensors.SafetensorError) as error:
-        raise ArtifactError(f"{path}: damaged ({error}); start anew with --overwrite") from None
 
 
 def _differences(before: dict[str, Any], now: dict[str, Any]) -> str:

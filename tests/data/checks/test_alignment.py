@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from softfin.data.checks.alignment import command_lag, force_lag
-from softfin.data.checks.frame import frame_correlations
+from softfin.data.checks.alignment import command_lag, force_lag, frame_correlations
 from softfin.data.importing.importing import FORCE_FRAMES
 from softfin.tank import Tank, TankConfig
 from tests.data.faulty import columns_of, recorded, tank_logs

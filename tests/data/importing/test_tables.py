@@ -126,7 +126,7 @@ def test_a_rate_or_velocity_that_is_not_used_is_said_so(tmp_path, columns):
     (recording,) = read(tmp_path / "a.csv", velocity_rad_s=3.1, rate_hz=100)
     np.testing.assert_array_equal(recording.tracks[0].channels["command_velocity"], columns["command_velocity_rad_s"])
     assert recording.issues[0].message == (
-        "--velocity 3.1 not used: 'command_velocity_rad_s' holds it; --rate 100 not used: 'time_s' holds the time"
+        "--velocity 3.1 not used: 'command_velocity_rad_s' holds it; --rate 100 not used: 'time_s' holds it"
     )
 
 

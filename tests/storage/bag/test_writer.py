@@ -75,7 +75,6 @@ def test_rows_are_in_the_file_before_it_is_closed(tmp_path):
     empty = recorder.path.stat().st_size
     recorder.wrench(time.monotonic(), (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
     until(lambda: recorder.path.stat().st_size > empty)
-    assert recorder.written[WRENCH] == 1
     recovery = recover(recorder.path, tmp_path / "saved.mcap")
     assert recovery.messages == {WRENCH: 1}
     recorder.close()
@@ -167,18 +166,15 @@ def test_a_disk_that_hangs_is_told_and_close_gives_up(tmp_path, monkeypatch):
     recorder._thread.join(10)
 
 
-def test_rows_that_the_disk_is_too_slow_for_are_counted(tmp_path, monkeypatch):
+def test_a_disk_that_is_too_slow_is_told(tmp_path, monkeypatch):
     monkeypatch.setattr(bag_writer, "BACKLOG", 10)
     monkeypatch.setattr(bag_writer, "POLL_S", 30.0)
     recorder = BagRecorder(tmp_path / "run.mcap")
     for k in range(25):
         recorder.event(float(k), "x")
-    assert recorder.dropped == 15
     assert "10 rows wait for the disk" in recorder.failure
     recorder.close()
     assert len(by_rosbags(recorder.path)[EVENTS]) == 10
-    recorder.event(1.0, "late")
-    assert recorder.dropped == 16
 
 
 def test_a_row_that_cannot_be_written_spoils_no_other(tmp_path):
@@ -187,7 +183,6 @@ def test_a_row_that_cannot_be_written_spoils_no_other(tmp_path):
     recorder.event(2.0, "still here")
     recorder.close()
     assert "/fin/wrench cannot be (1.0, 2.0)" in recorder.failure
-    assert recorder.dropped == 1
     assert list(by_rosbags(recorder.path)) == [EVENTS]
 
 

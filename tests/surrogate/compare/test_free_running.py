@@ -6,7 +6,7 @@ import pytest
 from softfin.core.errors import CommandError, LogError, PlantError
 from softfin.core.plant import roll
 from softfin.core.quantities import Command, Log, Reading
-from softfin.data.excitation import ExcitationConfig, excite
+from softfin.data.excitation import ExcitationConfig
 from softfin.data.simulate import simulate
 from softfin.surrogate.compare.free_running import Segment, free_run, run_from_rest, segments_of, take
 from tests.plants import AnalyticFin, PlainFin
@@ -118,7 +118,7 @@ def test_a_prediction_that_is_no_number_is_an_error_with_its_place():
             bad = jnp.where(reading.time[:, None] > 0.305, jnp.nan, reading.force)
             return state, Reading(*reading[:3], bad)
 
-    commands = Command(*excite(jax.random.key(0), 60, AnalyticFin().limits, ExcitationConfig()))
+    commands = Command(*ExcitationConfig()(jax.random.key(0), 60, AnalyticFin().limits))
     log = small.log(rows=60)._replace(command=jax.tree.map(np.asarray, commands))
     with pytest.raises(PlantError, match="a value that is not finite for test log 0, row 30, 31 ticks after"):
         run_from_rest(Broken(), [log], jax.random.key(0))

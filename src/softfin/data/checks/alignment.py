@@ -2,14 +2,23 @@
 
 The angle is the reference. A command appears in the angle's rate after the drive's dead time; the force follows the
 angle's rate and acceleration, after the fin has bent and the sensor has filtered.
+
+Which way the force's axes lie is found by comparing what a fin must do with every way to swap and turn the measured
+axes: thrust points along (cos theta, -sin theta) and grows with the square of the rate; added mass and drag act across
+it, along (sin theta, cos theta), against acceleration and rate. No term may change its sign, so a turned axis shows.
 """
 
-from typing import NamedTuple
+import itertools
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from softfin.core.quantities import RATE_HZ, TICK_S
+from softfin.data.importing.importing import FORCE_FRAMES
+
+Series: TypeAlias = Float[np.ndarray, "ticks"]
+"""Values of a channel at 100 Hz."""
 
 COMMAND_LAG_MS = (0.0, 100.0)
 """Plausible lag from a command to the angle: the way through computer, bus and drive; about 27 ms in the virtual tank,
@@ -50,9 +59,9 @@ LEAST_EXPLAINED = 0.1
 class Motion(NamedTuple):
     """Motion of an angle, smoothed over 50 ms."""
 
-    angle: Float[np.ndarray, "ticks"]
-    velocity: Float[np.ndarray, "ticks"]
-    acceleration: Float[np.ndarray, "ticks"]
+    angle: Series
+    velocity: Series
+    acceleration: Series
 
 
 class Lag(NamedTuple):
@@ -63,22 +72,20 @@ class Lag(NamedTuple):
     """Correlation with a profile, or the response's peak over the rate's deviation, or the fraction explained."""
 
 
-def motion(angle: Float[np.ndarray, "ticks"]) -> Motion:
+def motion(angle: Series) -> Motion:
     """Differentiate an angle at 100 Hz [rad]."""
     smooth = smoothed(angle)
     velocity = np.gradient(smooth, TICK_S)
     return Motion(smooth, velocity, np.gradient(smoothed(velocity), TICK_S))
 
 
-def smoothed(values: Float[np.ndarray, "ticks"]) -> Float[np.ndarray, "ticks"]:
+def smoothed(values: Series) -> Series:
     """Smooth by a Hann window of five samples, which delays nothing."""
     kernel = np.hanning(7)[1:-1] / np.hanning(7).sum()
     return np.convolve(np.pad(values, 2, mode="edge"), kernel, "valid")
 
 
-def command_lag(
-    command: Float[np.ndarray, "ticks"], speed: Float[np.ndarray, "ticks"], angle: Float[np.ndarray, "ticks"]
-) -> Lag | None:
+def command_lag(command: Series, speed: Series, angle: Series) -> Lag | None:
     """Compute the lag from a command, its angle [rad] and velocity [rad/s], to the angle; None where it is not certain.
 
     `_profile_lag` finds when a drive that follows a profile obeys; where the fin moves by no profile, the rise of its
@@ -94,9 +101,7 @@ def command_lag(
     return _stepping_lag(np.sign(change), steps, angle) if lag is None else lag
 
 
-def _profile_lag(
-    command: Float[np.ndarray, "ticks"], speed: Float[np.ndarray, "ticks"], angle: Float[np.ndarray, "ticks"]
-) -> Lag | None:
+def _profile_lag(command: Series, speed: Series, angle: Series) -> Lag | None:
     """Find the lag at which the rate changes towards what the command asks for: its speed, until the target is near."""
     rate = np.gradient(angle, TICK_S)
     inner = slice(SEARCHED_TICKS, len(angle) - SEARCHED_TICKS)
@@ -112,9 +117,7 @@ def _profile_lag(
     return _peak_lag(matches, LEAST_MATCH)
 
 
-def _stepping_lag(
-    side: Float[np.ndarray, "ticks"], steps: Int[np.ndarray, "steps"], angle: Float[np.ndarray, "ticks"]
-) -> Lag | None:
+def _stepping_lag(side: Series, steps: Int[np.ndarray, "steps"], angle: Series) -> Lag | None:
     """Find the rise of the response to steps: its peak comes while the fin is still on its way."""
     rate = motion(angle).velocity
     # The median, where every step weighs alike: an encoder that jumps now and then makes no response of its own.
@@ -130,7 +133,7 @@ def _stepping_lag(
     return Lag(float(place / RATE_HZ * 1e3), float(response[peak] / (rate.std() + 1e-12)))
 
 
-def force_lag(angle: Float[np.ndarray, "ticks"], force: Float[np.ndarray, "ticks 2"]) -> Lag | None:
+def force_lag(angle: Series, force: Float[np.ndarray, "ticks 2"]) -> Lag | None:
     """Compute the lag at which a linear model of the motion explains most of the force, whatever its axes and signs.
 
     None where the recording is too short or the best lag lies at the end of those that were searched.
@@ -169,3 +172,47 @@ def _features(moving: Motion) -> Float[np.ndarray, "ticks 10"]:
     angle, velocity, acceleration = moving
     terms = np.stack([acceleration, velocity * np.abs(velocity), velocity**2, velocity, np.ones_like(angle)], axis=1)
     return np.concatenate([terms * np.cos(angle)[:, None], terms * np.sin(angle)[:, None]], axis=1)
+
+
+def frame_correlations(
+    angle: Series, force: Float[np.ndarray, "ticks 2"], lag_ms: float | int = 0.0
+) -> dict[str, float]:
+    """Compute the correlation of the force, taken in each of `FORCE_FRAMES`, with the best fit of a model fin."""
+    ticks = round(lag_ms * RATE_HZ / 1e3)
+    terms = _model_terms(angle)
+    smooth = np.stack([smoothed(force[:, 0]), smoothed(force[:, 1])])
+    count = len(angle) - abs(ticks)
+    terms = terms[:, max(-ticks, 0) :][:, :count]
+    smooth = smooth[:, max(ticks, 0) :][:, :count]
+    terms = terms - terms.mean(axis=1, keepdims=True)
+    smooth = smooth - smooth.mean(axis=1, keepdims=True)
+    # Axis by axis: every frame is made of these products, so that the rows are gone through once.
+    products = np.einsum("xtk,yt->xyk", terms, smooth)
+    scale = np.sqrt((terms**2).sum(axis=(0, 1))) + 1e-12
+    gram = np.einsum("xtk,xtl->kl", terms, terms) / np.outer(scale, scale)
+    norm = float(np.sqrt((smooth**2).sum())) + 1e-12
+    result = {}
+    for frame in FORCE_FRAMES:
+        signs = [(-1.0 if part.startswith("-") else 1.0, "xy".index(part[-1])) for part in frame.split(",")]
+        product = sum(sign * products[axis, source] for axis, (sign, source) in enumerate(signs)) / scale
+        result[frame] = _best(gram, np.asarray(product)) / norm
+    return result
+
+
+def _model_terms(angle: Series) -> Float[np.ndarray, "2 ticks terms"]:
+    theta, rate, acceleration = motion(angle)
+    cos, sin = np.cos(theta), np.sin(theta)
+    across, along = np.stack([sin, cos]), np.stack([cos, -sin])
+    columns = [-rate * np.abs(rate) * across, -acceleration * across, rate**2 * along, np.abs(rate) * along]
+    return np.stack(columns, axis=-1)
+
+
+def _best(gram: Float[np.ndarray, "terms terms"], product: Float[np.ndarray, "terms"]) -> float:
+    """Norm of the least-squares fit whose coefficients are none below 0; so few terms that every choice is tried."""
+    best = 0.0
+    for chosen in itertools.chain.from_iterable(itertools.combinations(range(len(gram)), n) for n in (1, 2, 3, 4)):
+        index = list(chosen)
+        weights = np.linalg.lstsq(gram[np.ix_(index, index)], product[index], rcond=1e-9)[0]
+        if (weights >= 0).all():
+            best = max(best, float(weights @ product[index]))
+    return float(np.sqrt(best))

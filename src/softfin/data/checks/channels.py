@@ -4,10 +4,10 @@ import itertools
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
 from softfin.core.quantities import RATE_HZ, TICK_S, Log
-from softfin.data.checks.alignment import SHORTEST_S
+from softfin.data.checks.alignment import SHORTEST_S, Series
 
 MOST_RADIANS = {"command_angle": 2 * np.pi, "angle": 2 * np.pi, "command_velocity": 40.0}
 """Sizes beyond which values are degrees: a fin does not turn round, and no drive of one makes 6 turns a second. The
@@ -26,12 +26,12 @@ RESTING_RAD_S = 0.05
 class Columns(NamedTuple):
     """All channels of a log but time."""
 
-    command_angle: Float[np.ndarray, "ticks"]
-    command_velocity: Float[np.ndarray, "ticks"]
-    angle: Float[np.ndarray, "ticks"]
-    velocity: Float[np.ndarray, "ticks"]
-    force_x: Float[np.ndarray, "ticks"]
-    force_y: Float[np.ndarray, "ticks"]
+    command_angle: Series
+    command_velocity: Series
+    angle: Series
+    velocity: Series
+    force_x: Series
+    force_y: Series
 
 
 def columns_of(log: Log) -> Columns:
@@ -68,8 +68,8 @@ def without_spikes(columns: Columns) -> Columns:
 
 
 def find_spikes(
-    values: Float[np.ndarray, "ticks"],
-) -> tuple[Int[np.ndarray, "spikes"], Float[np.ndarray, "ticks"]]:
+    values: Series,
+) -> tuple[Int[np.ndarray, "spikes"], Series]:
     """Rows of outliers of one or two samples, and the series with the median of five in their place."""
     if len(values) < SHORTEST_S * RATE_HZ:
         return np.zeros(0, int), values
@@ -83,7 +83,7 @@ def find_spikes(
     return np.flatnonzero(outlying), np.where(outlying, middle, values)
 
 
-def constant_runs(values: Float[np.ndarray, "ticks"], least: int) -> list[tuple[int, int]]:
+def constant_runs(values: Series, least: int) -> list[tuple[int, int]]:
     """First row and the row after the last of each run of one value."""
     edges = np.concatenate([[0], np.flatnonzero(np.diff(values) != 0) + 1, [len(values)]])
     return [(int(a), int(b)) for a, b in itertools.pairwise(edges) if b - a >= least]

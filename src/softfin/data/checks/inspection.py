@@ -1,11 +1,12 @@
 """Logs at 100 Hz in; statistics of each of them, and all that is wrong with them, out."""
 
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
+from softfin.core.progress import Progress
 from softfin.data.checks.alignment import Lag
 from softfin.data.checks.channels import channels_in_degrees, columns_of, without_spikes
 from softfin.data.checks.checks import CHANNEL_CHECKS, DATASET_CHECKS, STATISTICS_CHECKS, CheckedLog, check_lags
@@ -13,8 +14,6 @@ from softfin.data.checks.statistics import LogStatistics, measure, measure_toget
 from softfin.data.importing.importing import FORCE_FRAMES, ImportConfig
 from softfin.data.importing.recording import NamedLog
 from softfin.data.issues import SEVERITIES, Issue, merge_issues
-
-Progress = Callable[[int, int], None]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,7 +65,7 @@ def inspect(
         if log.statistics.command_lag is None or log.statistics.force_lag is None:
             short.append(log)
         if progress is not None:
-            progress(index + 1, len(logs))
+            progress("inspect", (index + 1) / len(logs), f"{index + 1:,} of {len(logs):,} logs")
     if len(short) == len(logs) > 1:
         together = measure_together([log.calm for log in short], statistics[0].part)
         pooled = short[0]._replace(statistics=together)

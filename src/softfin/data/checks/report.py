@@ -1,6 +1,5 @@
 """An inspection of logs as a folder: ``inspection.json`` and a figure of what is wrong, beside the logs themselves."""
 
-import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -22,8 +21,6 @@ from softfin.storage.figures import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure
 SHOWN_S = 10
 """Length of the part of one log that is drawn, about the first row that has an issue [s]."""
 
-SHOWN_ISSUES = 6
-
 BAND = "#E3E3E3"
 
 
@@ -43,15 +40,15 @@ def write_inspection(
 
 
 def inspection_figure(inspection: Inspection, logs: Sequence[NamedLog]) -> Figure:
-    """Draw a part of one log with the first issue in it; the issues; commands, clocks, axes and rest of all logs."""
+    """Draw a part of one log with the first issue in it; commands, clocks, axes and rest of all logs."""
     with styled():
         figure = new_figure(13, 8.4)
         halves: Any = figure.subfigures(2, 1, height_ratios=(1.35, 1))
         above, below = halves
-        left, right = above.subfigures(1, 2, width_ratios=(1.7, 1))
-        angle, force = left.subplots(2, 1, sharex=True)
+        counts = inspection.summary()["counts"]
+        above.suptitle(", ".join(counted(count, kind) for kind, count in counts.items()), weight="bold")
+        angle, force = above.subplots(2, 1, sharex=True)
         _draw_log(angle, force, inspection.issues, logs)
-        _list_issues(right.subplots(), inspection)
         commands, lags, frames, rest = below.subplots(1, 4)
         _draw_commands(commands, logs)
         _draw_lags(lags, inspection)
@@ -84,23 +81,6 @@ def _draw_log(above: Axes, below: Axes, issues: Sequence[Issue], logs: Sequence[
             axes.axvline(float(reading.time[row]), color=GREY, linestyle=":", label=marked.name)
         axes.margins(y=0.25)
         axes.legend(loc="upper right", ncols=3)
-
-
-def _list_issues(axes: Axes, inspection: Inspection) -> None:
-    axes.set_axis_off()
-    counts = inspection.summary()["counts"]
-    axes.set_title(", ".join(counted(count, kind) for kind, count in counts.items()), weight="bold")
-    lines = []
-    for issue in inspection.issues[:SHOWN_ISSUES]:
-        log = f"{len(issue.logs)} logs" if len(issue.logs) > 1 else issue.log
-        where = ", ".join(filter(None, [issue.column, log]))
-        texts = [f"{issue.severity}, {issue.name} ({where}): {issue.message}"]
-        texts += [f"\N{RIGHTWARDS ARROW} {issue.fix}"] * bool(issue.fix)
-        short = [textwrap.shorten(text, 330, placeholder=" ...") for text in texts]
-        lines += ["", *(textwrap.fill(text, 72, break_on_hyphens=False) for text in short)]
-    if len(inspection.issues) > SHOWN_ISSUES:
-        lines.append(f"\nand {len(inspection.issues) - SHOWN_ISSUES} more in inspection.json")
-    axes.text(0, 1, "\n".join(lines[1:]) or "nothing is wrong with these logs", va="top", fontsize=8, parse_math=False)
 
 
 def _draw_commands(axes: Axes, logs: Sequence[NamedLog]) -> None:

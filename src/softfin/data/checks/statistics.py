@@ -8,9 +8,17 @@ import numpy as np
 from jaxtyping import Float
 
 from softfin.core.quantities import RATE_HZ, TICK_S
-from softfin.data.checks.alignment import FOLLOWING_TICKS, SHORTEST_S, Lag, command_lag, force_lag, motion
+from softfin.data.checks.alignment import (
+    FOLLOWING_TICKS,
+    SHORTEST_S,
+    Lag,
+    Series,
+    command_lag,
+    force_lag,
+    frame_correlations,
+    motion,
+)  # fmt: skip
 from softfin.data.checks.channels import Columns, true_runs
-from softfin.data.checks.frame import frame_correlations
 from softfin.data.importing.recording import Part
 
 STILL_RAD_S = 0.05
@@ -102,7 +110,7 @@ def measure_together(logs: Sequence[Columns], part: Part) -> LogStatistics:
     return dataclasses.replace(together, idle=0.0, offset_n=None)
 
 
-def _range(values: Float[np.ndarray, "ticks"]) -> tuple[float, float]:
+def _range(values: Series) -> tuple[float, float]:
     return float(values.min()), float(values.max())
 
 
@@ -110,7 +118,7 @@ def _pair(values: Float[np.ndarray, "2"]) -> tuple[float, float]:
     return float(values[0]), float(values[1])
 
 
-def _correlation(one: Float[np.ndarray, "ticks"], other: Float[np.ndarray, "ticks"]) -> float:
+def _correlation(one: Series, other: Series) -> float:
     if len(one) < RATE_HZ or one.std() == 0 or other.std() == 0:
         return 0.0
     return float(np.corrcoef(one, other)[0, 1])

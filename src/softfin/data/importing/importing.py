@@ -86,16 +86,10 @@ class ImportConfig(Configuration):
                 near = difflib.get_close_matches(name, allowed, n=1)
                 hint = f"did you mean {near[0]!r}?" if near else f"allowed are {', '.join(allowed)}"
                 raise ValueError(f"{name!r} is not known; {hint}")
-        return value
-
-    @pydantic.field_validator("angles")
-    @classmethod
-    def _units(cls, value: dict[str, str]) -> dict[str, str]:
-        for channel, unit in value.items():
-            units = [*UNITS["angle"], *(UNITS["velocity"] if KINDS.get(channel) == "velocity" else ())]
-            if unit not in units:
+            units = [*UNITS["angle"], *(UNITS["velocity"] if KINDS.get(name) == "velocity" else ())]
+            if info.field_name == "angles" and value[name] not in units:
                 raise ValueError(
-                    f"{unit!r} is not a unit of angles; allowed are {', '.join(units)}, or of each, as "
+                    f"{value[name]!r} is not a unit of angles; allowed are {', '.join(units)}, or of each, as "
                     "angle=deg,velocity=rpm"
                 )
         return value

@@ -57,13 +57,13 @@ def _notes(name: str, names: list[str], found: dict[str, Column], config: Import
     """Which column was taken for what, in which unit and why, wherever softfin's own names do not state it."""
     texts = [describe_columns(found)]
     fix = "if that is wrong: --columns CHANNEL=NAME (- for none), --angles, --force-unit, --time-unit" * bool(texts[0])
-    if config.velocity_rad_s is not None:
-        told = f"command_velocity = {config.velocity_rad_s:g} rad/s throughout, by --velocity"
-        if "command_velocity" in found:
-            told = f"--velocity {config.velocity_rad_s:g} not used: {found['command_velocity'].name!r} holds it"
-        texts.append(told)
-    if config.rate_hz is not None and "time" in found:
-        texts.append(f"--rate {config.rate_hz:g} not used: {found['time'].name!r} holds the time")
+    for channel, value, option in (
+        ("command_velocity", config.velocity_rad_s, "--velocity"), ("time", config.rate_hz, "--rate"),
+    ):  # fmt: skip
+        if value is not None and channel in found:
+            texts.append(f"{option} {value:g} not used: {found[channel].name!r} holds it")
+    if config.velocity_rad_s is not None and "command_velocity" not in found:
+        texts.append(f"command_velocity = {config.velocity_rad_s:g} rad/s throughout, by --velocity")
     text = "; ".join(filter(None, texts))
     notes = [Issue("note", "columns", name, text, fix, group=text)] if text else []
     read = {column.name for column in found.values()}

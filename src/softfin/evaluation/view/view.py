@@ -15,7 +15,7 @@ from softfin.core.errors import ConfigurationError
 from softfin.core.plant import Plant
 from softfin.core.quantities import RATE_HZ, Command, Limits
 from softfin.core.randomness import key_of
-from softfin.data.excitation import ExcitationConfig, excite
+from softfin.data.excitation import ExcitationConfig
 from softfin.evaluation import experiment
 from softfin.evaluation.view.footage import Footage, film
 from softfin.evaluation.view.page import write_page
@@ -107,7 +107,7 @@ def footage_of(
     if config.next_references:
         raise ConfigurationError("references one after the other, and no first one; give a controller and a reference")
     if config.random:
-        return film(plant, key, excite(key_of(config.seed, "view/commands"), ticks, limits, config.excitation))
+        return film(plant, key, config.excitation(key_of(config.seed, "view/commands"), ticks, limits))
     return film(plant, key, stroke_gait(config.gait, limits, ticks))
 
 

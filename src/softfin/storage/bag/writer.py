@@ -23,7 +23,7 @@ BACKLOG = 50_000
 """Most rows that wait for the disk: two minutes at 400 per second, some 20 MB."""
 
 PENDING_BYTES = 50_000_000
-"""Most bytes that wait for a full disk; beyond it rows are dropped and counted."""
+"""Most bytes that wait for a full disk; beyond it rows are dropped."""
 
 STALL_S = 5.0
 """Longest time that the disk may take to synchronise [s]."""
@@ -53,7 +53,6 @@ class BagRecorder:
         self._queue: queue.SimpleQueue[tuple[str, float, Values]] = queue.SimpleQueue()
         self._pending = _Pending()
         self._failure: str | None = None
-        self._dropped = 0
         self._bag = BagWriter(self._pending)
         self._file = _create(path)
         self._flushed = clock()
@@ -85,16 +84,6 @@ class BagRecorder:
             self._fail(f"the disk has taken no rows for {STALL_S:g} s", "record on a faster disk")
         return self._failure
 
-    @property
-    def written(self) -> dict[str, int]:
-        """Number of messages by topic that are in the file or wait for its disk."""
-        return dict(self._bag.written)
-
-    @property
-    def dropped(self) -> int:
-        """Number of messages that are not in the file: handed in after a failure, or after `close`."""
-        return self._dropped
-
     def command(self, time: float, angle: float, velocity: float) -> None:
         """Record a command [rad, rad/s]; the later one of two at one moment is stamped a little later."""
         self._commanded = max(time, self._commanded + APART_S)
@@ -124,17 +113,16 @@ class BagRecorder:
             return
         self._closing.set()
         self._thread.join(CLOSE_S)
-        self._dropped += self._queue.qsize()
         if self._thread.is_alive():
             self._fail(f"the disk did not end the file within {CLOSE_S:g} s", f"softfin bag recover {self.path}")
 
     def _hand_in(self, topic: str, time: float, values: Values) -> None:
-        if self._closing.is_set() or self._queue.qsize() >= BACKLOG:
-            self._dropped += 1
-            if not self._closing.is_set():
-                self._fail(f"{BACKLOG:,} rows wait for the disk", "record on a faster disk")
+        if self._closing.is_set():
             return
-        self._queue.put((topic, time, values))
+        if self._queue.qsize() < BACKLOG:
+            self._queue.put((topic, time, values))
+        else:
+            self._fail(f"{BACKLOG:,} rows wait for the disk", "record on a faster disk")
 
     def _work(self) -> None:
         try:
@@ -155,12 +143,10 @@ class BagRecorder:
         for _ in range(self._queue.qsize()):
             topic, seconds, values = self._queue.get()
             if len(self._pending) > PENDING_BYTES:
-                self._dropped += 1
                 continue
             try:
                 self._bag.write(Row(topic, self._offset_ns + round(seconds * SECOND_NS), values))
             except Exception as error:
-                self._dropped += 1
                 self._fail(f"{topic} cannot be {values!r:.100} ({error})", "report this, it is a defect of softfin")
 
     def _flush(self, end: bool = False) -> None:
