@@ -17,7 +17,7 @@ from softfin.core.errors import RunError, SafetyStop, SoftfinError
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.machine import Machine, Sample, Target, clock_of
 from softfin.rig.pace import Pace
-from softfin.rig.safety import Guard, Trip
+from softfin.rig.safety import Guard, Trip, check_target
 from softfin.rig.stop import StopRequest, Watchdog, stopped_by_signals
 from softfin.storage.bag.writer import BagRecorder
 
@@ -193,7 +193,7 @@ class Session:
 
     def command(self, target: Target) -> None:
         """Issue a command now; raises SafetyStop where it is beyond this fin's limits or the drive refuses it."""
-        trip = self.guard.check_target(target) or self.stop_request.trip or self.trip
+        trip = check_target(target, self.guard.limits) or self.stop_request.trip or self.trip
         if trip is not None:
             self.abort(trip)
         if self.state != "active":
