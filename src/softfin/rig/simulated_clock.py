@@ -151,7 +151,7 @@ class SimulatedClock:
                 wait = self._ready[0]
                 if wait.parked:
                     self._running, wait.parked = wait, False
-                del self._ready[0]
+                self._ready.popleft()
                 if self._running is wait:
                     wait.signal.release()
             else:
