@@ -32,7 +32,7 @@ from softfin.rig.epos2 import cia402
 from softfin.rig.loop import run_controller
 from softfin.rig.machine import Sample, Target
 from softfin.rig.rig import Rig
-from softfin.rig.safety import Guard, SafetyConfig
+from softfin.rig.safety import Guard, SafetyConfig, check_target
 from softfin.rig.session import Session
 
 SECONDS = int(os.environ.get("SOFTFIN_RIG_SECONDS", "60"))
@@ -224,7 +224,7 @@ def _step(controller: LoadedController) -> list[dict[str, Any]]:
         assert guard.check(sample, now) is None
         middle = time.perf_counter()
         state, command = controller.act(state, Measured(0.3, (1.0, 0.5)), (1.0, 0.0))
-        assert guard.check_target(Target(float(command.angle), float(command.velocity))) is None
+        assert check_target(Target(float(command.angle), float(command.velocity)), guard.limits) is None
         end = time.perf_counter()
         if step >= WARM:
             ticks.append(1e3 * (middle - start))

@@ -150,7 +150,7 @@ def node(_: Path) -> dict[str, Any]:
     from softfin.rig.ros2.node import RosNode
 
     transport = open_transport(TransportConfig(transport="dds"), Messages())
-    ros_node = RosNode(transport, NodeConfig(reference_timeout_s=None))
+    ros_node = RosNode(transport, NodeConfig(reference_timeout_s=None), print)
     reference = stop = None
     deadline = time.monotonic() + 20
     tick = 0
@@ -162,8 +162,8 @@ def node(_: Path) -> dict[str, Any]:
         reference, stop = ros_node.reference() or reference, ros_node.stop_reason()
         time.sleep(0.01)
     listening = ros_node.joint.readers()
-    ros_node.close()
-    return {"reference": reference, "stop": stop, "unsent": ros_node.unsent, "listening": listening}
+    transport.close()
+    return {"reference": reference, "stop": stop, "unsent": ros_node.counters()["unsent"], "listening": listening}
 
 
 def _ticked(machine: Any) -> Any:

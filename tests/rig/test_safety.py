@@ -8,7 +8,7 @@ from softfin.control.controller import TrainingRange
 from softfin.core.errors import ConfigurationError
 from softfin.core.quantities import PAPER_LIMITS, Limits
 from softfin.rig.machine import Sample, Target
-from softfin.rig.safety import Guard, SafetyConfig
+from softfin.rig.safety import Guard, SafetyConfig, check_target
 
 LIMITS = Limits(*map(float, PAPER_LIMITS))
 CURRENTS = {"current_peak_a": 4.0, "current_sustained_a": 2.0}
@@ -35,7 +35,7 @@ def first(watched: Guard, seconds: float, make) -> tuple[float, object]:
 
 def test_nothing_is_wrong_with_a_fin_that_is_well():
     assert first(guard(), 3, sample)[1] is None
-    assert guard().check_target(Target(1.5, 3.0)) is None
+    assert check_target(Target(1.5, 3.0), LIMITS) is None
 
 
 @pytest.mark.parametrize(
@@ -147,7 +147,7 @@ def test_far_beyond_the_training_range_trips_after_a_second():
 
 @given(st.floats(), st.floats())
 def test_a_target_passes_only_inside_the_limits(angle, velocity):
-    trip = guard().check_target(Target(angle, velocity))
+    trip = check_target(Target(angle, velocity), LIMITS)
     inside = (
         LIMITS.angle_min - 1e-3 <= angle <= LIMITS.angle_max + 1e-3
         and LIMITS.velocity_min - 1e-3 <= velocity <= LIMITS.velocity_max + 1e-3

@@ -51,20 +51,12 @@ class Arguments(Driving, Configured):
         otherwise, warning = resolve_reference(controller, self.reference, self.strict)
         transport = open_transport(topics.connection, Messages())
         try:
-            node = RosNode(transport, topics, resolve=lambda asked: resolve_reference(controller, asked, self.strict))
+            node = RosNode(transport, topics, say, lambda asked: resolve_reference(controller, asked, self.strict))
             for note in (*transport.notes, *([] if warning is None else [warning])):
                 say(note)
-            newest = node.references(otherwise)
-
-            def references(at: float) -> tuple[float, float]:
-                asked = newest(at)
-                for note in node.notes():
-                    say(note)
-                return asked
-
             stop = StopRequest()
             result = self.drive(
-                controller, robot, references, self.seconds,
+                controller, robot, node.references(otherwise), self.seconds,
                 lambda _: say("references come by their topic; Enter alone stops the fin"), stop,
                 (node.observer(stop),),
             )  # fmt: skip

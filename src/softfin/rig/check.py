@@ -1,15 +1,15 @@
 """Check the rig, one part after the other: disk, sensor, drive, limits and the 100 Hz loop; nothing moves."""
 
-import contextlib
 import os
 import shutil
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 from softfin.core.clock import Clock
-from softfin.core.errors import SoftfinError
+from softfin.core.errors import DeviceError, SoftfinError
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.config import RigConfig
 from softfin.rig.pace import Pace
@@ -39,27 +39,21 @@ def check_rig(
 ) -> Iterator[CheckResult]:
     """Yield the results as they come; the loop runs for so long without moving."""
     drive, rig = config.drive, Rig(config, clock)
-    simulated = isinstance(rig.clock, SimulatedClock)
-    where = f"{config.bus.interface} {config.bus.channel}, node {drive.node}"
     yield CheckResult("rig file", "well", f"fin {config.fin!r}, {drive.encoder_lines} lines, gear {drive.gear_ratio:g}")
-    yield _check_disk(folder, simulated)
+    yield _check_disk(folder, isinstance(rig.clock, SimulatedClock))
     all_well = True
-    for what, place, results in (
-        ("force sensor", "", _check_sensor(rig)),
-        ("drive", f"{where}: ", _check_drive(rig, where)),
+    for what, results in (
+        ("force sensor", _check_sensor(rig)),
+        ("drive", _check_drive(rig)),
+        ("100 Hz loop", _check_loop(rig, seconds)),
     ):
+        if not all_well and what == "100 Hz loop":
+            return
         try:
             yield from results
         except SoftfinError as error:
             all_well = False
-            yield CheckResult(what, "wrong", f"{place}{error}")
-        finally:
-            rig.close()
-    if all_well:
-        try:
-            yield from _check_loop(rig, seconds, simulated)
-        except SoftfinError as error:
-            yield CheckResult("100 Hz loop", "wrong", str(error))
+            yield CheckResult(what, "wrong", str(error))
         finally:
             rig.close()
 
@@ -71,34 +65,34 @@ def _check_sensor(rig: Rig) -> Iterator[CheckResult]:
     yield CheckResult("force sensor", "well", f"{product}, {sensor.rate_hz:.0f} records/s, filter delays "
                       f"{sensor.delay_s * 1e3:.1f} ms")  # fmt: skip
     still = sensor.measured(1.0)
-    force, noise = (", ".join(f"{value:{sign}.3f}" for value in values[:3])
-                    for values, sign in ((still.mean, "+"), (still.std, "")))  # fmt: skip
+    force = ", ".join(f"{value:+.3f}" for value in still.mean[:3])
+    noise = ", ".join(f"{value:.3f}" for value in still.std[:3])
     is_zero = max(map(abs, still.mean[:3])) < 0.2
     advice = "" if is_zero else "; with the fin at rest in water: softfin rig zero"
-    yield CheckResult(
-        "force at rest", "well" if is_zero else "note", f"({force}) N, noise ({noise}) N a record{advice}"
-    )
-    for line in sensor.complaints():
-        yield CheckResult("sensor status", "wrong", line)
+    text = f"({force}) N, noise ({noise}) N a record{advice}"
+    yield CheckResult("force at rest", "well" if is_zero else "note", text)
+    yield from (CheckResult("sensor status", "wrong", line) for line in sensor.complaints())
 
 
-def _check_drive(rig: Rig, where: str) -> Iterator[CheckResult]:
-    config = rig.config.drive
-    rig.drive.open()
+def _check_drive(rig: Rig) -> Iterator[CheckResult]:
+    bus, config = rig.config.bus, rig.config.drive
+    where = f"{bus.interface} {bus.channel}, node {config.node}"
+    try:
+        rig.drive.open()
+    except SoftfinError as error:
+        raise DeviceError(f"{where}: {error}") from None
     angle = rig.drive.sync_and_read(0.02).angle
     yield CheckResult("drive", "well", f"{where}: limits, ramps and mapping written and read back")
     inside = config.angle_min_rad <= angle <= config.angle_max_rad
     yield CheckResult("angle", "well" if inside else "wrong", f"{angle:+.3f} rad, limits "
                       f"{config.angle_min_rad:+.2f} .. {config.angle_max_rad:+.2f} rad")  # fmt: skip
-    if rig.drive.referenced or not config.zero_needed:
-        yield CheckResult("zero", "well", "known")
-    else:
-        yield CheckResult("zero", "wrong", "not known since power-up: softfin rig zero")
-    for line in rig.drive.complaints():
-        yield CheckResult("drive status", "wrong", line)
+    is_known = rig.drive.referenced or not config.zero_needed
+    text = "known" if is_known else "not known since power-up: softfin rig zero"
+    yield CheckResult("zero", "well" if is_known else "wrong", text)
+    yield from (CheckResult("drive status", "wrong", line) for line in rig.drive.complaints())
 
 
-def _check_loop(rig: Rig, seconds: float, simulated: bool) -> Iterator[CheckResult]:
+def _check_loop(rig: Rig, seconds: float) -> Iterator[CheckResult]:
     pace = Pace(clock=rig.clock)
     rig.open()
     pace.start()
@@ -110,7 +104,7 @@ def _check_loop(rig: Rig, seconds: float, simulated: bool) -> Iterator[CheckResu
     load = (time.process_time() - cpu) / seconds
     rig.close()
     counted, late = rig.counters(), pace.to_dict()
-    if simulated:
+    if isinstance(rig.clock, SimulatedClock):
         yield CheckResult("100 Hz loop", "note", "in simulated time nothing is late; softfin rig emulate --real-time "
                           "shows what this computer can do")  # fmt: skip
     else:
@@ -127,19 +121,14 @@ def _check_disk(folder: Path, simulated: bool) -> CheckResult:
     """Check room and speed; in simulated time a slow disk holds nobody up."""
     here = folder if folder.exists() else Path.cwd()
     free = shutil.disk_usage(here).free / 1e6
-    probe = here / f".softfin-check-{os.getpid()}"
     start = time.monotonic()
     try:
-        # Never through a link that somebody put there.
-        with probe.open("xb") as file:
+        with tempfile.TemporaryFile(dir=here) as file:
             file.write(bytes(100_000))
             file.flush()
             os.fsync(file.fileno())
     except OSError as error:
         return CheckResult("disk", "wrong", f"{here}: cannot be written ({error.strerror})")
-    finally:
-        with contextlib.suppress(OSError):
-            probe.unlink(missing_ok=True)
     took = time.monotonic() - start
     enough = free >= NEEDED_MB and (simulated or took <= SLOW_S)
     advice = "" if enough else f"; make {NEEDED_MB} MB room"

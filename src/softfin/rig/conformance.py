@@ -2,15 +2,14 @@
 
 from typing import Any, NoReturn
 
+import numpy as np
+
 from softfin.core.errors import RigError
 from softfin.rig.machine import Machine, Sample, Target, clock_of
 from softfin.rig.pace import Pace
 
 STEP_RAD = 0.2
-"""Step by which the fin is moved, towards the middle of its range [rad]."""
-
-MOVED_RAD = 0.05
-"""Angle beyond which a fin has moved [rad]."""
+"""Step by which the fin is moved, towards the middle of its range [rad]; a quarter of it within 1 s is a movement."""
 
 STILL_RAD = 0.02
 """Angle within which a fin has stayed still [rad]."""
@@ -33,24 +32,22 @@ def check_machine(machine: Any, pace: Pace | None = None) -> None:
         members = [name for name in dir(Machine) if not name.startswith("_")]
         missing = [name for name in members if not hasattr(machine, name)]
         _fail(machine, f"has no {', '.join(missing)}", "softfin.rig.machine.Machine describes them")
+    pace = pace or Pace(clock=clock_of(machine))
     machine.stop()
     machine.close()
-    trial = _Trial(machine, pace or Pace(clock=clock_of(machine)))
     try:
         for from_another_thread in (False, True):
             machine.open()
-            trial.check_still("before it was enabled")
+            _check_still(machine, pace, "before it was enabled")
             machine.enable()
-            trial.check_still("when it was enabled and not commanded")
-            trial.check_moves()
+            _check_still(machine, pace, "when it was enabled and not commanded")
+            _check_moves(machine, pace)
             if from_another_thread:
-                trial.pace.clock.spawn(machine.stop, "stop").join(5.0)
+                pace.clock.spawn(machine.stop, "stop").join(5.0)
             else:
                 machine.stop()
-            trial.watch(20)
-            trial.check_still("after stop")
-            if any(type(count) is not int for count in machine.counters().values()):
-                _fail(machine, f"counters {machine.counters()}", "each is a whole number by name")
+            _watch(machine, pace, 20)
+            _check_still(machine, pace, "after stop")
             machine.close()
             machine.close()
             machine.stop()
@@ -59,67 +56,55 @@ def check_machine(machine: Any, pace: Pace | None = None) -> None:
         machine.close()
 
 
-class _Trial:
-    def __init__(self, machine: Machine, pace: Pace) -> None:
-        self.machine, self.pace = machine, pace
-        self._last: Sample | None = None
-
-    def watch(self, ticks: int) -> list[float]:
-        """Read so many samples, each of which must make sense; returns the angles."""
-        machine, clock = self.machine, self.pace.clock
-        self.pace.start()
-        samples, durations = [], []
-        for _ in range(ticks):
-            self.pace.wait()
-            began = clock()
-            sample = machine.read()
-            durations.append(clock() - began)
-            self._check(sample, clock())
-            self._last = sample
-            samples.append(sample)
-        median = sorted(durations)[ticks // 2]
-        if median > QUICK_S:
-            _fail(machine, f"read takes {1e3 * median:.0f} ms", "it waits a few at most")
-        if samples[-1].time <= samples[0].time or samples[-1].force_time <= samples[0].force_time:
-            _fail(machine, "its times stand still", "each is the moment of its reading, by time.monotonic")
-        return [sample.angle for sample in samples]
-
-    def check_still(self, when: str) -> None:
-        """Check that the fin does not move for half a second."""
-        angles = self.watch(50)
-        way = max(angles) - min(angles)
-        if way > STILL_RAD:
-            _fail(self.machine, f"moved by {way:.3f} rad {when}", "it moves under a command and while enabled only")
-
-    def check_moves(self) -> None:
-        """Check that a command moves the fin, and leave it on its way."""
-        machine, limits = self.machine, self.machine.limits
-        start = machine.read().angle
-        up = start < (limits.angle_min + limits.angle_max) / 2
-        step = STEP_RAD if up else -STEP_RAD
-        velocity = limits.velocity_min or min(0.5, limits.velocity_max)
-        machine.command(Target(start + step, velocity))
-        moved = self.watch(100)[-1] - start
-        if (moved if up else -moved) < MOVED_RAD:
-            _fail(machine, f"went {moved:.3f} rad after 1 s, commanded {step} rad", "a command moves it")
-        machine.command(Target(limits.angle_max if up else limits.angle_min, velocity))
-        self.watch(10)
-
-    def _check(self, sample: Any, now: float) -> None:
-        machine, last = self.machine, self._last
+def _watch(machine: Machine, pace: Pace, ticks: int) -> list[float]:
+    """Read so many samples, each of which must make sense; returns the angles."""
+    pace.start()
+    samples: list[Sample] = []
+    durations = []
+    for _ in range(ticks):
+        pace.wait()
+        began = pace.clock()
+        sample: Any = machine.read()
+        durations.append(pace.clock() - began)
         if not isinstance(sample, Sample):
             _fail(machine, f"read returns {type(sample).__name__}", "it returns a softfin.rig.machine.Sample")
         if sample.complaints:
             _fail(machine, f"complains: {sample.complaints[0]}", "see to that first")
-        numbers = (sample.time, sample.angle, sample.velocity, sample.force_time, *sample.wrench)
-        if not all(abs(number) < float("inf") for number in numbers):
+        if not np.isfinite([sample.time, sample.angle, sample.velocity, sample.force_time, *sample.wrench]).all():
             _fail(machine, f"a reading is not a finite number ({sample})", "all are, or complaints tell")
         for name in ("time", "force_time"):
-            at = getattr(sample, name)
-            if not now - STALE_S <= at <= now + 1e-6:
-                _fail(machine, f"{name} is {now - at:.3f} s ago", f"0 to {STALE_S:g} s, by time.monotonic")
-            if last is not None and at < getattr(last, name):
-                _fail(machine, f"{name} went back by {getattr(last, name) - at:.4f} s", "times rise")
+            age = pace.clock() - getattr(sample, name)
+            if not -1e-6 <= age <= STALE_S:
+                _fail(machine, f"{name} is {age:.3f} s ago", f"0 to {STALE_S:g} s, by time.monotonic")
+            if samples and getattr(sample, name) < getattr(samples[-1], name):
+                _fail(machine, f"{name} went back", "times rise")
+        samples.append(sample)
+    if (median := sorted(durations)[ticks // 2]) > QUICK_S:
+        _fail(machine, f"read takes {1e3 * median:.0f} ms", "it waits a few at most")
+    if samples[-1].time <= samples[0].time or samples[-1].force_time <= samples[0].force_time:
+        _fail(machine, "its times stand still", "each is the moment of its reading, by time.monotonic")
+    return [sample.angle for sample in samples]
+
+
+def _check_still(machine: Machine, pace: Pace, when: str) -> None:
+    angles = _watch(machine, pace, 50)
+    way = max(angles) - min(angles)
+    if way > STILL_RAD:
+        _fail(machine, f"moved by {way:.3f} rad {when}", "it moves under a command and while enabled only")
+
+
+def _check_moves(machine: Machine, pace: Pace) -> None:
+    """Check that a command moves the fin, and leave it on its way."""
+    limits, start = machine.limits, machine.read().angle
+    up = start < (limits.angle_min + limits.angle_max) / 2
+    step = STEP_RAD if up else -STEP_RAD
+    velocity = limits.velocity_min or min(0.5, limits.velocity_max)
+    machine.command(Target(start + step, velocity))
+    moved = _watch(machine, pace, 100)[-1] - start
+    if moved / step < 0.25:
+        _fail(machine, f"went {moved:.3f} rad after 1 s, commanded {step} rad", "a command moves it")
+    machine.command(Target(limits.angle_max if up else limits.angle_min, velocity))
+    _watch(machine, pace, 10)
 
 
 def _fail(machine: Any, what: str, asked: str) -> NoReturn:

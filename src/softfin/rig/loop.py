@@ -10,11 +10,10 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 from softfin.control.controller import Measured
 from softfin.core.action_clock import ACTION_TICKS
-from softfin.core.errors import SoftfinError
 from softfin.core.quantities import RATE_HZ, Command, Limits
 from softfin.rig.machine import Sample, Target
 from softfin.rig.safety import Trip
-from softfin.rig.session import Session
+from softfin.rig.session import Session, in_one_line
 
 Force: TypeAlias = tuple[float, float]
 """Force (x, y) [N]."""
@@ -55,24 +54,20 @@ def run_controller(
 ) -> Iterator[ActionResult]:
     """Act so many times, or until a stop; the session is active and its fin at rest."""
     state = controller.init()
-    sample = session.newest or session.tick()
-    angle, force = sample.angle, (0.0, 0.0)
+    angle, force = (session.newest or session.tick()).angle, (0.0, 0.0)
     ticks = 0
     for index in count() if actions is None else range(actions):
         try:
             reference = references(ticks / RATE_HZ)
             state, command = controller.act(state, Measured(angle, force), reference)
             target = Target(float(command.angle), float(command.velocity))
-        except SoftfinError as error:
-            session.abort(Trip("controller", str(error)))
         except Exception as error:
-            session.abort(Trip("controller", f"the controller failed ({type(error).__name__}: {error}); see --debug"))
+            session.abort(Trip("controller", in_one_line(error, "the controller failed")))
         session.record_reference(reference)
         length = ACTION_TICKS[index % len(ACTION_TICKS)]
         samples = session.hold(target, length)
         ticks += length
-        angle = samples[-1].angle
-        force = mean_force(samples)
+        angle, force = samples[-1].angle, mean_force(samples)
         yield ActionResult(reference, target, samples)
 
 

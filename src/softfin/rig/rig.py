@@ -104,8 +104,8 @@ class Rig:
 
     def counters(self) -> dict[str, int]:
         """Return the counters of both devices."""
-        return {**{f"drive_{name.replace(' ', '_')}": n for name, n in self.drive.counters().items()},
-                **self.sensor.counters()}  # fmt: skip
+        counted = {f"drive_{name.replace(' ', '_')}": count for name, count in self.drive.counters().items()}
+        return counted | self.sensor.counters()
 
 
 def zero_force(config: RigConfig, seconds: float = 2.0, clock: Clock | None = None) -> dict[str, Any]:

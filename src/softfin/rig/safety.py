@@ -86,6 +86,21 @@ PAUSE_S = 1.0
 """Two checks further apart than this are not of one motion [s]; within one, `overrun_s` allows no such gap."""
 
 
+def check_target(target: Target, limits: Limits) -> Trip | None:
+    """Check a command that is about to be issued."""
+    for name, unit, value, low, high in (
+        ("angle", "rad", target.angle, limits.angle_min, limits.angle_max),
+        ("velocity", "rad/s", target.velocity, limits.velocity_min, limits.velocity_max),
+    ):
+        if not math.isfinite(value):
+            return Trip("not_a_number", f"commanded {name} {value} {unit}: this fin takes finite numbers; the "
+                        "controller's weights or inputs are damaged: evaluate it in a surrogate first")  # fmt: skip
+        if not low - 1e-3 <= value <= high + 1e-3:
+            return Trip(f"command_{name}", f"commanded {name} {value:.3f} {unit}: this fin takes {low:.3f} to "
+                        f"{high:.3f} {unit}; train within them")  # fmt: skip
+    return None
+
+
 class Guard:
     """Checks every tick against the limits, and returns the first thing that is wrong."""
 
@@ -100,27 +115,6 @@ class Guard:
         self._velocities: deque[tuple[float, float]] = deque(maxlen=ACCELERATION_TICKS + 1)
         self._followed: float | None = None
         self._checked: float | None = None
-
-    def check_target(self, target: Target) -> Trip | None:
-        """Check a command that is about to be issued."""
-        limits = self.limits
-        if not (math.isfinite(target.angle) and math.isfinite(target.velocity)):
-            return Trip(
-                "not_a_number",
-                f"the controller commanded angle {target.angle} rad, velocity {target.velocity} rad/s: not a finite "
-                "number; its weights or its inputs are damaged: evaluate it in a surrogate first",
-            )
-        for name, unit, value, low, high in (
-            ("angle", "rad", target.angle, limits.angle_min, limits.angle_max),
-            ("velocity", "rad/s", target.velocity, limits.velocity_min, limits.velocity_max),
-        ):
-            if not low - 1e-3 <= value <= high + 1e-3:
-                return Trip(
-                    f"command_{name}",
-                    f"commanded {name} {value:.3f} {unit}: this fin takes {low:.3f} to {high:.3f} {unit}; "
-                    "train within them",
-                )
-        return None
 
     def check(self, sample: Sample, now: float, late: float = 0.0) -> Trip | None:
         """Check a sample that has just been read, `late` after its tick was due [s]."""
@@ -164,10 +158,8 @@ class Guard:
         if not velocities or sample.time > velocities[-1][0]:
             velocities.append((sample.time, sample.velocity))
         (start, before), (end, after) = velocities[0], velocities[-1]
-        if (
-            len(velocities) > ACCELERATION_TICKS
-            and (rate := abs(after - before) / (end - start)) > config.acceleration_rad_s2
-        ):
+        rate = abs(after - before) / (end - start) if len(velocities) > ACCELERATION_TICKS else 0.0
+        if rate > config.acceleration_rad_s2:
             return Trip("acceleration", f"the shaft's velocity changed by {rate:.0f} rad/s2: at most "
                         f"{config.acceleration_rad_s2:g} (safety.acceleration_rad_s2); was it hit?")  # fmt: skip
         error = sample.following_error
@@ -182,7 +174,7 @@ class Guard:
 
     def _check_loads(self, sample: Sample, now: float) -> Trip | None:
         config, sizes, wrench = self.config, sample.peak or sample.wrench, sample.wrench
-        current = () if sample.current is None or config.current_peak_a is None else (sample.current,)
+        current = () if sample.current is None else (sample.current,)
         for name, unit, largest, values, mean, peak, sustained in (
             ("force", "N", sizes[:3], wrench[:3], self._force, config.force_peak_n, config.force_sustained_n),
             ("torque", "N m", sizes[3:], wrench[3:], self._torque, config.torque_peak_nm, config.torque_sustained_nm),
@@ -204,15 +196,12 @@ class Guard:
         margin = self.config.training_margin
         if self.trained is None or margin is None:
             return None
-        channels = zip(
-            ("angle", "velocity", "force x", "force y"),
-            (sample.angle, sample.velocity, sample.wrench[0], sample.wrench[1]),
-            self.trained,
-            strict=True,
-        )
+        values = (sample.angle, sample.velocity, *sample.wrench[:2])
+        names = ("angle", "velocity", "force x", "force y")
         beyond = [
-            (max(low - value, value - high, 0.0) / max(high - low, 1e-6), name)
-            for name, value, (low, high) in ((name, value, bounds) for name, value, bounds in channels if bounds)
+            (max(bounds[0] - value, value - bounds[1], 0.0) / max(bounds[1] - bounds[0], 1e-6), name)
+            for name, value, bounds in zip(names, values, self.trained, strict=True)
+            if bounds
         ]
         furthest, channel = max(beyond, key=lambda each: each[0], default=(0.0, ""))
         average = self._outside.after(now, furthest)
@@ -226,19 +215,18 @@ class _Mean:
     """Mean over the last seconds; 0 until so many have passed."""
 
     def __init__(self, seconds: float) -> None:
-        self.seconds = seconds
+        self._seconds, self._began = seconds, 0.0
         self._items: deque[tuple[float, float]] = deque()
-        self._began: float | None = None
 
     def after(self, now: float, value: float) -> float:
         """Return the mean with one more value."""
-        if self._began is None or now - self._items[-1][0] > self.seconds:
+        if not self._items or now - self._items[-1][0] > self._seconds:
             # After a pause, as between two logs, the values before it do not count.
             self._items.clear()
             self._began = now
         self._items.append((now, value))
-        while self._items[0][0] < now - self.seconds:
+        while self._items[0][0] < now - self._seconds:
             self._items.popleft()
-        if now - self._began < self.seconds:
+        if now - self._began < self._seconds:
             return 0.0
         return sum(value for _, value in self._items) / len(self._items)

@@ -17,7 +17,7 @@ from softfin.core.errors import RunError, SafetyStop, SoftfinError
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.machine import Machine, Sample, Target, clock_of
 from softfin.rig.pace import Pace
-from softfin.rig.safety import Guard, Trip
+from softfin.rig.safety import Guard, Trip, check_target
 from softfin.rig.stop import StopRequest, Watchdog, stopped_by_signals
 from softfin.storage.bag.writer import BagRecorder
 
@@ -86,7 +86,7 @@ class Session:
             self._until_closed.close()
         if not was_reported and unconfirmed not in (None, self._never_confirmed):
             # Whatever ended the session, the person beside the fin must learn that it may not be safe.
-            reason = "the session ended" if error is None else _in_one_line(error, "the session was ended")
+            reason = "the session ended" if error is None else in_one_line(error, "the session was ended")
             raise SafetyStop(f"{reason}; BUT {unconfirmed}") from error
 
     def stop_on_signals(self) -> None:
@@ -119,7 +119,7 @@ class Session:
         try:
             sample = self.machine.read()
         except Exception as error:
-            self.abort(Trip("device", _in_one_line(error, "reading the machine failed")))
+            self.abort(Trip("device", in_one_line(error, "reading the machine failed")))
         now = self.pace.clock()
         if self._watchdog is not None:
             self._watchdog.feed(now)
@@ -143,7 +143,7 @@ class Session:
         except SafetyStop:
             raise
         except Exception as error:
-            self.abort(Trip("observer", _in_one_line(error, "an observer of the loop failed")))
+            self.abort(Trip("observer", in_one_line(error, "an observer of the loop failed")))
         self.newest = sample
         return sample
 
@@ -155,7 +155,17 @@ class Session:
         gc.unfreeze()
         gc.collect()
         gc.freeze()
-        sample = self._wait_until_well()
+        self.pace.start()
+        self.guard.restart()
+        # Devices that were not read need a moment to be fresh.
+        for _ in range(round(FRESH_S * RATE_HZ)):
+            sample = self.tick()
+            trip = self.guard.check(sample, self.pace.clock())
+            if trip is None:
+                break
+        else:
+            assert trip is not None
+            self.abort(trip)
         limits = self.machine.limits
         here = min(max(sample.angle, limits.angle_min), limits.angle_max)
         self.machine.enable()
@@ -166,19 +176,6 @@ class Session:
         self.pace.start()
         self._watchdog = Watchdog(self.guard.config.watchdog_s, self._stop_silent_loop, self.pace.clock)
         self.command(Target(here, limits.velocity_min))
-
-    def _wait_until_well(self) -> Sample:
-        """Return the first sample that passes all checks; devices that were not read need a moment to be fresh."""
-        self.pace.start()
-        self.guard.restart()
-        trip: Trip | None = None
-        for _ in range(round(FRESH_S * RATE_HZ)):
-            sample = self.tick()
-            trip = self.guard.check(sample, self.pace.clock())
-            if trip is None:
-                return sample
-        assert trip is not None
-        self.abort(trip)
 
     def deactivate(self) -> None:
         """Stop and disable the motor: slow work may be done now, and `activate` goes on after it."""
@@ -193,7 +190,7 @@ class Session:
 
     def command(self, target: Target) -> None:
         """Issue a command now; raises SafetyStop where it is beyond this fin's limits or the drive refuses it."""
-        trip = self.guard.check_target(target) or self.stop_request.trip or self.trip
+        trip = check_target(target, self.guard.limits) or self.stop_request.trip or self.trip
         if trip is not None:
             self.abort(trip)
         if self.state != "active":
@@ -203,11 +200,10 @@ class Session:
         except Exception as error:
             self._unwatch()
             self.machine.stop()
-            complaints: tuple[str, ...] = ()
+            reason = in_one_line(error, "the machine took no command")
             with contextlib.suppress(Exception):
                 # A drive in fault takes no command, and its fault is the better reason.
-                complaints = self.machine.read().complaints
-            reason = complaints[0] if complaints else _in_one_line(error, "the machine took no command")
+                reason = next(iter(self.machine.read().complaints), reason)
             self.abort(Trip("device", reason))
         self.target = target
         if self.recorder is not None:
@@ -226,16 +222,16 @@ class Session:
     def rest(self, seconds: float) -> None:
         """Go to angle 0 slowly, then wait for so long with the fin at rest, for the water to come to rest too."""
         slowest = self.machine.limits.velocity_min
+        sample = self.newest or self.tick()
+        longest = max(HOMING_S, 2 * abs(sample.angle) / slowest)
         self.command(Target(0.0, slowest))
-        longest = max(HOMING_S, 2 * abs(self.newest.angle if self.newest else 0.0) / slowest)
         for _ in range(round(longest * RATE_HZ)):
             sample = self.tick()
             if abs(sample.angle) < STILL_RAD and abs(sample.velocity) < STILL_RAD:
                 break
         else:
-            angle = self.newest.angle if self.newest else 0.0
             self.abort(Trip("rest", f"the shaft did not come to rest at angle 0 within {longest:.3g} s (it is at "
-                            f"{angle:.3f} rad); is it blocked?"))  # fmt: skip
+                            f"{sample.angle:.3f} rad); is it blocked?"))  # fmt: skip
         for _ in range(round(seconds * RATE_HZ)):
             self.tick()
 
@@ -270,7 +266,7 @@ class Session:
             self.recorder.event(self.pace.clock(), text)
 
 
-def _in_one_line(error: BaseException, what: str) -> str:
+def in_one_line(error: BaseException, what: str) -> str:
     """Describe an error: softfin's own say it all in one line; others need a word of what was going on."""
     if isinstance(error, SoftfinError):
         return str(error)

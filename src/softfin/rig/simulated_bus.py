@@ -2,13 +2,12 @@
 
 import copy
 from collections import deque
-from typing import Any
 from weakref import WeakKeyDictionary
 
 import can
 
 from softfin.core.clock import Clock
-from softfin.rig.epos2.config import BusConfig
+from softfin.core.configuration import Configuration
 from softfin.rig.simulated_clock import SimulatedClock
 
 SIMULATED = "simulated"
@@ -17,12 +16,15 @@ SIMULATED = "simulated"
 _channels: WeakKeyDictionary[SimulatedClock, dict[str, list["SimulatedBus"]]] = WeakKeyDictionary()
 
 
-def open_bus(config: BusConfig, clock: Clock) -> can.BusABC:
-    """Open a bus; on a simulated clock that of this process, whatever the interface. Raises what python-can raises."""
+def open_bus(config: Configuration, clock: Clock) -> can.BusABC:
+    """Open the bus of an `epos2.config.BusConfig`, whose fields are the arguments of python-can, and raise its errors.
+
+    On a simulated clock it is that of this process, whatever the interface.
+    """
+    settings = config.model_dump()
     if isinstance(clock, SimulatedClock):
-        return SimulatedBus(clock, config.channel)
-    options: dict[str, Any] = {**config.options, "bitrate": config.bitrate}
-    return can.Bus(interface=config.interface, channel=config.channel, **options)
+        return SimulatedBus(clock, settings["channel"])
+    return can.Bus(**settings.pop("options"), **settings)
 
 
 class SimulatedBus(can.BusABC):

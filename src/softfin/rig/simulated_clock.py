@@ -151,7 +151,7 @@ class SimulatedClock:
                 wait = self._ready[0]
                 if wait.parked:
                     self._running, wait.parked = wait, False
-                del self._ready[0]
+                self._ready.popleft()
                 if self._running is wait:
                     wait.signal.release()
             else:
@@ -188,30 +188,6 @@ class _Thread(threading.Thread):
         return not self._finished.is_set()
 
 
-class _Event(threading.Event):
-    def __init__(self, clock: SimulatedClock) -> None:
-        self._clock, self._flag = clock, False
-        self._queue: list[_Wait] = []
-
-    def set(self) -> None:
-        with self._clock._guard:
-            self._flag = True
-            self._clock._wake(self._queue)
-
-    def clear(self) -> None:
-        self._flag = False
-
-    def is_set(self) -> bool:
-        return self._flag
-
-    def wait(self, timeout: float | None = None) -> bool:
-        with self._clock._guard:
-            if self._flag:
-                return True
-            wait = self._clock._begin(self._queue, timeout)
-        return self._clock._finish(wait) or self._flag
-
-
 class _Condition(threading.Condition):
     def __init__(self, clock: SimulatedClock) -> None:
         self._clock, self._owner, self._count = clock, 0, 0
@@ -236,7 +212,6 @@ class _Condition(threading.Condition):
 
     def release(self) -> None:
         with self._clock._guard:
-            self._check_held()
             self._count -= 1
             if self._count == 0:
                 self._let_go()
@@ -250,7 +225,6 @@ class _Condition(threading.Condition):
     def wait(self, timeout: float | None = None) -> bool:
         clock = self._clock
         with clock._guard:
-            self._check_held()
             wait = clock._begin(self._waiters, timeout)
             held, self._count = self._count, 0
             self._let_go()
@@ -273,12 +247,19 @@ class _Condition(threading.Condition):
         with self._clock._guard:
             self._clock._wake(self._waiters)
 
-    def _check_held(self) -> None:
-        if self._owner != threading.get_ident():
-            raise RuntimeError("the lock is not held by this thread")
-
     def _let_go(self) -> None:
         """Let the one that has waited for longest in."""
         self._owner = 0
         while self._lock and not self._clock._wake([self._lock.pop(0)]):
             pass
+
+
+class _Event(threading.Event):
+    def __init__(self, clock: SimulatedClock) -> None:
+        super().__init__()
+        # The one that threading's own event waits on.
+        self._cond = _Condition(clock)
+
+    def wait(self, timeout: float | None = None) -> bool:
+        # Whoever sets it at the very moment of the timeout is in time.
+        return super().wait(timeout) or self.is_set()

@@ -81,8 +81,7 @@ class SimulatedSocket:
         receiver = self._network.sockets.get(address)
         if receiver is not None and receiver._peer in (None, self.address) and len(receiver._received) < CAPACITY:
             # In whole nanoseconds, as a kernel's stamp.
-            seconds = int(self._clock())
-            arrived = seconds + round((self._clock() - seconds) * 1e9) * 1e-9
+            arrived = int(self._clock()) + round(self._clock() % 1 * 1e9) * 1e-9
             receiver._received.append((bytes(data), arrived, self.address))
             receiver._news.set()
         return len(data)

@@ -79,10 +79,9 @@ def listen_to_keyboard(
 class Watchdog:
     """A thread that stops the machine when the loop is silent, as where a controller waits for ever.
 
-    It is a thread of the same Python interpreter. A loop that is stuck in C code which holds the interpreter's lock
-    stops this thread, too, as a stopped process or a computer that hangs does. Then the rig's drive stops the motor
-    itself: the loop's own thread sends the host's heartbeat, and without it for `drive.heartbeat_s` the drive faults
-    (0x8130). Behind ROS 2's topics nothing like it exists: the fin's driver has to notice missing commands.
+    A loop that is stuck in C code which holds the interpreter's lock stops this thread, too. Then the rig's drive stops
+    the motor itself: without the host's heartbeat for `drive.heartbeat_s` it faults (0x8130). Behind ROS 2's topics
+    nothing like it exists: the fin's driver has to notice missing commands.
     """
 
     def __init__(self, longest_s: float, on_silence: Callable[[float], None], clock: Clock = REAL) -> None:

@@ -6,7 +6,7 @@ removed, and with the logs that are finished, from which an interrupted collecti
 
 import json
 from collections.abc import Callable, Sequence
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -88,7 +88,7 @@ def collect_live(
             for index, name in enumerate(missing):
                 report = _progress_report(progress, name, index, len(missing), config.rows, robot.settle_s)
                 with session.recording(bags / f"{name}.mcap"):
-                    log = _record(session, robot, _commands(config, name, robot.machine.limits), report)
+                    log = _record(session, robot, config, name, report)
                 write_log(bags / f"{name}.parquet", log)
             metadata["counters"] = robot.machine.counters() | {"skipped_ticks": session.pace.skipped}
             metadata["clock"] = session.pace.to_dict()
@@ -148,17 +148,14 @@ class LiveFin:
     ) -> ExperimentRecording:
         """Run every reference so many times, one after the other, each from rest."""
         self._session.activate()
-        runs = []
-        for index, reference in enumerate(references):
-            asked = np.broadcast_to(reference, (seconds * RATE_HZ, 2))
-            for repetition in range(repetitions):
-                done = (index * repetitions + repetition) / (len(references) * repetitions)
-                note = f"reference {index + 1} of {len(references)}, repetition {repetition + 1}"
-                self._progress("evaluate", done, note)
-                runs.append(self._one(asked, seconds))
+        runs: list[tuple[Command, Reading]] = []
+        shape = (len(references), repetitions)
+        for index, repetition in np.ndindex(shape):
+            note = f"reference {index + 1} of {len(references)}, repetition {repetition + 1}"
+            self._progress("evaluate", len(runs) / (len(references) * repetitions), note)
+            runs.append(self._one(np.broadcast_to(references[index], (seconds * RATE_HZ, 2)), seconds))
         self._session.deactivate()
         self._progress("evaluate", 1.0, "")
-        shape = (len(references), repetitions)
         command, reading = jax.tree.map(lambda *parts: np.stack(parts).reshape(*shape, *parts[0].shape), *runs)
         return ExperimentRecording(references, command, reading)
 
@@ -178,9 +175,9 @@ class LiveFin:
         issued = [(first.time - HALF_TICK_S, results[0].target)]
         log = log_from_samples([*samples, *tail], issued, len(samples), longest_gap(self._robot))
         ticks = [result.target for result in results for _ in result.samples]
-        command = Command(*np.array(ticks, np.float32).T)
         reading = Reading(*(field[1:] for field in log.reading))
-        return command, reading._replace(time=(reading.time - reading.time[0] + 1 / RATE_HZ).astype(np.float32))
+        reading = reading._replace(time=(reading.time - reading.time[0] + 1 / RATE_HZ).astype(np.float32))
+        return Command(*np.array(ticks, np.float32).T), reading
 
 
 def longest_gap(robot: RobotSetup) -> float:
@@ -234,33 +231,36 @@ def _check_claim(bags: Path, claim: dict[str, Any], resume: bool) -> None:
             raise ArtifactError(
                 f"{bags}: holds finished logs; go on with --resume, give another --out, or move it away"
             )
-        if differing := _differing(artifacts.read_json(state), json.loads(artifacts.dump_json(claim))):
+        before, now = _leaves(artifacts.read_json(state)), _leaves(json.loads(artifacts.dump_json(claim)))
+        differing = [
+            f"{name} ({json.dumps(before.get(name))} there, {json.dumps(now.get(name))} here)"
+            for name in now | before
+            if before.get(name) != now.get(name)
+        ]
+        if differing:
             raise ArtifactError(
                 f"{bags}: holds logs of another {'; '.join(differing[:3])}; resume with the same options and rig, or "
                 "give another --out"
             )
 
 
-def _differing(before: Any, now: Any, at: str = "") -> list[str]:
-    """Name each value that differs, with both."""
-    if not (isinstance(before, dict) and isinstance(now, dict)):
-        return [] if before == now else [f"{at} ({json.dumps(before)} there, {json.dumps(now)} here)"]
-    names = dict.fromkeys([*now, *before])
-    inner = [_differing(before.get(name), now.get(name), f"{at}.{name}" if at else str(name)) for name in names]
-    return [each for part in inner for each in part]
+def _leaves(values: dict[str, Any], at: str = "") -> dict[str, Any]:
+    """Values by their path, such as ``configuration.rows``."""
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        found |= _leaves(value, f"{at}{name}.") if isinstance(value, dict) else {f"{at}{name}": value}
+    return found
 
 
-def _commands(config: CollectConfig, name: str, limits: Limits) -> list[Target]:
-    """Draw the commands that a plant would get: one a tick, and one more to begin with."""
+def _record(
+    session: Session, robot: RobotSetup, config: CollectConfig, name: str, report: Callable[[int, Sample], None]
+) -> Log:
+    """Record a log whose row k is what was read at tick k + 1 and the command that was issued right then."""
     part, number = name.split("-")
     _, key = jax.random.split(key_of(config.seed, f"collect/{part}/{int(number)}"))
-    commands = config.excitation(key, config.rows + 1, limits)
-    angles, velocities = (np.asarray(channel, float).tolist() for channel in commands)
-    return [Target(angle, velocity) for angle, velocity in zip(angles, velocities, strict=True)]
-
-
-def _record(session: Session, robot: RobotSetup, commands: list[Target], report: Callable[[int, Sample], None]) -> Log:
-    """Record a log whose row k is what was read at tick k + 1 and the command that was issued right then."""
+    # What a plant would get: one command a tick, and one more to begin with.
+    drawn = config.excitation(key, config.rows + 1, robot.machine.limits)
+    commands = [Target(*command) for command in np.stack(drawn, axis=1).astype(float).tolist()]
     session.activate()
     session.rest(robot.settle_s)
     samples: list[Sample] = []
@@ -285,9 +285,7 @@ def _progress_report(
     def report(row: int, sample: Sample) -> None:
         if progress is None or (row % (RATE_HZ // 2) and row < rows):
             return
-        seconds = ((count - index) * rows - row) / RATE_HZ + (count - index - 1) * settle_s
-        minutes, rest = divmod(round(seconds), 60)
-        left = f"{minutes // 60} h {minutes % 60:02d} min" if minutes >= 60 else f"{minutes} min {rest:02d} s"
+        left = timedelta(seconds=round(((count - index) * rows - row) / RATE_HZ + (count - index - 1) * settle_s))
         x, y = sample.wrench[:2]
         note = f"{left} left, {name}: ({x:+.2f}, {y:+.2f}) N, {sample.angle:+.2f} rad"
         progress("collect", min((index + row / rows) / count, 1.0), note)

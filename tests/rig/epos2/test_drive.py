@@ -16,7 +16,7 @@ from softfin.rig.epos2.config import BusConfig
 from softfin.rig.epos2.drive import Epos2
 from softfin.rig.epos2.power import REFUSED
 from softfin.rig.machine import Target
-from softfin.rig.safety import Guard, SafetyConfig
+from softfin.rig.safety import check_target
 from softfin.rig.simulated_clock import SimulatedClock
 from tests.rig.epos2_bench import NODE, Bench, Sniffer, bench, bus_config, drive_config, enabled
 
@@ -463,7 +463,7 @@ def test_a_command_that_safety_lets_pass_is_taken_and_put_on_the_limit() -> None
         target = Target(1.5708, 3.14)
         config = made.drive.config
         limits = Limits(config.angle_min_rad, config.angle_max_rad, config.slowest_rad_s, config.fastest_rad_s)
-        assert Guard(SafetyConfig(), limits).check_target(target) is None
+        assert check_target(target, limits) is None
         made.drive.command(target)
         assert made.until(lambda: made.drive.sync_and_read().angle == pytest.approx(1.57, abs=1e-3))
         assert made.emulated.state.words == "operation enabled"

@@ -149,7 +149,7 @@ def test_it_closes_once_and_its_thread_ends(rclpy, transport):
 
 
 def test_a_thread_that_failed_is_told_to_who_reads(rclpy, transport):
-    node = RosNode(transport, NodeConfig())
+    node = RosNode(transport, NodeConfig(), print)
     rclpy.fails = "context is not\nvalid"
     rclpy.ended.set()
     deadline = time.monotonic() + 10

@@ -3,6 +3,7 @@
 It opens the file to read and for no longer than one look, so it disturbs no recorder and holds up no unmounting.
 """
 
+import contextlib
 import io
 import itertools
 import os
@@ -14,7 +15,7 @@ from mcap.records import Channel, Footer, Message, Schema
 
 from softfin.core.errors import LogError
 from softfin.core.printable import printable
-from softfin.rig.monitor.summary import State, Summary, readings
+from softfin.rig.monitor.summary import State, Summary, summarize
 from softfin.rig.monitor.trace import MOST_CHARACTERS, ROLES, Trace
 from softfin.storage.bag.records import MAGIC, RawRecord, decode, read_records
 from softfin.storage.paths import check_monitored
@@ -84,8 +85,6 @@ class Follower:
             return
         self._problem = None
         try:
-            if not self._bag.is_file():
-                raise FileNotFoundError(0, "not there any more")
             with self._bag.open("rb") as file:
                 self._read(file)
         except OSError as error:
@@ -95,12 +94,14 @@ class Follower:
 
     def summary(self) -> Summary:
         """Summarize the recording as of the last look."""
-        values = readings(self.traces)
-        logged = None if values["time_s"] is None else self._start_ns * 1e-9 + values["time_s"]
+        times = [newest.time for role in ("joint", "wrench") if (newest := self.traces[role].newest)]
+        time_s = max(times, default=None)
         # What is recorded in simulated time runs ahead of the day.
-        age = None if logged is None else max(0.0, self._wall() - logged)
-        return Summary(path=self._shown(), number=self._number, state=self._state(age), problem=self._problem,
-                       size_bytes=self._size, damaged=self._damaged, age_s=age, **values)  # fmt: skip
+        age = None if time_s is None else max(0.0, self._wall() - (self._start_ns * 1e-9 + time_s))
+        return summarize(
+            self.traces, path=self._shown(), number=self._number, state=self._state(age), problem=self._problem,
+            size_bytes=self._size, damaged=self._damaged, age_s=age, time_s=time_s,
+        )  # fmt: skip
 
     def _choose(self) -> bool:
         """Whether there is another bag to follow: the one written to last, if it is clearly newer."""
@@ -109,16 +110,13 @@ class Follower:
         self._chosen_at = self._clock()
         times: dict[Path, float] = {}
         for path in itertools.chain.from_iterable(map(self.path.glob, PATTERNS)):
-            try:
+            # A file may be renamed or removed meanwhile.
+            with contextlib.suppress(OSError):
                 if path.is_file() and not path.name.startswith("."):
                     times[path] = path.stat().st_mtime
-            except OSError:
-                # Renamed or removed meanwhile.
-                continue
         newest = max(times, key=lambda path: (times[path], path.name), default=None)
-        if newest is None or newest == self._bag:
-            return False
-        if self._bag in times and times[newest] <= times[self._bag] + NEWER_S:
+        is_newer = newest is not None and (self._bag not in times or times[newest] > times[self._bag] + NEWER_S)
+        if newest == self._bag or not is_newer:
             return False
         self._bag = newest
         return True
@@ -134,10 +132,10 @@ class Follower:
             magic = file.read(len(MAGIC))
             if not MAGIC.startswith(magic):
                 raise LogError("not an MCAP file; give a bag that softfin or ros2 bag has recorded as MCAP")
-            if len(magic) < len(MAGIC):
+            if magic != MAGIC:
                 self._caught_up = True
                 return
-            self._offset = len(magic)
+            self._offset = len(MAGIC)
         was_caught_up, before, end = self._caught_up, self._count(), self._offset + READ_BYTES
         try:
             for record in read_records(file, self._offset, self._size):

@@ -41,26 +41,24 @@ class Summary:
     problem: str | None
     """What went wrong with the reading, in one line that ends in the way out."""
     size_bytes: int
+    damaged: int
+    """Chunks and records that could not be read and were passed over."""
+    age_s: float | None
+    """Age of the newest row, by this computer's clock."""
+    time_s: float | None
+    """Time of the newest row, since the recording's first."""
     rows: int
     """Rows of the joint."""
     rate_hz: float | None
     """Rate of the joint's rows, over the last 2 s."""
     gaps: int
-    """Places of the joint's rows where some are missing at 100 Hz."""
+    """Places of the joint's rows where some are missing at 100 Hz, and how many are."""
     missing: int
-    """Rows that are missing there."""
     force_gaps: int
-    """Places of the force's rows where some are missing at 100 Hz."""
+    """The same for the force's rows."""
     force_missing: int
-    """Rows that are missing there."""
-    damaged: int
-    """Chunks and records that could not be read and were passed over."""
     unreadable: int
     """Messages that could not be decoded as their type."""
-    age_s: float | None
-    """Age of the newest row, by this computer's clock."""
-    time_s: float | None
-    """Time of the newest row, since the recording's first."""
     angle_rad: float | None
     velocity_rad_s: float | None
     command_angle_rad: float | None
@@ -68,7 +66,7 @@ class Summary:
     current_a: float | None
     force_n: tuple[float, float] | None
     mean_force_n: tuple[float, float] | None
-    """Mean force over the last 2 s."""
+    """Mean force over the last 2 s; None where a force in them is not a number."""
     reference_n: tuple[float, float] | None
     events: tuple[tuple[float, str], ...]
     """Time since the recording's first row [s] and text, the newest last."""
@@ -92,30 +90,35 @@ class Summary:
         return ", ".join(filter(None, parts))
 
 
-def readings(traces: Mapping[str, Trace]) -> dict[str, Any]:
-    """Return those fields of a Summary that come from the traces."""
+def summarize(traces: Mapping[str, Trace], **about_the_file: Any) -> Summary:
+    """Summarize a recording from its traces and from what is known of its file."""
     joint, wrench = traces["joint"], traces["wrench"]
-    angle, velocity = _newest(joint, 2)
-    command_angle, command_velocity = _newest(traces["command"], 2)
-    return {
-        "rows": joint.count,
-        "rate_hz": _rate(joint),
-        "gaps": joint.gaps,
-        "missing": joint.missing,
-        "force_gaps": wrench.gaps,
-        "force_missing": wrench.missing,
-        "unreadable": sum(trace.unreadable for trace in traces.values()),
-        "time_s": max((trace.newest.time for trace in (joint, wrench) if trace.newest), default=None),
-        "angle_rad": angle,
-        "velocity_rad_s": velocity,
-        "command_angle_rad": command_angle,
-        "command_velocity_rad_s": command_velocity,
-        "current_a": _newest(traces["current"], 1)[0],
-        "force_n": _pair(_newest(wrench, 2)),
-        "mean_force_n": _mean_force(wrench),
-        "reference_n": _pair(_newest(traces["reference"], 2)),
-        "events": tuple((row.time, str(row.values[0])) for row in list(traces["event"].rows)[-SHOWN_EVENTS:]),
-    }
+    angle, velocity = _newest(joint)
+    command_angle, command_velocity = _newest(traces["command"])
+    recent, forces = (rows[rows[:, 0] >= rows[:, 0].max(initial=0.0) - WINDOW_S + TICK_S / 2]
+                      for rows in (joint.array(), wrench.array()))  # fmt: skip
+    span = recent[-1, 0] - recent[0, 0] if len(recent) else 0.0
+    is_whole = len(forces) > 0 and wrench.rows[0].time <= forces[-1, 0] - WINDOW_S + 1.5 * TICK_S
+    mean = forces[:, 1:].mean(axis=0).tolist() if is_whole and (np.abs(forces[:, 1:]) < LARGEST).all() else [None] * 2
+    return Summary(
+        rows=joint.count,
+        rate_hz=float((len(recent) - 1) / span) if span > 0 else None,
+        gaps=joint.gaps,
+        missing=joint.missing,
+        force_gaps=wrench.gaps,
+        force_missing=wrench.missing,
+        unreadable=sum(trace.unreadable for trace in traces.values()),
+        angle_rad=angle,
+        velocity_rad_s=velocity,
+        command_angle_rad=command_angle,
+        command_velocity_rad_s=command_velocity,
+        current_a=_newest(traces["current"])[0],
+        force_n=_pair(_newest(wrench)),
+        mean_force_n=_pair(mean),
+        reference_n=_pair(_newest(traces["reference"])),
+        events=tuple((row.time, str(row.values[0])) for row in list(traces["event"].rows)[-SHOWN_EVENTS:]),
+        **about_the_file,
+    )
 
 
 def finite(value: Any) -> float | None:
@@ -123,31 +126,11 @@ def finite(value: Any) -> float | None:
     return value if isinstance(value, float) and abs(value) < LARGEST else None
 
 
-def _newest(trace: Trace, count: int) -> list[float | None]:
-    return [None] * count if trace.newest is None else [finite(value) for value in trace.newest.values]
+def _newest(trace: Trace) -> list[float | None]:
+    newest = trace.newest
+    return [None, None] if newest is None else [finite(value) for value in newest.values]
 
 
 def _pair(values: list[float | None]) -> tuple[float, float] | None:
     x, y = values
     return None if x is None or y is None else (x, y)
-
-
-def _last_seconds(trace: Trace) -> np.ndarray:
-    """Return time and values of the rows within the window of the mean."""
-    rows = trace.array()
-    return rows[rows[:, 0] >= rows[-1, 0] - WINDOW_S + TICK_S / 2] if len(rows) else rows
-
-
-def _rate(trace: Trace) -> float | None:
-    times = _last_seconds(trace)[:, 0]
-    return None if len(times) < 2 or times[-1] <= times[0] else float((len(times) - 1) / (times[-1] - times[0]))
-
-
-def _mean_force(trace: Trace) -> tuple[float, float] | None:
-    """Return None before there are 2 s, and where a force in them is not a number."""
-    rows = _last_seconds(trace)
-    is_whole = len(rows) > 0 and trace.rows[0].time <= rows[-1, 0] - WINDOW_S + 1.5 * TICK_S
-    if not is_whole or not (np.abs(rows[:, 1:]) < LARGEST).all():
-        return None
-    x, y = rows[:, 1:].mean(axis=0).tolist()
-    return x, y

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 from jaxtyping import Float64
-from rich.console import Console, Group, RenderableType
+from rich.console import Console, Group
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
@@ -92,7 +92,8 @@ def render(summary: Summary, traces: Mapping[str, Trace], *, ascii_only: bool = 
     """Draw the screen."""
     age = "" if summary.age_s is None or summary.state == "ended" else f"; newest row {_ago(summary.age_s)}"
     at = "" if summary.time_s is None else f", {summary.time_s:.1f} s"
-    parts: list[RenderableType] = [
+    events = [_line(f"{event_time:9.2f} s  {text}") for event_time, text in summary.events[-6:]]
+    return Group(
         # The end of a path says more than its beginning.
         _line(summary.path if len(summary.path) <= 79 else "…" + summary.path[-78:]),
         _line(f"{STATES[summary.state]}{at}{age}", COLOURS.get(summary.state, "bold"), wrap=True),
@@ -100,13 +101,10 @@ def render(summary: Summary, traces: Mapping[str, Trace], *, ascii_only: bool = 
         _table(summary, traces, LETTERS if ascii_only else BLOCKS),
         Text(),
         _line(summary.counts()),
-    ]
-    if summary.problem:
-        parts.append(_line(summary.problem, "red", wrap=True))
-    parts.append(Text())
-    parts += [_line(f"{event_time:9.2f} s  {text}") for event_time, text in summary.events[-6:]]
-    parts += [] if summary.events else [_line("no events yet", "dim")]
-    return Group(*parts)
+        *([_line(summary.problem, "red", wrap=True)] if summary.problem else []),
+        Text(),
+        *(events or [_line("no events yet", "dim")]),
+    )
 
 
 def _ago(age_s: float) -> str:

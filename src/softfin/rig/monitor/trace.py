@@ -1,7 +1,7 @@
 """The last seconds of one topic of a recording: its rows counted, the gaps found, its messages decoded when needed."""
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -9,7 +9,18 @@ from jaxtyping import Float64
 
 from softfin.core.printable import printable
 from softfin.core.quantities import TICK_S
-from softfin.storage.bag.messages import COMMAND, CURRENT, EVENTS, JOINT, REFERENCE, WRENCH, type_store
+from softfin.storage.bag.messages import (
+    COMMAND,
+    CURRENT,
+    EVENTS,
+    JOINT,
+    JOINT_STATE,
+    REFERENCE,
+    TYPES,
+    WRENCH,
+    WRENCH_STAMPED,
+    type_store,
+)
 
 MOST_ROWS = 30_000
 """Rows of one topic that are held, whatever their times say: 30 s of a sensor that streams at 1 kHz."""
@@ -19,45 +30,36 @@ MOST_CHARACTERS = 300
 
 Values: TypeAlias = tuple[float | str, ...]
 
-_DECODE: dict[str, Callable[[Any], Values]] = {
-    "sensor_msgs/msg/JointState": lambda message: (
-        float(message.position[0]),
-        float(message.velocity[0]) if len(message.velocity) else float("nan"),
-    ),
-    "std_msgs/msg/Float64MultiArray": lambda message: tuple(float(message.data[i]) for i in (0, 1)),
-    "geometry_msgs/msg/WrenchStamped": lambda message: (float(message.wrench.force.x), float(message.wrench.force.y)),
-    "std_msgs/msg/Float64": lambda message: (float(message.data),),
-    "std_msgs/msg/String": lambda message: (printable(message.data, most=MOST_CHARACTERS),),
-}
-
 
 class Role(NamedTuple):
     """What a topic holds."""
 
     topic: str
     columns: tuple[str, ...]
-    types: tuple[str, ...]
-    """Types of messages that are understood."""
 
-
-_JOINT, _PAIR, _WRENCH, _NUMBER, _TEXT = _DECODE
 
 ROLES = {
-    "joint": Role(JOINT, ("angle_rad", "velocity_rad_s"), (_JOINT,)),
-    "wrench": Role(WRENCH, ("force_x_n", "force_y_n"), (_WRENCH,)),
-    "command": Role(COMMAND, ("angle_rad", "velocity_rad_s"), (_JOINT, _PAIR)),
-    "reference": Role(REFERENCE, ("force_x_n", "force_y_n"), (_WRENCH,)),
-    "current": Role(CURRENT, ("current_a",), (_NUMBER,)),
-    "event": Role(EVENTS, ("text",), (_TEXT,)),
+    "joint": Role(JOINT, ("angle_rad", "velocity_rad_s")),
+    "wrench": Role(WRENCH, ("force_x_n", "force_y_n")),
+    "command": Role(COMMAND, ("angle_rad", "velocity_rad_s")),
+    "reference": Role(REFERENCE, ("force_x_n", "force_y_n")),
+    "current": Role(CURRENT, ("current_a",)),
+    "event": Role(EVENTS, ("text",)),
 }
 
 
 def decode_message(role: str, type_name: str, data: bytes) -> Values | None:
-    """Return the values of a message; None where it cannot be decoded as its type."""
-    if type_name not in ROLES[role].types:
+    """Return the values of a message; None where it is of another type than softfin records, or damaged."""
+    if type_name != TYPES[ROLES[role].topic]:
         return None
     try:
-        return _DECODE[type_name](type_store().deserialize_cdr(data, type_name))
+        message: Any = type_store().deserialize_cdr(data, type_name)
+        if type_name == JOINT_STATE:
+            velocity = float(message.velocity[0]) if len(message.velocity) else float("nan")
+            return float(message.position[0]), velocity
+        if type_name == WRENCH_STAMPED:
+            return float(message.wrench.force.x), float(message.wrench.force.y)
+        return (printable(message.data, most=MOST_CHARACTERS) if role == "event" else float(message.data),)
     except Exception:
         # Generated code reads damaged bytes, and fails in ways of its own; the caller counts it.
         return None

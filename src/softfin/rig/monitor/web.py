@@ -3,18 +3,19 @@
 Two addresses, `/` and `/data?since=N`, both made in memory. No path of a request is ever looked up on a disk.
 """
 
-import base64
 import contextlib
-import hashlib
 import importlib.resources
 import ipaddress
 import json
 import re
 import socket
+import socketserver
 import sys
 import threading
 from collections.abc import Callable
 from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler
+from typing import Any
 from urllib.parse import urlsplit
 
 from softfin.core.canvas import with_canvas
@@ -23,35 +24,49 @@ from softfin.core.errors import ConfigurationError
 from softfin.rig.monitor.follow import Follower
 from softfin.rig.monitor.summary import STATES, WINDOW_S, finite
 from softfin.rig.monitor.trace import ROLES
-from softfin.rig.web_server import REQUEST_S, BoundedServer, OneRequest
 
 REFRESH_S = 0.2
 
+REQUEST_S = 3.0
+"""Longest silence of a client within its request or its answer [s]."""
+
 DIGITS = 4
 
+HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
+    "connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-store",
+}
+"""Let the page fetch nothing from elsewhere, and no other page show it."""
 
-class Server(BoundedServer):
+
+class Server(socketserver.ThreadingTCPServer):
     """Serves a recording until it is closed; raises ConfigurationError where it cannot listen."""
 
     # A port that another program listens to is not shared with it.
     allow_reuse_address = sys.platform != "win32"
+    daemon_threads = True
+    request_queue_size = 128
+    """Connections that wait to be accepted; too few cost a burst of clients a second."""
 
     def __init__(self, follower: Follower, host: str, port: int) -> None:
         self.host, self._follower = host, follower
         self._reading = threading.Lock()
         """Held by the thread that reads, and by those that answer."""
-        page = with_canvas(importlib.resources.files("softfin.rig.monitor").joinpath("page.html").read_text("utf-8"))
-        self.page, self.policy = page.encode(), _security_policy(page)
-        if not 0 <= port <= 65535:
-            raise ConfigurationError(f"--port {port}: a port is a whole number from 0 to 65535; 0 takes a free one")
+        page = importlib.resources.files("softfin.rig.monitor").joinpath("page.html").read_text("utf-8")
+        self.page = with_canvas(page).encode()
         try:
             self.address_family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
             super().__init__((host, port), _Handler)
-        except (OSError, UnicodeError) as error:
+        except (OSError, OverflowError, UnicodeError) as error:
             reason = getattr(error, "strerror", None) or error
             raise ConfigurationError(
                 f"cannot listen on {host} port {port} ({reason}); --port 0 takes a free port, --host {LOOPBACK} is here"
             ) from None
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Ignore a client that went away."""
 
     @property
     def address(self) -> str:
@@ -93,30 +108,20 @@ class Server(BoundedServer):
             thread.join(REQUEST_S)
 
 
-class _Handler(OneRequest):
-    """Answers for the page and its data, and refuses everything else."""
+class _Handler(BaseHTTPRequestHandler):
+    """Answers one request for the page or its data, and refuses everything else."""
 
     server: Server
     server_version, sys_version = "softfin", ""
-
-    def parse_request(self) -> bool:
-        """Whether it is one that is answered."""
-        if not super().parse_request():
-            return False
-        hosts = self.headers.get_all("Host") or []
-        if self.command not in ("GET", "HEAD"):
-            self.send_error(HTTPStatus.METHOD_NOT_ALLOWED, "this page is read-only")
-        elif len(hosts) != 1 or not _is_known(hosts[0], self.server.host):
-            # Else any web page could read ours through a name of its own that it points at this computer.
-            self.send_error(HTTPStatus.FORBIDDEN, "not a name of this page")
-        else:
-            return True
-        return False
+    timeout = REQUEST_S
 
     def do_GET(self) -> None:
         """Answer with the page, or the data."""
         path, _, query = self.path.partition("?")
-        if self.path == "/":
+        if not _is_known(self.headers.get("Host", ""), self.server.host):
+            # Else any web page could read ours through a name of its own that it points at this computer.
+            self.send_error(HTTPStatus.FORBIDDEN, "not a name of this page")
+        elif self.path == "/":
             self._answer(self.server.page, "text/html; charset=utf-8")
         elif path != "/data":
             self.send_error(HTTPStatus.NOT_FOUND, "there is only the page")
@@ -127,24 +132,13 @@ class _Handler(OneRequest):
 
     do_HEAD = do_GET
 
-    def end_headers(self) -> None:
-        """Send what keeps other pages out."""
-        for name, value in {
-            "Content-Security-Policy": self.server.policy,
-            "X-Content-Type-Options": "nosniff",
-            "X-Frame-Options": "DENY",
-            "Referrer-Policy": "no-referrer",
-            "Cross-Origin-Resource-Policy": "same-origin",
-            "Cache-Control": "no-store",
-            **({"Allow": "GET, HEAD"} if self.command not in ("GET", "HEAD") else {}),
-        }.items():
-            self.send_header(name, value)
-        super().end_headers()
+    def log_message(self, format: str, *args: Any) -> None:
+        """Log nothing."""
 
     def _answer(self, body: bytes, kind: str) -> None:
         self.send_response(HTTPStatus.OK)
-        self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(len(body)))
+        for name, value in {**HEADERS, "Content-Type": kind, "Content-Length": str(len(body))}.items():
+            self.send_header(name, value)
         self.end_headers()
         if self.command == "GET":
             self.wfile.write(body)
@@ -161,18 +155,3 @@ def _is_known(host: str, own: str) -> bool:
         name = urlsplit(f"//{host.strip()}").hostname or ""
         return name in ("localhost", own.lower()) or bool(ipaddress.ip_address(name))
     return False
-
-
-def _security_policy(page: str) -> str:
-    """Let only the page's own script and style run, and only this address be asked."""
-    hashes = {
-        tag: " ".join(
-            f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
-            for text in re.findall(rf"<{tag}>(.*?)</{tag}>", page, re.DOTALL)
-        )
-        for tag in ("script", "style")
-    }
-    return (
-        f"default-src 'none'; script-src {hashes['script']}; style-src {hashes['style']}; connect-src 'self'; "
-        "img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-    )

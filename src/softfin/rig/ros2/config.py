@@ -74,9 +74,8 @@ class NodeConfig(Configuration):
     @model_validator(mode="after")
     def _apart(self) -> "NodeConfig":
         names = [getattr(self, name) for name in type(self).model_fields if name.endswith("_topic")]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"{name} is the name of two topics; give each its own")
+        if twice := {name for name in names if names.count(name) > 1}:
+            raise ValueError(f"{', '.join(twice)} is the name of two topics; give each its own")
         return self
 
 

@@ -5,7 +5,6 @@ Names after ROS 2's design article "Topic and Service name mapping to DDS": ``/f
 of this library on loopback only: it has not met a node of ROS 2.
 """
 
-import contextlib
 import os
 import threading
 import time
@@ -101,16 +100,15 @@ class DdsTransport:
         except DDSException as error:
             self._domain = None
             remedy = "is there such a network interface, and is it up?" if config.network else "is loopback up?"
-            if os.environ.get(URI):
-                remedy = f"check {URI}"
+            remedy = f"check {URI}" if os.environ.get(URI) else remedy
             raise DeviceError(f"DDS domain {number} cannot be used ({one_line(error)}); {remedy}") from None
         self._own: set[str] = set()
         self._seen: dict[str, tuple[str, str]] = {}
 
     def publish(self, topic: str, kind: str) -> Publisher:
         """A writer of its own."""
-        carrier, quality = idl_type(kind, self._messages, carries=True), _quality()
-        writer: Any = DataWriter(self._open(), Topic(self._open(), f"rt{topic}", carrier, qos=quality), qos=quality)
+        carrier, there = self._topic(topic, kind)
+        writer: Any = DataWriter(self._participant, there, qos=_quality())
         self._own.add(str(writer.get_guid()))
 
         def send(data: bytes) -> None:
@@ -123,10 +121,8 @@ class DdsTransport:
 
     def subscribe(self, topic: str, kind: str, best_effort: bool = False) -> Take:
         """A reader of its own, which keeps the last messages."""
-        carrier = idl_type(kind, self._messages, carries=True)
-        reader = DataReader(
-            self._open(), Topic(self._open(), f"rt{topic}", carrier, qos=_quality()), qos=_quality(best_effort)
-        )
+        _, there = self._topic(topic, kind)
+        reader = DataReader(self._participant, there, qos=_quality(best_effort))
 
         def take() -> list[Received]:
             try:
@@ -151,13 +147,14 @@ class DdsTransport:
 
     def close(self) -> None:
         """Leave; readers and writers that somebody still holds go with the last one who does."""
-        with contextlib.suppress(Exception):
-            self._publications = self._participant = self._domain = None
+        self._publications = self._participant = self._domain = None
 
-    def _open(self) -> Any:
+    def _topic(self, topic: str, kind: str) -> tuple[Any, Any]:
+        """The type of a topic's samples, and the topic."""
         if self._participant is None:
             raise DeviceError("the way to ROS 2 is closed; open it again")
-        return self._participant
+        carrier = idl_type(kind, self._messages, carries=True)
+        return carrier, Topic(self._participant, f"rt{topic}", carrier, qos=_quality())
 
 
 def _quality(best_effort: bool = False) -> Any:

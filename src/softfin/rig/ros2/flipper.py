@@ -6,14 +6,12 @@ family has been met.
 """
 
 import math
-import re
 import time
-from functools import partial
-from operator import setitem
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import AfterValidator, Field
+from rosbags.interfaces import Nodetype
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import RigError
@@ -21,7 +19,8 @@ from softfin.rig.machine import Target
 from softfin.rig.ros2.messages import Messages, one_line, type_name
 from softfin.rig.ros2.transport import Transport
 
-PART = re.compile(r"[A-Za-z][A-Za-z0-9_]*|[0-9]{1,3}")
+LONGEST = 1000
+"""Most elements of a sequence."""
 
 EARLY_S = 1e-3
 """How long before its time a message may go out [s]: ticks come a little early and late."""
@@ -90,11 +89,16 @@ class FlipperCommands:
         message = messages.blank(config.type)
         if hasattr(message, "header"):
             message.header = messages.header(time.time_ns(), "")
-        for path, value in (config.constants | {config.amplitude: 0.0, config.zero_direction: angle}).items():
-            try:
-                put(messages, message, path, value)
-            except ValueError as error:
-                raise RigError(f"flipper field {path!r} of {config.type}: {error}") from None
+        values = config.constants | {config.amplitude: 0.0, config.zero_direction: angle}
+        try:
+            for path, value in values.items():
+                put(messages, (Nodetype.NAME, config.type), message, path.split("."), value)
+        except (LookupError, ValueError):
+            fields = ", ".join(name for name, _ in messages.types.fielddefs[config.type][1])
+            raise RigError(
+                f"flipper field {path!r} of {config.type}: no field that takes {value!r}; give a path of names and "
+                f"indices, as flippers.2.amplitude; the message has {fields}"
+            ) from None
         try:
             return messages.encode(message)
         except Exception as error:
@@ -103,33 +107,24 @@ class FlipperCommands:
                            "constants and the names of the fields") from None  # fmt: skip
 
 
-def put(messages: Messages, message: Any, path: str, value: float | bool | str) -> None:
-    """Set the field at the end of a path such as ``flippers.2.amplitude``; sequences grow as far as it goes."""
-    parts = path.split(".")
-    if not all(PART.fullmatch(part) for part in parts):
-        raise ValueError("a path is names and numbers with dots between, as flippers.2.amplitude")
-    kind, detail, node = "NAME", message.__msgtype__, message
-    for part in parts:
-        if kind == "NAME":
-            fields = dict(messages.types.fielddefs[detail][1])
-            if part not in fields:
-                raise ValueError(f"{detail} has no field {part!r}; it has {', '.join(fields)}")
-            assign, descriptor, node = partial(setattr, node, part), fields[part], getattr(node, part)
-        elif kind == "BASE" or not part.isdecimal():
-            raise ValueError(f"{part!r} is not an element of it; a sequence's are numbers from 0 on")
-        else:
-            index, (descriptor, count) = int(part), detail
-            if count and index >= count:
-                raise ValueError(f"it has {count} elements, 0 to {count - 1}; there is no {index}")
-            if index >= len(node):
-                added = [messages.blank_value(descriptor) for _ in range(index + 1 - len(node))]
-                is_array = isinstance(node, np.ndarray)
-                node = np.concatenate([node, np.array(added, node.dtype)]) if is_array else [*node, *added]
-                assign(node)
-            assign, node = partial(setitem, node, index), node[index]
-        kind, detail = descriptor[0].name, descriptor[1]
-    if kind != "BASE":
-        raise ValueError("it is not a number, but has parts of its own; name one of them")
-    if isinstance(value, str) != (detail[0] == "string"):
-        raise ValueError(f"it is of type {detail[0]}, which {value!r} is not")
-    assign(value)
+def put(messages: Messages, descriptor: Any, node: Any, parts: list[str], value: float | bool | str) -> Any:
+    """Set the field at the end of a path, and return the changed node; sequences grow as far as the path goes.
+
+    Raises LookupError or ValueError where there is no such field, or one of another kind.
+    """
+    kind, detail = descriptor
+    if kind is Nodetype.BASE:
+        if parts or isinstance(value, str) != (detail[0] == "string"):
+            raise ValueError
+        return value
+    first, *rest = parts
+    if kind is Nodetype.NAME:
+        field = dict(messages.types.fielddefs[detail][1])[first]
+        setattr(node, first, put(messages, field, getattr(node, first), rest, value))
+        return node
+    (element, count), index = detail, int(first)
+    if not 0 <= index < (count or LONGEST):
+        raise IndexError
+    items = [*node, *(messages.blank_value(element) for _ in range(index + 1 - len(node)))]
+    items[index] = put(messages, element, items[index], rest, value)
+    return np.array(items, node.dtype) if isinstance(node, np.ndarray) else items

@@ -120,11 +120,9 @@ def joint_of(message: Any, name: str) -> tuple[float, float | None]:
 
 def wrench_of(message: Any) -> Wrench:
     """Force and torque in the message's own axes."""
-    force, torque = message.wrench.force, message.wrench.torque
-    return (
-        _finite("force x", force.x), _finite("force y", force.y), _finite("force z", force.z),
-        _finite("torque x", torque.x), _finite("torque y", torque.y), _finite("torque z", torque.z),
-    )  # fmt: skip
+    parts = (("force", message.wrench.force), ("torque", message.wrench.torque))
+    fx, fy, fz, tx, ty, tz = (_finite(f"{name} {axis}", getattr(part, axis)) for name, part in parts for axis in "xyz")
+    return fx, fy, fz, tx, ty, tz
 
 
 def reference_of(message: Any, frame: str) -> tuple[float, float]:

@@ -18,9 +18,7 @@ from softfin.rig.ros2.connection import Stamped, Subscription, open_transport
 from softfin.rig.ros2.flipper import FlipperCommands
 from softfin.rig.ros2.messages import BOOL, JOINT, WRENCH, Messages, joint_of, wrench_of
 from softfin.rig.ros2.transport import Publisher, Transport
-
-ROUNDING = 1e-3
-"""How far beyond a limit a command may be by rounding [rad, rad/s]."""
+from softfin.rig.safety import check_target
 
 LOCK_S = 0.02
 """Longest that a stop waits for a command that is going out [s]; over DDS that takes 5 ms at most."""
@@ -50,16 +48,10 @@ class _Topics(NamedTuple):
     """Everything that is open."""
 
     transport: Transport
-    messages: Messages
     joint: Subscription[tuple[float, float | None]]
     wrench: Subscription[Wrench]
     commands: JointCommands | FlipperCommands
     stop: Publisher | None
-
-    def send_stop(self, stop: bool) -> None:
-        """Ask the driver to stop, or take that back, where it has a topic for it."""
-        if self.stop is not None:
-            self.stop.send(self.messages.encode(self.messages.make(BOOL, stop)))
 
 
 class Ros2Machine:
@@ -77,6 +69,8 @@ class Ros2Machine:
         opener: Callable[[TransportConfig, Messages], Transport] = open_transport,
     ) -> None:  # fmt: skip
         self.config, self._clock, self._opener = config, clock, opener
+        self.limits: Limits = config.limits
+        self._messages = Messages(config.flipper.definitions if config.flipper else None)
         self._sign = -1.0 if config.negate_angle else 1.0
         # A signal's handler may stop the machine while this very thread is in the middle of a command.
         self._lock = threading.RLock()
@@ -85,11 +79,6 @@ class Ros2Machine:
         self._angle: Stamped[tuple[float, float]] | None = None
         self._force: Stamped[Wrench] | None = None
         self._counted: dict[str, int] = {}
-
-    @property
-    def limits(self) -> Limits:
-        """The configured limits."""
-        return self.config.limits
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -104,53 +93,54 @@ class Ros2Machine:
     def open(self) -> None:
         """Wait until joint and wrench publish; nothing is sent."""
         self.close()
-        config = self.config
-        messages = Messages(config.flipper.definitions if config.flipper else None)
-        transport = self._opener(config.connection, messages)
+        transport = self._opener(self.config.connection, self._messages)
         try:
-            turn, best_effort = rotation(config.frame), config.best_effort
-            joint: Subscription[tuple[float, float | None]] = Subscription(
-                transport, messages, config.joint_topic, JOINT,
-                lambda message: joint_of(message, config.joint_name), best_effort=best_effort,
-            )  # fmt: skip
-            wrench = Subscription(
-                transport, messages, config.wrench_topic, WRENCH,
-                lambda message: rotated(wrench_of(message), turn), best_effort=best_effort,
-            )  # fmt: skip
-            commands: JointCommands | FlipperCommands
-            if config.flipper is not None:
-                commands = FlipperCommands(transport, messages, config.command_topic, config.flipper)
-            else:
-                publisher = transport.publish(config.command_topic, JOINT)
-                commands = JointCommands(publisher, messages, config.joint_name, self.limits.velocity_max)
-            stop = None if config.stop_topic is None else transport.publish(config.stop_topic, BOOL)
-            self._topics = _Topics(transport, messages, joint, wrench, commands, stop)
+            self._topics = self._subscribe(transport)
             self._await_first(self._topics)
         except BaseException:
             self.close()
             transport.close()
             raise
 
+    def _subscribe(self, transport: Transport) -> _Topics:
+        config, messages = self.config, self._messages
+        turn, best_effort = rotation(config.frame), config.best_effort
+        joint: Subscription[tuple[float, float | None]] = Subscription(
+            transport, messages, config.joint_topic, JOINT,
+            lambda message: joint_of(message, config.joint_name), best_effort=best_effort,
+        )  # fmt: skip
+        wrench = Subscription(
+            transport, messages, config.wrench_topic, WRENCH,
+            lambda message: rotated(wrench_of(message), turn), best_effort=best_effort,
+        )  # fmt: skip
+        commands: JointCommands | FlipperCommands
+        if config.flipper is not None:
+            commands = FlipperCommands(transport, messages, config.command_topic, config.flipper)
+        else:
+            publisher = transport.publish(config.command_topic, JOINT)
+            commands = JointCommands(publisher, messages, config.joint_name, self.limits.velocity_max)
+        stop = None if config.stop_topic is None else transport.publish(config.stop_topic, BOOL)
+        return _Topics(transport, joint, wrench, commands, stop)
+
     def read(self) -> Sample:
         """The newest of both topics."""
-        topics = self._opened()
-        self._take(topics)
-        if self._angle is None or self._force is None:
-            raise DeviceError("nothing has been read yet; open the machine first")
+        topics = self._take()
+        assert self._angle is not None
+        assert self._force is not None
         with self._lock:
             if self._enabled:
                 self._send(lambda commands: commands.tick(self._clock()))
-        angle, velocity = self._angle.value
         refusals = (topics.joint.refusal, topics.wrench.refusal)
         complaints = tuple(refusal for refusal in refusals if refusal is not None)
-        return Sample(self._angle.time, angle, velocity, None, None, self._force.time, self._force.value, complaints)
+        at, force = self._angle, self._force
+        return Sample(at.time, *at.value, None, None, force.time, force.value, complaints)
 
     def enable(self) -> None:
         """Take commands, and hold where it is."""
-        topics, limits = self._opened(), self.limits
-        self._take(topics)
-        angle = self._measured()
-        if not limits.angle_min - ROUNDING <= angle <= limits.angle_max + ROUNDING:
+        topics, limits = self._take(), self.limits
+        assert self._angle is not None
+        angle = self._angle.value[0]
+        if not limits.angle_min - 1e-3 <= angle <= limits.angle_max + 1e-3:
             raise DeviceError(f"the fin is at {angle:.3f} rad, beyond {limits.angle_min:.3f} to "
                               f"{limits.angle_max:.3f} rad; bring it back by its own driver")  # fmt: skip
         if not topics.commands.publisher.readers():
@@ -158,24 +148,20 @@ class Ros2Machine:
                               "and check the topic's type")  # fmt: skip
         with self._lock:
             if self.config.stop_release:
-                topics.send_stop(False)
+                self._send_stop(False)
             self._enabled = True
             hold = Target(self._sign * angle, limits.velocity_min)
             self._send(lambda commands: commands.send(hold, hold.angle, self._clock()))
 
     def command(self, target: Target) -> None:
         """Go there from now on."""
-        limits = self.limits
-        for name, value, low, high in (
-            ("angle", target.angle, limits.angle_min, limits.angle_max),
-            ("velocity", target.velocity, limits.velocity_min, limits.velocity_max),
-        ):
-            if not low - ROUNDING <= value <= high + ROUNDING:
-                raise CommandError(f"{name} {value:g}: this fin takes {low:g} to {high:g}; train within them")
+        trip = check_target(target, self.limits)
+        if trip is not None:
+            raise CommandError(trip.reason)
         with self._lock:
-            if not self._enabled:
+            if not self._enabled or self._angle is None:
                 raise DeviceError("the fin is not enabled; enable it before it is commanded")
-            aim, measured = Target(self._sign * target.angle, target.velocity), self._sign * self._measured()
+            aim, measured = Target(self._sign * target.angle, target.velocity), self._sign * self._angle.value[0]
             self._send(lambda commands: commands.send(aim, measured, self._clock()))
 
     def stop(self) -> None:
@@ -213,7 +199,7 @@ class Ros2Machine:
     def _await_first(self, topics: _Topics) -> None:
         deadline = time.monotonic() + self.config.wait_s
         while self._angle is None or self._force is None:
-            self._take(topics)
+            self._take()
             if time.monotonic() > deadline:
                 break
             time.sleep(0.002)
@@ -227,12 +213,11 @@ class Ros2Machine:
                     "start its driver, correct the topic, or the domain (ROS_DOMAIN_ID) and the network"
                 )
 
-    def _opened(self) -> _Topics:
-        if self._topics is None:
+    def _take(self) -> _Topics:
+        """Take what has come; raises DeviceError where the machine is closed."""
+        topics = self._topics
+        if topics is None:
             raise DeviceError("the machine is closed; open it first")
-        return self._topics
-
-    def _take(self, topics: _Topics) -> None:
         for joint in topics.joint.take():
             angle, velocity, before = self._sign * joint.value[0], joint.value[1], self._angle
             if velocity is not None:
@@ -244,11 +229,7 @@ class Ros2Machine:
                 velocity = (angle - before.value[0]) / (joint.time - before.time)
             self._angle = Stamped(joint.time, joint.received, (angle, velocity))
         self._force = next(reversed(topics.wrench.take()), self._force)
-
-    def _measured(self) -> float:
-        if self._angle is None:
-            raise DeviceError("the fin's angle is not known; open the machine first")
-        return self._angle.value[0]
+        return topics
 
     def _send(self, message: Callable[[JointCommands | FlipperCommands], None]) -> None:
         """A message that moves; a stop in between, by a signal, has the last word."""
@@ -257,15 +238,17 @@ class Ros2Machine:
         if not self._enabled:
             self._brake(was_enabled=True)
 
+    def _send_stop(self, stop: bool) -> bool:
+        """Ask the driver to stop, or take that back, where it has a topic for it; returns whether somebody reads it."""
+        if self._topics is None or self._topics.stop is None:
+            return False
+        self._topics.stop.send(self._messages.encode(self._messages.make(BOOL, stop)))
+        return self._topics.stop.readers() > 0
+
     def _brake(self, was_enabled: bool) -> None:
-        topics = self._topics
-        if topics is None:
-            return
         with contextlib.suppress(Exception):
-            if topics.stop is not None:
-                topics.send_stop(True)
-                if topics.stop.readers():
-                    return
+            if self._send_stop(True):
+                return
         with contextlib.suppress(Exception):
-            if was_enabled and self._angle is not None:
-                topics.commands.hold(self._sign * self._angle.value[0])
+            if was_enabled and self._topics is not None and self._angle is not None:
+                self._topics.commands.hold(self._sign * self._angle.value[0])
