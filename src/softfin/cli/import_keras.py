@@ -40,4 +40,4 @@ class Arguments(Common):
             "forcenet": surrogate.forcenet.config.parameters(),
         }
         text = f"{self.out}: PosNet {counts['posnet']:,} and ForceNet {counts['forcenet']:,} parameters"
-        self.tell({"surrogate": str(self.out), "parameters": counts, "limits": surrogate.limits.described()}, text)
+        self.tell({"surrogate": str(self.out), "parameters": counts, "limits": surrogate.limits.to_dict()}, text)

@@ -16,7 +16,7 @@ import numpy as np
 from softfin.control.controller import LoadedController, Measured
 from softfin.core.action_clock import ACTION_RATE_HZ, ACTION_TICKS
 from softfin.core.errors import ConfigurationError, RunError
-from softfin.core.operations import Array, Number
+from softfin.core.operations import Array, Number, Operations
 from softfin.core.quantities import command_of
 from softfin.storage.artifact import write_file
 from softfin.storage.paths import check_onnx
@@ -49,7 +49,7 @@ class Exported(NamedTuple):
     outputs: tuple[str, ...]
 
 
-class OnnxOperations:
+class OnnxOperations(Operations):
     """The operations of ndonnx; both of two choices are in the graph."""
 
     def __init__(self, ndonnx: Any) -> None:
@@ -161,7 +161,7 @@ def _with_metadata(onnx: Any, model: Any, controller: LoadedController) -> Any:
         "kind": controller.kind,
         "action_rate_hz": ACTION_RATE_HZ,
         "action_ticks_of_10_ms": list(ACTION_TICKS),
-        "limits": controller.limits.described(),
+        "limits": controller.limits.to_dict(),
         "cells_n": [{"low": list(cell.low), "high": list(cell.high)} for cell in controller.cells],
         "reachable": artifact.description.get("reachable"),
         "training_range": artifact.description.get("training_range"),

@@ -22,7 +22,7 @@ from softfin.evaluation.experiment import MIN_SECONDS, Recording, Subject, alike
 from softfin.evaluation.response import Response, responses, tracking_error
 from softfin.evaluation.scores import score
 from softfin.gaits.reachable import Cell, Reachable
-from softfin.task.signals import Force, Ramp, Recorded, Signal, Sine, Step
+from softfin.task.signals import Force, Ramp, Recorded, Signal, Sinusoid, Step
 
 At = Callable[[float, float], Force]
 """A place in a controller's range, each axis from 0 (its least reference) to 1 (its greatest)."""
@@ -50,9 +50,9 @@ def _ramps(at: At) -> tuple[Signal, ...]:
 def _sines(at: At) -> tuple[Signal, ...]:
     """Up and down, then forwards and backwards."""
 
-    def between(one: Force, other: Force) -> Sine:
+    def between(one: Force, other: Force) -> Sinusoid:
         (a, b), (c, d) = one, other
-        return Sine(centre_n=((a + c) / 2, (b + d) / 2), amplitude_n=((c - a) / 2, (d - b) / 2))
+        return Sinusoid(centre_n=((a + c) / 2, (b + d) / 2), amplitude_n=((c - a) / 2, (d - b) / 2))
 
     low, middle, high = 1 / 6, 1 / 2, 5 / 6
     return between(at(middle, low), at(middle, high)), between(at(middle, middle), at(high, middle))

@@ -1,6 +1,5 @@
 """A force map's folder: ``map.json`` (lattice, region, provenance), ``weights.safetensors`` (gaits, their forces)."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,19 +35,27 @@ def save_map(
     config: MapConfig,
     limits: Limits,
     provenance: dict[str, Any],
-    extra_files: Callable[[Path], None] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write a map, whole or not at all; `extra_files` adds to the folder."""
+    """Write a map with its figure, ``map.svg`` and ``map.png``, whole or not at all."""
+    # Who only reads maps need not wait for Matplotlib.
+    from softfin.gaits.figure import map_figure
+    from softfin.storage.figures import render
+
+    def draw(folder: Path) -> None:
+        figure = map_figure(force_map, config.tolerance_n)
+        for kind in ("svg", "png"):
+            (folder / f"map.{kind}").write_bytes(render(figure, kind))
+
     description = {
         "kind": KIND, "format": FORMAT,
-        "limits": limits.described(),
+        "limits": limits.to_dict(),
         **force_map.to_dict(),
         "star_shape": check_star(force_map, config.tolerance_n)._asdict(),
         "configuration": config.model_dump(mode="json"),
         "provenance": provenance,
     }  # fmt: skip
-    artifacts.save(path, KIND, description, force_map.arrays(), extra_files, overwrite)
+    artifacts.save(path, KIND, description, force_map.arrays(), draw, overwrite)
 
 
 def load_map(path: Path) -> LoadedMap:
@@ -65,7 +72,7 @@ def load_map(path: Path) -> LoadedMap:
             description["provenance"].get("plant_identity"),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ArtifactError(f"{source}: not a map's description ({' '.join(str(error).split())})") from None
+        raise ArtifactError(f"{source}: not a valid map ({' '.join(str(error).split())}); map it again") from None
 
 
 def load_force_map(path: Path, plant: Plant, name: str) -> LoadedMap:

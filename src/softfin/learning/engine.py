@@ -27,12 +27,12 @@ class Engine(Protocol):
 
 
 class LocalEngine:
-    """Works on one part after the other, in this process."""
+    """Works on one part after the other; an error of a part ends the run, and the parts after it are not begun."""
 
     def map(
         self, stage: str, work: Work[Item, Result], parts: Mapping[str, Item], progress: Progress | None
     ) -> list[Result]:
-        """As the contract has it; an error of a part ends the run, and the parts after it are not begun."""
+        """The result of every part, in their order."""
 
         def within(index: int, name: str) -> Progress | None:
             def report(_: str, fraction: float, note: str) -> None:

@@ -32,10 +32,9 @@ from softfin.evaluation.experiment import Subject
 from softfin.evaluation.view import ViewConfig
 from softfin.evaluation.view.video import ticks_of
 from softfin.evaluation.view.view import draw, footage_of, title_of
-from softfin.gaits.figure import write_map
 from softfin.gaits.force_map import MapConfig, check_star
 from softfin.gaits.force_map import map_forces as _map_forces
-from softfin.gaits.map_store import load_force_map
+from softfin.gaits.map_store import load_force_map, save_map
 from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.learning.configuration import TrainConfig, check, choose_preset
 from softfin.learning.controllers import save_controller
@@ -328,7 +327,7 @@ def map_forces(
     artifacts.check_vacant(out, overwrite)
     moving = find_plant(plant) if isinstance(plant, str) else plant
     known = _map_forces(moving, config, None if progress is None else partial(progress, "map"))
-    write_map(out, known, config, Limits(*map(float, moving.limits)), _origin(plant, moving), overwrite)
+    save_map(out, known, config, Limits(*map(float, moving.limits)), _origin(plant, moving), overwrite)
     missed, star = known.gaits.force_error(), check_star(known, config.tolerance_n)
     return {
         "map": str(out),

@@ -130,8 +130,8 @@ def shared_limits(one: Limits, other: Limits) -> Limits:
     for quantity, least, greatest in zip(("angle", "velocity"), low, high, strict=True):
         if not least < greatest:
             raise PlantError(
-                f"baselines: no {quantity} that both plants take: the one searched in takes {one.described()}, the one "
-                f"judged on {other.described()}; search in a surrogate of the fin itself"
+                f"baselines: no {quantity} that both plants take: the one searched in takes {one.to_dict()}, the one "
+                f"judged on {other.to_dict()}; search in a surrogate of the fin itself"
             )
     return Limits(*(float(value) for value in (low[0], high[0], low[1], high[1])))
 
@@ -150,7 +150,7 @@ class _Judged:
         plant, task, limits = self.player.plant, TaskConfig(), Limits(*learns_in.limits)
         if not np.allclose(limits, self.player.limits, rtol=0, atol=1e-3):
             raise PlantError(
-                f"it would learn commands that the plant does not take, {limits.described()}; let it learn in a "
+                f"it would learn commands that the plant does not take, {limits.to_dict()}; let it learn in a "
                 "surrogate of the fin itself"
             )
         box = bounding_box([Cell.around(reference, 0.0) for reference in self.config.references])
