@@ -10,7 +10,7 @@ from softfin.core.errors import ConfigurationError
 from softfin.gaits.force_map import MapConfig, empty_map
 from softfin.gaits.reachable import Reachable
 from softfin.learning import jobs
-from softfin.learning.engine import LocalEngine
+from softfin.learning.engine import Engine
 from softfin.learning.jobs import default_split, split_run, train_jobs
 from softfin.learning.run import TrainingResult
 from softfin.learning.train import train
@@ -96,7 +96,7 @@ def test_a_run_stopped_in_its_second_job_goes_on_there_and_ends_the_same(by_cell
     assert notes[-1][:2] == ("train grid", 1.0)
 
 
-class Distant(LocalEngine):
+class Distant(Engine):
     """Machines that do not see the driver's disk."""
 
     def map(self, stage, work, parts, progress):

@@ -16,7 +16,7 @@ import jax
 
 from softfin.core.errors import ConfigurationError, RunError, SoftfinError
 from softfin.core.progress import Progress
-from softfin.learning.engine import Item, Result, Work
+from softfin.learning.engine import Engine, Item, Result, Work
 
 INSTALL = "--engine ray needs the extra: pip install 'softfin[ray]'"
 
@@ -40,7 +40,7 @@ It runs in a process without JAX: Ray forks, and JAX's threads do not survive th
 """
 
 
-class RayEngine:
+class RayEngine(Engine):
     """Works on all parts at once, in a cluster at host:port or one started on this machine for the run.
 
     Raises ConfigurationError where Ray is not installed.

@@ -23,7 +23,7 @@ from softfin.core.progress import Progress
 from softfin.core.quantities import Limits
 from softfin.gaits.gait import ForceMap
 from softfin.learning.configuration import TrainConfig, check
-from softfin.learning.engine import Engine, LocalEngine
+from softfin.learning.engine import Engine
 from softfin.learning.policy import Policy
 from softfin.learning.run import TrainingResult
 from softfin.learning.train import find_map, pretrain_shared_policy, train
@@ -55,7 +55,7 @@ def find_engine(name: EngineName, cluster: str | None = None) -> Engine:
         return RayEngine(cluster)
     if cluster is not None:
         raise ConfigurationError(f"cluster {cluster}: the local engine has none; give --engine ray, or no --cluster")
-    return LocalEngine()
+    return Engine()
 
 
 def default_split(engine: EngineName, seeds: Sequence[int]) -> Split:
@@ -109,7 +109,7 @@ def train_jobs(
         chosen = (slice(None) if split == "none" else slice(seed, seed + 1),
                   slice(cell, cell + 1) if split == "cell" else slice(None))  # fmt: skip
         jobs[name] = Job(part, its_seeds, folder, token, jax.tree.map(lambda leaf, at=chosen: leaf[at], start))
-    done = (engine or LocalEngine()).map(f"train {config.controller}", _Training(plant, force_map), jobs, progress)
+    done = (engine or Engine()).map(f"train {config.controller}", _Training(plant, force_map), jobs, progress)
     for job, (_, files) in zip(jobs.values(), done, strict=True):
         for file, data in files.items():
             write_file(job.run_directory.folder / file, data)

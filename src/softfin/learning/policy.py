@@ -174,9 +174,6 @@ def named(policy: Any) -> dict[str, Any]:
 STORED_NAMES = {"log_std": "log_deviation", "normalisation.std": "normalisation.deviation"}
 """Names in files that differ from those here: folders of earlier versions have them."""
 
-OPTIMISER_COPIES = 2
-"""Adam keeps two numbers for each weight; the paper's 7.2 MB are weights and these."""
-
 
 def memory_of(policy: Policy) -> dict[str, int]:
     """Memory of one policy or of a stack of them, for JSON: weights, and what training holds of them besides.
@@ -186,7 +183,8 @@ def memory_of(policy: Policy) -> dict[str, int]:
     count = math.prod(policy.log_std.shape[:-1])
     leaves = jax.tree.leaves(policy)
     weights, size = sum(leaf.size for leaf in leaves) // count, sum(leaf.nbytes for leaf in leaves) // count
-    optimiser = OPTIMISER_COPIES * size
+    # Adam keeps two numbers for each weight; the paper's 7.2 MB are weights and these.
+    optimiser = 2 * size
     return {"policies": count, "weights": weights, "weights_bytes": size, "optimiser_bytes": optimiser,
             "total_weights_bytes": count * size, "total_bytes": count * (size + optimiser)}  # fmt: skip
 
