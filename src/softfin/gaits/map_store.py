@@ -40,12 +40,10 @@ def save_map(
     """Write a map with its figure, ``map.svg`` and ``map.png``, whole or not at all."""
     # Who only reads maps need not wait for Matplotlib.
     from softfin.gaits.figure import map_figure
-    from softfin.storage.figures import render
+    from softfin.storage.figures import save_figure
 
     def draw(folder: Path) -> None:
-        figure = map_figure(force_map, config.tolerance_n)
-        for kind in ("svg", "png"):
-            (folder / f"map.{kind}").write_bytes(render(figure, kind))
+        save_figure(map_figure(force_map, config.tolerance_n), folder, "map")
 
     description = {
         "kind": KIND, "format": FORMAT,

@@ -28,7 +28,7 @@ from softfin.learning.policy import Policy
 from softfin.learning.run import TrainingResult
 from softfin.learning.train import find_map, pretrain_shared_policy, train
 from softfin.storage.artifact import write_file
-from softfin.storage.run_directory import Workspace
+from softfin.storage.run_directory import RunDirectory
 
 TOKEN = "here"
 """File by which a worker recognises the driver's folder, and not one of the same name."""
@@ -40,7 +40,7 @@ class Job(NamedTuple):
     config: TrainConfig
     """Configuration of the whole run, without the cells of other jobs."""
     seeds: tuple[int, ...]
-    run_directory: Workspace
+    run_directory: RunDirectory
     token: str
     start: Policy | None
     """Policies that the job begins from."""
@@ -84,7 +84,7 @@ def train_jobs(
     plant: Plant,
     config: TrainConfig,
     seeds: Sequence[int],
-    run_directory: Workspace,
+    run_directory: RunDirectory,
     progress: Progress | None = None,
     *,
     engine: Engine | None = None,
@@ -150,7 +150,7 @@ class _Training:
             files = (path for path in folder.rglob("*") if path.is_file())
             return result, {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
-    def _train(self, job: Job, run_directory: Workspace, progress: Progress | None) -> TrainingResult:
+    def _train(self, job: Job, run_directory: RunDirectory, progress: Progress | None) -> TrainingResult:
         result = train(
             self.plant, job.config, job.seeds, run_directory, progress, force_map=self.force_map, start=job.start
         )

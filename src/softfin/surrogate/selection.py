@@ -8,7 +8,7 @@ import numpy as np
 from softfin.core.configuration import Configuration
 from softfin.core.errors import LogError
 from softfin.core.quantities import RATE_HZ, Log
-from softfin.storage.run_directory import Workspace
+from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate.compare.free_running import free_run, segments_of, take
 from softfin.surrogate.compare.metrics import rms
 from softfin.surrogate.paper.fit import FitConfig, fit, split
@@ -48,7 +48,7 @@ def fit_any(
     logs: Sequence[Log],
     config: FitConfig | StreamingConfig | AutoConfig,
     seed: int,
-    run_directory: Workspace,
+    run_directory: RunDirectory,
     progress: Progress | None = None,
 ) -> tuple[AnySurrogate, dict[str, Any] | None]:
     """Fit the model of the configuration; of several candidates the best, with the evidence for it (else None).
@@ -80,7 +80,7 @@ def fit_any(
 
 
 def _possible(
-    logs: Sequence[Log], candidates: dict[str, FitConfig | StreamingConfig], run_directory: Workspace
+    logs: Sequence[Log], candidates: dict[str, FitConfig | StreamingConfig], run_directory: RunDirectory
 ) -> tuple[dict[str, FitConfig | StreamingConfig], dict[str, str]]:
     """Candidates that can be fitted to the logs, and why others cannot: before hours of fitting, not behind them.
 

@@ -12,10 +12,9 @@ import pyarrow.csv
 from jaxtyping import Float
 
 from softfin.core.errors import ConfigurationError, LogError
-from softfin.core.files import regular_file
 from softfin.core.quantities import TICK_S
 from softfin.data.importing.names import SPELLED, UNITS
-from softfin.storage.parquet_file import open_parquet
+from softfin.storage.log_file import read_parquet
 from softfin.storage.paths import check_reference_file
 from softfin.task.signals import CLOCK_S, Recorded
 
@@ -29,8 +28,9 @@ COLUMNS = {
 LONGEST_S = 3600.0
 """Longest reference that is followed [s]; a longer one is in another unit."""
 
-LARGEST = 100 * 2**20
-"""Bytes of a CSV file; an hour at 100 Hz has a fifth of it."""
+
+MOST_ROWS = 360_000
+"""An hour at 100 Hz, the rate of readings."""
 
 
 def read_reference_file(path: Path) -> Recorded:
@@ -41,6 +41,8 @@ def read_reference_file(path: Path) -> Recorded:
     except (OSError, LogError, UnicodeDecodeError, pa.ArrowException) as error:
         reason = " ".join(str(error).split())[:300]
         raise _error(path, f"not a table of numbers ({reason}); mend it, or write it again") from None
+    if len(values) > MOST_ROWS:
+        raise _error(path, f"has {len(values):,} rows; at most {MOST_ROWS:,} are followed; leave rows out")
     if not len(values):
         raise _error(path, "empty: no rows; give at least one, at time_s = 0")
     for row, column in np.argwhere(~np.isfinite(values)).tolist():
@@ -67,13 +69,11 @@ def _error(path: Path, message: str) -> ConfigurationError:
 
 def _read(path: Path) -> Float[np.ndarray, "rows 3"]:
     if path.suffix == ".csv":
-        table = pa.csv.read_csv(regular_file(path, LARGEST), pa.csv.ReadOptions(use_threads=False))
+        table = pa.csv.read_csv(path, pa.csv.ReadOptions(use_threads=False))
         table = table.rename_columns([name.strip() for name in table.column_names])
-        _check_columns(path, table.column_names)
     else:
-        with open_parquet(path) as file:
-            _check_columns(path, file.schema_arrow.names)
-            table = file.read(list(COLUMNS))
+        table = read_parquet(path)
+    _check_columns(path, table.column_names)
     columns = (table.column(name).cast(pa.float64()).to_numpy() for name in COLUMNS)
     return np.stack(tuple(columns), axis=1)
 

@@ -7,6 +7,7 @@ is read.
 """
 
 import io
+import json
 import math
 import reprlib
 import zipfile
@@ -19,7 +20,6 @@ import numpy as np
 import pydantic
 
 from softfin.core.errors import ArtifactError
-from softfin.core.files import parse_json, read_bytes, regular_file
 from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, Scaling
 from softfin.surrogate.paper.layers import LSTM, Conv1D, Dense, Dropout, Flatten, Layer, MeanPool, Shape
 from softfin.surrogate.paper.network import Network, NetworkConfig
@@ -53,23 +53,22 @@ def import_keras(posnet: Path, forcenet: Path, scalers: Path) -> Surrogate:
 def read_scalers(path: Path) -> Scaling:
     """Read the scaling of each channel."""
     try:
-        return Scaling(channels=parse_json(read_bytes(path, LARGEST_JSON)))
+        return Scaling(channels=json.loads(path.read_bytes()))
     except OSError as error:
         raise ArtifactError(f"{path}: cannot be read ({error.strerror or error})") from None
     except pydantic.ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"][1:])) or "scalers"
         raise ArtifactError(f"{path}: {where}: {first['msg']}") from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ArtifactError(f"{path}: not JSON ({error}); give the scalers as JSON, never as pickle") from None
 
 
 def read_network(path: Path, channels: tuple[str, ...], outputs: tuple[str, ...]) -> Network:
     """Read one ``.keras`` file as a network."""
     try:
-        regular_file(path, LARGEST_FILE)
         with zipfile.ZipFile(path) as archive:
-            description = parse_json(_member(archive, "config.json", LARGEST_JSON))
+            description = json.loads(_member(archive, "config.json", LARGEST_JSON))
             weights = _member(archive, "model.weights.h5", LARGEST_FILE)
         layers, groups, shape = _layers(path, description)
         if shape[0] != len(channels):

@@ -18,7 +18,7 @@ from softfin.core.action_clock import WINDOW
 from softfin.core.errors import LogError
 from softfin.core.quantities import Limits, Log
 from softfin.core.randomness import key_of
-from softfin.storage.run_directory import Workspace
+from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate.channels import COMMANDS, joined_channels
 from softfin.surrogate.streaming.drive import DriveNet
 from softfin.surrogate.streaming.force import ForceNet, Motion
@@ -51,7 +51,11 @@ class _Both(NamedTuple):
 
 
 def fit_streaming(
-    logs: Sequence[Log], config: StreamingConfig, seed: int, run_directory: Workspace, progress: Progress | None = None
+    logs: Sequence[Log],
+    config: StreamingConfig,
+    seed: int,
+    run_directory: RunDirectory,
+    progress: Progress | None = None,
 ) -> StreamingSurrogate:
     """Fit an ensemble to the training logs; goes on from the run_directory's checkpoint where there is one.
 
@@ -70,7 +74,7 @@ class StreamingFit:
         logs: Sequence[Log],
         config: StreamingConfig,
         seed: int,
-        run_directory: Workspace,
+        run_directory: RunDirectory,
         progress: Progress | None,
     ) -> None:
         held_out = held_out_count(len(logs), config.held_out)
