@@ -37,10 +37,12 @@ test: setup ## all tests
 test-long: setup ## all tests, with more cases of each kind and twenty minutes of faults in real time
 	SOFTFIN_LONG=1 $(PYTEST)
 
-lint: setup ## style and types
+lint: setup ## style, types, the order of imports, the words
 	$(RUN) ruff check .
 	$(RUN) ruff format --check .
 	$(RUN) mypy
+	$(RUN) lint-imports
+	$(RUN) python tools/words.py
 
 structure: setup ## rooms, lines and the counts by which the structure is judged
 	$(RUN) python tools/structure.py
