@@ -22,7 +22,7 @@ from softfin.control.onnx import export_onnx
 from softfin.control.store import load_controller, save_gaits
 from softfin.core.quantities import PAPER_LIMITS
 from softfin.gaits.force_map import MapConfig
-from softfin.gaits.gait import ForceMap, GaitSearchResult, Lattice
+from softfin.gaits.gait import ForceMap, GaitSearchResult, GaitTable
 from softfin.gaits.reachable import Reachable
 from softfin.learning.configuration import GRID, SINGLE, TrainConfig
 from softfin.learning.controllers import save_controller
@@ -76,7 +76,7 @@ def write_policies(folder: Path, config: TrainConfig, units: int) -> None:
 
 def write_gaits(folder: Path) -> None:
     """A table of 7 x 7 gaits."""
-    table = Lattice.over(PAPER_RANGE, 0.5).table()
+    table = GaitTable.over(PAPER_RANGE, 0.5)
     nothing = np.zeros((*table.actions.shape[:2], 2), np.float32)
     reach = Reachable(np.zeros(2, np.float32), np.full(12, 9, np.float32))
     save_gaits(folder, ForceMap(GaitSearchResult(table, nothing, nothing), reach), MapConfig(), PAPER_LIMITS, {})

@@ -89,7 +89,7 @@ def test_rendering_where_nothing_can_be_drawn_is_refused(make: Callable[..., gym
     env = make().unwrapped
     with pytest.raises(InputError, match='make it with render_mode="rgb_array"'):
         env.render()
-    with pytest.raises(InputError, match="render before reset; call reset first"):
+    with pytest.raises(InputError, match="reset it before it is rendered"):
         make(render_mode="rgb_array").unwrapped.render()
     with pytest.raises(InputError, match="render_mode 'ansi'; give 'rgb_array' or None"):
         ForceTrackingEnv(AnalyticFin(), render_mode="ansi")

@@ -40,7 +40,7 @@ LOCAL_NAMES = {
         "trace": "gae_lambda", "clip": "clip_ratio", "entropy": "entropy_coef", "environments": "num_envs",
         "epochs": "num_epochs", "score": "evaluate", "show": "record_demonstrations",
     },
-    "gaits": {"wave": "waveform", "box": "bounds"},
+    "gaits": {"wave": "waveform"},
     "control": {"share": "blend", "said": "action"},
     "surrogate": {"floor": "noise_floor"},
 }  # fmt: skip
@@ -79,7 +79,12 @@ def main() -> int:
 def check_code(file: Path) -> Iterator[str]:
     """The lines of one module's findings: names, docstrings, messages."""
     names = NAMES | LOCAL_NAMES.get(file.relative_to(PACKAGE).parts[0], {})
-    for node in ast.walk(ast.parse(file.read_text())):
+    tree = ast.parse(file.read_text())
+    modules = {name for node in ast.walk(tree) for name in modules_of(node)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in modules:
+            # A name of another library, such as jnp.clip.
+            continue
         for name in names_of(node):
             if name.strip("_") in names:
                 yield f"{file.relative_to(ROOT)}:{node.lineno}: {name} -> {names[name.strip('_')]}"  # type: ignore[attr-defined]
@@ -96,6 +101,12 @@ def check_text(file: Path, line: int, text: str) -> Iterator[str]:
         for match in re.finditer(phrase, text):
             at = line + text.count("\n", 0, match.start())
             yield f"{file.relative_to(ROOT)}:{at}: {match[0]!r} -> {better}"
+
+
+def modules_of(node: ast.AST) -> Iterator[str]:
+    """The names by which a piece of code imports whole modules."""
+    if isinstance(node, ast.Import):
+        yield from (alias.asname or alias.name.partition(".")[0] for alias in node.names)
 
 
 def names_of(node: ast.AST) -> Iterator[str]:

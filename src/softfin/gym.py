@@ -19,7 +19,7 @@ from softfin.core.errors import InputError
 from softfin.core.gym_registration import ID
 from softfin.core.plant import Plant
 from softfin.core.plant_identity import jit_argument
-from softfin.core.quantities import AXES, command_of
+from softfin.core.quantities import command_of
 from softfin.gaits.reachable import Cell
 from softfin.storage.registry import find_plant
 from softfin.task.references import PAPER_RANGE, References
@@ -55,11 +55,14 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         self.task = ForceTracking(find_plant(plant) if isinstance(plant, str) else plant, config or TaskConfig())
         self.references = references
         self.render_mode = render_mode
-        high = _greatest(self.task.config, references)
+        # Half a turn of the shaft, the references, the actions.
+        greatest = np.abs([references.low, references.high]).max(axis=0)
+        actions = [1.0] * (self.task.config.observations - 3)
+        high = np.array([np.pi / ANGLE_SCALE_RAD, *greatest / self.task.config.force_scale_n, *actions], np.float32)
         self.observation_space = gymnasium.spaces.Box(-high, high, dtype=np.float32)
         self.action_space = gymnasium.spaces.Box(-1, 1, (2,), np.float32)
         self._compile(jit_argument(self.task.plant))
-        self._film = None if render_mode is None else self._new_film()
+        self._film = None if render_mode is None else self._new_film(float(np.linalg.norm(greatest)))
         self._state: TaskState | None = None
         self._actions = 0
 
@@ -103,10 +106,8 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
 
     def render(self) -> Any:
         """The fin and the episode so far as an image, ``(height, width, 3)`` bytes."""
-        if self._film is None:
-            raise InputError(f'{ID}: made without a render mode; make it with render_mode="rgb_array"')
-        if self._state is None:
-            raise InputError(f"{ID}: render before reset; call reset first")
+        if self._film is None or self._state is None:
+            raise InputError(f'{ID}: make it with render_mode="rgb_array", and reset it before it is rendered')
         return self._film.frame()
 
     def _compile(self, plant: Plant) -> None:
@@ -116,13 +117,11 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         self._observe = jax.jit(partial(self.task.observe))
         self._step = jax.jit(partial(self.task.step))
 
-    def _new_film(self) -> "EpisodeFilm":
+    def _new_film(self, most_n: float) -> "EpisodeFilm":
         # Who does not look at it need not wait for Matplotlib.
         from softfin.evaluation.view.episode import EpisodeFilm
 
-        corners = np.array([self.references.low, self.references.high])
-        seconds = self.task.config.episode_actions / ACTION_RATE_HZ
-        return EpisodeFilm(self.task.plant, seconds, float(np.linalg.norm(np.abs(corners).max(axis=0))))
+        return EpisodeFilm(self.task.plant, self.task.config.episode_actions / ACTION_RATE_HZ, most_n)
 
     def _drawn_from(self, options: dict[str, Any]) -> References:
         if "reference" not in options:
@@ -131,10 +130,3 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         if self.references.distance((x, y)) > 0:
             raise InputError(f"{ID}: reference ({x:g}, {y:g}) N is outside {self.references}; make a wider environment")
         return References.of(Cell(low=(x, y), high=(x, y)))
-
-
-def _greatest(config: TaskConfig, references: Cell) -> Observation:
-    """Bounds of what can be observed: half a turn of the shaft, the references, the actions."""
-    forces = [max(abs(references.low[i]), abs(references.high[i])) / config.force_scale_n for i in range(len(AXES))]
-    actions = [1.0] * (config.observations - 3)
-    return np.array([np.pi / ANGLE_SCALE_RAD, *forces, *actions], np.float32)

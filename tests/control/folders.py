@@ -12,7 +12,7 @@ from softfin.core.quantities import PAPER_LIMITS
 from softfin.gaits.force_map import MapConfig
 from softfin.learning.configuration import GRID, SINGLE, TrainConfig
 from softfin.learning.controllers import save_controller
-from softfin.learning.normalisation import Normalisation
+from softfin.learning.layers import Normalisation
 from softfin.learning.policy import Policy
 from softfin.learning.run import TrainingResult
 from tests.control.test_controllers import SIZE, untrained

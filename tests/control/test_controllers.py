@@ -1,6 +1,7 @@
 """Controllers: they act as their policies do in the task, cover what they were trained for, and come back from disk."""
 
 import json
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.control.controller import Controller, Measured
+from softfin.control.controller import Controller, LoadedController, Measured
 from softfin.control.grid import GridStep
 from softfin.control.store import load_controller
 from softfin.core.action_clock import ACTION_TICKS
@@ -19,7 +20,7 @@ from softfin.core.operations import NUMPY
 from softfin.core.quantities import PAPER_LIMITS, command_of
 from softfin.gaits.reachable import PAPER_REFERENCES, Cell
 from softfin.learning.configuration import GRID, SINGLE, TrainConfig
-from softfin.learning.controllers import controller_of, save_controller
+from softfin.learning.controllers import save_controller
 from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.rollout import PolicyEvaluation
 from softfin.learning.run import TrainingResult
@@ -42,6 +43,12 @@ def untrained(config: TrainConfig) -> TrainingResult:
     return TrainingResult(
         config, PAPER_LIMITS, SEEDS, loud, PolicyEvaluation(jnp.full(shape, 0.25), jnp.full(shape, 0.5))
     )
+
+
+def controller_of(trained: TrainingResult, seed: int) -> LoadedController:
+    with tempfile.TemporaryDirectory() as folder:
+        save_controller(Path(folder) / "controller", trained, seed, {})
+        return load_controller(Path(folder) / "controller")
 
 
 GRID_RUN, SINGLE_RUN = untrained(GRID), untrained(SINGLE)
@@ -150,8 +157,8 @@ def test_the_folder_describes_itself(run: TrainingResult, tmp_path: Path) -> Non
             "controller is 'neither'; it must be one of single, grid, gaits",
         ),
         (lambda f: _edit(f, format=None), "format is None; this softfin reads 2; update it, or train it again"),
-        (lambda f: _drop(f, "format"), "format is missing; copy the folder again, or train it again"),
-        (lambda f: _drop(f, "action_rate_hz"), "action_rate_hz is missing; copy the folder again"),
+        (lambda f: _drop(f, "format"), "format is .missing.; this softfin reads 2; update it"),
+        (lambda f: _drop(f, "action_rate_hz"), "action_rate_hz is .missing.; this softfin reads 3.0"),
         (lambda f: _drop(f, "cells"), "controller.json: cells is missing; copy the folder again, or train it again"),
         (lambda f: _edit(f, action_rate_hz=5.0), "action_rate_hz is 5.0; this softfin reads 3.0"),
     ],

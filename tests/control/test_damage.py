@@ -66,7 +66,11 @@ def weigh(folder: Path, **changes: Any) -> None:
         ("single", lambda f: edit(f, action_rate_hz=5.0), "action_rate_hz is 5.0; this softfin reads 3.0"),
         ("single", lambda f: weigh(f, more=np.zeros(2, np.float32)), "weights more are missing or unknown"),
         ("single", lambda f: weigh(f, log_deviation=np.array([0, np.nan], np.float32)), "numbers that are not finite"),
-        ("gaits", lambda f: weigh(f, actions=np.full((3, 4, 6, 2), 1.1, np.float32)), r"gaits are beyond \[-1, 1\]"),
+        (
+            "gaits",
+            lambda f: weigh(f, actions=np.full((3, 4, 6, 2), 1.1, np.float32)),
+            r"gaits are not within \[-1",
+        ),
         (
             "grid",
             lambda f: edit(f, reachable={"centre_n": [0, 0], "radius_n": [1, -1, 1]}),

@@ -13,7 +13,7 @@ from softfin.evaluation.moving import SIGNALS, MovingPlan, plan_moving, signals_
 from softfin.evaluation.range_errors import range_of
 from softfin.gaits.reachable import Cell, Reachable
 from softfin.task.references import PAPER_CELLS, PAPER_RANGE
-from softfin.task.signals import Hold, Recorded, Step
+from softfin.task.signals import Recorded, Step
 from tests.evaluation.test_evaluate import Exploding, Untouched
 from tests.plants import AnalyticFin, Flapper
 
@@ -36,7 +36,7 @@ class Covering(Flapper):
 
 @pytest.fixture(scope="module")
 def moving():
-    return MovingPlan.of(Flapper(), (STEP, Hold(force_n=(2, 1))), 6).run(Covering(), AnalyticFin(), KEYS)
+    return MovingPlan.of(Flapper(), (STEP, Step(start_n=(2, 1), to_n=(2, 1))), 6).run(Covering(), AnalyticFin(), KEYS)
 
 
 def test_the_controller_sees_the_reference_when_it_acts(moving):

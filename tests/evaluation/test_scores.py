@@ -15,7 +15,7 @@ from softfin.evaluation.scores import (
     travel,
 )
 from softfin.gaits.reachable import PAPER_REFERENCES
-from softfin.task.signals import Ramp, Recorded, Sine, Step
+from softfin.task.signals import Ramp, Recorded, Sinusoid, Step
 
 STEP = Step(start_n=(1, 0), to_n=(2, 0), at_s=5).sample(1500).astype(float)
 
@@ -175,7 +175,7 @@ def test_only_changes_between_forces_held_for_a_window_are_steps():
     assert steps_of(Step(start_n=(1, 0), to_n=(2, 0), at_s=2).sample(400)) == [(200, 400)]
     assert steps_of(Step(start_n=(1, 0), to_n=(2, 0), at_s=1).sample(400)) == []
     assert steps_of(Ramp(start_n=(1, 0), to_n=(2, 0), begin_s=5, end_s=10).sample(1500)) == []
-    assert steps_of(Sine(centre_n=(1, 0), amplitude_n=(1, 1)).sample(1500)) == []
+    assert steps_of(Sinusoid(centre_n=(1, 0), amplitude_n=(1, 1)).sample(1500)) == []
 
 
 def test_the_two_tracking_errors_differ_by_the_delay_of_the_window():

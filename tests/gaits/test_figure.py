@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from softfin.core.quantities import PAPER_LIMITS
-from softfin.gaits.figure import map_figure, write_map
+from softfin.gaits.figure import map_figure
 from softfin.gaits.force_map import MapConfig
+from softfin.gaits.map_store import save_map
 from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.storage.figures import save_figure
 from tests.gaits.test_map_store import KNOWN
@@ -63,7 +64,7 @@ def test_a_fin_whose_gaits_cost_all_the_same_is_drawn_too(tmp_path):
 
 def test_a_maps_folder_holds_both_figures_and_they_do_not_change(tmp_path: Path):
     for name in ("a", "b"):
-        write_map(tmp_path / name, KNOWN, MapConfig(), PAPER_LIMITS, {})
+        save_map(tmp_path / name, KNOWN, MapConfig(), PAPER_LIMITS, {})
     files = sorted(file.name for file in (tmp_path / "a").iterdir())
     assert files == ["map.json", "map.png", "map.svg", "weights.safetensors"]
     assert (tmp_path / "a" / "map.svg").read_bytes() == (tmp_path / "b" / "map.svg").read_bytes()

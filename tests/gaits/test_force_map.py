@@ -6,7 +6,7 @@ import pytest
 
 from softfin.core.errors import PlantError
 from softfin.gaits.force_map import PARTS, MapConfig, check_star, empty_map, held_region, map_forces
-from softfin.gaits.gait import ForceMap, GaitSearchResult, Lattice
+from softfin.gaits.gait import ForceMap, GaitSearchResult, GaitTable
 from softfin.gaits.reachable import Cell, Reachable
 from softfin.gaits.search import GaitConfig
 from tests.learning.mapped import FIN, WITHIN, mapped, surveyed
@@ -15,25 +15,25 @@ from tests.plants import StrokeFin
 WIDE = Reachable(np.zeros(2, np.float32), np.full(32, 2, np.float32))
 
 
-def found(lattice: Lattice, missed: np.ndarray) -> GaitSearchResult:
+def found(lattice: GaitTable, missed: np.ndarray) -> GaitSearchResult:
     """Gaits that miss by so much, all of them in -x."""
-    table = lattice.table()
+    table = lattice
     force = table.references() - np.stack([missed, np.zeros_like(missed)], axis=-1)
     return GaitSearchResult(table, force.astype(np.float32), np.zeros_like(force, np.float32))
 
 
-def east_misses(lattice: Lattice) -> GaitSearchResult:
+def east_misses(lattice: GaitTable) -> GaitSearchResult:
     """By as much as the nodes lie beyond x = 1 N."""
-    return found(lattice, np.maximum(lattice.table().references()[..., 0] - 1, 0))
+    return found(lattice, np.maximum(lattice.references()[..., 0] - 1, 0))
 
 
 def test_where_all_gaits_hold_the_region_is_what_was_seen() -> None:
-    lattice = Lattice((-2, -2), (2, 2), (5, 5))
+    lattice = GaitTable.empty((-2, -2), (2, 2), (5, 5))
     np.testing.assert_allclose(held_region(WIDE, found(lattice, np.zeros((5, 5))), 0.1).corners(), WIDE.corners())
 
 
 def test_where_gaits_miss_the_region_ends() -> None:
-    lattice = Lattice((-2, -2), (2, 2), (9, 9))
+    lattice = GaitTable.empty((-2, -2), (2, 2), (9, 9))
     left = held_region(WIDE, east_misses(lattice), 0.1)
     part = 2 / PARTS
     assert 1.1 - part - 1e-5 <= left.radius[0] <= 1.1
@@ -44,34 +44,34 @@ def test_where_gaits_miss_the_region_ends() -> None:
 
 
 def test_a_wider_tolerance_leaves_more_of_it() -> None:
-    lattice = Lattice((-2, -2), (2, 2), (9, 9))
+    lattice = GaitTable.empty((-2, -2), (2, 2), (9, 9))
     areas = [held_region(WIDE, east_misses(lattice), tolerance).area() for tolerance in (0.05, 0.3, 2.0)]
     assert areas == sorted(areas)
     assert areas[2] == pytest.approx(WIDE.area(), rel=1e-5)
 
 
 def test_a_gap_on_the_way_ends_the_ray_though_gaits_beyond_it_hold() -> None:
-    lattice = Lattice((-2, -2), (2, 2), (9, 9))
+    lattice = GaitTable.empty((-2, -2), (2, 2), (9, 9))
     missed = np.zeros((9, 9))
     missed[6] = 1
     assert held_region(WIDE, found(lattice, missed), 0.1).radius[0] < 0.7
 
 
 def test_beyond_the_lattice_the_survey_is_believed() -> None:
-    lattice = Lattice((-0.5, -0.5), (0.5, 0.5), (2, 2))
+    lattice = GaitTable.empty((-0.5, -0.5), (0.5, 0.5), (2, 2))
     np.testing.assert_allclose(held_region(WIDE, found(lattice, np.zeros((2, 2))), 0.1).radius, 2)
 
 
 def test_a_lattice_of_a_single_force_is_read_without_warnings() -> None:
-    lattice = Lattice.over(Cell(low=(1, 0), high=(1, 0)), 0.5)
+    lattice = GaitTable.over(Cell(low=(1, 0), high=(1, 0)), 0.5)
     np.testing.assert_allclose(held_region(WIDE, found(lattice, np.zeros((2, 2))), 0.1).radius, 2)
 
 
 def test_without_a_box_the_lattice_is_round_all_that_was_seen_by_whole_spacings() -> None:
     region = Reachable(np.array([1.1, 0], np.float32), np.array([2, 1, 1, 1], np.float32))
-    lattice = MapConfig(spacing_n=0.5).lattice(region)
-    assert lattice == Lattice((0.0, -1.0), (3.5, 1.0), (8, 5))
-    assert MapConfig(box=Cell.around((1, 1)), spacing_n=0.5).lattice(region).nodes == (3, 3)
+    lattice = MapConfig(spacing_n=0.5).empty_table(region)
+    assert (lattice.low.tolist(), lattice.high.tolist(), lattice.nodes) == ([0.0, -1.0], [3.5, 1.0], (8, 5))
+    assert MapConfig(box=Cell.around((1, 1)), spacing_n=0.5).empty_table(region).nodes == (3, 3)
 
 
 def test_the_map_of_a_fin_says_what_it_can_make() -> None:
@@ -100,17 +100,17 @@ def test_a_fin_without_thrust_has_nothing_to_map() -> None:
 
 def test_an_empty_map_has_the_shape_of_a_full_one() -> None:
     config = WITHIN
-    empty = empty_map(config.lattice(WIDE), config.survey.directions)
+    empty = empty_map(config.empty_table(WIDE), config.survey.directions)
     assert [np.shape(leaf) for leaf in jax.tree.leaves(empty)] == [np.shape(leaf) for leaf in jax.tree.leaves(mapped())]
 
 
-def cloud(lattice: Lattice, held: np.ndarray) -> GaitSearchResult:
+def cloud(lattice: GaitTable, held: np.ndarray) -> GaitSearchResult:
     """Gaits that make exactly the forces of the nodes that are `held`, and miss the others by far."""
     return found(lattice, np.where(held, 0.0, 1.0))
 
 
-FINE = Lattice((-2, -2), (2, 2), (17, 17))
-LENGTH = np.linalg.norm(FINE.table().references(), axis=-1)
+FINE = GaitTable.empty((-2, -2), (2, 2), (17, 17))
+LENGTH = np.linalg.norm(FINE.references(), axis=-1)
 RING = (LENGTH > 1.0) & (LENGTH < 2.0)
 
 

@@ -1,7 +1,10 @@
 """Maps and gaits on disk."""
 
 import json
+import shutil
+import tempfile
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -33,9 +36,15 @@ KNOWN = ForceMap(
 )
 
 
+@cache
+def saved() -> Path:
+    folder = Path(tempfile.mkdtemp()) / "map"
+    save_map(folder, KNOWN, MapConfig(), PAPER_LIMITS, {"plant": "mine"})
+    return folder
+
+
 def save(folder: Path) -> Path:
-    save_map(folder / "map", KNOWN, MapConfig(), PAPER_LIMITS, {"plant": "mine"})
-    return folder / "map"
+    return Path(shutil.copytree(saved(), folder / "map"))
 
 
 def save_controller(folder: Path) -> Path:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from softfin.gaits.gait import GaitTable, Lattice
+from softfin.gaits.gait import GaitTable
 from softfin.gaits.reachable import Cell, Reachable
 from softfin.gaits.search import GaitConfig, find_gaits
 from softfin.gaits.simulate import families
@@ -46,7 +46,7 @@ def test_what_a_node_is_said_to_make_is_what_its_gait_makes() -> None:
 
 def test_beyond_reach_a_node_makes_the_nearest_force_that_the_fin_can_make() -> None:
     """-x is beyond any fin that only pushes; the other end of the lattice is within reach."""
-    found = find_gaits(FIN, surveyed(), Lattice((-1, 0), (1.5, 0.25), (2, 2)), GAITS)
+    found = find_gaits(FIN, surveyed(), GaitTable.empty((-1, 0), (1.5, 0.25), (2, 2)), GAITS)
     np.testing.assert_allclose(found.force[0, 0], (0, 0), atol=0.1)
     assert found.force_error()[0, 0] == pytest.approx(1, abs=0.1)
     assert found.force_error()[1].max() < 0.01
@@ -56,13 +56,15 @@ def test_a_fin_without_any_choice_leaves_its_nodes_where_they_are() -> None:
     """Nothing that a fin without thrust does changes its force: no slope, no step, and no number that is none."""
     still = StrokeFin(gain=0.0, bias=(0.3, 0.0))
     few = SurveyConfig(cycles=2, batch=256, directions=8, pushes=1)
-    found = find_gaits(still, survey(still, few), Lattice((0, 0), (1, 1), (2, 2)), GaitConfig(cycles=2, steps=7))
+    found = find_gaits(
+        still, survey(still, few), GaitTable.empty((0, 0), (1, 1), (2, 2)), GaitConfig(cycles=2, steps=7)
+    )
     np.testing.assert_allclose(found.force, np.broadcast_to([0.3, 0], (2, 2, 2)), atol=1e-5)
     assert np.isfinite(found.table.actions).all()
 
 
 def test_smoothness_lowers_the_sobolev_term_of_gaits_that_make_the_same_forces() -> None:
-    lattice = Lattice((0.5, -0.5), (1.5, 0.5), (3, 3))
+    lattice = GaitTable.empty((0.5, -0.5), (1.5, 0.5), (3, 3))
     rough, smooth = (
         find_gaits(FIN, surveyed(), lattice, GaitConfig(cycles=2, steps=16, likeness=0.05, smoothness=weight))
         for weight in (0.0, 3.0)
@@ -72,7 +74,7 @@ def test_smoothness_lowers_the_sobolev_term_of_gaits_that_make_the_same_forces()
 
 
 def test_likeness_brings_the_gaits_of_neighbours_together() -> None:
-    lattice = Lattice((0.5, -0.5), (1.5, 0.5), (3, 3))
+    lattice = GaitTable.empty((0.5, -0.5), (1.5, 0.5), (3, 3))
     apart, alike = (
         np.abs(np.diff(find_gaits(FIN, surveyed(), lattice, config).table.actions, axis=0)).mean()
         for config in (GAITS.model_copy(update={"likeness": weight}) for weight in (0.0, 0.6))
@@ -81,7 +83,7 @@ def test_likeness_brings_the_gaits_of_neighbours_together() -> None:
 
 
 def test_a_plant_that_cannot_be_hashed_gets_the_same_gaits() -> None:
-    lattice = Lattice((1, 0), (2, 0.5), (2, 2))
+    lattice = GaitTable.empty((1, 0), (2, 0.5), (2, 2))
     quick = GaitConfig(cycles=2, steps=6)
     own, same = (find_gaits(plant, surveyed(), lattice, quick) for plant in (OwnFin(), FIN))
     np.testing.assert_allclose(own.force, same.force, atol=1e-3)
@@ -89,18 +91,18 @@ def test_a_plant_that_cannot_be_hashed_gets_the_same_gaits() -> None:
 
 def test_a_lattice_has_the_corners_of_the_box_and_no_wider_spacing() -> None:
     box = Cell(low=(0.5, -1.5), high=(3.5, 1.2))
-    lattice = Lattice.over(box, 0.5)
+    lattice = GaitTable.over(box, 0.5)
     assert lattice.nodes == (7, 7)
-    nodes = lattice.table().references()
+    nodes = lattice.references()
     np.testing.assert_allclose([nodes[0, 0], nodes[-1, -1]], [box.low, box.high], atol=1e-6)
     np.testing.assert_allclose(np.diff(nodes[:, 0, 0]), 0.5, atol=1e-6)
     np.testing.assert_allclose(np.diff(nodes[0, :, 1]), 0.45, atol=1e-6)
-    assert Lattice.over(box, 99.0).nodes == (2, 2)
+    assert GaitTable.over(box, 99.0).nodes == (2, 2)
 
 
 @given(st.floats(0.1, 5), st.floats(0.1, 5), st.floats(0.05, 2))
 def test_nodes_are_as_few_as_the_spacing_allows(width: float, height: float, spacing: float) -> None:
-    lattice = Lattice.over(Cell(low=(0, 0), high=(width, height)), spacing)
+    lattice = GaitTable.over(Cell(low=(0, 0), high=(width, height)), spacing)
     for length, count in zip((width, height), lattice.nodes, strict=True):
         assert length / (count - 1) <= spacing * (1 + 1e-4)
         assert count == 2 or length / (count - 2) > spacing * (1 - 1e-4)
@@ -126,7 +128,7 @@ def test_beyond_the_lattice_it_is_the_gait_of_the_edge() -> None:
 
 def test_a_lattice_for_a_single_force_has_its_gait() -> None:
     """A cell may be one reference; its lattice has no width."""
-    table = Lattice.over(Cell(low=(1, 0), high=(1, 0)), 0.5).table()._replace(actions=RANDOM.actions[:2, :2])
+    table = GaitTable.over(Cell(low=(1, 0), high=(1, 0)), 0.5)._replace(actions=RANDOM.actions[:2, :2])
     assert np.isfinite(blended(table, 1.0, 0.0)).all()
 
 
@@ -137,6 +139,6 @@ def test_a_gait_of_the_published_fin_holds_its_force_in_the_steady_state(publish
     got = jax.jit(jax.vmap(lambda gait: simulate(fin, gait, 2, KEY)))(jnp.asarray(strokes.gaits))
     region = Reachable(np.array([2, 0], np.float32), np.ones(8, np.float32))
     one = Survey([strokes], np.asarray(got.force)[None], np.asarray(got.smoothness)[None], region, strokes.gaits[:8])
-    found = find_gaits(fin, one, Lattice((1.5, -0.25), (2, 0), (2, 2)), GaitConfig(cycles=2, steps=8))
+    found = find_gaits(fin, one, GaitTable.empty((1.5, -0.25), (2, 0), (2, 2)), GaitConfig(cycles=2, steps=8))
     response = jax.jit(lambda gait: simulate(fin, gait, 4, KEY))(found.table.gait(jnp.array([2.0, 0.0])))
     np.testing.assert_allclose(response.force, (2, 0), atol=0.02)

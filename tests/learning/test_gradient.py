@@ -21,14 +21,12 @@ from softfin.gaits.simulate import missing_gradient
 from softfin.learning.cloning import CloningConfig
 from softfin.learning.configuration import GRADIENT_SINGLE, GRID, TRAIN_PRESETS, TrainConfig, check, choose_preset
 from softfin.learning.gradient import Gradient, GradientConfig
-from softfin.learning.learner import AgentState, Learner
 from softfin.learning.policy import Policy, PolicyConfig
-from softfin.learning.rollout import EnvState
+from softfin.learning.rollout import AgentState, EnvState
 from softfin.learning.run import TrainingResult, TrainingRun
 from softfin.learning.train import train
 from softfin.storage.run_directory import RunDirectory
 from softfin.task.references import PAPER_RANGE, stack_references
-from softfin.task.reward import RewardConfig
 from softfin.task.task import ForceTracking, TaskConfig
 from tests.learning.mapped import GAITS, SURVEY, WITHIN, mapped
 from tests.learning.probes import Delayed, Direct
@@ -100,10 +98,6 @@ def _judged(policy: Policy, env_state: EnvState, rounding: Any, weight: Any, smo
     )
     (loss, (_, metrics)), slope = jax.value_and_grad(learner.loss, has_aux=True)(policy, env_state)
     return Judged(loss, metrics["reward"], slope)
-
-
-def test_it_meets_the_contract_of_learners() -> None:
-    assert isinstance(LEARNER, Learner)
 
 
 def test_its_slope_is_that_of_finite_differences() -> None:
@@ -327,33 +321,11 @@ def test_policies_of_a_grid_are_trained_for_all_that_they_hold() -> None:
         assert config.controller == "single" or config.switching.margin_n <= config.margin_n
 
 
-SEVERAL = TrainConfig(task=TaskConfig(reward=RewardConfig(disagreement=0.5)))
-
-
-@pytest.mark.parametrize(
-    ("config", "plant", "message"),
-    [
-        (SEVERAL, StrokeFin(), "task.reward.disagreement = 0.5: the plant is not an ensemble of two members or more"),
-        (
-            TrainConfig(ensemble="each"),
-            StrokeFin(),
-            "ensemble = each: the plant is not an ensemble of two members or more",
-        ),
-        (
-            SEVERAL.changed(("ensemble=each",)),
-            streaming.surrogate(),
-            "no members disagree where each fin is one of them",
-        ),
-    ],
-)
-def test_what_only_an_ensemble_can_do_is_refused_without_one(config: TrainConfig, plant: Plant, message: str) -> None:
-    with pytest.raises(ConfigurationError, match=message):
-        check(plant, config, (0,))
-
-
-def test_an_ensemble_takes_what_only_it_can_do() -> None:
-    for config in (SEVERAL, TrainConfig(ensemble="each")):
-        check(streaming.surrogate(), config, (0,))
+def test_members_are_trained_in_only_where_there_are_several() -> None:
+    config = TrainConfig(ensemble="each")
+    with pytest.raises(ConfigurationError, match="ensemble = each: the plant is not an ensemble of two members or"):
+        check(StrokeFin(), config, (0,))
+    check(streaming.surrogate(), config, (0,))
 
 
 def test_references_are_scored_at_the_nearest_force_that_the_fin_can_make() -> None:
@@ -395,11 +367,10 @@ class Twins(StrokeFin):
         return jnp.float32(2)
 
 
-@pytest.mark.parametrize("change", ["ensemble=each", "task.reward.disagreement=0.5"])
-def test_an_ensemble_of_ones_own_takes_what_only_an_ensemble_can_do(change: str, tmp_path: Path) -> None:
+def test_an_ensemble_of_ones_own_takes_what_only_an_ensemble_can_do(tmp_path: Path) -> None:
     assert isinstance(Twins(), EnsemblePlant)
     assert isinstance(jit_argument(Twins()), EnsemblePlant)
-    config = QUICK.changed((change, "steps=24", "num_evaluations=1", "gradient.warm_start=false"))
+    config = QUICK.changed(("ensemble=each", "steps=24", "num_evaluations=1", "gradient.warm_start=false"))
     result = train(Twins(), config, (0,), RunDirectory(tmp_path / "out", {}))
     assert np.isfinite(result.evaluation.error).all()
     np.testing.assert_array_equal(result.evaluation.out_of_distribution_fraction, 1)

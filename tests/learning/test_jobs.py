@@ -10,8 +10,8 @@ from softfin.core.errors import ConfigurationError
 from softfin.gaits.force_map import MapConfig, empty_map
 from softfin.gaits.reachable import Reachable
 from softfin.learning import jobs
-from softfin.learning.engine import LocalEngine
-from softfin.learning.jobs import default_split, jobs_of, train_jobs
+from softfin.learning.engine import Engine
+from softfin.learning.jobs import default_split, split_run, train_jobs
 from softfin.learning.run import TrainingResult
 from softfin.learning.train import train
 from softfin.storage.run_directory import CHECKPOINT, read_log
@@ -35,9 +35,9 @@ def by_cell(tmp_path_factory: pytest.TempPathFactory) -> TrainingResult:
 
 
 def test_jobs_are_named_after_their_seeds_and_cells():
-    assert list(jobs_of(SMALL, (4, 7), "none")) == ["all"]
-    assert list(jobs_of(SMALL, (4, 7), "seed")) == ["seed-4", "seed-7"]
-    cells = jobs_of(SMALL, (4, 7), "cell")
+    assert list(split_run(SMALL, (4, 7), "none")) == ["all"]
+    assert list(split_run(SMALL, (4, 7), "seed")) == ["seed-4", "seed-7"]
+    cells = split_run(SMALL, (4, 7), "cell")
     assert list(cells) == ["seed-4-cell-0", "seed-4-cell-1", "seed-7-cell-0", "seed-7-cell-1"]
     assert cells["seed-7-cell-1"] == (SMALL.model_copy(update={"cells": SMALL.cells[1:]}), (7,))
 
@@ -101,7 +101,7 @@ def test_a_run_stopped_in_its_second_job_goes_on_there_and_ends_the_same(by_cell
     assert notes[-1][:2] == ("train grid", 1.0)
 
 
-class Distant(LocalEngine):
+class Distant(Engine):
     """Machines that do not see the driver's disk."""
 
     def map(self, stage, work, parts, progress):
@@ -113,7 +113,7 @@ def test_what_was_learnt_on_a_disk_of_its_own_comes_home_with_its_log_and_checkp
 ):
     space = run_directory(tmp_path)
     alike(train_jobs(AnalyticFin(), SMALL, SEEDS, space, engine=Distant(), split="cell"), by_cell)
-    for name in jobs_of(SMALL, SEEDS, "cell"):
+    for name in split_run(SMALL, SEEDS, "cell"):
         assert (space.folder / name / CHECKPOINT).is_file()
         assert [entry["step"] for entry in read_log(space.folder / name / "log.jsonl")] == [24, 48, 72, 96]
     space.keep_log(tmp_path / "kept")
@@ -127,7 +127,7 @@ def test_seeds_that_repeat_are_refused_before_they_are_parted(tmp_path: Path):
 
 def test_the_fin_is_mapped_once_over_all_cells_for_all_jobs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     asked, given = [], []
-    found = empty_map(MapConfig(box=PAPER_RANGE).lattice(Reachable(np.zeros(2), np.ones(8))), 8)
+    found = empty_map(MapConfig(box=PAPER_RANGE).empty_table(Reachable(np.zeros(2), np.ones(8))), 8)
 
     def remembered(*arguments, force_map, start):
         given.append(force_map)

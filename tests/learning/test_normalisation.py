@@ -9,7 +9,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from softfin.learning.normalisation import LEAST_DEVIATION, Normalisation
+from softfin.learning.layers import LEAST_DEVIATION, Normalisation
 from softfin.learning.policy import Critic, Policy, PolicyConfig
 
 SMALL = PolicyConfig(units=8, width=8)

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.core.errors import ArtifactError
 from softfin.learning.policy import Policy, PolicyConfig, named
 
 CONFIG = PolicyConfig(units=8, width=6)
@@ -53,32 +52,9 @@ def test_the_density_is_that_of_a_normal_distribution(policy: Policy) -> None:
     np.testing.assert_allclose(policy.action_entropy(), entropy, rtol=1e-5)
 
 
-def test_weights_and_normalisation_go_by_name_and_come_back(policy: Policy) -> None:
+def test_weights_and_normalisation_go_by_name(policy: Policy) -> None:
     seen = np.random.default_rng(2).normal(size=(5, 11)).astype(np.float32)
     policy = jax.jit(Policy.update_statistics)(policy, seen)
     arrays = weights(policy)
     assert {"net.lstm.kernel", "net.output.bias", "log_deviation", "normalisation.mean"} <= set(arrays)
-    again = Policy.from_arrays(CONFIG, 11, arrays, "here")
-    jax.tree.map(np.testing.assert_array_equal, again, policy)
-
-
-def test_many_policies_are_one_stack(policy: Policy) -> None:
-    stacked = jax.tree.map(lambda x: np.multiply.outer(np.float32([1, 2, 3]), np.asarray(x)), policy)
-    again = Policy.from_arrays(CONFIG, 11, weights(stacked), "here")
-    assert again.log_std.shape == (3, 2)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda w: w.pop("net.lstm.bias"), r"here: weights net.lstm.bias are missing or unknown"),
-        (lambda w: w.update(other=np.zeros(3)), r"here: weights other are missing or unknown"),
-        (lambda w: w.update({"net.lstm.bias": np.zeros(31)}), r"net.lstm.bias has shape \(31,\); .* needs \(32,\)"),
-        (lambda w: w.update({"log_deviation": np.zeros((3, 2))}), r"has shape .* for each policy"),
-    ],
-)
-def test_weights_that_do_not_fit_are_refused(policy: Policy, change: Any, message: str) -> None:
-    arrays = weights(policy)
-    change(arrays)
-    with pytest.raises(ArtifactError, match=message):
-        Policy.from_arrays(CONFIG, 11, arrays, "here")
+    np.testing.assert_array_equal(arrays["normalisation.deviation"], policy.normalisation.std)

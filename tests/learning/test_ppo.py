@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from softfin.control.policy import PolicyMemory
 from softfin.core.errors import ConfigurationError
-from softfin.learning.learner import AgentState
-from softfin.learning.lstm import Memory, cleared
+from softfin.learning.layers import cleared
 from softfin.learning.policy import ActorCritic, Policy
 from softfin.learning.ppo import PPO, PPOConfig
-from softfin.learning.rollout import EnvState, Rollout, collect, evaluate_policy
+from softfin.learning.rollout import AgentState, EnvState, Rollout, collect, evaluate_policy
 from softfin.task.references import References
 from tests.learning.probes import PROBES, AnyProbe, Delayed, Direct, Late, Probe, Recall, Still, box, learner
 
@@ -27,10 +27,10 @@ class Playing(Policy):
     blind: Any
     forgets: Any
 
-    def step(self, memory: Memory, observation: Any) -> Any:
+    def step(self, memory: PolicyMemory, observation: Any) -> Any:
         return Policy.step(self, cleared(memory, self.forgets > 0), self._seen(observation))
 
-    def sequence(self, memory: Memory, observation: Any, is_first: Any) -> Any:
+    def sequence(self, memory: PolicyMemory, observation: Any, is_first: Any) -> Any:
         return Policy.sequence(self, memory, self._seen(observation), is_first | (self.forgets > 0))
 
     def _seen(self, observation: Any) -> Any:

@@ -68,6 +68,6 @@ def test_each_part_begins_with_its_parents_policy_seed_by_seed() -> None:
 def test_more_cells_than_splitting_each_once_gives_are_refused() -> None:
     check_refinable(GRADIENT_GRID, 18)
     with pytest.raises(
-        ConfigurationError, match=r"--refine 19: 6 cells are split once, into four each, so 1 .. 18 can"
+        ConfigurationError, match=r"--refine 19: 6 cells are split once, into four each, so 0 .. 18 can"
     ):
         check_refinable(GRADIENT_GRID, 19)

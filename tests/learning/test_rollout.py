@@ -6,11 +6,10 @@ import jax
 import numpy as np
 import pytest
 
-from softfin.learning.learner import AgentState
-from softfin.learning.lstm import Memory
+from softfin.control.policy import PolicyMemory
 from softfin.learning.policy import ActorCritic, Policy
 from softfin.learning.ppo import PPO
-from softfin.learning.rollout import Rollout, collect
+from softfin.learning.rollout import AgentState, Rollout, collect
 from tests.learning.probes import box, learner
 from tests.plants import AnalyticFin
 
@@ -38,7 +37,7 @@ def test_the_replay_of_a_rollout_gives_the_densities_it_was_lived_with(
     policy = before.networks.policy
 
     @jax.jit
-    def replayed(policy: Policy, memories: Memory, rollout: Rollout) -> Any:
+    def replayed(policy: Policy, memories: PolicyMemory, rollout: Rollout) -> Any:
         mean = jax.vmap(policy.sequence, (0, 1, 1), 1)(memories, rollout.observation, rollout.is_first)
         return policy.log_prob(mean, rollout.pre_tanh_action)
 

@@ -9,6 +9,7 @@ controller's cells and the reachable forces, so the observer does not wind up at
 
 import sys
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +22,11 @@ from softfin.core.configuration import Configuration
 from softfin.core.operations import NUMPY, Array, Number, operations_of
 from softfin.core.quantities import Command, Limits
 from softfin.gaits.reachable import Cell, Force, Reachable, bounding_box
+
+WINDOW_WEIGHTS = np.array(
+    [[ACTION_TICKS[(age - 1 - ago) % 3] / WINDOW for ago in range(CYCLE_ACTIONS)] for age in range(3)]
+)
+"""Parts of the window of the last six actions, the newest first, at an age that is 0, 1 or 2 beyond a multiple of 3."""
 
 
 class DisturbanceObserverConfig(Configuration):
@@ -94,6 +100,13 @@ class DisturbanceObserver:
         """Reachable forces that the controller inside knows."""
         return reachable_of(self.controller)
 
+    @cached_property
+    def _box(self) -> tuple[np.ndarray, np.ndarray] | None:
+        if not self.cells:
+            return None
+        box = bounding_box(self.cells)
+        return np.array(box.low, np.float32), np.array(box.high, np.float32)
+
     def init(self) -> DisturbanceObserverState:
         """Return the state of a fin at rest, with no bias."""
         controller: Controller = self.controller
@@ -108,19 +121,18 @@ class DisturbanceObserver:
         xp = ops.xp
         force, reference = xp.asarray(measured.force), xp.asarray(reference)
         forces = xp.concatenate([force[None], state.forces[:-1]])
-        # Ticks of the last six actions, newest first: the action before this one was number age - 1.
-        ticks = xp.asarray(ACTION_TICKS)[(state.age - 1 - np.arange(CYCLE_ACTIONS)) % len(ACTION_TICKS)]
-        error = ((ticks / WINDOW)[:, None] * (forces - state.tracked[-CYCLE_ACTIONS:])).sum(axis=0)
+        weights = ops.row(ops.constant(WINDOW_WEIGHTS), state.age % len(ACTION_TICKS))
+        error = ops.dot(weights, forces - state.tracked[-CYCLE_ACTIONS:])
         # While the reference moves, the fin's own lag looks like a bias: then little is learnt. The correction's own
         # motion, which is slow, does not count: it would hold itself up.
         moved = (state.references.max(axis=0) - state.references.min(axis=0)).max()
         trust = xp.minimum(1, config.still_n / xp.maximum(moved, 1e-6))
-        gain = xp.where(state.age >= config.settle_actions, config.gain * trust**2, 0.0)
-        bias = xp.clip(state.bias + gain * (error - state.bias), -config.limit_n, config.limit_n)
+        gain = ops.choose(state.age >= config.settle_actions, lambda: config.gain * trust**2, lambda: 0.0)
+        bias = state.bias + gain * (error - state.bias)
+        bias = xp.maximum(xp.minimum(bias, config.limit_n), -config.limit_n)
         tracked = reference - bias
-        if self.cells:
-            box = bounding_box(self.cells)
-            tracked = xp.clip(tracked, xp.asarray(box.low), xp.asarray(box.high))
+        if self._box is not None:
+            tracked = xp.maximum(xp.minimum(tracked, self._box[1]), self._box[0])
         if self.reachable is not None:
             tracked = self.reachable.project(tracked)
         inner, command = self.controller.act(

@@ -139,27 +139,17 @@ class GridStep:
         self, ops: Operations, network: PolicyNetwork, state: GridState, reference: Array
     ) -> PolicyMemory:
         """Replay the last cycle, or as much of it as there was, as if the reference had long been this one."""
+
+        def replayed(memory: PolicyMemory, ago: int) -> PolicyMemory:
+            now = ops.xp.concat([state.angles[ago - 1 : ago], reference])
+            observation = self.observation.observe(ops, now, state.actions[2 * ago :], state.age - ago)
+            return network.remember(ops, memory, observation)
+
         memory = empty = PolicyMemory(*map(ops.constant, network.empty()))
         if self.switching.replay:
             for ago in range(CYCLE_ACTIONS, 0, -1):
-                again = partial(self._replay, ops, network, state, reference, memory, ago)
-                memory = PolicyMemory(*ops.choose(state.age >= ago, again, lambda: empty))
+                memory = PolicyMemory(*ops.choose(state.age >= ago, partial(replayed, memory, ago), lambda: empty))
         return memory
-
-    def _replay(
-        self,
-        ops: Operations,
-        network: PolicyNetwork,
-        state: GridState,
-        reference: Array,
-        memory: PolicyMemory,
-        ago: int,
-    ) -> PolicyMemory:
-        """Do one step of the LSTM on the observation of so many actions ago."""
-        now = ops.xp.concat([state.angles[ago - 1 : ago], reference])
-        return network.remember(
-            ops, memory, self.observation.observe(ops, now, state.actions[2 * ago :], state.age - ago)
-        )
 
     def _blend(self, ops: Operations, state: GridState, switched: Number, reference: Array) -> Number:
         """Return the weight of the action one cycle ago: at first 1, once there is a whole cycle."""

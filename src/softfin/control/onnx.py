@@ -16,7 +16,7 @@ import numpy as np
 from softfin.control.controller import LoadedController, Measured
 from softfin.core.action_clock import ACTION_RATE_HZ, ACTION_TICKS
 from softfin.core.errors import ConfigurationError, RunError
-from softfin.core.operations import Array, Number
+from softfin.core.operations import Array, Number, Operations
 from softfin.core.quantities import command_of
 from softfin.storage.artifact import write_file
 from softfin.storage.paths import check_onnx
@@ -49,7 +49,7 @@ class Exported(NamedTuple):
     outputs: tuple[str, ...]
 
 
-class OnnxOperations:
+class OnnxOperations(Operations):
     """The operations of ndonnx; both of two choices are in the graph."""
 
     def __init__(self, ndonnx: Any) -> None:
@@ -99,7 +99,10 @@ def export_onnx(controller: LoadedController, file: Path, overwrite: bool = Fals
         RunError: the exported step gives other commands than NumPy; nothing is written.
     """
     check_onnx(file, overwrite)
-    ndonnx, onnx, runtime = _extra()
+    try:
+        ndonnx, onnx, runtime, *_ = (importlib.import_module(name) for name in NEEDED)
+    except ImportError as error:
+        raise ConfigurationError(f"ONNX needs {error.name}, an extra: pip install softfin[onnx]") from None
     model = _with_metadata(onnx, _traced(ndonnx, onnx, controller), controller)
     onnx.checker.check_model(model, full_check=True)
     data: bytes = model.SerializeToString()
@@ -110,14 +113,6 @@ def export_onnx(controller: LoadedController, file: Path, overwrite: bool = Fals
     write_file(file, data)
     names = tuple(tuple(each.name for each in part) for part in (model.graph.input, model.graph.output))
     return Exported(len(data), worst, *names)
-
-
-def _extra() -> tuple[Any, Any, Any]:
-    try:
-        ndonnx, onnx, runtime, *_ = (importlib.import_module(name) for name in NEEDED)
-    except ImportError as error:
-        raise ConfigurationError(f"ONNX needs {error.name}, an extra: pip install softfin[onnx]") from None
-    return ndonnx, onnx, runtime
 
 
 def _traced(ndonnx: Any, onnx: Any, controller: LoadedController) -> Any:

@@ -1,7 +1,7 @@
 """References that a controller can hold: those of its cells, and among them the forces that the fin can make."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from jaxtyping import Float
@@ -15,14 +15,12 @@ EDGE_N = 1e-4
 
 def cells_of(controller: Any) -> tuple[Cell, ...]:
     """Return the cells that a controller was trained for; none of one that has no `cells` and covers everything."""
-    cells: tuple[Cell, ...] = getattr(controller, "cells", None) or ()
-    return cells
+    return cast(tuple[Cell, ...], getattr(controller, "cells", None) or ())
 
 
 def reachable_of(controller: Any) -> Reachable | None:
     """Return the mean forces that the fin can make, where the controller knows them."""
-    reachable: Reachable | None = getattr(controller, "reachable", None)
-    return reachable
+    return cast(Reachable | None, getattr(controller, "reachable", None))
 
 
 def check_within(cells: Sequence[Cell], reference: Force) -> None:

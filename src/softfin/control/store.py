@@ -47,15 +47,11 @@ def build_controller(
     """Build a controller from its description and arrays; errors name the `source`."""
     for key, value, remedy in (("format", FORMAT, "update it, or train it again"),
                                ("action_rate_hz", ACTION_RATE_HZ, "train it again")):  # fmt: skip
-        if key not in description:
-            raise ArtifactError(f"{source}: {key} is missing; {AGAIN}")
-        if description[key] != value:
-            raise ArtifactError(f"{source}: {key} is {description[key]!r}; this softfin reads {value}; {remedy}")
-    kind = description.get("controller")
-    if not isinstance(kind, str) or kind not in STEPS:
-        raise ArtifactError(
-            f"{source}: controller is {str(kind)[:80]!r}; it must be one of {', '.join(STEPS)}; {AGAIN}"
-        )
+        if (found := description.get(key, "missing")) != value:
+            raise ArtifactError(f"{source}: {key} is {found!r}; this softfin reads {value}; {remedy}")
+    kind = str(description.get("controller"))
+    if kind not in STEPS:
+        raise ArtifactError(f"{source}: controller is {kind[:80]!r}; it must be one of {', '.join(STEPS)}; {AGAIN}")
     try:
         limits, region = Limits.of(description["limits"]), description.get("reachable")
         cells = tuple(Cell.model_validate(cell) for cell in ([] if kind == GaitStep.kind else description["cells"]))
@@ -65,15 +61,35 @@ def build_controller(
         learnt = pydantic.TypeAdapter(TrainingRange | None).validate_python(description.get("training_range"))
         fin = pydantic.TypeAdapter(str | None).validate_python(description.get("fin"))
         reachable = None if region is None else Reachable.from_dict(region)
-    except KeyError as error:
-        raise ArtifactError(f"{source}: {error.args[0]} is missing; {AGAIN}") from None
     except pydantic.ValidationError as error:
         first = error.errors(include_url=False)[0]
         at = ".".join(map(str, first["loc"])) or error.title
         raise ArtifactError(f"{source}: {at} is {str(first['input'])[:80]}: {first['msg']}; {AGAIN}") from None
-    except (TypeError, ValueError) as error:
-        raise ArtifactError(f"{source}: {' '.join(str(error).split())[:400]}; {AGAIN}") from None
+    except (KeyError, TypeError, ValueError) as error:
+        problem = f"{error.args[0]} is missing" if isinstance(error, KeyError) else " ".join(str(error).split())[:400]
+        raise ArtifactError(f"{source}: {problem}; {AGAIN}") from None
     return LoadedController(step, limits, cells, reachable, Artifact(name, learnt, fin, description, digest))
+
+
+def write_controller(
+    path: Path,
+    kind: str,
+    limits: Limits,
+    keys: Mapping[str, Any],
+    arrays: Mapping[str, np.ndarray],
+    extra_files: Callable[[Path], None] | None,
+    overwrite: bool,
+) -> None:
+    """Write a controller, whole or not at all: `keys` and `arrays` of its kind; `extra_files` adds to the folder."""
+    description = {
+        "kind": KIND,
+        "format": FORMAT,
+        "controller": kind,
+        "action_rate_hz": ACTION_RATE_HZ,
+        "limits": limits.to_dict(),
+        **keys,
+    }
+    artifacts.save(path, KIND, description, dict(arrays), extra_files, overwrite)
 
 
 def save_gaits(
@@ -92,12 +108,7 @@ def save_gaits(
     """
     gaits = force_map.gaits
     error, nodes = gaits.force_error(), gaits.table.references()
-    description = {
-        "kind": KIND,
-        "format": FORMAT,
-        "controller": GaitStep.kind,
-        "action_rate_hz": ACTION_RATE_HZ,
-        "limits": limits.to_dict(),
+    keys = {
         **force_map.to_dict(),
         **learnt,
         "scores": [
@@ -108,4 +119,4 @@ def save_gaits(
         "configuration": config.model_dump(mode="json"),
         "provenance": provenance,
     }  # fmt: skip
-    artifacts.save(path, KIND, description, force_map.arrays(), extra_files, overwrite)
+    write_controller(path, GaitStep.kind, limits, keys, force_map.arrays(), extra_files, overwrite)

@@ -31,10 +31,8 @@ def register_with_gymnasium() -> None:
 
 
 class _AfterGymnasium(MetaPathFinder):
-    """Stands in the way of the first import of Gymnasium, steps aside, and registers once that is done."""
-
     def find_spec(self, fullname: str, path: Any = None, target: ModuleType | None = None) -> ModuleSpec | None:
-        """The spec of Gymnasium whose loader registers; None for all other modules."""
+        """The spec of Gymnasium whose loader registers, once; None for all other modules."""
         if fullname != "gymnasium":
             return None
         sys.meta_path.remove(self)

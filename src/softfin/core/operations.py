@@ -4,7 +4,8 @@ So each formula stands once. NumPy runs it on the robot, JAX compiles it, and th
 """
 
 from collections.abc import Callable
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from functools import cache
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -15,79 +16,44 @@ Number: TypeAlias = Any
 """A Python number, a NumPy scalar or an array without axes."""
 
 
-@runtime_checkable
-class Operations(Protocol):
-    """The operations of one library."""
+class Operations:
+    """The operations with NumPy; those of other libraries override them."""
 
-    @property
-    def xp(self) -> Any:
-        """The library's namespace of the array API (2023.12)."""
-        ...
+    xp: Any = np
+    """The library's namespace of the array API (2023.12)."""
 
     def row(self, table: Array, index: Number) -> Array:
         """Return ``table[index]`` along the first axis, for an index that is known only when the formula runs."""
-        ...
-
-    def choose(self, condition: Number, then: Callable[[], Any], otherwise: Callable[[], Any]) -> Any:
-        """Return one of two values, or tuples of values; the other one may be computed or not."""
-        ...
-
-    def dot(self, vector: Array, matrix: Array) -> Array:
-        """Return the product of a vector and a matrix."""
-        ...
-
-    def whole(self, number: Number) -> Number:
-        """Round towards 0, to an integer."""
-        ...
-
-    def real(self, number: Number) -> Number:
-        """Convert to a float32, or to a Python number, which does not widen one."""
-        ...
-
-    def constant(self, values: Array) -> Array:
-        """Convert to an array of the library."""
-        ...
-
-
-class NumPyOperations:
-    """NumPy; of two choices one is computed."""
-
-    xp: Any = np
-
-    def row(self, table: Array, index: Number) -> Array:
-        """Index the table."""
         return table[index]
 
     def choose(self, condition: Number, then: Callable[[], Any], otherwise: Callable[[], Any]) -> Any:
-        """Branch."""
+        """Return one of two values, or tuples of values; the other one may be computed or not."""
         return then() if condition else otherwise()
 
     def dot(self, vector: Array, matrix: Array) -> Array:
-        """Multiply, with less overhead than ``@``."""
+        """Return the product of a vector and a matrix."""
         return vector.dot(matrix)
 
     def whole(self, number: Number) -> Number:
-        """Convert to a Python integer."""
+        """Round towards 0, to an integer."""
         return int(number)
 
     def real(self, number: Number) -> Number:
-        """Convert to a Python number."""
+        """Convert to a float32, or to a Python number, which does not widen one."""
         return float(number)
 
     def constant(self, values: Array) -> Array:
-        """Return the array as it is."""
+        """Convert to an array of the library."""
         return values
 
 
-class JaxOperations:
-    """JAX, imported when first used; both choices are computed, as under `jax.vmap` they always are."""
+class JaxOperations(Operations):
+    """The operations with JAX; both choices are computed, as under `jax.vmap` they always are."""
 
-    @property
-    def xp(self) -> Any:
-        """The namespace ``jax.numpy``."""
-        import jax.numpy
+    def __init__(self) -> None:
+        import jax
 
-        return jax.numpy
+        self.xp, self._map = jax.numpy, jax.tree.map
 
     def row(self, table: Array, index: Number) -> Array:
         """Index the table dynamically."""
@@ -95,13 +61,7 @@ class JaxOperations:
 
     def choose(self, condition: Number, then: Callable[[], Any], otherwise: Callable[[], Any]) -> Any:
         """Select with ``where``, part by part."""
-        import jax
-
-        return jax.tree.map(lambda one, other: self.xp.where(condition, one, other), then(), otherwise())
-
-    def dot(self, vector: Array, matrix: Array) -> Array:
-        """Multiply."""
-        return vector @ matrix
+        return self._map(lambda one, other: self.xp.where(condition, one, other), then(), otherwise())
 
     def whole(self, number: Number) -> Number:
         """Convert to int32."""
@@ -116,12 +76,14 @@ class JaxOperations:
         return self.xp.asarray(values)
 
 
-NUMPY, JAX = NumPyOperations(), JaxOperations()
+NUMPY = Operations()
+jax_operations = cache(JaxOperations)
+"""The operations with JAX, imported when first used."""
 
 
 def operations_of(*values: Any) -> Operations:
     """Return NumPy's operations where all values are Python's or NumPy's, else JAX's."""
     for value in values:
         if not isinstance(value, (float, int, np.ndarray, np.generic, tuple)):
-            return JAX
+            return jax_operations()
     return NUMPY

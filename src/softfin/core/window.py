@@ -5,7 +5,7 @@
 Everything that computes such a mean or its error does it here; all functions take NumPy and JAX arrays.
 """
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -24,6 +24,22 @@ def window_mean(forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""]) -> Any
 def window_error(forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""], reference: Float[AnyArray, "2"]) -> Any:
     """|F_e| = |mean(F) - F_r| over the last `count` samples [N]."""
     return abs(window_mean(forces, count) - reference)
+
+
+def sobolev(forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""], form: Literal["sum", "mean"] = "mean") -> Any:
+    """Sobolev term of the last `count` of `n` samples (paper Sec. III-C2) [N]: how much consecutive forces differ.
+
+    The paper's form `sum`, sqrt(sum_i |F_{i+1} - F_i|^2), grows with the root of the window's length; the published
+    code's form `mean` is the root of the mean.
+    """
+    xp: Any = forces.__array_namespace__()
+    counts = xp.arange(len(forces) - 1) >= len(forces) - count
+    square = xp.where(counts[:, None], xp.diff(forces, axis=0) ** 2, 0).sum(axis=0)
+    if form == "mean":
+        square = square / xp.maximum(count - 1, 1)
+    # With slope 0 at 0: a fin at rest makes no force, and the slope of a root there is infinite.
+    moves = square > 0
+    return xp.where(moves, xp.sqrt(xp.where(moves, square, 1)), 0)
 
 
 def moving_average(series: Float[AnyArray, "*batch ticks channels"], window: int = WINDOW) -> Any:

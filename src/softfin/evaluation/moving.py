@@ -21,7 +21,7 @@ from softfin.evaluation.experiment import MIN_SECONDS, EvaluationTarget, Experim
 from softfin.evaluation.range_errors import range_of
 from softfin.evaluation.scores import StepResponse, instantaneous_error, score, step_responses
 from softfin.gaits.reachable import Cell, Reachable
-from softfin.task.signals import Force, Ramp, Recorded, Signal, Sine, Step
+from softfin.task.signals import Force, Ramp, Recorded, Signal, Sinusoid, Step
 
 LOW, MIDDLE, HIGH = 1 / 6, 1 / 2, 5 / 6
 """Places in a controller's range, which goes from 0 (its least reference) to 1 (its greatest) on each axis."""
@@ -35,9 +35,9 @@ STEPS = (
 """Small and large steps, on one axis and on both."""
 
 
-def _sine(start_n: Force, to_n: Force) -> Sine:
+def _sine(start_n: Force, to_n: Force) -> Sinusoid:
     (a, b), (c, d) = start_n, to_n
-    return Sine(centre_n=((a + c) / 2, (b + d) / 2), amplitude_n=((c - a) / 2, (d - b) / 2))
+    return Sinusoid(centre_n=((a + c) / 2, (b + d) / 2), amplitude_n=((c - a) / 2, (d - b) / 2))
 
 
 SIGNALS: Mapping[MovingReference, tuple[Callable[..., Signal], tuple[Any, ...], int]] = MappingProxyType(

@@ -6,11 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 from pydantic import Field, PositiveFloat
+from scipy.ndimage import map_coordinates
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import PlantError
 from softfin.core.plant import Plant
-from softfin.gaits.gait import ForceMap, GaitSearchResult, Lattice
+from softfin.gaits.gait import ForceMap, GaitSearchResult, GaitTable
 from softfin.gaits.reachable import Cell, Reachable, directions
 from softfin.gaits.search import GaitConfig, find_gaits
 from softfin.gaits.simulate import missing_gradient
@@ -34,21 +35,20 @@ class MapConfig(Configuration):
     gaits: GaitConfig = GaitConfig()
     """Configuration of the search for the lattice's gaits."""
 
-    def lattice(self, surveyed: Reachable) -> Lattice:
-        """Return the lattice over the box, or over the region that was surveyed."""
+    def empty_table(self, surveyed: Reachable) -> GaitTable:
+        """Return a table without gaits over the box, or over the region that was surveyed."""
         if self.box is not None:
-            return Lattice.over(self.box, self.spacing_n)
+            return GaitTable.over(self.box, self.spacing_n)
         low, high = (np.asarray(corner) / self.spacing_n for corner in surveyed.bounds())
         low, high = np.floor(low) * self.spacing_n, np.ceil(high) * self.spacing_n
-        return Lattice.over(Cell(low=(float(low[0]), float(low[1])), high=(float(high[0]), float(high[1]))),
-                            self.spacing_n)  # fmt: skip
+        return GaitTable.over(Cell(low=tuple(low.tolist()), high=tuple(high.tolist())), self.spacing_n)
 
 
-def empty_map(lattice: Lattice, directions: int) -> ForceMap:
+def empty_map(table: GaitTable, directions: int) -> ForceMap:
     """Return a map of the right shapes, to load a checkpoint into."""
-    nothing = np.zeros((*lattice.nodes, 2), np.float32)
+    nothing = np.zeros((*table.nodes, 2), np.float32)
     nowhere = Reachable(np.zeros(2, np.float32), np.zeros(directions, np.float32))
-    return ForceMap(GaitSearchResult(lattice.table(), nothing, nothing), nowhere)
+    return ForceMap(GaitSearchResult(table, nothing, nothing), nowhere)
 
 
 def map_forces(plant: Plant, config: MapConfig, report: Callable[[float, str], None] | None = None) -> ForceMap:
@@ -63,7 +63,7 @@ def map_forces(plant: Plant, config: MapConfig, report: Callable[[float, str], N
         return None if report is None else lambda done, note: report(begin + (end - begin) * done, note)
 
     surveyed = survey(plant, config.survey, part(0.0, 0.3))
-    gaits = find_gaits(plant, surveyed, config.lattice(surveyed.reachable), config.gaits, part(0.3, 1.0))
+    gaits = find_gaits(plant, surveyed, config.empty_table(surveyed.reachable), config.gaits, part(0.3, 1.0))
     return ForceMap(gaits, held_region(surveyed.reachable, gaits, config.tolerance_n))
 
 
@@ -104,14 +104,13 @@ class StarCheck(NamedTuple):
     @property
     def warning(self) -> str | None:
         """Warning in a sentence; None where both fractions are small."""
-        found = []
-        if self.held_outside > NOT_STAR:
-            found.append(f"{self.held_outside:.0%} of the forces that gaits make lie outside it")
-        if self.missed_inside > NOT_STAR:
-            found.append(f"no gait was found for {self.missed_inside:.0%} of the forces inside it")
-        if not found:
+        if max(self) <= NOT_STAR:
             return None
-        return f"the region is kept as star-shaped about its centre, which this fin's is not: {' and '.join(found)}"
+        return (
+            "the region is kept as star-shaped about its centre, which this fin's is not: "
+            f"{self.held_outside:.0%} of the forces that gaits make lie outside it, and no gait was found for "
+            f"{self.missed_inside:.0%} of the forces inside it"
+        )
 
 
 NOT_STAR = 0.05
@@ -134,15 +133,7 @@ def _interpolated_error(
     gaits: GaitSearchResult, force: Float[np.ndarray, "parts directions 2"]
 ) -> Float[np.ndarray, "parts directions"]:
     """Interpolate the nodes' force error bilinearly; 0 beyond the lattice."""
-    error, table = gaits.force_error(), gaits.table
-    low, high = np.asarray(table.low), np.asarray(table.high)
-    last = np.array(error.shape) - 1
-    place = (force - low) / np.where(high > low, high - low, 1) * last
-    beyond = ((force < low) | (force > high)).any(axis=-1)
-    corner = np.clip(np.floor(place).astype(int), 0, last - 1)
-    x, y = np.moveaxis(place - corner, -1, 0)
-    i, j = np.moveaxis(corner, -1, 0)
-    value = (error[i, j] * (1 - x) * (1 - y) + error[i + 1, j] * x * (1 - y)
-             + error[i, j + 1] * (1 - x) * y + error[i + 1, j + 1] * x * y)  # fmt: skip
-    within: Float[np.ndarray, "parts directions"] = np.where(beyond, 0, value)
-    return within
+    low, width = np.asarray(gaits.table.low, float), np.ptp([gaits.table.low, gaits.table.high], axis=0)
+    place = (force - low) / np.maximum(width, 1e-9) * (np.array(gaits.table.nodes) - 1)
+    error = map_coordinates(gaits.force_error(), np.moveaxis(place, -1, 0), float, order=1, mode="constant")
+    return np.asarray(error)

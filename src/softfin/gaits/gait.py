@@ -30,6 +30,23 @@ class GaitTable(NamedTuple):
     high: Float[AnyArray, "2"]
     actions: Float[AnyArray, "x y 6 2"]
 
+    @classmethod
+    def empty(cls, low: Force, high: Force, nodes: tuple[int, int]) -> "GaitTable":
+        """A table of `nodes` in x and y, 2 or more, of which every action is 0."""
+        actions = np.zeros((*nodes, CYCLE_ACTIONS, 2), np.float32)
+        return cls(np.asarray(low, np.float32), np.asarray(high, np.float32), actions)
+
+    @classmethod
+    def over(cls, cell: Cell, spacing_n: float) -> "GaitTable":
+        """An empty table with nodes at most `spacing_n` apart, the corners of the cell among them."""
+        x, y = (max(2, math.ceil((b - a) / spacing_n - 1e-6) + 1) for a, b in zip(cell.low, cell.high, strict=True))
+        return cls.empty(cell.low, cell.high, (x, y))
+
+    @property
+    def nodes(self) -> tuple[int, int]:
+        """Number of nodes in x and y."""
+        return self.actions.shape[0], self.actions.shape[1]
+
     def gait(self, reference: Any, operations: Operations | None = None) -> Any:
         """Blend the gaits of the four nodes round the reference; beyond the lattice, take that of its edge."""
         ops = operations or operations_of(reference, self.actions)
@@ -60,27 +77,6 @@ class GaitTable(NamedTuple):
         return place - ops.real(node), node
 
 
-class Lattice(NamedTuple):
-    """References that gaits are searched for."""
-
-    low: Force
-    """Lower corner (x, y) [N]."""
-    high: Force
-    nodes: tuple[int, int]
-    """Number of nodes in x and y, 2 or more."""
-
-    @classmethod
-    def over(cls, cell: Cell, spacing_n: float) -> "Lattice":
-        """Place nodes at most `spacing_n` apart, with the corners of the cell among them."""
-        counts = [max(2, math.ceil((b - a) / spacing_n - 1e-6) + 1) for a, b in zip(cell.low, cell.high, strict=True)]
-        return cls(cell.low, cell.high, (counts[0], counts[1]))
-
-    def table(self) -> GaitTable:
-        """Return a table of which every action is 0."""
-        low, high = (np.asarray(corner, np.float32) for corner in (self.low, self.high))
-        return GaitTable(low, high, np.zeros((*self.nodes, CYCLE_ACTIONS, 2), np.float32))
-
-
 class GaitSearchResult(NamedTuple):
     """A table of gaits, and the forces that they make in the plant in the steady state."""
 
@@ -109,7 +105,7 @@ class ForceMap(NamedTuple):
             "lattice": {
                 "low_n": [float(x) for x in table.low],
                 "high_n": [float(x) for x in table.high],
-                "nodes": list(table.actions.shape[:2]),
+                "nodes": list(table.nodes),
             },
             "reachable": self.reachable.to_dict(),
         }
@@ -132,9 +128,7 @@ class ForceMap(NamedTuple):
             raise ValueError(f"lattice of {nodes} nodes; it must have two or more in x and in y")
         if actions.shape != (*nodes, CYCLE_ACTIONS, 2) or force.shape != (*nodes, 2) or smoothness.shape != force.shape:
             raise ValueError(f"gaits of shape {actions.shape} do not fit a lattice of {nodes}")
-        if not all(np.isfinite(array).all() for array in (actions, force, smoothness)):
-            raise ValueError("gaits are not finite; they must be numbers in [-1, 1]")
-        if np.abs(actions).max() > 1 + ROUNDED:
-            raise ValueError("gaits are beyond [-1, 1], the limits of the plant")
+        if not (np.isfinite(force).all() and np.isfinite(smoothness).all() and (abs(actions) <= 1 + ROUNDED).all()):
+            raise ValueError("gaits or forces are not finite, or gaits are not within [-1, 1], the limits of the plant")
         found = GaitSearchResult(GaitTable(low, high, actions), force, smoothness)
         return cls(found, Reachable.from_dict(description["reachable"]))

@@ -1,6 +1,5 @@
 """A force map's folder: ``map.json`` (lattice, region, provenance), ``weights.safetensors`` (gaits, their forces)."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,10 +35,16 @@ def save_map(
     config: MapConfig,
     limits: Limits,
     provenance: dict[str, Any],
-    extra_files: Callable[[Path], None] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write a map, whole or not at all; `extra_files` adds to the folder."""
+    """Write a map with its figure, ``map.svg`` and ``map.png``, whole or not at all."""
+    # Who only reads maps need not wait for Matplotlib.
+    from softfin.gaits.figure import map_figure
+    from softfin.storage.figures import save_figure
+
+    def draw(folder: Path) -> None:
+        save_figure(map_figure(force_map, config.tolerance_n), folder, "map")
+
     description = {
         "kind": KIND, "format": FORMAT,
         "limits": limits.to_dict(),
@@ -48,7 +53,7 @@ def save_map(
         "configuration": config.model_dump(mode="json"),
         "provenance": provenance,
     }  # fmt: skip
-    artifacts.save(path, KIND, description, force_map.arrays(), extra_files, overwrite)
+    artifacts.save(path, KIND, description, force_map.arrays(), draw, overwrite)
 
 
 def load_map(path: Path) -> LoadedMap:
@@ -65,7 +70,7 @@ def load_map(path: Path) -> LoadedMap:
             description["provenance"].get("plant_identity"),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ArtifactError(f"{source}: not a map's description ({' '.join(str(error).split())})") from None
+        raise ArtifactError(f"{source}: not a valid map ({' '.join(str(error).split())}); map it again") from None
 
 
 def load_force_map(path: Path, plant: Plant, name: str) -> LoadedMap:

@@ -5,6 +5,7 @@ force is inside is one division. It works on NumPy arrays and, for `project`, wi
 """
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -120,19 +121,19 @@ class Reachable(NamedTuple):
 
     def project(self, force: Any) -> Any:
         """Return each force, or where the line from it to the centre meets the edge; NumPy arrays or JAX's."""
-        xp, count = operations_of(force, self.radius).xp, self.radius.shape[-1]
-        force = xp.asarray(force)
-        offset = force - self.centre
-        turn = xp.arctan2(offset[..., 1], offset[..., 0]) / (2 * np.pi) % 1 * count
-        index = xp.minimum(turn.astype(np.int32), count - 1)
-        corners = xp.asarray(self.radius[:, None] * directions(count))
-        a, b = corners[index], corners[(index + 1) % count]
-        # The ray offset * s meets the side a + (b - a) t where offset x (a - b) s = a x (a - b).
-        side = a - b
-        across = offset[..., 0] * side[..., 1] - offset[..., 1] * side[..., 0]
-        reach = (a[..., 0] * side[..., 1] - a[..., 1] * side[..., 0]) / xp.where(xp.abs(across) < 1e-9, np.inf, across)
-        inside = (reach >= 1) | (xp.abs(offset).max(axis=-1) < 1e-6)
-        return xp.where(inside[..., None], force, self.centre + offset * reach[..., None])
+        ops, count = operations_of(force, self.radius), self.radius.shape[-1]
+        xp, ways, radius = ops.xp, ops.constant(directions(count)), ops.constant(self.radius)
+        # Transposed, so that the coordinates of a single force are numbers, which are quicker than arrays.
+        along = xp.asarray(force).T
+        x, y = along[0] - self.centre[0], along[1] - self.centre[1]
+        turn = xp.arctan2(y, x) / (2 * np.pi) % 1 * count
+        first = turn.astype(np.int32) % count
+        (ax, ay), (bx, by) = ((radius[k] * ways[k, 0], radius[k] * ways[k, 1]) for k in (first, (first + 1) % count))
+        # The ray (x, y) * s meets the side a + (b - a) t where (x, y) x (a - b) s = a x (a - b), both under 0.
+        across = x * (ay - by) - y * (ax - bx)
+        reach = (ax * (ay - by) - ay * (ax - bx)) / xp.minimum(across, -1e-9)
+        edge = xp.asarray([self.centre[0] + x * reach, self.centre[1] + y * reach])
+        return xp.where(reach >= 1, along, edge).T
 
     def contains(self, force: Any, tolerance_n: float = TOLERANCE_N) -> Bool[np.ndarray, "*forces"]:
         """Whether each force is inside, or its projection is within the tolerance of it."""
@@ -215,6 +216,7 @@ class Reachable(NamedTuple):
         return (x0, y0), (x1, y1)
 
 
+@cache
 def directions(count: int) -> Float[np.ndarray, "directions 2"]:
     """Return equally spaced unit vectors, anticlockwise from +x."""
     angle = 2 * np.pi * np.arange(count) / count

@@ -13,7 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, PRNGKeyArray
+from jaxtyping import Float
 from pydantic import Field, NonNegativeFloat, PositiveInt
 
 from softfin.core.action_clock import CYCLE_ACTIONS
@@ -22,7 +22,7 @@ from softfin.core.plant import Plant
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import AnyArray
 from softfin.core.randomness import key_of
-from softfin.gaits.gait import GaitSearchResult, Lattice
+from softfin.gaits.gait import GaitSearchResult, GaitTable
 from softfin.gaits.simulate import CYCLES, GaitSensitivity, gait_sensitivity, pre_tanh_of
 from softfin.gaits.survey import Survey
 
@@ -53,38 +53,33 @@ FORCE_STEP, FREE_STEP = 0.6, 0.25
 def find_gaits(
     plant: Plant,
     survey: Survey,
-    lattice: Lattice,
+    table: GaitTable,
     config: GaitConfig,
     report: Callable[[float, str], None] | None = None,
 ) -> GaitSearchResult:
-    """Find a gait for every node; one beyond the fin's reach gets the nearest force that the fin can make.
+    """Find a gait for every node of an empty table, beginning with the gaits of a survey of the same plant.
 
-    The search begins with the gaits of a survey of the same plant.
+    A node beyond the fin's reach gets the nearest force that the fin can make.
     """
-    plant, table = jit_argument(plant), lattice.table()
+    # The key is no constant of the module: making it starts JAX, which an import must not.
+    plant, key, shape = jit_argument(plant), key_of(0, "gaits"), table.nodes
     wanted = survey.reachable.nearest(table.references().reshape(-1, 2))
     target = jnp.asarray(wanted, jnp.float32)
-    nodes = gait_sensitivity(plant, _start(survey, target, lattice.nodes), config.cycles, _key())
+    nodes = gait_sensitivity(plant, _start(survey, target, shape), config.cycles, key)
     scale: AnyArray = np.ones(len(wanted), np.float32)
     for step in range(config.steps):
         exact = step >= config.steps - EXACT
         if step % 4 == 3 and not exact:
-            nodes, scale = _restarted(nodes, target, scale, lattice.nodes)
-        moved = _stepped(nodes, target, scale, lattice.nodes, config, exact)
-        trial = gait_sensitivity(plant, moved, config.cycles, _key())
+            nodes, scale = _restarted(nodes, target, scale, shape)
+        moved = _stepped(nodes, target, scale, shape, config, exact)
+        trial = gait_sensitivity(plant, moved, config.cycles, key)
         nodes, scale = _better(nodes, trial, target, scale, 0.0 if exact else config.smoothness)
         if report is not None:
             error = np.linalg.norm(np.asarray(nodes.out)[:, :2] - wanted, axis=1)
             report((step + 1) / config.steps, f"error {np.median(error):.3f} N median, {error.max():.2f} N greatest")
-    shaped = (*lattice.nodes, -1)
-    actions = np.tanh(nodes.pre_tanh).reshape(*lattice.nodes, CYCLE_ACTIONS, 2)
-    return GaitSearchResult(table._replace(actions=actions), np.asarray(nodes.out[:, :2]).reshape(shaped),
-                 np.asarray(nodes.smoothness).reshape(shaped))  # fmt: skip
-
-
-def _key() -> PRNGKeyArray:
-    # Not a constant: making it starts JAX, which an import must not.
-    return key_of(0, "gaits")
+    actions = np.tanh(nodes.pre_tanh).reshape(*shape, CYCLE_ACTIONS, 2)
+    force, smoothness = (np.asarray(each).reshape(*shape, 2) for each in (nodes.out[:, :2], nodes.smoothness))
+    return GaitSearchResult(table._replace(actions=actions), force, smoothness)
 
 
 def _start(survey: Survey, target: Float[AnyArray, "nodes 2"], shape: tuple[int, int]) -> Float[AnyArray, "nodes 12"]:

@@ -1,7 +1,6 @@
 """Gaits simulated in a plant: mean force, Sobolev term and their gradients; and the families that a survey tries."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from itertools import product
 from typing import NamedTuple
 
@@ -12,11 +11,11 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from softfin.core.action_clock import CYCLE_ACTIONS, WINDOW
-from softfin.core.errors import PlantError, RunError, SoftfinError
+from softfin.core.errors import RunError
 from softfin.core.plant import Plant, hold
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import AnyArray, command_of
-from softfin.core.sobolev import sobolev_mean
+from softfin.core.window import sobolev
 from softfin.gaits.gait import Gait
 
 WAVEFORMS: dict[str, Sequence[float]] = {
@@ -43,7 +42,7 @@ class GaitResponse(NamedTuple):
 def simulate_gait(plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray) -> GaitResponse:
     """Repeat a gait from rest; the last of `cycles` windows counts."""
     last = steady_state_force(plant, gait, cycles, key)[-WINDOW:]
-    return GaitResponse(last.mean(axis=0), sobolev_mean(last, jnp.int32(WINDOW)))
+    return GaitResponse(last.mean(axis=0), sobolev(last, jnp.int32(WINDOW)))
 
 
 def steady_state_force(plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray) -> Float[Array, "ticks 2"]:
@@ -140,31 +139,16 @@ def missing_gradient(plant: Plant) -> str | None:
     gait = pre_tanh_of(families()[0].gaits[len(CENTRES) * len(AMPLITUDES) // 2][None])
     # Raises where the plant does not go forward.
     argument = jit_argument(plant)
-    with _failures_named(plant):
-        try:
-            slope = gait_sensitivity(argument, gait, CYCLES, jax.random.key(0)).slope[:, :2]
-        except (TypeError, ValueError, NotImplementedError) as error:
-            # What JAX says where there is no derivative.
-            return f"JAX cannot differentiate it ({type(error).__name__}: {_first_line(error)})"
+    try:
+        slope = gait_sensitivity(argument, gait, CYCLES, jax.random.key(0)).slope[:, :2]
+    except (TypeError, ValueError, NotImplementedError) as error:
+        # What JAX raises where there is no derivative.
+        return f"JAX cannot differentiate it ({type(error).__name__}: {str(error).partition(chr(10))[0]})"
+    except (MemoryError, jax.errors.JaxRuntimeError) as error:
+        raise RunError(
+            f"{type(plant).__name__}: whether its force has a gradient cannot be determined: "
+            f"{str(error).partition(chr(10))[0] or 'no memory left'}; --algorithm ppo trains without gradients"
+        ) from error
     if not np.isfinite(slope).all():
         return "its slope is not finite, as of a square root at 0"
     return None if slope.any() else "its slope is 0 throughout"
-
-
-@contextmanager
-def _failures_named(plant: Plant) -> Iterator[None]:
-    name = f"{type(plant).__name__}: whether its force has a slope cannot be found out"
-    out = "; --algorithm ppo trains without gradients"
-    try:
-        yield
-    except SoftfinError:
-        raise
-    except (MemoryError, jax.errors.JaxRuntimeError) as error:
-        raise RunError(f"{name}: {_first_line(error) or 'no memory left'}{out}") from error
-    except Exception as error:
-        # It is the user's code that runs here, and it may fail in any way.
-        raise PlantError(f"{name}: it raises {type(error).__name__}: {_first_line(error)}{out}") from error
-
-
-def _first_line(error: BaseException) -> str:
-    return next(iter(str(error).splitlines()), "")

@@ -82,8 +82,11 @@ def _pushed(
     aside = np.abs(offset[:, :1] * outward[:, 1] - offset[:, 1:] * outward[:, 0])
     start = gaits[np.argmax(along - ASIDE * aside, axis=0)]
     pushed, on_the_way = _push(plant, start, centre, config)
-    everything = np.concatenate([force, on_the_way])
-    return Reachable(centre.astype(np.float32), _radius(everything - centre, outward)), pushed
+    # The greatest distance in each direction, over the forces in the sector about it.
+    offset = np.concatenate([force, on_the_way]) - centre
+    along, length = offset @ outward.T, np.linalg.norm(offset, axis=1)
+    radius = np.where(along >= np.cos(np.pi / len(outward)) * length[:, None], along, 0).max(axis=0)
+    return Reachable(centre.astype(np.float32), np.asarray(radius, np.float32)), pushed
 
 
 def _middle(force: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2"]:
@@ -100,15 +103,6 @@ NEAR = 0.2
 
 ASIDE = 2.0
 """A newton beside the direction costs as much as this many along it."""
-
-
-def _radius(offset: Float[np.ndarray, "n 2"], outward: Float[np.ndarray, "directions 2"]) -> Float[np.ndarray, "d"]:
-    """Return the greatest distance in each direction, over the forces in the sector about it."""
-    half = np.cos(np.pi / len(outward))
-    length = np.linalg.norm(offset, axis=1)
-    inside = (offset @ outward.T) >= half * length[:, None]
-    along = np.where(inside, offset @ outward.T, 0)
-    return np.asarray(along.max(axis=0), np.float32)
 
 
 @eqx.filter_jit

@@ -11,11 +11,11 @@ import optax
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from pydantic import Field, PositiveFloat, PositiveInt
 
+from softfin.control.policy import PolicyMemory
 from softfin.core.action_clock import CYCLE_ACTIONS, ticks_of
 from softfin.core.configuration import Configuration
 from softfin.core.plant import Ticks
 from softfin.gaits.gait import GaitTable
-from softfin.learning.lstm import Memory
 from softfin.learning.policy import Policy
 from softfin.task.references import References
 from softfin.task.task import ForceTracking, TaskState
@@ -55,7 +55,7 @@ def clone_gaits(
     is_first = jnp.zeros(config.num_steps, bool)
 
     def loss(policy: Policy, chosen: Demonstrations) -> Float[Array, ""]:
-        start: Memory = jax.tree.map(lambda x: jnp.tile(x, (chosen.action.shape[1], 1)), policy.init())
+        start: PolicyMemory = jax.tree.map(lambda x: jnp.tile(x, (chosen.action.shape[1], 1)), policy.init())
         mean = jax.vmap(policy.sequence, in_axes=(0, 1, None), out_axes=1)(start, chosen.observation, is_first)
         return jnp.mean((jnp.tanh(mean) - chosen.action) ** 2)
 

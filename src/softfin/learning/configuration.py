@@ -48,7 +48,7 @@ class TrainConfig(Configuration):
     """Size and start of the networks."""
     ensemble: Literal["mean", "each"] = "mean"
     """In an ensemble, fins are the mean of all members or each is another member; evaluated is the mean. Only ensembles
-    of two members or more take `each`, which leaves no disagreement to weigh (`task.reward.disagreement`)."""
+    of two members or more take `each`."""
     algorithm: Algorithm = "ppo"
     """LSTM-PPO, as the paper has it, or gradients through the plant."""
     ppo: PPOConfig = PPOConfig()
@@ -160,26 +160,13 @@ def check(plant: Plant, config: TrainConfig, seeds: Sequence[int], force_map: Fo
             f"task.episode_actions = {task.episode_actions}: an episode of {samples} samples holds no whole window of "
             f"{task.window_samples} to evaluate; give a longer episode or a smaller task.window_samples"
         )
-    _check_ensemble(plant, config)
+    if config.ensemble == "each" and (plant.size if isinstance(plant, EnsemblePlant) else 1) < 2:
+        raise ConfigurationError(
+            "ensemble = each: the plant is not an ensemble of two members or more; leave it out, or fit a streaming "
+            "surrogate with --set members=5"
+        )
     if config.begins_as_gaits:
         _check_map(config, force_map)
-
-
-def _check_ensemble(plant: Plant, config: TrainConfig) -> None:
-    disagreement = config.task.reward.disagreement
-    if config.ensemble == "each" and disagreement > 0:
-        raise ConfigurationError(
-            f"task.reward.disagreement = {disagreement:g}: no members disagree where each fin is one of them "
-            "(ensemble = each); give one of the two"
-        )
-    members = plant.size if isinstance(plant, EnsemblePlant) else 1
-    for given, asked in (("ensemble = each", config.ensemble == "each"),
-                         (f"task.reward.disagreement = {disagreement:g}", disagreement > 0)):  # fmt: skip
-        if asked and members < 2:
-            raise ConfigurationError(
-                f"{given}: the plant is not an ensemble of two members or more; leave it out, or fit a streaming "
-                "surrogate with --set members=5"
-            )
 
 
 def _check_map(config: TrainConfig, force_map: ForceMap | None) -> None:

@@ -1,4 +1,4 @@
-"""Trained policies as controllers: in memory, and as folders with their scores."""
+"""Trained policies as controllers' folders, with their scores."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -7,19 +7,10 @@ from typing import Any
 import jax
 import numpy as np
 
-from softfin.control.controller import LoadedController
-from softfin.control.store import FORMAT, KIND, build_controller
-from softfin.core.action_clock import ACTION_RATE_HZ
+from softfin.control.store import write_controller
 from softfin.learning.policy import Policy, memory_of, named
 from softfin.learning.run import TrainingResult
-from softfin.storage import artifact as artifacts
 from softfin.surrogate.range import UNKNOWN
-
-
-def controller_of(trained: TrainingResult, seed: int) -> LoadedController:
-    """Build the controller that a run trained from one of its seeds."""
-    policies = _policies(trained, seed)
-    return build_controller(_description(trained), _arrays(policies), f"seed {seed}")
 
 
 def save_controller(
@@ -35,66 +26,41 @@ def save_controller(
 
     `learnt` tells what its plant has learnt from (`softfin.surrogate.range.learnt_from`).
     """
-    policies = _policies(trained, seed)
-    description = {
-        **_description(trained),
-        **learnt,
-        "policy": trained.config.policy.model_dump(mode="json"),
-        "memory": memory_of(policies),
-        "scores": _scores(trained, trained.seeds.index(seed)),
-        "configuration": trained.config.model_dump(mode="json"),
-        "provenance": provenance,
-    }
-    artifacts.save(path, KIND, description, _arrays(policies), extra_files, overwrite)
-
-
-def _description(trained: TrainingResult) -> dict[str, Any]:
-    config = trained.config
-    return {
-        "kind": KIND,
-        "format": FORMAT,
-        "controller": config.controller,
-        "action_rate_hz": ACTION_RATE_HZ,
-        "limits": trained.limits.to_dict(),
+    config, index = trained.config, trained.seeds.index(seed)
+    # Those of a grid have a leading axis of cells.
+    one = (index, 0) if config.controller == "single" else (index,)
+    policies: Policy = jax.tree.map(lambda leaf: np.asarray(leaf)[one], trained.policies)
+    keys = {
         "cells": [cell.model_dump(mode="json") for cell in config.cells],
         "task": config.task.model_dump(mode="json"),
         "reachable": None if trained.force_map is None else trained.force_map.reachable.to_dict(),
         "switching": config.switching.model_dump(mode="json") if config.controller == "grid" else None,
+        **learnt,
+        "policy": config.policy.model_dump(mode="json"),
+        "memory": memory_of(policies),
+        "scores": _scores(trained, index),
+        "configuration": config.model_dump(mode="json"),
+        "provenance": provenance,
     }
-
-
-def _policies(trained: TrainingResult, seed: int) -> Policy:
-    """Take the policies of a seed: those of a grid with a leading axis of cells, a single one without."""
-    index = trained.seeds.index(seed)
-    one = (index, 0) if trained.config.controller == "single" else (index,)
-    policies: Policy = jax.tree.map(lambda leaf: np.asarray(leaf)[one], trained.policies)
-    return policies
-
-
-def _arrays(policies: Policy) -> dict[str, np.ndarray]:
-    return {name: np.asarray(leaf) for name, leaf in named(policies).items()}
+    write_controller(path, config.controller, trained.limits, keys, named(policies), extra_files, overwrite)
 
 
 def _scores(trained: TrainingResult, index: int) -> list[dict[str, Any]]:
     """List, for each cell, its references and the force errors in the plant that it was trained in.
 
     Errors are against ``held_n``, the nearest force that the fin can make, where its reach is known. ``beyond_data`` is
-    the share of actions that left the data of the plant, where that is a surrogate that knows them.
+    the share of actions that left the training data of the plant, where that is a surrogate with such a measure.
     """
-    scored, tracked, rows = trained.evaluation, trained.evaluation_references(), []
-    outside = scored.out_of_distribution_fraction
+    tracked, scored, rows = trained.evaluation_references(), trained.evaluation, []
+    error, std, outside = np.asarray(scored.error)[index], np.asarray(scored.std)[index], None
+    if scored.out_of_distribution_fraction is not None:
+        outside = scored.out_of_distribution_fraction[index]
     for i, cell in enumerate(trained.config.cells):
         for j, reference in enumerate(cell.lattice(trained.config.lattice)):
-            error, std = (np.asarray(part)[index, i, j] for part in (scored.error, scored.std))
-            data = {} if outside is None else {"beyond_data": float(outside[index, i, j])}
+            forces = {"held_n": tracked[i, j], "error_n": error[i, j], "std_n": std[i, j]}
             rows.append(
-                {
-                    "cell": i,
-                    "reference_n": list(reference),
-                    "held_n": [round(float(x), 4) for x in tracked[i, j]],
-                    "error_n": [round(float(x), 4) for x in error],
-                    "std_n": [round(float(x), 4) for x in std],
-                    **data,
-                }
+                {"cell": i, "reference_n": list(reference)}
+                | {name: [round(float(x), 4) for x in force] for name, force in forces.items()}
+                | ({} if outside is None else {"beyond_data": float(outside[i, j])})
             )
     return rows

@@ -4,7 +4,7 @@ A part is a name and an item; the work is a function of the item that gives the 
 """
 
 from collections.abc import Callable, Mapping
-from typing import Protocol, TypeAlias, TypeVar, runtime_checkable
+from typing import TypeAlias, TypeVar
 
 from softfin.core.progress import Progress
 
@@ -15,24 +15,16 @@ Work: TypeAlias = Callable[[Item, Progress | None], Result]
 """Work on one part, which reports its progress where it is given a function for that."""
 
 
-@runtime_checkable
-class Engine(Protocol):
-    """Works on all parts of a run."""
+class Engine:
+    """Works on one part after the other in this process; other engines override `map`."""
 
     def map(
         self, stage: str, work: Work[Item, Result], parts: Mapping[str, Item], progress: Progress | None
     ) -> list[Result]:
-        """The result of every part, in their order; `stage` names the whole in the progress."""
-        ...
+        """The result of every part, in their order; `stage` names the whole in the progress.
 
-
-class LocalEngine:
-    """Works on one part after the other, in this process."""
-
-    def map(
-        self, stage: str, work: Work[Item, Result], parts: Mapping[str, Item], progress: Progress | None
-    ) -> list[Result]:
-        """As the contract has it; an error of a part ends the run, and the parts after it are not begun."""
+        Here an error of a part ends the run, and the parts after it are not begun.
+        """
 
         def within(index: int, name: str) -> Progress | None:
             def report(_: str, fraction: float, note: str) -> None:

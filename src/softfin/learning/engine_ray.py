@@ -10,14 +10,13 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, field
 from typing import Any
 
 import jax
 
 from softfin.core.errors import ConfigurationError, RunError, SoftfinError
 from softfin.core.progress import Progress
-from softfin.learning.engine import Item, Result, Work
+from softfin.learning.engine import Engine, Item, Result, Work
 
 INSTALL = "--engine ray needs the extra: pip install 'softfin[ray]'"
 
@@ -41,24 +40,61 @@ It runs in a process without JAX: Ray forks, and JAX's threads do not survive th
 """
 
 
-class RayEngine:
-    """Meets the Engine contract."""
+class RayEngine(Engine):
+    """Works on all parts at once, in a cluster at host:port or one started on this machine for the run.
+
+    Raises ConfigurationError where Ray is not installed.
+    """
 
     def __init__(self, cluster: str | None = None, attempts: int = ATTEMPTS) -> None:
-        """Raises ConfigurationError where Ray is not installed.
-
-        Args:
-            cluster: address of the cluster's head as host:port; none starts one on this machine, for the run.
-            attempts: times that a part is begun.
-        """
         self.cluster, self.attempts, self._ray = cluster, attempts, _installed(own=cluster is None)
 
     def map(
         self, stage: str, work: Work[Item, Result], parts: Mapping[str, Item], progress: Progress | None
     ) -> list[Result]:
-        """As the contract has it; raises what the first failing part raised, RunError where its worker died."""
+        """The result of every part, in their order; raises what the first failing part raised, or RunError."""
+        tell = progress or (lambda *_: None)
         with self._connected():
-            return _Map(self._ray, stage, list(parts), progress, self.attempts).over(work, list(parts.values()))
+            return self._results(stage, work, parts, tell)
+
+    def _results(self, stage: str, work: Work[Item, Result], parts: Mapping[str, Item], tell: Progress) -> list[Result]:
+        ray = self._ray
+        # A task without a graphics card is shown none, and would compute on the processor what others compute on cards.
+        cards = 1 if jax.default_backend() == "gpu" else 0
+        if cards and not ray.cluster_resources().get("GPU"):
+            raise ConfigurationError(
+                "cluster: has no graphics card, which this machine computes on, so its tasks would wait for one for "
+                "ever; give a --cluster with cards, or set JAX_PLATFORMS=cpu"
+            )
+        # Ray's own retries would not be reported.
+        task = ray.remote(num_cpus=1, num_gpus=cards, max_retries=0)(_worked)
+        shared = ray.put(work)
+        running = {task.remote(shared, item): (name, 1) for name, item in parts.items()}
+        results: dict[str, Result] = {}
+        failed: list[SoftfinError] = []
+        while running:
+            (ready,), _ = ray.wait(list(running), num_returns=1)
+            name, attempt = running.pop(ready)
+            try:
+                outcome = ray.get(ready)
+            except ray.exceptions.RayTaskError as error:
+                outcome = RunError(f"{name}: its worker failed with {_reason(error)}")
+            except ray.exceptions.RayError as error:
+                if attempt < self.attempts:
+                    tell("lost worker", 1, f"{name} runs again, attempt {attempt + 1} of {self.attempts}")
+                    running[task.remote(shared, parts[name])] = (name, attempt + 1)
+                    continue
+                outcome = RunError(f"{name}: its worker died {self.attempts} times ({_reason(error)}); what is "
+                                   "finished is kept: look after memory and machines, and --resume")  # fmt: skip
+            if isinstance(outcome, SoftfinError):
+                failed.append(outcome)
+                tell("failed", 1, str(outcome))
+            else:
+                results[name] = outcome
+                tell(stage, len(results) / len(parts), f"{name} done, {len(running)} to go")
+        if failed:
+            raise failed[0]
+        return [results[name] for name in parts]
 
     @contextmanager
     def _connected(self) -> Iterator[None]:
@@ -91,68 +127,6 @@ def _started() -> Iterator[str]:
         if not address:
             raise RunError("Ray does not start on this machine, for the reason above; --engine local works without it")
         yield address
-
-
-@dataclass
-class _Map:
-    """One round over all parts."""
-
-    ray: Any
-    stage: str
-    names: list[str]
-    progress: Progress | None
-    attempts: int
-    failed: dict[str, SoftfinError] = field(default_factory=dict)
-
-    def over(self, work: Work[Item, Result], items: list[Item]) -> list[Result]:
-        """Every result in the order of the items."""
-        errors = self.ray.exceptions
-        # A task without a graphics card is shown none, and would compute on the processor what others compute on cards.
-        cards = 1 if jax.default_backend() == "gpu" else 0
-        if cards and not self.ray.cluster_resources().get("GPU"):
-            raise ConfigurationError(
-                "cluster: has no graphics card, which this machine computes on, so its tasks would wait for one for "
-                "ever; give a --cluster with cards, or set JAX_PLATFORMS=cpu"
-            )
-        # Ray's own retries would not be reported.
-        task = self.ray.remote(num_cpus=1, num_gpus=cards, max_retries=0)(_worked)
-        shared = self.ray.put(work)
-        running = {task.remote(shared, item): (i, 1) for i, item in enumerate(items)}
-        results: dict[int, Result] = {}
-        while running:
-            (ready,), _ = self.ray.wait(list(running), num_returns=1)
-            index, attempt = running.pop(ready)
-            name = self.names[index]
-            try:
-                outcome = self.ray.get(ready)
-            except errors.RayTaskError as error:
-                self._fails(name, RunError(f"{name}: its worker failed with {_reason(error)}"))
-            except errors.RayError as error:
-                if attempt < self.attempts:
-                    self._tell("lost worker", 1, f"{name} runs again, attempt {attempt + 1} of {self.attempts}")
-                    running[task.remote(shared, items[index])] = (index, attempt + 1)
-                else:
-                    self._fails(name, RunError(
-                        f"{name}: its worker died {self.attempts} times ({_reason(error)}); what is finished is kept: "
-                        "look after memory and machines, and --resume"
-                    ))  # fmt: skip
-            else:
-                if isinstance(outcome, SoftfinError):
-                    self._fails(name, outcome)
-                else:
-                    results[index] = outcome
-                    self._tell(self.stage, len(results) / len(items), f"{name} done, {len(running)} to go")
-        if self.failed:
-            raise next(iter(self.failed.values()))
-        return [results[i] for i in range(len(items))]
-
-    def _fails(self, name: str, error: SoftfinError) -> None:
-        self.failed[name] = error
-        self._tell("failed", 1, str(error))
-
-    def _tell(self, stage: str, fraction: float, note: str) -> None:
-        if self.progress is not None:
-            self.progress(stage, fraction, note)
 
 
 def _worked(work: Work[Item, Result], item: Item) -> Result | SoftfinError:

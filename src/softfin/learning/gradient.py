@@ -20,10 +20,9 @@ from softfin.core.plant import Ticks
 from softfin.gaits.force_map import MapConfig
 from softfin.gaits.gait import GaitTable
 from softfin.learning.cloning import CloningConfig, clone_gaits
-from softfin.learning.learner import AgentState, Metrics, clipped_adam
-from softfin.learning.lstm import cleared
+from softfin.learning.layers import cleared
 from softfin.learning.policy import Policy, PolicyConfig
-from softfin.learning.rollout import EnvState, reset_truncated, start_episodes
+from softfin.learning.rollout import AgentState, EnvState, Metrics, clipped_adam, reset_truncated, start_episodes
 from softfin.task.references import References
 from softfin.task.reward import RewardTerms
 from softfin.task.task import ForceTracking

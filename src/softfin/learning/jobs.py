@@ -6,7 +6,6 @@ round differently.
 """
 
 import copy
-import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -24,9 +23,8 @@ from softfin.core.progress import Progress
 from softfin.core.quantities import Limits
 from softfin.gaits.gait import ForceMap
 from softfin.learning.configuration import TrainConfig, check
-from softfin.learning.engine import Engine, LocalEngine
+from softfin.learning.engine import Engine
 from softfin.learning.policy import Policy
-from softfin.learning.rollout import PolicyEvaluation
 from softfin.learning.run import TrainingResult
 from softfin.learning.train import find_map, pretrain_shared_policy, train
 from softfin.storage.artifact import write_file
@@ -37,35 +35,27 @@ TOKEN = "here"
 
 
 class Job(NamedTuple):
-    """A part of a run."""
+    """A part of a run, and where its unfinished work lies."""
 
     config: TrainConfig
     """Configuration of the whole run, without the cells of other jobs."""
     seeds: tuple[int, ...]
-
-
-class JobResult(NamedTuple):
-    """What a job sends back."""
-
-    policies: Policy
-    """As in `TrainingResult`, of the job's agents."""
-    evaluation: PolicyEvaluation
-    files: Mapping[str, bytes]
-    """Checkpoint and logs, from a worker without access to the driver's folder."""
+    run_directory: RunDirectory
+    token: str
+    start: Policy | None
+    """Policies that the job begins from."""
 
 
 def find_engine(name: EngineName, cluster: str | None = None) -> Engine:
     """The engine of that name; raises ConfigurationError where Ray is not installed, or the cluster cannot be used."""
-    if name == "local":
-        if cluster is not None:
-            raise ConfigurationError(
-                f"cluster {cluster}: the local engine has none; give --engine ray, or no --cluster"
-            )
-        return LocalEngine()
-    # Ray is an extra, and takes a second to import.
-    from softfin.learning.engine_ray import RayEngine
+    if name == "ray":
+        # Ray is an extra, and takes a second to import.
+        from softfin.learning.engine_ray import RayEngine
 
-    return RayEngine(cluster)
+        return RayEngine(cluster)
+    if cluster is not None:
+        raise ConfigurationError(f"cluster {cluster}: the local engine has none; give --engine ray, or no --cluster")
+    return Engine()
 
 
 def default_split(engine: EngineName, seeds: Sequence[int]) -> Split:
@@ -75,14 +65,16 @@ def default_split(engine: EngineName, seeds: Sequence[int]) -> Split:
     return "seed" if len(seeds) > 1 else "cell"
 
 
-def jobs_of(config: TrainConfig, seeds: Sequence[int], split: Split) -> dict[str, Job]:
-    """The jobs by name, seeds before cells."""
+def split_run(
+    config: TrainConfig, seeds: Sequence[int], split: Split
+) -> dict[str, tuple[TrainConfig, tuple[int, ...]]]:
+    """The parts of a run by name, seeds before cells."""
     if split == "none":
-        return {"all": Job(config, tuple(seeds))}
+        return {"all": (config, tuple(seeds))}
     if split == "seed":
-        return {f"seed-{seed}": Job(config, (seed,)) for seed in seeds}
+        return {f"seed-{seed}": (config, (seed,)) for seed in seeds}
     return {
-        f"seed-{seed}-cell-{i}": Job(config.model_copy(update={"cells": (cell,)}), (seed,))
+        f"seed-{seed}-cell-{i}": (config.model_copy(update={"cells": (cell,)}), (seed,))
         for seed in seeds
         for i, cell in enumerate(config.cells)
     }
@@ -108,28 +100,21 @@ def train_jobs(
     check(plant, config, seeds, force_map)
     force_map = find_map(plant, config, run_directory, progress) if force_map is None else force_map
     start = pretrain_shared_policy(plant, config, seeds, run_directory, progress, force_map)
-    jobs, token = jobs_of(config, seeds, split), uuid4().hex
+    parts, token, jobs = split_run(config, seeds, split), uuid4().hex, {}
     rows = 1 if split == "none" else len(seeds)
-    placed = {}
-    for index, (name, job) in enumerate(jobs.items()):
+    for index, (name, (part, its_seeds)) in enumerate(parts.items()):
         folder = run_directory if split == "none" else run_directory.part(name)
         write_file(folder.folder / TOKEN, token)
-        placed[name] = _PlacedJob(job, folder, token, _part(start, *divmod(index, len(jobs) // rows), split))
-    done = (engine or LocalEngine()).map(f"train {config.controller}", _Training(plant, force_map), placed, progress)
-    for place, result in zip(placed.values(), done, strict=True):
-        for file, data in result.files.items():
-            write_file(place.run_directory.folder / file, data)
-    policies, evaluation = _together([(part.policies, part.evaluation) for part in done], rows)
+        seed, cell = divmod(index, len(parts) // rows)
+        chosen = (slice(None) if split == "none" else slice(seed, seed + 1),
+                  slice(cell, cell + 1) if split == "cell" else slice(None))  # fmt: skip
+        jobs[name] = Job(part, its_seeds, folder, token, jax.tree.map(lambda leaf, at=chosen: leaf[at], start))
+    done = (engine or Engine()).map(f"train {config.controller}", _Training(plant, force_map), jobs, progress)
+    for job, (_, files) in zip(jobs.values(), done, strict=True):
+        for file, data in files.items():
+            write_file(job.run_directory.folder / file, data)
+    policies, evaluation = _together([(result.policies, result.evaluation) for result, _ in done], rows)
     return TrainingResult(config, Limits(*map(float, plant.limits)), tuple(seeds), policies, evaluation, force_map)
-
-
-def _part(start: Policy | None, seed: int, cell: int, split: Split) -> Policy | None:
-    """What one job begins from, of policies with leaves ``(seeds, cells, ...)``."""
-    if start is None or split == "none":
-        return start
-    cells = slice(None) if split == "seed" else slice(cell, cell + 1)
-    chosen: Policy = jax.tree.map(lambda leaf: leaf[seed : seed + 1, cells], start)
-    return chosen
 
 
 def _together(parts: Sequence[Any], rows: int) -> Any:
@@ -140,15 +125,6 @@ def _together(parts: Sequence[Any], rows: int) -> Any:
     return jax.tree.map(lambda *x: np.concatenate(x, axis=0), *across)
 
 
-class _PlacedJob(NamedTuple):
-    """A job, and where its unfinished work lies."""
-
-    job: Job
-    run_directory: RunDirectory
-    token: str
-    start: Policy | None
-
-
 @dataclass(frozen=True)
 class _Training:
     """The work on a job; the plant travels as arrays and the name of its class."""
@@ -156,28 +132,27 @@ class _Training:
     plant: Plant
     force_map: ForceMap | None
 
-    def __call__(self, placed: _PlacedJob, progress: Progress | None) -> JobResult:
+    def __call__(self, job: Job, progress: Progress | None) -> tuple[TrainingResult, Mapping[str, bytes]]:
         """Train, from the last checkpoint where the driver's folder is the same here.
 
         Elsewhere the work is done in a folder of this machine's own, whose files are sent back with the result.
         """
         try:
-            is_here = (placed.run_directory.folder / TOKEN).read_text() == placed.token
+            is_here = (job.run_directory.folder / TOKEN).read_text() == job.token
         except OSError:
             is_here = False
         if is_here:
-            return self._train(placed, placed.run_directory, progress)
-        folder = Path(tempfile.mkdtemp(prefix="softfin-"))
-        own = copy.copy(placed.run_directory)
-        own.folder = folder
-        try:
-            result = self._train(placed, own, progress)
-            files = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-            return result._replace(files=files)
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
+            return self._train(job, job.run_directory, progress), {}
+        own = copy.copy(job.run_directory)
+        with tempfile.TemporaryDirectory(prefix="softfin-", ignore_cleanup_errors=True) as name:
+            own.folder = folder = Path(name)
+            result = self._train(job, own, progress)
+            files = (path for path in folder.rglob("*") if path.is_file())
+            return result, {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
-    def _train(self, placed: _PlacedJob, run_directory: RunDirectory, progress: Progress | None) -> JobResult:
-        config, seeds = placed.job
-        result = train(self.plant, config, seeds, run_directory, progress, force_map=self.force_map, start=placed.start)
-        return JobResult(result.policies, result.evaluation, {})
+    def _train(self, job: Job, run_directory: RunDirectory, progress: Progress | None) -> TrainingResult:
+        result = train(
+            self.plant, job.config, job.seeds, run_directory, progress, force_map=self.force_map, start=job.start
+        )
+        # The driver has the map.
+        return result._replace(force_map=None)

@@ -11,14 +11,12 @@ from typing import Any, cast
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from pydantic import Field, PositiveInt
 
+from softfin.control.policy import PolicyMemory
 from softfin.core.configuration import Configuration
-from softfin.core.errors import ArtifactError
-from softfin.learning.lstm import LSTM, Memory, weights
-from softfin.learning.normalisation import Normalisation
+from softfin.learning.layers import LinearLayer, LSTMCell, Normalisation
 
 
 class PolicyConfig(Configuration):
@@ -34,28 +32,12 @@ class PolicyConfig(Configuration):
     """Standard deviation of the exploration noise before the tanh, at the start."""
 
 
-class Dense(eqx.Module):
-    """x W + b."""
-
-    kernel: Float[Array, "inputs outputs"]
-    bias: Float[Array, "outputs"]
-
-    @classmethod
-    def create(cls, key: PRNGKeyArray, inputs: int, outputs: int, gain: float) -> "Dense":
-        """New weights; `gain` scales the outputs."""
-        return cls(weights(key, (inputs, outputs), gain), jnp.zeros(outputs))
-
-    def __call__(self, x: Float[Array, "*batch inputs"]) -> Float[Array, "*batch outputs"]:
-        """The outputs for each vector in a batch."""
-        return x @ self.kernel + self.bias
-
-
 class Layers(eqx.Module):
     """Layers of the policy: an LSTM, one layer, one linear layer."""
 
-    lstm: LSTM
-    hidden: Dense
-    output: Dense
+    lstm: LSTMCell
+    hidden: LinearLayer
+    output: LinearLayer
 
 
 class Policy(eqx.Module):
@@ -71,29 +53,33 @@ class Policy(eqx.Module):
         """New weights; at the start the mean action is near the middle whatever is observed."""
         lstm, hidden, output = jax.random.split(key, 3)
         net = Layers(
-            LSTM.create(lstm, observations, config.units),
-            Dense.create(hidden, config.units, config.width, 2**0.5),
-            Dense.create(output, config.width, actions, 0.01),
+            LSTMCell.create(lstm, observations, config.units),
+            LinearLayer.create(hidden, config.units, config.width, 2**0.5),
+            LinearLayer.create(output, config.width, actions, 0.01),
         )
         log_std = jnp.full(actions, jnp.log(config.init_std))
         return cls(net, jnp.asarray(log_std, jnp.float32), Normalisation.create(observations))
 
-    def init(self) -> Memory:
+    def init(self) -> PolicyMemory:
         """Empty memory."""
         return self.net.lstm.init()
 
-    def act(self, memory: Memory, observation: Float[Array, "observations"]) -> tuple[Memory, Float[Array, "actions"]]:
+    def act(
+        self, memory: PolicyMemory, observation: Float[Array, "observations"]
+    ) -> tuple[PolicyMemory, Float[Array, "actions"]]:
         """The deterministic action, in (-1, 1)."""
         memory, mean = self.step(memory, observation)
         return memory, jnp.tanh(mean)
 
-    def step(self, memory: Memory, observation: Float[Array, "observations"]) -> tuple[Memory, Float[Array, "actions"]]:
+    def step(
+        self, memory: PolicyMemory, observation: Float[Array, "observations"]
+    ) -> tuple[PolicyMemory, Float[Array, "actions"]]:
         """The mean action before the tanh."""
         memory = self.net.lstm.step(memory, self.normalisation(observation))
         return memory, self._mean(memory.hidden)
 
     def sequence(
-        self, memory: Memory, observation: Float[Array, "time observations"], is_first: Bool[Array, "time"]
+        self, memory: PolicyMemory, observation: Float[Array, "time observations"], is_first: Bool[Array, "time"]
     ) -> Float[Array, "time actions"]:
         """The outputs of `step` over a sequence, the memory cleared before every step that `is_first`."""
         return self._mean(self.net.lstm.sequence(memory, self.normalisation(observation), is_first))
@@ -116,26 +102,6 @@ class Policy(eqx.Module):
         z = (pre_tanh_action - mean) / jnp.exp(self.log_std)
         return -jnp.sum(0.5 * z**2 + self.log_std + 0.5 * jnp.log(2 * jnp.pi), axis=-1)
 
-    @classmethod
-    def from_arrays(
-        cls, config: PolicyConfig, observations: int, arrays: Mapping[str, np.ndarray], source: str
-    ) -> "Policy":
-        """The policy of `named` arrays, which may have a leading axis of policies; `source` is named in errors."""
-        template = jax.eval_shape(lambda: cls.create(jax.random.key(0), config, observations))
-        shapes = named(template)
-        if sorted(shapes) != sorted(arrays):
-            odd = sorted(set(shapes) ^ set(arrays))
-            raise ArtifactError(f"{source}: weights {', '.join(odd)} are missing or unknown; copy the folder again")
-        stacks = {arrays[name].shape[: arrays[name].ndim - leaf.ndim] for name, leaf in shapes.items()}
-        for name, leaf in shapes.items():
-            if arrays[name].shape[arrays[name].ndim - leaf.ndim :] != leaf.shape or len(stacks) > 1:
-                raise ArtifactError(
-                    f"{source}: {name} has shape {arrays[name].shape}; its configuration needs {leaf.shape} for each "
-                    "policy; copy the folder again"
-                )
-        leaves = [jnp.asarray(arrays[name], jnp.float32) for name in shapes]
-        return cast(Policy, jax.tree.unflatten(jax.tree.structure(template), leaves))
-
     def action_entropy(self) -> Float[Array, ""]:
         """Entropy of the action before the tanh [nat]."""
         return jnp.sum(self.log_std + 0.5 * jnp.log(2 * jnp.pi * jnp.e))
@@ -144,7 +110,7 @@ class Policy(eqx.Module):
 class Critic(eqx.Module):
     """Value of a state, from the privileged observation: it needs no memory, and no robot needs it."""
 
-    layers: tuple[Dense, Dense, Dense]
+    layers: tuple[LinearLayer, LinearLayer, LinearLayer]
     inputs: Normalisation
     """Normalisation of the privileged observation."""
     values: Normalisation
@@ -155,7 +121,7 @@ class Critic(eqx.Module):
         """New weights for `privileged` inputs."""
         sizes = ((privileged, width), (width, width), (width, 1))
         first, second, last = (
-            Dense.create(k, *size, 1.0) for k, size in zip(jax.random.split(key, 3), sizes, strict=True)
+            LinearLayer.create(k, *size, 1.0) for k, size in zip(jax.random.split(key, 3), sizes, strict=True)
         )
         return cls((first, second, last), Normalisation.create(privileged), Normalisation.create(1))
 
@@ -177,7 +143,7 @@ class Critic(eqx.Module):
         """
         old, new = self.values, self.values.updated(target[..., None], most)
         first, second, last = self.layers
-        last = Dense(last.kernel * old.scale / new.scale, new(old.inverse(last.bias)))
+        last = LinearLayer(last.kernel * old.scale / new.scale, new(old.inverse(last.bias)))
         return Critic((first, second, last), self.inputs.updated(privileged), new)
 
     def _normalised(self, privileged: Float[Array, "*batch privileged"]) -> Float[Array, "*batch"]:
@@ -208,9 +174,6 @@ def named(policy: Any) -> dict[str, Any]:
 STORED_NAMES = {"log_std": "log_deviation", "normalisation.std": "normalisation.deviation"}
 """Names in files that differ from those here: folders of earlier versions have them."""
 
-OPTIMISER_COPIES = 2
-"""Adam keeps two numbers for each weight; the paper's 7.2 MB are weights and these."""
-
 
 def memory_of(policy: Policy) -> dict[str, int]:
     """Memory of one policy or of a stack of them, for JSON: weights, and what training holds of them besides.
@@ -220,7 +183,8 @@ def memory_of(policy: Policy) -> dict[str, int]:
     count = math.prod(policy.log_std.shape[:-1])
     leaves = jax.tree.leaves(policy)
     weights, size = sum(leaf.size for leaf in leaves) // count, sum(leaf.nbytes for leaf in leaves) // count
-    optimiser = OPTIMISER_COPIES * size
+    # Adam keeps two numbers for each weight; the paper's 7.2 MB are weights and these.
+    optimiser = 2 * size
     return {"policies": count, "weights": weights, "weights_bytes": size, "optimiser_bytes": optimiser,
             "total_weights_bytes": count * size, "total_bytes": count * (size + optimiser)}  # fmt: skip
 

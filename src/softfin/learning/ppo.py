@@ -13,12 +13,11 @@ import optax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
 
+from softfin.control.policy import PolicyMemory
 from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.configuration import Configuration
-from softfin.learning.learner import AgentState, Metrics, clipped_adam
-from softfin.learning.lstm import Memory
 from softfin.learning.policy import ActorCritic, Critic, Policy, PolicyConfig
-from softfin.learning.rollout import Rollout, collect, start_episodes
+from softfin.learning.rollout import AgentState, Metrics, Rollout, clipped_adam, collect, start_episodes
 from softfin.task.references import References
 from softfin.task.task import ForceTracking
 
@@ -155,7 +154,7 @@ class PPO:
         }
 
     def loss(
-        self, networks: ActorCritic, batch: Batch, start: Memory, entropy_coef: Float[Array, ""]
+        self, networks: ActorCritic, batch: Batch, start: PolicyMemory, entropy_coef: Float[Array, ""]
     ) -> tuple[Float[Array, ""], Metrics]:
         """Clipped surrogate objective, squared error of the critic, weighed entropy; whole sequences from `start`."""
         config, rollout = self.config, batch.rollout

@@ -4,7 +4,7 @@ trained cells, their errors -> refine -> finer cells, each with its parent -> tr
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import jax
 import numpy as np
@@ -34,17 +34,15 @@ class RefinedGrid(NamedTuple):
 
 def check_refinable(config: TrainConfig, more: int) -> None:
     """Raise ConfigurationError unless the run's grid can have `more` cells more."""
-    if more < 0:
-        raise ConfigurationError(f"--refine {more}: give the number of cells to add, 0 or more")
     if more and (config.controller != "grid" or config.algorithm != "gradient"):
         raise ConfigurationError(
             f"--refine {more}: only a grid that is trained by gradients is refined, not {config.controller} by "
             f"{config.algorithm}; leave it out, or give --controller grid --algorithm gradient"
         )
-    if more > 3 * len(config.cells):
+    if not 0 <= more <= 3 * len(config.cells):
         raise ConfigurationError(
-            f"--refine {more}: {len(config.cells)} cells are split once, into four each, so 1 .. "
-            f"{3 * len(config.cells)} can be added; give fewer, or more --cells"
+            f"--refine {more}: {len(config.cells)} cells are split once, into four each, so 0 .. "
+            f"{3 * len(config.cells)} can be added; give as many, or more --cells"
         )
 
 
@@ -56,16 +54,13 @@ def train_refined(
     No cell ends with a greater error than its parent's policy had in it.
     """
     finer = refine(trained.config.cells, np.asarray(trained.evaluation.error).mean(axis=(0, 2)), more)
-    result = train(
-        plant,
-        trained.config.model_copy(update={"cells": finer.cells}),
-        trained.seeds,
-        run_directory,
-        progress,
-        force_map=trained.force_map,
-        start=inherited(trained.policies, finer.parents),
-    )
-    return result, finer.parents
+    config, start = trained.config.model_copy(update={"cells": finer.cells}), inherited(trained.policies, finer.parents)
+    return train(plant, config, trained.seeds, run_directory, progress, trained.force_map, start), finer.parents
+
+
+def inherited(policies: Policy, parents: Sequence[int]) -> Policy:
+    """Policies with leaves ``(seeds, cells, ...)``, each cell of a finer grid with that of its parent."""
+    return cast(Policy, jax.tree.map(lambda leaf: leaf[:, np.asarray(parents)], policies))
 
 
 def refine(cells: Sequence[Cell], error: Float[AnyArray, "cells 2"], more: int) -> RefinedGrid:
@@ -85,9 +80,3 @@ def refine(cells: Sequence[Cell], error: Float[AnyArray, "cells 2"], more: int) 
         more -= len(parts[index]) - 1
     parents = tuple(index for index, part in enumerate(parts) for _ in part)
     return RefinedGrid(tuple(cell for part in parts for cell in part), parents)
-
-
-def inherited(policies: Policy, parents: Sequence[int]) -> Policy:
-    """Policies with leaves ``(seeds, cells, ...)``, each cell of a finer grid with that of its parent."""
-    handed: Policy = jax.tree.map(lambda leaf: leaf[:, np.asarray(parents)], policies)
-    return handed

@@ -1,22 +1,24 @@
-"""A policy in its environments: rollouts with exploration noise for the learner, and episodes without for its score.
+"""A policy in its environments: an agent's state, rollouts with exploration noise, and episodes without to evaluate it.
 
-EnvState are in phase on the 33/33/34 clock: a rollout is a scan over cycles of three actions, and each action is
+Environments are in phase on the 33/33/34 clock: a rollout is a scan over cycles of three actions, and each action is
 one vmapped call of the plant.
 """
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, PRNGKeyArray
+import optax
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
+from softfin.control.policy import PolicyMemory
 from softfin.core.action_clock import ACTION_TICKS, ticks_of
 from softfin.core.plant import EnsemblePlant, Ticks, counted
 from softfin.core.quantities import AnyArray
 from softfin.core.window import moving_average, moving_error
-from softfin.learning.lstm import Memory, cleared
-from softfin.learning.policy import Policy
+from softfin.learning.layers import cleared
+from softfin.learning.policy import ActorCritic, Policy
 from softfin.task.references import References
 from softfin.task.task import ForceTracking, TaskState
 
@@ -25,14 +27,40 @@ class EnvState(NamedTuple):
     """An agent's environments between two actions; every leaf has a leading axis of environments."""
 
     states: TaskState
-    memories: Memory
+    memories: PolicyMemory
     """The policy's memory of the observations before this one."""
     is_first: Bool[Array, "environments"]
     """Whether the environment was just reset, so that the memory is of another episode."""
 
 
+class AgentState(NamedTuple):
+    """Everything that the training of one policy carries from update to update: its key and environments, too.
+
+    PPO and Gradient start and update it; both are pure, and `vmap` adds agents.
+    """
+
+    networks: ActorCritic | None
+    """Networks that act and learn; None where the policy itself does."""
+    policy: Policy
+    """The policy that is evaluated and kept."""
+    optimiser: Any
+    env_state: EnvState
+    key: PRNGKeyArray
+    num_updates: Int[Array, ""]
+    """Updates done so far."""
+
+
+Metrics: TypeAlias = dict[str, Float[AnyArray, "*agents"]]
+"""Scalars of an update: ``loss``, ``error_x_n``, ``error_y_n`` [N], ``gradient_norm``, and others of the algorithm."""
+
+
+def clipped_adam(rate: optax.Schedule, max_norm: float) -> optax.GradientTransformation:
+    """Adam on gradients of at most this norm, over all weights as one vector, which compiles sooner than one by one."""
+    return optax.flatten(optax.chain(optax.clip_by_global_norm(max_norm), optax.adam(rate, eps=1e-5)))
+
+
 class Rollout(NamedTuple):
-    """Transitions of all env_state, ``(time, env_state, ...)``."""
+    """Transitions of all environments, ``(time, environments, ...)``."""
 
     observation: Float[Array, "*batch observations"]
     pre_tanh_action: Float[Array, "*batch actions"]
@@ -106,7 +134,7 @@ def _act(
 
 
 def reset_truncated(task: ForceTracking, env_state: EnvState) -> EnvState:
-    """The env_state, those whose episodes are over with their fins at rest again."""
+    """The environments, those whose episodes are over with their fins at rest again."""
     truncated = jax.vmap(task.truncated)(env_state.states)
 
     def choose(new: Array, old: Array) -> Array:

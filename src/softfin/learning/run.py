@@ -1,10 +1,9 @@
 """The agents of a training run, side by side in one program: init, update, evaluation; over all devices of the machine.
 
-Seeds x cells are the agents. Agents need no data of each other, so devices that keep agents do not communicate. Where
-agents cannot be divided evenly, their environments are; then devices communicate in each mean over environments.
+Seeds x cells are the agents. Agents need no data of each other, so devices do not communicate.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import lru_cache, partial
 from typing import Any, NamedTuple, TypeVar, cast
 
@@ -24,10 +23,9 @@ from softfin.core.randomness import key_of
 from softfin.gaits.gait import ForceMap, GaitTable
 from softfin.learning.configuration import TrainConfig
 from softfin.learning.gradient import Gradient, GradientConfig
-from softfin.learning.learner import AgentState, Learner, Metrics
 from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.ppo import PPO, PPOConfig
-from softfin.learning.rollout import PolicyEvaluation, evaluate_policy
+from softfin.learning.rollout import AgentState, Metrics, PolicyEvaluation, evaluate_policy
 from softfin.task.references import References, stack_references
 from softfin.task.task import ForceTracking, TaskConfig
 
@@ -110,7 +108,7 @@ def programs_of(
 ) -> Programs:
     """Compiled programs, kept for the next jobs of a run, which differ by their cells and seeds alone."""
 
-    def learner(given: ProgramInputs) -> Learner:
+    def learner(given: ProgramInputs) -> PPO | Gradient:
         plant = given.plant
         if ensemble == "each" and isinstance(plant, EnsemblePlant):
             plant = OneMember(plant)
@@ -161,9 +159,15 @@ class TrainingRun:
         outside = worst[..., 0] if self.is_ensemble else None
         return RunState(agents, agents.policy, PolicyEvaluation(worst, worst, outside))
 
-    def over_devices(self, agents: Tree) -> Tree:
-        """The agents, divided over the machine's devices, where there are several."""
-        return over_devices(agents, len(self.agents), self.config.learning.num_envs)
+    def over_devices(self, tree: Tree) -> Tree:
+        """A tree with a leading axis of agents, over as many of the machine's devices as have equal parts of them."""
+        devices = jax.devices()
+        used = max(count for count in range(1, len(devices) + 1) if len(self.agents) % count == 0)
+        if used == 1:
+            return tree
+        mesh = Mesh(np.array(devices[:used]), ("devices",))
+        parts = NamedSharding(mesh, PartitionSpec("devices"))  # type: ignore[no-untyped-call]
+        return cast(Tree, jax.device_put(tree, parts))
 
     def update(self, agents: AgentState, number: int) -> tuple[AgentState, Metrics]:
         """Update every agent, the `number`-th time; raises RunError where a loss or its gradient is not finite."""
@@ -198,10 +202,8 @@ class TrainingRun:
         """The newest figures, for a progress bar."""
         best = summary(state.best_evaluation)
         figures = [float(np.mean(best[f"score_{axis}_n"])) for axis in AXES]
-        evaluated = (
-            "" if not np.isfinite(figures).all() else f", best deterministic {figures[0]:.2f}/{figures[1]:.2f} N"
-        )
-        return f"error {np.mean(metrics['error_x_n']):.2f}/{np.mean(metrics['error_y_n']):.2f} N{evaluated}"
+        note = f"error {np.mean(metrics['error_x_n']):.2f}/{np.mean(metrics['error_y_n']):.2f} N"
+        return f"{note}, best deterministic {figures[0]:.2f}/{figures[1]:.2f} N" if np.isfinite(figures).all() else note
 
     def result(self, state: RunState) -> TrainingResult:
         """The best policies, by seed and cell; NumPy arrays."""
@@ -220,42 +222,13 @@ def summary(evaluation: PolicyEvaluation) -> Metrics:
 
 def keep_best(state: RunState, evaluation: PolicyEvaluation) -> RunState:
     """The state with each agent's policy as its best, where its mean error is less than before; NumPy arrays."""
-    new, old = ((np.asarray(each.error).mean(axis=(1, 2))) for each in (evaluation, state.best_evaluation))
+    new, old = (np.asarray(each.error).mean(axis=(1, 2)) for each in (evaluation, state.best_evaluation))
     better = new < old
     best, best_evaluation = jax.tree.map(
         lambda a, b: np.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b),
         (state.agents.policy, evaluation), (state.best, state.best_evaluation),
     )  # fmt: skip
     return state._replace(best=best, best_evaluation=best_evaluation)
-
-
-def over_devices(agents: Tree, count: int, num_envs: int, devices: Sequence[Any] | None = None) -> Tree:
-    """The agents, over as many devices as have equal parts of them, or else of their environments.
-
-    Args:
-        agents: leaves ``(agents, ...)``; of an `AgentState`, the environments are ``(agents, environments, ...)``.
-        count: number of agents.
-        num_envs: number of environments of each agent.
-        devices: devices to choose from, in their order; by default all that JAX finds.
-    """
-    found = jax.devices() if devices is None else list(devices)
-
-    def sharding(used: int, *axes: str | None) -> NamedSharding:
-        mesh = Mesh(np.array(found[:used]), ("devices",))
-        return NamedSharding(mesh, PartitionSpec(*axes))  # type: ignore[no-untyped-call]
-
-    if (used := equal_parts(count, len(found))) > 1:
-        return cast(Tree, jax.device_put(agents, sharding(used, "devices")))
-    if (used := equal_parts(num_envs, len(found))) > 1 and isinstance(agents, AgentState):
-        everywhere = jax.device_put(agents, sharding(used))
-        env_state = jax.device_put(agents.env_state, sharding(used, None, "devices"))
-        return cast(Tree, everywhere._replace(env_state=env_state))
-    return agents
-
-
-def equal_parts(count: int, devices: int) -> int:
-    """The greatest number of devices, of those there are, that have equal parts of `count` things."""
-    return max(used for used in range(1, devices + 1) if count % used == 0)
 
 
 def _is_key(leaf: Any) -> bool:

@@ -4,18 +4,13 @@ A window holds the last `n` samples, the newest last. Of these only the last `co
 only they count. Another term is another field of `RewardTerms`, with its weight in `RewardConfig.value`.
 """
 
-from collections.abc import Callable, Mapping
-from types import MappingProxyType
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 from pydantic import NonNegativeFloat
 
 from softfin.core.configuration import Configuration
-from softfin.core.sobolev import Count, Forces, PerAxis, sobolev_mean, sobolev_sum
-
-Smoothness: TypeAlias = Callable[[Forces, Count], PerAxis]
 
 
 class RewardTerms(NamedTuple):
@@ -25,8 +20,6 @@ class RewardTerms(NamedTuple):
     """|F_e|: distance of the window's mean force from its target."""
     smoothness: Float[Array, "*batch 2"]
     """Sobolev term of the window."""
-    disagreement: Float[Array, "*batch 2"]
-    """Standard deviation of an ensemble's mean forces during the action; 0 for other plants, or without a weight."""
 
 
 class RewardConfig(Configuration):
@@ -41,15 +34,8 @@ class RewardConfig(Configuration):
     target: Literal["now", "window"] = "now"
     """Target of the window's mean force: the reference of this moment, as in the paper, or the mean of the references
     over the window, which does not reward making up for earlier ones."""
-    disagreement: NonNegativeFloat = 0.0
-    """Weight mu of the standard deviation between the members of an ensemble, in their mean force during an action."""
 
     def value(self, terms: RewardTerms) -> Float[Array, "*batch"]:
-        """The reward r = -sum_d w_d (|F_e^d| + lambda_d S_d + mu D_d) [N]; the disagreement D is not the paper's."""
+        """The reward r = -sum_d w_d (|F_e^d| + lambda_d S_d) [N]."""
         weight, smoothness = jnp.asarray(self.weight), jnp.asarray(self.smoothness)
-        cost = terms.error + smoothness * terms.smoothness + self.disagreement * terms.disagreement
-        return -jnp.sum(weight * cost, axis=-1)
-
-
-SMOOTHNESS: Mapping[str, Smoothness] = MappingProxyType({"sum": sobolev_sum, "mean": sobolev_mean})
-"""The two forms of the Sobolev term by name."""
+        return -jnp.sum(weight * (terms.error + smoothness * terms.smoothness), axis=-1)

@@ -5,7 +5,7 @@ it meets a change between two actions at the second one.
 """
 
 from abc import abstractmethod
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -23,8 +23,10 @@ CLOCK_S = 1e-6
 """Times this near to a tick are that tick's: sums of decimal fractions seldom come out even."""
 
 
-class _Signal(Configuration):
+class Signal(Configuration):
     """Base of all signals; `kind` names one in files."""
+
+    kind: str
 
     @abstractmethod
     def _at(self, time_s: Float[np.ndarray, " ticks"]) -> Float[np.ndarray, "ticks 2"]:
@@ -35,21 +37,7 @@ class _Signal(Configuration):
         return np.asarray(self._at(np.arange(ticks) / RATE_HZ), np.float32)
 
 
-class Hold(_Signal):
-    """One force, all the time."""
-
-    kind: Literal["hold"] = "hold"
-    force_n: Force
-    """The force (x, y) [N]."""
-
-    def _at(self, time_s: Float[np.ndarray, " ticks"]) -> Float[np.ndarray, "ticks 2"]:
-        return np.tile(self.force_n, (len(time_s), 1))
-
-    def __str__(self) -> str:
-        return f"hold {_pair(self.force_n)} N"
-
-
-class Step(_Signal):
+class Step(Signal):
     """One force, and from a moment on another."""
 
     kind: Literal["step"] = "step"
@@ -67,7 +55,7 @@ class Step(_Signal):
         return f"step {_pair(self.start_n)} to {_pair(self.to_n)} N at {self.at_s:g} s"
 
 
-class Ramp(_Signal):
+class Ramp(Signal):
     """A straight line from one force to another."""
 
     kind: Literal["ramp"] = "ramp"
@@ -94,7 +82,7 @@ class Ramp(_Signal):
         return f"ramp {_pair(self.start_n)} to {_pair(self.to_n)} N from {self.begin_s:g} s to {self.end_s:g} s"
 
 
-class Sine(_Signal):
+class Sinusoid(Signal):
     """To and fro about a force; both axes reach their greatest together."""
 
     kind: Literal["sine"] = "sine"
@@ -113,7 +101,7 @@ class Sine(_Signal):
         return f"sine about {_pair(self.centre_n)} N, amplitude {_pair(self.amplitude_n)} N, of {self.period_s:g} s"
 
 
-class Recorded(_Signal):
+class Recorded(Signal):
     """Forces from given moments on, each held until the next one, the last one for good; nothing is interpolated."""
 
     kind: Literal["recorded"] = "recorded"
@@ -144,9 +132,6 @@ class Recorded(_Signal):
 
     def __str__(self) -> str:
         return f"recorded, {len(self.time_s)} rows over {self.time_s[-1]:g} s"
-
-
-Signal = Annotated[Hold | Step | Ramp | Sine | Recorded, Field(discriminator="kind")]
 
 
 def _pair(force: Force) -> str:

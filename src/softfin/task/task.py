@@ -18,12 +18,12 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 from softfin.control.policy import Observation
 from softfin.core.action_clock import MOST_TICKS
 from softfin.core.configuration import Configuration
-from softfin.core.operations import JAX
-from softfin.core.plant import EnsemblePlant, Plant, State, Ticks, hold_action, mean_of, repeat, rest_command
-from softfin.core.quantities import Command, Limits, Reading, command_of
-from softfin.core.window import window_error, window_mean
+from softfin.core.operations import jax_operations
+from softfin.core.plant import Plant, State, Ticks, hold_action, rest_command
+from softfin.core.quantities import Command, Limits, command_of
+from softfin.core.window import sobolev, window_error, window_mean
 from softfin.task.references import References
-from softfin.task.reward import SMOOTHNESS, RewardConfig, RewardTerms
+from softfin.task.reward import RewardConfig, RewardTerms
 
 Action = Float[Array, "2"]
 """(angle, velocity) normalised to [-1, 1], the plant's limits."""
@@ -141,13 +141,12 @@ class ForceTracking:
     def step(self, state: TaskState, action: Action, ticks: Ticks) -> tuple[TaskState, Outcome]:
         """Hold an action for 33 or 34 ticks."""
         config, sensing = self.config.reward, self.config.sensing
-        plant, reading, disagreement = self._advance(state.plant, command_of(self.plant.limits, action), ticks)
+        plant, reading = hold_action(self.plant, state.plant, command_of(self.plant.limits, action), ticks)
         past_references = _last(state.past_references, jnp.tile(state.reference, (MOST_TICKS, 1)), ticks)
         forces = _last(state.forces, jnp.asarray(reading.force), ticks)
         samples = jnp.minimum(state.samples + ticks, self.config.window_samples)
         target = state.reference if config.target == "now" else window_mean(past_references, samples)
-        error, smoothness = window_error(forces, samples, target), SMOOTHNESS[config.sobolev](forces, samples)
-        terms = RewardTerms(error, smoothness, disagreement)
+        terms = RewardTerms(window_error(forces, samples, target), sobolev(forces, samples, config.sobolev))
         # A chain: each key is used once, so neither another action nor the next episode draws the same numbers.
         key, noise_key, reference_key = jax.random.split(state.key, 3)
         noise = sensing.noise_rad * jax.random.normal(noise_key)
@@ -182,20 +181,6 @@ class ForceTracking:
         drift = jnp.where(is_due, jnp.where(ramp, towards, 0), state.drift)
         return jnp.where(is_due & ~ramp, sampled, state.reference + drift), drift
 
-    def _advance(self, state: State, command: Command, ticks: Ticks) -> tuple[State, Reading, Float[Array, "2"]]:
-        """The plant after an action, and how much the members of an ensemble disagree, where that has a weight."""
-        plant = self.plant
-        if self.config.reward.disagreement == 0 or not isinstance(plant, EnsemblePlant):
-            return *hold_action(plant, state, command, ticks), jnp.zeros(2)
-
-        def tick(state: State) -> tuple[State, Reading]:
-            state, each = plant.advance_members(state, command, 1)
-            return state, jax.tree.map(lambda x: x[:, 0], each)
-
-        state, each = repeat(tick, state, ticks)
-        force = mean_of(jnp.asarray(each.force), ticks)
-        return state, jax.tree.map(lambda x: x.mean(axis=1), each), force.std(axis=0)
-
 
 def _last(before: Float[Array, "window 2"], rows: Float[Array, "34 2"], ticks: Ticks) -> Float[Array, "window 2"]:
     """The window with `ticks` rows more."""
@@ -215,7 +200,7 @@ def observation(
     """
     part = Observation(past_actions=config.past_actions, phase=config.phase, force_scale_n=config.force_scale_n)
     now = jnp.concatenate([angle[None], reference])
-    return jnp.asarray(part.observe(JAX, now, actions.reshape(-1), age) / part.units())
+    return jnp.asarray(part.observe(jax_operations(), now, actions.reshape(-1), age) / part.units())
 
 
 def action_of(limits: Limits, command: Command) -> Action:

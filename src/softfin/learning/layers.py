@@ -1,0 +1,123 @@
+"""Layers of the policy and the critic: a linear layer, an LSTM cell, and running normalisation."""
+
+from typing import Any, TypeVar, cast
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
+
+from softfin.control.policy import LEAST_DEVIATION, PolicyMemory
+
+Memories = TypeVar("Memories", bound=tuple[Any, ...])
+
+
+class LinearLayer(eqx.Module):
+    """x W + b."""
+
+    kernel: Float[Array, "inputs outputs"]
+    bias: Float[Array, "outputs"]
+
+    @classmethod
+    def create(cls, key: PRNGKeyArray, inputs: int, outputs: int, gain: float) -> "LinearLayer":
+        """New weights; `gain` scales the outputs."""
+        return cls(weights(key, (inputs, outputs), gain), jnp.zeros(outputs))
+
+    def __call__(self, x: Float[Array, "*batch inputs"]) -> Float[Array, "*batch outputs"]:
+        """The outputs for each vector in a batch."""
+        return x @ self.kernel + self.bias
+
+
+class LSTMCell(eqx.Module):
+    """Hochreiter and Schmidhuber 1997 with forget gates; gates in the order input, forget, cell, output."""
+
+    kernel: Float[Array, "inputs gates"]
+    recurrent: Float[Array, "units gates"]
+    bias: Float[Array, "gates"]
+
+    @classmethod
+    def create(cls, key: PRNGKeyArray, inputs: int, units: int) -> "LSTMCell":
+        """New weights; the forget gate starts open, so that early gradients reach far back."""
+        first, second = jax.random.split(key)
+        kernel, recurrent = weights(first, (inputs, 4 * units)), weights(second, (units, 4 * units))
+        return cls(kernel, recurrent, jnp.zeros(4 * units).at[units : 2 * units].set(1.0))
+
+    def init(self) -> PolicyMemory:
+        """Empty memory."""
+        empty = jnp.zeros(self.recurrent.shape[0])
+        return PolicyMemory(empty, empty)
+
+    def step(self, memory: PolicyMemory, x: Float[Array, "inputs"]) -> PolicyMemory:
+        """One step; its output is the new hidden state."""
+        return self._step(memory, x @ self.kernel + self.bias)
+
+    def sequence(
+        self, memory: PolicyMemory, x: Float[Array, "time inputs"], is_first: Bool[Array, "time"]
+    ) -> Float[Array, "time units"]:
+        """The hidden state after each step, the memory cleared before every step that `is_first`."""
+
+        def step(memory: PolicyMemory, now: tuple[Array, Array]) -> tuple[PolicyMemory, Array]:
+            gates, first = now
+            memory = self._step(cleared(memory, first), gates)
+            return memory, memory.hidden
+
+        return jax.lax.scan(step, memory, (x @ self.kernel + self.bias, is_first))[1]
+
+    def _step(self, memory: PolicyMemory, gates: Float[Array, "gates"]) -> PolicyMemory:
+        i, f, g, o = jnp.split(gates + memory.hidden @ self.recurrent, 4)
+        cell = jax.nn.sigmoid(f) * memory.cell + jax.nn.sigmoid(i) * jnp.tanh(g)
+        return PolicyMemory(jax.nn.sigmoid(o) * jnp.tanh(cell), cell)
+
+
+def weights(key: PRNGKeyArray, shape: tuple[int, int], gain: float = 1.0) -> Float[Array, "inputs outputs"]:
+    """Uniform random weights that keep the variance of their inputs, times gain^2."""
+    bound = gain * (3 / shape[0]) ** 0.5
+    return jax.random.uniform(key, shape, minval=-bound, maxval=bound)
+
+
+def cleared(memory: Memories, where: Bool[Array, ""]) -> Memories:
+    """The memory of one LSTM or of several, emptied where true."""
+    return cast(Memories, jax.tree.map(lambda x: jnp.where(where, 0.0, x), memory))
+
+
+class Normalisation(eqx.Module):
+    """(x - mean) / deviation, number by number; nothing is changed before the first `updated`.
+
+    The statistics are leaves of the network and saved with its weights, but no gradient reaches them.
+    """
+
+    mean: Float[Array, "*stack numbers"]
+    std: Float[Array, "*stack numbers"]
+    """Standard deviation; it divides as `LEAST_DEVIATION` where it is less."""
+    count: Float[Array, "*stack"]
+    """Number of vectors that the statistics weigh as."""
+
+    @classmethod
+    def create(cls, numbers: int) -> "Normalisation":
+        """The identity."""
+        return cls(jnp.zeros(numbers), jnp.ones(numbers), jnp.zeros(()))
+
+    def __call__(self, x: Float[Array, "*batch numbers"]) -> Float[Array, "*batch numbers"]:
+        """The numbers with a mean of about 0 and a deviation of about 1."""
+        return (x - jax.lax.stop_gradient(self.mean)) / jax.lax.stop_gradient(self.scale)
+
+    def inverse(self, x: Float[Array, "*batch numbers"]) -> Float[Array, "*batch numbers"]:
+        """The inverse function."""
+        return jax.lax.stop_gradient(self.mean) + jax.lax.stop_gradient(self.scale) * x
+
+    def updated(self, x: Float[Array, "*batch numbers"], most: float | int = jnp.inf) -> "Normalisation":
+        """The normalisation with a batch of vectors counted, too; earlier ones weigh as at most `most` vectors.
+
+        Merged as in Chan, Golub and LeVeque 1979.
+        """
+        rows = x.reshape(-1, x.shape[-1])
+        new, old = float(len(rows)), jnp.minimum(self.count, most)
+        total = old + new
+        step = rows.mean(axis=0) - self.mean
+        variance = (old * self.std**2 + new * rows.var(axis=0)) / total + old * new * (step / total) ** 2
+        return Normalisation(self.mean + step * new / total, jnp.sqrt(variance), total)
+
+    @property
+    def scale(self) -> Float[Array, "*stack numbers"]:
+        """Divisor of the deviations from the mean."""
+        return jnp.maximum(self.std, LEAST_DEVIATION)
