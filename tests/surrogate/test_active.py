@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from softfin.surrogate.streaming.profile import ProfileConfig
 
 from softfin.core.errors import ConfigurationError
 from softfin.core.quantities import PAPER_LIMITS, Command, Limits
@@ -15,7 +16,6 @@ from softfin.surrogate.active import ActiveCollectConfig, ActiveConfig, Chooser,
 from softfin.surrogate.streaming.force import Motion, Scales
 from softfin.surrogate.streaming.learner import StreamingConfig
 from softfin.surrogate.streaming.member import ensemble, single
-from softfin.surrogate.streaming.profile import ProfileConfig
 from softfin.surrogate.streaming.uncertainty import Familiarity, Interval, remembered
 from tests.surrogate import small
 

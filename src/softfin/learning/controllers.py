@@ -13,7 +13,7 @@ from softfin.core.action_clock import ACTION_RATE_HZ
 from softfin.learning.policy import Policy, memory_of, named
 from softfin.learning.run import TrainingResult
 from softfin.storage import artifact as artifacts
-from softfin.surrogate.range import UNKNOWN
+from softfin.surrogate.channels import UNKNOWN
 
 
 def controller_of(trained: TrainingResult, seed: int) -> LoadedController:
@@ -33,7 +33,7 @@ def save_controller(
 ) -> None:
     """Write the controller of one seed, whole or not at all; `extra_files` adds to the folder.
 
-    `learnt` tells what its plant has learnt from (`softfin.surrogate.range.learnt_from`).
+    `learnt` tells what its plant has learnt from (`softfin.surrogate.channels.learnt_from`).
     """
     policies = _policies(trained, seed)
     description = {

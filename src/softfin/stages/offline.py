@@ -57,13 +57,12 @@ from softfin.surrogate import (
 )
 from softfin.surrogate import import_keras as _import_keras
 from softfin.surrogate.active import ActiveCollectConfig, chooser
+from softfin.surrogate.channels import SKIPPED, command_limits, learnt_from, training_range
 from softfin.surrogate.compare.candidates import candidates
 from softfin.surrogate.compare.compare import CompareConfig
 from softfin.surrogate.compare.compare import compare as _compare
 from softfin.surrogate.compare.metrics import measured_ranges, table_one
 from softfin.surrogate.compare.report import write_comparison
-from softfin.surrogate.model import SKIPPED
-from softfin.surrogate.range import check_commands_learnt, learnt_from, training_range
 from softfin.surrogate.selection import fit_any
 from softfin.surrogate.training import check_lengths
 from softfin.tank import DomainRandomization, RandomizedTank, Tank, sample_tank
@@ -189,7 +188,8 @@ def fit(
     facts = {"configuration": config.model_dump(mode="json"), "seed": seed, "data_hash": opened.data_hash}
     workspace = Workspace(out, facts, resume, overwrite)
     if not workspace.complete:
-        check_commands_learnt(opened.train, str(dataset))
+        if problem := command_limits(opened.train).problem(one_velocity=True):
+            raise LogError(f"{dataset}: the commands to learn from: {problem}; are they in degrees? see --angles deg")
         test = opened.test
         check_lengths(test, SKIPPED, "test")
         if test:

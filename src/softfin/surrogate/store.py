@@ -62,4 +62,6 @@ def load_surrogate(path: Path) -> AnySurrogate:
         Limits.of(surrogate.limits.described(), one_velocity=True)
         return surrogate
     except (KeyError, TypeError, ValueError) as error:
-        raise ArtifactError(f"{source}: not a surrogate's description ({' '.join(str(error).split())})") from None
+        raise ArtifactError(
+            f"{source}: not a surrogate's description ({' '.join(str(error).split())}); fit it again"
+        ) from None

@@ -33,6 +33,16 @@ class Attentive(Surrogate):
     def interval(self):
         return Interval(coverage=0.9, factor=3.0, floor_n=0.5, windows=1, logs=10)
 
+    @property
+    def size(self):
+        return 1
+
+    def member(self, index):
+        return self
+
+    def distance(self, state):
+        return jax.numpy.zeros(())
+
     def advance_members(self, state, command, ticks):
         state, reading = self.advance(state, command, ticks)
         return state, jax.tree.map(lambda x: x[None], reading)

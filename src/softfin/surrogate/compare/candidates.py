@@ -13,8 +13,7 @@ from softfin.core.errors import ConfigurationError
 from softfin.core.plant_identity import identity
 from softfin.core.quantities import PAPER_LIMITS, Log
 from softfin.storage import artifact as artifacts
-from softfin.surrogate.model import SurrogateModel
-from softfin.surrogate.store import load_surrogate
+from softfin.surrogate.store import AnySurrogate, load_surrogate
 
 SEED_IN_NAME = re.compile(r"[-_./]?(seed)?[-_.]?\d+$")
 
@@ -23,7 +22,7 @@ class Candidate(NamedTuple):
     """A surrogate and where it lies."""
 
     folder: Path
-    surrogate: SurrogateModel
+    surrogate: AnySurrogate
     group: str
     """Key of the group: equal for seeds of one configuration on the same data."""
 
@@ -68,23 +67,16 @@ def beyond_limits(members: Sequence[Candidate], logs: Sequence[Log]) -> tuple[fl
 
     For the member for which they are greatest.
     """
-    commands = [np.concatenate([np.asarray(log.command[i], np.float64) for log in logs]) for i in range(2)]
-    shares, furthest = [], []
-    for member in members:
-        excess = []
-        for values, index in zip(commands, (0, 2), strict=True):
-            (low, high), (paper_low, paper_high) = (
-                x[index : index + 2] for x in (member.surrogate.limits, PAPER_LIMITS)
-            )
-            # Where the training commands never changed, over the range of the paper's.
-            span = high - low or paper_high - paper_low
-            excess.append(np.maximum(np.maximum(low - values, values - high) / span, 0))
-        shares.append(float(np.mean(np.max(excess, axis=0) > 0)))
-        furthest.append(float(np.max(excess)))
-    return max(shares), max(furthest)
+    commands = np.concatenate([np.stack(log.command, axis=1) for log in logs]).astype(np.float64)
+    limits = np.array([member.surrogate.limits for member in members]).reshape(-1, 1, 2, 2)
+    low, high = limits[..., 0], limits[..., 1]
+    # Where the training commands never changed, over the range of the paper's.
+    span = np.where(high > low, high - low, np.diff(np.reshape(PAPER_LIMITS, (2, 2)))[:, 0])
+    excess = np.maximum((low - commands) / span, (commands - high) / span).max(axis=-1)
+    return float((excess > 0).mean(axis=1).max()), max(float(excess.max()), 0.0)
 
 
-def _group(folder: Path, surrogate: SurrogateModel) -> str:
+def _group(folder: Path, surrogate: AnySurrogate) -> str:
     description = artifacts.load_description(folder, "surrogate")
     data = (description.get("provenance") or {}).get("data_hash")
     if description.get("configuration") is None or data is None:

@@ -15,9 +15,9 @@ import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
 from softfin.core.errors import LogError, PlantError
-from softfin.core.plant import Plant, State, check_commands, roll
+from softfin.core.plant import EnsemblePlant, Plant, State, check_commands, roll
 from softfin.core.quantities import RATE_HZ, Command, Log, Reading
-from softfin.surrogate.model import SurrogateModel
+from softfin.surrogate.store import AnySurrogate
 
 BATCH = 64
 """Segments side by side, at most: enough for the matrix products, and a few MB of activations."""
@@ -62,7 +62,7 @@ def take(records: Sequence[Record], segments: Sequence[Segment], ticks: int) -> 
 
 
 def free_run(
-    surrogate: SurrogateModel, logs: Sequence[Log], segments: Sequence[Segment], ticks: int, batch: int = BATCH
+    surrogate: AnySurrogate, logs: Sequence[Log], segments: Sequence[Segment], ticks: int, batch: int = BATCH
 ) -> FreeRunPrediction:
     """Predict segments that begin at row `memory` or later."""
     size = math.ceil(len(segments) / math.ceil(len(segments) / batch))
@@ -101,7 +101,7 @@ def run_from_rest(plant: Plant, logs: Sequence[Log], key: PRNGKeyArray) -> list[
 @eqx.filter_jit
 def _free_run(surrogate: Any, states: State, commands: Command) -> tuple[Reading, Any]:
     """Fields ``(segments, ticks)``; of an ensemble also the members' forces ``(segments, ticks, members, 2)``."""
-    if not hasattr(surrogate, "advance_members"):
+    if not isinstance(surrogate, EnsemblePlant):
         return _roll(surrogate, states, commands), None
 
     def tick(state: State, command: Command) -> tuple[State, Reading]:

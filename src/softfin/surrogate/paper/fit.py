@@ -79,7 +79,7 @@ def fit(
     # Equal calls, so that one compiled program does them all.
     calls = max(1, -(-(len(starts) // config.batch) // UPDATES_A_CALL))
     updates = len(starts) // config.batch // calls * calls
-    learner = Learner(config, updates)
+    learner = PaperLearner(config, updates)
     state, done = learner.start(key_of(seed, "fit/weights")), {"epoch": 0, "stale": 0}
     if (resumed := run_directory.load(state)) is not None:
         state, done = resumed
@@ -129,7 +129,7 @@ def split(
     return training, holding, Scaling.fit(training), starts
 
 
-class Learner:
+class PaperLearner:
     """The update of both nets, compiled once."""
 
     def __init__(self, config: FitConfig, updates: int) -> None:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from pydantic import Field, PositiveInt, model_validator
 
 from softfin.core.configuration import Configuration
-from softfin.surrogate.streaming.drive import DriveNet, DriveNetConfig
+from softfin.surrogate.streaming.drive import DriveNetConfig, FollowingNet
 from softfin.surrogate.streaming.force import ForceNet, ForceNetConfig, Motion
 from softfin.surrogate.streaming.member import forces, motions
 from softfin.surrogate.streaming.segments import SegmentBatch, Table, slices
@@ -59,7 +59,7 @@ class StreamingConfig(Configuration):
         return self
 
 
-class Learner:
+class StreamingLearner:
     """The updates of one kind of net, compiled once: all members' weights a step further, side by side."""
 
     def __init__(self, loss: Loss, config: StreamingConfig, updates: int) -> None:
@@ -103,7 +103,7 @@ class Learner:
 def drive_loss(config: StreamingConfig) -> Loss:
     """Mean square of the errors of angle and velocity, each in its own unit: free-running from the first tick on."""
 
-    def loss(net: DriveNet, segments: SegmentBatch, _: Motion, __: Array, ___: PRNGKeyArray) -> Float[Array, ""]:
+    def loss(net: FollowingNet, segments: SegmentBatch, _: Motion, __: Array, ___: PRNGKeyArray) -> Float[Array, ""]:
         predicted = jax.vmap(lambda *of: motions(net, *of))(segments.before, segments.waiting, segments.commands)
         angle = (predicted.angle - segments.motion.angle) / net.scales.angle_rad
         velocity = (predicted.velocity - segments.motion.velocity) / net.scales.velocity_rad_s
@@ -113,7 +113,7 @@ def drive_loss(config: StreamingConfig) -> Loss:
 
 
 def force_loss(config: StreamingConfig) -> Loss:
-    """Mean square error of the force over its scale, or the Gaussian likelihood's where deviations are learnt.
+    """Mean square error of the force over its scale.
 
     A segment gets the measured motion at first, and the drive net's in the end: in between, with the probability that
     grows from 0 to 1 over the `free_running` part of the training.
@@ -128,12 +128,8 @@ def force_loss(config: StreamingConfig) -> Loss:
         measured = jax.tree.map(lambda x, y: jnp.concatenate([x[:, None], y], axis=1), segments.before, segments.motion)
         motion = jax.tree.map(lambda new, old: jnp.where(free, new, old), predicted, measured)
         before, after = jax.tree.map(lambda x: x[:, 0], motion), jax.tree.map(lambda x: x[:, 1:], motion)
-        output = jax.vmap(lambda *of: forces(net, *of))(before, after)
-        error = jnp.sum(((output.force - segments.force) / net.scales.force_n) ** 2, axis=-1)[:, config.burn_in :]
-        if not net.config.heteroscedastic:
-            return jnp.mean(error)
-        log_std = output.log_std[:, config.burn_in :]
-        # The likelihood of two independent axes, less the constant.
-        return jnp.mean(error * jnp.exp(-2 * log_std) / 2 + 2 * log_std)
+        force = jax.vmap(lambda *of: forces(net, *of))(before, after)
+        error = jnp.sum(((force - segments.force) / net.scales.force_n) ** 2, axis=-1)
+        return jnp.mean(error[:, config.burn_in :])
 
     return loss

@@ -10,8 +10,8 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from softfin.core.errors import LogError
 from softfin.core.quantities import AnyArray, Command, Log
+from softfin.surrogate.streaming.drive import LONGEST_DELAY
 from softfin.surrogate.streaming.force import Motion, Scales
-from softfin.surrogate.streaming.profile import LONGEST_DELAY
 
 
 class SegmentBatch(NamedTuple):
