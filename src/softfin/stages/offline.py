@@ -12,7 +12,7 @@ from typing import Any
 from softfin.control.references import resolve_reference
 from softfin.control.store import load_controller, save_gaits
 from softfin.core.choices import EngineName, Split
-from softfin.core.errors import ArtifactError, ConfigurationError, PlantError
+from softfin.core.errors import ArtifactError, ConfigurationError, LogError, PlantError
 from softfin.core.plant import EnsemblePlant, Plant
 from softfin.core.plant_identity import identity
 from softfin.core.progress import Progress
@@ -292,11 +292,7 @@ def compare(
     elif noise_floor is not None:
         floor = type(noise_floor).__name__, noise_floor
 
-    def report(done: float, note: str) -> None:
-        if progress is not None:
-            progress("compare", done, note)
-
-    comparison = _compare(found, list(data.load(data.test)), config, floor, report)
+    comparison = _compare(found, list(data.load(data.test)), config, floor, progress)
     facts = {
         "dataset": str(dataset),
         "test_logs": len(data.test),

@@ -30,9 +30,6 @@ from softfin.surrogate.streaming.member import single
 from softfin.surrogate.streaming.streaming import StreamingState, StreamingSurrogate
 from softfin.surrogate.streaming.uncertainty import remembered
 
-FEWEST = 2
-"""Fewest members that can disagree."""
-
 KNOWN = 0.5
 """Least share of the plant's range of commands that an ensemble must have learnt from: else it means little."""
 
@@ -95,15 +92,6 @@ class Chain(NamedTuple):
     """Memories at the ends of their windows; infinite where no piece is yet."""
 
 
-class PieceRollout(NamedTuple):
-    """The ensemble's prediction of a piece."""
-
-    force: Float[Array, "windows members 2"]
-    """Mean forces over the windows [N]."""
-    memory: Float[Array, "windows remembered"]
-    """Memories at the ends of the windows, in the units of the ensemble's distance."""
-
-
 class Chooser(eqx.Module):
     """Makes the commands of a log (`Commands`): the same key gives the same ones."""
 
@@ -120,11 +108,11 @@ class Chooser(eqx.Module):
         def piece(chain: Chain, index: Array) -> tuple[Chain, Command]:
             keys = jax.random.split(jax.random.fold_in(key, index), config.candidates)
             commands = jax.vmap(lambda key: self._sequence(key, limits))(keys)
-            states, rollouts = jax.vmap(self._roll, in_axes=(None, 0))(chain.state, commands)
-            informative = jax.vmap(lambda force: information(force, config.noise_n))(rollouts.force)
-            unlike = jax.vmap(lambda memory: unlikeness(memory, chain.visited))(rollouts.memory)
+            states, (forces, memories) = jax.vmap(self._roll, in_axes=(None, 0))(chain.state, commands)
+            informative = jax.vmap(lambda force: information(force, config.noise_n))(forces)
+            unlike = jax.vmap(lambda memory: unlikeness(memory, chain.visited))(memories)
             best = jnp.argmax(informative * unlike**config.novelty)
-            state, memory, command = jax.tree.map(lambda x: x[best], (states, rollouts.memory, commands))
+            state, memory, command = jax.tree.map(lambda x: x[best], (states, memories, commands))
             return Chain(state, chain.visited.at[index].set(memory)), command
 
         _, chosen = jax.lax.scan(piece, Chain(self.ensemble.init(key), visited), jnp.arange(pieces))
@@ -137,15 +125,17 @@ class Chooser(eqx.Module):
         kept = jnp.minimum(jnp.arange(ticks), ticks - round(self.excitation.hold_min_s * RATE_HZ))
         return Command(random.angle[kept], random.velocity[kept])
 
-    def _roll(self, state: StreamingState, commands: Command) -> tuple[StreamingState, PieceRollout]:
+    def _roll(self, state: StreamingState, commands: Command) -> tuple[StreamingState, tuple[Array, Array]]:
+        """Mean forces over a piece's windows, of each member [N], and memories at their ends in units of distance."""
+
         def tick(state: StreamingState, command: Command) -> tuple[StreamingState, Array]:
             state, each = self.ensemble.advance_members(state, command, 1)
             return state, jnp.asarray(each.force[:, 0])
 
-        def window(state: StreamingState, commands: Command) -> tuple[StreamingState, PieceRollout]:
+        def window(state: StreamingState, commands: Command) -> tuple[StreamingState, tuple[Array, Array]]:
             state, force = jax.lax.scan(tick, state, commands)
             memory = remembered(single(state.members.force)) @ self.ensemble.familiarity.whitening
-            return state, PieceRollout(force.mean(0), memory)
+            return state, (force.mean(0), memory)
 
         parts = jax.tree.map(lambda x: x.reshape(self.config.windows, self.config.window), commands)
         return jax.lax.scan(window, state, parts)
@@ -172,22 +162,18 @@ def chooser(folder: Path, config: ActiveCollectConfig, limits: Limits) -> tuple[
         ConfigurationError: the surrogate is not an ensemble, or was trained on commands of another range.
     """
     surrogate = load_surrogate(folder)
-    members = surrogate.size if isinstance(surrogate, StreamingSurrogate) else 1
-    if not isinstance(surrogate, StreamingSurrogate) or members < FEWEST:
-        what = f"a {surrogate.model} surrogate" + (" of 1 member" if surrogate.model == "streaming" else "")
-        raise ConfigurationError(f"{folder}: {what}; active excitation needs members that can disagree: fit one with "
-                                 f"--model streaming and members of at least {FEWEST}")  # fmt: skip
+    if not isinstance(surrogate, StreamingSurrogate) or surrogate.size < 2:
+        raise ConfigurationError(f"{folder}: a {surrogate.model} surrogate; active excitation needs members that can "
+                                 "disagree: fit one with --model streaming and at least 2 members")  # fmt: skip
     for name, unit, low, high in (("angle", "rad", 0, 1), ("velocity", "rad/s", 2, 3)):
         learnt, plant = ((ends[low], ends[high]) for ends in (surrogate.limits, limits))
         span, common = plant[1] - plant[0], min(learnt[1], plant[1]) - max(learnt[0], plant[0])
-        beyond = max(plant[0] - learnt[0], learnt[1] - plant[1]) > 1e-3 * span
-        if beyond or common < KNOWN * span:
+        if max(plant[0] - learnt[0], learnt[1] - plant[1]) > 1e-3 * span or common < KNOWN * span:
             raise ConfigurationError(
                 f"{folder}: learnt from commands with {name}s of {learnt[0]:.3g} .. {learnt[1]:.3g} {unit}, where the "
-                f"plant takes {plant[0]:.3g} .. {plant[1]:.3g}; "
-                + ("it is of another fin: " if beyond else f"less than {KNOWN:.0%} of that: ")
-                + "fit it to random logs of this plant"
+                f"plant takes {plant[0]:.3g} .. {plant[1]:.3g}; it must have learnt from at least {KNOWN:.0%} of that "
+                "and nothing beyond: fit it to random logs of this plant"
             )
     provenance = artifacts.load_description(folder, "surrogate").get("provenance") or {}
-    metadata = {"surrogate": str(folder), "members": members, "data_hash": provenance.get("data_hash")}
+    metadata = {"surrogate": str(folder), "members": surrogate.size, "data_hash": provenance.get("data_hash")}
     return Chooser(surrogate, config.active, config.excitation), metadata

@@ -7,6 +7,7 @@ import numpy as np
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import LogError
+from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ, Log
 from softfin.storage.run_directory import Workspace
 from softfin.surrogate.compare.free_running import free_run, segments_of, take
@@ -16,7 +17,7 @@ from softfin.surrogate.store import AnySurrogate
 from softfin.surrogate.streaming.fit import fit_streaming, split_streaming
 from softfin.surrogate.streaming.learner import StreamingConfig
 from softfin.surrogate.streaming.streaming import MEMORY
-from softfin.surrogate.training import Progress, check_lengths, held_out_count
+from softfin.surrogate.training import check_lengths, held_out_count
 
 HORIZON_S = 30
 """Time that candidates run free for, where a held-out log is as long [s]."""
@@ -51,7 +52,8 @@ def fit_any(
     if isinstance(config, StreamingConfig):
         return fit_streaming(logs, config, seed, run_directory, progress), None
     # In order of preference where both are equally good.
-    candidates, left_out = {"streaming": config.streaming, "paper": config.paper}, dict[str, LogError]()
+    candidates: dict[str, FitConfig | StreamingConfig] = {"streaming": config.streaming, "paper": config.paper}
+    left_out = dict[str, LogError]()
     # What cannot be fitted is found out before hours of fitting.
     for name, check in (("streaming", lambda: split_streaming(logs, config.streaming)),
                         ("paper", lambda: split(logs, config.paper))):  # fmt: skip

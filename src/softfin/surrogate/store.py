@@ -52,7 +52,6 @@ def load_surrogate(path: Path) -> AnySurrogate:
         raise ArtifactError(f"{source}: format {description['format']}; this softfin reads {FORMAT}; update it")
     if description.get("rate_hz") != RATE_HZ:
         raise ArtifactError(f"{source}: made for {description.get('rate_hz')} Hz; softfin runs at {RATE_HZ} Hz")
-    # Folders from before there was a second kind do not name it.
     model = description.get("model", "paper")
     if model not in MODELS:
         raise ArtifactError(f"{source}: model {model!r}; this softfin has {', '.join(MODELS)}; update it")

@@ -205,6 +205,6 @@ def test_horizons_are_put_in_order():
 
 def test_progress_ends_at_the_whole():
     seen = []
-    compare([candidate(0)], LOGS, CONFIG, ("fin", AnalyticFin()), lambda done, note: seen.append((done, note)))
+    compare([candidate(0)], LOGS, CONFIG, ("fin", AnalyticFin()), lambda stage, done, note: seen.append((done, note)))
     assert [note for _, note in seen] == ["a-0, 1 s", "a-0, 2.5 s", "second recording (fin)"]
     assert [done for done, _ in seen] == pytest.approx([1 / 3, 2 / 3, 1])

@@ -249,7 +249,7 @@ def test_a_damaged_heap_is_one_line(files):
     with zipfile.ZipFile(files[0] / "pos.keras") as archive:
         content = archive.read("model.weights.h5")
     rewrite(files[0] / "pos.keras", "model.weights.h5", content.replace(b"HEAP", b"PEAH"))
-    with pytest.raises(ArtifactError, match=r"pos\.keras: its weights are damaged \(.*heap") as error:
+    with pytest.raises(ArtifactError, match=r"pos\.keras: weights layers/conv1d/vars/0 are missing") as error:
         load(files[0])
     assert "\n" not in str(error.value)
 

@@ -50,16 +50,13 @@ def names_of(groups: Sequence[Sequence[Candidate]]) -> list[str]:
     """Name each group by its model; where several are of one model, also by its first folder, less its seed."""
     models = Counter(members[0].surrogate.model for members in groups)
 
-    def name(members: Sequence[Candidate], whole: bool) -> str:
+    def name(members: Sequence[Candidate], folder: str) -> str:
         model = members[0].surrogate.model
-        if models[model] == 1:
-            return model
-        folders = [str(member.folder) if whole else member.folder.name for member in members]
-        common = SEED_IN_NAME.sub("", folders[0]) if len(folders) > 1 else folders[0]
-        return f"{model} ({common or folders[0]})"
+        common = SEED_IN_NAME.sub("", folder) if len(members) > 1 else folder
+        return model if models[model] == 1 else f"{model} ({common or folder})"
 
-    short = [name(members, whole=False) for members in groups]
-    return short if len(set(short)) == len(short) else [name(members, whole=True) for members in groups]
+    short = [name(members, members[0].folder.name) for members in groups]
+    return short if len(set(short)) == len(short) else [name(each, str(each[0].folder)) for each in groups]
 
 
 def beyond_limits(members: Sequence[Candidate], logs: Sequence[Log]) -> tuple[float, float]:

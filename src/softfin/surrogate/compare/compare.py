@@ -1,22 +1,24 @@
 """Surrogates side by side on the same unseen logs, free-running over several horizons: Table I extended.
 
-Folders and logs go in; groups of scores come out, a group being the seeds of one configuration on the same data. All
-surrogates are scored on the same rows, whatever they need to be warm.
+A group of scores are the seeds of one configuration on the same data. All surrogates are scored on the same rows,
+whatever they need to be warm.
 """
 
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import pydantic
 
 from softfin.core.configuration import Configuration
-from softfin.core.plant import Plant
+from softfin.core.plant import EnsemblePlant, Plant
+from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ, Log, Reading
 from softfin.core.randomness import key_of
 from softfin.core.statistics import interval
 from softfin.surrogate.compare.candidates import Candidate, beyond_limits, names_of
-from softfin.surrogate.compare.free_running import BATCH, free_run, run_from_rest, segments_of, take
+from softfin.surrogate.compare.free_running import free_run, run_from_rest, segments_of, take
 from softfin.surrogate.compare.metrics import HorizonScores, measured_ranges, score_segments
 from softfin.surrogate.streaming.uncertainty import COVERAGE
 
@@ -34,8 +36,6 @@ class CompareConfig(Configuration):
     """How long a surrogate runs free [s], on the 10 ms grid; the last is long beside any memory of the fin."""
     seed: int = pydantic.Field(default=0, ge=0)
     """Seed of the noise of the plant that sets the noise floor."""
-    batch: pydantic.PositiveInt = BATCH
-    """Segments side by side, at most."""
 
     @pydantic.field_validator("horizons_s")
     @classmethod
@@ -94,8 +94,8 @@ class Comparison(NamedTuple):
                     f"{group.name}: {share:.1%} of the test commands lie beyond those it was trained on, the furthest "
                     f"by {furthest:.0%} of their range: there it extrapolates"
                 )
-            stated = getattr(group.members[0].surrogate, "interval", None)
-            if stated is not None and (caveat := stated.caveat()) is not None:
+            surrogate = group.members[0].surrogate
+            if isinstance(surrogate, EnsemblePlant) and (caveat := surrogate.interval.caveat()) is not None:
                 notes.append(f"{group.name}: {caveat}")
         if self.noise_floor is not None:
             notes.append(
@@ -107,22 +107,22 @@ class Comparison(NamedTuple):
     def summary(self) -> dict[str, Any]:
         """The comparison for JSON; `write_comparison` describes the entries."""
         yardstick = next((group for group in self.groups if group.model == "paper"), self.groups[0])
-        flops = yardstick.members[0].surrogate.flops_per_tick()
-        rows = []
-        for group, (share, furthest) in zip(self.groups, self.beyond, strict=True):
-            first = group.members[0].surrogate
-            rows.append({
+        flops = [group.members[0].surrogate.flops_per_tick() for group in (yardstick, *self.groups)]
+        rows = [
+            {
                 "name": group.name,
                 "model": group.model,
                 "surrogates": [str(member.folder) for member in group.members],
                 "seeds": len(group.members),
-                "parameters": first.parameters(),
-                "flops_per_tick": first.flops_per_tick(),
-                "flops_ratio": first.flops_per_tick() / flops,
+                "parameters": group.members[0].surrogate.parameters(),
+                "flops_per_tick": own,
+                "flops_ratio": own / flops[0],
                 "commands_beyond_training": share,
                 "furthest_beyond_training": furthest,
                 "horizons": self.horizons_of(group),
-            })  # fmt: skip
+            }
+            for group, own, (share, furthest) in zip(self.groups, flops[1:], self.beyond, strict=True)
+        ]
         second = self.noise_floor
         return {
             "horizons_s": list(self.horizons_s),
@@ -153,7 +153,7 @@ def compare(
     logs: Sequence[Log],
     config: CompareConfig,
     noise_floor: tuple[str, Plant] | None = None,
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Comparison:
     """Score every surrogate free-running over the same segments of the logs; `noise_floor`: a plant by its name.
 
@@ -169,19 +169,17 @@ def compare(
     segments = [segments_of(counts, each, first) for each in reversed(ticks)][::-1]
     ranges = measured_ranges(logs)
     measured = [take(logs, where, each) for where, each in zip(segments, ticks, strict=True)]
-    of, done = len(found) * len(ticks) + (noise_floor is not None), 0
+    of, done = len(found) * len(ticks) + (noise_floor is not None), itertools.count(1)
 
     def report(note: str) -> None:
-        nonlocal done
-        done += 1
         if progress is not None:
-            progress(done / of, note)
+            progress("compare", next(done) / of, note)
 
     def run(candidate: Candidate) -> Run:
         surrogate, scores = candidate.surrogate, []
-        half_width = getattr(getattr(surrogate, "interval", None), "half_width", None)
+        half_width = surrogate.interval.half_width if isinstance(surrogate, EnsemblePlant) else None
         for where, each, actual, horizon in zip(segments, ticks, measured, config.horizons_s, strict=True):
-            reading, members = free_run(surrogate, logs, where, each, config.batch)
+            reading, members = free_run(surrogate, logs, where, each)
             scores.append(score_segments(actual, reading, ranges, members, half_width))
             report(f"{candidate.folder}, {horizon:g} s")
         return Run(scores, reading)

@@ -19,21 +19,14 @@ from pydantic import Field, PositiveInt
 from softfin.core.compilation import used_once
 from softfin.core.configuration import Configuration
 from softfin.core.errors import LogError
+from softfin.core.progress import Progress
 from softfin.core.quantities import Log
 from softfin.core.randomness import generator_of, key_of
 from softfin.storage.run_directory import Workspace
 from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, Scaling
 from softfin.surrogate.paper.network import FORCENET, POSNET, Network, NetworkConfig, gather
 from softfin.surrogate.paper.surrogate import Surrogate
-from softfin.surrogate.training import (
-    UPDATES_A_CALL,
-    Call,
-    Progress,
-    TrainingState,
-    check_lengths,
-    held_out_count,
-    train,
-)
+from softfin.surrogate.training import UPDATES_A_CALL, Call, TrainingState, check_lengths, held_out_count, train
 
 COLUMNS = (ANGLE, *COMMANDS, *FORCES)
 """Columns of the table that training gathers its windows from: ForceNet's channels first, PosNet's within them."""

@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 from softfin.core.action_clock import WINDOW
 from softfin.core.errors import LogError
+from softfin.core.progress import Progress
 from softfin.core.quantities import Log
 from softfin.core.randomness import key_of
 from softfin.storage.run_directory import Workspace
@@ -28,15 +29,7 @@ from softfin.surrogate.streaming.member import Member, ensemble, predict_force, 
 from softfin.surrogate.streaming.segments import Table, scales_of
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 from softfin.surrogate.streaming.uncertainty import calibrated, familiar
-from softfin.surrogate.training import (
-    UPDATES_A_CALL,
-    Call,
-    Progress,
-    TrainingState,
-    check_lengths,
-    held_out_count,
-    train,
-)
+from softfin.surrogate.training import UPDATES_A_CALL, Call, TrainingState, check_lengths, held_out_count, train
 
 ROUNDS = 10
 """Times that a net is scored on the held-out logs while it is trained."""

@@ -1,7 +1,7 @@
 """An ensemble of streaming nets as a Plant: commands in, readings out at 100 Hz, with estimates of their errors."""
 
 from collections.abc import Sequence
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -35,8 +35,6 @@ SETTLED = 3000
 """Ticks that `init` has been at rest for: twenty of the longest time constants that a wake begins with."""
 
 CHANNELS = {"in": list(COMMANDS), "out": list(READINGS)}
-
-Tree = TypeVar("Tree")
 
 
 class StreamingState(NamedTuple):
@@ -122,16 +120,14 @@ class StreamingSurrogate(eqx.Module):
 
     def advance_members(self, state: StreamingState, command: Command, ticks: int) -> tuple[StreamingState, Reading]:
         """As `advance`, with every member's own reading: fields ``(members, ticks)``."""
-        held = Command(*(jnp.asarray(part, jnp.float32) for part in command))
 
-        def tick(each: MemberState, _: None) -> Any:
-            return jax.vmap(lambda member, state: member.step(state, held))(self.members, each)
+        def one(net: Member, rest: MemberState, own: MemberState) -> tuple[MemberState, Reading]:
+            member = StreamingMember(net, rest, self.limits)
+            after, reading = member.advance(StreamingState(state.tick, own), command, ticks)
+            return after.members, reading
 
-        members, predicted = jax.lax.scan(tick, state.members, length=ticks)
-        motion, force = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), predicted)
-        time = (state.tick + 1 + jnp.arange(ticks)) * jnp.float32(TICK_S)
-        state = StreamingState(state.tick + ticks, members)
-        return state, Reading(jnp.tile(time, (self.size, 1)), motion.angle, motion.velocity, force)
+        members, reading = jax.vmap(one)(self.members, self.rest, state.members)
+        return StreamingState(state.tick + ticks, members), reading
 
     def member(self, index: Int[Array, ""]) -> "StreamingMember":
         """One member as a plant of its own; `index` may be a value in a program."""
