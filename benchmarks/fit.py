@@ -18,8 +18,8 @@ from softfin.surrogate.paper.fit import COLUMNS, PaperLearner
 from softfin.surrogate.paper.network import NetworkConfig
 from softfin.surrogate.streaming.core import products
 from softfin.surrogate.streaming.drive import LONGEST_DELAY
+from softfin.surrogate.streaming.fit import StreamingLearner, force_loss
 from softfin.surrogate.streaming.force import Motion, Scales
-from softfin.surrogate.streaming.learner import StreamingLearner, force_loss
 from softfin.surrogate.streaming.member import ensemble, single
 from softfin.surrogate.streaming.segments import Table
 

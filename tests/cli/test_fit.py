@@ -84,7 +84,7 @@ def test_people_are_told_table_i_and_why_a_candidate_was_chosen(capsys, tmp_path
     assert chosen.startswith("paper ")
     assert "0.5000" in chosen
     assert "13.0" in chosen
-    assert "paper, too" + 10 * " " + "not fitted: too few rows" in text
+    assert "paper, too" + 22 * " " + "not fitted: too few rows" in text
 
 
 @pytest.mark.parametrize(

@@ -78,7 +78,10 @@ def test_a_surrogate_from_before_there_was_another_kind_is_the_papers(tmp_path):
         (lambda d: d.update(members="many"), "not a surrogate's description"),
         (lambda d: d.pop("scales"), r"not a surrogate's description \('scales'\)"),
         (lambda d: d["scales"].update(force_n=-1), "not a surrogate's description"),
-        (lambda d: d["networks"]["drive"].update(profile=False), r"not a surrogate's .* profile Input should be True"),
+        (
+            lambda d: d["networks"]["drive"].update(profile=False),
+            r"networks.drive: profile = False: Input should be True; .* fit it again",
+        ),
         (lambda d: d["limits"].pop("angle_min_rad"), "not a surrogate's description"),
         (lambda d: d["limits"].update(angle_min_rad="low"), "not a surrogate's description"),
     ],

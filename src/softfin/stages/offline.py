@@ -58,8 +58,7 @@ from softfin.surrogate import (
 from softfin.surrogate import import_keras as _import_keras
 from softfin.surrogate.active import ActiveCollectConfig, chooser
 from softfin.surrogate.channels import SKIPPED, command_limits, learnt_from, training_range
-from softfin.surrogate.compare.candidates import candidates
-from softfin.surrogate.compare.compare import CompareConfig
+from softfin.surrogate.compare.compare import CompareConfig, candidates
 from softfin.surrogate.compare.compare import compare as _compare
 from softfin.surrogate.compare.metrics import measured_ranges, table_one
 from softfin.surrogate.compare.report import write_comparison

@@ -11,7 +11,7 @@ how far the piece's windows are from those already taken, in the memory of the f
 """
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -84,14 +84,6 @@ class ActiveCollectConfig(CollectConfig):
         return self
 
 
-class Chain(NamedTuple):
-    """State after the pieces taken so far."""
-
-    state: StreamingState
-    visited: Float[Array, "pieces windows remembered"]
-    """Memories at the ends of their windows; infinite where no piece is yet."""
-
-
 class Chooser(eqx.Module):
     """Makes the commands of a log (`Commands`): the same key gives the same ones."""
 
@@ -103,19 +95,21 @@ class Chooser(eqx.Module):
         """Choose one command a tick, fields ``(rows,)``, from rest on; pure and traceable."""
         config = self.config
         pieces = -(-rows // (config.windows * config.window))
-        visited = jnp.full((pieces, config.windows, self.ensemble.familiarity.mean.size), jnp.inf)
+        # Memories at the ends of the windows taken so far; infinite where no piece is yet.
+        nowhere = jnp.full((pieces, config.windows, self.ensemble.familiarity.mean.size), jnp.inf)
 
-        def piece(chain: Chain, index: Array) -> tuple[Chain, Command]:
+        def piece(chain: tuple[StreamingState, Array], index: Array) -> tuple[tuple[StreamingState, Array], Command]:
+            before, visited = chain
             keys = jax.random.split(jax.random.fold_in(key, index), config.candidates)
             commands = jax.vmap(lambda key: self._sequence(key, limits))(keys)
-            states, (forces, memories) = jax.vmap(self._roll, in_axes=(None, 0))(chain.state, commands)
+            states, (forces, memories) = jax.vmap(self._roll, in_axes=(None, 0))(before, commands)
             informative = jax.vmap(lambda force: information(force, config.noise_n))(forces)
-            unlike = jax.vmap(lambda memory: unlikeness(memory, chain.visited))(memories)
+            unlike = jax.vmap(lambda memory: unlikeness(memory, visited))(memories)
             best = jnp.argmax(informative * unlike**config.novelty)
             state, memory, command = jax.tree.map(lambda x: x[best], (states, memories, commands))
-            return Chain(state, chain.visited.at[index].set(memory)), command
+            return (state, visited.at[index].set(memory)), command
 
-        _, chosen = jax.lax.scan(piece, Chain(self.ensemble.init(key), visited), jnp.arange(pieces))
+        _, chosen = jax.lax.scan(piece, (self.ensemble.init(key), nowhere), jnp.arange(pieces))
         return Command(*(channel.reshape(-1)[:rows] for channel in chosen))
 
     def _sequence(self, key: PRNGKeyArray, limits: Limits) -> Command:

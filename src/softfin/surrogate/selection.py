@@ -14,8 +14,7 @@ from softfin.surrogate.compare.free_running import free_run, segments_of, take
 from softfin.surrogate.compare.metrics import rms
 from softfin.surrogate.paper.fit import FitConfig, fit, split
 from softfin.surrogate.store import AnySurrogate
-from softfin.surrogate.streaming.fit import fit_streaming, split_streaming
-from softfin.surrogate.streaming.learner import StreamingConfig
+from softfin.surrogate.streaming.fit import StreamingConfig, fit_streaming, split_streaming
 from softfin.surrogate.streaming.streaming import MEMORY
 from softfin.surrogate.training import check_lengths, held_out_count
 
@@ -99,12 +98,11 @@ def _long_enough(logs: Sequence[Log], first: int) -> list[Log]:
 
 def _scores(surrogate: AnySurrogate, logs: Sequence[Log], first: int) -> dict[str, float]:
     """Errors free-running from row `first` on, each log in segments as long as it allows; over both axes."""
-    lengths = [min(HORIZON_S * RATE_HZ, len(log.reading.time) - first) for log in logs]
     force, angle = [], []
-    for ticks in sorted(set(lengths)):
-        alike = [log for log, length in zip(logs, lengths, strict=True) if length == ticks]
-        where = segments_of([len(log.reading.time) for log in alike], ticks, first)
-        predicted, measured = free_run(surrogate, alike, where, ticks).reading, take(alike, where, ticks).reading
+    for log in logs:
+        ticks = min(HORIZON_S * RATE_HZ, len(log.reading.time) - first)
+        where = segments_of([len(log.reading.time)], ticks, first)
+        predicted, measured = free_run(surrogate, [log], where, ticks).reading, take([log], where, ticks).reading
         force.append(np.ravel(predicted.force - measured.force))
         angle.append(np.ravel(predicted.angle - measured.angle))
     return {

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from softfin.core.errors import ArtifactError
+from softfin.core.errors import ArtifactError, ConfigurationError
 from softfin.core.quantities import RATE_HZ, Limits
 from softfin.storage import artifact as artifacts
 from softfin.surrogate.paper.surrogate import Surrogate
@@ -60,6 +60,8 @@ def load_surrogate(path: Path) -> AnySurrogate:
         # Those of the paper's nets follow from the scaling.
         Limits.of(surrogate.limits.described(), one_velocity=True)
         return surrogate
+    except ConfigurationError as error:
+        raise ArtifactError(f"{error}; this softfin has no such nets, so fit it again") from None
     except (KeyError, TypeError, ValueError) as error:
         raise ArtifactError(
             f"{source}: not a surrogate's description ({' '.join(str(error).split())}); fit it again"

@@ -9,8 +9,7 @@ from softfin.core.errors import ConfigurationError, LogError
 from softfin.core.quantities import Log, Reading
 from softfin.core.statistics import interval
 from softfin.surrogate import save_surrogate
-from softfin.surrogate.compare.candidates import Candidate, beyond_limits, candidates, names_of
-from softfin.surrogate.compare.compare import CompareConfig, compare
+from softfin.surrogate.compare.compare import Candidate, CompareConfig, beyond_limits, candidates, compare, names_of
 from softfin.surrogate.paper.surrogate import Surrogate
 from softfin.surrogate.streaming.uncertainty import Interval
 from tests.plants import AnalyticFin

@@ -6,8 +6,8 @@ import pytest
 
 from softfin.core.errors import ConfigurationError
 from softfin.surrogate import StreamingConfig
+from softfin.surrogate.streaming.fit import StreamingLearner, drive_loss, force_loss
 from softfin.surrogate.streaming.force import Motion
-from softfin.surrogate.streaming.learner import StreamingLearner, drive_loss, force_loss
 from softfin.surrogate.streaming.segments import Table
 from softfin.surrogate.training import keep_best
 from tests.surrogate.streaming import small

@@ -71,7 +71,8 @@ def free_run(
         # What row k shows was commanded in row k - 1.
         commands = take(logs, [Segment(log, row - 1) for log, row in filled], ticks).command
         predicted = _free_run(surrogate, jax.tree.map(jnp.asarray, states), jax.tree.map(jnp.asarray, commands))
-        parts.append(jax.tree.map(lambda x, kept=len(some): np.asarray(x)[:kept], predicted))
+        kept = len(some)
+        parts.append(jax.tree.map(lambda x, kept=kept: np.asarray(x)[:kept], predicted))
     reading, members = jax.tree.map(lambda *each: np.concatenate(each), *parts)
     _check_finite(reading, segments, f"the {surrogate.model} surrogate")
     return FreeRunPrediction(reading, None if members is None else np.moveaxis(members, 2, 0))

@@ -133,14 +133,14 @@ class PaperLearner:
 
     def start(self, key: PRNGKeyArray) -> TrainingState:
         """Fresh weights."""
-        state: TrainingState = used_once(self._start)(key)
-        return state
 
-    def _start(self, key: PRNGKeyArray) -> TrainingState:
-        configs, keys = (self.config.posnet, self.config.forcenet), jax.random.split(key)
-        nets = Nets(*(Network.create(config, one) for config, one in zip(configs, keys, strict=True)))
-        worst = Nets(jnp.float32(jnp.inf), jnp.float32(jnp.inf))
-        return TrainingState(nets, self.optimiser.init(nets), nets, worst)
+        def fresh(key: PRNGKeyArray) -> TrainingState:
+            configs, keys = (self.config.posnet, self.config.forcenet), jax.random.split(key)
+            nets = Nets(*(Network.create(config, one) for config, one in zip(configs, keys, strict=True)))
+            return TrainingState(nets, self.optimiser.init(nets), nets, Nets(*jnp.full(2, jnp.inf, jnp.float32)))
+
+        state: TrainingState = used_once(fresh)(key)
+        return state
 
     def _run(
         self,

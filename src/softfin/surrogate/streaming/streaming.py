@@ -181,14 +181,14 @@ class StreamingSurrogate(eqx.Module):
         """The surrogate that `to_files` described; raises ArtifactError where channels or arrays do not fit."""
         if description["channels"] != CHANNELS:
             raise ArtifactError(f"{source}: channels {description['channels']}; streaming surrogates have {CHANNELS}")
-        drive = DriveNetConfig.model_validate(description["networks"]["drive"])
-        force = ForceNetConfig.model_validate(description["networks"]["force"])
+        drive = DriveNetConfig.build(description["networks"]["drive"], f"{source}: networks.drive")
+        force = ForceNetConfig.build(description["networks"]["force"], f"{source}: networks.force")
         scales = Scales.model_validate(description["scales"])
 
         def skeleton() -> dict[str, Any]:
             size = int(description["members"])
             members = ensemble(size, drive, force, scales, jax.random.key(0))
-            memory = remembered(single(members.force).start(Motion(jnp.zeros(()), jnp.zeros(())))).size
+            memory = 2 * (force.units + force.wake)
             familiarity = Familiarity(jnp.zeros(memory), jnp.zeros((memory, memory)))
             return {"members": members, "familiarity": familiarity}
 
