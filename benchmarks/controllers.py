@@ -17,8 +17,8 @@ from softfin.core.plant import Plant
 from softfin.gaits.force_map import MapConfig, map_forces
 from softfin.learning.configuration import TRAIN_PRESETS, TrainConfig
 from softfin.learning.train import train
-from softfin.stages import offline as stages
-from softfin.storage.run_directory import LOG, Workspace, read_log
+from softfin.stages.fit import import_keras
+from softfin.storage.run_directory import LOG, RunDirectory, read_log
 from softfin.surrogate import Surrogate
 from softfin.task.references import PAPER_RANGE
 
@@ -35,9 +35,9 @@ def run(plant: Plant, config: TrainConfig) -> dict[str, Any]:
             moments.append((time.perf_counter() - start, done))
 
     with tempfile.TemporaryDirectory() as folder:
-        workspace = Workspace(Path(folder) / "controller", {})
-        train(plant, config, (0,), workspace, note)
-        log = read_log(workspace.folder / LOG)
+        run_directory = RunDirectory(Path(folder) / "controller", {})
+        train(plant, config, (0,), run_directory, note)
+        log = read_log(run_directory.folder / LOG)
     whole = config.num_updates * config.learning.steps_per_update
     when = {round(done * whole): seconds for seconds, done in moments}
     good = [e["step"] for e in log if max(e.get(f"seed0/score_{axis}_n", 9.0) for axis in "xy") < GOOD_N]
@@ -69,7 +69,7 @@ def published() -> Surrogate | None:
         return None
     nets = Path(folder)
     with tempfile.TemporaryDirectory() as out:
-        return stages.import_keras(
+        return import_keras(
             nets / "cnn_pos_net.keras", nets / "lstm_force_net.keras", nets / "scalers.json", Path(out) / "published"
         )
 
@@ -89,7 +89,7 @@ def main() -> list[dict[str, Any]]:
 
 
 def _row(name: str, got: Mapping[str, Any], bar: float, known: bool) -> dict[str, Any]:
-    facts: dict[str, Any] = {key: value for key, value in got.items() if key != "trained_in_s"}
+    metadata: dict[str, Any] = {key: value for key, value in got.items() if key != "trained_in_s"}
     if not known:
-        facts.pop("good_after_s")
-    return entry(f"{name}: trained in", got["trained_in_s"], "s", bar, at_least=False, **facts)
+        metadata.pop("good_after_s")
+    return entry(f"{name}: trained in", got["trained_in_s"], "s", bar, at_least=False, **metadata)

@@ -17,7 +17,9 @@ from jaxtyping import Array
 from softfin.core.errors import ArtifactError
 from softfin.core.quantities import RATE_HZ
 from softfin.data.collect import CollectConfig
-from softfin.stages import offline as stages
+from softfin.stages.collect import collect
+from softfin.stages.compare import compare
+from softfin.stages.fit import fit
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.surrogate import StreamingConfig
 from softfin.surrogate.compare.compare import CompareConfig
@@ -73,7 +75,7 @@ def main() -> None:
     if words.dataset is None:
         words.dataset = words.out / "recorded"
         if not (words.dataset / "dataset.json").exists():
-            stages.collect("tank", words.dataset, CollectConfig(logs=max(2, round(words.minutes / 3)), rows=18_000))
+            collect("tank", words.dataset, CollectConfig(logs=max(2, round(words.minutes / 3)), rows=18_000))
     data = shortened(words.dataset, words.minutes, words.out / f"{words.minutes:g}min")
     updates = (f"drive_updates={words.updates // 2}", f"force_updates={words.updates}")
     base = (f"members={words.members}", f"batch={words.batch}", *updates)
@@ -86,10 +88,10 @@ def main() -> None:
         folder = words.out / f"{size}-{name.replace(' ', '-')}"
         if not (folder / "surrogate.json").exists():
             try:
-                stages.fit(data, folder, StreamingConfig().changed((*base, *VARIANTS[name])), resume=True)
+                fit(data, folder, StreamingConfig().changed((*base, *VARIANTS[name])), resume=True)
             except ArtifactError as error:
                 raise SystemExit(f"{error}") from None
-        found = stages.compare([folder], data, config=CompareConfig(horizons_s=(30.0,)))["groups"][0]
+        found = compare([folder], data, config=CompareConfig(horizons_s=(30.0,)))["groups"][0]
         row = {key: value["mean"] for key, value in found["horizons"][0].items() if isinstance(value, dict)}
         print(
             f"| {name} | {row['angle_rmse_rad']:.4f} | {row['force_x_rmse_n']:.3f}, {row['force_y_rmse_n']:.3f} | "

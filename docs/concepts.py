@@ -12,7 +12,7 @@ from matplotlib.patches import FancyBboxPatch
 from softfin.core.action_clock import ACTION_TICKS, CYCLE_ACTIONS, WINDOW
 from softfin.core.plant import hold
 from softfin.core.quantities import RATE_HZ, Command
-from softfin.storage.figures import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, save, styled
+from softfin.storage.figures import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, save_figure, styled
 from softfin.tank import Tank
 
 CENTRE_RAD, SWING_RAD, VELOCITY_RAD_S = 0.3, 0.5, 2.8
@@ -88,7 +88,7 @@ def main(path: Path) -> None:
         draw_frame(left.subplots(), np.asarray(tank.shape(bent)), 0.8)
         panels = right.subplots(2, 1, sharex=True)
         draw_window(panels, np.repeat(targets, ticks), reading.angle, np.asarray(reading.force[:, 0]))
-    save(figure, path)
+    save_figure(figure, path.parent, path.stem, ("png",))
 
 
 if __name__ == "__main__":

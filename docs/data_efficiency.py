@@ -24,10 +24,11 @@ from softfin.cli.options import HelpRequested, Option, help_of, parse
 from softfin.core.quantities import RATE_HZ, Log, Reading
 from softfin.core.randomness import key_of
 from softfin.data.collect import CollectConfig
-from softfin.stages import offline as stages
+from softfin.stages.collect import collect
+from softfin.stages.fit import fit
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
-from softfin.storage.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, save, styled
+from softfin.storage.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, save_figure, styled
 from softfin.surrogate import FitConfig, StreamingConfig, load_surrogate
 from softfin.surrogate.active import ActiveCollectConfig
 from softfin.surrogate.compare.free_running import free_run, run_from_rest, segments_of, take
@@ -138,7 +139,7 @@ def study(options: Options, kind: str, minutes: int, seed: int, tests: dict[str,
         paper = kind == "paper"
         logs = learning_logs(options, "random" if paper else kind, minutes, seed)
         config = FitConfig() if paper else StreamingConfig().changed(options.set)
-        stages.fit(logs, fitted, config, seed=seed, resume=True, progress=told(name))
+        fit(logs, fitted, config, seed=seed, resume=True, progress=told(name))
     if not scores.exists():
         surrogate = load_surrogate(fitted)
         found = {name: scored(surrogate, logs) for name, logs in tests.items()}
@@ -154,12 +155,12 @@ def learning_logs(options: Options, kind: str, minutes: int, seed: int) -> Path:
         before, chooser = before_active(options, minutes, seed)
         held = len(Dataset.open(before).train)
         config = ActiveCollectConfig(logs=minutes - held, test_logs=0, rows=MINUTE, seed=seed).changed(options.choice)
-        stages.collect("tank", path, config, surrogate=chooser, extend=before, progress=told(path.name))
+        collect("tank", path, config, surrogate=chooser, extend=before, progress=told(path.name))
     elif options.logs is not None:
         write_dataset(path, pieces(options.logs, minutes, seed), [], {"plant": "tank", "cut_from": str(options.logs)})
     else:
         config = CollectConfig(logs=minutes, test_logs=0, rows=MINUTE, seed=seed)
-        stages.collect("tank", path, config, progress=told(path.name))
+        collect("tank", path, config, progress=told(path.name))
     return path
 
 
@@ -191,7 +192,7 @@ def test_logs(options: Options, name: str) -> list[Log]:
     if given is None and not artifacts.is_kind(path, "dataset"):
         counts = {"same": {"logs": 10, "test_logs": 0}, "other": {"logs": 1, "test_logs": 3}}[name]
         config = CollectConfig(seed=TEST_SEED, **counts)
-        stages.collect("tank", path, config, progress=told(path.name))
+        collect("tank", path, config, progress=told(path.name))
     data = Dataset.open(path)
     return list(data.load((data.train if name == "same" else data.test)[:10]))
 
@@ -317,7 +318,7 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
         panels[0].plot([], [], color=BLACK, linestyle=":", label="the tank itself")
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
-    save(figure, path)
+    save_figure(figure, path.parent, path.stem, (path.suffix[1:],))
 
 
 def curve(axes: Any, rows: Sequence[dict[str, Any]], name: str, score: str, factor: float, **look: Any) -> None:

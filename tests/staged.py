@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 import yaml
 
+from softfin.core.plant_identity import identity
 from softfin.core.quantities import PAPER_LIMITS, Limits
 from softfin.gaits.force_map import MapConfig
 from softfin.gaits.map_store import save_map
 from softfin.learning.configuration import SINGLE
 from softfin.learning.controllers import save_controller
-from softfin.stages.offline import identity
 from softfin.storage.dataset import write_dataset
 from softfin.storage.registry import find_plant
 from softfin.surrogate import Surrogate, save_surrogate
@@ -73,7 +73,7 @@ MAP = {
     "box": {"low": [1, -1], "high": [2, 0]}, "spacing_n": 1,
 }  # fmt: skip
 CALIBRATE = {
-    "pieces": 4, "test_pieces": 4, "piece_s": 1, "warm_up_s": 0.2, "block_s": 0.04, "iterations": 1,
+    "segments": 4, "test_segments": 4, "segment_s": 1, "warm_up_s": 0.2, "block_s": 0.04, "iterations": 1,
     "tank": COARSE,
 }  # fmt: skip
 

@@ -22,17 +22,17 @@ from PIL import Image
 
 import softfin
 from softfin.cli import COMMANDS, main
+from softfin.cli.options import fields_of
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
 from softfin.data.collect import CollectConfig
 from softfin.evaluation.baselines.baselines import BaselinesConfig
 from softfin.evaluation.evaluate import EvaluateConfig
-from softfin.evaluation.view import ViewConfig
+from softfin.evaluation.view.view import ViewConfig
 from softfin.gaits.force_map import MapConfig
 from softfin.learning.configuration import TRAIN_PRESETS
 from softfin.rig.config import load_rig, load_ros2
 from softfin.rig.ros2.config import NodeConfig
-from softfin.stages import offline as stages
 from softfin.stages.reproduce import PRESETS
 from softfin.storage.dataset import Dataset
 from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig
@@ -166,7 +166,8 @@ VALUES = {"--reference": "1,0", "--onnx": "x.onnx"}
 @cache
 def options() -> set[str]:
     """Of all commands and scripts."""
-    names = {field.name for command in COMMANDS for field in fields(arguments_of(command))} | {"help", "version"}
+    names = {field.name.removeprefix("--") for command in COMMANDS for field in fields_of(arguments_of(command))}
+    names |= {"help", "version"}
     scripts = "".join(path.read_text() for folder in ("docs", "examples") for path in (ROOT / folder).glob("*.py"))
     names |= set(re.findall(r'add_argument\("--([\w-]+)"', scripts))
     names |= set(re.findall(r"^    (\w+): .* = ", scripts, re.MULTILINE))
@@ -245,7 +246,7 @@ def stop_at_work(monkeypatch):
     def work(*words, **options):
         raise Parsed
 
-    monkeypatch.setattr(stages, "collect", work)
+    monkeypatch.setattr("softfin.stages.collect.collect", work)
     monkeypatch.setattr(Dataset, "open", work)
     monkeypatch.setattr(subprocess, "Popen", work)
 

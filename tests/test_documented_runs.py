@@ -41,7 +41,7 @@ TINY = {
     "train": "--config train.yaml",
     "train --seeds": "--seeds 2",
     "evaluate": f"--seconds 3 --seeds 1 --plant {staged.PLANT}",
-    "evaluate --spread": "--plant tank.yaml",
+    "evaluate --randomize": "--plant tank.yaml",
     "evaluate --error-map": "--set error_map=2",
     "evaluate --random": "--random 4",
     "baselines": f"--config baselines.yaml --seconds 3 --seeds 1 --plant {staged.PLANT}",

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from matplotlib.patches import FancyBboxPatch
 
-from softfin.storage.figures import BLUE, GREY, new_figure, save, styled
+from softfin.storage.figures import BLUE, GREY, new_figure, save_figure, styled
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "softfin"
@@ -43,7 +43,7 @@ def main(path: Path) -> None:
         axes.text(-0.5, len(rows) / 2, "may import", rotation=90, va="center", ha="center", color=GREY)
         axes.set(xlim=(-0.8, 10), ylim=(0, len(rows)))
         axes.set_axis_off()
-    save(figure, path)
+    save_figure(figure, path.parent, path.stem, ("png",))
 
 
 if __name__ == "__main__":

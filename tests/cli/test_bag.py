@@ -46,19 +46,3 @@ def test_what_came_of_it_is_told_as_json(cut, tmp_path, capsys):
     assert softfin("bag", "recover", tmp_path / "saved.mcap") == 0
     assert "whole already" in capsys.readouterr().out
     assert not (tmp_path / "saved.recovered.mcap").exists()
-
-
-@pytest.mark.parametrize(
-    ("words", "complaint"),
-    [
-        (("bag", "recover", "none.mcap"), "none.mcap: cannot be read"),
-        (("bag", "convert", "none.mcap"), "convert needs --out"),
-        (("bag", "convert", "none.mcap", "--out", "x.parquet"), "no such file"),
-        (("bag", "mend", "none.mcap"), "mend"),
-    ],
-)
-def test_what_cannot_be_done_is_said_in_one_line(words, complaint, capsys):
-    assert softfin(*words) == 2
-    error = capsys.readouterr().err
-    assert complaint in error
-    assert error.count("\n") == 1

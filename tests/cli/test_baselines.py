@@ -30,8 +30,6 @@ def test_baselines_are_a_table_and_a_json(capsys, tmp_path):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["--plant", "pool"], "plant pool: unknown (is no folder)"),
-        (["--plant", "tank", "--surrogate", "pool"], "plant pool: unknown (is no folder)"),
         (["--seconds", "2"], "seconds = 2: Input should be greater than or equal to 3"),
         (["--set", "search.gait=3"], "did you mean 'gaits'?"),
         (["--set", "inverse.area_m2=0"], "inverse.area_m2 = 0: Input should be greater than 0"),
@@ -42,10 +40,3 @@ def test_wrong_input_is_one_line_and_exit_code_2(capsys, tmp_path, words, expect
     assert expected in line
     assert code == 2
     assert not (tmp_path / "x").exists()
-
-
-def test_what_is_there_is_refused_before_anything_is_searched(capsys, tmp_path):
-    (tmp_path / "notes.txt").write_text("keep")
-    line, code = fails(capsys, "baselines", "--out", str(tmp_path))
-    assert "exists already; give another --out" in line
-    assert code == 2

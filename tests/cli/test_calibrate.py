@@ -4,21 +4,16 @@ import pytest
 
 from softfin.cli import main
 from softfin.cli.calibrate import table
-from softfin.stages import offline as stages
 from tests.cli.test_cli import fails
 
 
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["nothing"], "plant nothing: unknown (is no folder)"),
-        (["."], ".: not a dataset: it holds no dataset.json"),
-        (["tank", "--velocity", "fast"], "--velocity fast: no range; write LOW,HIGH in rad/s, as 0.3,1.57"),
         (["tank", "--velocity", "3,2"], "velocity_rad_s = 3, 2: the plant takes"),
         (["tank", "--set", "parameters.fin.lenght_m=[0.1, 0.3]"], "there is no 'lenght_m'; did you mean 'length_m'?"),
         (["tank", "--set", "parameters.fin.length_m=3"], "parameters.fin.length_m = 3: Input should be a valid tuple"),
         (["tank", "--evaluations", "-1"], "evaluations = -1: Input should be greater than or equal to 0"),
-        (["tank", "--preset", "huge"], "huge"),
     ],
 )
 def test_wrong_input_is_one_line_and_exit_code_2(capsys, tmp_path, monkeypatch, words, expected):
@@ -49,7 +44,7 @@ def test_options_reach_the_stage_and_the_result_is_a_table(capsys, tmp_path, mon
         seen.update(options, data=data, config=config)
         return RESULT
 
-    monkeypatch.setattr(stages, "calibrate", stage)
+    monkeypatch.setattr("softfin.stages.calibrate.calibrate", stage)
     words = ["calibrate", "tank", "--preset", "quick", "--velocity", "1,2", "--seed", "3", "--evaluations", "5"]
     main([*words, "--resume", "--out", str(tmp_path / "x")])
     assert (seen["data"], seen["seed"], seen["resume"]) == ("tank", 3, True)
@@ -61,7 +56,7 @@ def test_options_reach_the_stage_and_the_result_is_a_table(capsys, tmp_path, mon
 
 def test_the_table_says_what_is_determined_what_is_at_an_end_and_what_trades():
     text = table(RESULT)
-    assert "unseen pieces                       0.900 (0.12 rad)    0.900 (0.12 N)    0.900 (0.12 N)" in text
-    assert "fin.length_m                              0.2      0.013  m            roughly" in text
-    assert "drive.lag_s                             0.003             s            low end" in text
+    assert "unseen segments  0.900 (0.12 rad)  0.900 (0.12 N)  0.900 (0.12 N)" in text
+    assert "fin.length_m    0.2  0.013  m        roughly" in text
+    assert "drive.lag_s   0.003         s        low end" in text
     assert "fin.length_m and water.drag_coefficient trade against each other: correlation -0.95" in text

@@ -1,11 +1,12 @@
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from softfin.cli import main
 from softfin.data.collect import CollectConfig
-from softfin.stages import offline as stages
+from softfin.stages.collect import collect
 from softfin.storage.dataset import Dataset
 from softfin.surrogate import save_surrogate
 from tests.cli.test_cli import fails
@@ -22,7 +23,7 @@ def folders(tmp_path_factory):
     root = tmp_path_factory.mktemp("collect")
     save_surrogate(root / "ensemble", streaming(), None, {"data_hash": "d"})
     save_surrogate(root / "paper", small.surrogate(), None, {})
-    stages.collect(FIN, root / "random", CollectConfig(logs=2, test_logs=1, rows=300))
+    collect(FIN, root / "random", CollectConfig(logs=2, test_logs=1, rows=300))
     return root
 
 
@@ -61,14 +62,13 @@ def test_random_excitation_is_the_default_and_says_so(folders):
         (["--surrogate", "ensemble"], "surrogate ensemble: random excitation asks none; --excitation active does"),
         ([*ACTIVE, "--surrogate", "paper"], "paper: a paper surrogate; active excitation needs members that can"),
         ([*ACTIVE, "--surrogate", "random"], "random: not a surrogate: it holds no surrogate.json"),
-        (["--extend", "paper"], "paper: not a dataset: it holds no dataset.json"),
         (["--extend", "random", "--plant", "tank"], f"random: recorded of {FIN}, not of tank; logs of two plants"),
         (["--set", "active.candidates=4"], "there is no group 'active'"),
     ],
 )
 def test_what_does_not_fit_is_one_line_and_leaves_nothing(folders, monkeypatch, capsys, words, expected):
     # The plant is looked for where one works.
-    monkeypatch.syspath_prepend(str(stages.Path.cwd()))
+    monkeypatch.syspath_prepend(str(Path.cwd()))
     monkeypatch.chdir(folders)
     line, code = fails(capsys, "collect", "--plant", FIN, "--out", "new", *words)
     assert expected in line

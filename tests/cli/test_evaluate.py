@@ -23,8 +23,8 @@ class Loaded(Covering):
 
 @pytest.fixture
 def controller(monkeypatch, tmp_path):
-    monkeypatch.setattr("softfin.stages.offline.load_controller", lambda path: Loaded())
-    monkeypatch.setattr("softfin.stages.offline.kind_of", lambda path: "single")
+    monkeypatch.setattr("softfin.stages.evaluate.load_controller", lambda path: Loaded())
+    monkeypatch.setattr("softfin.stages.evaluate.kind_of", lambda path: "single")
     (tmp_path / "controller").mkdir()
     (tmp_path / "controller" / "controller.json").touch()
     return str(tmp_path / "controller")
@@ -65,8 +65,8 @@ def test_random_references_are_one_line_and_the_configuration_is_kept(controller
 @pytest.mark.parametrize(
     ("rows", "words"),
     [
-        ("time_s,force_x_n,force_y_n\n0,1,nan\n", "line 2, column force_y_n: nan is no finite number"),
-        ("time_s,force_x_kn,force_y_n\n0,1,1\n", "column force_x_kn is not said to be in newton"),
+        ("time_s,force_x_n,force_y_n\n0,1,nan\n", "line 2, column force_y_n: nan is not finite"),
+        ("time_s,force_x_kn,force_y_n\n0,1,1\n", "column force_x_kn is not in newton"),
         ("time_s,force_x_n,force_y_n\n0,9,1\n", "reference (9.0, 1.0): not covered"),
     ],
 )
@@ -81,21 +81,21 @@ def test_a_wrong_reference_file_is_one_line_and_leaves_nothing(controller, capsy
     assert not (tmp_path / "out").exists()
 
 
-def test_a_spread_that_is_a_whole_number_is_one(controller):
-    with pytest.raises(ConfigurationError, match=r"spread 0: .* is no tank"):
-        softfin.evaluate(Path("controller"), "tests.plants:AnalyticFin", spread=0)
+def test_a_randomization_that_is_a_whole_number_is_one(controller):
+    with pytest.raises(ConfigurationError, match=r"--randomize 0 needs the virtual tank as plant, got"):
+        softfin.evaluate(Path("controller"), "tests.plants:AnalyticFin", randomize=0)
 
 
-def test_a_spread_of_0_is_the_very_same_tank(controller):
+def test_a_randomization_of_0_is_the_very_same_tank(controller):
     config = EvaluateConfig(seconds=3, seeds=1, references=((1.0, 1.0),))
     plain = softfin.evaluate(Path("controller"), TANK, config=config)
-    assert softfin.evaluate(Path("controller"), TANK, config=config, spread=0) == plain
+    assert softfin.evaluate(Path("controller"), TANK, config=config, randomize=0) == plain
 
 
 @pytest.mark.parametrize("part", ["-1", "5", "nan"])
-def test_a_spread_out_of_range_is_one_line_that_says_what_is_allowed(controller, capsys, tmp_path, part):
+def test_a_randomization_out_of_range_is_one_line_that_says_what_is_allowed(controller, capsys, tmp_path, part):
     with pytest.raises(SystemExit) as stop:
-        main(["evaluate", controller, f"--spread={part}", "--out", str(tmp_path / "out")])
+        main(["evaluate", controller, f"--randomize={part}", "--out", str(tmp_path / "out")])
     (line,) = capsys.readouterr().err.splitlines()
     assert f" {part}: give a part from 0" in line
     assert stop.value.code == 2

@@ -2,7 +2,7 @@ import io
 
 import pytest
 
-from softfin.cli.live import Armed
+from softfin.cli.common import Armed
 from softfin.core.errors import ConfigurationError
 from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import SafetyConfig

@@ -26,7 +26,6 @@ def test_a_map_is_a_folder_and_a_summary(capsys, tmp_path):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["pool"], "plant pool: unknown (is no folder)"),
         (["tank", "--set", "spacing_n=0"], "spacing_n = 0: Input should be greater than 0"),
         (["tank", "--set", "survey.direction=8"], "did you mean 'directions'?"),
         (["tank", "--set", "box={low: [1, 0], high: [0, 1]}"], "is above high"),
@@ -37,10 +36,3 @@ def test_wrong_input_is_one_line_and_exit_code_2(capsys, tmp_path, words, expect
     assert expected in line
     assert code == 2
     assert not (tmp_path / "x").exists()
-
-
-def test_what_is_there_is_refused_before_anything_is_tried(capsys, tmp_path):
-    (tmp_path / "notes.txt").write_text("keep")
-    line, code = fails(capsys, "map", "tank", "--out", str(tmp_path))
-    assert "exists already; give another --out" in line
-    assert code == 2

@@ -23,13 +23,6 @@ def test_the_state_once_as_json(bag, capsys):
     assert json.loads(capsys.readouterr().out)["rows"] == 50
 
 
-def test_a_recording_that_is_not_there_is_bad_input(tmp_path, capsys):
-    with pytest.raises(SystemExit) as stop:
-        main(["monitor", str(tmp_path / "none.mcap")])
-    assert stop.value.code == 2
-    assert "give a bag (.mcap)" in capsys.readouterr().err
-
-
 NO_JAX = """
 import sys
 class Absent:

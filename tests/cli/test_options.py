@@ -7,9 +7,9 @@ from typing import Annotated, Any, Literal
 import pytest
 
 from softfin.cli import COMMANDS
-from softfin.cli.options import HelpRequested, Option, check, docstrings, fields_of, help_of, parse
+from softfin.cli.kinds import Force
+from softfin.cli.options import HelpRequested, Option, check, fields_of, help_of, parse
 from softfin.core.errors import ArtifactError, ConfigurationError
-from softfin.gaits.reachable import Force
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,4 +149,4 @@ def test_the_help_of_every_command_names_kinds_of_values_and_describes_each_opti
         assert field.usage in text
         if field.option.positional:
             assert field.choices or field.option.metavar, f"{field.field} has no name of its own"
-        assert docstrings(arguments_of(name)).get(field.field), f"{field.field} is not described"
+        assert field.text, f"{field.field} is not described"

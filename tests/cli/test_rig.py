@@ -80,12 +80,6 @@ def test_zeroing_the_force_needs_no_arm(file, capsys):
     assert set(json.loads(capsys.readouterr().out)) == {"force_before_n", "force_after_n", "noise_n"}
 
 
-def test_a_file_that_is_not_there_says_where_to_find_one(tmp_path, capsys):
-    line, code = fails(capsys, "rig", "check", "--rig", str(tmp_path / "no.yaml"))
-    assert "no.yaml: no such file; docs/rig.md has one" in line
-    assert code == 2
-
-
 def test_an_emulated_rig_in_real_time_runs_until_ctrl_c(tmp_path):
     with Terminal(["rig", "emulate", "--real-time"], tmp_path) as terminal:
         terminal.wait_for("pages at http://127.0.0.1:")

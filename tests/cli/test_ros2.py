@@ -24,7 +24,7 @@ TOPICS = {
     "wrench_topic": "/wrench",
     "frame": "x,y",
     "command_topic": "/fin/command",
-    "limits": LIMITS.described(),
+    "limits": LIMITS.to_dict(),
 }
 
 
@@ -90,7 +90,7 @@ def there(monkeypatch, tmp_path):
     assert isinstance(fin, Machine)
     monkeypatch.setattr(driving, "load_controller", lambda folder: controller)
     monkeypatch.setattr(driving, "find_robot", lambda name: RobotSetup(fin, safety, settle_s=0.0))
-    monkeypatch.setattr("softfin.rig.ros2.connection.open_transport", lambda config, messages: transport)
+    monkeypatch.setattr("softfin.cli.ros2.open_transport", lambda config, messages: transport)
     return SimpleNamespace(fin=fin, controller=controller, transport=transport)
 
 
@@ -136,7 +136,6 @@ def test_a_stop_of_the_topic_ends_it_with_its_own_exit_code(there, tmp_path, cap
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--plant", "tank"], "is not a real fin"),
         ([], "nothing moves without --arm"),
         (["--arm"], "in a script add --yes"),
         (["--reference=4,0"], "not trained for"),

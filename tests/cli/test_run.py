@@ -68,7 +68,7 @@ def test_nothing_moves_without_arm(controller, plant, emulated, tmp_path, capsys
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["--plant", "tank", *RUN], "--plant tank: is not a real fin; give rig"),
+        (["--plant", "tank", *RUN], "plant tank: not a real fin; give rig"),
         (["--reference=1,1", "--reference-file", "x.csv"], "one of them"),
         ([], "give --reference=X,Y or --reference-file"),
         (["--reference=1,1", "--seconds", "0"], "--seconds 0: at least 1"),

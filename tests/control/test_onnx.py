@@ -69,7 +69,7 @@ def test_the_file_says_what_it_is(folders: dict[str, Path], tmp_path: Path) -> N
     assert said["weights_sha256"] == controller.artifact.weights_sha256
     assert said["action_rate_hz"] == "3.0"
     assert json.loads(said["action_ticks_of_10_ms"]) == [33, 33, 34]
-    assert json.loads(said["limits"]) == controller.limits.described()
+    assert json.loads(said["limits"]) == controller.limits.to_dict()
     assert len(json.loads(said["cells_n"])) == 6
     assert "thrust" in said["force_frame"]
 

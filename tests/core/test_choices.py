@@ -37,7 +37,7 @@ def test_every_name_that_may_be_chosen_stands_for_something(names: Any, table: A
 
 
 def test_every_model_has_a_configuration() -> None:
-    assert len({type(defaults(model)) for model in get_args(choices.Model)}) == len(get_args(choices.Model))
+    assert len({type(defaults(model)) for model in get_args(choices.ModelName)}) == len(get_args(choices.ModelName))
 
 
 OWN_ACTIONS = {"bag", "rig"}

@@ -23,7 +23,7 @@ def test_arrays_of_both_kinds_are_readings_whichever_is_imported_first(order):
     assert out.split("\n")[:2] == ["[True, True, False, False]", "(2,)"]
 
 
-DESCRIBED = PAPER_LIMITS.described()
+DESCRIBED = PAPER_LIMITS.to_dict()
 
 
 def test_limits_come_back_as_they_were_described():

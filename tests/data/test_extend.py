@@ -12,10 +12,10 @@ TANK = {"plant": "tank", "plant_identity": "softfin.tank 1"}
 
 @pytest.fixture
 def recorded(tmp_path):
-    """Makes a dataset with such facts."""
+    """Makes a dataset with such metadata."""
 
-    def make(**facts):
-        write_dataset(tmp_path / "data", [make_log(0)], [], facts, overwrite=True)
+    def make(**metadata):
+        write_dataset(tmp_path / "data", [make_log(0)], [], metadata, overwrite=True)
         return tmp_path / "data"
 
     return make

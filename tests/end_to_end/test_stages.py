@@ -9,8 +9,8 @@ import yaml
 from softfin.cli import main
 from softfin.core.errors import LogError
 from softfin.learning.run import TrainingRun
-from softfin.stages.offline import TRAINING_LOG
 from softfin.stages.reproduce import PRESETS
+from softfin.storage.run_directory import TRAINING_LOG
 from tests.staged import FIT, ROWS, STREAMING, short_search  # noqa: F401  # pytest finds fixtures here
 from tests.surrogate import small
 
@@ -172,9 +172,9 @@ def test_reproduce_takes_the_logs_that_it_recorded_as_they_are_and_fits_what_its
         asked.update(options, config=config)
         raise LogError("enough")
 
-    monkeypatch.setattr("softfin.stages.offline.fit", fit)
+    monkeypatch.setattr("softfin.stages.reproduce.fit", fit)
     small = write(tmp_path / "small.yaml", {"collect": COLLECT})
     with pytest.raises(SystemExit):
         main(["reproduce", "--preset", "best", "--plant", PLANT, "--config", small, "--out", str(tmp_path / "run")])
-    assert asked["accept"] is True
+    assert asked["ignore_errors"] is True
     assert asked["config"] == PRESETS["best"].fit

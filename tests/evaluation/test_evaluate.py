@@ -37,6 +37,8 @@ def test_every_reference_and_axis_has_its_scores_and_intervals(evaluation):
         assert row["shaft_travel_rad_s"] > 1
     assert summary["conditions"]["window_samples"] == 200
     assert summary["conditions"]["seeds"] == 3
+    assert summary["format"] == 2
+    assert [row["tracked_reference_n"] for row in summary["references"]] == [[1, -1], [2, 0]]
 
 
 def test_the_mean_is_over_the_references(evaluation):
@@ -126,7 +128,7 @@ class Exploding(PlainFin):
 
 
 def test_a_plant_that_gives_no_finite_force_is_named_with_the_moment():
-    with pytest.raises(PlantError, match=r"reference \(1, -1\) N, seed 0, 2\.01 s: force or angle is no finite number"):
+    with pytest.raises(PlantError, match=r"reference \(1, -1\) N, seed 0, 2\.01 s: force or angle is not finite"):
         evaluate(Flapper(), Exploding(), CONFIG)
 
 

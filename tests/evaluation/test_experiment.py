@@ -7,7 +7,7 @@ import pytest
 from softfin.core.errors import ConfigurationError
 from softfin.core.plant import Plant
 from softfin.core.quantities import Command
-from softfin.evaluation.experiment import Recording, run
+from softfin.evaluation.experiment import ExperimentRecording, run
 from tests.plants import AnalyticFin, Flapper, PlainFin
 
 REFERENCES = np.array([[1, -1], [2, 0], [3, 1]], np.float32)
@@ -31,7 +31,7 @@ class Echo(eqx.Module):
 
 
 @pytest.fixture(scope="module")
-def recording() -> Recording:
+def recording() -> ExperimentRecording:
     return run(Echo(), AnalyticFin(), REFERENCES, 2, KEYS)
 
 

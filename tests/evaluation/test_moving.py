@@ -7,10 +7,10 @@ import pytest
 from softfin.control.controller import Controller
 from softfin.core.errors import CoverageError, PlantError
 from softfin.core.quantities import Command
-from softfin.evaluation.coverage import bounds, covers
 from softfin.evaluation.evaluate import EvaluateConfig, evaluate, write_evaluation
 from softfin.evaluation.figures import moving_figure
-from softfin.evaluation.moving import SIGNALS, Plan, follow, planned, signals_of
+from softfin.evaluation.moving import SIGNALS, MovingPlan, plan_moving, signals_of
+from softfin.evaluation.range_errors import range_of
 from softfin.gaits.reachable import Cell, Reachable
 from softfin.task.references import PAPER_CELLS, PAPER_RANGE
 from softfin.task.signals import Hold, Recorded, Step
@@ -36,7 +36,7 @@ class Covering(Flapper):
 
 @pytest.fixture(scope="module")
 def moving():
-    return follow(Covering(), AnalyticFin(), Plan((STEP, Hold(force_n=(2, 1))), 6), KEYS)
+    return MovingPlan.of(Flapper(), (STEP, Hold(force_n=(2, 1))), 6).run(Covering(), AnalyticFin(), KEYS)
 
 
 def test_the_controller_sees_the_reference_when_it_acts(moving):
@@ -45,12 +45,12 @@ def test_the_controller_sees_the_reference_when_it_acts(moving):
 
 def test_a_step_between_two_actions_is_seen_at_the_second():
     between = STEP.model_copy(update={"at_s": 3.1})
-    recording = follow(Covering(), AnalyticFin(), Plan((between,), 6), KEYS).recording
+    recording = MovingPlan.of(Flapper(), (between,), 6).run(Covering(), AnalyticFin(), KEYS).recording
     np.testing.assert_allclose(recording.command.angle[0, 0, [310, 332, 333, 599]], [0.1, 0.1, 0.2, 0.2], rtol=1e-6)
 
 
 def test_every_signal_has_errors_and_the_answers_to_its_steps(moving):
-    step, hold = moving.described()
+    step, hold = moving.to_dict()
     assert (step["kind"], step["signal"]["at_s"], step["duration_s"]) == ("step", 3.0, 6.0)
     assert len(step["steps"]) == 1
     assert len(step["steps"][0]) == 2
@@ -59,12 +59,12 @@ def test_every_signal_has_errors_and_the_answers_to_its_steps(moving):
     assert (hold["steps"], hold["settles"]) == ([], None)
     # A reference that stays is tracked alike by both measures.
     assert hold["y"]["error_n"] == pytest.approx(hold["y"]["instantaneous_error_n"])
-    json.dumps(moving.described(), allow_nan=False)
+    json.dumps(moving.to_dict(), allow_nan=False)
 
 
 def test_the_default_signals_lie_within_the_papers_range_and_its_cells():
     for kind in SIGNALS:
-        assert planned(Covering(), [kind], None)[0].signals == signals_of(kind, PAPER_RANGE)
+        assert plan_moving(Covering(), [kind], None)[0].signals == signals_of(kind, PAPER_RANGE)
     assert signals_of("step", PAPER_RANGE)[0] == Step(start_n=(2, 0), to_n=(3, 0))
 
 
@@ -72,7 +72,7 @@ def test_the_default_signals_keep_to_another_range():
     class Weak(Covering):
         cells: tuple[Cell, ...] = (Cell(low=(0.1, -0.2), high=(0.5, 0.3)),)
 
-    for plan in planned(Weak(), SIGNALS, None):
+    for plan in plan_moving(Weak(), SIGNALS, None):
         series = np.concatenate([signal.sample(plan.seconds * 100) for signal in plan.signals])
         assert series.min(axis=0).tolist() > [0.1, -0.2]
         assert series.max(axis=0).tolist() < [0.5, 0.3]
@@ -98,8 +98,8 @@ def test_a_moving_reference_beyond_reach_is_brought_to_it_and_told():
     summary = evaluate(Weak(), AnalyticFin(), config).summary()
     assert summary["moving"][0]["replaced_s"] == 3.0
     assert "recorded, 2 rows over 3 s: this fin cannot make what is asked in 3 of 6 s, from 3 s" in summary["warning"]
-    (plan,) = planned(Weak(), [], recorded)
-    np.testing.assert_allclose(plan.held[0, [0, 299, 300, 599], 0], [1, 1, 2, 2], atol=2e-3)
+    (plan,) = plan_moving(Weak(), [], recorded)
+    np.testing.assert_allclose(plan.tracked[0, [0, 299, 300, 599], 0], [1, 1, 2, 2], atol=2e-3)
 
 
 def test_strictly_it_is_refused_with_time_and_force():
@@ -110,9 +110,7 @@ def test_strictly_it_is_refused_with_time_and_force():
 
 def test_a_controller_without_cells_has_the_papers_range():
     assert isinstance(Flapper(), Controller)
-    assert bounds(Flapper()) == bounds(Covering()) == PAPER_RANGE
-    assert covers(Covering(), (2, 1))
-    assert not covers(Covering(), (1, 0))
+    assert range_of(Flapper()) == range_of(Covering()) == PAPER_RANGE
 
 
 def test_a_recorded_reference_outside_the_range_is_refused_before_anything_runs():
@@ -123,8 +121,8 @@ def test_a_recorded_reference_outside_the_range_is_refused_before_anything_runs(
 
 def test_a_plant_that_gives_no_finite_force_is_named_with_the_reference_of_the_moment():
     early = STEP.model_copy(update={"at_s": 1})
-    with pytest.raises(PlantError, match=r"reference \(2, 0\) N, seed 0, 2\.01 s: force or angle is no finite number"):
-        follow(Covering(), Exploding(), Plan((early,), 3), KEYS)
+    with pytest.raises(PlantError, match=r"reference \(2, 0\) N, seed 0, 2\.01 s: force or angle is not finite"):
+        MovingPlan.of(Flapper(), (early,), 3).run(Covering(), Exploding(), KEYS)
 
 
 def test_the_evaluation_holds_what_moves_and_the_map_and_their_figures(tmp_path):

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from softfin.evaluation.evaluate import EvaluateConfig, evaluate
-from softfin.evaluation.experiment import Recording
+from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.figures import experiments_figure
-from softfin.evaluation.report import write_report
-from softfin.storage.curves import learning_figure, prediction_figure
+from softfin.evaluation.report import prediction_figure, write_report
+from softfin.learning.figure import learning_figure
 from tests.plants import AnalyticFin, Flapper
 
 
@@ -76,7 +76,7 @@ def page(results, evaluation, tmp_path_factory) -> Page:
     force = np.random.default_rng(0).normal(size=(100, 2))
     recording = evaluation.recording
     one = jax.tree.map(lambda x: x[:1], (recording.reference, recording.command, recording.reading))
-    trajectory = experiments_figure(Recording(*one))
+    trajectory = experiments_figure(ExperimentRecording(*one))
     write_report(
         path,
         results,

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from softfin.core.quantities import PAPER_LIMITS
-from softfin.evaluation.paper import REFERENCES
 from softfin.gaits.figure import map_figure, write_map
 from softfin.gaits.force_map import MapConfig
-from softfin.storage.figures import render
+from softfin.gaits.reachable import PAPER_REFERENCES
+from softfin.storage.figures import save_figure
 from tests.gaits.test_map_store import KNOWN
 
 
@@ -33,7 +33,7 @@ def test_region_nodes_and_references_stand_where_they_are():
     np.testing.assert_array_equal(outline[0], outline[-1])
     assert len(lines["a gait makes this force"]) == 10
     np.testing.assert_allclose(lines["no gait found makes this force"], [(0.5, -1), (2.5, 2)])
-    np.testing.assert_allclose(lines["the paper's references"], REFERENCES)
+    np.testing.assert_allclose(lines["the paper's references"], PAPER_REFERENCES)
     assert "[N]" in axes.get_xlabel()
     assert "[N]" in axes.get_ylabel()
     assert "[N]" in colours.get_ylabel()
@@ -55,9 +55,10 @@ def test_everything_is_within_the_frame():
         assert values.max() < low_high[1]
 
 
-def test_a_fin_whose_gaits_cost_all_the_same_is_drawn_too():
+def test_a_fin_whose_gaits_cost_all_the_same_is_drawn_too(tmp_path):
     flat = KNOWN._replace(gaits=KNOWN.gaits._replace(smoothness=np.zeros((3, 4, 2), np.float32)))
-    assert render(map_figure(flat, 0.1), "png").startswith(b"\x89PNG")
+    save_figure(map_figure(flat, 0.1), tmp_path, "map")
+    assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_maps_folder_holds_both_figures_and_they_do_not_change(tmp_path: Path):

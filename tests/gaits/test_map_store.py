@@ -90,7 +90,7 @@ HARMS: list[tuple[Callable[[Path], None], str]] = [
     (lambda f: rewrite(f, reachable=None), "reachable is None; it must be an object"),
     (lambda f: rewrite(f, reachable={"centre_n": [0, 0], "radius_n": [1, -1, 1]}), "no radius under 0"),
     (lambda f: rewrite(f, limits={}), "angle_min_rad is missing"),
-    (lambda f: rewrite(f, limits=PAPER_LIMITS._replace(velocity_max=9000.0).described()), "velocity_max_rad_s is 9000"),
+    (lambda f: rewrite(f, limits=PAPER_LIMITS._replace(velocity_max=9000.0).to_dict()), "velocity_max_rad_s is 9000"),
     (lambda f: rewrite(f, lattice=lattice(nodes=[4, 3])), r"do not fit a lattice of \(4, 3\)"),
     (lambda f: rewrite(f, lattice=lattice(nodes=[12])), r"lattice of \(12,\) nodes; it must have two"),
     (lambda f: rewrite(f, lattice=lattice(nodes=[1, 12])), r"lattice of \(1, 12\) nodes; it must have two"),

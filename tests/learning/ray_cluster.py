@@ -27,7 +27,7 @@ from softfin.learning.jobs import find_engine, train_jobs
 from softfin.learning.policy import PolicyConfig
 from softfin.learning.ppo import PPOConfig
 from softfin.learning.run import TrainingResult
-from softfin.storage.run_directory import LOG, Workspace, read_log
+from softfin.storage.run_directory import LOG, RunDirectory, read_log
 from softfin.task.task import TaskConfig
 from tests.plants import AnalyticFin
 
@@ -46,8 +46,10 @@ ALONE = ("unshare", "--map-root-user", "--net", "--pid", "--fork", "--kill-child
 """A network and processes of its own: whatever was started in there ends with the first."""
 
 
-def workspace(folder: Path, resume: bool = False, seeds: tuple[int, ...] = SEEDS, kind: type = Workspace) -> Workspace:
-    made: Workspace = kind(folder / "out", {"seeds": list(seeds)}, resume)
+def run_directory(
+    folder: Path, resume: bool = False, seeds: tuple[int, ...] = SEEDS, kind: type = RunDirectory
+) -> RunDirectory:
+    made: RunDirectory = kind(folder / "out", {"seeds": list(seeds)}, resume)
     return made
 
 
@@ -71,13 +73,13 @@ def within(case: str, folder: Path, seconds: int = 900) -> dict[str, Any]:
     return told
 
 
-class Deadly(Workspace):
+class Deadly(RunDirectory):
     """Kills the process that saves the second checkpoint of one job, once."""
 
-    def save(self, tree: Any, facts: dict[str, Any]) -> None:
-        super().save(tree, facts)
+    def save(self, tree: Any, metadata: dict[str, Any]) -> None:
+        super().save(tree, metadata)
         deaths = len(list(self.folder.glob("death-*")))
-        if self.folder.name == "seed-1-cell-0" and facts["updates"] == 2 and not deaths:
+        if self.folder.name == "seed-1-cell-0" and metadata["updates"] == 2 and not deaths:
             (self.folder / f"death-{deaths}").touch()
             os.kill(os.getpid(), signal.SIGKILL)
 
@@ -110,8 +112,8 @@ def own(folder: Path) -> dict[str, Any]:
 def cells(folder: Path) -> dict[str, Any]:
     """Cells on a cluster of two nodes, as on the local engine; the worker of one is killed in the middle."""
     said: list[Any] = []
-    ours = train_jobs(AnalyticFin(), SMALL, SEEDS, workspace(folder / "local"), split="cell")
-    space = workspace(folder / "ray", kind=Deadly)
+    ours = train_jobs(AnalyticFin(), SMALL, SEEDS, run_directory(folder / "local"), split="cell")
+    space = run_directory(folder / "ray", kind=Deadly)
     theirs = train_jobs(AnalyticFin(), SMALL, SEEDS, space, lambda *note: said.append(note),
                         engine=find_engine("ray", _two_nodes()), split="cell")  # fmt: skip
     alike(theirs, ours)

@@ -26,7 +26,7 @@ from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.rollout import EnvState
 from softfin.learning.run import TrainingResult, TrainingRun
 from softfin.learning.train import train
-from softfin.storage.run_directory import Workspace
+from softfin.storage.run_directory import RunDirectory
 from softfin.task.references import PAPER_RANGE, stack_references
 from softfin.task.reward import RewardConfig
 from softfin.task.task import ForceTracking, TaskConfig
@@ -252,8 +252,8 @@ def test_the_gradient_is_compiled_once_for_all_who_ask() -> None:
 
 
 def trained(folder: Path, resume: bool = False, progress: Any = None) -> TrainingResult:
-    workspace = Workspace(folder / "out", {"of": "this"}, resume=resume)
-    return train(StrokeFin(), QUICK, SEEDS, workspace, progress)
+    run_directory = RunDirectory(folder / "out", {"of": "this"}, resume=resume)
+    return train(StrokeFin(), QUICK, SEEDS, run_directory, progress)
 
 
 @pytest.fixture(scope="module")
@@ -400,6 +400,6 @@ def test_an_ensemble_of_ones_own_takes_what_only_an_ensemble_can_do(change: str,
     assert isinstance(Twins(), EnsemblePlant)
     assert isinstance(jit_argument(Twins()), EnsemblePlant)
     config = QUICK.changed((change, "steps=24", "num_evaluations=1", "gradient.warm_start=false"))
-    result = train(Twins(), config, (0,), Workspace(tmp_path / "out", {}))
+    result = train(Twins(), config, (0,), RunDirectory(tmp_path / "out", {}))
     assert np.isfinite(result.evaluation.error).all()
     np.testing.assert_array_equal(result.evaluation.out_of_distribution_fraction, 1)

@@ -16,7 +16,7 @@ from softfin.learning.run import TrainingResult
 from softfin.learning.train import train
 from softfin.storage.run_directory import CHECKPOINT, read_log
 from softfin.task.references import PAPER_RANGE
-from tests.learning.ray_cluster import SEEDS, SMALL, alike, workspace
+from tests.learning.ray_cluster import SEEDS, SMALL, alike, run_directory
 from tests.plants import AnalyticFin
 
 ONE_CELL = SMALL.model_copy(update={"cells": SMALL.cells[:1]})
@@ -26,12 +26,12 @@ ONE_CELL = SMALL.model_copy(update={"cells": SMALL.cells[:1]})
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> TrainingResult:
     """Both cells, of the first seed."""
-    return train(AnalyticFin(), SMALL, (0,), workspace(tmp_path_factory.mktemp("whole"), seeds=(0,)))
+    return train(AnalyticFin(), SMALL, (0,), run_directory(tmp_path_factory.mktemp("whole"), seeds=(0,)))
 
 
 @pytest.fixture(scope="module")
 def by_cell(tmp_path_factory: pytest.TempPathFactory) -> TrainingResult:
-    return train_jobs(AnalyticFin(), SMALL, SEEDS, workspace(tmp_path_factory.mktemp("cells")), split="cell")
+    return train_jobs(AnalyticFin(), SMALL, SEEDS, run_directory(tmp_path_factory.mktemp("cells")), split="cell")
 
 
 def test_jobs_are_named_after_their_seeds_and_cells():
@@ -50,7 +50,7 @@ def test_the_usual_split_is_one_program_here_and_seeds_or_cells_elsewhere(engine
 
 
 def test_one_job_is_the_run_itself(whole: TrainingResult, tmp_path: Path):
-    space = workspace(tmp_path, seeds=(0,))
+    space = run_directory(tmp_path, seeds=(0,))
     alike(train_jobs(AnalyticFin(), SMALL, (0,), space), whole)
     assert (space.folder / CHECKPOINT).is_file()
 
@@ -67,8 +67,8 @@ def test_jobs_of_single_cells_learn_what_the_whole_learns_but_for_rounding(
 
 
 def test_jobs_of_seeds_learn_what_the_whole_learns_but_for_rounding(tmp_path: Path):
-    whole = train(AnalyticFin(), ONE_CELL, SEEDS, workspace(tmp_path / "whole"))
-    by_seed = train_jobs(AnalyticFin(), ONE_CELL, SEEDS, workspace(tmp_path / "seeds"), split="seed")
+    whole = train(AnalyticFin(), ONE_CELL, SEEDS, run_directory(tmp_path / "whole"))
+    by_seed = train_jobs(AnalyticFin(), ONE_CELL, SEEDS, run_directory(tmp_path / "seeds"), split="seed")
     assert by_seed.seeds == whole.seeds
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-3), by_seed.policies, whole.policies)
 
@@ -85,9 +85,14 @@ def test_a_run_stopped_in_its_second_job_goes_on_there_and_ends_the_same(by_cell
             raise Cut
 
     with pytest.raises(Cut):
-        train_jobs(AnalyticFin(), SMALL, SEEDS, workspace(tmp_path), cut, split="cell")
+        train_jobs(AnalyticFin(), SMALL, SEEDS, run_directory(tmp_path), cut, split="cell")
     resumed = train_jobs(
-        AnalyticFin(), SMALL, SEEDS, workspace(tmp_path, resume=True), lambda *said: notes.append(said), split="cell"
+        AnalyticFin(),
+        SMALL,
+        SEEDS,
+        run_directory(tmp_path, resume=True),
+        lambda *said: notes.append(said),
+        split="cell",
     )
     alike(resumed, by_cell)
     assert not any(note.startswith("seed-0-cell-0") for _, _, note in notes)
@@ -106,7 +111,7 @@ class Distant(LocalEngine):
 def test_what_was_learnt_on_a_disk_of_its_own_comes_home_with_its_log_and_checkpoint(
     by_cell: TrainingResult, tmp_path: Path
 ):
-    space = workspace(tmp_path)
+    space = run_directory(tmp_path)
     alike(train_jobs(AnalyticFin(), SMALL, SEEDS, space, engine=Distant(), split="cell"), by_cell)
     for name in jobs_of(SMALL, SEEDS, "cell"):
         assert (space.folder / name / CHECKPOINT).is_file()
@@ -117,7 +122,7 @@ def test_what_was_learnt_on_a_disk_of_its_own_comes_home_with_its_log_and_checkp
 
 def test_seeds_that_repeat_are_refused_before_they_are_parted(tmp_path: Path):
     with pytest.raises(ConfigurationError, match=r"seeds \[3, 3\]: give at least one, and each once"):
-        train_jobs(AnalyticFin(), SMALL, (3, 3), workspace(tmp_path, seeds=(3, 3)), split="seed")
+        train_jobs(AnalyticFin(), SMALL, (3, 3), run_directory(tmp_path, seeds=(3, 3)), split="seed")
 
 
 def test_the_fin_is_mapped_once_over_all_cells_for_all_jobs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
@@ -130,7 +135,7 @@ def test_the_fin_is_mapped_once_over_all_cells_for_all_jobs(monkeypatch: pytest.
 
     monkeypatch.setattr(jobs, "find_map", lambda plant, config, *_: asked.append(config.cells) or found)
     monkeypatch.setattr(jobs, "train", remembered)
-    trained = train_jobs(AnalyticFin(), SMALL, (0,), workspace(tmp_path), split="cell")
+    trained = train_jobs(AnalyticFin(), SMALL, (0,), run_directory(tmp_path), split="cell")
     assert asked == [SMALL.cells]
     assert len(given) == 2
     assert all(force_map is found for force_map in (*given, trained.force_map))

@@ -19,7 +19,7 @@ from softfin.learning.ppo import PPOConfig
 from softfin.learning.rollout import PolicyEvaluation
 from softfin.learning.run import Programs, TrainingResult, TrainingRun, programs_of
 from softfin.learning.train import train
-from softfin.storage.run_directory import CHECKPOINT, Workspace, read_log
+from softfin.storage.run_directory import CHECKPOINT, RunDirectory, read_log
 from softfin.task.task import TaskConfig
 from tests.plants import AnalyticFin, PlainFin
 from tests.surrogate.streaming import small as streaming
@@ -39,9 +39,9 @@ class Cut(Exception):
 
 
 def trained(folder: Path, seeds: tuple[int, ...] = (0,), config: TrainConfig = SMALL, **options: Any) -> TrainingResult:
-    facts = {"configuration": config.model_dump(mode="json"), "seeds": list(seeds)}
-    workspace = Workspace(folder / "out", facts, resume=options.pop("resume", False))
-    return train(options.pop("plant", AnalyticFin()), config, seeds, workspace, **options)
+    metadata = {"configuration": config.model_dump(mode="json"), "seeds": list(seeds)}
+    run_directory = RunDirectory(folder / "out", metadata, resume=options.pop("resume", False))
+    return train(options.pop("plant", AnalyticFin()), config, seeds, run_directory, **options)
 
 
 def log_of(folder: Path) -> list[dict[str, Any]]:

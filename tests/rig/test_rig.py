@@ -113,5 +113,5 @@ def test_a_stop_over_a_cut_cable_does_not_claim_that_the_motor_is_off():
             session.stop_request.ask("emergency_stop", "stopped by a key")
             with pytest.raises(SafetyStop) as stopped:
                 session.tick()
-    assert str(stopped.value).startswith("stopped: stopped by a key; BUT the drive did not confirm power-off")
+    assert str(stopped.value).startswith("stopped: stopped by a key; BUT drive did not confirm that its motor is off")
     assert stopped.value.exit_code == 3

@@ -59,5 +59,5 @@ def test_the_file_beside_one_is_the_default(tmp_path, monkeypatch):
 
 
 def test_another_name_says_what_there_is():
-    with pytest.raises(RigError, match="tank: not a machine; give rig or ros2, or one of these with :FILE"):
+    with pytest.raises(RigError, match="plant tank: not a real fin; give rig or ros2, or one of these with :FILE"):
         find_robot("tank")

@@ -2,8 +2,8 @@
 
 import pytest
 
+from softfin.cli.common import Armed
 from softfin.cli.driving import typed
-from softfin.cli.live import Armed
 from softfin.core.errors import ConfigurationError, DeviceError, SafetyStop
 from softfin.rig.machine import Machine, Sample, Target
 from softfin.rig.rig import Rig

@@ -10,7 +10,7 @@ import pytest
 
 from softfin.core.errors import ArtifactError, RunError
 from softfin.storage import artifact as artifacts
-from softfin.storage.run_directory import Workspace
+from softfin.storage.run_directory import RunDirectory
 
 
 def files_in(path):
@@ -158,9 +158,9 @@ def test_a_missing_folder_and_missing_weights_are_told_apart(tmp_path):
 
 
 def test_provenance_names_seed_versions_and_time():
-    facts = json.loads(artifacts.dump_json(artifacts.provenance(seed=3)))
-    assert facts["seed"] == 3
-    assert {"softfin", "jax", "numpy", "python", "git_commit", "created"} <= set(facts)
+    metadata = json.loads(artifacts.dump_json(artifacts.provenance(seed=3)))
+    assert metadata["seed"] == 3
+    assert {"softfin", "jax", "numpy", "python", "git_commit", "created"} <= set(metadata)
 
 
 def test_numbers_that_are_not_finite_are_null_wherever_they_stand():
@@ -175,7 +175,7 @@ def test_numbers_that_are_not_finite_are_null_wherever_they_stand():
 
 
 def test_a_training_log_is_standard_json(tmp_path):
-    log = Workspace(tmp_path / "out", {}).log()
+    log = RunDirectory(tmp_path / "out", {}).log()
     log.write(3, loss=0.5, kl=math.nan)
     log.close()
     assert log.path.read_text() == '{"step": 3, "loss": 0.5, "kl": null}\n'

@@ -84,13 +84,13 @@ def test_a_dataset_without_logs_says_where_they_belong(tmp_path):
 
 def test_a_log_that_is_gone_is_missed(dataset):
     dataset.train[1].unlink()
-    with pytest.raises(ArtifactError, match=r"train/0001\.parquet: missing, though dataset\.json lists it"):
+    with pytest.raises(ArtifactError, match=r"train/0001\.parquet: missing since dataset\.json was written"):
         Dataset.open(dataset.path)
 
 
 def test_a_log_that_came_later_is_noticed(dataset):
     shutil.copy(dataset.train[0], dataset.path / "train" / "0003.parquet")
-    with pytest.raises(ArtifactError, match=r"train/0003\.parquet: not among the files that dataset\.json lists"):
+    with pytest.raises(ArtifactError, match=r"train/0003\.parquet: new since dataset\.json was written"):
         Dataset.open(dataset.path)
 
 
@@ -130,11 +130,3 @@ def test_a_folder_of_someone_else_is_not_replaced(tmp_path):
     with pytest.raises(ArtifactError, match=r"was not written by softfin"):
         write_dataset(tmp_path / "home", [make_log(0)], [], {}, overwrite=True)
     assert (tmp_path / "home" / "thesis.txt").read_text() == "years of work"
-
-
-def test_a_log_that_is_a_pipe_is_not_waited_for(tmp_path):
-    (tmp_path / "train").mkdir()
-    (tmp_path / "dataset.json").write_text("{}")
-    os.mkfifo(tmp_path / "train" / "0000.parquet")
-    with pytest.raises(ArtifactError, match=r"0000\.parquet: cannot be read \(a pipe, not a file\)"):
-        Dataset.open(tmp_path)

@@ -10,7 +10,7 @@ import safetensors.numpy
 
 from softfin.core.errors import ArtifactError
 from softfin.storage import run_directory as checkpoint
-from softfin.storage.run_directory import CHECKPOINT, Workspace
+from softfin.storage.run_directory import CHECKPOINT, RunDirectory
 
 
 class State(NamedTuple):
@@ -28,15 +28,17 @@ STATE = State({"kernel": jnp.arange(6.0).reshape(2, 3), "bias": jnp.zeros(3)}, (
 
 @pytest.fixture
 def saved(tmp_path):
-    Workspace(tmp_path / "out", {"seed": 0}).save(STATE, {"updates": 7})
-    return Workspace(tmp_path / "out", {"seed": 0}, resume=True)
+    RunDirectory(tmp_path / "out", {"seed": 0}).save(STATE, {"updates": 7})
+    return RunDirectory(tmp_path / "out", {"seed": 0}, resume=True)
 
 
 def test_a_state_comes_back_with_its_leaves_named_by_their_paths(saved):
-    state, facts = saved.load(State({"kernel": jnp.zeros((2, 3)), "bias": jnp.ones(3)}, (jnp.int32(0), jnp.zeros(3))))
+    state, metadata = saved.load(
+        State({"kernel": jnp.zeros((2, 3)), "bias": jnp.ones(3)}, (jnp.int32(0), jnp.zeros(3)))
+    )
     np.testing.assert_array_equal(state.weights["kernel"], STATE.weights["kernel"])
     assert int(state.pair[0]) == 4
-    assert facts == {"updates": 7}
+    assert metadata == {"updates": 7}
     names = set(safetensors.numpy.load_file(saved.folder / CHECKPOINT))
     assert names == {"tree.weights['kernel']", "tree.weights['bias']", "tree.pair[0]", "tree.pair[1]"}
 
@@ -66,7 +68,7 @@ def test_a_checkpoint_of_another_version_is_refused_and_both_are_named(tmp_path,
     now = checkpoint._software()
     monkeypatch.setattr(checkpoint, "_software", lambda: "softfin 99.1, jax 99.2")
     words = rf"was written by {re.escape(now)}, and this is softfin 99.1, jax 99.2; resume with that, or --overwrite"
-    for attempt in (lambda: Workspace(tmp_path / "out", {"seed": 0}, resume=True), lambda: saved.load(STATE)):
+    for attempt in (lambda: RunDirectory(tmp_path / "out", {"seed": 0}, resume=True), lambda: saved.load(STATE)):
         with pytest.raises(ArtifactError, match=words):
             attempt()
 

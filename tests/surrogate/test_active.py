@@ -137,9 +137,9 @@ def test_a_piece_is_unlike_by_its_distance_to_the_nearest_visited():
 
 
 def test_what_chose_is_told_with_the_data_it_was_fitted_to(folders):
-    _, facts = chooser(folders / "ensemble", ActiveCollectConfig(), PAPER_LIMITS)
-    assert facts == {"surrogate": str(folders / "ensemble"), "members": 2, "data_hash": "d"}
-    assert json.dumps(facts)
+    _, metadata = chooser(folders / "ensemble", ActiveCollectConfig(), PAPER_LIMITS)
+    assert metadata == {"surrogate": str(folders / "ensemble"), "members": 2, "data_hash": "d"}
+    assert json.dumps(metadata)
 
 
 @pytest.mark.parametrize(

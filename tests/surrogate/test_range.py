@@ -8,7 +8,8 @@ import pytest
 from softfin.control.store import load_controller
 from softfin.core.quantities import Command, Log, Reading
 from softfin.learning.configuration import SINGLE
-from softfin.stages import offline as stages
+from softfin.stages.fit import fit
+from softfin.stages.train import find_gaits, train
 from softfin.storage.dataset import write_dataset
 from softfin.surrogate import save_surrogate
 from softfin.surrogate.channels import READINGS, UNKNOWN, learnt_from, training_range
@@ -62,22 +63,22 @@ def test_the_stages_hand_it_on_from_the_dataset_to_the_controllers(tmp_path, mon
     logs = [small.recorded(300, seed) for seed in range(4)]
     write_dataset(tmp_path / "dataset", logs[:3], logs[3:], {"fin": "blue, 2 mm"})
 
-    def fit_any(logs, config, seed, workspace, progress):
-        workspace.log().close()
+    def fit_any(logs, config, seed, run_directory, progress):
+        run_directory.log().close()
         return small.surrogate(), None
 
-    def train_jobs(plant, config, seeds, workspace, progress, **options):
-        workspace.log().close()
+    def train_jobs(plant, config, seeds, run_directory, progress, **options):
+        run_directory.log().close()
         return untrained(SINGLE)._replace(seeds=tuple(seeds))
 
-    monkeypatch.setattr("softfin.stages.offline.fit_any", fit_any)
-    monkeypatch.setattr("softfin.stages.offline.train_jobs", train_jobs)
-    monkeypatch.setattr("softfin.stages.offline.write_learning", lambda folder: None)
-    monkeypatch.setattr("softfin.stages.offline._map_forces", lambda *asked: KNOWN)
+    monkeypatch.setattr("softfin.stages.fit.fit_any", fit_any)
+    monkeypatch.setattr("softfin.stages.train.train_jobs", train_jobs)
+    monkeypatch.setattr("softfin.stages.train.write_learning", lambda folder: None)
+    monkeypatch.setattr("softfin.stages.train._map_forces", lambda *asked: KNOWN)
     surrogate = str(tmp_path / "surrogate")
-    stages.fit(tmp_path / "dataset", tmp_path / "surrogate")
-    stages.train(surrogate, tmp_path / "policy", SINGLE, seeds=(3, 5))
-    stages.find_gaits(surrogate, tmp_path / "gaits")
+    fit(tmp_path / "dataset", tmp_path / "surrogate")
+    train(surrogate, tmp_path / "policy", SINGLE, seeds=(3, 5))
+    find_gaits(surrogate, tmp_path / "gaits")
     expected = training_range(logs[:3])
     for file in ("surrogate/surrogate.json", "policy/seed-5/controller.json", "gaits/controller.json"):
         described = json.loads((tmp_path / file).read_text())

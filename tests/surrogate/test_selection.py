@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import ArtifactError, LogError
-from softfin.storage.run_directory import LOG, Workspace, read_log
+from softfin.storage.run_directory import LOG, RunDirectory, read_log
 from softfin.surrogate import AutoConfig, FitConfig, StreamingSurrogate, Surrogate
 from softfin.surrogate import selection as choice
 from softfin.surrogate.compare.free_running import FreeRunPrediction, free_run, segments_of, take
@@ -27,7 +27,7 @@ CONFIG = AutoConfig(
 SCALES = scales_of([small.recorded(rows=600, seed=seed, noise_n=0.05) for seed in range(3)])
 
 
-def paper_fit(logs, config, seed, workspace, progress=None):
+def paper_fit(logs, config, seed, run_directory, progress=None):
     """As if they had learnt nothing: to compile them takes longer than all else."""
     if progress is not None:
         progress("fit", 1.0, "done")
@@ -48,7 +48,7 @@ def logs():
 
 @pytest.mark.slow
 def test_the_candidate_with_the_least_error_on_held_out_logs_is_kept(tmp_path):
-    data, workspace, notes = logs(), Workspace(tmp_path / "s", {}), []
+    data, workspace, notes = logs(), RunDirectory(tmp_path / "s", {}), []
     fitted, evidence = fit_any(data, CONFIG, 0, workspace, lambda stage, done, note: notes.append((done, note)))
     assert evidence["chosen"] == "streaming"
     scores = evidence["held_out"]
@@ -63,7 +63,7 @@ def test_the_candidate_with_the_least_error_on_held_out_logs_is_kept(tmp_path):
     )
     assert scores["streaming"]["seconds"] == 3.0
     assert json.loads(json.dumps(evidence)) == evidence
-    assert [entry["force_rmse_n"] for entry in read_log(workspace.folder / LOG)] == [
+    assert [entry["force_rmse_n"] for entry in read_log(run_directory.folder / LOG)] == [
         score["force_rmse_n"] for score in scores.values()
     ]
     assert [done for done, _ in notes] == sorted(done for done, _ in notes)
@@ -74,7 +74,7 @@ def test_the_candidate_with_the_least_error_on_held_out_logs_is_kept(tmp_path):
 def test_the_kind_of_configuration_says_which_model(tmp_path, monkeypatch):
     monkeypatch.setattr("softfin.surrogate.selection.fit_streaming", lambda *words: small.surrogate())
     for config, kind in ((PAPER, Surrogate), (small.CONFIG, StreamingSurrogate)):
-        fitted, evidence = fit_any(logs(), config, 0, Workspace(tmp_path / "s", {}))
+        fitted, evidence = fit_any(logs(), config, 0, RunDirectory(tmp_path / "s", {}))
         assert type(fitted) is kind
         assert evidence is None
 
@@ -86,7 +86,7 @@ def test_logs_on_which_nothing_can_be_compared_are_refused_before_anything_is_fi
     monkeypatch.setattr("softfin.surrogate.selection.fit_streaming", no_fit)
     short = [small.rows_of(log, 0, 300) for log in logs()]
     with pytest.raises(LogError, match="held-out log 0: 300 rows; more than a window of 300 are needed"):
-        fit_any(short, CONFIG, 0, Workspace(tmp_path / "s", {}))
+        fit_any(short, CONFIG, 0, RunDirectory(tmp_path / "s", {}))
 
 
 def test_a_candidate_that_cannot_be_fitted_is_left_out_with_its_reason(tmp_path, monkeypatch):
@@ -96,7 +96,7 @@ def test_a_candidate_that_cannot_be_fitted_is_left_out_with_its_reason(tmp_path,
         (steady, CONFIG, "column command_velocity_rad_s is 2 in every training row"),
         (logs(), CONFIG.changed(["paper.batch=5000"]), "1764 training windows are fewer than one batch of 5000"),
     ):
-        _, evidence = fit_any(data, config, 0, Workspace(tmp_path / "s", {}))
+        _, evidence = fit_any(data, config, 0, RunDirectory(tmp_path / "s", {}))
         assert list(evidence["held_out"]) == ["streaming"]
         assert list(evidence["left_out"]) == ["paper"]
         assert (evidence["logs_held_out"], evidence["logs_scored"]) == (1, 1)
@@ -105,7 +105,7 @@ def test_a_candidate_that_cannot_be_fitted_is_left_out_with_its_reason(tmp_path,
 
 def test_logs_that_fit_no_candidate_are_refused_in_the_words_of_the_first(tmp_path):
     with pytest.raises(LogError, match="1 training log: at least 2 are needed"):
-        fit_any(logs()[:1], CONFIG, 0, Workspace(tmp_path / "s", {}))
+        fit_any(logs()[:1], CONFIG, 0, RunDirectory(tmp_path / "s", {}))
 
 
 @pytest.fixture
@@ -140,9 +140,9 @@ def test_a_killed_choice_is_neither_lost_nor_begun_anew(tmp_path, monkeypatch):
     """As long as it had not come to the end its checkpoints lie in parts alone."""
     begun, data = [], logs()
 
-    def killed_midway(logs, config, seed, workspace, progress=None):
-        begun.append(workspace.load({"x": np.zeros(1)}))
-        workspace.save({"x": np.ones(1)}, {"step": 1})
+    def killed_midway(logs, config, seed, run_directory, progress=None):
+        begun.append(run_directory.load({"x": np.zeros(1)}))
+        run_directory.save({"x": np.ones(1)}, {"step": 1})
         if len(begun) == 2:
             raise KeyboardInterrupt
         return small.surrogate()
@@ -150,10 +150,10 @@ def test_a_killed_choice_is_neither_lost_nor_begun_anew(tmp_path, monkeypatch):
     for name in ("fit", "fit_streaming"):
         monkeypatch.setattr(f"softfin.surrogate.selection.{name}", killed_midway)
     with pytest.raises(KeyboardInterrupt):
-        fit_any(data, CONFIG, 0, Workspace(tmp_path / "s", {"seed": 0}))
+        fit_any(data, CONFIG, 0, RunDirectory(tmp_path / "s", {"seed": 0}))
     with pytest.raises(ArtifactError, match="holds an unfinished run; go on with --resume"):
-        Workspace(tmp_path / "s", {"seed": 0})
+        RunDirectory(tmp_path / "s", {"seed": 0})
     with pytest.raises(ArtifactError, match=r"is of another run .seed was 0 and is 1"):
-        Workspace(tmp_path / "s", {"seed": 1}, resume=True)
-    fit_any(data, CONFIG, 0, Workspace(tmp_path / "s", {"seed": 0}, resume=True))
+        RunDirectory(tmp_path / "s", {"seed": 1}, resume=True)
+    fit_any(data, CONFIG, 0, RunDirectory(tmp_path / "s", {"seed": 0}, resume=True))
     assert [before is not None for before in begun] == [False, False, True, True]

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from softfin.core.errors import ConfigurationError
+from softfin.task import reference_file
 from softfin.task.reference_file import read_reference_file
 from softfin.task.signals import Recorded
 
@@ -108,3 +109,16 @@ def test_a_log_of_softfin_begins_a_tick_late_and_is_read(tmp_path):
 def test_milliseconds_are_not_taken_for_seconds(tmp_path):
     with pytest.raises(ConfigurationError, match=r"line 3: time_s = 2000 makes 4000 s; .* are these milliseconds\?"):
         read_reference_file(written(tmp_path, HEAD + "0,1,0\n2000,2,0\n"))
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.parquet"])
+def test_a_reference_of_more_rows_than_an_hour_has_is_refused(tmp_path, monkeypatch, name):
+    columns = {"time_s": np.arange(101.0), "force_x_n": np.zeros(101), "force_y_n": np.zeros(101)}
+    if name == "a.csv":
+        (tmp_path / name).write_text("time_s,force_x_n,force_y_n\n" + "0,0,0\n" * 101)
+    else:
+        pq.write_table(pa.table(columns), tmp_path / name)
+    assert reference_file.MOST_ROWS == 360_000
+    monkeypatch.setattr(reference_file, "MOST_ROWS", 100)
+    with pytest.raises(ConfigurationError, match="has 101 rows or more; at most 100 are followed"):
+        read_reference_file(tmp_path / name)

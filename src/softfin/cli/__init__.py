@@ -40,20 +40,18 @@ STOPPED = 1
 
 
 def script() -> None:
-    """What the installed command calls: `main`, and an end at once after Ctrl-C.
+    """Run `main` as the installed command, and end at once after Ctrl-C.
 
-    An interpreter that shuts down beside a compiled program that Ctrl-C has left running may crash, after all is said.
+    An interpreter that shuts down beside a compiled program that Ctrl-C has left running may crash.
     """
     try:
         main()
-    except _Interrupted as stop:
+    except SystemExit as stop:
+        if not isinstance(stop.__cause__, KeyboardInterrupt):
+            raise
         sys.stdout.flush()
         sys.stderr.flush()
-        os._exit(int(stop.code or STOPPED))
-
-
-class _Interrupted(SystemExit):
-    """After Ctrl-C."""
+        os._exit(STOPPED)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -78,7 +76,7 @@ def _run(name: str, words: list[str]) -> None:
     from softfin.core.errors import SoftfinError
 
     debug = "--debug" in words
-    # The readers of these lines want theirs, not XLA's notes on how it compiles.
+    # XLA's notes on how it compiles would hide the lines of a command.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
     # JAX makes millions of small objects while it traces; to look them through so often is a sixth of that time.
     gc.set_threshold(50_000, 20, 10)
@@ -91,12 +89,12 @@ def _run(name: str, words: list[str]) -> None:
     except options.HelpRequested:
         sys.stdout.write(options.help_of(arguments, f"softfin {name}") + "\n")
         raise SystemExit(0) from None
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as interrupt:
         if debug:
             raise
         hint = "; the same command with --resume goes on" if hasattr(arguments, "resume") else ""
         sys.stderr.write(f"softfin {name}: stopped, nothing is half-written{hint}\n")
-        raise _Interrupted(STOPPED) from None
+        raise SystemExit(STOPPED) from interrupt
     except Exception as error:
         if debug:
             raise
@@ -109,16 +107,15 @@ def _run(name: str, words: list[str]) -> None:
 
 
 def _usage() -> str:
-    # Not map(): in this module that is the command of the name, once it is imported.
-    width = max(len(name) for name in COMMANDS)
-    lines = [f"  {name:{width}}  {what}" for name, what in COMMANDS.items()]
-    head = ["usage: softfin COMMAND [OPTION ...]", "", "Learn to make the force that you ask a soft fin for.", ""]
-    foot = ["", "softfin COMMAND --help tells a command's options; --debug shows tracebacks.", describe_cache()]
-    return "\n".join([*head, *lines, *foot])
+    lines = "\n".join(f"  {name:{len('import-keras')}}  {what}" for name, what in COMMANDS.items())
+    return (
+        "usage: softfin COMMAND [OPTION ...]\n\nLearn to make the force that you ask a soft fin for.\n\n"
+        f"{lines}\n\nsoftfin COMMAND --help lists a command's options; --debug shows tracebacks.\n{describe_cache()}"
+    )
 
 
 def _exit(message: str, code: int) -> None:
-    # Of a terminal that was closed nothing is left to write to; the code still counts.
+    # A terminal that was closed cannot be written to; the code still counts.
     with contextlib.suppress(OSError):
         sys.stderr.write(printable(message) + "\n")
         sys.stderr.flush()

@@ -2,18 +2,13 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
-from softfin.cli.common import Configured, progress
+from softfin.cli.common import Armed, Configured
 from softfin.cli.kinds import AnyPlant, Out, folder_of
-from softfin.cli.live import Armed
 from softfin.core.choices import Excitation
 from softfin.core.errors import ConfigurationError
 from softfin.storage.registry import is_live
-
-if TYPE_CHECKING:
-    from softfin.data.collect import CollectConfig
-    from softfin.storage.dataset import Dataset
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +38,7 @@ class Arguments(Armed, Configured):
     """Go on after the logs that are finished (real fins only)."""
 
     def check(self) -> None:
-        """Whether the options go with the plant."""
+        """Refuse options that do not go with the plant."""
         super().check()
         if is_live(self.plant):
             if self.extend is not None or self.excitation == "active":
@@ -56,32 +51,22 @@ class Arguments(Armed, Configured):
     def run(self) -> None:
         """Collect."""
         from softfin.data.collect import CollectConfig
+        from softfin.rig.robot_setup import find_robot
+        from softfin.stages.collect import collect
+        from softfin.stages.live import collect_live
         from softfin.surrogate.active import ActiveCollectConfig
 
-        fewer = {} if self.extend is None else {"test_logs": 0}
-        base = (ActiveCollectConfig if self.excitation == "active" else CollectConfig)(**fewer)
-        config = self.configured(base, logs=self.logs, test_logs=self.test_logs, rows=self.rows, seed=self.seed)
-        data = self._live(config) if is_live(self.plant) else self._simulated(config)
+        kind = ActiveCollectConfig if self.excitation == "active" else CollectConfig
+        config = self.configured(kind() if self.extend is None else kind(test_logs=0))
+        if is_live(self.plant):
+            robot = find_robot(self.plant)
+            data = self.stage(collect_live, robot, self.out, config, self.confirm, resume=self.resume)
+        else:
+            chosen = {"surrogate": self.surrogate, "extend": self.extend}
+            data = self.stage(collect, self.plant, self.out, config, **chosen)
         counts = {"logs": len(data.train), "test_logs": len(data.test), "rows": config.rows}
-        result = {"dataset": str(self.out), **counts, "data_hash": data.data_hash}
-        of = f"{config.rows:,} rows" if self.extend is None else f"{config.rows:,} rows, and those of {self.extend}"
-        self.tell(result, f"{self.out}: {config.logs} + {config.test_logs} logs of {of}")
-
-    def _simulated(self, config: "CollectConfig") -> "Dataset":
-        from softfin.stages import offline as stages
-
-        with progress() as report:
-            return stages.collect(
-                self.plant, Path(self.out), config, surrogate=self.surrogate, extend=self.extend,
-                overwrite=self.overwrite, progress=report,
-            )  # fmt: skip
-
-    def _live(self, config: "CollectConfig") -> "Dataset":
-        from softfin.rig.robot_setup import find_robot
-        from softfin.stages.live import collect_live
-
-        with progress() as report:
-            return collect_live(
-                find_robot(self.plant), Path(self.out), config, self.confirm,
-                resume=self.resume, overwrite=self.overwrite, progress=report,
-            )  # fmt: skip
+        more = "" if self.extend is None else f", and those of {self.extend}"
+        self.tell(
+            {"dataset": str(self.out), **counts, "data_hash": data.data_hash},
+            f"{self.out}: {config.logs} + {config.test_logs} logs of {config.rows:,} rows{more}",
+        )

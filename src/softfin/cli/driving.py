@@ -1,17 +1,19 @@
-"""What ``softfin run`` and ``softfin ros2`` share: a controller's folder on a real fin, told once a second; no JAX."""
+"""Commands that let a controller drive a real fin, ``softfin run`` and ``softfin ros2``, share this; no JAX."""
 
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from softfin.cli.live import Driving, on_terminal
+from softfin.cli.common import Armed, Common, on_terminal
+from softfin.cli.kinds import Controller, File, LivePlant
 from softfin.control.controller import LoadedController
 from softfin.control.disturbance_observer import DisturbanceObserver
 from softfin.control.store import load_controller
 from softfin.core.action_clock import CYCLE_ACTIONS
-from softfin.core.errors import RigError
+from softfin.core.errors import ConfigurationError
 from softfin.core.printable import printable
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.loop import (
@@ -22,71 +24,84 @@ from softfin.rig.loop import (
     run_controller,
     seconds_to_actions,
 )
-from softfin.rig.machine import clock_of
 from softfin.rig.robot_setup import RobotSetup, find_robot
 from softfin.rig.safety import Guard
 from softfin.rig.session import Observer, Session
-from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import StopRequest, listen_to_keyboard
 
-LINE_S = 1.0
-"""Between two lines of what goes on."""
 
+@dataclass(frozen=True, kw_only=True)
+class Driving(Armed, Common):
+    """Options of every command that lets a controller drive a real fin."""
 
-def parties(options: Driving) -> tuple[LoadedController, RobotSetup]:
-    """Load the controller and the machine, which must fit each other; nothing is opened yet."""
-    controller = load_controller(options.controller)
-    robot = find_robot(options.plant)
-    robot.check_fits(str(options.controller), controller.limits, controller.artifact.fin)
-    return controller, robot
+    controller: Controller
+    """Folder of the controller."""
+    plant: LivePlant = "rig"
+    """The fin: rig (rig.yaml), ros2, or one of these with :FILE."""
+    seconds: int | None = None
+    """Duration [s]; without it until you stop it."""
+    bag: File | None = None
+    """The recording, a ROS 2 bag, NAME.mcap (run-DATE.mcap)."""
+    strict: bool = False
+    """Refuse a reference that the fin cannot make; else the nearest one that it can make is tracked, with a warning."""
+    trim: bool = False
+    """Add a slow outer loop that cancels the steady-state force error, from the measured mean force."""
 
+    def check(self) -> None:
+        """Refuse a recording that would replace another one, before anything moves."""
+        if self.seconds is not None and self.seconds < 1:
+            raise ConfigurationError(f"--seconds {self.seconds}: at least 1; leave it out to run until you stop it")
+        if self.bag is not None:
+            if self.bag.suffix != ".mcap":
+                raise ConfigurationError(f"--bag {self.bag}: a recording is a file NAME.mcap")
+            if self.bag.is_dir() or (self.bag.exists() and not self.overwrite):
+                raise ConfigurationError(
+                    f"--bag {self.bag}: exists already; give another one, or --overwrite to replace it"
+                )
+        super().check()
 
-def check_real_time(robot: RobotSetup) -> None:
-    """Raise RigError where its time is simulated: nobody outside this process lives in that."""
-    if isinstance(clock_of(robot.machine), SimulatedClock):
-        raise RigError(
-            f"{robot.machine.name}: emulated in simulated time, in which no topic can be heard; start "
-            "softfin rig emulate --real-time"
+    def parties(self) -> tuple[LoadedController, RobotSetup]:
+        """Load the controller and the machine, which must fit each other; nothing is opened yet."""
+        controller, robot = load_controller(self.controller), find_robot(self.plant)
+        robot.check_fits(str(self.controller), controller.limits, controller.artifact.fin)
+        return controller, robot
+
+    def drive(
+        self,
+        controller: LoadedController,
+        robot: RobotSetup,
+        references: References,
+        seconds: int | None,
+        line: Callable[[str], None],
+        stop: StopRequest | None = None,
+        observers: Sequence[Observer] = (),
+    ) -> dict[str, Any]:
+        """Ask, move, record; `line` gets what is typed meanwhile. Returns the recording and the errors at its end."""
+        bag = self.bag or Path(f"run-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
+        guard, stop = (
+            Guard(robot.safety, robot.machine.limits, controller.artifact.training_range),
+            stop or StopRequest(),
         )
+        acting: RealTimeController = DisturbanceObserver(controller) if self.trim else controller
+        with Session(robot.machine, guard, stop=stop, observers=observers) as session:
+            self.confirm(robot)
+            if not any(controller.artifact.training_range or ()):
+                say(f"{self.controller}: holds no range of its surrogate's data, so leaving that range is not noticed")
+            if on_terminal():
+                listen_to_keyboard(stop, line, typed(stop, sys.stdin))
+            bag.unlink(missing_ok=True)
+            session.stop_on_signals()
+            with session.recording(bag):
+                session.activate()
+                session.rest(robot.settle_s)
+                summary = _follow(session, acting, references, seconds)
+                session.deactivate()
+        return {"bag": str(bag), **summary, "clock": session.pace.to_dict(), "counters": robot.machine.counters()}
 
-
-def drive(
-    options: Driving,
-    controller: LoadedController,
-    robot: RobotSetup,
-    references: References,
-    seconds: int | None,
-    *,
-    stop: StopRequest,
-    observers: Sequence[Observer] = (),
-    line: Callable[[str], None],
-) -> dict[str, Any]:
-    """Ask, move, record; `line` gets what is typed meanwhile. Where the recording is, and how well it went."""
-    bag = options.bag or Path(f"run-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
-    guard = Guard(robot.safety, robot.machine.limits, controller.artifact.training_range)
-    acting: RealTimeController = DisturbanceObserver(controller) if options.trim else controller
-    with Session(robot.machine, guard, stop=stop, observers=observers) as session:
-        options.confirm(robot)
-        if not any(controller.artifact.training_range or ()):
-            say(f"{options.controller}: says nothing of its surrogate's data; nobody sees whether the fin leaves them")
-        if on_terminal():
-            listen_to_keyboard(stop, line, typed(stop, sys.stdin))
-        bag.unlink(missing_ok=True)
-        session.stop_on_signals()
-        with session.recording(bag):
-            session.activate()
-            session.rest(robot.settle_s)
-            summary = _follow(session, acting, references, seconds)
-            session.deactivate()
-    return {"bag": str(bag), **summary, "clock": session.pace.to_dict(), "counters": robot.machine.counters()}
-
-
-def sentence(result: dict[str, Any]) -> str:
-    """What `drive` gave, for people."""
-    return (
-        f"{result['bag']}: {result['seconds']:.1f} s, error over the last 2 s ({result['error_x_n']}, "
-        f"{result['error_y_n']}) N"
-    )
+    def tell_errors(self, result: dict[str, Any]) -> None:
+        """Print the recording and the errors at its end."""
+        errors = f"({result['error_x_n']}, {result['error_y_n']})"
+        self.tell(result, f"{result['bag']}: {result['seconds']:.1f} s, error over the last 2 s {errors} N")
 
 
 def typed(stop: StopRequest, terminal: Iterable[str]) -> Iterator[str]:
@@ -96,30 +111,29 @@ def typed(stop: StopRequest, terminal: Iterable[str]) -> Iterator[str]:
 
 
 def say(text: str) -> None:
-    """A line for whoever stands by."""
+    """Print a line for the person at the terminal."""
     sys.stderr.write(printable(text) + "\n")
 
 
 def _follow(
     session: Session, controller: RealTimeController, references: References, seconds: int | None
 ) -> dict[str, Any]:
-    """Run it, tell once a second how it goes; the errors of the last window."""
+    """Run the controller and print a line every second; returns the errors of the last window."""
     window: list[ActionResult] = []
-    ticks, told = 0, 0.0
+    ticks = printed = 0
     actions = None if seconds is None else seconds_to_actions(seconds)
     for result in run_controller(session, controller, references, actions):
         window = [*window[-CYCLE_ACTIONS + 1 :], result]
+        x, y = mean_force([sample for each in window for sample in each.samples])
         ticks += len(result.samples)
-        if ticks / RATE_HZ - told >= LINE_S:
-            told = ticks / RATE_HZ
-            x, y = mean_force([sample for each in window for sample in each.samples])
-            line = (f"{told:7.1f} s  reference ({result.reference[0]:+.2f}, {result.reference[1]:+.2f}) N  "
+        if ticks - printed >= RATE_HZ:
+            printed = ticks
+            line = (f"{ticks / RATE_HZ:7.1f} s  reference ({result.reference[0]:+.2f}, {result.reference[1]:+.2f}) N  "
                     f"mean over 2 s ({x:+.3f}, {y:+.3f}) N  angle {result.samples[-1].angle:+.2f} rad")  # fmt: skip
             try:
                 say(line)
             except OSError as error:
-                # The terminal was closed, or what the lines are piped into has ended: nobody stands by any more.
+                # The terminal was closed, or what the lines are piped into has ended: nobody reads them any more.
                 session.stop_request.ask("emergency_stop", f"nobody reads its lines any more ({error.strerror})")
-    force = mean_force([sample for each in window for sample in each.samples])
-    errors = [abs(mean - asked) for mean, asked in zip(force, window[-1].reference, strict=True)]
+    errors = [abs(mean - asked) for mean, asked in zip((x, y), window[-1].reference, strict=True)]
     return {"seconds": ticks / RATE_HZ, "error_x_n": round(errors[0], 4), "error_y_n": round(errors[1], 4)}

@@ -2,23 +2,18 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from softfin.cli.common import Configured, progress
+from softfin.cli.common import Armed, Configured
 from softfin.cli.kinds import AnyPlant, Controller, Force, Out, ReferenceFile
-from softfin.cli.live import Armed
 from softfin.core.choices import MovingReference
 from softfin.core.errors import ConfigurationError
 from softfin.storage.registry import is_live
 
-if TYPE_CHECKING:
-    from softfin.evaluation.evaluate import EvaluateConfig
-
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(Armed, Configured):
-    """Judge a controller on a fin over reference forces (paper Sec. IV-B, Table II)."""
+    """Evaluate a controller on a fin over reference forces (paper Sec. IV-B, Table II)."""
 
     controller: Controller
     """Folder of the controller."""
@@ -36,10 +31,10 @@ class Arguments(Armed, Configured):
     seed: int | None = None
     """Seed of the plant's noise (0)."""
     strict: bool = False
-    """Refuse a reference that the fin cannot make; else the nearest one that it can make is held, with a warning."""
+    """Refuse a reference that the fin cannot make; else the nearest one that it can make is tracked, with a warning."""
     trim: bool = False
-    """Take off, slowly, what the fin makes besides what it is asked for, from the measured mean force."""
-    spread: float | None = None
+    """Add a slow outer loop that cancels the steady-state force error, from the measured mean force."""
+    randomize: float | None = None
     """With the tank: each repetition in another one, material, water and servo within this part of theirs, from 0 (the
     same tank) to less than 1, such as 0.15."""
     moving: tuple[MovingReference, ...] = ()
@@ -49,79 +44,65 @@ class Arguments(Armed, Configured):
     error_map: bool = False
     """Draw the error over the whole range of the controller, 7 x 7 references; --set error_map=N for N x N."""
     random: int | None = None
-    """Judge it, too, on so many references drawn over all that it was trained for and the fin can make."""
+    """Evaluate it on so many random references, too, over all that it was trained for and the fin can make."""
 
     def check(self) -> None:
-        """Whether the options go with the plant."""
+        """Refuse options that do not go with the plant."""
         super().check()
         if is_live(self.plant):
-            if self.spread is not None:
-                raise ConfigurationError(f"--spread {self.spread:g}: {self.plant} is no virtual tank; leave it out")
+            if self.randomize is not None:
+                raise ConfigurationError(
+                    f"--randomize {self.randomize:g} needs the virtual tank as plant, got {self.plant!r}; leave it out"
+                )
         elif self.arm:
-            raise ConfigurationError(f"--arm: {self.plant} is no real fin; leave it out, or give --plant rig")
+            raise ConfigurationError(f"--arm: {self.plant} is not a real fin; leave it out, or give --plant rig")
 
     def run(self) -> None:
         """Evaluate."""
         from softfin.cli.tables import table_two
         from softfin.evaluation.evaluate import EvaluateConfig
-        from softfin.evaluation.forceplane import POINTS
-        from softfin.stages import offline as stages
+        from softfin.evaluation.range_errors import LATTICE_POINTS
+        from softfin.rig.robot_setup import find_robot
+        from softfin.stages.evaluate import evaluate, kind_of
+        from softfin.stages.live import evaluate_live
         from softfin.task.reference_file import read_reference_file
 
         recorded = None if self.reference_file is None else read_reference_file(self.reference_file).model_dump()
         config = self.configured(
-            EvaluateConfig(), references=list(self.reference) or None, seconds=self.seconds, seeds=self.seeds,
-            seed=self.seed, moving=list(self.moving) or None, recorded=recorded, strict=self.strict or None,
-            random=self.random,
-        )  # fmt: skip
+            EvaluateConfig(), references=self.reference, recorded=recorded, strict=self.strict or None
+        )
         if self.error_map and config.error_map is None:
-            config = config.merged({"error_map": POINTS}, "options")
+            config = config.merged({"error_map": LATTICE_POINTS}, "options")
         if self.trim and config.trim is None:
             config = config.merged({"trim": {}}, "options")
-        summary = self._live(config) if is_live(self.plant) else self._simulated(config)
-        lines = [table_two({stages.kind_of(self.controller): summary})]
-        if "moving" in summary:
-            lines.append(moving_table(summary["moving"]))
-        if "error_map" in summary:
-            lines.append(map_line(summary["error_map"]))
-        if "random" in summary:
-            lines.append(random_line(summary["random"]))
-        if summary["warning"] is not None:
-            lines.append(f"warning: {summary['warning']}")
+        if is_live(self.plant):
+            robot = find_robot(self.plant)
+            summary = self.stage(evaluate_live, self.controller, robot, self.out, config, self.confirm)
+        else:
+            summary = evaluate(
+                self.controller, self.plant, self.out, config, randomize=self.randomize, overwrite=self.overwrite
+            )
+        lines = [table_two({kind_of(self.controller): summary})]
+        lines += [moving_table(summary["moving"])] if "moving" in summary else []
+        lines += [map_line(summary["error_map"])] if "error_map" in summary else []
+        lines += [random_line(summary["random"])] if "random" in summary else []
+        lines += [] if summary["warning"] is None else [f"warning: {summary['warning']}"]
         self.tell(summary, "\n".join(lines))
-
-    def _simulated(self, config: "EvaluateConfig") -> dict[str, Any]:
-        from softfin.stages import offline as stages
-
-        return stages.evaluate(
-            self.controller, self.plant, Path(self.out), config, spread=self.spread, overwrite=self.overwrite
-        )
-
-    def _live(self, config: "EvaluateConfig") -> dict[str, Any]:
-        from softfin.rig.robot_setup import find_robot
-        from softfin.stages.live import evaluate_live
-
-        with progress() as report:
-            return evaluate_live(
-                self.controller, find_robot(self.plant), Path(self.out), config, self.confirm,
-                overwrite=self.overwrite, progress=report,
-            )  # fmt: skip
 
 
 def moving_table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return a line for every signal: errors, and the longest settling time of its steps over all seeds."""
-    from softfin.core.quantities import AXES
+    from softfin.cli.tables import aligned
 
-    lines = [f"{'references that move':64}{'x error':>9}{'y error':>9}{'settles in':>14}"]
+    cells = [["references that move", "x error", "y error", "settles in"]]
     for row in rows:
         settling = {None: "-", True: f"{row['longest_settling_s']} s", False: "never"}[row["settles"]]
-        errors = "".join(f"{row[axis]['error_n']:9.3f}" for axis in AXES)
-        lines.append(f"  {row['described']:62}{errors}{settling:>14}")
-    return "\n".join(lines)
+        cells.append([f"  {row['described']}", *(f"{row[axis]['error_n']:.3f}" for axis in "xy"), settling])
+    return "\n".join(aligned(cells))
 
 
 def map_line(errors: Mapping[str, Any]) -> str:
-    """The error map in one line."""
+    """Return the error map in one line."""
     (x0, y0), (x1, y1) = errors["low_n"], errors["high_n"]
     counts = {"not covered": errors["not_covered"], "beyond the fin's reach": errors["not_reachable"]}
     gaps = "".join(f", {count} {what}" for what, count in counts.items() if count)
@@ -133,9 +114,7 @@ def map_line(errors: Mapping[str, Any]) -> str:
 
 
 def random_line(errors: Mapping[str, Any]) -> str:
-    """The errors over random references in one line."""
-    from softfin.core.quantities import AXES
-
-    words = (f"{name} " + ", ".join(f"{errors[axis][key]:.3f}" for axis in AXES)
+    """Return the errors over random references in one line."""
+    words = (f"{name} " + ", ".join(f"{errors[axis][key]:.3f}" for axis in "xy")
              for name, key in (("mean", "mean_n"), ("95% within", "p95_n"), ("worst", "worst_n")))  # fmt: skip
     return f"{errors['count']} random references: error x, y {', '.join(words)} N"

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 from softfin.cli.common import Common
 from softfin.cli.kinds import Controller, File
-from softfin.storage import paths
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -15,11 +14,6 @@ class Arguments(Common):
     """Folder of the controller."""
     onnx: File
     """File to write; what its inputs mean is in its metadata."""
-
-    def check(self) -> None:
-        """Whether the file may be written."""
-        super().check()
-        paths.check_onnx(self.onnx, self.overwrite)
 
     def run(self) -> None:
         """Export."""

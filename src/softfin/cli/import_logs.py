@@ -1,11 +1,10 @@
 """``softfin import-logs``: recordings of any kind in, a dataset out."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
-from softfin.cli.common import Common, progress
+from softfin.cli.common import Common, LogOptions, columns_read
 from softfin.cli.kinds import Logs, Out
-from softfin.cli.log_options import LogOptions, columns_read
+from softfin.data.issues import counted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,16 +20,15 @@ class Arguments(LogOptions, Common):
 
     def run(self) -> None:
         """Import."""
-        from softfin.data.issues import counted
-        from softfin.stages import offline as stages
+        from softfin.stages.logs import import_logs
 
-        with progress() as report:
-            data, inspection = stages.import_logs(
-                self.logs, Path(self.out), self.import_config(),
-                ignore_errors=self.ignore_errors, overwrite=self.overwrite, progress=report,
-            )  # fmt: skip
+        data, inspection = self.stage(
+            import_logs, self.logs, self.out, self.recordings, ignore_errors=self.ignore_errors
+        )
         summary = inspection.summary()
         counts = ", ".join(counted(count, kind) for kind, count in summary["counts"].items())
-        result = {"dataset": str(self.out), **summary, "data_hash": data.data_hash}
         logs = f"{summary['logs']} + {summary['test_logs']} logs, {summary['rows']:,} rows; {counts}"
-        self.tell(result, f"{columns_read(summary['columns'])}{self.out}: {logs}")
+        self.tell(
+            {"dataset": str(self.out), **summary, "data_hash": data.data_hash},
+            f"{columns_read(summary['columns'])}{self.out}: {logs}",
+        )

@@ -1,4 +1,4 @@
-"""What the values of options stand for: how each is called in help, read, and looked at; no JAX, NumPy or pydantic."""
+"""Types of options: how each value is called in help, read, and checked; no JAX."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -12,19 +12,14 @@ from softfin.storage.registry import is_live, resolve_plant
 
 
 def folder_of(kind: str, positional: bool = False) -> Option:
-    """The folder of an artifact, such as a controller."""
+    """Option for the folder of an artifact, such as a controller."""
     metavar = kind.upper() if positional else "DIR"
     return Option(metavar, positional, check=lambda path, _: artifacts.find_description(Path(path), kind))
 
 
 def plant(metavar: str = "PLANT", positional: bool = False) -> Option:
-    """The name of a simulated plant."""
+    """Option for the name of a simulated plant."""
     return Option(metavar, positional, check=lambda name, _: resolve_plant(name))
-
-
-def logs(metavar: str = "LOGS") -> Option:
-    """A dataset or recordings of any other kind, the first positional argument."""
-    return Option(metavar, positional=True, check=lambda path, _: paths.find_recordings(path))
 
 
 def _check_vacant(path: Path, command: Any) -> None:
@@ -33,21 +28,8 @@ def _check_vacant(path: Path, command: Any) -> None:
 
 
 def _check_any_plant(name: str, _: Any) -> None:
-    if is_live(name):
-        check_live_plant(name, _)
-    else:
-        resolve_plant(name)
-
-
-def check_live_plant(name: str, _: Any) -> None:
-    """Raise a SoftfinError unless `name` stands for a real fin whose file is there."""
     if not is_live(name):
-        raise ConfigurationError(
-            f"--plant {name}: is not a real fin; give rig, ros2, or one of these with :FILE; softfin evaluate runs a "
-            "controller on a simulated one"
-        )
-    kind, _, file = name.partition(":")
-    paths.find_rig_file("rig" if kind == "rig" else "ros2", Path(file) if file else None)
+        resolve_plant(name)
 
 
 def _check_data(name: str, _: Any) -> None:
@@ -59,7 +41,7 @@ def _check_data(name: str, _: Any) -> None:
 
 
 def numbers(advice: str, count: int | None = None) -> Callable[[str, str], tuple[float, ...]]:
-    """A reader of `count` numbers with commas between them; what is none of these gets the advice as its error."""
+    """Make a reader of `count` numbers with commas between them, whose error ends in the advice."""
 
     def parse(text: str, option: str) -> tuple[float, ...]:
         try:
@@ -73,8 +55,7 @@ def numbers(advice: str, count: int | None = None) -> Callable[[str, str], tuple
     return parse
 
 
-def force(text: str, option: str) -> tuple[float, float]:
-    """A reference force as it is typed."""
+def _force(text: str, option: str) -> tuple[float, float]:
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError:
@@ -89,7 +70,7 @@ YamlFile: TypeAlias = Annotated[Path, Option("FILE", check=lambda path, _: paths
 Controller: TypeAlias = Annotated[Path, folder_of("controller", positional=True)]
 Plant: TypeAlias = Annotated[str, plant()]
 AnyPlant: TypeAlias = Annotated[str, Option("PLANT", check=_check_any_plant)]
-Logs: TypeAlias = Annotated[Path, logs()]
+LivePlant: TypeAlias = Annotated[str, Option("PLANT")]
+Logs: TypeAlias = Annotated[Path, Option("LOGS", True, check=lambda path, _: paths.find_recordings(path))]
 Data: TypeAlias = Annotated[str, Option("DATA", positional=True, check=_check_data)]
-Force: TypeAlias = Annotated[tuple[float, float], Option("X,Y", parse=force)]
-LivePlant: TypeAlias = Annotated[str, Option("PLANT", check=check_live_plant)]
+Force: TypeAlias = Annotated[tuple[float, float], Option("X,Y", parse=_force)]

@@ -1,28 +1,28 @@
 """``softfin monitor``: a recording while it is made in, its state on the terminal or as a page out; it only reads."""
 
 import contextlib
-import ipaddress
 import json
 import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
+
+from rich.console import Console
 
 from softfin.cli.common import Command
 from softfin.cli.options import Option
 from softfin.core.choices import LOOPBACK
-from softfin.storage import paths
-
-if TYPE_CHECKING:
-    from softfin.rig.monitor.follow import Follower
+from softfin.rig.monitor.follow import Follower
+from softfin.rig.monitor.terminal import watch
+from softfin.rig.monitor.web import Server
 
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(Command):
     """Watch a recording while it is made; Ctrl-C ends the watching, never the recording."""
 
-    run_folder: Annotated[Path, Option("RECORDING", True, check=lambda path, _: paths.check_monitored(path))]
+    run_folder: Annotated[Path, Option("RECORDING", positional=True)]
     """A bag (.mcap), or a folder that bags are written to: its newest is followed, and the next one when it comes."""
     web: bool = False
     """As a page in the browser, with live traces."""
@@ -35,37 +35,19 @@ class Arguments(Command):
 
     def run(self) -> None:
         """Monitor."""
-        from rich.console import Console
-
-        from softfin.rig.monitor.follow import Follower
-        from softfin.rig.monitor.terminal import watch
-        from softfin.rig.monitor.web import Server
-
         follower = Follower(self.run_folder)
         # Whoever watches has lost nothing by stopping: exit code 0.
         with contextlib.suppress(KeyboardInterrupt):
             if self.json:
-                _once(follower)
+                follower.poll()
+                while (summary := follower.summary()).state == "reading" and summary.problem is None:
+                    follower.poll()
+                sys.stdout.write(json.dumps(summary.to_dict(), indent=2, allow_nan=False) + "\n")
             elif self.web:
                 server = Server(follower, self.host, self.port)
-                warning = (
-                    "" if _is_loopback(self.host) else f"warning: {self.host}: others can watch too; no password\n"
-                )
-                sys.stderr.write(warning + f"{server.address} shows the recording; Ctrl-C ends\n")
+                if self.host not in (LOOPBACK, "::1", "localhost"):
+                    sys.stderr.write(f"warning: {self.host}: others can watch too; no password\n")
+                sys.stderr.write(f"{server.address} shows the recording; Ctrl-C ends\n")
                 server.run(sleep=time.sleep)
             else:
                 watch(follower, Console(), sleep=time.sleep)
-
-
-def _once(follower: "Follower") -> None:
-    follower.poll()
-    while (summary := follower.summary()).state == "reading" and summary.problem is None:
-        follower.poll()
-    sys.stdout.write(json.dumps(summary.to_dict(), indent=2, allow_nan=False) + "\n")
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"

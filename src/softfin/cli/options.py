@@ -1,13 +1,15 @@
 """The fields of a dataclass as options of a command: read from words, checked, and listed as help.
 
 A field without a default is required. A bool is a flag, a Literal a choice, a tuple an option that may be repeated (or
-several positional arguments). `Option`, in the field's annotation, says the rest.
+several positional arguments), a `Configuration` one option for each of its fields. `Option`, in the field's annotation,
+holds what the type does not tell.
 """
 
 import ast
 import dataclasses
 import difflib
 import inspect
+import re
 import shutil
 import sys
 import textwrap
@@ -17,6 +19,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
+from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
 
 Arguments = TypeVar("Arguments")
@@ -33,16 +36,16 @@ class HelpRequested(Exception):
 
 @dataclasses.dataclass(frozen=True)
 class Option:
-    """What a field's type does not say of its option."""
+    """How an option is written, read and checked, where its type does not tell."""
 
     metavar: str | None = None
-    """What stands for the value in help and messages; by default the type: INT, FLOAT, PATH, TEXT."""
+    """Placeholder of the value in help and messages; by default the type: INT, FLOAT, PATH, TEXT."""
     positional: bool = False
-    """Given without a name, by its place."""
+    """Whether the value is given by its place, without a name."""
     parse: Callable[[str, str], Any] | None = None
     """Function of the text and the option's name that returns the value; raises ConfigurationError."""
     check: Callable[[Any, Any], object] | None = None
-    """Raises a SoftfinError where the value, of a whole command, names what is not there: before anything is done."""
+    """Function of the value and its command that raises a SoftfinError where what the value names does not exist."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,6 +59,10 @@ class Field:
     repeats: bool
     required: bool
     default: Any
+    text: str
+    """Description of the option."""
+    group: tuple[str, type[Configuration]] | None = None
+    """Field of the command, and its type, where this option is one of the fields of a configuration."""
 
     @property
     def choices(self) -> tuple[str, ...]:
@@ -64,23 +71,25 @@ class Field:
 
     @property
     def metavar(self) -> str:
-        """What stands for the value."""
+        """Placeholder of the value."""
         return self.option.metavar or "|".join(self.choices) or METAVARS[self.kind]
 
     @property
     def name(self) -> str:
-        """As it is typed: ``--test-logs``; of a positional argument its metavar."""
-        return self.metavar if self.option.positional else f"--{self.field.replace('_', '-')}"
+        """The option as it is typed, ``--test-logs``; the metavar of a positional argument."""
+        # A configuration's field ends in its unit, which nobody should have to type.
+        field = re.sub("_(hz|rad_s|ms|s)$", "", self.field) if self.group else self.field
+        return self.metavar if self.option.positional else f"--{field.replace('_', '-')}"
 
     @property
     def usage(self) -> str:
-        """With its value: ``--test-logs INT``."""
+        """The option with its value: ``--test-logs INT``."""
         if self.option.positional:
             return f"{self.metavar} ..." if self.repeats else self.metavar
         return self.name if self.kind is bool else f"{self.name} {self.metavar}"
 
     def read(self, text: str) -> Any:
-        """The value that a text stands for; raises ConfigurationError."""
+        """Return the value that a text stands for; raises ConfigurationError."""
         shown = repr(text) if self.option.positional else f"{self.name} {text}"
         if self.option.parse is not None:
             return self.option.parse(text, self.name)
@@ -105,14 +114,20 @@ def _nearest(met: str, allowed: Iterable[str], otherwise: str = "") -> str:
 
 
 def fields_of(command: type[Any]) -> list[Field]:
-    """The options of a command: its own first, then those that it inherits."""
-    hints = get_type_hints(command, include_extras=True)
-    found = {field.name: _field(field, hints[field.name]) for field in dataclasses.fields(command)}
+    """List the options of a command: its own first, then those that it inherits."""
+    hints, texts = get_type_hints(command, include_extras=True), docstrings(command)
+    found = {field.name: field for field in dataclasses.fields(command)}
     own = [name for base in command.__mro__ for name in inspect.get_annotations(base) if name in found]
-    return [found[name] for name in dict.fromkeys(own)]
+    return [each for name in dict.fromkeys(own) for each in _fields(found[name], hints[name], texts.get(name, ""))]
 
 
-def _field(field: "dataclasses.Field[Any]", hint: Any) -> Field:
+def _fields(field: "dataclasses.Field[Any]", hint: Any, text: str) -> list[Field]:
+    if isinstance(hint, type) and issubclass(hint, Configuration):
+        return [
+            Field(name, Option(), _inner(info.annotation), False, False, info.get_default(call_default_factory=True),
+                  " ".join((info.description or "").replace("``", "").split()), (field.name, hint))
+            for name, info in hint.model_fields.items()
+        ]  # fmt: skip
     option, repeats = Option(), False
     while True:
         origin, parts = get_origin(hint), get_args(hint)
@@ -127,11 +142,18 @@ def _field(field: "dataclasses.Field[Any]", hint: Any) -> Field:
             hint, repeats = parts[0], True
         else:
             break
-    return Field(field.name, option, hint, repeats, field.default is dataclasses.MISSING, field.default)
+    return [Field(field.name, option, hint, repeats, field.default is dataclasses.MISSING, field.default, text)]
+
+
+def _inner(hint: Any) -> Any:
+    """Kind of an option for a configuration's field; the configuration itself reads what is neither of these."""
+    inner = next((part for part in get_args(hint) if part is not type(None)), hint)
+    kind = hint if get_origin(hint) is Literal else inner
+    return kind if kind in NUMBERS or get_origin(kind) is Literal else str
 
 
 def parse(command: type[Arguments], words: Sequence[str]) -> Arguments:
-    """The command that the words ask for; raises ConfigurationError in one line, or HelpRequested."""
+    """Return the command that the words ask for; raises ConfigurationError in one line, or HelpRequested."""
     fields = fields_of(command)
     named = {field.name: field for field in fields if not field.option.positional}
     places = [field for field in fields if field.option.positional]
@@ -157,7 +179,8 @@ def parse(command: type[Arguments], words: Sequence[str]) -> Arguments:
             for text in rest:
                 take_place(text)
             break
-        if not _is_option(word):
+        # -1,2 is a value.
+        if not word.startswith("--") and not (word[:1] == "-" and word[1:2].isalpha()):
             take_place(word)
             continue
         written, sign, text = word.partition("=")
@@ -178,51 +201,46 @@ def parse(command: type[Arguments], words: Sequence[str]) -> Arguments:
     missing = [field.usage for field in fields if field.required and field.field not in values]
     if missing:
         raise ConfigurationError(f"{', '.join(missing)}: required, and missing; --help tells more")
+    for name, configuration in {field.group for field in fields if field.group}:
+        inner = [field.field for field in fields if field.group and field.group[0] == name]
+        given = {field: values.pop(field) for field in inner if field in values}
+        values[name] = configuration.build(given, "options")
     return command(**values)
 
 
-def _is_option(word: str) -> bool:
-    """Whether a word is the name of an option: ``-1,2`` is a value."""
-    return word.startswith("--") or (word[:1] == "-" and word[1:2].isalpha())
-
-
 def check(command: Any) -> None:
-    """Look at all that the values of a command name; raises a SoftfinError where one is not there."""
+    """Check the paths and names in the values of a command; raises a SoftfinError where one does not exist."""
     for field in fields_of(type(command)):
-        value = getattr(command, field.field)
-        if field.option.check is None or value is None:
-            continue
-        for each in value if field.repeats else (value,):
-            field.option.check(each, command)
+        if field.option.check is not None and (value := getattr(command, field.field)) is not None:
+            for each in value if field.repeats else (value,):
+                field.option.check(each, command)
 
 
 def help_of(command: type[Any], program: str) -> str:
-    """The help of a command, for the width of the terminal."""
+    """Return the help of a command, for the width of the terminal."""
     width = max(60, min(shutil.get_terminal_size().columns, 120))
-    fields, texts = fields_of(command), docstrings(command)
+    fields = fields_of(command)
     places = [field for field in fields if field.option.positional]
-    options = [field for field in fields if not field.option.positional]
-    required = [field for field in options if field.required]
-    usage = " ".join(["usage:", program, *(field.usage for field in (*places, *required)), "[OPTION ...]"])
-    lines = [*_wrap(usage, width, " " * 7), ""]
-    lines += _wrap(" ".join((command.__doc__ or "").split("\n\n")[0].split()), width)
-    more = (command.__doc__ or "").split("\n\n")[1:]
-    lines += [line for part in more for line in ("", *_wrap(" ".join(part.split()), width))]
-    for title, group in (("arguments", places), ("options", [*required, *(o for o in options if not o.required)])):
+    options = sorted((field for field in fields if not field.option.positional), key=lambda field: not field.required)
+    shown = [field.usage for field in (*places, *options) if field.required or field.option.positional]
+    lines = _wrap(" ".join(["usage:", program, *shown, "[OPTION ...]"]), width, " " * 7)
+    for paragraph in (command.__doc__ or "").split("\n\n"):
+        lines += ["", *_wrap(" ".join(paragraph.split()), width)]
+    for title, group in (("arguments", places), ("options", options)):
         if group:
             lines += ["", f"{title}:"]
         for field in group:
-            lines += _entry(field.usage, _described(field, texts.get(field.field, "")), width)
+            lines += _entry(field.usage, f"{field.text}{_notes(field)}", width)
     return "\n".join([*lines, *_entry("-h, --help", "Show this help.", width)])
 
 
-def _described(field: Field, text: str) -> str:
+def _notes(field: Field) -> str:
     notes = ["required"] if field.required and not field.option.positional else []
     if field.repeats and not field.option.positional:
         notes.append("may be repeated")
-    if not (field.required or field.default is None or field.default is False or field.default == ()):
+    if not (field.required or field.default is None or field.default is False or field.default in ((), {})):
         notes.append(f"default: {field.default}")
-    return f"{text} ({'; '.join(notes)})" if notes else text
+    return f" ({'; '.join(notes)})" if notes else ""
 
 
 def _entry(usage: str, text: str, width: int) -> list[str]:
@@ -237,7 +255,7 @@ def _wrap(text: str, width: int, later: str = "") -> list[str]:
 
 
 def docstrings(command: type[Any]) -> dict[str, str]:
-    """The string under each field, of a class and those that it inherits from."""
+    """Return the string under each field, of a class and those that it inherits from."""
     texts: dict[str, str] = {}
     for base in reversed(command.__mro__[:-1]):
         for node in ast.parse(inspect.getsource(sys.modules[base.__module__])).body:

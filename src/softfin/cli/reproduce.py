@@ -1,9 +1,8 @@
 """``softfin reproduce``: the main job in one run."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
-from softfin.cli.common import Configured, progress
+from softfin.cli.common import Configured
 from softfin.cli.kinds import Out, Plant
 from softfin.core.choices import ReproducePreset
 
@@ -30,15 +29,11 @@ class Arguments(Configured):
         from softfin.stages.reproduce import PRESETS, reproduce
 
         config = self.configured(PRESETS[self.preset])
-        with progress() as report:
-            results = reproduce(
-                self.plant, Path(self.out), config, seed=self.seed,
-                resume=self.resume, overwrite=self.overwrite, progress=report,
-            )  # fmt: skip
+        results = self.stage(reproduce, self.plant, self.out, config, seed=self.seed, resume=self.resume)
         parts = [] if results["surrogate"] is None else [table_one(results["surrogate"]["scores"])]
         parts.append(f"On {self.plant}\n{table_two(results['controllers'])}")
         if results["in_surrogate"]:
             parts.append(f"The same in the surrogate that they were trained in\n{table_two(results['in_surrogate'])}")
         took = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in results["wall_s"].items())
-        parts.append(f"{took}; {results['peak_memory_gib']:.1f} GiB at most\n{Path(self.out) / 'report.html'}")
+        parts.append(f"{took}; {results['peak_memory_gib']:.1f} GiB at most\n{self.out / 'report.html'}")
         self.tell(results, "\n\n".join(parts))

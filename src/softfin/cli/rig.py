@@ -4,19 +4,19 @@ import contextlib
 import sys
 import threading
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
-from softfin.cli.common import Common
+from softfin.cli.common import Armed, Common
 from softfin.cli.kinds import File, YamlFile
-from softfin.cli.live import Armed
 from softfin.cli.options import Option
+from softfin.core.configuration import read_yaml
 from softfin.core.errors import ConfigurationError, DeviceError
 from softfin.core.printable import printable
-from softfin.storage import paths
-
-if TYPE_CHECKING:
-    from softfin.rig.config import RigConfig
-    from softfin.tank import Tank
+from softfin.rig.check import check_rig
+from softfin.rig.config import load_rig
+from softfin.rig.rig import Rig, zero_angle, zero_force
+from softfin.rig.robot_setup import RobotSetup
+from softfin.storage.paths import RIG_FILE
 
 ZEROING = "the motor is powered for a moment and holds where the fin stands, which becomes its zero"
 
@@ -30,7 +30,7 @@ class Arguments(Armed, Common):
     action: Annotated[Literal["check", "zero", "emulate"], Option(positional=True)]
     """check: a table of what is well and what is not, nothing moves; zero: set angle and force to zero where they are;
     emulate: the file of a rig whose drive, sensor and tank every command emulates, as fast as the computer allows."""
-    rig: File = paths.RIG_FILE
+    rig: File = RIG_FILE
     """The rig's file: read by check and zero, written by emulate."""
     reset_fault: bool = False
     """With check: acknowledge the fault that the drive is in, and print which it was."""
@@ -45,25 +45,17 @@ class Arguments(Armed, Common):
     real_time: bool = False
     """With emulate: a drive and a sensor over sockets of this computer, in real time, until Ctrl-C."""
 
-    def check(self) -> None:
-        """Whether the rig's file is there, or may be written."""
-        super().check()
-        if self.action != "emulate":
-            paths.find_rig_file("rig", self.rig)
-        elif self.rig.exists() and not self.overwrite:
-            raise ConfigurationError(f"{self.rig}: exists; give another --rig, or --overwrite to replace it")
-
     def run(self) -> None:
-        """Do it."""
+        """Check, zero or emulate."""
         {"check": self._check, "zero": self._zero, "emulate": self._emulate}[self.action]()
 
     def _check(self) -> None:
-        from softfin.rig.check import check_rig
-        from softfin.rig.config import load_rig
-
         config = load_rig(self.rig)
         if self.reset_fault:
-            self._reset(config)
+            with contextlib.closing(Rig(config)) as rig:
+                rig.drive.connect()
+                fault = rig.drive.reset_fault()
+            sys.stderr.write(f"{'no fault to reset' if fault is None else f'reset: {printable(fault)}'}\n")
         findings = []
         for finding in check_rig(config, self.rig.absolute().parent):
             findings.append(finding)
@@ -76,22 +68,7 @@ class Arguments(Armed, Common):
         if wrong:
             raise DeviceError(f"{self.rig}: not well: {', '.join(wrong)}")
 
-    def _reset(self, config: "RigConfig") -> None:
-        from softfin.rig.rig import Rig
-
-        rig = Rig(config)
-        try:
-            rig.drive.connect()
-            fault = rig.drive.reset_fault()
-        finally:
-            rig.close()
-        sys.stderr.write(f"{'no fault to reset' if fault is None else f'reset: {printable(fault)}'}\n")
-
     def _zero(self) -> None:
-        from softfin.rig.config import load_rig
-        from softfin.rig.rig import Rig, zero_angle, zero_force
-        from softfin.rig.robot_setup import RobotSetup
-
         config = load_rig(self.rig)
         both = self.angle == self.force
         result: dict[str, Any] = {}
@@ -103,36 +80,31 @@ class Arguments(Armed, Common):
         self.tell(result, "\n".join(f"{name}: {value}" for name, value in result.items()))
 
     def _emulate(self) -> None:
-        from softfin.core.configuration import read_yaml
+        if self.rig.exists() and not self.overwrite:
+            raise ConfigurationError(f"{self.rig}: exists; give another --rig, or --overwrite to replace it")
+        from softfin.core.clock import REAL
+        from softfin.rig.emulation.kept_rig import state_file
+        from softfin.rig.emulation.rig import EmulatedRig, write_simulated
         from softfin.tank import Tank, TankConfig
 
         values = {} if self.tank is None else read_yaml(self.tank)
         tank = Tank(TankConfig.build(values, str(self.tank)))
         if self.real_time:
-            self._emulate_in_real_time(tank)
+            # Ctrl-C is expected from the moment that it is named.
+            with contextlib.suppress(KeyboardInterrupt), EmulatedRig(tank, self.seed, clock=REAL) as emulated:
+                emulated.write(self.rig)
+                sys.stdout.write(
+                    f"{self.rig}: written; the emulated fin moves for it until Ctrl-C\n{emulated.description()}\n"
+                )
+                sys.stdout.flush()
+                threading.Event().wait()
             return
-        from softfin.rig.emulation.kept_rig import state_file
-        from softfin.rig.emulation.rig import write_simulated
-
-        # A new rig knows nothing of the one that was there.
+        # A new rig starts without the state of the one that was there.
         state_file(self.rig).unlink(missing_ok=True)
         write_simulated(self.rig, tank, values, self.seed)
-        plant = "rig" if self.rig == paths.RIG_FILE else f"rig:{self.rig}"
-        option = "" if self.rig == paths.RIG_FILE else f" --rig {self.rig}"
+        own = self.rig == RIG_FILE
+        plant, option = ("rig", "") if own else (f"rig:{self.rig}", f" --rig {self.rig}")
         sys.stdout.write(
             f"{self.rig}: written; each command emulates this rig itself, in simulated time. Next: softfin rig zero"
             f"{option} --arm, then softfin collect --plant {plant} --arm\n"
         )
-
-    def _emulate_in_real_time(self, tank: "Tank") -> None:
-        from softfin.core.clock import REAL
-        from softfin.rig.emulation.rig import EmulatedRig
-
-        # Ctrl-C is expected from the moment that it says so.
-        with contextlib.suppress(KeyboardInterrupt), EmulatedRig(tank, self.seed, clock=REAL) as emulated:
-            emulated.write(self.rig)
-            sys.stdout.write(
-                f"{self.rig}: written; the emulated fin moves for it until Ctrl-C\n{emulated.description()}\n"
-            )
-            sys.stdout.flush()
-            threading.Event().wait()

@@ -3,9 +3,19 @@
 from dataclasses import dataclass
 
 from softfin.cli.common import Configured
+from softfin.cli.driving import Driving, say
 from softfin.cli.kinds import Force
-from softfin.cli.live import Driving
+from softfin.control.references import resolve_reference
 from softfin.core.choices import TransportName
+from softfin.core.errors import RigError
+from softfin.rig.machine import clock_of
+from softfin.rig.ros2.config import NodeConfig
+from softfin.rig.ros2.connection import open_transport
+from softfin.rig.ros2.messages import Messages
+from softfin.rig.ros2.node import RosNode
+from softfin.rig.ros2.plant import Ros2Machine
+from softfin.rig.simulated_clock import SimulatedClock
+from softfin.rig.stop import StopRequest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,20 +37,15 @@ class Arguments(Driving, Configured):
 
     def run(self) -> None:
         """Run."""
-        from softfin.cli.driving import check_real_time, drive, parties, say, sentence
-        from softfin.control.references import resolve_reference
-        from softfin.rig.ros2.config import NodeConfig
-        from softfin.rig.ros2.connection import open_transport
-        from softfin.rig.ros2.messages import Messages
-        from softfin.rig.ros2.node import RosNode
-        from softfin.rig.ros2.plant import Ros2Machine
-        from softfin.rig.stop import StopRequest
-
         options = {"transport": self.transport, "domain": self.domain, "network": self.network}
         given = {name: value for name, value in options.items() if value is not None}
         topics = self.configured(NodeConfig(), connection=given or None)
-        controller, robot = parties(self)
-        check_real_time(robot)
+        controller, robot = self.parties()
+        if isinstance(clock_of(robot.machine), SimulatedClock):
+            raise RigError(
+                f"{robot.machine.name}: emulated in simulated time, in which no topic can be heard; start "
+                "softfin rig emulate --real-time"
+            )
         if isinstance(robot.machine, Ros2Machine):
             robot.machine.config.check_apart(topics)
         otherwise, warning = resolve_reference(controller, self.reference, self.strict)
@@ -57,13 +62,13 @@ class Arguments(Driving, Configured):
                     say(note)
                 return asked
 
-            request = StopRequest()
-            result = drive(
-                self, controller, robot, references, self.seconds,
-                stop=request, observers=(node.observer(request),),
-                line=lambda _: say("references come by their topic; Enter alone stops the fin"),
+            stop = StopRequest()
+            result = self.drive(
+                controller, robot, references, self.seconds,
+                lambda _: say("references come by their topic; Enter alone stops the fin"), stop,
+                (node.observer(stop),),
             )  # fmt: skip
             result["counters"] |= node.counters()
         finally:
             transport.close()
-        self.tell(result, sentence(result))
+        self.tell_errors(result)

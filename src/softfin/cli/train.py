@@ -1,11 +1,10 @@
 """``softfin train``: a surrogate in, a controller out."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from softfin.cli.common import Configured, progress
+from softfin.cli.common import Configured
 from softfin.cli.kinds import Out, folder_of, plant
 from softfin.cli.options import Option
 from softfin.core.choices import SEEDS, AlgorithmOption, ControllerKind, EngineName, Split
@@ -53,91 +52,77 @@ class Arguments(Configured):
     """Go on from the last checkpoint of an unfinished run."""
 
     def check(self) -> None:
-        """Whether the options go together."""
+        """Refuse options that do not go together."""
         asked_seeds(self.seed, self.seeds)
         if self.range is not None:
             read_range(self.range)
         if self.cells is not None:
             read_cells(self.cells)
-        if self.controller == "gaits":
-            self._check_gaits()
+        trained = {"--algorithm": self.algorithm != "auto", "--seeds": self.seeds, "--steps": self.steps,
+                   "--resume": self.resume, "--refine": self.refine, "--engine": self.engine != "local",
+                   "--split": self.split, "--cluster": self.cluster}  # fmt: skip
+        useless = [name for name, value in trained.items() if value not in (None, False, 0)]
+        if self.controller == "gaits" and useless:
+            raise ConfigurationError(f"{', '.join(useless)}: gaits are found, not trained; leave it out")
         super().check()
 
     def run(self) -> None:
         """Train."""
         from softfin.gaits.force_map import MapConfig
         from softfin.learning.configuration import choose_preset
-        from softfin.stages import offline as stages
+        from softfin.stages.train import find_gaits, train
         from softfin.storage.registry import find_plant
         from softfin.task.references import PAPER_RANGE
 
         cells, seeds = asked_cells(self.controller, self.cells, self.range), asked_seeds(self.seed, self.seeds)
         if self.controller == "gaits":
             box = None if cells is None else cells[0].model_dump()
-            # Beside a map only what was asked for is handed on, to be refused.
             lattice = self.configured(MapConfig(box=PAPER_RANGE), box=box)
+            # Beside a map only a changed lattice is handed on, to be refused.
             given = None if self.map is not None and lattice == MapConfig(box=PAPER_RANGE) else lattice
-            with progress() as report:
-                stages.find_gaits(self.surrogate, Path(self.out), given, known=self.map, overwrite=self.overwrite,
-                             progress=report)  # fmt: skip
+            self.stage(find_gaits, self.surrogate, self.out, given, force_map=self.map)
             return self._tell((0,))
         begin, reason = choose_preset(find_plant(self.surrogate), self.controller, self.algorithm)
-        config = self.configured(begin, steps=self.steps, cells=cells)
+        config = self.configured(begin, cells=cells)
         if config.algorithm != begin.algorithm:
             raise ConfigurationError(
                 f"algorithm = {config.algorithm}: its steps and the rest of its settings go with it; give --algorithm "
                 f"{config.algorithm}"
             )
-        with progress() as report:
-            stages.train(
-                self.surrogate, Path(self.out), config,
-                known=self.map, seeds=seeds, refine=self.refine, engine=self.engine, split=self.split,
-                cluster=self.cluster, reason=reason, resume=self.resume, overwrite=self.overwrite, progress=report,
-            )  # fmt: skip
+        self.stage(
+            train, self.surrogate, self.out, config, force_map=self.map, seeds=seeds, refine=self.refine,
+            engine=self.engine, split=self.split, cluster=self.cluster, reason=reason, resume=self.resume,
+        )  # fmt: skip
         return self._tell(seeds)
 
-    def _check_gaits(self) -> None:
-        given = {"--algorithm": self.algorithm != "auto", "--seeds": self.seeds is not None,
-                 "--steps": self.steps is not None, "--resume": self.resume,
-                 "--refine": self.refine != 0, "--engine": self.engine != "local", "--split": self.split is not None,
-                 "--cluster": self.cluster is not None}  # fmt: skip
-        useless = [name for name, is_given in given.items() if is_given]
-        if useless:
-            raise ConfigurationError(f"{', '.join(useless)}: gaits are found, not trained; leave it out")
+    def _tell(self, seeds: tuple[int, ...]) -> None:
+        folders = [self.out] if len(seeds) == 1 else [self.out / f"seed-{seed}" for seed in seeds]
+        results, texts = [], []
+        for seed, folder in zip(seeds, folders, strict=True):
+            description = load_description(folder, "controller")
+            own = {} if len(seeds) == 1 else {"seed": seed}
+            results.append(own | {"controller": str(folder), "scores": description["scores"]})
+            texts.append(self._table(folder, description))
+        self.tell(results[0] if len(seeds) == 1 else {"controllers": results}, "\n\n".join(texts))
 
-    def _tell(self, seeds: Sequence[int]) -> None:
-        if len(seeds) == 1:
-            scores, lines = self._told(Path(self.out))
-            self.tell({"controller": str(self.out), "scores": scores}, "\n".join(lines))
-            return
-        each = {seed: self._told(Path(self.out) / f"seed-{seed}") for seed in seeds}
-        found = [{"seed": seed, "controller": str(Path(self.out) / f"seed-{seed}"), "scores": scores}
-                 for seed, (scores, _) in each.items()]  # fmt: skip
-        text = "\n\n".join("\n".join(lines) for _, lines in each.values())
-        self.tell({"controllers": found}, text)
-
-    def _told(self, folder: Path) -> tuple[list[dict[str, Any]], list[str]]:
-        """The scores of one controller, and as lines for people."""
-        from softfin.cli.tables import held
+    def _table(self, folder: Path, description: dict[str, Any]) -> str:
+        """Return the scores of one controller."""
+        from softfin.cli.tables import aligned, held
         from softfin.learning.policy import describe_memory
 
-        description = load_description(folder, "controller")
-        scores: list[dict[str, Any]] = description["scores"]
-        lines = [f"{folder}: scored in {self.surrogate}, without exploration noise"]
-        if self.controller == "gaits":
-            lines.append("reference [N]   mean force misses it by [N]")
-            lines += [f"({x:5.2f}, {y:5.2f})   {row['missed_n']:.3f}"
-                      for row in scores for x, y in [row["reference_n"]]]  # fmt: skip
-        else:
-            lines.append("reference [N]   error x, y [N]")
-            lines += [f"({x:5.2f}, {y:5.2f})   {row['error_n'][0]:.3f}, {row['error_n'][1]:.3f}{held(row)}"
-                      for row in scores for x, y in [row["reference_n"]]]  # fmt: skip
-            lines.append(describe_memory(description["memory"]))
-        return scores, lines
+        gaits = self.controller == "gaits"
+        rows = [["reference [N]", "error of the mean force [N]" if gaits else "error x, y [N]", ""]]
+        for row in description["scores"]:
+            x, y = row["reference_n"]
+            error = f"{row['missed_n']:.3f}" if gaits else "{:.3f}, {:.3f}".format(*row["error_n"])
+            rows.append([f"({x:5.2f}, {y:5.2f})", error, held(row).strip()])
+        footprint = [] if gaits else [describe_memory(description["memory"])]
+        head = f"{folder}: scored in {self.surrogate}, without exploration noise"
+        return "\n".join([head, *aligned(rows, (0, 1, 2)), *footprint])
 
 
 def asked_seeds(first: int, text: str | None) -> tuple[int, ...]:
-    """What ``--seed`` and ``--seeds`` ask for; whether one comes twice is seen where they are used."""
+    """Return the seeds of ``--seed`` and ``--seeds``; whether one comes twice is checked where they are used."""
     if text is None:
         return (first,)
     try:
@@ -158,7 +143,7 @@ def asked_seeds(first: int, text: str | None) -> tuple[int, ...]:
 
 
 def asked_cells(controller: str, cells: str | None, span: str | None) -> "tuple[Cell, ...] | None":
-    """What ``--cells`` and ``--range`` ask for, one cell unless it is a grid; None where neither is given."""
+    """Return the cells of ``--cells`` and ``--range``, one cell unless it is a grid; None where neither is given."""
     from softfin.gaits.reachable import bounding_box
     from softfin.task.cells import cells_of, range_of
     from softfin.task.references import PAPER_RANGE

@@ -161,7 +161,7 @@ def _with_metadata(onnx: Any, model: Any, controller: LoadedController) -> Any:
         "kind": controller.kind,
         "action_rate_hz": ACTION_RATE_HZ,
         "action_ticks_of_10_ms": list(ACTION_TICKS),
-        "limits": controller.limits.described(),
+        "limits": controller.limits.to_dict(),
         "cells_n": [{"low": list(cell.low), "high": list(cell.high)} for cell in controller.cells],
         "reachable": artifact.description.get("reachable"),
         "training_range": artifact.description.get("training_range"),

@@ -97,7 +97,7 @@ def save_gaits(
         "format": FORMAT,
         "controller": GaitStep.kind,
         "action_rate_hz": ACTION_RATE_HZ,
-        "limits": limits.described(),
+        "limits": limits.to_dict(),
         **force_map.to_dict(),
         **learnt,
         "scores": [

@@ -11,6 +11,9 @@ CalibratePreset: TypeAlias = Literal["full", "quick"]
 Excitation: TypeAlias = Literal["random", "active"]
 """How the motions of a dataset are chosen."""
 
+ModelName: TypeAlias = Literal["streaming", "paper", "auto"]
+"""Kinds of surrogate that are fitted; auto keeps the best on held-out logs."""
+
 PolicyLayout: TypeAlias = Literal["single", "grid"]
 """One policy for all references, or one for each cell of a grid."""
 

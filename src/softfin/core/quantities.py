@@ -88,7 +88,7 @@ class Limits(NamedTuple):
     velocity_min: float
     velocity_max: float
 
-    def described(self) -> dict[str, float]:
+    def to_dict(self) -> dict[str, float]:
         """For JSON: names with units."""
         return {name: float(value) for name, value in self._named().items()}
 
@@ -96,7 +96,7 @@ class Limits(NamedTuple):
     def of(cls, description: Any, one_velocity: bool = False) -> "Limits":
         """Build from what `to_dict` returned; raises ValueError that says what is allowed."""
         values = []
-        for name in cls(0, 0, 0, 0).described():
+        for name in cls(0, 0, 0, 0).to_dict():
             value = description.get(name) if isinstance(description, dict) else None
             if not isinstance(value, int | float) or isinstance(value, bool):
                 met = "missing" if value is None else repr(value)[:80]

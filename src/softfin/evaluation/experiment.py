@@ -1,6 +1,6 @@
-"""The paper's experiment: from rest, a controller holds a reference force on a plant, 3 actions a second (Sec. IV).
+"""The paper's experiment: from rest, a controller tracks a reference force on a plant, 3 actions a second (Sec. IV).
 
-Controller, plant and reference forces, constant or moving, go in, a Recording of every 10 ms comes out; all references
+Controller, plant and reference forces, constant or moving, go in, a recording of every 10 ms comes out; all references
 and seeds run side by side in one compiled program.
 """
 
@@ -24,19 +24,23 @@ ACTION_STARTS = (0, *accumulate(ACTION_TICKS[:-1]))
 """Ticks of each second at which a controller acts."""
 
 MIN_SECONDS = 3
-"""Shorter experiments hold hardly more than the first window of the moving average [s]."""
+"""Least length of an experiment [s]; the first window of the moving average takes 2 s."""
 
 
-class Recording(NamedTuple):
-    """What was asked, commanded and read, in ticks of 10 ms."""
+class ExperimentRecording(NamedTuple):
+    """Series of references, commands and readings of experiments, in ticks of 10 ms."""
 
     reference: Float[AnyArray, "references *ticks 2"]
-    """(x, y) [N]: one force for the whole experiment, or one a tick, in force while the reading of that tick came
-    about."""
+    """Reference forces (x, y) [N]: one for the whole experiment, or one a tick, in force until that tick's reading."""
     command: Command
     """Fields ``(references, seeds, ticks)``: the command under which the reading of that tick came about."""
     reading: Reading
     """Fields ``(references, seeds, ticks)``, force ``(references, seeds, ticks, 2)``."""
+
+    def first(self) -> "ExperimentRecording":
+        """The first seed alone, its axis kept, as NumPy arrays."""
+        command, reading = jax.tree.map(lambda x: np.asarray(x[:, :1]), (self.command, self.reading))
+        return ExperimentRecording(np.asarray(self.reference), command, reading)
 
 
 @runtime_checkable
@@ -50,49 +54,45 @@ class RealTime(Protocol):
 
     def experiments(
         self, references: Float[np.ndarray, "references *ticks 2"], seconds: int, repetitions: int
-    ) -> Recording:
-        """Every reference so many times, one after the other, each from rest."""
+    ) -> ExperimentRecording:
+        """Run every reference so many times, one after the other, each from rest."""
         ...
 
 
-Subject: TypeAlias = Plant | RealTime
-"""What a controller is judged on."""
+EvaluationTarget: TypeAlias = Plant | RealTime
+"""The fin that a controller is evaluated on, simulated or real."""
 
 
 def run(
     controller: Controller,
-    plant: Subject,
+    plant: EvaluationTarget,
     references: Float[AnyArray, "references *ticks 2"],
     seconds: int,
     keys: Key[Array, "seeds"],
-) -> Recording:
+) -> ExperimentRecording:
     """Run every reference with every key of the plant, each from rest, for whole seconds.
 
-    A reference is one force, or one a tick of which the controller sees that of the tick at which it acts.
+    A reference is one force, or one a tick of which the controller observes that of the tick at which it acts.
     """
+    asked = np.asarray(references, np.float32)
     if isinstance(plant, RealTime):
-        return plant.experiments(np.asarray(references, np.float32), seconds, len(keys))
-    asked = jnp.asarray(_at_actions(np.asarray(references, np.float32), seconds))
-    command, reading = _program((controller, jit_argument(plant)), asked, keys)
-    return Recording(references, command, reading)
+        return plant.experiments(asked, seconds, len(keys))
+    if asked.ndim == 2:
+        at_actions = np.tile(asked[:, None], (1, seconds * len(ACTION_TICKS), 1))
+    else:
+        count, ticks = asked.shape[:2]
+        if ticks != seconds * RATE_HZ:
+            raise ConfigurationError(
+                f"references of {ticks} ticks for an experiment of {seconds} s; give {seconds * RATE_HZ} ticks, one "
+                "every 10 ms"
+            )
+        at_actions = asked.reshape(count, seconds, RATE_HZ, 2)[:, :, list(ACTION_STARTS)].reshape(count, -1, 2)
+    command, reading = _program((controller, jit_argument(plant)), jnp.asarray(at_actions), keys)
+    return ExperimentRecording(references, command, reading)
 
 
-def _at_actions(
-    references: Float[np.ndarray, "references *ticks 2"], seconds: int
-) -> Float[np.ndarray, "references actions 2"]:
-    if references.ndim == 2:
-        return np.tile(references[:, None], (1, seconds * len(ACTION_TICKS), 1))
-    count, ticks = references.shape[:2]
-    if ticks != seconds * RATE_HZ:
-        raise ConfigurationError(
-            f"references of {ticks} ticks for an experiment of {seconds} s; give {seconds * RATE_HZ} ticks, one every "
-            "10 ms"
-        )
-    return references.reshape(count, seconds, RATE_HZ, 2)[:, :, list(ACTION_STARTS)].reshape(count, -1, 2)
-
-
-def check_finite(recording: Recording) -> None:
-    """Raise PlantError where a reading is no number; the scores of such an experiment would mean nothing."""
+def independent(recording: ExperimentRecording) -> ExperimentRecording:
+    """Drop repetitions that are all alike, as those of a plant without randomness; raise PlantError unless finite."""
     bad = np.argwhere(~np.isfinite(recording.reading.force).all(axis=-1) | ~np.isfinite(recording.reading.angle))
     if bad.size:
         index, seed, tick = bad[0]
@@ -100,29 +100,19 @@ def check_finite(recording: Recording) -> None:
         asked = np.asarray(recording.reference)[index]
         x, y = asked if asked.ndim == 1 else asked[tick]
         raise PlantError(
-            f"reference ({x:g}, {y:g}) N, seed {seed}, {(tick + 1) / RATE_HZ:.2f} s: force or angle is no finite "
-            f"number after the command (angle {command[0]:.3f} rad, velocity {command[1]:.3f} rad/s); every reading of "
-            "a plant must be finite"
+            f"reference ({x:g}, {y:g}) N, seed {seed}, {(tick + 1) / RATE_HZ:.2f} s: force or angle is not finite "
+            f"after the command (angle {command[0]:.3f} rad, velocity {command[1]:.3f} rad/s); every reading of a "
+            "plant must be finite"
         )
-
-
-def first_of(recording: Recording) -> Recording:
-    """The first seed alone, its axis kept, as NumPy arrays."""
-    command, reading = jax.tree.map(lambda x: np.asarray(x[:, :1]), (recording.command, recording.reading))
-    return Recording(np.asarray(recording.reference), command, reading)
-
-
-def alike(recording: Recording) -> bool:
-    """Whether all seeds did the same, as those of a plant without randomness do."""
     force = np.asarray(recording.reading.force)
-    return bool((force == force[:, :1]).all())
+    return recording.first() if (force == force[:, :1]).all() else recording
 
 
 @briefly_used
 def _program(
     parties: tuple[Controller, Plant], references: Float[Array, "references actions 2"], keys: Key[Array, "seeds"]
 ) -> tuple[Command, Reading]:
-    """Compiled once for controllers and plants that are alike but for their arrays."""
+    """Run experiments; compiled once for controllers and plants that are alike but for their arrays."""
     controller, plant = parties
     actions = references.shape[1]
 
@@ -145,7 +135,7 @@ def _action(
     reference: Float[Array, "2"],
     ticks: Ticks,
 ) -> tuple[tuple[ControllerState, State, Measured], tuple[Command, Reading]]:
-    """An action on what was read while the one before it was held."""
+    """Act on what was read while the action before was held."""
     memory, state, measured = carry
     memory, command = controller.act(memory, measured, reference)
     state, reading = hold_action(plant, state, command, ticks)

@@ -1,31 +1,37 @@
-"""Figures of experiments and scores: recordings and summaries in, Matplotlib figures out; `style` writes them."""
+"""Figures of experiments: recordings and errors in, Matplotlib figures out."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
+from matplotlib.patheffects import withStroke
 from matplotlib.projections.polar import PolarAxes
 
 from softfin.core.action_clock import WINDOW
 from softfin.core.quantities import AXES, RATE_HZ
 from softfin.core.window import moving_average
-from softfin.evaluation.experiment import Recording
-from softfin.evaluation.moving import Moving
-from softfin.evaluation.paper import PAPER_TABLE_II
-from softfin.evaluation.response import SETTLED_N
-from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, styled
+from softfin.evaluation.experiment import ExperimentRecording
+from softfin.evaluation.moving import MovingScores
+from softfin.evaluation.range_errors import ErrorMap
+from softfin.evaluation.scores import SETTLED_N
+from softfin.gaits.reachable import PAPER_REFERENCES
+from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, styled, with_minus_signs
 
-TRAJECTORY_SECONDS = 5
-FORCE_SECONDS = 10
-"""Of the start of an experiment, as the paper's evaluation figure shows them."""
+TRAJECTORY_SECONDS, FORCE_SECONDS = 5, 10
+"""Seconds from the start of an experiment that are drawn, as in the paper's evaluation figure."""
 
-CONTROLLER_COLOURS = {"single": BLUE, "grid": ORANGE}
+ERROR_COLOURS = "Blues"
+"""Colour map of the errors: light where they are small; the same to the colour-blind, and in grey."""
+
+WRITTEN_POINTS = 11
+"""Points along a side up to which the numbers are written into the error map."""
 
 
-def experiments_figure(recording: Recording) -> Figure:
+def experiments_figure(recording: ExperimentRecording) -> Figure:
     """Every reference of a recording, at its first seed: the fin's trajectory, and the force on both axes."""
     count = len(recording.reference)
     columns = min(count, 2)
@@ -43,25 +49,31 @@ def experiments_figure(recording: Recording) -> Figure:
     return figure
 
 
-def _draw_experiment(panel: SubFigure, recording: Recording, index: int, limits: Any) -> None:
+def _draw_experiment(panel: SubFigure, recording: ExperimentRecording, index: int, limits: Any) -> None:
     reference = recording.reference[index]
     grid = panel.add_gridspec(2, 2, width_ratios=(1, 1.7))
-    polar = panel.add_subplot(grid[:, 0], projection="polar")
-    _draw_trajectory(polar, recording.reading.angle[index, 0])
+    _draw_trajectory(panel.add_subplot(grid[:, 0], projection="polar"), recording.reading.angle[index, 0])
     above = panel.add_subplot(grid[0, 1])
     below = panel.add_subplot(grid[1, 1], sharex=above)
     above.tick_params(labelbottom=False)
+    force = np.asarray(recording.reading.force[index, 0, : FORCE_SECONDS * RATE_HZ])
+    time = np.arange(1, len(force) + 1) / RATE_HZ
+    average = moving_average(force)
     for axis, axes in enumerate((above, below)):
-        _draw_force(axes, recording.reading.force[index, 0, :, axis], float(reference[axis]))
+        axes.plot(time, force[:, axis], color=BLUE, linewidth=0.6, alpha=0.75, label="force")
+        axes.plot(
+            time[WINDOW - 1 :], average[:, axis], "--", color=BLACK, linewidth=1.6, label="moving average over 2 s"
+        )
+        axes.axhline(float(reference[axis]), color=ORANGE, linewidth=1.6, label="reference", zorder=1.9)
         low, high = limits[axis]
         # A sensor that is dead, or a fin that stands, draws a level line.
         axes.set(ylabel=f"force {AXES[axis]} [N]", ylim=(low, high) if high > low else (low - 1, high + 1))
-    above.set_title(f"reference ({reference[0]:g}, {reference[1]:g}) N".replace("-", "\N{MINUS SIGN}"), weight="bold")
+    above.set_title(with_minus_signs(f"reference ({reference[0]:g}, {reference[1]:g}) N"), weight="bold")
     below.set(xlabel="time [s]", xlim=(0, min(FORCE_SECONDS, recording.reading.angle.shape[-1] / RATE_HZ)))
 
 
 def _draw_trajectory(axes: Any, angle: Any) -> None:
-    """Seen as the force's axes lie: at angle 0 the fin points to the left (-x), at positive angles upwards (+y)."""
+    """Draw the angle as the force's axes lie: at angle 0 the fin points to the left (-x), at positive ones up (+y)."""
     assert isinstance(axes, PolarAxes)
     shown = angle[: TRAJECTORY_SECONDS * RATE_HZ]
     axes.set_theta_zero_location("W")
@@ -76,17 +88,8 @@ def _draw_trajectory(axes: Any, angle: Any) -> None:
     axes.set_title("fin angle [°], radius: time [s]", loc="center")
 
 
-def _draw_force(axes: Axes, force: Any, reference: float) -> None:
-    shown = force[: FORCE_SECONDS * RATE_HZ]
-    time = np.arange(1, len(shown) + 1) / RATE_HZ
-    axes.plot(time, shown, color=BLUE, linewidth=0.6, alpha=0.75, label="force")
-    average = moving_average(shown[:, None])[:, 0]
-    axes.plot(time[WINDOW - 1 :], average, color=BLACK, linestyle="--", linewidth=1.6, label="moving average over 2 s")
-    axes.axhline(reference, color=ORANGE, linewidth=1.6, label="reference", zorder=1.9)
-
-
-def moving_figure(experiments: Sequence[Moving]) -> Figure:
-    """Every reference that moves, at its first seed: the moving average beside it, the force, the fin's angle."""
+def moving_figure(experiments: Sequence[MovingScores]) -> Figure:
+    """Every moving reference, at its first seed: the moving average beside it, the force, the fin's angle."""
     each = [(moving, index) for moving in experiments for index in range(len(moving.signals))]
     columns = min(len(each), 2)
     rows = math.ceil(len(each) / columns)
@@ -100,13 +103,24 @@ def moving_figure(experiments: Sequence[Moving]) -> Figure:
     return figure
 
 
-def _draw_moving(panel: SubFigure, moving: Moving, index: int) -> None:
+def _draw_moving(panel: SubFigure, moving: MovingScores, index: int) -> None:
     reading, reference = moving.recording.reading, np.asarray(moving.recording.reference[index])
     force = np.asarray(reading.force[index, 0])
     *averages, forces, angles = panel.subplots(4, 1, sharex=True, height_ratios=(1.3, 1.3, 1, 0.8))
     time = np.arange(1, len(force) + 1) / RATE_HZ
+    late, average, asked = time[WINDOW - 1 :], moving_average(force), moving_average(reference)
+    # Without the force, whose peaks are several times the reference.
     for axis, axes in enumerate(averages):
-        _draw_following(axes, time, moving_average(force)[:, axis], reference[:, axis])
+        wanted = reference[:, axis]
+        axes.fill_between(
+            time, wanted - SETTLED_N, wanted + SETTLED_N, step="pre", color=ORANGE, alpha=0.2, linewidth=0,
+            label=f"reference ± {SETTLED_N:g} N",
+        )  # fmt: skip
+        axes.plot(time, wanted, color=ORANGE, linewidth=1.6, drawstyle="steps-pre", label="reference")
+        axes.plot(late, asked[:, axis], ":", color=ORANGE, label="its moving average")
+        axes.plot(
+            late, average[:, axis], "--", color=BLACK, linewidth=1.6, label="moving average of the force over 2 s"
+        )
         axes.set(ylabel=f"mean {AXES[axis]} [N]")
     for axis, colour in enumerate((BLUE, GREY)):
         forces.plot(time, force[:, axis], color=colour, linewidth=0.6, label=f"force {AXES[axis]}")
@@ -119,62 +133,53 @@ def _draw_moving(panel: SubFigure, moving: Moving, index: int) -> None:
     errors = f"error {x:.2f}, {y:.2f} N"
     if settling is not None:
         errors += f"; settles in {settling:.2f} s" if math.isfinite(settling) else "; never settles"
-    averages[0].set_title(f"{moving.signals[index]}\n{errors}".replace("-", "\N{MINUS SIGN}"), weight="bold")
+    averages[0].set_title(with_minus_signs(f"{moving.signals[index]}\n{errors}"), weight="bold")
 
 
-def _draw_following(axes: Axes, time: Any, average: Any, reference: Any) -> None:
-    """Without the force, whose peaks are several times the reference."""
-    late = time[WINDOW - 1 :]
-    axes.fill_between(
-        time, reference - SETTLED_N, reference + SETTLED_N, step="pre", color=ORANGE, alpha=0.2, linewidth=0,
-        label=f"reference ± {SETTLED_N:g} N",
-    )  # fmt: skip
-    axes.plot(time, reference, color=ORANGE, linewidth=1.6, drawstyle="steps-pre", label="reference")
-    axes.plot(late, moving_average(reference[:, None])[:, 0], ":", color=ORANGE, label="its moving average")
-    axes.plot(late, average, "--", color=BLACK, linewidth=1.6, label="moving average of the force over 2 s")
-
-
-def table_two_figure(summaries: Mapping[str, Mapping[str, Any]]) -> Figure:
-    """Errors by reference: each controller's ``evaluation.json``, beside the paper's figures where it has them."""
-    references = [tuple(row["reference_n"]) for row in next(iter(summaries.values()))["references"]]
+def error_map_figure(errors: ErrorMap) -> Figure:
+    """Heat maps of the error in x and y, with the paper's references and the forces that the fin can make."""
+    (left, bottom), (right, top) = errors.cell.low, errors.cell.high
+    # By row of y and column of x; NaN where no reference is tracked.
+    lattice = np.full((errors.points, errors.points, 2), np.nan)
+    column, row = (
+        np.floor((errors.references - (left, bottom)) / (right - left, top - bottom) * errors.points).astype(int).T
+    )
+    lattice[row, column] = errors.error
+    greatest = float(errors.error.max())
     with styled():
-        figure = new_figure(10, 5.2)
-        for index, (axes, axis) in enumerate(zip(figure.subplots(2, 1, sharex=True), AXES, strict=True)):
-            _draw_errors(axes, axis, index, summaries, references)
-        axes.set_xticks(
-            range(len(references) + 1),
-            [f"({x:g}, {y:g})".replace("-", "\N{MINUS SIGN}") for x, y in references] + ["mean"],
-        )
-        axes.set_xlabel("reference force (x, y) [N]")
-        handles, labels = axes.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+        figure = new_figure(9.6, 4.6)
+        panels = figure.subplots(1, 2, sharex=True, sharey=True)
+        for index, (axes, axis) in enumerate(zip(panels, AXES, strict=True)):
+            axes.grid(visible=False)
+            # Where the controller does not cover the reference, or the fin cannot make it: no colour of the map.
+            axes.patch.set(facecolor="white", hatch="////", edgecolor="#CCCCCC")
+            image = axes.imshow(
+                lattice[..., index], origin="lower", extent=(left, right, bottom, top), vmin=0, vmax=greatest,
+                cmap=ERROR_COLOURS, interpolation="nearest",
+            )  # fmt: skip
+            error = errors.error[:, index]
+            if errors.points <= WRITTEN_POINTS:
+                for (x, y), value in zip(errors.references, error, strict=True):
+                    # Over a mark, on a patch of the map's own colour.
+                    patch = {"facecolor": colormaps[ERROR_COLOURS](value / greatest), "edgecolor": "none", "pad": 0.8}
+                    axes.text(x, y, f"{value:.2f}", ha="center", va="center", fontsize=7, bbox=patch,
+                              color="white" if value > 0.6 * greatest else BLACK)  # fmt: skip
+            _draw_marks(axes, errors.reachable)
+            axes.set_title(f"error {axis}: mean {error.mean():.2f} N, worst {error.max():.2f} N", weight="bold")
+            axes.set(xlabel="reference force x [N]", aspect="equal")
+        panels[0].set_ylabel("reference force y [N]")
+        figure.colorbar(image, ax=panels, label="mean |moving average \N{MINUS SIGN} reference| [N]", shrink=0.9)
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure
 
 
-def _draw_errors(
-    axes: Axes, axis: str, index: int, summaries: Mapping[str, Mapping[str, Any]], references: list[Any]
-) -> None:
-    bars: list[tuple[str, str, str | None, list[float], Any]] = []
-    for name, summary in summaries.items():
-        rows = [*(row[axis] for row in summary["references"]), summary["mean"][axis]]
-        errors = [row["error_n"] for row in rows]
-        intervals = [row["error_interval_n"] for row in rows]
-        spread = (
-            None if intervals[0] is None else [high - error for (_, high), error in zip(intervals, errors, strict=True)]
-        )
-        colour = CONTROLLER_COLOURS.get(name, GREY)
-        bars.append((name, colour, None, errors, spread))
-        published = PAPER_TABLE_II.get(name, {})
-        if published and set(references) <= published.keys():
-            values = [published[reference][2 * index] for reference in references]
-            bars.append((f"{name}, paper (real fin)", colour, "////", [*values, float(np.mean(values))], None))
-    width = min(0.25, 0.8 / len(bars))
-    places = np.arange(len(references) + 1)
-    for k, (label, colour, hatch, values, spread) in enumerate(bars):
-        axes.bar(
-            places + (k - (len(bars) - 1) / 2) * width, values, 0.92 * width, yerr=spread, label=label, hatch=hatch,
-            facecolor="white" if hatch else colour, edgecolor=colour, ecolor=BLACK, capsize=2,
-        )  # fmt: skip
-    axes.axvline(len(references) - 0.5, color=GREY, linewidth=0.8)
-    axes.grid(visible=False, axis="x")
-    axes.set_ylabel(f"error {axis} [N]")
+def _draw_marks(axes: Axes, reachable: np.ndarray | None) -> None:
+    x, y = np.array(PAPER_REFERENCES, float).T
+    axes.plot(
+        x, y, "o", fillstyle="none", color=BLACK, markersize=16, markeredgewidth=1.4, label="the paper's references",
+    )  # fmt: skip
+    if reachable is not None:
+        closed = np.concatenate([reachable, reachable[:1]])
+        axes.plot(*closed.T, color=BLACK, linestyle="--", linewidth=1.4, label="forces that the fin can make",
+                  path_effects=[withStroke(linewidth=3, foreground="white")])  # fmt: skip

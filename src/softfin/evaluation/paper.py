@@ -1,15 +1,10 @@
-"""The paper's own figures: the six reference forces and Table II, as printed.
+"""The paper's own figures: Table II, as printed.
 
 Its last row, "Overall mean", is not always the mean of the rows above it (the grid's y std is printed 0.201, its rows
 give 0.293), so both are kept: `PAPER_PRINTED_MEANS` and `recomputed_means`.
 """
 
 from typing import NamedTuple
-
-from softfin.gaits.reachable import PAPER_REFERENCES
-
-REFERENCES = PAPER_REFERENCES
-"""Reference forces (x, y) [N] of Table II."""
 
 
 class PaperScores(NamedTuple):
@@ -39,7 +34,7 @@ PAPER_TABLE_II: dict[str, dict[tuple[float, float], PaperScores]] = {
         (2, 1): PaperScores(0.696, 0.369, 0.269, 0.182),
     },
 }
-"""By controller and reference force [N], measured on the real fin."""
+"""Scores by controller and reference force [N], measured on the real fin."""
 
 PAPER_PRINTED_MEANS = {
     "single": PaperScores(0.828, 0.408, 0.685, 0.392),

@@ -4,24 +4,30 @@ Results and figures go in; the page needs no network, and a part whose data is a
 """
 
 import importlib.resources
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
 import jinja2
+import numpy as np
 import yaml
+from jaxtyping import Float
 from markupsafe import Markup
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from softfin.core.quantities import AXES
-from softfin.evaluation.figures import table_two_figure
-from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_II, REFERENCES, PaperScores, recomputed_means
+from softfin.core.quantities import AXES, RATE_HZ
+from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_II, PaperScores, recomputed_means
+from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.storage import artifact as artifacts
-from softfin.storage.figures import inline_svg
+from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, inline_svg, new_figure, styled, with_minus_signs
 from softfin.surrogate.compare.metrics import PAPER_TABLE_I
 
 Figures = Mapping[str, Figure]
-"""By caption."""
+"""Figures by caption."""
+
+CONTROLLER_COLOURS = {"single": BLUE, "grid": ORANGE}
 
 NETS = {
     "posnet": ("PosNet, commands to angle", "rad", "posnet"),
@@ -53,59 +59,51 @@ def write_report(
     ``provenance``    a mapping
     ================= ===============================================================================================
     """
-    controllers = results.get("controllers") or {}
-    scores = (results.get("surrogate") or {}).get("scores")
-    page = _template().render(
+    controllers, configuration = results.get("controllers") or {}, results.get("configuration")
+    scores = (results.get("surrogate") or {}).get("scores") or {}
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
+    environment.filters |= {"number": _number, "half": _half}
+    template = importlib.resources.files("softfin.evaluation").joinpath("report.html.jinja").read_text("utf-8")
+    page = environment.from_string(template).render(
         title=results.get("title", "softfin: force control of a soft fin"),
         plant=results.get("plant"),
-        table_one=[_net_row(key, scores[key]) for key in NETS if key in scores] if scores else [],
+        table_one=[
+            {**scores[key], "text": text, "unit": unit, "paper": PAPER_TABLE_I[published] if published else None}
+            for key, (text, unit, published) in NETS.items()
+            if key in scores
+        ],
         tables_two={name: _table_two(name, summary) for name, summary in controllers.items()},
         in_surrogate={name: _table_two(name, summary) for name, summary in (results.get("in_surrogate") or {}).items()},
         conditions=next((summary["conditions"] for summary in controllers.values()), None),
-        table_two_svg=_svg("errors", table_two_figure(controllers)) if controllers else None,
+        table_two_svg=_svgs({"errors": table_two_figure(controllers)})["errors"] if controllers else None,
         surrogate_figures=_svgs(surrogate_figures),
         learning_figures=_svgs(learning_figures),
         experiment_figures=_svgs(experiment_figures),
-        configuration=_yaml(results.get("configuration")),
+        configuration=yaml.safe_dump(configuration, sort_keys=False, allow_unicode=True) if configuration else None,
         provenance=results.get("provenance"),
     )
     artifacts.write_file(path, page)
 
 
-def _template() -> jinja2.Template:
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
-    environment.filters["number"] = _number
-    environment.filters["half"] = _half
-    return environment.from_string(
-        importlib.resources.files("softfin.evaluation").joinpath("report.html.jinja").read_text("utf-8")
-    )
-
-
 def _number(value: float) -> str:
-    """Three digits that matter, as the paper prints them; no exponent for the sizes met here."""
+    """Three significant digits, as the paper prints them; no exponent for the sizes met here."""
     return f"{value:#.3g}" if 1e-4 <= abs(value) < 1000 else f"{value:.3g}"
 
 
 def _half(cell: Mapping[str, Any]) -> str:
-    """To the digits of its mean; a single digit where those would show zero."""
+    """Half of the interval to the digits of its mean; a single digit where those would show zero."""
     digits = _number(cell["mean"]).partition(".")[2]
     text = f"{cell['half']:.{len(digits)}f}"
     return text if float(text) else f"{cell['half']:.1g}"
 
 
-def _net_row(key: str, row: Mapping[str, Any]) -> dict[str, Any]:
-    text, unit, published = NETS[key]
-    return {**row, "text": text, "unit": unit, "paper": PAPER_TABLE_I[published] if published else None}
-
-
 def _table_two(name: str, summary: Mapping[str, Any]) -> dict[str, Any]:
-    """Rows of cells in the order of the columns: each of x and y, each of error and std, then what is softfin's own."""
+    """Rows of cells in the order of the columns: x and y, error and std of each, then what the paper does not have."""
     published = PAPER_TABLE_II.get(name, {})
     rows = [
-        _row(f"({_signed(row['reference_n'])})", row, published.get(tuple(row["reference_n"])))
-        for row in summary["references"]
+        _row(_force(row["reference_n"]), row, published.get(tuple(row["reference_n"]))) for row in summary["references"]
     ]
-    complete = {tuple(row["reference_n"]) for row in summary["references"]} == set(REFERENCES)
+    complete = {tuple(row["reference_n"]) for row in summary["references"]} == set(PAPER_REFERENCES)
     mean = _row("mean", summary["mean"], recomputed_means(name) if published and complete else None)
     return {
         "rows": [*rows, mean],
@@ -131,18 +129,72 @@ def _cell(scores: Mapping[str, Any], name: str) -> dict[str, Any]:
     return {"mean": scores[f"{name}_n"], "half": None if interval is None else (interval[1] - interval[0]) / 2}
 
 
-def _signed(reference: Sequence[float | int]) -> str:
-    return ", ".join(f"{value:g}" for value in reference).replace("-", "\N{MINUS SIGN}")
+def _force(reference: Iterable[float | int]) -> str:
+    return with_minus_signs(f"({', '.join(f'{value:g}' for value in reference)})")
 
 
 def _svgs(figures: Figures | None) -> dict[str, Markup]:
-    return {caption: _svg(caption, figure) for caption, figure in (figures or {}).items()}
-
-
-def _svg(name: str, figure: Figure) -> Markup:
     # Safe: Matplotlib escapes all text that it draws.
-    return Markup(inline_svg(figure, name))
+    return {caption: Markup(inline_svg(figure, caption)) for caption, figure in (figures or {}).items()}
 
 
-def _yaml(configuration: Any) -> str | None:
-    return yaml.safe_dump(configuration, sort_keys=False, allow_unicode=True) if configuration else None
+def table_two_figure(summaries: Mapping[str, Mapping[str, Any]]) -> Figure:
+    """Errors by reference: each controller's ``evaluation.json``, beside the paper's figures where it has them."""
+    references = [tuple(row["reference_n"]) for row in next(iter(summaries.values()))["references"]]
+    with styled():
+        figure = new_figure(10, 5.2)
+        for index, (axes, axis) in enumerate(zip(figure.subplots(2, 1, sharex=True), AXES, strict=True)):
+            _draw_errors(axes, axis, index, summaries, references)
+        axes.set_xticks(range(len(references) + 1), [*map(_force, references), "mean"])
+        axes.set_xlabel("reference force (x, y) [N]")
+        handles, labels = axes.get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    return figure
+
+
+def _draw_errors(
+    axes: Axes, axis: str, index: int, summaries: Mapping[str, Mapping[str, Any]], references: list[Any]
+) -> None:
+    bars: list[tuple[str, str, str | None, list[float], Any]] = []
+    for name, summary in summaries.items():
+        rows = [*(row[axis] for row in summary["references"]), summary["mean"][axis]]
+        errors = [row["error_n"] for row in rows]
+        several = rows[0]["error_interval_n"] is not None
+        half = [row["error_interval_n"][1] - row["error_n"] for row in rows] if several else None
+        colour = CONTROLLER_COLOURS.get(name, GREY)
+        bars.append((name, colour, None, errors, half))
+        published = PAPER_TABLE_II.get(name, {})
+        if published and set(references) <= published.keys():
+            values = [published[reference][2 * index] for reference in references]
+            bars.append((f"{name}, paper (real fin)", colour, "////", [*values, float(np.mean(values))], None))
+    width = min(0.25, 0.8 / len(bars))
+    places = np.arange(len(references) + 1)
+    for k, (label, colour, hatch, values, half) in enumerate(bars):
+        axes.bar(
+            places + (k - (len(bars) - 1) / 2) * width, values, 0.92 * width, yerr=half, label=label, hatch=hatch,
+            facecolor="white" if hatch else colour, edgecolor=colour, ecolor=BLACK, capsize=2,
+        )  # fmt: skip
+    axes.axvline(len(references) - 0.5, color=GREY, linewidth=0.8)
+    axes.grid(visible=False, axis="x")
+    axes.set_ylabel(f"error {axis} [N]")
+
+
+def prediction_figure(
+    measured: Float[np.ndarray, "ticks 2"], predicted: Mapping[str, Float[np.ndarray, "ticks 2"]], start_s: float = 0.0
+) -> Figure:
+    """Measured force and predictions of it by name, at 100 Hz from `start_s` [s]."""
+    time = start_s + np.arange(len(measured)) / RATE_HZ
+    with styled():
+        figure = new_figure(9, 4.2)
+        for index, (axes, axis) in enumerate(zip(figure.subplots(2, 1, sharex=True), AXES, strict=True)):
+            axes.plot(time, measured[:, index], color="#BBBBBB", linewidth=2.6, label="measured")
+            for (name, force), colour, line in zip(
+                predicted.items(), cycle((BLUE, BLACK)), cycle(("-", "--")), strict=False
+            ):
+                axes.plot(time, force[:, index], line, color=colour, label=name, linewidth=1.1)
+            axes.set_ylabel(f"force {axis} [N]")
+        last: Any = axes
+        last.set(xlabel="time [s]", xlim=(time[0], time[-1]))
+        handles, labels = last.get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    return figure

@@ -14,7 +14,7 @@ from softfin.gaits.force_map import MapConfig
 from softfin.gaits.gait import ForceMap
 from softfin.gaits.map_store import save_map
 from softfin.gaits.reachable import PAPER_REFERENCES
-from softfin.storage.figures import BLACK, GREY, new_figure, render, styled
+from softfin.storage.figures import BLACK, GREY, new_figure, save_figure, styled
 
 COLOURS = "Blues"
 
@@ -65,8 +65,7 @@ def write_map(
 
     def draw(folder: Path) -> None:
         figure = map_figure(force_map, config.tolerance_n)
-        for kind in ("svg", "png"):
-            (folder / f"map.{kind}").write_bytes(render(figure, kind))
+        save_figure(figure, folder, "map")
 
     save_map(out, force_map, config, limits, provenance, draw, overwrite)
 

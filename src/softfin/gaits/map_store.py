@@ -42,7 +42,7 @@ def save_map(
     """Write a map, whole or not at all; `extra_files` adds to the folder."""
     description = {
         "kind": KIND, "format": FORMAT,
-        "limits": limits.described(),
+        "limits": limits.to_dict(),
         **force_map.to_dict(),
         "star_shape": check_star(force_map, config.tolerance_n)._asdict(),
         "configuration": config.model_dump(mode="json"),

@@ -55,7 +55,7 @@ def _description(trained: TrainingResult) -> dict[str, Any]:
         "format": FORMAT,
         "controller": config.controller,
         "action_rate_hz": ACTION_RATE_HZ,
-        "limits": trained.limits.described(),
+        "limits": trained.limits.to_dict(),
         "cells": [cell.model_dump(mode="json") for cell in config.cells],
         "task": config.task.model_dump(mode="json"),
         "reachable": None if trained.force_map is None else trained.force_map.reachable.to_dict(),

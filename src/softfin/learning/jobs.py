@@ -30,7 +30,7 @@ from softfin.learning.rollout import PolicyEvaluation
 from softfin.learning.run import TrainingResult
 from softfin.learning.train import find_map, pretrain_shared_policy, train
 from softfin.storage.artifact import write_file
-from softfin.storage.run_directory import Workspace
+from softfin.storage.run_directory import RunDirectory
 
 TOKEN = "here"
 """File by which a worker recognises the driver's folder, and not one of the same name."""
@@ -92,7 +92,7 @@ def train_jobs(
     plant: Plant,
     config: TrainConfig,
     seeds: Sequence[int],
-    run_directory: Workspace,
+    run_directory: RunDirectory,
     progress: Progress | None = None,
     *,
     engine: Engine | None = None,
@@ -144,7 +144,7 @@ class _PlacedJob(NamedTuple):
     """A job, and where its unfinished work lies."""
 
     job: Job
-    run_directory: Workspace
+    run_directory: RunDirectory
     token: str
     start: Policy | None
 
@@ -177,7 +177,7 @@ class _Training:
         finally:
             shutil.rmtree(folder, ignore_errors=True)
 
-    def _train(self, placed: _PlacedJob, run_directory: Workspace, progress: Progress | None) -> JobResult:
+    def _train(self, placed: _PlacedJob, run_directory: RunDirectory, progress: Progress | None) -> JobResult:
         config, seeds = placed.job
         result = train(self.plant, config, seeds, run_directory, progress, force_map=self.force_map, start=placed.start)
         return JobResult(result.policies, result.evaluation, {})

@@ -19,7 +19,7 @@ from softfin.learning.configuration import TrainConfig
 from softfin.learning.policy import Policy
 from softfin.learning.run import TrainingResult
 from softfin.learning.train import train
-from softfin.storage.run_directory import Workspace
+from softfin.storage.run_directory import RunDirectory
 from softfin.task.cells import lattice
 
 
@@ -49,7 +49,7 @@ def check_refinable(config: TrainConfig, more: int) -> None:
 
 
 def train_refined(
-    plant: Plant, trained: TrainingResult, more: int, run_directory: Workspace, progress: Progress | None
+    plant: Plant, trained: TrainingResult, more: int, run_directory: RunDirectory, progress: Progress | None
 ) -> tuple[TrainingResult, tuple[int, ...]]:
     """Train a finer grid, in this process and with the same budget a policy; and the parent of each cell.
 

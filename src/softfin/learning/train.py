@@ -20,14 +20,14 @@ from softfin.learning.configuration import TrainConfig, check
 from softfin.learning.figure import SHARED
 from softfin.learning.policy import Policy
 from softfin.learning.run import TrainingResult, TrainingRun, keep_best, summary, with_keys, without_keys
-from softfin.storage.run_directory import Workspace
+from softfin.storage.run_directory import RunDirectory
 
 
 def train(
     plant: Plant,
     config: TrainConfig,
     seeds: Sequence[int],
-    run_directory: Workspace,
+    run_directory: RunDirectory,
     progress: Progress | None = None,
     force_map: ForceMap | None = None,
     start: Policy | None = None,
@@ -76,7 +76,7 @@ def pretrain_shared_policy(
     plant: Plant,
     config: TrainConfig,
     seeds: Sequence[int],
-    run_directory: Workspace,
+    run_directory: RunDirectory,
     progress: Progress | None,
     force_map: ForceMap | None,
 ) -> Policy | None:
@@ -100,7 +100,9 @@ def pretrain_shared_policy(
     return policies
 
 
-def find_map(plant: Plant, config: TrainConfig, run_directory: Workspace, progress: Progress | None) -> ForceMap | None:
+def find_map(
+    plant: Plant, config: TrainConfig, run_directory: RunDirectory, progress: Progress | None
+) -> ForceMap | None:
     """Map the forces of a fin whose policies begin as gaits, or read the map of a stopped run; None of other runs."""
     if not config.begins_as_gaits:
         return None

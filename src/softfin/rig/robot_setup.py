@@ -63,4 +63,7 @@ def find_robot(name: str) -> RobotSetup:
         ros2 = load_ros2(path)
         machine = Ros2Machine(ros2.topics)
         return RobotSetup(machine, ros2.safety, ros2.fin, ros2.settle_s, ros2.model_dump(mode="json"))
-    raise RigError(f"{name}: not a machine; give {' or '.join(LIVE)}, or one of these with :FILE")
+    raise RigError(
+        f"plant {name}: not a real fin; give {' or '.join(LIVE)}, or one of these with :FILE; softfin evaluate runs a "
+        "controller on a simulated one"
+    )

@@ -1,4 +1,4 @@
-"""The stage that judges what needs no learnt controller; as the other stages, a function of folders."""
+"""The stage that evaluates what needs no learnt controller; as the other stages, a function of folders."""
 
 from functools import partial
 from pathlib import Path
@@ -7,6 +7,7 @@ from typing import Any
 from softfin.core.plant import Plant
 from softfin.core.progress import Progress
 from softfin.evaluation.baselines.baselines import BaselinesConfig, evaluate_baselines, write_baselines
+from softfin.stages.train import name_of
 from softfin.storage import artifact as artifacts
 from softfin.storage.registry import find_plant
 
@@ -20,7 +21,7 @@ def baselines(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Judge a still fin, the best sine, an inverse model, random gaits on a plant; writes ``baselines.json`` to `out`.
+    """Evaluate a still fin, the best sine, an inverse model, random gaits; writes ``baselines.json`` to `out`.
 
     Sines and gaits are searched for in the `surrogate`, or in the plant itself.
     """
@@ -29,16 +30,12 @@ def baselines(
     moving = find_plant(plant) if isinstance(plant, str) else plant
     searched = plant if surrogate is None else surrogate
     search_in = moving if surrogate is None else find_plant(surrogate) if isinstance(surrogate, str) else surrogate
-    report = None if progress is None else partial(progress, "baselines")
+    report = (lambda *_: None) if progress is None else partial(progress, "baselines")
     found = evaluate_baselines(moving, search_in, config, report)
-    facts = {
-        "plant": _named(plant),
-        "searched_in": _named(searched),
+    metadata = {
+        "plant": name_of(plant),
+        "searched_in": name_of(searched),
         "configuration": config.model_dump(mode="json"),
         "provenance": artifacts.provenance(seed=config.seed),
     }
-    return write_baselines(found, out, facts, overwrite)
-
-
-def _named(plant: str | Plant) -> str:
-    return plant if isinstance(plant, str) else type(plant).__name__
+    return write_baselines(found, out, metadata, overwrite)

@@ -23,14 +23,14 @@ from softfin.core.randomness import key_of
 from softfin.data.collect import CollectConfig
 from softfin.data.importing.resample import held, interpolated
 from softfin.evaluation.evaluate import EvaluateConfig
-from softfin.evaluation.experiment import Recording
+from softfin.evaluation.experiment import ExperimentRecording
 from softfin.rig.loop import RealTimeController, run_controller, seconds_to_actions
 from softfin.rig.machine import Sample, Target
 from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import Guard
 from softfin.rig.session import Session
 from softfin.rig.stop import StopRequest
-from softfin.stages import offline as stages
+from softfin.stages.evaluate import evaluate
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.storage.log_file import read_log, write_log
@@ -127,7 +127,7 @@ def evaluate_live(
         session.stop_on_signals()
         with session.recording(bag):
             fin = LiveFin(session, acting, robot, progress)
-            return stages.evaluate(controller, fin, out, config, overwrite=overwrite)
+            return evaluate(controller, fin, out, config, overwrite=overwrite)
 
 
 class LiveFin:
@@ -145,7 +145,7 @@ class LiveFin:
 
     def experiments(
         self, references: Float[np.ndarray, "references *ticks 2"], seconds: int, repetitions: int
-    ) -> Recording:
+    ) -> ExperimentRecording:
         """Run every reference so many times, one after the other, each from rest."""
         self._session.activate()
         runs = []
@@ -160,7 +160,7 @@ class LiveFin:
         self._progress("evaluate", 1.0, "")
         shape = (len(references), repetitions)
         command, reading = jax.tree.map(lambda *parts: np.stack(parts).reshape(*shape, *parts[0].shape), *runs)
-        return Recording(references, command, reading)
+        return ExperimentRecording(references, command, reading)
 
     def _one(self, asked: Float[np.ndarray, "ticks 2"], seconds: int) -> tuple[Command, Reading]:
         session = self._session

@@ -12,70 +12,34 @@ from typing import Any
 import numpy as np
 import yaml
 from matplotlib.figure import Figure
-from pydantic import Field, PositiveInt, model_validator
 
-from softfin.core.choices import ReproducePreset
-from softfin.core.configuration import Configuration
 from softfin.core.errors import ArtifactError
 from softfin.core.plant import EnsemblePlant
 from softfin.core.plant_identity import identity
 from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ
-from softfin.data.collect import CollectConfig
-from softfin.evaluation.doubt import Doubt
-from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, write_evaluation
+from softfin.evaluation.evaluate import Evaluation, write_evaluation
 from softfin.evaluation.figures import experiments_figure
-from softfin.evaluation.report import write_report
+from softfin.evaluation.report import prediction_figure, write_report
 from softfin.evaluation.scores import Scores
-from softfin.learning.configuration import GRADIENT_GRID, GRADIENT_SINGLE, GRID, SINGLE, TrainConfig
-from softfin.stages import offline as stages
+from softfin.evaluation.uncertainty import SurrogateUncertainty
+from softfin.learning.figure import learning_figure
+from softfin.stages.collect import collect
+from softfin.stages.evaluate import evaluation_of
+from softfin.stages.fit import fit
+from softfin.stages.presets import CONTROLLERS, PRESETS, ReproduceConfig
+from softfin.stages.train import train as train_stage
 from softfin.storage import artifact as artifacts
-from softfin.storage.curves import learning_figure, prediction_figure
 from softfin.storage.dataset import Dataset
 from softfin.storage.registry import find_plant, is_surrogate
 from softfin.storage.run_directory import LOG, TRAINING_LOG, read_log
-from softfin.surrogate import FitConfig, StreamingConfig, load_surrogate
+from softfin.surrogate import load_surrogate
 from softfin.surrogate.compare.free_running import Segment, free_run
 
 KIND = "reproduction"
 RESULTS = "results.json"
-CONTROLLERS = ("single", "grid")
 SHOWN_S = 8
 """Length of the stretch of a test log in the report [s]."""
-
-
-class ReproduceConfig(Configuration):
-    """All stages; the defaults are the paper's data and budgets."""
-
-    collect: CollectConfig = CollectConfig()
-    """Logs of the plant; not used when the plant is a surrogate."""
-    fit: FitConfig | StreamingConfig = FitConfig()
-    """The surrogate, the paper's nets or streaming ones; not used when the plant is one."""
-    single: TrainConfig = SINGLE
-    """One controller for all references."""
-    grid: TrainConfig = GRID
-    """One policy a cell."""
-    evaluate: EvaluateConfig = EvaluateConfig(seeds=1)
-    """The experiments; each trained controller does all of them, `seeds` times."""
-    seeds: PositiveInt = Field(default=5)
-    """Controllers trained of each kind, from seeds 0, 1, ...: the intervals are over these."""
-
-    @model_validator(mode="after")
-    def _covered(self) -> "ReproduceConfig":
-        for name in ("moving", "recorded", "error_map", "random"):
-            if value := getattr(self.evaluate, name):
-                said = "a signal" if name == "recorded" else repr(value)
-                raise ValueError(
-                    f"evaluate.{name} is {said}; a reproduction judges references that stay: leave it out, and give it "
-                    "to softfin evaluate with a controller of the reproduction"
-                )
-        for reference in self.evaluate.references:
-            for kind in CONTROLLERS:
-                if all(cell.distance(reference) > 0 for cell in getattr(self, kind).cells):
-                    raise ValueError(
-                        f"evaluate.references has {reference} N, which no cell of {kind} covers; add a cell"
-                    )
-        return self
 
 
 def reproduce(
@@ -93,11 +57,11 @@ def reproduce(
     ``results.json``:
 
     ================= ================================================================================================
-    ``plant``         what the controllers were judged on; ``preset``, ``seed`` and ``seeds`` say how
+    ``plant``         plant of the evaluations; ``preset``, ``seed`` and ``seeds`` say how
     ``surrogate``     null when the plant is a surrogate, else ``scores``: Table I (see `surrogate.metrics.table_one`)
     ``controllers``   ``single`` and ``grid``, each what `evaluation.evaluate.write_evaluation` writes: per reference
                       and axis ``error_n``, ``std_n``, ``raw_std_n`` and their 95% intervals over the trained seeds
-    ``in_surrogate``  the same controllers judged in the surrogate that they were trained in; null when that is `plant`
+    ``in_surrogate``  the same controllers in the surrogate that they were trained in; null when that is `plant`
     ``wall_s``        wall-clock time of each stage, as far as it ran in this call
     ``peak_memory_gib`` of this process
     ``configuration``, ``provenance``
@@ -109,8 +73,8 @@ def reproduce(
     scores = None if is_surrogate(plant) else run.learn_surrogate()
     for kind in CONTROLLERS:
         run.stage(f"train {kind}", out / kind, partial(run.train, kind))
-    judged = run.judge(plant, "evaluation")
-    within = None if is_surrogate(plant) else run.judge(str(run.surrogate), "evaluation-in-surrogate")
+    evaluated = run.evaluate(plant, "evaluation")
+    within = None if is_surrogate(plant) else run.evaluate(str(run.surrogate), "evaluation-in-surrogate")
     results = {
         "title": "softfin: force control of a soft fin",
         "preset": run.preset,
@@ -118,7 +82,7 @@ def reproduce(
         "seed": seed,
         "seeds": config.seeds,
         "surrogate": None if scores is None else {"scores": scores},
-        "controllers": {kind: summary for kind, (summary, _) in judged.items()},
+        "controllers": {kind: summary for kind, (summary, _) in evaluated.items()},
         "in_surrogate": None if within is None else {kind: summary for kind, (summary, _) in within.items()},
         "wall_s": run.wall_s,
         "peak_memory_gib": peak_memory_gib(),
@@ -131,7 +95,7 @@ def reproduce(
         surrogate_figures=run.surrogate_figures() if scores is not None else None,
         learning_figures=run.learning_figures(),
         experiment_figures={
-            f"{kind} controller, seed {seed}": experiments_figure(e.recording) for kind, (_, e) in judged.items()
+            f"{kind} controller, seed {seed}": experiments_figure(e.recording) for kind, (_, e) in evaluated.items()
         },
     )
     # Last: it says that the run is complete.
@@ -157,13 +121,13 @@ class _Reproduction:
 
         A complete run that is to be replaced is kept beside it until this one is complete.
         """
-        facts = {
+        metadata = {
             "plant": identity(find_plant(self.plant)), "seed": self.seed,
             "configuration": self.config.model_dump(mode="json"),
         }  # fmt: skip
         if resume and artifacts.is_kind(self.out, KIND):
             before = artifacts.load_description(self.out, KIND)
-            changed = [name for name, value in facts.items() if before.get(name) != value]
+            changed = [name for name, value in metadata.items() if before.get(name) != value]
             if changed:
                 raise ArtifactError(f"{self.out}: holds a run with another {' and '.join(changed)}; resume with the "
                                     "same options, or give another --out")  # fmt: skip
@@ -173,8 +137,10 @@ class _Reproduction:
             shutil.rmtree(self.replaced, ignore_errors=True)
             self.out.rename(self.replaced)
         shutil.rmtree(self.out, ignore_errors=True)
-        artifacts.write_file(self.out / f"{KIND}.json", artifacts.dump_json(facts))
-        artifacts.write_file(self.out / "configuration.yaml", yaml.safe_dump(facts["configuration"], sort_keys=False))
+        artifacts.write_file(self.out / f"{KIND}.json", artifacts.dump_json(metadata))
+        artifacts.write_file(
+            self.out / "configuration.yaml", yaml.safe_dump(metadata["configuration"], sort_keys=False)
+        )
 
     def stage(self, name: str, result: Path, work: Callable[[], Any]) -> None:
         """Do the work unless its result stands there from before."""
@@ -188,11 +154,11 @@ class _Reproduction:
         """Collect and fit; Table I."""
         self.stage(
             "collect", self.dataset,
-            lambda: stages.collect(self.plant, self.dataset, self.settings, progress=self.progress),
+            lambda: collect(self.plant, self.dataset, self.settings, progress=self.progress),
         )  # fmt: skip
         self.stage(
             "fit", self.surrogate,
-            lambda: stages.fit(self.dataset, self.surrogate, self.config.fit, seed=self.seed, resume=True,
+            lambda: fit(self.dataset, self.surrogate, self.config.fit, seed=self.seed, resume=True,
                                ignore_errors=True, progress=self.progress),
         )  # fmt: skip
         scores: dict[str, Any] | None = artifacts.load_description(self.surrogate, "surrogate")["scores"]
@@ -201,25 +167,23 @@ class _Reproduction:
     def train(self, kind: str) -> None:
         """All seeds of one kind of controller, in one program."""
         config = getattr(self.config, kind)
-        stages.train(
-            str(self.surrogate), self.out / kind, config, seeds=self.seeds, resume=True, progress=self.progress
-        )
+        train_stage(str(self.surrogate), self.out / kind, config, seeds=self.seeds, resume=True, progress=self.progress)
 
-    def judge(self, plant: str, folder: str) -> dict[str, tuple[dict[str, Any], Evaluation]]:
+    def evaluate(self, plant: str, folder: str) -> dict[str, tuple[dict[str, Any], Evaluation]]:
         """Every seed's controller of each kind on a plant, as one evaluation over the seeds."""
-        start, judged = time.perf_counter(), {}
+        start, evaluated = time.perf_counter(), {}
         for kind in CONTROLLERS:
             each = []
             for index, seed in enumerate(self.seeds):
                 if self.progress is not None:
                     self.progress(f"evaluate {kind}", (index + 1) / len(self.seeds), plant)
                 path = self.out / kind / f"seed-{seed}" if len(self.seeds) > 1 else self.out / kind
-                each.append(stages.judged(path, plant, self.config.evaluate.model_copy(update={"seed": seed})))
+                each.append(evaluation_of(path, plant, self.config.evaluate.model_copy(update={"seed": seed})))
             whole = _together(each)
-            facts = {"controller": kind, "plant": plant, "repetitions": "controllers trained from different seeds"}
-            judged[kind] = write_evaluation(whole, self.out / folder / kind, facts, overwrite=True), whole
+            metadata = {"controller": kind, "plant": plant, "repetitions": "controllers trained from different seeds"}
+            evaluated[kind] = write_evaluation(whole, self.out / folder / kind, metadata, overwrite=True), whole
         self.wall_s[folder] = time.perf_counter() - start
-        return judged
+        return evaluated
 
     def learning_figures(self) -> dict[str, Figure]:
         """Reward over the steps, and the error of the policies without their noise."""
@@ -246,12 +210,12 @@ class _Reproduction:
         ticks = min(SHOWN_S * RATE_HZ, rows - first)
         stretch = slice(first, first + ticks)
         free = free_run(surrogate, [log], [Segment(0, first)], ticks)
-        said = {"free-running": np.asarray(free.reading.force[0])}
+        predicted = {"free-running": np.asarray(free.reading.force[0])}
         if not isinstance(surrogate, EnsemblePlant):
             behind = slice(first - surrogate.window, stretch.stop - surrogate.window)
-            said = {"given the angle": surrogate.predict_force(log, free_running=False)[behind], **said}
+            predicted = {"given the angle": surrogate.predict_force(log, free_running=False)[behind], **predicted}
         return {"Force in a test log and in the surrogate": prediction_figure(
-            np.asarray(log.reading.force[stretch]), said, first / RATE_HZ
+            np.asarray(log.reading.force[stretch]), predicted, first / RATE_HZ
         )}  # fmt: skip
 
 
@@ -259,14 +223,14 @@ def _together(each: list[Evaluation]) -> Evaluation:
     """One evaluation whose repetitions are the controllers, each the mean of its own; the recording is the first's."""
     means = [[field.mean(axis=1) for field in e.scores] for e in each]
     scores = Scores(*(np.stack(fields, axis=1) for fields in zip(*means, strict=True)))
-    doubts = [e.doubt for e in each if e.doubt is not None]
-    doubt = Doubt(
-        beyond=np.mean([each.beyond for each in doubts], axis=0),
-        furthest=np.max([each.furthest for each in doubts], axis=0),
-        half_width=np.mean([each.half_width for each in doubts], axis=0),
-    ) if doubts else None  # fmt: skip
-    warnings = tuple(dict.fromkeys(said for e in each for said in e.warnings))
-    return Evaluation(each[0].config, scores, len(each), each[0].recording, doubt, warnings)
+    estimates = [e.uncertainty for e in each if e.uncertainty is not None]
+    uncertainty = SurrogateUncertainty(
+        np.mean([estimate.out_of_distribution_fraction for estimate in estimates], axis=0),
+        np.max([estimate.furthest for estimate in estimates], axis=0),
+        np.mean([estimate.half_width for estimate in estimates], axis=0),
+    ) if estimates else None  # fmt: skip
+    warnings = tuple(dict.fromkeys(warning for e in each for warning in e.warnings))
+    return Evaluation(each[0].config, scores, len(each), each[0].recording, uncertainty, warnings)
 
 
 def _curve(log: list[dict[str, Any]], seed: int, names: tuple[str, ...]) -> tuple[list[int], list[float]]:
@@ -280,34 +244,5 @@ def peak_memory_gib() -> float:
     largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return largest / (2**30 if sys.platform == "darwin" else 2**20)
 
-
-def _shrunk(train: TrainConfig, steps: int) -> TrainConfig:
-    return train.model_copy(update={"steps": steps})
-
-
-PRESETS: dict[ReproducePreset, ReproduceConfig] = {
-    "paper": ReproduceConfig(),
-    "streaming": ReproduceConfig(fit=StreamingConfig()),
-    "best": ReproduceConfig(fit=StreamingConfig(), single=GRADIENT_SINGLE, grid=GRADIENT_GRID),
-    "demo": ReproduceConfig(
-        collect=CollectConfig(logs=20, rows=12_000),
-        fit=FitConfig(epochs=4),
-        single=_shrunk(SINGLE, 20_000),
-        grid=_shrunk(GRID, 8_000),
-        seeds=2,
-    ),
-    "tiny": ReproduceConfig(
-        collect=CollectConfig(logs=3, test_logs=1, rows=1500),
-        fit=FitConfig(epochs=1),
-        single=_shrunk(SINGLE, 960),
-        grid=_shrunk(GRID, 960),
-        evaluate=EvaluateConfig(seeds=1, seconds=6),
-        seeds=2,
-    ),
-}
-"""``paper``: the paper's full data and budgets. ``streaming``: the same with a streaming surrogate.
-``best``: that surrogate, and controllers by gradients through it.
-``demo``: a few minutes, with two thirds of the paper's steps or more.
-``tiny``: does every stage work at all?"""
 
 __all__ = ["PRESETS", "ReproduceConfig", "peak_memory_gib", "reproduce"]

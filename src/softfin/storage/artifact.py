@@ -6,7 +6,6 @@ NumPy and safetensors are imported where weights are read or written: the comman
 """
 
 import contextlib
-import errno
 import importlib.metadata
 import itertools
 import json
@@ -19,7 +18,7 @@ import tempfile
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, BinaryIO, TypeAlias
 
 from softfin.core.errors import ArtifactError, RunError
 
@@ -33,9 +32,6 @@ else:
 Weights = Mapping[str, Array]
 
 WEIGHTS = "weights.safetensors"
-
-LARGEST_JSON = 64 * 2**20
-LARGEST_WEIGHTS = 2**30
 
 KINDS = (
     "dataset", "surrogate", "controller", "controllers", "evaluation", "reproduction", "calibration", "comparison",
@@ -85,67 +81,60 @@ def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = Fa
     """
     check_vacant(path, overwrite)
     path = path.resolve()
-    beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    beside, before = (path.with_name(f".{path.name}.{os.getpid()}.{word}") for word in ("partial", "before"))
     try:
         shutil.rmtree(beside, ignore_errors=True)
         beside.mkdir(parents=True)
         write(beside)
         for place in (*beside.rglob("*"), beside):
-            _sync(place)
+            sync(place)
     except BaseException as error:
         shutil.rmtree(beside, ignore_errors=True)
         if isinstance(error, OSError):
             raise RunError(f"{path}: cannot be written ({error.strerror or error}); what was there is left") from None
         raise
-    before = path.with_name(f".{path.name}.{os.getpid()}.before")
     try:
         check_vacant(path, overwrite)
         if path.exists():
             path.rename(before)
         beside.rename(path)
-        _sync(path.parent)
+        sync(path.parent)
     except (OSError, ArtifactError) as error:
         if before.exists():
             before.rename(path)
-        kept = _unused(path, "finished")
-        beside.rename(kept)
+        names = (path.with_name(f"{path.name}.finished-{number}") for number in itertools.count(1))
+        kept = beside.rename(next(name for name in names if not name.exists()))
         reason = f"cannot be written ({error.strerror or error})" if isinstance(error, OSError) else "is in use by now"
         raise RunError(f"{path}: {reason}; the finished result is in {kept}: move it where it is wanted") from None
     shutil.rmtree(before, ignore_errors=True)
 
 
-def _unused(path: Path, word: str) -> Path:
-    names = (path.with_name(f"{path.name}.{word}-{number}") for number in itertools.count(1))
-    return next(name for name in names if not name.exists())
-
-
-def _sync(place: Path) -> None:
+def sync(place: Path) -> None:
     """Have a file or folder on the disk, so that a cut of power does not leave a name without its content."""
     descriptor = os.open(place, os.O_RDONLY)
     try:
-        os.fsync(descriptor)
-    except OSError as error:
         # Some file systems cannot do so with folders, and do it by themselves.
-        if not (place.is_dir() and error.errno in (errno.EINVAL, errno.ENOTSUP, errno.EBADF)):
-            raise
+        with contextlib.suppress(OSError) if place.is_dir() else contextlib.nullcontext():
+            os.fsync(descriptor)
     finally:
         os.close(descriptor)
 
 
-def write_file(path: Path, data: bytes | str) -> None:
-    """Write a file beside its place and, once it is on the disk, rename it into it."""
+def write_file(path: Path, data: bytes | str | Callable[[BinaryIO], None]) -> None:
+    """Write a file beside its place and, once it is on the disk, rename it; a function writes in pieces."""
     beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        beside.unlink(missing_ok=True)
-        # Never through a link that somebody put there.
-        with beside.open("xb") as file:
-            file.write(data if isinstance(data, bytes) else data.encode())
-        _sync(beside)
+        with beside.open("wb") as file:
+            if callable(data):
+                data(file)
+            else:
+                file.write(data if isinstance(data, bytes) else data.encode())
+        sync(beside)
         beside.replace(path)
-        _sync(path.parent)
+        sync(path.parent)
     except OSError as error:
-        raise RunError(f"{path}: cannot be written ({error.strerror or error})") from None
+        raise RunError(f"{path}: cannot be written ({error.strerror or error}); make room, or choose another") from None
     finally:
         with contextlib.suppress(OSError):
             beside.unlink()
@@ -156,17 +145,17 @@ def save(
     kind: str,
     description: Mapping[str, Any],
     weights: Weights,
-    also: Callable[[Path], None] | None = None,
+    extra_files: Callable[[Path], None] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write ``KIND.json``, the weights and what `also` adds as one folder; likewise."""
+    """Write ``KIND.json``, the weights and what `extra_files` adds as one folder, by `write_folder`."""
 
     def write(folder: Path) -> None:
         # Bytes through Path: safetensors' own writer hides a full disk, and makes files that others cannot read.
         (folder / WEIGHTS).write_bytes(encode(weights))
         (folder / f"{kind}.json").write_text(dump_json(description))
-        if also is not None:
-            also(folder)
+        if extra_files is not None:
+            extra_files(folder)
 
     write_folder(path, write, overwrite)
 
@@ -248,11 +237,11 @@ def plain(value: Any) -> Any:
     return plain(value.tolist()) if hasattr(value, "tolist") else str(value)
 
 
-def provenance(**facts: Any) -> dict[str, Any]:
-    """Where an artifact comes from: the given facts, versions, git commit, time."""
+def provenance(**metadata: Any) -> dict[str, Any]:
+    """Where an artifact comes from: the given metadata, versions, git commit, time."""
     return {
-        **facts,
-        "softfin": importlib.metadata.version("softfin"),
+        **metadata,
+        "softfin": _version("softfin"),
         "jax": _version("jax"),
         "numpy": _version("numpy"),
         "python": platform.python_version(),
@@ -271,16 +260,14 @@ def _version(package: str) -> str | None:
 
 def _git_commit() -> str | None:
     """Return the commit of softfin's checkout, with ``+`` when it has uncommitted changes; None outside a checkout."""
-
-    def git(*words: str) -> str:
-        run = subprocess.run(
-            ["git", *words], cwd=Path(__file__).parent, capture_output=True, text=True, check=True, timeout=5
-        )
-        return run.stdout.strip()
-
+    # An environment inside somebody's repository is not a checkout of softfin: there git does not list this file.
+    listed = ("ls-files", "--error-unmatch", Path(__file__).name)
+    described = ("describe", "--always", "--dirty=+", "--abbrev=12", "--exclude=*")
     try:
-        # An environment inside somebody's repository is no checkout of softfin.
-        git("ls-files", "--error-unmatch", Path(__file__).name)
-        return git("describe", "--always", "--dirty=+", "--abbrev=12", "--exclude=*") or None
+        for words in (listed, described):
+            output = subprocess.check_output(
+                ["git", *words], cwd=Path(__file__).parent, stderr=subprocess.DEVNULL, text=True, timeout=5
+            )
+        return output.strip() or None
     except (OSError, subprocess.SubprocessError):
         return None

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from softfin.core.errors import ArtifactError
-from softfin.core.files import regular_file
 from softfin.core.quantities import RATE_HZ, Log
 from softfin.storage import artifact as artifacts
 from softfin.storage.log_file import encode_log, read_log
@@ -68,11 +67,10 @@ def write_dataset(
 
 def _hash_files(path: Path) -> dict[str, str]:
     """SHA-256 of each log by its name within the folder, in order."""
-    files = sorted(file for part in PARTS for file in (path / part).glob("*.parquet"))
     hashes = {}
-    for file in files:
+    for file in sorted(file for part in PARTS for file in (path / part).glob("*.parquet")):
         try:
-            with regular_file(file).open("rb") as content:
+            with file.open("rb") as content:
                 hashes[file.relative_to(path).as_posix()] = hashlib.file_digest(content, "sha256").hexdigest()
         except OSError as error:
             raise ArtifactError(f"{file}: cannot be read ({error.strerror}); copy it again") from None
@@ -89,11 +87,10 @@ def _check_files(path: Path, listed: Any, found: dict[str, str]) -> None:
         return
     if not isinstance(listed, dict):
         raise ArtifactError(f"{path / 'dataset.json'}: 'files' must map names to hashes; take it out to list nothing")
-    way_out = "copy the dataset again, or take 'files' out of its dataset.json to take the logs as they are"
     for name in sorted(listed.keys() | found.keys()):
-        if name not in found:
-            raise ArtifactError(f"{path / name}: missing, though dataset.json lists it; {way_out}")
-        if name not in listed:
-            raise ArtifactError(f"{path / name}: not among the files that dataset.json lists; {way_out}")
-        if listed[name] != found[name]:
-            raise ArtifactError(f"{path / name}: truncated or changed since dataset.json was written; {way_out}")
+        if listed.get(name) != found.get(name):
+            what = "missing" if name not in found else "new" if name not in listed else "truncated or changed"
+            raise ArtifactError(
+                f"{path / name}: {what} since dataset.json was written; copy the dataset again, or take 'files' out of "
+                "its dataset.json to take the logs as they are"
+            )

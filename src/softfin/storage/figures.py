@@ -1,4 +1,4 @@
-"""One look for all figures, and what writes them: readable in grey and by the colour-blind, no global state kept.
+"""Style and files of all figures: readable in grey and by the colour-blind; no global state is kept.
 
 Colours: Okabe and Ito's palette (2008), in an order that also differs in lightness.
 """
@@ -12,7 +12,6 @@ from typing import Any
 import matplotlib
 from matplotlib.figure import Figure
 
-from softfin.core.errors import ConfigurationError
 from softfin.storage import artifact as artifacts
 
 BLUE, ORANGE, GREEN, BLACK, GREY = "#0072B2", "#E69F00", "#009E73", "#1A1A1A", "#767676"
@@ -40,24 +39,22 @@ STYLE: Any = {
 
 
 def new_figure(width_in: int | float, height_in: int | float) -> Figure:
-    """An empty figure that lays itself out; draw within `styled`."""
+    """Return an empty figure that lays itself out; draw within `styled`."""
     return Figure(figsize=(width_in, height_in), layout="constrained")
 
 
 def styled() -> Any:
-    """The context in which figures are drawn and saved."""
+    """Return the context in which figures are drawn and saved."""
     return matplotlib.rc_context(STYLE)
 
 
-def save(figure: Figure, path: Path) -> None:
-    """Write a figure as ``.svg`` or ``.png``, by the name."""
-    if path.suffix not in (".svg", ".png"):
-        raise ConfigurationError(f"{path}: a figure is written as .svg or .png; name it so")
-    artifacts.write_file(path, render(figure, path.suffix[1:]))
+def save_figure(figure: Figure, folder: Path, name: str, formats: tuple[str, ...] = ("svg", "png")) -> None:
+    """Write a figure as ``NAME.svg`` and ``NAME.png``; the same figure gives the same bytes."""
+    for kind in formats:
+        artifacts.write_file(folder / f"{name}.{kind}", _render(figure, kind))
 
 
-def render(figure: Figure, kind: str, transparent: bool = False) -> bytes:
-    """The bytes of a figure's file, ``svg`` or ``png``; the same figure gives the same bytes."""
+def _render(figure: Figure, kind: str, transparent: bool = False) -> bytes:
     buffer = io.BytesIO()
     with styled():
         metadata = {"Date": None} if kind == "svg" else {"Software": None}
@@ -66,8 +63,8 @@ def render(figure: Figure, kind: str, transparent: bool = False) -> bytes:
 
 
 def inline_svg(figure: Figure, name: str) -> str:
-    """As an ``<svg>`` element for a page; no two elements share an id where their names or contents differ."""
-    text = render(figure, "svg", transparent=True).decode()
+    """Return an ``<svg>`` element for a page; no two share an id where their names or contents differ."""
+    text = _render(figure, "svg", transparent=True).decode()
     text = text[text.index("<svg") :]
     prefix = "f" + hashlib.sha256(f"{name}\n{text}".encode()).hexdigest()[:10]
     text = re.sub(r'\bid="([^"]+)"', rf'id="{prefix}-\1"', text)
@@ -75,3 +72,8 @@ def inline_svg(figure: Figure, name: str) -> str:
     text = re.sub(r"url\(#([^)]+)\)", rf"url(#{prefix}-\1)", text)
     # A hundredth of a point is finer than any screen; half the bytes.
     return re.sub(r' d="[^"]+"', lambda path: re.sub(r"(\d\.\d\d)\d+", r"\1", path.group()), text)
+
+
+def with_minus_signs(text: str) -> str:
+    """Replace hyphens by minus signs, in texts whose only hyphens are those."""
+    return text.replace("-", "\N{MINUS SIGN}")

@@ -3,7 +3,6 @@
 A Log goes in and the same Log comes out; a log that cannot be used for training raises a LogError with place and cause.
 """
 
-import difflib
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,6 @@ from numpy.typing import NDArray
 from softfin.core.errors import LogError
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Log, Reading
 from softfin.storage import artifact as artifacts
-from softfin.storage.parquet_file import damaged, open_parquet
 
 SCHEMA = pa.schema(
     [
@@ -113,41 +111,30 @@ def _count(number: int) -> str:
     return "the only one" if number == 1 else f"the first of {number}"
 
 
-def _read_columns(path: Path) -> Columns:
-    file = open_parquet(path)
-    _check_names(file.schema_arrow.names, path)
+def read_parquet(path: Path) -> pa.Table:
+    """Read a Parquet file of any origin; raises LogError where it is damaged."""
     try:
-        with file:
-            table = file.read()
-    except (pa.ArrowException, OSError) as error:
-        raise damaged(path, error) from None
-    return {field.name: _values(table, field, path) for field in SCHEMA}
+        with path.open("rb") as file:
+            table = pq.ParquetFile(file, page_checksum_verification=True).read()
+        # Arrow decodes the names of columns only when they are asked for.
+        _ = table.schema.names
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        if isinstance(error, OSError) and error.strerror:
+            raise LogError(f"{path}: cannot be read ({error.strerror}); give the path of a Parquet file") from None
+        reason = " ".join(str(error).split())[:500] or type(error).__name__
+        raise LogError(f"{path}: truncated, or not a Parquet file ({reason}); copy it again") from None
+    return table
 
 
-def _check_names(names: list[str], path: Path) -> None:
-    allowed = f"a log has {', '.join(SCHEMA.names)}"
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise LogError(f"{path}: column {twice!r} is there twice; {allowed}")
-    unknown = [name for name in names if name not in SCHEMA.names]
-    missing = next((name for name in SCHEMA.names if name not in names), None)
-    if missing is not None:
-        near = difflib.get_close_matches(missing, unknown, n=1)
-        hint = f"rename {near[0]!r} to it; " if near else ""
-        raise LogError(f"{path}: column {missing!r} is missing; {hint}{allowed}")
-    if unknown:
-        raise LogError(f"{path}: unknown column {unknown[0]!r}; remove it; {allowed}")
-
-
-def _values(table: pa.Table, field: pa.Field, path: Path) -> NDArray[np.floating]:
-    column = table.column(field.name)
-    if column.type != field.type:
-        raise LogError(f"{path}: column {field.name} is {column.type}, must be {field.type}; cast it")
-    if column.null_count:
-        row = column.is_null().index(True).as_py()
-        raise LogError(
-            f"{path}: row {row}, column {field.name}: no value ({_count(column.null_count)} in this column); "
-            "cut these rows off, or split the log around them"
-        )
-    values: NDArray[np.floating] = column.to_numpy()
-    return values
+def _read_columns(path: Path) -> Columns:
+    table = read_parquet(path)
+    names = table.schema.names
+    missing = [name for name in SCHEMA.names if name not in names]
+    excess = [name for name in names if name not in SCHEMA.names or names.count(name) > 1]
+    for column, fix in [(missing, "is missing"), (excess, "must not be there, or only once")]:
+        if column:
+            raise LogError(f"{path}: column {column[0]!r} {fix}; it has {names}; a log has {', '.join(SCHEMA.names)}")
+    for field in SCHEMA:
+        if (kind := table.schema.field(field.name).type) != field.type:
+            raise LogError(f"{path}: column {field.name} is {kind}, must be {field.type}; cast it")
+    return {name: table.column(name).to_numpy() for name in SCHEMA.names}

@@ -1,14 +1,11 @@
 """Files and folders that a user names, looked at before any work; without NumPy and JAX, so a slip is told at once."""
 
-import errno
-import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
 from softfin.core.errors import ArtifactError, ConfigurationError, LogError, RigError, SoftfinError
-from softfin.core.files import regular_file
 from softfin.storage import artifact as artifacts
 
 CSV = (".csv", ".tsv", ".txt")
@@ -32,8 +29,8 @@ def check_readable(
 ) -> None:
     """Raise an `error` unless there is a file that may be read."""
     try:
-        if not os.access(regular_file(path), os.R_OK):
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        with path.open("rb"):
+            pass
     except OSError as problem:
         raise error(f"{option}{path}: cannot be read ({problem.strerror or problem}){hint}") from None
 
@@ -54,7 +51,7 @@ def find_recordings(path: Path) -> list[Path]:
 
 
 def _walk(path: Path, within: tuple[Path, ...]) -> Iterator[Path]:
-    """Recordings below; pipes and devices are none, nor is a folder within itself by a link."""
+    """Recordings below, not those of a folder that lies within itself by a link."""
     if path.is_file() or is_bag(path):
         if is_bag(path) or path.suffix.lower() in (*CSV, *PARQUET):
             yield path

@@ -1,8 +1,7 @@
 """Work in progress beside its output: a folder ``.NAME.unfinished`` with the last checkpoint and the training log.
 
-A checkpoint is one safetensors file: a pytree of arrays, each by its path, and the facts that go with it as JSON in its
-metadata, the versions that wrote it among them; never pickle. It is replaced in one rename, so a kill at any moment
-leaves the one before or the new one.
+A checkpoint is one safetensors file: a pytree of arrays, each by its path, and metadata as JSON, with the versions that
+wrote it. It is replaced in one rename, so a kill at any moment leaves the one before or the new one.
 """
 
 import copy
@@ -31,7 +30,7 @@ RUN = "run.json"
 LOG = "log.jsonl"
 
 
-class Workspace:
+class RunDirectory:
     """The unfinished work of one output folder."""
 
     def __init__(self, out: Path, fingerprint: dict[str, Any], resume: bool = False, overwrite: bool = False) -> None:
@@ -59,7 +58,7 @@ class Workspace:
         found = sorted(self.folder.rglob(CHECKPOINT))
         if resume:
             for path in found:
-                self._facts(path)
+                self._metadata(path)
         elif self.folder.exists():
             if not overwrite and found:
                 raise ArtifactError(
@@ -67,17 +66,17 @@ class Workspace:
                 )
             shutil.rmtree(self.folder)
 
-    def part(self, name: str) -> "Workspace":
+    def part(self, name: str) -> "RunDirectory":
         """A folder within this one, for a part of the run that has checkpoints of its own."""
         inner = copy.copy(self)
         inner.folder = self.folder / name
         return inner
 
-    def save(self, tree: Any, facts: dict[str, Any]) -> None:
+    def save(self, tree: Any, metadata: dict[str, Any]) -> None:
         """Replace the checkpoint."""
         leaves = {name: np.asarray(leaf) for name, leaf in _named(tree)[0].items()}
-        metadata = {"facts": json.dumps({"software": _software(), "fingerprint": self.fingerprint, **facts})}
-        artifacts.write_file(self.folder / CHECKPOINT, artifacts.encode(leaves, metadata))
+        whole = {"software": _software(), "fingerprint": self.fingerprint, **metadata}
+        artifacts.write_file(self.folder / CHECKPOINT, artifacts.encode(leaves, {"facts": json.dumps(whole)}))
 
     def load(self, like: Tree) -> tuple[Tree, dict[str, Any]] | None:
         """The last checkpoint, in the structure of `like`; None where there is none yet.
@@ -88,7 +87,7 @@ class Workspace:
         path = self.folder / CHECKPOINT
         if not path.exists():
             return None
-        facts = self._facts(path)
+        metadata = self._metadata(path)
         with _reading(path), safetensors.safe_open(path, "numpy") as file:
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         expected, structure = _named(like)
@@ -99,13 +98,13 @@ class Workspace:
                     f"{path}: does not fit this training state ({name} is {there} there and {here} here); start anew "
                     "with --overwrite"
                 )
-        return jax.tree.unflatten(structure, [jnp.asarray(arrays[name]) for name in expected]), facts
+        return jax.tree.unflatten(structure, [jnp.asarray(arrays[name]) for name in expected]), metadata
 
-    def _facts(self, path: Path) -> dict[str, Any]:
+    def _metadata(self, path: Path) -> dict[str, Any]:
         """Read the metadata of a checkpoint, which must belong to this run."""
         with _reading(path), safetensors.safe_open(path, "numpy") as file:
-            facts: dict[str, Any] = json.loads(file.metadata()["facts"])
-            before, software = facts.pop("fingerprint", None), facts.pop("software", "an older softfin")
+            metadata: dict[str, Any] = json.loads(file.metadata()["facts"])
+            before, software = metadata.pop("fingerprint", None), metadata.pop("software", "an older softfin")
         if software != _software():
             raise ArtifactError(
                 f"{path}: was written by {software}, and this is {_software()}; resume with that, or --overwrite"
@@ -115,7 +114,7 @@ class Workspace:
             raise ArtifactError(
                 f"{path}: is of another run ({differing}); resume with the same options, or --overwrite"
             )
-        return facts
+        return metadata
 
     def log(self, rewind_to: int | None = None) -> "RunLog":
         """The training log; on resuming, entries beyond step `rewind_to` are dropped, because they will come again."""

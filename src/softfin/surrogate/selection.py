@@ -9,7 +9,7 @@ from softfin.core.configuration import Configuration
 from softfin.core.errors import LogError
 from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ, Log
-from softfin.storage.run_directory import Workspace
+from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate.compare.free_running import free_run, segments_of, take
 from softfin.surrogate.compare.metrics import rms
 from softfin.surrogate.paper.fit import FitConfig, fit, split
@@ -38,7 +38,7 @@ def fit_any(
     logs: Sequence[Log],
     config: FitConfig | StreamingConfig | AutoConfig,
     seed: int,
-    run_directory: Workspace,
+    run_directory: RunDirectory,
     progress: Progress | None = None,
 ) -> tuple[AnySurrogate, dict[str, Any] | None]:
     """Fit the model of the configuration; of both candidates the better, with the evidence for it (else None).

@@ -35,7 +35,7 @@ def save_surrogate(
         "format": FORMAT,
         "model": surrogate.model,
         "rate_hz": RATE_HZ,
-        "limits": surrogate.limits.described(),
+        "limits": surrogate.limits.to_dict(),
         **entries,
         "scores": scores,
         **metadata,
@@ -58,7 +58,7 @@ def load_surrogate(path: Path) -> AnySurrogate:
     try:
         surrogate = MODELS[model].from_files(description, weights, source)
         # Those of the paper's nets follow from the scaling.
-        Limits.of(surrogate.limits.described(), one_velocity=True)
+        Limits.of(surrogate.limits.to_dict(), one_velocity=True)
         return surrogate
     except ConfigurationError as error:
         raise ArtifactError(f"{error}; this softfin has no such nets, so fit it again") from None

@@ -31,7 +31,7 @@ class Motion(NamedTuple):
     turning: PerPlate
 
     def less(self, other: "Motion") -> "Motion":
-        """Relative to another motion of the same plates."""
+        """Return the motion relative to another one of the same plates."""
         return Motion(self.normal - other.normal, self.along - other.along, self.turning - other.turning)
 
 
@@ -64,7 +64,7 @@ class Moments(NamedTuple):
         )
 
     def times(self, motion: Motion) -> Wrench:
-        """The momentum of that motion, or the force that resists it."""
+        """Return the momentum of that motion, or the force that resists it."""
         return Wrench(
             self.zeroth * motion.normal + self.first * motion.turning,
             self.along * motion.along,

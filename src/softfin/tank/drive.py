@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import TICK_S, Command
 from softfin.tank.fin import Shaft
-from softfin.tank.sampling import to_multiple
+from softfin.tank.sampling import arrays_of, to_multiple
 
 DEAD_TICKS = 20
 """Longest dead time, in ticks of 10 ms."""
@@ -61,9 +61,9 @@ class DriveState(NamedTuple):
     """State of the profile and of the motor, and the commands on their way."""
 
     profile_angle: Float[Array, ""]
-    """[rad]"""
+    """Angle of the profile [rad]."""
     profile_velocity: Float[Array, ""]
-    """[rad/s]"""
+    """Angular velocity of the profile [rad/s]."""
     angle: Float[Array, ""]
     """Angle of the motor [rad]."""
     rate: Float[Array, ""]
@@ -75,7 +75,7 @@ class DriveState(NamedTuple):
 
 
 class Drive(eqx.Module):
-    """What a step needs to know of the drive."""
+    """Parameters of the drive as arrays."""
 
     acceleration: Float[Array, ""]
     dead_time: Float[Array, ""]
@@ -87,35 +87,31 @@ class Drive(eqx.Module):
     encoder_step: Float[Array, ""]
 
     def __init__(self, config: DriveConfig):
-        self.acceleration = jnp.asarray(config.acceleration_rad_s2, float)
-        self.dead_time = jnp.asarray(config.dead_time_s, float)
-        self.lag = jnp.asarray(config.lag_s, float)
-        self.stiffness = jnp.asarray(config.stiffness_nm_rad, float)
-        self.inertia = jnp.asarray(config.inertia_kg_m2, float)
-        self.torque_limit = jnp.asarray(config.torque_limit_nm, float)
-        self.backlash = jnp.asarray(config.backlash_rad, float)
-        self.encoder_step = jnp.asarray(config.encoder_step_rad, float)
+        (
+            self.acceleration, self.dead_time, self.lag, self.stiffness, self.inertia, self.torque_limit,
+            self.backlash, self.encoder_step,
+        ) = arrays_of(config, without=("slowest_rad_s", "fastest_rad_s"))  # fmt: skip
 
     def rest(self) -> DriveState:
-        """At angle 0, still, and told to stay there."""
+        """Return the state at rest at angle 0, commanded to stay there."""
         zero = jnp.zeros_like(self.lag)
         waiting = jnp.zeros(DEAD_TICKS, zero.dtype)
         return DriveState(zero, zero, zero, zero, zero, Command(waiting, waiting))
 
     def receive(self, state: DriveState, command: Command) -> tuple[DriveState, Command]:
-        """A command that is issued now; out comes the one that the profile obeys for the next tick."""
+        """Take the command that is issued now; return the one that the profile obeys for the next tick, too."""
         queue = Command(*(jnp.append(new, old) for new, old in zip(command, state.waiting, strict=True)))
         waiting = Command(*(channel[:-1] for channel in queue))
         return state._replace(waiting=waiting), delayed(queue, self.dead_time / TICK_S)
 
     def plan(self, state: DriveState, command: Command, seconds: float) -> DriveState:
-        """With the profile a step of time further under a command."""
+        """Return the state with the profile a step of time further under a command."""
         velocity = next_velocity(state.profile_angle, state.profile_velocity, command, self.acceleration, seconds)
         mean = (velocity + state.profile_velocity) / 2
         return state._replace(profile_angle=state.profile_angle + seconds * mean, profile_velocity=velocity)
 
     def shaft(self, before: DriveState, planned: DriveState, seconds: float) -> Shaft:
-        """What the fin hangs on while the profile goes from one state to the next."""
+        """Return the shaft on which the fin hangs while the profile goes from one state to the next."""
         half = seconds / 2
         pull, grip, rotor = self._servo(before, planned, half)
 
@@ -128,13 +124,13 @@ class Drive(eqx.Module):
         return Shaft(before.angle, self.backlash, turn)
 
     def follow(self, before: DriveState, planned: DriveState, mean: Float[Array, ""], seconds: float) -> DriveState:
-        """The state after a step in which the motor turned at that mean rate [rad/s]."""
+        """Return the state after a step in which the motor turned at that mean rate [rad/s]."""
         pull, grip, _ = self._servo(before, planned, seconds / 2)
         torque = jnp.clip(pull - grip * mean, -self.torque_limit, self.torque_limit)
         return planned._replace(angle=before.angle + seconds * mean, rate=2 * mean - before.rate, torque=torque)
 
     def read(self, state: DriveState) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """What the encoder says: angle [rad] and velocity [rad/s]."""
+        """Return the readings of the encoder: angle [rad] and velocity [rad/s]."""
         return to_multiple(state.angle, self.encoder_step), state.rate
 
     def _servo(
@@ -158,7 +154,7 @@ def next_velocity(
     acceleration: Float[Array, ""],
     seconds: float,
 ) -> Float[Array, ""]:
-    """The fastest velocity from which the profile, in steps of time, still stops at the target without overshoot."""
+    """Return the fastest velocity from which the profile, in steps of time, stops at the target without overshoot."""
     ahead = command.angle - angle - seconds * velocity / 2
     gain = acceleration * seconds
     braking = jnp.sqrt((gain / 2) ** 2 + 2 * acceleration * jnp.abs(ahead)) - gain / 2
@@ -168,7 +164,7 @@ def next_velocity(
 
 
 def delayed(commands: Command, delay: Float[Array, ""]) -> Command:
-    """The command of `delay` ticks ago among the last ones, newest first.
+    """Return the command of `delay` ticks ago among the last ones, newest first.
 
     A delay between whole ticks is a mean of the two commands beside it, so that it has a derivative.
     """

@@ -26,13 +26,13 @@ class FinState(NamedTuple):
     """State of the plates."""
 
     angles: PerPlate
-    """Absolute [rad]."""
+    """Absolute angle of each plate [rad]."""
     rates: PerPlate
-    """[rad/s]"""
+    """Angular velocity of each plate [rad/s]."""
     accelerations: PerPlate
-    """In the last step [rad/s2]."""
+    """Accelerations in the last step [rad/s2]."""
     earlier: PerPlate
-    """In the step before that [rad/s2]."""
+    """Accelerations in the step before that [rad/s2]."""
 
 
 Turn = Callable[[Float[Array, ""], Float[Array, ""]], Float[Array, ""]]
@@ -43,11 +43,11 @@ class Shaft(NamedTuple):
     """What the fin hangs on, at the start of a step."""
 
     angle: Float[Array, ""]
-    """[rad]"""
+    """Angle of the shaft [rad]."""
     play: Float[Array, ""]
     """Angle over which the joint between shaft and fin transmits nothing [rad]: the gearbox's backlash."""
     turn: Turn
-    """Its mean rate over the step, by the moment with which the fin loads it."""
+    """Mean rate of the shaft over the step, by the moment with which the fin loads it."""
 
 
 Loads = Callable[[Motion], tuple[Moments, Wrench]]
@@ -65,7 +65,7 @@ class Surroundings(NamedTuple):
 
 
 class Fin(eqx.Module):
-    """What a step needs to know of the fin."""
+    """Plates and joints of the fin as arrays."""
 
     plate_length: Float[Array, ""]
     stiffness: PerPlate
@@ -75,7 +75,7 @@ class Fin(eqx.Module):
     inertia: Moments
     """Inertia of the fin itself, without the water [kg, kg m, kg m2]."""
     thickness: Float[Array, " points"]
-    """At the shaft and the outer end of each plate [m]: not needed for motion, but to be seen."""
+    """Thickness at the shaft and the outer end of each plate [m]: not needed for motion, only to be drawn."""
 
     def __init__(self, config: FinConfig):
         plate = config.length_m / config.plates
@@ -90,7 +90,7 @@ class Fin(eqx.Module):
         self.thickness = jnp.asarray(config.thickness(np.arange(config.plates + 1) * plate))
 
     def scaled(self, stiffness: Scale = 1.0, length: Scale = 1.0, thickness: Scale = 1.0) -> "Fin":
-        """Another casting of the same fin, its bracket in proportion; damping keeps its time."""
+        """Return another casting of the same fin, its bracket in proportion; damping keeps its time."""
         bending = stiffness * thickness**3 / length
         changed: Fin = eqx.tree_at(
             lambda fin: (fin.plate_length, fin.stiffness, fin.damping, fin.inertia, fin.thickness),
@@ -106,11 +106,11 @@ class Fin(eqx.Module):
         return changed
 
     def rest(self) -> FinState:
-        """Straight along angle 0, still."""
+        """Return the state straight along angle 0, still."""
         return FinState(*(jnp.zeros_like(self.stiffness) for _ in FinState._fields))
 
     def shape(self, state: FinState) -> Float[Array, "points 2"]:
-        """The shaft and the outer end of each plate, in the axes of the tank [m]."""
+        """Return the shaft and the outer end of each plate, in the axes of the tank [m]."""
         plates = self.plate_length * jnp.stack([-jnp.cos(state.angles), jnp.sin(state.angles)], axis=-1)
         return jnp.concatenate([jnp.zeros((1, 2), plates.dtype), jnp.cumsum(plates, axis=0)])
 
@@ -126,7 +126,7 @@ class Fin(eqx.Module):
         )
 
     def energy(self, state: FinState, shaft_angle: Float[Array, ""], inertia: Moments) -> Float[Array, ""]:
-        """Kinetic and elastic [J], in still water and without play."""
+        """Return the kinetic and elastic energy [J], in still water and without play."""
         motion = self._motion(state)
         momentum = inertia.times(motion)
         kinetic = sum((p * v).sum() for p, v in zip(momentum, motion, strict=True)) / 2
@@ -134,7 +134,7 @@ class Fin(eqx.Module):
         return kinetic + (self.stiffness * bends**2).sum() / 2
 
     def frequencies(self, inertia: Moments) -> NDArray[np.floating[Any]]:
-        """Natural frequencies about straight with that inertia, clamped and undamped, lowest first [rad/s]."""
+        """Return natural frequencies about straight with that inertia, clamped and undamped, lowest first [rad/s]."""
         mass, stiffness = _vibrating(self.plate_length, self.stiffness, inertia)
         factor = np.linalg.inv(np.linalg.cholesky(mass))
         return np.sqrt(np.linalg.eigvalsh(factor @ stiffness @ factor.T))
@@ -142,7 +142,7 @@ class Fin(eqx.Module):
     def step(
         self, state: FinState, shaft: Shaft, around: Surroundings, seconds: float
     ) -> tuple[FinState, Float[Array, ""], Float[Array, "2"]]:
-        """One step of time; also the mean rate of the shaft in it [rad/s] and the mean force of the loads [N]."""
+        """Take one step of time; return also the shaft's mean rate in it [rad/s] and the loads' mean force [N]."""
         half = seconds / 2
         # The midpoint rule leaves stiff modes ringing from step to step; over two steps their accelerations cancel.
         predicted = state.rates + half * (state.accelerations + state.earlier) / 2
@@ -186,14 +186,14 @@ class Fin(eqx.Module):
 
 
 class Joint(NamedTuple):
-    """Between the shaft and the first plate."""
+    """Joint between the shaft and the first plate."""
 
     stiffness: Float[Array, ""]
-    """[N m/rad]"""
+    """Stiffness of the joint [N m/rad]."""
     grip: Float[Array, ""]
-    """What it transmits in a step of their relative rate, where it is tight [N m s2/rad]."""
+    """Angular impulse over relative rate in a step, where the joint is tight [N m s2/rad]."""
     bend: Float[Array, ""]
-    """At the start of the step [rad]."""
+    """Bend of the joint at the start of the step [rad]."""
 
 
 def _held(
@@ -225,7 +225,7 @@ def _held(
 def _vibrating(
     plate_length: Float[Array, ""], stiffness: PerPlate, inertia: Moments
 ) -> tuple[Float[Array, "plates plates"], Float[Array, "plates plates"]]:
-    """Mass and stiffness about straight, clamped."""
+    """Mass and stiffness matrices about straight, clamped."""
     straight = chain.pose(jnp.zeros_like(stiffness), plate_length)
     return chain.matrix(straight, inertia), _joint_matrix(stiffness).at[0, 0].add(stiffness[0])
 

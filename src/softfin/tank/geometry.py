@@ -26,15 +26,15 @@ class FinConfig(Configuration):
     root_length_m: float = Field(0.0195, ge=0)
     """Length of the aluminium bracket that stiffens the root, from the shaft [m]."""
     span_m: float = Field(0.081, gt=0)
-    """Across the plane of beating, at the shaft [m]."""
+    """Span across the plane of beating, at the shaft [m]."""
     tip_span_ratio: float = Field(1.0, gt=0)
     """Span at the tip over that at the shaft [-]."""
     root_thickness_m: float = Field(0.019, gt=0)
-    """At the shaft [m]."""
+    """Thickness at the shaft [m]."""
     tip_thickness_ratio: float = Field(1.0, gt=0)
     """Thickness at the tip over that at the shaft [-]."""
     youngs_modulus_pa: float = Field(2.72e6, gt=0)
-    """In bending [Pa]; from the silicone's hardness, Shore A 22, one expects 0.8e6 (Gent 1958), 1.1e6 in a plate."""
+    """Young's modulus in bending [Pa]; by the hardness, Shore A 22, 0.8e6 (Gent 1958), 1.1e6 in a plate."""
     density_kg_m3: float = Field(1150.0, gt=0)
     """Density of the silicone [kg/m3]; addition silicones have 1050 to 1200."""
     damping_s: float = Field(0.0273, ge=0)
@@ -75,7 +75,7 @@ def plate_moments(
 def compliance(config: FinConfig) -> NDArray[np.floating[Any]]:
     """Return the compliance of each joint [rad/(N m)]: the beam's, from the middle of one plate to that of the next.
 
-    The joints bend where their plates meet, the beam all along between. So each piece of beam counts by the work that a
+    The joints bend where their plates meet, the beam all along between. So each part of beam counts by the work that a
     load on the tip does in bending it, which makes the deflection under such a load that of the beam, however few the
     plates.
     """

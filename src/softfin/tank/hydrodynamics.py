@@ -69,7 +69,7 @@ GAUSS = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)
 
 
 class Flow(NamedTuple):
-    """What the fin has left in the water."""
+    """Motion that the fin has left in the water."""
 
     stream: Float[Array, "2"]
     """Velocity of the water round the fin, (x, y) [m/s]."""
@@ -80,11 +80,11 @@ class Flow(NamedTuple):
 
 
 class Water(eqx.Module):
-    """What a step needs to know of the water, per length of each plate."""
+    """Loads of the water as arrays, per length of each plate."""
 
     plate_length: Float[Array, ""]
     temperature: Float[Array, ""]
-    """[degrees Celsius]"""
+    """Temperature of the water [degrees Celsius]."""
     inertia: Moments
     """Added mass of each plate [kg, kg m, kg m2]."""
     drag: Float[Array, "2 plates"]
@@ -94,7 +94,7 @@ class Water(eqx.Module):
     tip: PerPlate
     """Added mass per length at the outer end of each plate where water leaves the fin: zero but for the last [kg/m]."""
     span: PerPlate
-    """At the middle of each plate [m]."""
+    """Span at the middle of each plate [m]."""
     drag_exponent: Float[Array, ""]
     wake_memory: Float[Array, ""]
     """[s]"""
@@ -132,7 +132,7 @@ class Water(eqx.Module):
         return changed
 
     def scaled(self, added_mass: Scale = 1.0, drag: Scale = 1.0, friction: Scale = 1.0, length: Scale = 1.0) -> "Water":
-        """With its loads multiplied, and round a longer fin; the tip goes with the added mass."""
+        """Return the water with its loads multiplied, round a longer fin; the tip goes with the added mass."""
         changed: Water = eqx.tree_at(
             lambda water: (water.plate_length, water.inertia, water.tip, water.drag, water.friction),
             self,
@@ -147,19 +147,19 @@ class Water(eqx.Module):
         return changed
 
     def rest(self) -> Flow:
-        """Still water, undisturbed."""
+        """Return the flow of still water."""
         zero = jnp.zeros_like(self.span)
         return Flow(jnp.zeros(2, zero.dtype), zero, zero)
 
     def around(self, flow: Flow) -> Surroundings:
-        """What the fin moves in while the flow is such."""
+        """Return what the fin moves in while the flow is such."""
         # 2 pi amplitude / span, for the amplitude of a sine with that mean square.
         number = jnp.sqrt(8 * jnp.pi**2 * flow.square / self.span**2 + LEAST_STROKE**2) / REFERENCE_STROKE
         drag = self.drag * number**-self.drag_exponent
         return Surroundings(self.inertia, flow.stream, lambda motion: self._loads(motion, drag))
 
     def stirred(self, flow: Flow, motion: Motion, force: Float[Array, "2"]) -> Flow:
-        """The flow a tick later, where the plates moved so relative to it and the mean of its loads was `force` [N]."""
+        """Return the flow a tick after the plates moved so relative to it, under the mean force of its loads [N]."""
         share = remaining(self.stream_decay)
         stream = share * flow.stream - (1 - share) * self.stream_decay / self.stream_mass * force
         share = remaining(self.wake_memory)
@@ -195,5 +195,5 @@ def _density(temperature_c: Scale) -> Scale:
 
 
 def _viscosity(temperature_c: Scale) -> Scale:
-    """Kinematic, of fresh water [m2/s] (Vogel's equation)."""
+    """Kinematic viscosity of fresh water [m2/s] (Vogel's equation)."""
     return 2.414e-5 * 10 ** (247.8 / (temperature_c + 133.15)) / _density(temperature_c)

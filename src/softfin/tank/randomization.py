@@ -27,15 +27,15 @@ class DomainRandomization(Configuration):
     temperature_c: float = Field(5.0, ge=0, le=20)
     """Temperature of the water, either side of the tank's [degrees Celsius]."""
     stiffness: float = Field(0.1, ge=0, lt=1)
-    """Relative: silicone of another batch, age and temperature [-]."""
+    """Stiffness, relative: silicone of another batch, age and temperature [-]."""
     length: float = Field(0.0, ge=0, lt=1)
     """Length of the fin, relative [-]; as a rule it is one fin that is tested under several conditions."""
     thickness: float = Field(0.0, ge=0, lt=1)
     """Thickness of the fin, relative [-]."""
     drag: float = Field(0.1, ge=0, lt=1)
-    """Relative [-]."""
+    """Drag, relative [-]."""
     added_mass: float = Field(0.05, ge=0, lt=1)
-    """Relative [-]."""
+    """Added mass, relative [-]."""
     lag: float = Field(0.2, ge=0, lt=1)
     """Lag of the servo, relative [-]."""
     drift: float = Field(0.5, ge=0, lt=1)
@@ -63,7 +63,7 @@ class DomainRandomization(Configuration):
 
 
 class PhysicalParameters(NamedTuple):
-    """How a tank differs from the one it was drawn from: offsets where a unit stands in the name, factors elsewhere."""
+    """Differences of a tank from the one it was sampled from: offsets where the name has a unit, else factors."""
 
     temperature_c: Float[Array, ""]
     stiffness: Float[Array, ""]
@@ -91,16 +91,10 @@ def sample_parameters(key: PRNGKeyArray, widths: DomainRandomization | None = No
 
 
 def with_parameters(tank: Tank, parameters: PhysicalParameters) -> Tank:
-    """The tank under those parameters."""
+    """Return the tank with those parameters."""
     water = tank.water.at(tank.water.temperature + parameters.temperature_c)
     changed: Tank = eqx.tree_at(
-        lambda tank: (
-            tank.fin,
-            tank.water,
-            tank.drive.lag,
-            tank.sensor.drift,
-            tank.sensor.misalignment,
-        ),
+        lambda tank: (tank.fin, tank.water, tank.drive.lag, tank.sensor.drift, tank.sensor.misalignment),
         tank,
         (
             tank.fin.scaled(parameters.stiffness, parameters.length, parameters.thickness),

@@ -1,13 +1,21 @@
-"""What happens within one sample of 10 ms: first-order relaxation, and rounding to the resolution of a device."""
+"""What drive, water and sensor share: numbers as arrays, relaxation within a sample, rounding to a resolution."""
+
+from collections.abc import Collection, Iterator
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from softfin.core.configuration import Configuration
 from softfin.core.quantities import TICK_S
 
 SHORTEST_S = 1e-6
 """Shortest time constant [s] in computations; it keeps derivatives finite where one is zero."""
+
+
+def arrays_of(config: Configuration, without: Collection[str] = ()) -> Iterator[Float[Array, ""]]:
+    """Yield the numbers of a configuration as arrays, in the order of its fields."""
+    return (jnp.asarray(value, float) for name, value in config.model_dump().items() if name not in without)
 
 
 def remaining(time_constant: Float[Array, ""]) -> Float[Array, ""]:

@@ -15,7 +15,7 @@ from pydantic import Field
 
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import TICK_S
-from softfin.tank.sampling import remaining, to_multiple
+from softfin.tank.sampling import arrays_of, remaining, to_multiple
 
 
 class SensorConfig(Configuration):
@@ -24,7 +24,7 @@ class SensorConfig(Configuration):
     filter_s: float = Field(0.01, ge=0)
     """Time constant of the low-pass filter [s]: 16 Hz."""
     misalignment_rad: float = Field(0.0, ge=-np.pi, le=np.pi)
-    """Its axes are turned from the tank's by this [rad], from x to y."""
+    """Angle of the sensor's axes to the tank's [rad], from x to y."""
     noise_n: float = Field(0.05, ge=0)
     """Standard deviation of the white noise on each axis [N]: 1e-4 of the range of 500 N."""
     drift_n: float = Field(0.05, ge=0)
@@ -49,7 +49,7 @@ class SensorState(NamedTuple):
 
 
 class Sensor(eqx.Module):
-    """What a sample needs to know of the sensor."""
+    """Parameters of the sensor as arrays."""
 
     filter_time: Float[Array, ""]
     misalignment: Float[Array, ""]
@@ -60,23 +60,19 @@ class Sensor(eqx.Module):
     range: Float[Array, ""]
 
     def __init__(self, config: SensorConfig):
-        self.filter_time = jnp.asarray(config.filter_s, float)
-        self.misalignment = jnp.asarray(config.misalignment_rad, float)
-        self.noise = jnp.asarray(config.noise_n, float)
-        self.drift = jnp.asarray(config.drift_n, float)
-        self.drift_time = jnp.asarray(config.drift_s, float)
-        self.resolution = jnp.asarray(config.resolution_n, float)
-        self.range = jnp.asarray(config.range_n, float)
+        (
+            self.filter_time, self.misalignment, self.noise, self.drift, self.drift_time, self.resolution, self.range,
+        ) = arrays_of(config)  # fmt: skip
 
     def rest(self, key: PRNGKeyArray) -> SensorState:
-        """No force yet; the drift is wherever its past has left it."""
+        """Return the state without force yet; the drift is wherever its past has left it."""
         drift = self.drift * jax.random.normal(key, (2,), self.drift.dtype)
         return SensorState(jnp.zeros_like(drift), drift)
 
     def read(
         self, state: SensorState, force: Float[Array, "2"], key: PRNGKeyArray
     ) -> tuple[SensorState, Float[Array, "2"]]:
-        """One sample of 10 ms, in which the mean force was `force` [N]."""
+        """Read one sample of 10 ms, in which the mean force was `force` [N]."""
         white, walk = jax.random.normal(key, (2, 2), force.dtype)
         filtered = force + (state.filtered - force) * remaining(self.filter_time)
         share = remaining(self.drift_time)

@@ -90,7 +90,7 @@ class Tank(eqx.Module):
         return jax.lax.scan(lambda state, _: self._tick(state, command), state, length=ticks)
 
     def shape(self, state: TankState) -> Float[Array, "points 2"]:
-        """Where the fin is: the shaft and the outer end of each plate, in the axes of the tank [m]."""
+        """Return where the fin is: the shaft and the outer end of each plate, in the axes of the tank [m]."""
         return self.fin.shape(state.fin)
 
     def _check_step(self, config: TankConfig) -> None:

@@ -12,10 +12,9 @@ import numpy as np
 import pyarrow as pa
 
 from softfin.core.errors import ConfigurationError, LogError
-from softfin.core.files import regular_file
 from softfin.core.quantities import TICK_S
 from softfin.data.importing.names import SPELLED, UNITS
-from softfin.storage.parquet_file import open_parquet
+from softfin.storage.log_file import read_parquet
 from softfin.storage.paths import check_reference_file
 from softfin.task.signals import CLOCK_S, Recorded
 
@@ -61,7 +60,7 @@ def _error(path: Path, message: str) -> ConfigurationError:
 def _read_csv(path: Path) -> Rows:
     rows: Rows = []
     try:
-        with regular_file(path).open(encoding="utf-8-sig", newline="") as file:
+        with path.open(encoding="utf-8-sig", newline="") as file:
             table = csv.reader(file)
             header = [name.strip() for name in next(table, [])]
             places = _places(path, header)
@@ -93,13 +92,12 @@ def _number(path: Path, where: str, header: list[str], fields: list[str], place:
 
 def _read_parquet(path: Path) -> Rows:
     try:
-        with open_parquet(path) as file:
-            header: list[str] = file.schema_arrow.names
-            names = [header[place] for place in _places(path, header)]
-            _check_count(path, file.metadata.num_rows)
-            table = file.read(names)
+        table = read_parquet(path)
+        header: list[str] = table.schema.names
+        names = [header[place] for place in _places(path, header)]
+        _check_count(path, table.num_rows)
         columns = [table.column(name).cast(pa.float64()).to_numpy().tolist() for name in names]
-    except (OSError, LogError, pa.ArrowException) as error:
+    except (LogError, pa.ArrowException) as error:
         raise _error(path, f"not a Parquet table of numbers ({' '.join(str(error).split())}); write it again") from None
     return [(f"row {k}", values) for k, values in enumerate(zip(*columns, strict=True))]
 

@@ -150,12 +150,12 @@ def test_a_damaged_bag_is_refused_in_one_line(tmp_path, bag):
     shutil.copytree(bag, tmp_path / "run")
     (file,) = (tmp_path / "run").glob("*.mcap")
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-    with pytest.raises(LogError, match="truncated, or no ROS 2 bag") as error:
+    with pytest.raises(LogError, match="truncated, or not a ROS 2 bag") as error:
         opened(tmp_path / "run")
     assert str(error.value).endswith(f"softfin bag recover {file}")
     assert "\n" not in str(error.value)
     (tmp_path / "run" / "metadata.yaml").write_text("{")
-    with pytest.raises(LogError, match="truncated, or no ROS 2 bag"):
+    with pytest.raises(LogError, match="truncated, or not a ROS 2 bag"):
         opened(tmp_path / "run")
 
 

@@ -8,9 +8,15 @@ from softfin.core.errors import ConfigurationError, PlantError
 from softfin.core.quantities import PAPER_LIMITS, Command, Limits
 from softfin.core.randomness import key_of
 from softfin.evaluation.baselines.baselines import BaselinesConfig, evaluate_baselines, shared_limits, write_baselines
-from softfin.evaluation.baselines.open_loop import OpenLoop, missed
-from softfin.evaluation.baselines.open_loop_search import Gait, SearchConfig, best_gaits, best_sines, fitted_constant
-from softfin.evaluation.baselines.sine import commanded
+from softfin.evaluation.baselines.search import (
+    OpenLoop,
+    RandomGait,
+    SearchConfig,
+    best_gaits,
+    best_sines,
+    fitted_constant,
+    force_errors,
+)
 from tests.plants import AnalyticFin
 
 SEARCH = SearchConfig(seconds=4, centres=5, amplitudes=3, frequencies_hz=(1.0,), kept=2, refinements=1, gaits=40)
@@ -74,15 +80,15 @@ def test_each_round_refines_the_sine_for_each_reference(player):
 
     def losses(refinements):
         sine = best_sines(player, references, SEARCH.changed([f"refinements={refinements}"]), 0)
-        command, _ = commanded(player.limits, sine, 400)
+        command, *_ = sine.commands(player.limits, 400)
         forces = player.forces(Command(*(np.asarray(part) for part in command)), key_of(0, "any"))
-        return np.diag(missed(forces, references))
+        return np.diag(force_errors(forces, references))
 
     assert (losses(3) < 0.5 * losses(0)).all()
 
 
 def test_a_gait_is_six_actions_on_the_clock_again_and_again():
-    gait = Gait(np.arange(6.0), np.arange(6.0) + 1)
+    gait = RandomGait(np.arange(6.0), np.arange(6.0) + 1)
     command = gait.commands(5)
     assert command.angle.shape == (500,)
     starts = np.concatenate([[0], np.cumsum(ACTION_TICKS * 2)])
@@ -101,7 +107,7 @@ def test_more_gaits_are_never_worse_and_the_same_seed_gives_the_same(player):
     assert not np.array_equal(gaits(40).angle, gaits(40, seed=1).angle)
     forces = player.forces(gaits(40).commands(4), key_of(0, "any"))
     few = player.forces(gaits(1).commands(4), key_of(0, "any"))
-    assert (np.diag(missed(forces, references)) <= np.diag(missed(few, references))).all()
+    assert (np.diag(force_errors(forces, references)) <= np.diag(force_errors(few, references))).all()
 
 
 def test_a_stronger_fin_has_a_greater_constant():

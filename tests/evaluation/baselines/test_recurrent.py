@@ -7,9 +7,8 @@ import pytest
 
 from softfin.core.errors import ConfigurationError
 from softfin.core.quantities import PAPER_LIMITS, command_of
-from softfin.evaluation.baselines.open_loop import evaluation_keys
-from softfin.evaluation.baselines.recurrent import run_recurrent, trained
-from softfin.evaluation.evaluate import EvaluateConfig
+from softfin.evaluation.baselines.recurrent import run_recurrent, train_recurrent
+from softfin.evaluation.evaluate import EvaluateConfig, repetition_keys
 from softfin.evaluation.experiment import run
 from softfin.task.references import PAPER_RANGE
 from softfin.task.task import TaskConfig, observation, remember, rest_actions
@@ -48,7 +47,7 @@ class Same(eqx.Module):
 def test_a_model_outside_jax_meets_the_experiment_that_a_controller_meets():
     plant = AnalyticFin(noise_n=0.1)
     ours = run_recurrent(Model(), TASK, PAPER_LIMITS, plant, CONFIG)
-    theirs = run(Same(), plant, np.asarray(CONFIG.references, np.float32), CONFIG.seconds, evaluation_keys(CONFIG))
+    theirs = run(Same(), plant, np.asarray(CONFIG.references, np.float32), CONFIG.seconds, repetition_keys(CONFIG))
     assert ours.reading.force.shape == (2, 2, 300, 2)
     np.testing.assert_allclose(ours.command.angle, theirs.command.angle, atol=1e-3)
     np.testing.assert_allclose(ours.reading.force, theirs.reading.force, atol=1e-2)
@@ -58,12 +57,12 @@ def test_a_model_outside_jax_meets_the_experiment_that_a_controller_meets():
 @pytest.mark.skipif(importlib.util.find_spec("sb3_contrib") is not None, reason="the extra sb3 is installed")
 def test_without_the_extra_it_says_how_to_install_it():
     with pytest.raises(ConfigurationError, match=r"sb3-contrib is not installed; pip install 'softfin\[sb3\]'"):
-        trained(AnalyticFin(), 128, 0, TASK, PAPER_RANGE)
+        train_recurrent(AnalyticFin(), 128, 0, TASK, PAPER_RANGE)
 
 
 @pytest.mark.slow
-def test_recurrent_ppo_is_trained_and_judged():
+def test_recurrent_ppo_is_trained_and_evaluated():
     pytest.importorskip("sb3_contrib", reason="the extra sb3 is not installed")
-    model = trained(AnalyticFin(), 128, 0, TASK, PAPER_RANGE)
+    model = train_recurrent(AnalyticFin(), 128, 0, TASK, PAPER_RANGE)
     recording = run_recurrent(model, TASK, PAPER_LIMITS, AnalyticFin(), CONFIG)
     assert np.isfinite(recording.reading.force).all()

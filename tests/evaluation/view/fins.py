@@ -1,4 +1,4 @@
-"""A fin that knows its shape without a tank's cost: an arc whose curvature goes with the shaft's speed."""
+"""A fin that computes its shape without a tank's cost: an arc whose curvature goes with the shaft's speed."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -6,8 +6,8 @@ from jaxtyping import Array, Float
 
 from softfin.core.quantities import Command
 from softfin.core.randomness import key_of
-from softfin.evaluation.view.beating import BeatConfig, beat
 from softfin.evaluation.view.footage import Footage, film
+from softfin.evaluation.view.view import StrokeGaitConfig, stroke_gait
 from tests.plants import AnalyticFin, FinState
 
 LENGTH_M = 0.2
@@ -24,6 +24,6 @@ class BendingFin(AnalyticFin):
 
 def beating(plant: AnalyticFin, ticks: int, reference: tuple[float, float] | None = None) -> Footage:
     """Asked for a reference all the time."""
-    commands: Command = beat(BeatConfig(), plant.limits, ticks)
+    commands: Command = stroke_gait(StrokeGaitConfig(), plant.limits, ticks)
     asked = None if reference is None else np.tile(np.float32(reference), (ticks, 1))
     return film(plant, key_of(0, "test"), commands, asked)

@@ -8,8 +8,8 @@ from softfin.core.errors import PlantError
 from softfin.core.plant import roll
 from softfin.core.quantities import Command
 from softfin.core.randomness import key_of
-from softfin.evaluation.view.beating import BeatConfig, beat
 from softfin.evaluation.view.footage import film
+from softfin.evaluation.view.view import StrokeGaitConfig, stroke_gait
 from softfin.tank import Tank, TankConfig
 from softfin.tank.geometry import FinConfig
 from softfin.tank.hydrodynamics import WaterConfig
@@ -49,7 +49,7 @@ def test_any_other_plant_is_drawn_straight_at_its_angle(plant):
 def test_the_tip_of_a_stiff_fin_in_the_tank_is_where_the_shaft_points_and_the_stream_is_seen():
     fin = FinConfig(youngs_modulus_pa=1e10, plates=3)
     tank = Tank(TankConfig(fin=fin, water=WaterConfig(stream_decay_s=5.0)))
-    commands = beat(BeatConfig(centre_rad=0.4), tank.limits, 60)
+    commands = stroke_gait(StrokeGaitConfig(centre_rad=0.4), tank.limits, 60)
     footage = film(tank, key_of(0, "test"), commands)
     angle = footage.reading.angle
     assert np.ptp(angle) > 0.2

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from softfin.evaluation.view.page import SHAPE_UNIT_M, described, embedded, write_page
+from softfin.evaluation.view.page import SHAPE_UNIT_M, embedded, to_dict, write_page
 from tests.evaluation.test_report import Page
 from tests.evaluation.view.fins import BendingFin, beating
 from tests.plants import AnalyticFin
@@ -79,4 +79,4 @@ def test_the_page_says_whether_the_shape_is_known(html, tmp_path):
 
 
 def test_ten_seconds_of_a_fin_of_eight_plates_take_less_than_a_fifth_of_a_megabyte(footage):
-    assert len(embedded(described(footage))) / 230 * 1000 < 200_000
+    assert len(embedded(to_dict(footage))) / 230 * 1000 < 200_000

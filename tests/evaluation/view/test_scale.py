@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softfin.evaluation.view.scale import Room, fin_length, room_for, round_up
+from softfin.evaluation.view.scale import Greatest, round_up
 from tests.evaluation.view.fins import LENGTH_M, BendingFin, beating
 
 
@@ -17,17 +17,17 @@ def test_a_number_is_rounded_up_to_the_next_of_1_2_5(value):
 
 def test_room_grows_with_the_footage_and_never_shrinks():
     footage = beating(BendingFin(), 220, reference=(2.0, -1.0))
-    had = Room(force_n=1.0, mean_n=50.0, stream_m_s=0.05)
-    room = room_for(footage, had)
+    had = Greatest(force_n=1.0, mean_n=50.0, stream_m_s=0.05)
+    room = had.including(footage)
     greatest = np.linalg.norm(footage.reading.force, axis=1).max()
     assert greatest <= room.force_n < 2.5 * greatest
     assert (room.mean_n, room.stream_m_s) == (50.0, 0.05)
-    assert room_for(footage, room) == room
+    assert room.including(footage) == room
 
 
 def test_the_scale_of_a_growing_footage_holds_every_shape_and_arrow():
     footage = beating(BendingFin(), 220, reference=(2.0, -1.0))
-    scale = room_for(footage, Room(0.1, 0.1, 0.1)).scale(fin_length(footage), (-1.6, 1.6))
+    scale = Greatest(0.1, 0.1, 0.1).including(footage).scale(footage.length_m, (-1.6, 1.6))
     assert scale.length_m == pytest.approx(LENGTH_M)
     arrows = [footage.reading.force * scale.metres_per_newton, footage.average * scale.metres_per_mean_newton]
     for points in (footage.shape.reshape(-1, 2), *arrows, footage.reference * scale.metres_per_mean_newton):

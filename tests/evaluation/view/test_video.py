@@ -52,7 +52,7 @@ def test_a_footage_that_grows_is_drawn_up_to_now_with_nothing_ahead():
     known = Picture(whole, "a fin", DPI)
     for ticks in (1, 50, 210):
         np.testing.assert_array_equal(growing.last_frame(first(ticks))[:, :240], known.frame(ticks - 1)[:, :240])
-    np.testing.assert_allclose(growing._lines[-1][0].get_ydata(), whole.average[:11, 1])
+    np.testing.assert_allclose(growing._moving[-1][0].get_ydata(), whole.average[:11, 1])
     assert (growing.frame(49)[:, 300:] != known.frame(49)[:, 300:]).any()
 
 

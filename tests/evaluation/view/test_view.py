@@ -6,12 +6,12 @@ import pytest
 
 import softfin
 from softfin.cli import main
+from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.errors import ConfigurationError, CoverageError
-from softfin.core.quantities import PAPER_LIMITS, Command
+from softfin.core.quantities import PAPER_LIMITS, Command, Limits
 from softfin.core.randomness import key_of
 from softfin.evaluation import experiment
-from softfin.evaluation.view import ViewConfig
-from softfin.evaluation.view.view import footage_of, title_of
+from softfin.evaluation.view.view import StrokeGaitConfig, ViewConfig, footage_of, stroke_gait, title_of
 from softfin.gaits.reachable import Cell, Reachable
 from tests.evaluation.view.fins import BendingFin
 from tests.plants import Flapper
@@ -49,7 +49,7 @@ class Pointer(Flapper):
 
 
 def test_references_follow_one_another_for_equal_parts_of_the_time():
-    config = ViewConfig(seconds=6, then=((2.0, 0.0), (3.0, 1.0)))
+    config = ViewConfig(seconds=6, next_references=((2.0, 0.0), (3.0, 1.0)))
     footage = footage_of(BendingFin(), config, Pointer(), (1.0, -1.0))
     np.testing.assert_array_equal(footage.reference[[0, 199, 200, 399, 400, 599], 0], [1, 1, 2, 2, 3, 3])
     np.testing.assert_allclose(footage.command.angle, 0.1 * footage.reference[:, 0], rtol=1e-6)
@@ -59,7 +59,7 @@ def test_references_follow_one_another_for_equal_parts_of_the_time():
 
 def test_a_later_reference_that_the_controller_does_not_cover_is_refused():
     with pytest.raises(CoverageError, match="not covered"):
-        footage_of(BendingFin(), ViewConfig(then=((6.0, 0.0),)), Pointer(), (1.0, -1.0))
+        footage_of(BendingFin(), ViewConfig(next_references=((6.0, 0.0),)), Pointer(), (1.0, -1.0))
 
 
 def test_random_commands_depend_on_the_seed_and_stay_within_the_limits():
@@ -100,14 +100,17 @@ def test_the_stage_writes_a_gif_with_the_frames_that_it_tells(tmp_path):
         (["--out", "there.html"], "there.html: exists already; give another --out, or --overwrite to replace it"),
         (["--out", "folder.gif", "--overwrite"], "folder.gif: is a folder; give another --out"),
         (["--out", "fin.mp4"], "ffmpeg, which is not on PATH"),
-        (["--out", "fin.gif", "--plant", "pool"], "plant pool: unknown (is no folder)"),
+        (["--out", "fin.gif", "--plant", "pool"], "plant pool: unknown (does not exist)"),
         (["--out", "fin.gif", "--seconds", "0"], "seconds = 0.0: Input should be greater than or equal to 0.1"),
-        (["--out", "fin.gif", "--set", "frames_per_second=30"], "there are 10, 20, 25 and 50 frames a second"),
-        (["--out", "fin.gif", "--set", "dots_per_inch=75"], "it must be a multiple of 10"),
+        (["--out", "fin.gif", "--set", "frames_per_second=30"], "Input should be 10, 20, 25 or 50"),
+        (["--out", "fin.gif", "--set", "dots_per_inch=75"], "Input should be a multiple of 10"),
         (["--out", "fin.gif", "--centre", "1.4"], "reaches 0.9 .. 1.9 rad; the plant takes -1.57 .. 1.57"),
         (["--out", "fin.gif", "--reference=1,1"], "a controller and a reference belong together"),
-        (["--out", "fin.gif", "--then=1,1"], "no first one; give a controller and a reference"),
-        (["--out", "fin.gif", "--then=1"], "--then=1: not a force; write --then=X,Y in newton"),
+        (["--out", "fin.gif", "--next-reference=1,1"], "no first one; give a controller and a reference"),
+        (
+            ["--out", "fin.gif", "--next-reference=1"],
+            "--next-reference=1: not a force; write --next-reference=X,Y in newton",
+        ),
         (["--out", "fin.gif", "--reference=1;1"], "--reference=1;1: not a force"),
         (["--out", "fin.gif", "--controller", "none"], "none: no such folder; it should be a controller"),
     ],
@@ -132,7 +135,7 @@ def test_overwrite_replaces_a_file(tmp_path):
 
 
 def test_a_controller_and_random_commands_at_once_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("softfin.stages.offline.load_controller", lambda path: Flapper())
+    monkeypatch.setattr("softfin.stages.view.load_controller", lambda path: Flapper())
     with pytest.raises(ConfigurationError, match="random commands and a controller at once; give one of them"):
         softfin.view(
             BendingFin(), tmp_path / "f.gif", ViewConfig(random=True), controller=tmp_path, reference=(1.0, 0.0)
@@ -145,10 +148,42 @@ def test_a_reference_beyond_reach_is_brought_to_it_and_told(tmp_path, monkeypatc
         cell = Cell(low=(-3, -3), high=(3, 3))
         reachable = Reachable(np.float32([0, 0]), np.full(64, 1.0, np.float32))
 
-    monkeypatch.setattr("softfin.stages.offline.load_controller", lambda path: Weak())
-    config = ViewConfig(seconds=0.2, then=((0.5, 0.0),))
-    facts = softfin.view(
+    monkeypatch.setattr("softfin.stages.view.load_controller", lambda path: Weak())
+    config = ViewConfig(seconds=0.2, next_references=((0.5, 0.0),))
+    metadata = softfin.view(
         "tests.evaluation.view.fins:BendingFin", tmp_path / "f.html", config, controller=tmp_path, reference=(2.0, 0.0)
     )
-    assert facts["warning"].startswith("reference (2, 0) N: this fin cannot make it")
-    assert facts["title"].endswith("asked for (1, 0), then (0.5, 0) N")
+    assert metadata["warning"].startswith("reference (2, 0) N: this fin cannot make it")
+    assert metadata["title"].endswith("asked for (1, 0), then (0.5, 0) N")
+
+
+def test_strokes_go_to_either_side_of_the_centre_on_the_action_clock():
+    command = stroke_gait(StrokeGaitConfig(centre_rad=0.3), PAPER_LIMITS, 200)
+    assert command.angle.shape == command.velocity.shape == (200,)
+    turns = np.flatnonzero(np.diff(command.angle)) + 1
+    np.testing.assert_array_equal(turns, np.cumsum(ACTION_TICKS * 2)[:-1])
+    np.testing.assert_allclose(command.angle[[0, 40]], [0.8, -0.2], rtol=1e-6)
+
+
+def test_a_gait_of_six_actions_is_as_long_as_the_window_of_the_mean():
+    command = stroke_gait(StrokeGaitConfig(), PAPER_LIMITS, 400)
+    np.testing.assert_array_equal(command.angle[:200], command.angle[200:])
+
+
+@pytest.mark.parametrize(("fastest", "expected"), [(20.0, 4.5), (3.0, 3.0)])
+def test_the_velocity_fills_two_thirds_of_an_action_where_the_plant_is_fast_enough(fastest, expected):
+    command = stroke_gait(StrokeGaitConfig(), Limits(-1.5, 1.5, 0.5, fastest), 10)
+    np.testing.assert_allclose(command.velocity, expected)
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"centre_rad": 1.3}, "reaches 0.8 .. 1.8 rad; the plant takes -1.57 .. 1.57; ask for a centre nearer"),
+        ({"velocity_rad_s": 30.0}, "gait.velocity_rad_s = 30: the plant takes 1 .. 3.14 rad/s"),
+    ],
+)
+def test_commands_outside_the_limits_are_refused_in_one_line(values, words):
+    with pytest.raises(ConfigurationError, match=r"^[^\n]+$") as error:
+        stroke_gait(StrokeGaitConfig(**values), PAPER_LIMITS, 10)
+    assert words in str(error.value)

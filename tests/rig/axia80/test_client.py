@@ -85,14 +85,19 @@ def test_a_wall_clock_that_jumps_moves_no_stamp_out_of_the_drain(jump_s):
 
 
 def test_a_record_that_waited_is_stamped_with_its_arrival(sensor):
-    sensor.client.drain()
-    sensor.send(encode_record(record(1)))
-    sent = time.monotonic()
-    time.sleep(0.05)
-    ((_, received),) = sensor.client.drain()
+    def waited(number):
+        sensor.client.drain()
+        sensor.send(encode_record(record(number)))
+        sent = time.monotonic()
+        time.sleep(0.05)
+        ((_, received),) = sensor.client.drain()
+        return received - sent
+
+    first = waited(1)
     if not sensor.client._stamped:
         pytest.skip("this system does not stamp what arrives")
-    assert received < sent + 0.04
+    # A busy machine may delay an arrival; a record that is stamped when it is read never has less than the wait.
+    assert first < 0.04 or any(waited(number) < 0.04 for number in range(2, 50))
 
 
 @pytest.mark.parametrize("host", ["no such host", "192.168.1.1.1", "a" * 300])

@@ -162,25 +162,6 @@ def test_a_chunk_that_is_damaged_within_costs_no_other(several, compression, tmp
     assert (damage.start, damage.length) == (places[2][0], places[2][1] - places[2][0])
 
 
-@pytest.mark.parametrize("length", [3, 400, 10**6, 2**63])
-def test_behind_a_length_that_is_wrong_the_next_chunk_is_found(several, length, tmp_path):
-    path, data, places = several(CompressionType.ZSTD)
-    data[places[1][0] + 1 : places[1][0] + 9] = struct.pack("<Q", length)
-    path.write_bytes(data)
-    recover(path, tmp_path / "saved.mcap")
-    assert numbers(tmp_path / "saved.mcap") == [*range(10), *range(20, 50)]
-
-
-def test_what_a_wrong_length_of_an_index_skipped_is_found_again(several, tmp_path):
-    path, data, places = several(CompressionType.ZSTD)
-    index = places[1][1]
-    assert data[index] == 7
-    data[index + 1 : index + 9] = struct.pack("<Q", places[3][0] + 11 - index)
-    path.write_bytes(data)
-    recover(path, tmp_path / "saved.mcap")
-    assert numbers(tmp_path / "saved.mcap") == [*range(50)]
-
-
 def test_topics_of_a_lost_first_chunk_are_read_in_the_index(several, tmp_path):
     path, data, places = several(CompressionType.ZSTD)
     data[places[0][1] - 5] ^= 0xFF
@@ -195,13 +176,6 @@ def test_messages_of_which_nothing_says_the_topic_are_counted(several, tmp_path)
     path.write_bytes(data[: places[4][0]])
     with pytest.raises(LogError, match="no message in it can be read"):
         recover(path, tmp_path / "saved.mcap")
-
-
-def test_a_beginning_that_is_gone_costs_the_first_chunk(several, tmp_path):
-    path, data, places = several(CompressionType.ZSTD)
-    path.write_bytes(data[places[0][0] + 20 :])
-    recover(path, tmp_path / "saved.mcap")
-    assert numbers(tmp_path / "saved.mcap") == [*range(10, 50)]
 
 
 def test_an_index_that_is_damaged_is_written_anew(several, tmp_path):

@@ -4,7 +4,7 @@ import pytest
 
 from softfin.core.errors import ArtifactError, LogError, RunError
 from softfin.storage import artifact as artifacts
-from softfin.storage.run_directory import LOG, TRAINING_LOG, Workspace, read_log
+from softfin.storage.run_directory import LOG, TRAINING_LOG, RunDirectory, read_log
 from softfin.surrogate import FitConfig, load_surrogate, save_surrogate
 from softfin.surrogate.paper.fit import PaperLearner, fit, window_starts
 from tests.surrogate import small
@@ -28,8 +28,8 @@ class Killed(BaseException):
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """A fit that was not interrupted, and its log."""
-    workspace = Workspace(tmp_path_factory.mktemp("whole") / "s", {"a": 1})
-    return fit(LOGS, CONFIG, 0, workspace), read_log(workspace.folder / LOG)
+    run_directory = RunDirectory(tmp_path_factory.mktemp("whole") / "s", {"a": 1})
+    return fit(LOGS, CONFIG, 0, run_directory), read_log(run_directory.folder / LOG)
 
 
 def test_windows_never_reach_from_one_log_into_the_next():
@@ -38,7 +38,7 @@ def test_windows_never_reach_from_one_log_into_the_next():
 
 def test_fitting_learns_angle_and_forces(tmp_path):
     test = small.log(rows=600, seed=99)
-    fitted = fit(LOGS, CONFIG.changed(["epochs=24"]), 0, Workspace(tmp_path / "s", {}))
+    fitted = fit(LOGS, CONFIG.changed(["epochs=24"]), 0, RunDirectory(tmp_path / "s", {}))
     predictions = fitted.predict_angle(test), fitted.predict_force(test, free_running=True)
     for predicted, measured in zip(predictions, (test.reading.angle, test.reading.force), strict=True):
         error, spread = predicted - measured[small.WINDOW :], measured.std()
@@ -47,10 +47,10 @@ def test_fitting_learns_angle_and_forces(tmp_path):
 
 def test_held_out_logs_do_not_reach_scaling_or_training(tmp_path, whole):
     """They choose the epoch whose weights are kept, and nothing else: all epochs learn alike."""
-    last, workspace = LOGS[-1], Workspace(tmp_path / "s", {})
+    last, run_directory = LOGS[-1], RunDirectory(tmp_path / "s", {})
     changed = last._replace(reading=last.reading._replace(force=last.reading.force * np.float32(100)))
-    fitted = fit([*LOGS[:-1], changed], CONFIG, 0, workspace)
-    histories = whole[1], read_log(workspace.folder / LOG)
+    fitted = fit([*LOGS[:-1], changed], CONFIG, 0, run_directory)
+    histories = whole[1], read_log(run_directory.folder / LOG)
     for name, alike in (("train/posnet_mse", True), ("train/forcenet_mse", True), ("held_out/forcenet_mse", False)):
         one, other = ([entry[name] for entry in history] for history in histories)
         assert len(one) == len(other) == CONFIG.epochs
@@ -60,9 +60,9 @@ def test_held_out_logs_do_not_reach_scaling_or_training(tmp_path, whole):
 
 def test_the_best_weights_are_kept_not_the_last(tmp_path):
     config = CONFIG.changed(["epochs=30", "learning_rate=0.05", "patience=2"])
-    workspace = Workspace(tmp_path / "s", {})
-    fitted = fit(LOGS, config, 0, workspace)
-    history = read_log(workspace.folder / LOG)
+    run_directory = RunDirectory(tmp_path / "s", {})
+    fitted = fit(LOGS, config, 0, run_directory)
+    history = read_log(run_directory.folder / LOG)
     least = min(entry["held_out/forcenet_mse"] for entry in history)
     predicted, held = fitted.predict_force(LOGS[-1], free_running=False), LOGS[-1].reading.force[small.WINDOW :]
     scale = np.array([fitted.scaling.channels[name].scale for name in ("force_x_n", "force_y_n")])
@@ -76,71 +76,71 @@ def test_a_killed_fit_resumes_to_the_same_weights(tmp_path, whole):
             raise Killed
 
     with pytest.raises(Killed):
-        fit(LOGS, CONFIG, 0, Workspace(tmp_path / "cut", {"a": 1}), killer)
+        fit(LOGS, CONFIG, 0, RunDirectory(tmp_path / "cut", {"a": 1}), killer)
     resumed_from = []
-    workspace = Workspace(tmp_path / "cut", {"a": 1}, resume=True)
-    resumed = fit(LOGS, CONFIG, 0, workspace, lambda stage, done, note: resumed_from.append(done))
+    run_directory = RunDirectory(tmp_path / "cut", {"a": 1}, resume=True)
+    resumed = fit(LOGS, CONFIG, 0, run_directory, lambda stage, done, note: resumed_from.append(done))
     assert min(resumed_from) > 0.5
     assert same_weights(whole[0], resumed)
-    assert [entry["step"] for entry in read_log(workspace.folder / LOG)] == [1, 2, 3, 4]
-    assert list(workspace.folder.glob("events.*"))
+    assert [entry["step"] for entry in read_log(run_directory.folder / LOG)] == [1, 2, 3, 4]
+    assert list(run_directory.folder.glob("events.*"))
 
 
 def test_unfinished_work_is_neither_lost_nor_mixed_up(tmp_path):
-    workspace = Workspace(tmp_path / "s", {"seed": 0})
-    workspace.save({"x": np.zeros(2)}, {"epoch": 1})
+    run_directory = RunDirectory(tmp_path / "s", {"seed": 0})
+    run_directory.save({"x": np.zeros(2)}, {"epoch": 1})
     with pytest.raises(ArtifactError, match=r"go on with --resume, or drop it with --overwrite"):
-        Workspace(tmp_path / "s", {"seed": 0})
+        RunDirectory(tmp_path / "s", {"seed": 0})
     with pytest.raises(ArtifactError, match=r"of another run .seed was 0 and is 1"):
-        Workspace(tmp_path / "s", {"seed": 1}, resume=True)
-    assert Workspace(tmp_path / "s", {"seed": 1}, overwrite=True).load({"x": np.zeros(2)}) is None
+        RunDirectory(tmp_path / "s", {"seed": 1}, resume=True)
+    assert RunDirectory(tmp_path / "s", {"seed": 1}, overwrite=True).load({"x": np.zeros(2)}) is None
 
 
 def test_unfinished_work_of_a_part_is_neither_lost_nor_mixed_up(tmp_path):
-    Workspace(tmp_path / "s", {"seed": 0}).part("1").save({"x": np.arange(2)}, {"epoch": 1})
+    RunDirectory(tmp_path / "s", {"seed": 0}).part("1").save({"x": np.arange(2)}, {"epoch": 1})
     with pytest.raises(ArtifactError, match=r"go on with --resume, or drop it with --overwrite"):
-        Workspace(tmp_path / "s", {"seed": 0})
+        RunDirectory(tmp_path / "s", {"seed": 0})
     with pytest.raises(ArtifactError, match=r"1/checkpoint\.safetensors: is of another run .seed was 0 and is 1"):
-        Workspace(tmp_path / "s", {"seed": 1}, resume=True)
-    tree, facts = Workspace(tmp_path / "s", {"seed": 0}, resume=True).part("1").load({"x": np.zeros(2, int)})
-    assert (tree["x"].tolist(), facts) == ([0, 1], {"epoch": 1})
-    assert Workspace(tmp_path / "s", {"seed": 1}, overwrite=True).part("1").load({"x": np.zeros(2)}) is None
+        RunDirectory(tmp_path / "s", {"seed": 1}, resume=True)
+    tree, metadata = RunDirectory(tmp_path / "s", {"seed": 0}, resume=True).part("1").load({"x": np.zeros(2, int)})
+    assert (tree["x"].tolist(), metadata) == ([0, 1], {"epoch": 1})
+    assert RunDirectory(tmp_path / "s", {"seed": 1}, overwrite=True).part("1").load({"x": np.zeros(2)}) is None
 
 
 def test_the_training_logs_of_parts_are_kept(tmp_path):
-    workspace = Workspace(tmp_path / "s", {})
-    for part in (workspace, workspace.part("0"), workspace.part("1")):
+    run_directory = RunDirectory(tmp_path / "s", {})
+    for part in (run_directory, run_directory.part("0"), run_directory.part("1")):
         record = part.log()
         record.write(1, loss=0.5)
         record.close()
-    workspace.keep_log(tmp_path / "kept")
+    run_directory.keep_log(tmp_path / "kept")
     for name in (".", "0", "1"):
         assert read_log(tmp_path / "kept" / TRAINING_LOG / name / LOG) == [{"step": 1, "loss": 0.5}]
         assert list((tmp_path / "kept" / TRAINING_LOG / name).glob("events.*"))
 
 
 def test_damaged_work_is_refused_by_name(tmp_path):
-    workspace = Workspace(tmp_path / "s", {})
-    workspace.save({"x": np.zeros(2)}, {})
-    (workspace.folder / "checkpoint.safetensors").write_bytes(b"short")
+    run_directory = RunDirectory(tmp_path / "s", {})
+    run_directory.save({"x": np.zeros(2)}, {})
+    (run_directory.folder / "checkpoint.safetensors").write_bytes(b"short")
     with pytest.raises(ArtifactError, match=r"checkpoint\.safetensors: damaged .*; start anew with --overwrite"):
-        Workspace(tmp_path / "s", {}, resume=True)
+        RunDirectory(tmp_path / "s", {}, resume=True)
 
 
 def test_one_log_is_too_few(tmp_path):
     with pytest.raises(LogError, match="1 training log: at least 2 are needed"):
-        fit(LOGS[:1], CONFIG, 0, Workspace(tmp_path / "s", {}))
+        fit(LOGS[:1], CONFIG, 0, RunDirectory(tmp_path / "s", {}))
 
 
 def test_logs_shorter_than_a_batch_are_refused(tmp_path):
     with pytest.raises(LogError, match="fewer than one batch of 32"):
-        fit([small.log(rows=40), small.log(rows=40)], CONFIG, 0, Workspace(tmp_path / "s", {}))
+        fit([small.log(rows=40), small.log(rows=40)], CONFIG, 0, RunDirectory(tmp_path / "s", {}))
 
 
 def test_a_column_that_never_changes_is_named(tmp_path):
     still = [log._replace(command=log.command._replace(velocity=np.full(600, 2, np.float32))) for log in LOGS]
     with pytest.raises(LogError, match="column command_velocity_rad_s is 2 in every training row"):
-        fit(still, CONFIG, 0, Workspace(tmp_path / "s", {}))
+        fit(still, CONFIG, 0, RunDirectory(tmp_path / "s", {}))
 
 
 def test_a_loss_that_explodes_stops_the_fit(tmp_path, monkeypatch):
@@ -152,7 +152,7 @@ def test_a_loss_that_explodes_stops_the_fit(tmp_path, monkeypatch):
 
     monkeypatch.setattr(PaperLearner, "start", far_off)
     with pytest.raises(RunError, match=r"loss of the nets is not finite; lower learning_rate \(--set\), start anew"):
-        fit(LOGS, CONFIG, 0, Workspace(tmp_path / "s", {}))
+        fit(LOGS, CONFIG, 0, RunDirectory(tmp_path / "s", {}))
 
 
 def test_a_stored_surrogate_is_the_same_surrogate(tmp_path):

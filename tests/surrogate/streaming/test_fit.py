@@ -4,7 +4,7 @@ import pytest
 
 from softfin.core.errors import LogError, RunError
 from softfin.core.randomness import key_of
-from softfin.storage.run_directory import LOG, Workspace, read_log
+from softfin.storage.run_directory import LOG, RunDirectory, read_log
 from softfin.surrogate.streaming import fit as module
 from softfin.surrogate.streaming.drive import Profile
 from softfin.surrogate.streaming.fit import fit_streaming
@@ -30,9 +30,9 @@ def whole(tmp_path_factory):
     """A fit that was not interrupted, its log, and what it told on the way."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "identify", lambda logs, seed: (KNOWN, 0.0))
-        workspace, seen = Workspace(tmp_path_factory.mktemp("whole") / "s", {"a": 1}), []
-        fitted = fit_streaming(LOGS, CONFIG, 0, workspace, lambda stage, done, note: seen.append((done, note)))
-        return fitted, read_log(workspace.folder / LOG), seen
+        run_directory, seen = RunDirectory(tmp_path_factory.mktemp("whole") / "s", {"a": 1}), []
+        fitted = fit_streaming(LOGS, CONFIG, 0, run_directory, lambda stage, done, note: seen.append((done, note)))
+        return fitted, read_log(run_directory.folder / LOG), seen
 
 
 def of(name, history):
@@ -57,15 +57,15 @@ def test_a_killed_fit_resumes_to_the_same_surrogate(tmp_path, whole, after, from
             raise Killed
 
     with pytest.raises(Killed):
-        fit_streaming(LOGS, CONFIG, 0, Workspace(tmp_path / "cut", {"a": 1}), killer)
+        fit_streaming(LOGS, CONFIG, 0, RunDirectory(tmp_path / "cut", {"a": 1}), killer)
     resumed_from = []
-    workspace = Workspace(tmp_path / "cut", {"a": 1}, resume=True)
-    resumed = fit_streaming(LOGS, CONFIG, 0, workspace, lambda stage, done, note: resumed_from.append(done))
+    run_directory = RunDirectory(tmp_path / "cut", {"a": 1}, resume=True)
+    resumed = fit_streaming(LOGS, CONFIG, 0, run_directory, lambda stage, done, note: resumed_from.append(done))
     assert min(resumed_from) > from_then_on
     surrogate, history, _ = whole
     assert same(surrogate, resumed)
     assert (resumed.interval, resumed.limits) == (surrogate.interval, surrogate.limits)
-    assert read_log(workspace.folder / LOG) == history
+    assert read_log(run_directory.folder / LOG) == history
     assert [entry["step"] for entry in history] == list(range(21))
     assert history[0]["logs_shorter_than_a_segment"] == 0
 
@@ -105,9 +105,9 @@ def test_limits_are_the_range_of_the_training_commands(whole):
 def test_held_out_logs_reach_no_weight(tmp_path, whole):
     last = LOGS[-1]
     strange = last._replace(reading=last.reading._replace(force=last.reading.force * np.float32(1e-6)))
-    workspace = Workspace(tmp_path / "s", {})
-    fit_streaming([*LOGS[:-1], strange], CONFIG, 0, workspace)
-    both = whole[1], read_log(workspace.folder / LOG)
+    run_directory = RunDirectory(tmp_path / "s", {})
+    fit_streaming([*LOGS[:-1], strange], CONFIG, 0, run_directory)
+    both = whole[1], read_log(run_directory.folder / LOG)
     assert of("train/force_loss", both[0]) == of("train/force_loss", both[1])
     assert of("held_out/force_mse", both[0]) != of("held_out/force_mse", both[1])
 
@@ -135,7 +135,7 @@ def test_held_out_logs_reach_no_weight(tmp_path, whole):
 )
 def test_logs_that_are_too_few_or_too_short_are_refused(tmp_path, logs, changes, words):
     with pytest.raises(LogError, match=words):
-        fit_streaming(logs, CONFIG.changed(changes), 0, Workspace(tmp_path / "s", {}))
+        fit_streaming(logs, CONFIG.changed(changes), 0, RunDirectory(tmp_path / "s", {}))
 
 
 def test_a_loss_that_explodes_stops_the_fit(tmp_path, monkeypatch):
@@ -144,7 +144,7 @@ def test_a_loss_that_explodes_stops_the_fit(tmp_path, monkeypatch):
 
     monkeypatch.setattr(module, "ensemble", far_off)
     with pytest.raises(RunError, match=r"loss of the drive nets is not finite; lower learning_rate \(--set\), start"):
-        fit_streaming(LOGS, CONFIG, 0, Workspace(tmp_path / "s", {}))
+        fit_streaming(LOGS, CONFIG, 0, RunDirectory(tmp_path / "s", {}))
 
 
 def test_progress_never_goes_back_and_ends_at_1(whole):

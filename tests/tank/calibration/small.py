@@ -1,7 +1,6 @@
-"""A tank of two plates, coarse in time, and short pieces: a calibration of seconds."""
+"""A tank of two plates, coarse in time, and short segments: a calibration of seconds."""
 
-from softfin.tank.calibration.config import CalibrateConfig
-from softfin.tank.calibration.parameters import every_range
+from softfin.tank.calibration.config import CalibrateConfig, every_range
 
 TRUTH = {"fin.youngs_modulus_pa": 5e6, "water.drag_coefficient": 4.0, "recording.angle_gain": 0.8}
 RANGES = {
@@ -21,9 +20,9 @@ CONFIG = CalibrateConfig.build(
         "evaluations": 24,
         "population": 6,
         "iterations": 12,
-        "pieces": 6,
-        "test_pieces": 2,
-        "piece_s": 5.0,
+        "segments": 6,
+        "test_segments": 2,
+        "segment_s": 5.0,
         "warm_up_s": 2.0,
         "block_s": 0.5,
     }

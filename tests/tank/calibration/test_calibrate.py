@@ -10,23 +10,20 @@ import yaml
 from softfin.core.configuration import read_yaml
 from softfin.core.errors import ArtifactError, ConfigurationError, LogError, PlantError
 from softfin.data.collect import CollectConfig, collect
-from softfin.stages import offline as stages
+from softfin.stages.calibrate import calibrate as calibrate_stage
 from softfin.storage.artifact import dump_json
 from softfin.storage.dataset import write_dataset
 from softfin.storage.log_file import read_log
-from softfin.storage.run_directory import Workspace
+from softfin.storage.run_directory import RunDirectory
 from softfin.tank import Tank, TankConfig
-from softfin.tank.calibration.calibrate import calibrate, prepared, scores
-from softfin.tank.calibration.config import CalibrateConfig
-from softfin.tank.calibration.material import material
-from softfin.tank.calibration.model import Fitting, model, read, stacked
-from softfin.tank.calibration.parameters import Space
-from softfin.tank.calibration.pieces import CHANNELS
-from softfin.tank.calibration.polish import linearised, polish, weights_of
-from softfin.tank.calibration.recording import RecordingConfig
+from softfin.tank.calibration.calibrate import calibrate, normalised, prepared, scores
+from softfin.tank.calibration.config import CalibrateConfig, RecordingConfig
+from softfin.tank.calibration.model import Space, read, stacked
+from softfin.tank.calibration.search import linearised, misfits, polish
+from softfin.tank.calibration.segments import CHANNELS, material
 from tests.tank.calibration.small import CONFIG, RANGES, TRUTH
 
-EVEN = weights_of([1.0, 1.0, 1.0])
+EVEN = normalised([1.0, 1.0, 1.0])
 
 
 def truth():
@@ -57,7 +54,7 @@ def logs(dataset):
 
 @pytest.fixture(scope="module")
 def found(logs, tmp_path_factory):
-    return calibrate(CONFIG, *logs, 0, Workspace(tmp_path_factory.mktemp("work") / "out", {}))
+    return calibrate(CONFIG, *logs, 0, RunDirectory(tmp_path_factory.mktemp("work") / "out", {}))
 
 
 def test_it_finds_the_parameters_of_the_tank_that_made_the_logs_within_their_standard_errors(found):
@@ -89,27 +86,28 @@ def test_what_is_not_fitted_stays_as_it_was(found):
 
 def test_the_loss_is_the_weighted_mean_of_one_less_the_pooled_r2(logs):
     space, train, _ = prepared(CONFIG, *logs)
-    fitting = Fitting(space, train, 2)
-    expected = scores(np.asarray(read(stacked([model(*space.configs(space.start))]), train.command)[0]), train)
-    misfits = fitting.misfits([space.start])[0]
-    np.testing.assert_allclose(misfits, [1 - expected[channel]["r2"] for channel in CHANNELS], rtol=1e-4)
-    weights = weights_of([1.0, 2.0, 3.0])
-    assert linearised(fitting, space.start, weights).loss == pytest.approx(misfits @ weights, rel=1e-4)
+    errors = space.errors(train, 2)
+    expected = scores(np.asarray(read(stacked([space.configs(space.start)]), train.command)[0]), train)
+    misfit = misfits(errors, [space.start])[0]
+    np.testing.assert_allclose(misfit, [1 - expected[channel]["r2"] for channel in CHANNELS], rtol=1e-4)
+    weights = normalised([1.0, 2.0, 3.0])
+    np.testing.assert_allclose(weights, [1 / 6, 1 / 3, 1 / 2])
+    assert linearised(errors, space.start, weights).loss == pytest.approx(misfit @ weights, rel=1e-4)
 
 
 def test_a_tank_gives_the_same_whatever_is_simulated_beside_it(logs):
     space, train, _ = prepared(CONFIG, *logs)
     points = np.random.default_rng(0).uniform(size=(5, 3))
-    alone, together = (Fitting(space, train, batch).misfits(list(points)) for batch in (1, 3))
+    alone, together = (misfits(space.errors(train, batch), list(points)) for batch in (1, 3))
     np.testing.assert_allclose(alone, together, rtol=1e-4)
 
 
 def test_the_local_search_stops_at_the_faces_of_the_box(logs):
     space, train, _ = prepared(CONFIG, *logs)
     narrow = [p._replace(low=6e6) if p.name == "fin.youngs_modulus_pa" else p for p in space.parameters]
-    linear = polish(Fitting(Space(narrow, space.tank, space.recording), train, 6), space.start, EVEN, 5)
-    assert linear.bound() == [True, False, False]
+    linear = polish(Space(narrow, space.tank, space.recording).errors(train, 6), space.start, EVEN, 5)
     assert linear.point[0] == 0.0
+    assert linear.normal()[1][0] > 0
 
 
 def test_a_resumed_run_ends_where_an_uninterrupted_one_does(logs, found, tmp_path):
@@ -121,10 +119,10 @@ def test_a_resumed_run_ends_where_an_uninterrupted_one_does(logs, found, tmp_pat
             raise Stopped
 
     with pytest.raises(Stopped):
-        calibrate(CONFIG, *logs, 0, Workspace(tmp_path / "out", {}), stop)
+        calibrate(CONFIG, *logs, 0, RunDirectory(tmp_path / "out", {}), stop)
     seen = []
     again = calibrate(
-        CONFIG, *logs, 0, Workspace(tmp_path / "out", {}, resume=True), lambda *report: seen.append(report[:2])
+        CONFIG, *logs, 0, RunDirectory(tmp_path / "out", {}, resume=True), lambda *report: seen.append(report[:2])
     )
     assert min(done for stage, done in seen if stage == "search") > 0.5
     assert again.summary() == found.summary()
@@ -132,7 +130,7 @@ def test_a_resumed_run_ends_where_an_uninterrupted_one_does(logs, found, tmp_pat
 
 def test_the_folder_holds_a_tank_that_can_be_built_and_all_that_is_known_of_it(dataset, tmp_path):
     out = tmp_path / "calibration"
-    result = stages.calibrate(dataset.path, out, CONFIG.changed(["evaluations=0", "iterations=2"]))
+    result = calibrate_stage(dataset.path, out, CONFIG.changed(["evaluations=0", "iterations=2"]))
     assert json.loads((out / "calibration.json").read_text()) == json.loads(dump_json(result))
     tank = TankConfig.build(read_yaml(out / "tank.yaml"))
     assert tank.water.drag_coefficient == result["parameters"]["water.drag_coefficient"]["value"]
@@ -145,22 +143,26 @@ def test_the_folder_holds_a_tank_that_can_be_built_and_all_that_is_known_of_it(d
 
 
 def test_a_plant_is_moved_within_the_velocities_that_are_asked_for_and_made_to_beat(tmp_path):
-    config = CONFIG.merged({"velocity_rad_s": [2.0, 3.0], "pieces": 2, "piece_s": 3.0, "test_pieces": 1}, "test")
+    config = CONFIG.merged({"velocity_rad_s": [2.0, 3.0], "segments": 2, "segment_s": 3.0, "test_segments": 1}, "test")
     found = material(Tank(truth()), config, 0)
     for log in (*found.train, *found.test):
         assert 2.0 <= log.command.velocity.min() < log.command.velocity.max() <= 3.0
-    assert found.beats is not None
-    assert found.beats.measured.shape == (9, 800, 3)
-    assert (np.diff(found.beats.compared[..., 0].mean(axis=1)) > 0).all()
-    assert jnp.abs(found.beats.command.angle).max() == pytest.approx(1.5)
+    assert found.gaits is not None
+    assert found.gaits.measured.shape == (9, 800, 3)
+    assert (np.diff(found.gaits.compared[..., 0].mean(axis=1)) > 0).all()
+    assert jnp.abs(found.gaits.command.angle).max() == pytest.approx(1.5)
 
 
 @pytest.mark.parametrize(
     ("changes", "error", "message"),
     [
         ({"parameters": {}}, ConfigurationError, "parameters: all are null"),
-        ({"piece_s": 30.0}, LogError, "training logs: none has 3001 rows"),
-        ({"block_s": 3.0, "pieces": 2}, LogError, "2 pieces make 2 blocks of 3 s, which cannot tell 3 parameters"),
+        ({"segment_s": 30.0}, LogError, "training logs: none has 3001 rows"),
+        (
+            {"block_s": 3.0, "segments": 2},
+            LogError,
+            "2 segments make 2 blocks of 3 s, which cannot determine 3 parameters",
+        ),
     ],
 )
 def test_what_cannot_be_fitted_is_refused_before_anything_is_simulated(logs, changes, error, message):
@@ -191,7 +193,7 @@ def test_material_that_is_neither_logs_nor_a_plant_is_refused(dataset, tmp_path)
 
 
 def test_the_tank_is_written_as_yaml_that_people_can_read(dataset, tmp_path):
-    stages.calibrate(dataset.path, tmp_path / "out", CONFIG.changed(["evaluations=0", "iterations=1"]))
+    calibrate_stage(dataset.path, tmp_path / "out", CONFIG.changed(["evaluations=0", "iterations=1"]))
     text = (tmp_path / "out" / "tank.yaml").read_text()
     assert text.startswith("# ")
     assert list(yaml.safe_load(text)) == list(TankConfig().model_dump())

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from softfin.tank.calibration.determination import _row, described, determination
-from softfin.tank.calibration.parameters import Parameter
-from softfin.tank.calibration.polish import Linear
+from softfin.tank.calibration.config import Parameter
+from softfin.tank.calibration.determination import _row, determination
+from softfin.tank.calibration.search import Linear
 
 PARAMETERS = tuple(Parameter(f"fin.{name}", 1.0, 2.0) for name in ("length_m", "span_m", "density_kg_m3"))
 
@@ -28,30 +28,35 @@ def slow(generator, shape):
     return np.repeat(0.1 * generator.normal(size=(shape[0], shape[1] // 20, 1)), 20, axis=1)
 
 
+def errors(found):
+    """Standard errors in scaled coordinates."""
+    rows = zip(PARAMETERS, found["parameters"].values(), strict=True)
+    return [row["standard_error"] / parameter.slope(0.5) for parameter, row in rows]
+
+
 @pytest.fixture
 def slopes():
     return np.random.default_rng(1).normal(size=(3, 40, 200, 1))
 
 
 def test_with_white_errors_it_is_the_formula_of_ordinary_least_squares(slopes):
-    found = determination(linear(slopes, white), 20)
+    found = determination(linear(slopes, white), 20, PARAMETERS)
     flat = slopes.reshape(3, -1)
     expected = 0.1 * np.sqrt(np.diag(np.linalg.inv(flat @ flat.T)))
-    np.testing.assert_allclose(found.error, expected, rtol=0.15)
-    assert found.blocks == 400
+    np.testing.assert_allclose(errors(found), expected, rtol=0.15)
+    assert found["blocks"] == 400
 
 
 def test_errors_that_last_are_not_counted_as_independent():
     constant = np.repeat(np.random.default_rng(1).normal(size=(1, 40, 10, 1)), 20, axis=2)
     slopes = np.concatenate([constant, np.random.default_rng(2).normal(size=(2, 40, 200, 1))])
-    lasting, brief = (determination(linear(slopes, noise), 20).error[0] for noise in (slow, white))
+    lasting, brief = (errors(determination(linear(slopes, noise), 20, PARAMETERS))[0] for noise in (slow, white))
     assert lasting / brief == pytest.approx(np.sqrt(20), rel=0.2)
 
 
 def test_parameters_that_do_the_same_trade_against_each_other(slopes):
     slopes[1] = slopes[0] + 0.05 * slopes[1]
-    found = linear(slopes, white)
-    text = described(determination(found, 20), found, PARAMETERS)
+    text = determination(linear(slopes, white), 20, PARAMETERS)
     assert text["trades"][0]["parameters"] == ["fin.length_m", "fin.span_m"]
     assert text["trades"][0]["correlation"] < -0.99
     assert {*text["weakest"]} == {"fin.length_m", "fin.span_m"}
@@ -63,7 +68,7 @@ def test_a_parameter_without_effect_and_one_on_a_bound_have_no_standard_error(sl
     found = linear(slopes, white, point=(0.5, 1.0, 0.5))
     # Beyond the end of the range it would be better still.
     found = found._replace(residuals=found.residuals - 0.01 * slopes[1])
-    rows = described(determination(found, 20), found, PARAMETERS)["parameters"]
+    rows = determination(found, 20, PARAMETERS)["parameters"]
     assert rows["fin.span_m"]["determined"] == "high end"
     assert rows["fin.density_kg_m3"]["determined"] == "no effect"
     assert rows["fin.density_kg_m3"]["standard_error"] is None
@@ -74,8 +79,8 @@ def test_a_parameter_without_effect_and_one_on_a_bound_have_no_standard_error(sl
 
 def test_the_poorer_the_logs_the_poorer_the_verdict(slopes):
     verdicts = [
-        described(determination(found, 20), found, PARAMETERS)["parameters"]["fin.length_m"]["determined"]
-        for found in (linear(slopes * scale, white) for scale in (1.0, 0.01, 0.001))
+        determination(linear(slopes * scale, white), 20, PARAMETERS)["parameters"]["fin.length_m"]["determined"]
+        for scale in (1.0, 0.01, 0.001)
     ]
     assert verdicts == ["well", "roughly", "poorly"]
 

@@ -7,9 +7,8 @@ from softfin.core.configuration import read_yaml
 from softfin.surrogate import import_keras
 from softfin.tank.calibration.calibrate import scores
 from softfin.tank.calibration.config import CalibrateConfig
-from softfin.tank.calibration.material import material
-from softfin.tank.calibration.model import model, read, stacked
-from softfin.tank.calibration.pieces import cut
+from softfin.tank.calibration.model import read, stacked
+from softfin.tank.calibration.segments import cut, material
 
 CONFIG = Path(__file__).parents[3] / "docs" / "calibration.yaml"
 
@@ -18,10 +17,10 @@ CONFIG = Path(__file__).parents[3] / "docs" / "calibration.yaml"
 def test_the_default_tank_does_what_the_published_fin_does_under_commands_it_was_not_fitted_to(published):
     names = ("cnn_pos_net.keras", "lstm_force_net.keras", "scalers.json")
     fin = import_keras(*(published / name for name in names))
-    config = CalibrateConfig.build(read_yaml(CONFIG)).merged({"velocity_rad_s": [0.5, 1.57], "pieces": 2}, "test")
+    config = CalibrateConfig.build(read_yaml(CONFIG)).merged({"velocity_rad_s": [0.5, 1.57], "segments": 2}, "test")
     logs = material(fin, config, seed=11).test
-    unseen = cut(logs, config.test_pieces, 1200, 200, "test")
-    row = scores(np.asarray(read(stacked([model(config.tank, config.recording)]), unseen.command)[0]), unseen)
+    unseen = cut(logs, config.test_segments, 1200, 200, "test")
+    row = scores(np.asarray(read(stacked([(config.tank, config.recording)]), unseen.command)[0]), unseen)
     assert row["angle"]["r2"] > 0.95
     assert row["force_x"]["r2"] > 0.8
     assert row["force_y"]["r2"] > 0.8

@@ -3,14 +3,14 @@ import numpy as np
 import pytest
 
 from softfin.core.quantities import Command
-from softfin.tank.calibration.pieces import Pieces
 from softfin.tank.calibration.report import calibration_figure, means, peaks
+from softfin.tank.calibration.segments import Segments
 
 COMMAND = np.repeat([[0.5, -0.5, 1.0, 0.0], [1.0, -1.0, 0.3, -0.3]], 100, axis=1).astype(np.float32)
 
 
-def pieces(readings, warm_up):
-    return Pieces(Command(jnp.asarray(COMMAND), jnp.ones(COMMAND.shape)), jnp.asarray(readings), warm_up)
+def segments(readings, warm_up):
+    return Segments(Command(jnp.asarray(COMMAND), jnp.ones(COMMAND.shape)), jnp.asarray(readings), warm_up)
 
 
 def noise(seed=0):
@@ -23,12 +23,12 @@ def test_peaks_are_those_of_each_whole_stroke_behind_the_warm_up():
     readings[0, 230, 1:] = (3.0, -4.0)
     readings[1, 399, 1] = -7.0
     # Commands change at 100, 200 and 300; the stroke that the warm-up ends in is not whole.
-    np.testing.assert_allclose(peaks(pieces(readings, 150), readings), [5.0, 0.0, 0.0, 7.0])
+    np.testing.assert_allclose(peaks(segments(readings, 150), readings), [5.0, 0.0, 0.0, 7.0])
 
 
 @pytest.mark.parametrize("beating", [True, False])
 def test_the_figure_shows_both_sides_with_units(beating):
-    test = pieces(noise(), 150)
+    test = segments(noise(), 150)
     modelled = noise() + np.float32(0.5)
     figure = calibration_figure(test, modelled, means(test, modelled) if beating else None)
     axes = figure.get_axes()

@@ -17,7 +17,7 @@ from softfin.data.importing.importing import FORCE_FRAMES
 from softfin.data.importing.recording import NamedLog
 from softfin.data.issues import Issue, counted
 from softfin.storage import artifact as artifacts
-from softfin.storage.figures import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, render, styled
+from softfin.storage.figures import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, save_figure, styled
 
 SHOWN_S = 10
 """Length of the part of one log that is drawn, about the first row that has an issue [s]."""
@@ -36,8 +36,7 @@ def write_inspection(
 
     def write(folder: Path) -> None:
         (folder / "inspection.json").write_text(artifacts.dump_json(summary))
-        for kind in ("svg", "png"):
-            (folder / f"inspection.{kind}").write_bytes(render(figure, kind))
+        save_figure(figure, folder, "inspection")
 
     artifacts.write_folder(out, write, overwrite)
     return summary

@@ -11,7 +11,6 @@ import numpy as np
 from rosbags.rosbag2 import Reader
 
 from softfin.core.errors import LogError
-from softfin.core.files import regular_file
 from softfin.core.printable import printable
 from softfin.data.importing.columns import converted
 from softfin.data.importing.importing import TOPICS, ImportConfig
@@ -45,8 +44,6 @@ def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recordi
         for file in [path] if not path.is_dir() else sorted(path.iterdir()):
             if file.suffix == ".mcap":
                 check_bag(file)
-            elif not file.is_dir():
-                regular_file(file)
         with Reader(path) as reader:
             tracks, issues = [], []
             for role, (topic, joint) in _choose_topics(reader, config, path).items():
@@ -68,7 +65,7 @@ def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recordi
     except Exception as error:
         # Damaged bags fail in the reader, its storage, its decompression or its messages, each in a way of its own.
         reason = _plain(" ".join(str(error).split()) or type(error).__name__)
-        raise LogError(f"{path}: truncated, or no ROS 2 bag ({reason}); copy it again, or: ros2 bag reindex") from None
+        raise LogError(f"{path}: truncated, or not a ROS 2 bag ({reason}); copy it, or: ros2 bag reindex") from None
     if not any("velocity" in track.channels for track in tracks):
         issues.append(derived_velocity(name))
     if all(np.array_equal(tracks[0].time, track.time) for track in tracks):

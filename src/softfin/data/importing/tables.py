@@ -9,12 +9,11 @@ import pyarrow.csv
 from jaxtyping import Float
 
 from softfin.core.errors import LogError
-from softfin.core.files import regular_file
 from softfin.data.importing.columns import Column, choose_columns, converted, describe_columns
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.importing.recording import Part, Recording, Track
 from softfin.data.issues import Issue
-from softfin.storage.parquet_file import damaged, open_parquet
+from softfin.storage.log_file import read_parquet
 from softfin.storage.paths import CSV
 
 EMPTY = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", "None", "-"]
@@ -23,15 +22,14 @@ EMPTY = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", "None", "-"]
 
 def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[Recording]:
     """Read the logs of one file; raises LogError for a file that is not such a table or lacks a channel."""
-    delimiter = None
     if path.suffix.lower() in CSV:
         names, delimiter = _read_header(path)
+        found = choose_columns(names, config, str(path))
+        table = _read_csv(path, names, delimiter, [column.name for column in found.values()])
     else:
-        with open_parquet(path) as file:
-            names = file.schema_arrow.names
-    found = choose_columns(names, config, str(path))
-    columns = [column.name for column in found.values()]
-    table = _read_parquet(path, columns) if delimiter is None else _read_csv(path, names, delimiter, columns)
+        table = read_parquet(path)
+        names = table.schema.names
+        found = choose_columns(names, config, str(path))
     rows = table.num_rows
     if not rows:
         raise LogError(f"{path}: empty: it has no rows; record it again")
@@ -86,7 +84,7 @@ def derived_velocity(name: str) -> Issue:
 def _read_header(path: Path) -> tuple[list[str], str]:
     """Names of the columns of a CSV file, and its delimiter."""
     try:
-        with regular_file(path).open(encoding="utf-8-sig") as file:
+        with path.open(encoding="utf-8-sig") as file:
             line = file.readline()
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror or error}); give a CSV file") from None
@@ -125,14 +123,6 @@ def _read_csv(path: Path, names: list[str], delimiter: str, columns: list[str]) 
     except (pa.ArrowException, OSError) as error:
         reason = " ".join(str(error).split())[:500]
         raise LogError(f"{path}: not a table of numbers ({reason}); correct that line, or leave it empty") from None
-
-
-def _read_parquet(path: Path, columns: list[str]) -> pa.Table:
-    try:
-        with open_parquet(path) as file:
-            return file.read(columns)
-    except (pa.ArrowException, OSError) as error:
-        raise damaged(path, error) from None
 
 
 def _numbers(column: pa.ChunkedArray, name: str, path: Path) -> Float[np.ndarray, "rows"]:

@@ -1,4 +1,4 @@
-"""RecurrentPPO of sb3-contrib (extra ``sb3``), the paper's method, judged as controllers are.
+"""RecurrentPPO of sb3-contrib (extra ``sb3``), the paper's method, evaluated as controllers are.
 
 It learns through the Gymnasium environment with the library's defaults: two LSTMs of 256 units, 128 actions a rollout,
 10 epochs. It lives outside JAX, so all experiments go through it in lock step, action by action.
@@ -17,41 +17,45 @@ from softfin.core.errors import ConfigurationError
 from softfin.core.gym_registration import ID, register
 from softfin.core.plant import Plant, State, Ticks, hold_action
 from softfin.core.quantities import Command, Limits, Reading, command_of
-from softfin.evaluation.baselines.open_loop import evaluation_keys
-from softfin.evaluation.evaluate import EvaluateConfig
-from softfin.evaluation.experiment import Recording
+from softfin.evaluation.evaluate import EvaluateConfig, repetition_keys
+from softfin.evaluation.experiment import ExperimentRecording
 from softfin.gaits.reachable import Cell
 from softfin.task.task import TaskConfig, observation, remember, rest_actions
 
-INSTALL = "sb3-contrib is not installed; pip install 'softfin[sb3]'"
 
-
-def trained(plant: Plant, steps: int, seed: int, task: TaskConfig, references: Cell) -> Any:
-    """A RecurrentPPO that has acted `steps` times in a plant, or a little more: its rollouts are whole.
+def train_recurrent(plant: Plant, steps: int, seed: int, task: TaskConfig, references: Cell) -> Any:
+    """Train a RecurrentPPO for `steps` actions in a plant, or a little more: its rollouts are whole.
 
     Raises ConfigurationError where sb3-contrib is not installed.
     """
     try:
         from sb3_contrib import RecurrentPPO
     except ImportError:
-        raise ConfigurationError(INSTALL) from None
+        raise ConfigurationError("sb3-contrib is not installed; pip install 'softfin[sb3]'") from None
     register()
     environment = gymnasium.make(ID, plant=plant, config=task, references=references)
     return RecurrentPPO("MlpLstmPolicy", environment, seed=seed, device="cpu").learn(steps)
 
 
-def run_recurrent(model: Any, task: TaskConfig, limits: Limits, plant: Plant, config: EvaluateConfig) -> Recording:
-    """The experiments of `config` with the model's mean actions, in the units of the `limits` that it learnt in."""
+def run_recurrent(
+    model: Any, task: TaskConfig, limits: Limits, plant: Plant, config: EvaluateConfig
+) -> ExperimentRecording:
+    """Run the experiments of `config` with the model's mean actions, in the units of the `limits` that it learnt in."""
     references = np.repeat(np.asarray(config.references, np.float32), config.seeds, axis=0)
-    keys = jnp.tile(evaluation_keys(config), len(config.references))
+    keys = jnp.tile(repetition_keys(config), len(config.references))
     count = len(references)
 
     @jax.jit
-    def see(angle: Float[Array, "runs"], actions: Float[Array, "runs remembered 2"], age: Int[Array, ""]) -> Array:
+    def observe(angle: Float[Array, "runs"], actions: Float[Array, "runs remembered 2"], age: Int[Array, ""]) -> Array:
         ages = jnp.full(count, age)
-        return jax.vmap(lambda *seen: observation(task, *seen))(angle, jnp.asarray(references), actions, ages)
+        return jax.vmap(lambda *observed: observation(task, *observed))(angle, jnp.asarray(references), actions, ages)
 
-    advance = jax.jit(jax.vmap(_held(plant, limits), (0, 0, None)))
+    def hold(state: State, action: Float[Array, "2"], ticks: Ticks) -> tuple[State, tuple[Command, Reading]]:
+        command = command_of(limits, action)
+        state, reading = hold_action(plant, state, command, ticks)
+        return state, (jax.tree.map(lambda x: jnp.full(MOST_TICKS, x), command), reading)
+
+    advance = jax.jit(jax.vmap(hold, (0, 0, None)))
     state = jax.vmap(plant.init)(keys)
     angle = jnp.zeros(count)
     actions = jnp.tile(rest_actions(task, limits), (count, 1, 1))
@@ -59,9 +63,9 @@ def run_recurrent(model: Any, task: TaskConfig, limits: Limits, plant: Plant, co
     kept = []
     held = ticks_of(config.seconds * len(ACTION_TICKS))
     for age, ticks in enumerate(held):
-        seen = np.asarray(see(angle, actions, jnp.int32(age)))
-        said, memory = model.predict(seen, state=memory, episode_start=starts, deterministic=True)
-        action = jnp.asarray(said, jnp.float32)
+        observed = np.asarray(observe(angle, actions, jnp.int32(age)))
+        predicted, memory = model.predict(observed, state=memory, episode_start=starts, deterministic=True)
+        action = jnp.asarray(predicted, jnp.float32)
         state, (issued, reading) = advance(state, action, ticks)
         angle, actions, starts = reading.angle[:, ticks - 1], jax.vmap(remember)(actions, action), np.zeros(count, bool)
         kept.append(jax.tree.map(np.asarray, (issued, reading)))
@@ -71,13 +75,4 @@ def run_recurrent(model: Any, task: TaskConfig, limits: Limits, plant: Plant, co
         return whole.reshape(len(config.references), config.seeds, *whole.shape[1:])
 
     command, reading = jax.tree.map(together, *kept)
-    return Recording(np.asarray(config.references, np.float32), command, reading)
-
-
-def _held(plant: Plant, limits: Limits) -> Any:
-    def hold(state: State, action: Float[Array, "2"], ticks: Ticks) -> tuple[State, tuple[Command, Reading]]:
-        command = command_of(limits, action)
-        state, reading = hold_action(plant, state, command, ticks)
-        return state, (jax.tree.map(lambda x: jnp.full(MOST_TICKS, x), command), reading)
-
-    return hold
+    return ExperimentRecording(np.asarray(config.references, np.float32), command, reading)

@@ -1,9 +1,11 @@
-"""What is shown: a plant rolled tick by tick under given commands, with the fin's shape wherever the plant knows it.
+"""Record of what can be seen of a plant: rolled tick by tick, with the fin's shape wherever the plant computes it.
 
-Commands go in, a Footage comes out, from which film and page are drawn.
+Commands go in, a Footage comes out, from which film and page are drawn. A plant may have a method ``shape(state)``, as
+the virtual tank does: points ``(points, 2)`` from the shaft to the tip [m], in the axes of the tank.
 """
 
-from typing import Any, NamedTuple, Protocol, cast
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,14 +20,6 @@ from softfin.core.window import moving_average
 from softfin.tank import Tank, TankConfig, TankState
 
 
-class Shaped(Protocol):
-    """A plant that knows the fin's shape, as the virtual tank does; one's own simulator may."""
-
-    def shape(self, state: State) -> Float[Array, "points 2"]:
-        """Points along the middle of the fin from the shaft to the tip, in the axes of the tank [m]."""
-        ...
-
-
 class Footage(NamedTuple):
     """A fin in motion, in ticks of 10 ms."""
 
@@ -36,25 +30,30 @@ class Footage(NamedTuple):
     average: Float[np.ndarray, "windows 2"]
     """Mean of the force over the last 200 samples, from the first instant at which all are there [N]."""
     shape: Float[np.ndarray, "ticks points 2"]
-    """From the shaft to the tip [m]."""
+    """Middle line of the fin from the shaft to the tip [m]."""
     shape_known: bool
-    """Whether the plant told the shape; if not, it is a line at the shaft's angle, as long as the default fin."""
+    """Whether the plant computes the shape; if not, it is a line at the shaft's angle, as long as the default fin."""
     thickness: Float[np.ndarray, " points"]
-    """At the same points [m]; that of the default fin, in proportion, where the plant is no tank."""
+    """Thickness at the same points [m]; that of the default fin, in proportion, where the plant is not a tank."""
     stream: Float[np.ndarray, "ticks 2"] | None
-    """Velocity of the water that the fin has set moving [m/s], where the plant has it."""
+    """Velocity of the water that the fin has set moving [m/s]; None where it is still or not known."""
     reference: Float[np.ndarray, "ticks 2"] | None
     """The force that a controller was asked for [N]."""
 
+    @property
+    def length_m(self) -> float:
+        """Length of the fin from the shaft to the tip [m]."""
+        return float(np.linalg.norm(np.diff(self.shape[0], axis=0), axis=1).sum())
+
 
 class Shots(NamedTuple):
-    """What is seen of a plant, in ticks of 10 ms."""
+    """Readings of a plant and what else can be seen of it, in ticks of 10 ms."""
 
     reading: Reading
     shape: Any
-    """``(ticks, points, 2)`` [m], or None where the plant does not tell it."""
+    """Shapes ``(ticks, points, 2)`` [m], or None where the plant does not compute them."""
     stream: Any
-    """``(ticks, 2)`` [m/s], or None where the plant has none."""
+    """Velocities of the water ``(ticks, 2)`` [m/s], or None where the plant has none."""
 
 
 def film(
@@ -69,61 +68,46 @@ def film(
 
 def shoot(plant: Plant, state: State, commands: Command) -> Shots:
     """Roll the plant from a state, one command a tick, ``(ticks,)``, and keep what can be seen; traceable."""
-    shape_of = cast(Shaped, plant).shape if callable(getattr(plant, "shape", None)) else None
+    shape_of: Callable[[State], Array] | None = getattr(plant, "shape", None)
 
     def tick(state: State, command: Command) -> tuple[State, Shots]:
         state, reading = plant.advance(state, command, 1)
-        seen = jax.tree.map(lambda x: x[0], reading)
-        return state, Shots(seen, None if shape_of is None else shape_of(state), _stream(state))
+        stream = state.flow.stream if isinstance(state, TankState) else None
+        return state, Shots(
+            jax.tree.map(lambda x: x[0], reading), None if shape_of is None else shape_of(state), stream
+        )
 
     return jax.lax.scan(tick, state, commands)[1]
 
 
 def develop(plant: Plant, command: Command, shots: Shots, reference: Float[np.ndarray, "ticks 2"] | None) -> Footage:
-    """The footage of what was shot under the commands, all as NumPy arrays; raises PlantError for what is no fin."""
+    """The footage of what was shot under the commands, all as NumPy arrays; raises PlantError for wrong shapes."""
     reading, shape, stream = shots
-    _check(plant, reading, shape)
-    force = np.asarray(reading.force, np.float64)
-    known = shape is not None
-    if not known:
-        shape = straight(np.asarray(reading.angle), TankConfig().fin.length_m)
-    return Footage(
-        command=command,
-        reading=reading,
-        average=moving_average(force) if len(force) >= WINDOW else np.zeros((0, 2)),
-        shape=shape,
-        shape_known=known,
-        thickness=np.asarray(plant.fin.thickness) if isinstance(plant, Tank) else _thickness(shape[0]),
-        stream=_moved(stream),
-        reference=reference,
-    )
-
-
-def straight(angle: Float[np.ndarray, " ticks"], length_m: float) -> Float[np.ndarray, "ticks 2 2"]:
-    """A blade along (-cos, +sin) of the angle."""
-    tip = length_m * np.stack([-np.cos(angle), np.sin(angle)], axis=-1)
-    return np.stack([np.zeros_like(tip), tip], axis=1)
-
-
-def _thickness(shape: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, " points"]:
-    """Of the default fin, made as long as that one."""
-    fin, length = TankConfig().fin, float(np.linalg.norm(np.diff(shape, axis=0), axis=1).sum())
-    return fin.thickness(np.linspace(0, fin.length_m, len(shape))) * length / fin.length_m
-
-
-def _stream(state: State) -> Float[Array, "2"] | None:
-    return state.flow.stream if isinstance(state, TankState) else None
-
-
-def _moved(stream: Float[np.ndarray, "ticks 2"] | None) -> Float[np.ndarray, "ticks 2"] | None:
-    """None where the water stays still."""
-    return stream if stream is not None and stream.any() else None
-
-
-def _check(plant: Plant, reading: Reading, shape: Any) -> None:
     name = type(plant).__name__
     for field, values in reading._asdict().items():
         if not np.isfinite(values).all():
             raise PlantError(f"{name}: reading.{field} is not finite; softfin.testing.check_plant says where")
     if shape is not None and (shape.ndim != 3 or shape.shape[1] < 2 or shape.shape[2] != 2):
         raise PlantError(f"{name}: shape(state) has shape {shape.shape[1:]}; it must be (points, 2), 2 points or more")
+    force = np.asarray(reading.force, np.float64)
+    footage = Footage(
+        command=command,
+        reading=reading,
+        average=moving_average(force) if len(force) >= WINDOW else np.zeros((0, 2)),
+        shape=straight(np.asarray(reading.angle), TankConfig().fin.length_m) if shape is None else shape,
+        shape_known=shape is not None,
+        thickness=np.zeros(0),
+        stream=stream if stream is not None and stream.any() else None,
+        reference=reference,
+    )
+    if isinstance(plant, Tank):
+        return footage._replace(thickness=np.asarray(plant.fin.thickness))
+    fin = TankConfig().fin
+    default = fin.thickness(np.linspace(0, fin.length_m, footage.shape.shape[1]))
+    return footage._replace(thickness=default * footage.length_m / fin.length_m)
+
+
+def straight(angle: Float[np.ndarray, " ticks"], length_m: float) -> Float[np.ndarray, "ticks 2 2"]:
+    """A blade along (-cos, +sin) of the angle."""
+    tip = length_m * np.stack([-np.cos(angle), np.sin(angle)], axis=-1)
+    return np.stack([np.zeros_like(tip), tip], axis=1)

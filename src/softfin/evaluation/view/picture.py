@@ -4,7 +4,8 @@ A footage goes in, images of ``(height, width, 3)`` bytes come out; `video` writ
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, cast
+from functools import partial
+from typing import Any, cast
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -16,14 +17,11 @@ from matplotlib.patches import Circle, Polygon
 from softfin.core.action_clock import WINDOW
 from softfin.core.quantities import AXES, TICK_S
 from softfin.evaluation.view.footage import Footage
-from softfin.evaluation.view.outline import arrow_outline, fin_outline
-from softfin.evaluation.view.scale import TRAIL_TICKS, Scale, scale_of
+from softfin.evaluation.view.scale import TRAIL_TICKS, Range, Scale, scale_of
 from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, styled
 
 Image = UInt8[np.ndarray, "height width 3"]
-
-Values = Callable[[Footage], Any]
-"""One value a tick, of a footage."""
+Points = Float[np.ndarray, "points 2"]
 
 WIDTH_IN, HEIGHT_IN = 9.6, 5.2
 
@@ -36,6 +34,9 @@ PANEL = 0.92
 
 ARROW = 0.035
 """Width of the arrow of the force over the length of the fin."""
+
+PIECES = 6
+"""Straight pieces drawn between two points of the fin."""
 
 
 class Picture:
@@ -54,8 +55,7 @@ class Picture:
     ) -> None:
         self.footage, self.scale = footage, scale or scale_of(footage)
         self._growing, self._seconds = seconds is not None, seconds or len(footage.shape) * TICK_S
-        self._moving: list[Any] = []
-        self._lines: list[tuple[Any, Values, int]] = []
+        self._moving: list[tuple[Any, Callable[[int], Any]]] = []
         with styled():
             self.figure = new_figure(WIDTH_IN, HEIGHT_IN)
             self.figure.set_dpi(dots_per_inch)
@@ -67,18 +67,18 @@ class Picture:
             # Laid out once: what moves must not shift what stays.
             self._canvas.draw()
             self.figure.set_layout_engine("none")
-            for artist in self._moving:
+            for artist, _ in self._moving:
                 artist.set_visible(False)
             self._canvas.draw()
         self._still = self._canvas.copy_from_bbox(self.figure.bbox)
-        for artist in self._moving:
+        for artist, _ in self._moving:
             artist.set_visible(True)
 
     def frame(self, tick: int) -> Image:
         """The picture at a tick, counted from 0."""
-        self._set(tick)
         self._canvas.restore_region(self._still)
-        for artist in self._moving:
+        for artist, update in self._moving:
+            update(tick)
             artist.axes.draw_artist(artist)
         return np.array(self._canvas.buffer_rgba())[..., :3]
 
@@ -87,93 +87,95 @@ class Picture:
         self.footage = footage
         return self.frame(len(footage.shape) - 1)
 
-    def _set(self, tick: int) -> None:
-        footage = self.footage
-        for ghost, ago in zip(self._ghosts, TRAIL_TICKS, strict=True):
-            ghost.set_xy(fin_outline(footage.shape[max(tick - ago, 0)], self.footage.thickness))
-        self._fin.set_xy(fin_outline(footage.shape[tick], self.footage.thickness))
-        if footage.reference is not None:
-            self._set_arrow(self._asked, footage.reference[tick] * self.scale.metres_per_mean_newton)
-        self._set_arrow(self._force, footage.reading.force[tick] * self.scale.metres_per_newton)
-        mean = footage.average[tick + 1 - WINDOW] if tick + 1 >= WINDOW else np.zeros(2)
-        self._set_arrow(self._mean, mean * self.scale.metres_per_mean_newton, 0.5)
-        now = (tick + 1) * TICK_S
-        self._clock.set_text(f"{now:.2f} s")
-        if footage.stream is not None:
-            self._set_stream(footage.stream[tick])
-        for line, values, start in self._lines:
-            passed = values(footage)[: max(tick + 1 - start, 0)]
-            line.set_data(_times(passed, start), passed)
-        for cursor in self._cursors:
-            cursor.set_xdata([now])
+    def _add(self, axes: Axes, artist: Any, update: Callable[[int], Any]) -> Any:
+        """Add an artist that moves, and how it is set to a tick."""
+        axes.add_artist(artist)
+        self._moving.append((artist, update))
+        return artist
 
-    def _set_arrow(self, arrow: Polygon, vector: Any, width: float = 1.0) -> None:
-        arrow.set_xy(arrow_outline(np.asarray(vector, float), width * ARROW * self.scale.length_m))
-
-    def _set_stream(self, stream: Any) -> None:
-        speed = float(np.hypot(*stream))
-        self._stream.set_xy(arrow_outline(
-            np.asarray(stream, float) / self.scale.stream_m_s * 0.2 * self.scale.length_m,
-            0.5 * ARROW * self.scale.length_m, self._stream_at,
-        ))  # fmt: skip
-        self._stream_text.set_text(f"stream {speed:.2f} m/s")
+    def _add_polygon(self, axes: Axes, colour: str, outline: Callable[[int], Points], alpha: float = 1.0) -> Polygon:
+        polygon = Polygon(np.zeros((3, 2)), closed=True, facecolor=colour, edgecolor="none", alpha=alpha)
+        self._add(axes, polygon, lambda tick: polygon.set_xy(outline(tick)))
+        return polygon
 
     def _draw_tank(self, axes: Axes, title: str) -> None:
-        scale = self.scale
+        footage, scale, length = self.footage, self.scale, self.scale.length_m
         # A band above for clock and keys, and one below where there is a note.
-        above = 0.16 * scale.length_m if self.footage.reference is None else 0.27 * scale.length_m
-        below = 0.0 if self.footage.shape_known and self.footage.stream is None else 0.16 * scale.length_m
+        above = 0.16 * length if footage.reference is None else 0.27 * length
+        below = 0.0 if footage.shape_known and footage.stream is None else 0.16 * length
         xlim, ylim = _filling(scale.x, (scale.y[0] - below, scale.y[1] + above))
         axes.set(xlim=xlim, ylim=ylim, aspect="equal", xlabel="x [m], thrust is +x", ylabel="y [m]")
         axes.set_facecolor(WATER)
         axes.grid(color="white", linewidth=1.0)
         axes.set_title(title, weight="bold")
-        self._ghosts = [
-            self._add(axes, _polygon(FIN, alpha)) for alpha in np.linspace(0.16, 0.04, len(TRAIL_TICKS)).tolist()
-        ]
-        self._fin = self._add(axes, _polygon(FIN))
-        if self.footage.reference is not None:
-            self._asked = self._add(axes, _polygon(ORANGE))
-        self._force = self._add(axes, _polygon(BLUE, 0.9))
-        self._mean = self._add(axes, _polygon(BLACK))
-        shaft = Circle((0, 0), 0.025 * scale.length_m, facecolor="white", edgecolor=BLACK, linewidth=1.4)
-        self._add(axes, shaft)
+
+        def fin(ago: int, tick: int) -> Points:
+            return fin_outline(self.footage.shape[max(tick - ago, 0)], self.footage.thickness)
+
+        def arrow(vector: Callable[[int], Any], metres: float, tick: int, width: float = 1.0) -> Points:
+            return arrow_outline(np.asarray(vector(tick) * metres, float), width * ARROW * length)
+
+        def mean(tick: int) -> Any:
+            return self.footage.average[tick + 1 - WINDOW] if tick + 1 >= WINDOW else np.zeros(2)
+
+        alphas = [*np.linspace(0.16, 0.04, len(TRAIL_TICKS)).tolist(), 1.0]
+        for ago, alpha in zip((*TRAIL_TICKS, 0), alphas, strict=True):
+            self._add_polygon(axes, FIN, partial(fin, ago), alpha)
+        per_newton, per_mean = scale.metres_per_newton, scale.metres_per_mean_newton
+        if footage.reference is not None:
+            asked = partial(arrow, lambda tick: cast(Any, self.footage.reference)[tick], per_mean)
+            self._asked = self._add_polygon(axes, ORANGE, asked)
+        force = partial(arrow, lambda tick: self.footage.reading.force[tick], per_newton)
+        self._force = self._add_polygon(axes, BLUE, force, 0.9)
+        self._mean = self._add_polygon(axes, BLACK, partial(arrow, mean, per_mean, width=0.5))
+        shaft = Circle((0, 0), 0.025 * length, facecolor="white", edgecolor=BLACK, linewidth=1.4)
+        self._add(axes, shaft, lambda tick: None)
         corner: dict[str, Any] = {"transform": axes.transAxes, "fontsize": 10}
-        self._clock = axes.text(0.03, 0.96, "", va="top", weight="bold", color=BLACK, **corner)
-        self._moving.append(self._clock)
-        self._draw_key(axes, xlim[1], ylim[1])
-        if not self.footage.shape_known:
+        clock = axes.text(0.03, 0.96, "", va="top", weight="bold", color=BLACK, **corner)
+        self._moving.append((clock, lambda tick: clock.set_text(f"{(tick + 1) * TICK_S:.2f} s")))
+        self._draw_key(axes, xlim[1] - 0.06 * length, ylim[1])
+        if not footage.shape_known:
             axes.text(0.03, 0.03, "shape not known: drawn straight", color=GREY, **corner)
-        if self.footage.stream is not None:
-            self._stream_at = (xlim[0] + 0.3 * scale.length_m, ylim[0] + 0.36 * scale.length_m)
-            self._stream = self._add(axes, _polygon(STREAM))
-            self._stream_text = axes.text(0.03, 0.03, "", color=STREAM, **corner)
-            self._moving.append(self._stream_text)
+        if footage.stream is not None:
+            start = (xlim[0] + 0.3 * length, ylim[0] + 0.36 * length)
+            longest = 0.2 * length / scale.stream_m_s
+
+            def stream(tick: int) -> Any:
+                return np.asarray(cast(Any, self.footage.stream)[tick], float)
+
+            self._add_polygon(
+                axes, STREAM, lambda tick: arrow_outline(stream(tick) * longest, 0.5 * ARROW * length, start)
+            )
+            text = axes.text(0.03, 0.03, "", color=STREAM, **corner)
+            self._moving.append((text, lambda tick: text.set_text(f"stream {np.hypot(*stream(tick)):.2f} m/s")))
 
     def _draw_key(self, axes: Axes, right: float, top: float) -> None:
-        """Round forces, to measure the arrows by."""
+        """Draw round forces, to measure the arrows by."""
         scale = self.scale
         keys = [(f"force {scale.key_n:g} N", scale.key_n * scale.metres_per_newton, BLUE)]
         if self.footage.reference is not None:
             text = f"asked for, mean {scale.mean_key_n:g} N"
             keys.append((text, scale.mean_key_n * scale.metres_per_mean_newton, BLACK))
-        right = right - 0.06 * scale.length_m
         for row, (text, length, colour) in enumerate(keys):
             middle = top - (0.1 + 0.11 * row) * scale.length_m
             axes.plot([right - length, right], [middle, middle], color=colour, linewidth=2.5, solid_capstyle="butt")
             axes.text(right - length - 0.03 * scale.length_m, middle, text, ha="right", va="center", color=colour)
 
     def _draw_traces(self, panels: Sequence[Axes]) -> None:
-        self._cursors = [self._add(axes, axes.axvline(0, color=BLACK, linewidth=0.9)) for axes in panels]
+        for axes in panels:
+            cursor = axes.axvline(0, color=BLACK, linewidth=0.9)
+            self._add(axes, cursor, partial(lambda line, tick: line.set_xdata([(tick + 1) * TICK_S]), cursor))
         angle, *forces = panels
         self._trace(angle, lambda footage: footage.command.angle, ORANGE, 1.3, style="steps-pre")
         self._trace(angle, lambda footage: footage.reading.angle, BLUE, 1.3)
         angle.set(ylabel="angle [rad]", ylim=self.scale.angle)
         for i, axes in enumerate(forces):
             if self.footage.reference is not None:
-                self._trace(axes, _force("reference", i), ORANGE, 1.6, style="steps-pre")
-            self._trace(axes, _force("measured", i), BLUE, 0.9)
-            self._trace(axes, _force("average", i), BLACK, 1.8, WINDOW - 1)
+                self._trace(
+                    axes, partial(lambda i, footage: footage.reference[:, i], i), ORANGE, 1.6, style="steps-pre"
+                )
+            self._trace(axes, partial(lambda i, footage: footage.reading.force[:, i], i), BLUE, 0.9)
+            self._trace(axes, partial(lambda i, footage: footage.average[:, i], i), BLACK, 1.8, WINDOW - 1)
             axes.set(ylabel=f"force {AXES[i]} [N]", ylim=self.scale.force)
         for axes in panels:
             axes.set_xlim(0, self._seconds)
@@ -185,39 +187,73 @@ class Picture:
         self.figure.align_ylabels(list(panels))
 
     def _trace(
-        self, axes: Axes, values: Values, colour: str, width: float, start: int = 0, style: str = "default"
-    ) -> None:
-        """What has passed in full, and the whole of it faint, where that is known; `start` is its first tick."""
+        self, axes: Axes, values: Callable[[Footage], Any], colour: str, width: float, start: int = 0, *,
+        style: str = "default",
+    ) -> None:  # fmt: skip
+        """Draw what has passed in full, and the whole of it faint, where that is known; `start` is its first tick."""
+
+        def times(series: Any) -> Any:
+            return (np.arange(len(series)) + start + 1) * TICK_S
+
+        def update(tick: int) -> None:
+            passed = values(self.footage)[: max(tick + 1 - start, 0)]
+            line.set_data(times(passed), passed)
+
         if not self._growing:
             whole = values(self.footage)
-            axes.plot(_times(whole, start), whole, color=colour, linewidth=width, alpha=0.25, drawstyle=style)
+            axes.plot(times(whole), whole, color=colour, linewidth=width, alpha=0.25, drawstyle=style)
         (line,) = axes.plot([], [], color=colour, linewidth=width, drawstyle=style)
-        self._moving.append(line)
-        self._lines.append((line, values, start))
-
-    def _add(self, axes: Axes, artist: Any) -> Any:
-        axes.add_artist(artist)
-        self._moving.append(artist)
-        return artist
+        self._moving.append((line, update))
 
 
-def _force(kind: Literal["reference", "measured", "average"], axis: int) -> Values:
-    def values(footage: Footage) -> Any:
-        return (footage.reading.force if kind == "measured" else getattr(footage, kind))[:, axis]
-
-    return values
-
-
-def _times(values: Any, start: int) -> Float[np.ndarray, " ticks"]:
-    return (np.arange(len(values)) + start + 1) * TICK_S
-
-
-def _polygon(colour: str, alpha: float = 1.0) -> Polygon:
-    return Polygon(np.zeros((3, 2)), closed=True, facecolor=colour, edgecolor="none", alpha=alpha)
-
-
-def _filling(x: tuple[float, float], y: tuple[float, float]) -> tuple[tuple[float, float], tuple[float, float]]:
+def _filling(x: Range, y: Range) -> tuple[Range, Range]:
     """Both ranges, the one that is too short for the shape of the panel made longer at both ends."""
     width, height = x[1] - x[0], y[1] - y[0]
     more_x, more_y = max(PANEL * height - width, 0) / 2, max(width / PANEL - height, 0) / 2
     return (x[0] - more_x, x[1] + more_x), (y[0] - more_y, y[1] + more_y)
+
+
+def smooth(points: Points) -> Float[np.ndarray, "pieces 2"]:
+    """A curve through the points (Catmull and Rom 1974); a line of two points stays as it is."""
+    if len(points) < 3:
+        return points
+    before = np.concatenate([2 * points[:1] - points[1:2], points[:-1]])[:-1]
+    after = np.concatenate([points[1:], 2 * points[-1:] - points[-2:-1]])[1:]
+    start, stop = points[:-1], points[1:]
+    u = np.linspace(0, 1, PIECES, endpoint=False)[None, :, None]
+    leave, arrive = ((stop - before) / 2)[:, None], ((after - start) / 2)[:, None]
+    curve = (
+        (2 * u**3 - 3 * u**2 + 1) * start[:, None]
+        + (3 * u**2 - 2 * u**3) * stop[:, None]
+        + (u**3 - 2 * u**2 + u) * leave
+        + (u**3 - u**2) * arrive
+    )
+    return np.concatenate([curve.reshape(-1, 2), points[-1:]])
+
+
+def fin_outline(middle: Points, thickness: Float[np.ndarray, " points"]) -> Float[np.ndarray, "corners 2"]:
+    """Outline of a fin with `thickness` at the points of its middle line, smoothed, with a rounded tip."""
+    line = smooth(middle)
+    half = np.interp(np.linspace(0, 1, len(line)), np.linspace(0, 1, len(thickness)), thickness) / 2
+    along = np.gradient(line, axis=0)
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+    offset = half[:, None] * np.stack([-along[:, 1], along[:, 0]], axis=1)
+    turn = np.linspace(np.pi / 2, -np.pi / 2, 9)[1:-1, None]
+    normal = np.stack([-along[-1, 1], along[-1, 0]])
+    tip = line[-1] + half[-1] * (np.sin(turn) * normal + np.cos(turn) * along[-1])
+    return np.concatenate([line + offset, tip, (line - offset)[::-1]])
+
+
+def arrow_outline(
+    vector: Float[np.ndarray, "2"], width_m: float, start: tuple[float, float] = (0.0, 0.0)
+) -> Float[np.ndarray, "7 2"]:
+    """Outline of an arrow from `start`; a short one is narrower, so that it keeps its look and vanishes at zero."""
+    length = float(np.linalg.norm(vector))
+    along = vector / length if length > 0 else np.zeros(2)
+    across = np.array([-along[1], along[0]])
+    head = min(3.2 * width_m, 0.6 * length)
+    width = head / 3.2
+    steps = [(0, 0.5), (length - head, 0.5), (length - head, 1.5), (length, 0.0)]
+    side = [along * far + across * width * wide for far, wide in steps]
+    other = [along * far - across * width * wide for far, wide in reversed(steps[:-1])]
+    return np.asarray(start) + np.stack([*side, *other])

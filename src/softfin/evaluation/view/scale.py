@@ -1,125 +1,124 @@
-"""Where things go in a drawing: the part of the tank that is seen, and how long a newton is drawn."""
+"""Scale of a drawing: the part of the tank that is seen, and how long a newton is drawn."""
 
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from softfin.evaluation.view.footage import Footage
 
-LONGEST = 0.65
-"""Length of the arrow of the greatest force, over that of the fin."""
-
-MEAN_LONGEST = 0.4
-"""The same of the greatest reference or mean force, which would be too short to see beside the peaks of a stroke."""
+LONGEST, MEAN_LONGEST = 0.65, 0.4
+"""Length of the arrows of the greatest force, and of the greatest reference or mean force, over that of the fin; the
+second would be too short to see beside the peaks of a stroke."""
 
 TRAIL_TICKS = (5, 10, 15, 20, 25)
 """How long ago the faint shapes behind the fin were [10 ms]."""
 
+Range = tuple[float, float]
+Vectors = Float[np.ndarray, "_ 2"]
+NONE = np.zeros((1, 2))
+
 
 class Scale(NamedTuple):
-    """Of one footage, the same for all its frames."""
+    """Scale of one footage, the same for all its frames."""
 
     length_m: float
-    """Of the fin."""
+    """Length of the fin [m]."""
     metres_per_newton: float
+    """Scale of the force's arrow."""
     key_n: float
-    """A round force for the key."""
+    """A round force for the key [N]."""
     metres_per_mean_newton: float
-    """Of the reference and the mean force."""
+    """Scale of the reference and the mean force."""
     mean_key_n: float
-    """A round force for their key."""
-    x: tuple[float, float]
+    """A round force for their key [N]."""
+    x: Range
     """Seen part of the tank [m]."""
-    y: tuple[float, float]
-    force: tuple[float, float]
+    y: Range
+    """Seen part of the tank [m]."""
+    force: Range
     """Axis of the force traces [N]."""
-    angle: tuple[float, float]
+    angle: Range
     """Axis of the angle's trace [rad]."""
     stream_m_s: float
-    """The fastest stream."""
+    """The fastest stream [m/s]."""
+
+
+class Greatest(NamedTuple):
+    """Sizes of the greatest vectors in a footage."""
+
+    force_n: float
+    """Greatest force [N]."""
+    mean_n: float
+    """Greatest reference or mean force [N]."""
+    stream_m_s: float
+    """Fastest stream [m/s]."""
+
+    @classmethod
+    def of(cls, footage: Footage) -> "Greatest":
+        """Return the sizes in a footage; 0 where it has none."""
+        asked = NONE if footage.reference is None else footage.reference
+        stream = NONE if footage.stream is None else footage.stream
+        vectors = (footage.reading.force, np.concatenate([footage.average, asked]), stream)
+        return cls(*(float(np.linalg.norm(each, axis=1).max()) for each in vectors))
+
+    def including(self, footage: Footage) -> "Greatest":
+        """Grow in round numbers to what a footage needs, so that a growing drawing seldom changes its scale."""
+        pairs = zip(Greatest.of(footage), self, strict=True)
+        return Greatest(*(had if value <= had else round_up(value) for value, had in pairs))
+
+    def scale(self, length_m: float, angle: Range) -> Scale:
+        """Return a scale for a fin of this length, wherever it turns, with the angle's axis over its limits [rad]."""
+        corners = np.array([[-length_m, -length_m], [LONGEST * length_m, length_m]])
+        return _fit(length_m, self, corners, (-self.force_n, self.force_n), angle)
 
 
 def scale_of(footage: Footage) -> Scale:
-    """So that fin and arrow stay in the picture at every tick."""
-    length = fin_length(footage)
+    """Return the scale by which fin and arrows stay in the picture at every tick."""
     force = np.asarray(footage.reading.force, float)
     asked = np.zeros((0, 2)) if footage.reference is None else np.unique(footage.reference, axis=0)
-    means = np.concatenate([footage.average, asked])
-    shown = np.concatenate([force, asked])
+    shown, greatest = np.concatenate([force, asked]), Greatest.of(footage)
     # Half a newton at least, so that the noise of a fin at rest is not blown up.
-    greatest = max(float(np.linalg.norm(shown, axis=1).max()), 0.5)
-    metres_per_newton = LONGEST * length / greatest
-    metres_per_mean, greatest_mean = metres_per_newton, greatest
-    if footage.reference is not None:
-        greatest_mean = max(float(np.linalg.norm(means, axis=1).max()), 0.25)
-        metres_per_mean = max(MEAN_LONGEST * length / greatest_mean, metres_per_newton)
-    arrows = [force * metres_per_newton, means * metres_per_mean]
-    seen = np.concatenate([footage.shape.reshape(-1, 2), *arrows, np.zeros((1, 2))])
-    margin = 0.12 * length
-    low, high = seen.min(axis=0) - margin, seen.max(axis=0) + margin
+    force_n = max(float(np.linalg.norm(shown, axis=1).max()), 0.5)
+    mean_n = force_n if footage.reference is None else max(greatest.mean_n, 0.25)
     angles = np.concatenate([footage.reading.angle, footage.command.angle])
+    return _fit(
+        footage.length_m, Greatest(force_n, mean_n, greatest.stream_m_s), footage.shape.reshape(-1, 2),
+        (min(float(shown.min()), 0.0), max(float(shown.max()), 0.0)), (float(angles.min()), float(angles.max())),
+        force, np.concatenate([footage.average, asked]),
+    )  # fmt: skip
+
+
+def _fit(
+    length_m: float, greatest: Greatest, points: Vectors, force: Range, angle: Range,
+    forces: Vectors = NONE, means: Vectors = NONE,
+) -> Scale:  # fmt: skip
+    per_newton = LONGEST * length_m / greatest.force_n
+    per_mean_newton = max(MEAN_LONGEST * length_m / greatest.mean_n, per_newton)
+    seen = np.concatenate([points, forces * per_newton, means * per_mean_newton, NONE])
+    margin = 0.12 * length_m
+    (left, bottom), (right, top) = (seen.min(axis=0) - margin).tolist(), (seen.max(axis=0) + margin).tolist()
     return Scale(
-        length_m=length,
-        metres_per_newton=metres_per_newton,
-        key_n=_round_down(greatest / 2),
-        metres_per_mean_newton=metres_per_mean,
-        mean_key_n=_round_down(greatest_mean / 2),
-        x=(float(low[0]), float(high[0])),
-        y=(float(low[1]), float(high[1])),
-        force=_padded(min(float(shown.min()), 0.0), max(float(shown.max()), 0.0)),
-        angle=_padded(float(angles.min()), float(angles.max())),
-        stream_m_s=0.0 if footage.stream is None else float(np.linalg.norm(footage.stream, axis=1).max()),
+        length_m=length_m,
+        metres_per_newton=per_newton,
+        key_n=_round_down(greatest.force_n / 2),
+        metres_per_mean_newton=per_mean_newton,
+        mean_key_n=_round_down(greatest.mean_n / 2),
+        x=(left, right),
+        y=(bottom, top),
+        force=_padded(*force),
+        angle=_padded(*angle),
+        stream_m_s=greatest.stream_m_s,
     )
 
 
-def fin_length(footage: Footage) -> float:
-    """Along the fin, from the shaft to the tip [m]."""
-    return float(np.linalg.norm(np.diff(footage.shape[0], axis=0), axis=1).sum())
-
-
-class Room(NamedTuple):
-    """What has to find room in a drawing of a footage that is still growing, in round numbers."""
-
-    force_n: float
-    """The greatest force."""
-    mean_n: float
-    """The greatest reference or mean force."""
-    stream_m_s: float
-
-    def scale(self, length_m: float, angle: tuple[float, float]) -> Scale:
-        """A scale for a fin of this length, wherever it turns, with the angle's axis over its limits [rad]."""
-        per_newton = LONGEST * length_m / self.force_n
-        margin = 0.12 * length_m
-        return Scale(
-            length_m=length_m,
-            metres_per_newton=per_newton,
-            key_n=_round_down(self.force_n / 2),
-            metres_per_mean_newton=max(MEAN_LONGEST * length_m / self.mean_n, per_newton),
-            mean_key_n=_round_down(self.mean_n / 2),
-            x=(-length_m - margin, LONGEST * length_m + margin),
-            y=(-length_m - margin, length_m + margin),
-            force=_padded(-self.force_n, self.force_n),
-            angle=_padded(*angle),
-            stream_m_s=self.stream_m_s,
-        )
-
-
-def room_for(footage: Footage, before: Room) -> Room:
-    """For a footage, and no less than before, so that a drawing of a growing one seldom changes its scale."""
-    asked = np.zeros((1, 2)) if footage.reference is None else footage.reference
-    stream = np.zeros((1, 2)) if footage.stream is None else footage.stream
-    seen = (footage.reading.force, np.concatenate([footage.average, asked]), stream)
-    greatest = (float(np.linalg.norm(vectors, axis=1).max()) for vectors in seen)
-    return Room(*(had if value <= had else round_up(value) for value, had in zip(greatest, before, strict=True)))
-
-
 def round_up(value: float) -> float:
-    """The next of 1, 2, 5, 10, 20 .."""
+    """Return the next of 1, 2, 5, 10, 20 .."""
     lower = _round_down(value)
     return lower if lower >= value else _round_down(2.5 * lower)
 
 
-def _padded(low: float, high: float) -> tuple[float, float]:
+def _padded(low: float, high: float) -> Range:
     pad = 0.06 * max(high - low, 1e-3)
     return low - pad, high + pad
 

@@ -16,23 +16,23 @@ from softfin.storage import artifact as artifacts
 from softfin.storage.paths import find_ffmpeg
 
 Report = Callable[[float], None]
-"""Called with how much is done (0 .. 1)."""
+"""Called with the part that is done (0 .. 1)."""
 
 COLOURS = 200
-"""Of a GIF or PNG: enough for the blends of a few plain colours; one of a GIF's 256 is left for what stays."""
+"""Colours of a GIF or PNG: enough for the blends of a few plain ones; one of a GIF's 256 is left for what stays."""
 
 SAMPLES = 8
 """Frames from which a GIF's colours are taken."""
 
 
 def ticks_of(ticks: int, frames_per_second: int) -> range:
-    """The ticks that are shown, in real time, the last one among them."""
+    """Return the ticks that are shown, in real time, the last one among them."""
     step = RATE_HZ // frames_per_second
     return range((ticks - 1) % step, ticks, step)
 
 
 def write_gif(path: Path, picture: Picture, frames_per_second: int, report: Report) -> None:
-    """All frames, in a loop; all of them in the same colours, so that what stays costs no bytes."""
+    """Write all frames, in a loop; all of them in the same colours, so that what stays costs no bytes."""
     ticks = ticks_of(len(picture.footage.shape), frames_per_second)
     samples = [picture.frame(ticks[i]) for i in np.linspace(0, len(ticks) - 1, SAMPLES).astype(int)]
     palette = _palette(np.concatenate(samples))
@@ -45,20 +45,14 @@ def write_gif(path: Path, picture: Picture, frames_per_second: int, report: Repo
     buffer = io.BytesIO()
     # Browsers slow down a GIF whose frames take less than 2 hundredths of a second.
     next(rest).save(
-        buffer,
-        "GIF",
-        save_all=True,
-        append_images=rest,
-        duration=1000 // frames_per_second,
-        loop=0,
-        optimize=True,
+        buffer, "GIF", save_all=True, append_images=rest, duration=1000 // frames_per_second, loop=0, optimize=True,
         palette=palette.getpalette(),
-    )
+    )  # fmt: skip
     artifacts.write_file(path, buffer.getvalue())
 
 
 def write_png(path: Path, picture: Picture) -> None:
-    """The last frame."""
+    """Write the last frame."""
     image = picture.frame(len(picture.footage.shape) - 1)
     buffer = io.BytesIO()
     few = PIL.Image.fromarray(image).quantize(palette=_palette(image), dither=PIL.Image.Dither.NONE)
@@ -67,7 +61,7 @@ def write_png(path: Path, picture: Picture) -> None:
 
 
 def write_mp4(path: Path, picture: Picture, frames_per_second: int, report: Report) -> None:
-    """All frames, through a pipe into ffmpeg, in the format that every browser plays."""
+    """Write all frames, through a pipe into ffmpeg, in the format that every browser plays."""
     ticks = ticks_of(len(picture.footage.shape), frames_per_second)
     height, width = picture.frame(0).shape[:2]
     beside = path.with_name(f".{path.stem}.partial.mp4")
@@ -101,7 +95,7 @@ def _frames(picture: Picture, ticks: range, report: Report) -> Iterator[Image]:
 
 
 def _palette(image: Image) -> PIL.Image.Image:
-    """Few colours for an image, with those that most of it has just as they are: white stays white."""
+    """Return few colours for an image, with those that most of it has just as they are: white stays white."""
     few = PIL.Image.fromarray(image).quantize(COLOURS, PIL.Image.Quantize.MEDIANCUT)
     colours = np.array(few.getpalette()).reshape(-1, 3)
     every, counts = np.unique(image.reshape(-1, 3), axis=0, return_counts=True)

@@ -11,15 +11,11 @@ from pathlib import Path
 from typing import IO, NamedTuple
 
 from softfin.core.errors import ConfigurationError, RigError
-from softfin.core.files import read_bytes
 from softfin.rig.config import RigConfig
 from softfin.rig.emulation.rig import EmulatedRig
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.storage import artifact as artifacts
 from softfin.tank import Tank, TankConfig
-
-MAX_STATE_BYTES = 1_000_000
-"""Longest state file; a usual one has some thousand bytes."""
 
 
 class KeptRig(NamedTuple):
@@ -82,7 +78,7 @@ def _open(config: RigConfig, file: Path) -> KeptRig:
 
     try:
         if path.exists():
-            state = json.loads(read_bytes(path, MAX_STATE_BYTES))
+            state = json.loads(path.read_bytes())
             if state["emulation"] != emulation:
                 raise ValueError("of another seed or tank")
             for name, part in parts.items():

@@ -18,7 +18,7 @@ TopicName = Annotated[str, StringConstraints(pattern=r"^(/[A-Za-z_][A-Za-z0-9_]*
 LimitsField = Annotated[
     Limits,
     BeforeValidator(lambda value: value if isinstance(value, Limits) else Limits.of(value)),
-    PlainSerializer(lambda limits: limits.described()),
+    PlainSerializer(lambda limits: limits.to_dict()),
 ]
 
 

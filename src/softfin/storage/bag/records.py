@@ -90,23 +90,10 @@ def decode(record: RawRecord) -> list[Record]:
         raise LogError(f"a {what} that cannot be decoded ({' '.join(str(error).split())})") from None
 
 
-def is_chunk_length_right(content: bytes) -> bool:
-    """Whether a chunk's record is as long as its own fields add up to: what follows is then in its place."""
-    try:
-        name = struct.unpack_from("<I", content, 28)[0]
-        return bool(len(content) == 40 + name + struct.unpack_from("<Q", content, 32 + name)[0])
-    except struct.error:
-        return False
-
-
 def _unpack(content: bytes) -> list[Record]:
-    if not is_chunk_length_right(content):
-        raise LogError("a chunk of a length that its fields contradict")
     chunk = Chunk.read(ReadDataStream(io.BytesIO(content)))
     if chunk.uncompressed_size > LARGEST_BYTES:
         raise LogError(f"a chunk of {chunk.uncompressed_size:,} bytes, allowed are {LARGEST_BYTES:,}")
     if chunk.compression not in ("", "lz4", "zstd"):
         raise LogError(f"a chunk of unknown compression {chunk.compression!r}")
-    if not chunk.compression and len(chunk.data) != chunk.uncompressed_size:
-        raise LogError("a chunk of a length that its fields contradict")
     return cast(list[Record], breakup_chunk(chunk, validate_crc=True))

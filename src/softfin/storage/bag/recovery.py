@@ -1,14 +1,13 @@
 """A bag that was cut off or damaged in, a whole one out, with every message that can be read; the original stays."""
 
-import contextlib
-import os
 from collections import Counter
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 from mcap.records import Channel, Message, Schema
 
-from softfin.core.errors import LogError, RunError
+from softfin.core.errors import LogError
+from softfin.storage import artifact as artifacts
 from softfin.storage.bag.messages import start_writer
 from softfin.storage.bag.scan import Damage, scan
 from softfin.storage.paths import check_recoverable
@@ -59,10 +58,9 @@ def recover(path: Path, out: Path, overwrite: bool = False) -> Recovery:
             case Message():
                 counts[item.channel_id] += 1
                 times = [min(times[0], item.log_time), max(times[1], item.log_time)]
-    messages: Counter[str] = Counter()
-    for number, channel in channels.items():
-        if counts[number]:
-            messages[channel.topic] += counts[number]
+    messages = Counter[str]()
+    for number in sorted(channels.keys() & counts):
+        messages[channels[number].topic] += counts[number]
     orphans = sum(count for number, count in counts.items() if number not in channels)
     if orphans:
         damages.append(Damage(0, 0, f"{orphans:,} messages whose topic is not known"))
@@ -71,27 +69,8 @@ def recover(path: Path, out: Path, overwrite: bool = False) -> Recovery:
         reason = damages[0].reason
         raise LogError(f"{path}: no message in it can be read ({reason}); copy it again from where it was recorded")
     if damages:
-        _write(path, out, schemas, channels)
+        artifacts.write_file(out, lambda file: _copy(path, file, schemas, channels))
     return recovery
-
-
-def _write(path: Path, out: Path, schemas: dict[int, Schema], channels: dict[int, Channel]) -> None:
-    """Write a file beside its place, then rename it, so that `out` is whole or not there."""
-    beside = out.with_name(f".{out.name}.{os.getpid()}.partial")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with beside.open("xb") as file:
-            _copy(path, file, schemas, channels)
-            file.flush()
-            os.fsync(file.fileno())
-        beside.replace(out)
-    except OSError as error:
-        raise RunError(
-            f"{out}: cannot be written ({error.strerror or error}); make room, or give another --out"
-        ) from None
-    finally:
-        with contextlib.suppress(OSError):
-            beside.unlink()
 
 
 def _copy(path: Path, file: BinaryIO, schemas: dict[int, Schema], channels: dict[int, Channel]) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import LogError, RunError
+from softfin.storage import artifact as artifacts
 from softfin.storage.bag.messages import COMMAND, CURRENT, EVENTS, JOINT, REFERENCE, SECOND_NS, WRENCH, BagWriter, Row
 
 POLL_S = 0.05
@@ -217,11 +218,5 @@ def _create(path: Path) -> int:
         raise LogError(f"{path}: exists already, recordings are never overwritten; give another name") from None
     except OSError as error:
         raise RunError(f"{path}: cannot be written ({error.strerror or error}); record elsewhere") from None
-    # Otherwise a power cut may take the file's name.
-    with contextlib.suppress(OSError):
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+    artifacts.sync(path.parent)
     return file

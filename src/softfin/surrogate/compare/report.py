@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from softfin.core.quantities import AXES, RATE_HZ
-from softfin.storage import artifact as artimetadata
-from softfin.storage.figures import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, render, styled
+from softfin.storage import artifact as artifacts
+from softfin.storage.figures import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, save_figure, styled
 from softfin.surrogate.compare.compare import Comparison, Group
 from softfin.surrogate.streaming.uncertainty import COVERAGE
 
@@ -32,12 +32,11 @@ def write_comparison(
     summary = {**comparison.summary(), **metadata}
 
     def write(folder: Path) -> None:
-        (folder / "comparison.json").write_text(artimetadata.dump_json(summary))
+        (folder / "comparison.json").write_text(artifacts.dump_json(summary))
         figure = comparison_figure(comparison)
-        for kind in ("svg", "png"):
-            (folder / f"comparison.{kind}").write_bytes(render(figure, kind))
+        save_figure(figure, folder, "comparison")
 
-    artimetadata.write_folder(out, write, overwrite)
+    artifacts.write_folder(out, write, overwrite)
     return summary
 
 

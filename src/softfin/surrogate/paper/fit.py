@@ -22,7 +22,7 @@ from softfin.core.errors import LogError
 from softfin.core.progress import Progress
 from softfin.core.quantities import Log
 from softfin.core.randomness import generator_of, key_of
-from softfin.storage.run_directory import Workspace
+from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, Scaling
 from softfin.surrogate.paper.network import FORCENET, POSNET, Network, NetworkConfig, gather
 from softfin.surrogate.paper.surrogate import Surrogate
@@ -59,7 +59,7 @@ class Nets(NamedTuple):
 
 
 def fit(
-    logs: Sequence[Log], config: FitConfig, seed: int, run_directory: Workspace, progress: Progress | None = None
+    logs: Sequence[Log], config: FitConfig, seed: int, run_directory: RunDirectory, progress: Progress | None = None
 ) -> Surrogate:
     """Fit both nets to the training logs; goes on from the run_directory's checkpoint where there is one.
 

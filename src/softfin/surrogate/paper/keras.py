@@ -4,6 +4,7 @@ The scaler values come as a JSON file of ``{channel: {scale, offset, data_min, d
 """
 
 import io
+import json
 import reprlib
 import zipfile
 import zlib
@@ -15,7 +16,6 @@ import numpy as np
 import pydantic
 
 from softfin.core.errors import ArtifactError
-from softfin.core.files import parse_json, read_bytes, regular_file
 from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, Scaling
 from softfin.surrogate.paper.layers import LSTM, Conv1D, Dense, Dropout, Flatten, Layer, MeanPool, Shape
 from softfin.surrogate.paper.network import Network, NetworkConfig
@@ -46,25 +46,24 @@ def import_keras(posnet: Path, forcenet: Path, scalers: Path) -> Surrogate:
 def read_scalers(path: Path) -> Scaling:
     """Read the scaling of each channel."""
     try:
-        return Scaling(channels=parse_json(read_bytes(path, LARGEST)))
+        return Scaling(channels=json.loads(path.read_bytes()))
     except OSError as error:
         raise ArtifactError(f"{path}: cannot be read ({error.strerror or error})") from None
     except pydantic.ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"][1:])) or "scalers"
         raise ArtifactError(f"{path}: {where}: {first['msg']}") from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ArtifactError(f"{path}: not JSON ({error}); give the scalers as JSON, never as pickle") from None
 
 
 def read_network(path: Path, channels: tuple[str, ...], outputs: tuple[str, ...]) -> Network:
     """Read one ``.keras`` file as a network."""
     try:
-        regular_file(path, LARGEST)
         with zipfile.ZipFile(path) as archive:
             if max(entry.file_size for entry in archive.infolist()) > LARGEST:
                 raise ValueError(f"a part of it inflates to more than {LARGEST:,} bytes")
-            description = parse_json(archive.read("config.json"))
+            description = json.loads(archive.read("config.json"))
             weights = archive.read("model.weights.h5")
         layers, groups, shape = _layers(path, description)
         if shape[0] != len(channels):

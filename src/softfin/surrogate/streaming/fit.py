@@ -22,7 +22,7 @@ from softfin.core.errors import LogError
 from softfin.core.progress import Progress
 from softfin.core.quantities import Log
 from softfin.core.randomness import key_of
-from softfin.storage.run_directory import Workspace
+from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate.channels import command_limits
 from softfin.surrogate.streaming.drive import LONGEST_DELAY, DriveNetConfig, FollowingNet
 from softfin.surrogate.streaming.force import ForceNet, ForceNetConfig, Motion, Scales
@@ -163,7 +163,11 @@ def force_loss(config: StreamingConfig) -> Loss:
 
 
 def fit_streaming(
-    logs: Sequence[Log], config: StreamingConfig, seed: int, run_directory: Workspace, progress: Progress | None = None
+    logs: Sequence[Log],
+    config: StreamingConfig,
+    seed: int,
+    run_directory: RunDirectory,
+    progress: Progress | None = None,
 ) -> StreamingSurrogate:
     """Fit an ensemble to the training logs; goes on from the run_directory's checkpoint where there is one.
 

@@ -1,15 +1,147 @@
-"""What a calibration fits, to how much data, and how long it searches."""
+"""What a calibration fits, to how much data, and how long it searches.
 
-from typing import Any
+The numbers that it may change have names such as ``fin.length_m``, and ranges. A search moves in scaled coordinates: 0
+is the low end of a parameter's range, 1 the high end, on a logarithmic scale where both are positive, else on a linear
+one.
+"""
 
+import difflib
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
 from pydantic import Field, field_validator, model_validator
 
 from softfin.core.choices import CalibratePreset
 from softfin.core.configuration import Configuration
+from softfin.core.errors import ConfigurationError
 from softfin.data.excitation import ExcitationConfig
 from softfin.tank import TankConfig
-from softfin.tank.calibration.parameters import FREE, Range, Ranges, every_range, nested
-from softfin.tank.calibration.recording import RecordingConfig
+
+Range = tuple[float, float]
+Ranges = dict[str, dict[str, Range | None]]
+"""Range of each number, by group and name; None keeps the number."""
+
+Point = Float[np.ndarray, "parameters"]
+"""Scaled coordinates of the parameters, 0 .. 1."""
+
+FREE: dict[str, Range] = {
+    "drive.acceleration_rad_s2": (5.0, 500.0),
+    "drive.dead_time_s": (0.0, 0.15),
+    "drive.lag_s": (0.001, 0.3),
+    "fin.length_m": (0.08, 0.4),
+    "fin.root_length_m": (0.0, 0.08),
+    "fin.tip_span_ratio": (0.3, 3.0),
+    "fin.tip_thickness_ratio": (0.1, 1.2),
+    "fin.youngs_modulus_pa": (3e5, 3e7),
+    "fin.damping_s": (0.001, 0.2),
+    "water.added_mass_coefficient": (0.1, 4.0),
+    "water.drag_coefficient": (0.5, 30.0),
+    "water.friction_coefficient": (0.3, 300.0),
+    "water.tip_coefficient": (0.0, 2.0),
+    "water.stream_mass_kg": (0.5, 50.0),
+    "water.stream_decay_s": (0.0, 3.0),
+    "recording.angle_gain": (0.5, 1.5),
+    "recording.angle_offset_rad": (-0.2, 0.2),
+    "recording.velocity_factor": (0.5, 15.0),
+    "recording.velocity_limit_rad_s": (2.0, 15.0),
+    "recording.reading_gain": (0.5, 1.5),
+    "recording.reading_offset_rad": (-0.2, 0.2),
+    "recording.force_x_n": (-1.0, 1.0),
+    "recording.force_y_n": (-1.0, 1.0),
+}
+"""Ranges of what is fitted unless the configuration says otherwise.
+
+Not span and root thickness: a ruler tells them, and no log can tell them from Young's modulus, drag and added mass. Not
+the sensor's misalignment: all that turns with the shaft's zero turns, so one of three offsets must be known.
+"""
+
+_UNITS = {
+    "_kg_m3": "kg/m3", "_kg_m2": "kg m2", "_rad_s2": "rad/s2", "_nm_rad": "N m/rad", "_rad_s": "rad/s", "_nm": "N m",
+    "_rad": "rad", "_pa": "Pa", "_kg": "kg", "_c": "degC", "_m": "m", "_s": "s", "_n": "N",
+}  # fmt: skip
+
+
+class RecordingConfig(Configuration):
+    """How a log's commands and readings relate to those of a tank: gains, offsets and units of the recording itself.
+
+    In the tank a command of 1 rad at 2 rad/s means that; by default it does so in the log, too. Another unit, an
+    encoder's zero or a sensor's offset belong here, and never to the tank.
+    """
+
+    angle_gain: float = Field(1.0, gt=0)
+    """Target angle over commanded angle [-]."""
+    angle_offset_rad: float = 0.0
+    """Target angle where the command is 0 [rad]."""
+    velocity_factor: float = Field(1.0, gt=0)
+    """Profile velocity over commanded velocity [-]: the unit of the log."""
+    velocity_limit_rad_s: float = Field(12.5, gt=0)
+    """Profile velocity that the recorded drive never exceeds, whatever it is told [rad/s]."""
+    reading_gain: float = Field(1.0, gt=0)
+    """Angle in the log over angle of the shaft [-]; its velocity likewise."""
+    reading_offset_rad: float = 0.0
+    """Angle in the log where the shaft stands at 0 [rad]: the encoder's zero."""
+    force_x_n: float = 0.0
+    """Reading of the force sensor along x without force [N]."""
+    force_y_n: float = 0.0
+    """Reading of the force sensor along y without force [N]."""
+
+
+class Parameter(NamedTuple):
+    """One number, and the range in which it is sought."""
+
+    name: str
+    """Group and field: ``fin.length_m``."""
+    low: float
+    high: float
+
+    @property
+    def unit(self) -> str:
+        """Unit, which is the end of the parameter's name."""
+        return next((unit for suffix, unit in _UNITS.items() if self.name.endswith(suffix)), "-")
+
+    def scaled(self, value: float) -> float:
+        """Return the scaled coordinate of a value: 0 .. 1 within the range."""
+        low, high, at = np.log([self.low, self.high, value]) if self.low > 0 else (self.low, self.high, value)
+        return float((at - low) / (high - low))
+
+    def value(self, scaled: float) -> float:
+        """Return the value at a scaled coordinate; the inverse of `scaled`."""
+        if self.low > 0:
+            return float(self.low * (self.high / self.low) ** scaled)
+        return float(self.low + scaled * (self.high - self.low))
+
+    def slope(self, scaled: float) -> float:
+        """Return the derivative of the value by the scaled coordinate."""
+        width = np.log(self.high / self.low) * self.value(scaled) if self.low > 0 else self.high - self.low
+        return float(width)
+
+
+def every_range(free: Mapping[str, Range] = FREE) -> Ranges:
+    """Return all numbers of a tank and a recording by group, with the range of those that are free."""
+    groups = {group: value for group, value in TankConfig() if isinstance(value, Configuration)}
+    return {
+        group: {name: free.get(f"{group}.{name}") for name, value in values if isinstance(value, float)}
+        for group, values in {**groups, "recording": RecordingConfig()}.items()
+    }
+
+
+def parameters_of(ranges: Ranges) -> list[Parameter]:
+    """Return the free parameters; raises ConfigurationError for an unknown name or a range that is not ascending."""
+    allowed = {f"{group}.{name}" for group, names in every_range().items() for name in names}
+    parameters = []
+    for name, limits in ((f"{group}.{field}", limits) for group in ranges for field, limits in ranges[group].items()):
+        if name not in allowed:
+            close = difflib.get_close_matches(name, sorted(allowed), n=1)
+            hint = f"; did you mean {close[0]!r}?" if close else f"; the groups are {', '.join(every_range())}"
+            raise ConfigurationError(f"parameters: there is no {name!r}{hint}")
+        if limits is None:
+            continue
+        if not limits[0] < limits[1]:
+            raise ConfigurationError(f"parameters.{name} = {list(limits)}: write [low, high] with low below high")
+        parameters.append(Parameter(name, *map(float, limits)))
+    return parameters
 
 
 class Weights(Configuration):
@@ -52,16 +184,16 @@ class CalibrateConfig(Configuration):
     """Steps of time a tick in the global search; the local one has those of `tank`."""
     iterations: int = Field(12, ge=1)
     """Most steps of the local search (Levenberg-Marquardt); it ends when a step gains less than 1e-6."""
-    pieces: int = Field(24, ge=2)
-    """Pieces of the training logs that are fitted."""
-    test_pieces: int = Field(12, ge=1)
-    """Pieces of the test logs that the fit is judged on."""
-    piece_s: float = Field(12.0, ge=0.1)
-    """Length of each piece [s]."""
+    segments: int = Field(24, ge=2)
+    """Segments of the training logs that are fitted."""
+    test_segments: int = Field(12, ge=1)
+    """Segments of the test logs that the fit is judged on."""
+    segment_s: float = Field(12.0, ge=0.1)
+    """Length of each segment [s]."""
     warm_up_s: float = Field(2.0, ge=0)
-    """Start of each piece that is simulated but not compared [s]: longer than a stroke, so that one under way ends."""
+    """Start of each segment that is simulated but not compared [s]: longer than a stroke, so that it can end."""
     block_s: float = Field(2.0, ge=0.01)
-    """Stretches [s] whose errors are taken to be independent of each other when standard errors are computed."""
+    """Blocks of time [s] whose errors are taken to be independent of each other when standard errors are computed."""
     excitation: ExcitationConfig = ExcitationConfig()
     """Excitation of a plant that is to be fitted; logs bring their own commands."""
     velocity_rad_s: Range | None = None
@@ -69,28 +201,35 @@ class CalibrateConfig(Configuration):
 
     @field_validator("parameters", mode="before")
     @classmethod
-    def _dotted(cls, value: Any) -> Any:
-        return nested(value) if isinstance(value, dict) else value
+    def _nested(cls, value: Any) -> Any:
+        """``fin.length_m: range`` becomes ``fin: {length_m: range}``; both may stand side by side."""
+        if not isinstance(value, dict):
+            return value
+        tree: dict[str, Any] = {}
+        for name, inner in value.items():
+            group, dot, field = name.partition(".")
+            tree[group] = {**tree.get(group, {}), **({field: inner} if dot else dict(inner))}
+        return tree
 
     @model_validator(mode="after")
     def _long_enough(self) -> "CalibrateConfig":
-        if self.piece_s < self.warm_up_s + self.block_s:
-            raise ValueError(f"piece_s = {self.piece_s:g} must be at least warm_up_s + block_s")
+        if self.segment_s < self.warm_up_s + self.block_s:
+            raise ValueError(f"segment_s = {self.segment_s:g} must be at least warm_up_s + block_s")
         return self
 
 
-def _fewer(names: tuple[str, ...]) -> Ranges:
+def _ranges(names: Sequence[str]) -> Ranges:
     return every_range({name: FREE[name] for name in names})
 
 
 PRESETS: dict[CalibratePreset, CalibrateConfig] = {
     "full": CalibrateConfig(),
     "quick": CalibrateConfig(
-        parameters=_fewer((
+        parameters=_ranges((
             "drive.acceleration_rad_s2", "drive.lag_s", "fin.length_m", "fin.youngs_modulus_pa",
             "water.added_mass_coefficient", "water.drag_coefficient",
         )),
-        evaluations=800, iterations=8, pieces=12, test_pieces=6,
+        evaluations=800, iterations=8, segments=12, test_segments=6,
     ),
 }  # fmt: skip
 """``full``: fin, water, drive and recording. ``quick``: what tells most, in a minute, the log taken as it is."""

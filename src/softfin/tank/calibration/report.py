@@ -10,30 +10,29 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from softfin.core.configuration import Configuration
 from softfin.core.quantities import RATE_HZ
 from softfin.storage import artifact as artifacts
-from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, render, styled
+from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, save_figure, styled
 from softfin.tank.calibration.calibrate import Calibration, scores
-from softfin.tank.calibration.pieces import CHANNELS, Pieces
+from softfin.tank.calibration.segments import CHANNELS, Segments
 
 TRACE_S = 10
-"""Duration of a test piece that the figure shows [s]."""
+"""Duration of a test segment that the figure shows [s]."""
 
 WINDOW = 2 * RATE_HZ
-"""Ticks over which means are taken where there are no beats: those of the paper's moving average."""
+"""Ticks over which means are taken where there are no gaits: those of the paper's moving average."""
 
-Readings = Float[np.ndarray, "pieces ticks channels"]
+Readings = Float[np.ndarray, "segments ticks channels"]
 
 Means = Float[np.ndarray, "rows channels"]
 
 
 def write_calibration(
     found: Calibration,
-    beats: Pieces | None,
+    gaits: Segments | None,
     out: Path,
-    facts: dict[str, Any],
-    also: Callable[[Path], None],
+    metadata: dict[str, Any],
+    extra_files: Callable[[Path], None],
     overwrite: bool = False,
 ) -> dict[str, Any]:
     """Write the folder, whole or not at all; returns the content of its JSON.
@@ -52,63 +51,84 @@ def write_calibration(
     =================== ============================================================================================
     """
     modelled = found.read(found.test.command)
-    beating = None if beats is None else means(beats, found.read(beats.command))
-    summary = {**found.summary(), "beating": None if beating is None else _means_to_list(*beating), **facts}
+    beating = None if gaits is None else means(gaits, found.read(gaits.command))
+    summary = {**found.summary(), "beating": None, **metadata}
+    if beating is not None:
+        names = ("mean_angle_rad", "mean_force_x_n", "mean_force_y_n")
+        rows = [[dict(zip(names, row.tolist(), strict=True)) for row in side] for side in beating]
+        summary["beating"] = [{"measured": one, "modelled": other} for one, other in zip(*rows, strict=True)]
 
     def write(folder: Path) -> None:
         (folder / "calibration.json").write_text(artifacts.dump_json(summary))
-        (folder / "tank.yaml").write_text(_yaml(found.tank, "The tank that was found."))
-        (folder / "recording.yaml").write_text(_yaml(found.recording, "How the logs differ from what that tank reads."))
+        for name, config, head in (
+            ("tank", found.tank, "The tank that was found."),
+            ("recording", found.recording, "How the logs differ from what that tank reads."),
+        ):
+            text = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
+            (folder / f"{name}.yaml").write_text(f"# {head}\n{text}")
         figure = calibration_figure(found.test, modelled, beating)
-        for kind in ("svg", "png"):
-            (folder / f"calibration.{kind}").write_bytes(render(figure, kind))
-        also(folder)
+        save_figure(figure, folder, "calibration")
+        extra_files(folder)
 
     artifacts.write_folder(out, write, overwrite)
     return summary
 
 
-def means(pieces: Pieces, modelled: Readings) -> tuple[Means, Means]:
-    """Return the means of each piece behind its warm-up, measured and modelled."""
-    return np.asarray(pieces.compared).mean(axis=1), modelled[:, pieces.warm_up :].mean(axis=1)
+def means(segments: Segments, modelled: Readings) -> tuple[Means, Means]:
+    """Return the means of each segment behind its warm-up, measured and modelled."""
+    return np.asarray(segments.compared).mean(axis=1), modelled[:, segments.warm_up :].mean(axis=1)
 
 
-def calibration_figure(test: Pieces, modelled: Readings, beating: tuple[Means, Means] | None) -> Figure:
-    """Measured and modelled side by side over the same unseen commands: traces, mean forces, peaks, deviations.
+def peaks(segments: Segments, readings: Readings) -> Float[np.ndarray, "strokes"]:
+    """Return the greatest force of each held command, behind the warm-up [N]."""
+    found = []
+    forces = np.linalg.norm(readings[..., 1:], axis=-1)
+    for angle, force in zip(np.asarray(segments.command.angle), forces, strict=True):
+        changes = np.flatnonzero(np.diff(angle)) + 1
+        found += [stroke.max() for stroke in np.split(force, changes[changes >= segments.warm_up])[1:]]
+    return np.asarray(found)
 
-    `beating`: means about several angles, measured and modelled; without it those of windows of the test pieces.
+
+def calibration_figure(test: Segments, modelled: Readings, beating: tuple[Means, Means] | None) -> Figure:
+    """Draw measured and modelled over the same unseen commands: traces, mean forces, peaks, deviations.
+
+    `beating`: means about several angles, measured and modelled; without it those of windows of the test segments.
     """
+    rows = scores(modelled, test)
     with styled():
         figure = new_figure(11, 9.5)
         parts: Any = figure.subfigures(2, 1, height_ratios=(1.75, 1))
         above, below = parts
-        _draw_traces(above.subplots(3, 1, sharex=True), test, modelled)
+        _draw_traces(above.subplots(3, 1, sharex=True), test, modelled, rows)
         panels: Any = below.subplots(1, 3, width_ratios=(1.25, 1, 0.9))
         if beating is None:
-            _draw_means(panels[0], *_windows(test, modelled), "means over 2 s of random commands")
+            windows = [
+                side[:, : side.shape[1] // WINDOW * WINDOW].reshape(-1, WINDOW, side.shape[2]).mean(axis=1)
+                for side in (np.asarray(test.compared), modelled[:, test.warm_up :])
+            ]
+            _draw_means(panels[0], windows[0], windows[1], "means over 2 s of random commands")
         else:
             _draw_means(panels[0], *beating, "beating at 1.5 Hz about nine angles")
         _draw_peaks(panels[1], test, modelled)
-        _draw_deviations(panels[2], scores(modelled, test))
+        _draw_deviations(panels[2], rows)
     return figure
 
 
-def _draw_traces(panels: Any, pieces: Pieces, modelled: Readings) -> None:
-    shown = _typical(pieces, modelled)
-    rows = scores(modelled, pieces)
-    ticks = slice(pieces.warm_up, pieces.warm_up + TRACE_S * RATE_HZ)
-    measured = np.asarray(pieces.measured)[shown, ticks]
+def _draw_traces(panels: Any, segments: Segments, modelled: Readings, rows: dict[str, dict[str, float]]) -> None:
+    error = (modelled - np.asarray(segments.measured))[:, segments.warm_up :] / np.asarray(segments.deviation)
+    shown = int(np.argsort(np.mean(error**2, axis=(1, 2)))[len(error) // 2])
+    ticks = slice(segments.warm_up, segments.warm_up + TRACE_S * RATE_HZ)
+    measured = np.asarray(segments.measured)[shown, ticks]
     time = np.arange(len(measured)) / RATE_HZ
+    command = np.asarray(segments.command.angle)[shown, ticks]
+    panels[0].step(time, command, where="post", color=GREY, linewidth=0.8, linestyle=":", label="commanded")
     titles = ("angle [rad]", "force x [N]", "force y [N]")
     for index, (axes, title, channel) in enumerate(zip(panels, titles, CHANNELS, strict=True)):
-        if index == 0:
-            command = np.asarray(pieces.command.angle)[shown, ticks]
-            axes.step(time, command, where="post", color=GREY, linewidth=0.8, linestyle=":", label="commanded")
         axes.plot(time, measured[:, index], color=BLACK, linewidth=1.6, label="measured")
         axes.plot(time, modelled[shown, ticks, index], color=ORANGE, linewidth=1.3, linestyle="--", label="tank")
         axes.set(ylabel=title, xlim=(0, len(measured) / RATE_HZ))
-        axes.set_title(f"R² {rows[channel]['r2']:.3f} over all unseen pieces", loc="right")
-    panels[0].set_title("The unseen piece of median error", weight="bold")
+        axes.set_title(f"R² {rows[channel]['r2']:.3f} over all unseen segments", loc="right")
+    panels[0].set_title("The unseen segment of median error", weight="bold")
     panels[0].legend(ncols=3, loc="lower left", bbox_to_anchor=(0.25, 0.98), borderaxespad=0)
     panels[-1].set_xlabel("time [s]")
 
@@ -128,8 +148,8 @@ def _draw_means(axes: Axes, measured: Means, modelled: Means, title: str) -> Non
     axes.legend(fontsize=7, loc="best")
 
 
-def _draw_peaks(axes: Axes, pieces: Pieces, modelled: Readings) -> None:
-    measured, ours = peaks(pieces, np.asarray(pieces.measured)), peaks(pieces, modelled)
+def _draw_peaks(axes: Axes, segments: Segments, modelled: Readings) -> None:
+    measured, ours = peaks(segments, np.asarray(segments.measured)), peaks(segments, modelled)
     most = 1.05 * float(max(measured.max(), ours.max()))
     axes.plot([0, most], [0, most], color=GREY, linewidth=0.8)
     axes.plot(measured, ours, "o", markersize=3, color=BLUE, alpha=0.6, markeredgewidth=0)
@@ -149,43 +169,3 @@ def _draw_deviations(axes: Axes, rows: dict[str, dict[str, float]]) -> None:
     axes.margins(y=0.2)
     axes.set_title("Standard deviation, unseen", fontsize=8)
     axes.legend(ncols=2, fontsize=7, loc="upper center")
-
-
-def peaks(pieces: Pieces, readings: Readings) -> Float[np.ndarray, "strokes"]:
-    """Greatest force of each held command, behind the warm-up [N]."""
-    found = []
-    for angle, force in zip(np.asarray(pieces.command.angle), np.linalg.norm(readings[..., 1:], axis=-1), strict=True):
-        changes = np.flatnonzero(np.diff(angle)) + 1
-        strokes = np.split(force, changes[changes >= pieces.warm_up])[1:]
-        found += [stroke.max() for stroke in strokes]
-    return np.asarray(found)
-
-
-def _typical(pieces: Pieces, modelled: Readings) -> int:
-    """The piece of median error."""
-    error = (modelled - np.asarray(pieces.measured))[:, pieces.warm_up :] / np.asarray(pieces.deviation)
-    each = np.mean(error**2, axis=(1, 2))
-    return int(np.argsort(each)[len(each) // 2])
-
-
-def _windows(pieces: Pieces, modelled: Readings) -> tuple[Means, Means]:
-    def over(readings: Readings) -> Means:
-        windows = readings.shape[1] // WINDOW
-        return np.asarray(readings[:, : windows * WINDOW].reshape(-1, WINDOW, readings.shape[2]).mean(axis=1))
-
-    return over(np.asarray(pieces.compared)), over(modelled[:, pieces.warm_up :])
-
-
-def _means_to_list(measured: Means, modelled: Means) -> list[dict[str, Any]]:
-    names = ("mean_angle_rad", "mean_force_x_n", "mean_force_y_n")
-    return [
-        {
-            "measured": dict(zip(names, map(float, one), strict=True)),
-            "modelled": dict(zip(names, map(float, other), strict=True)),
-        }
-        for one, other in zip(measured, modelled, strict=True)
-    ]
-
-
-def _yaml(config: Configuration, head: str) -> str:
-    return f"# {head}\n{yaml.safe_dump(config.model_dump(mode='json'), sort_keys=False)}"

@@ -7,9 +7,9 @@ import pytest
 from softfin.core.plant import roll
 from softfin.core.quantities import Command
 from softfin.core.window import moving_average
-from softfin.evaluation.doubt import Doubt, doubt
 from softfin.evaluation.evaluate import EvaluateConfig, evaluate
-from softfin.evaluation.experiment import Recording, run
+from softfin.evaluation.experiment import ExperimentRecording, run
+from softfin.evaluation.uncertainty import SurrogateUncertainty, uncertainty_of
 from softfin.surrogate.streaming.uncertainty import Familiarity
 from tests.evaluation.test_experiment import Echo
 from tests.plants import AnalyticFin
@@ -21,23 +21,23 @@ REFERENCES = np.array([[1.0, 0.0], [0.0, 1.0]], np.float32)
 @pytest.fixture(scope="module")
 def recording():
     whole = run(Echo(), small.surrogate(), REFERENCES, 3, jax.random.split(jax.random.key(0), 1))
-    return Recording(*jax.tree.map(np.asarray, tuple(whole)))
+    return ExperimentRecording(*jax.tree.map(np.asarray, tuple(whole)))
 
 
-def knowing(limit):
+def fitted_within(limit):
     """The surrogate with data that lie within so much of nothing remembered."""
     plant = small.surrogate()
     size = plant.familiarity.mean.size
     return eqx.tree_at(lambda p: p.familiarity, plant, Familiarity(jnp.zeros(size), jnp.eye(size) / limit))
 
 
-def test_a_plant_that_knows_nothing_of_its_errors_says_nothing(recording):
-    assert doubt(AnalyticFin(), recording) is None
+def test_a_plant_that_does_not_estimate_its_errors_has_no_uncertainty(recording):
+    assert uncertainty_of(AnalyticFin(), recording) is None
 
 
 def test_the_half_width_is_that_of_the_members_own_means_over_the_recorded_commands(recording):
     plant = small.surrogate()
-    said = doubt(plant, recording)
+    uncertainty = uncertainty_of(plant, recording)
     commands = Command(*(jnp.asarray(part[1, 0]) for part in recording.command))
     force = []
     state = plant.init(jax.random.key(0))
@@ -47,30 +47,30 @@ def test_the_half_width_is_that_of_the_members_own_means_over_the_recorded_comma
         state, each = advance(state, Command(*(part[tick] for part in commands)))
         force.append(np.asarray(each.force[:, 0]))
     means = moving_average(np.stack(force, axis=1))
-    np.testing.assert_allclose(said.half_width[1], plant.interval.half_width(means).mean(axis=0), rtol=1e-3)
+    np.testing.assert_allclose(uncertainty.half_width[1], plant.interval.half_width(means).mean(axis=0), rtol=1e-3)
     again = roll(plant, plant.init(jax.random.key(0)), commands)[1]
     np.testing.assert_allclose(again.force, recording.reading.force[1, 0], atol=1e-4)
 
 
 @pytest.mark.parametrize(("limit", "share"), [(1e-3, 1.0), (1e3, 0.0)])
 def test_samples_beyond_the_data_are_counted(recording, limit, share):
-    said = doubt(knowing(limit), recording)
-    np.testing.assert_array_equal(said.beyond, [share, share])
-    assert (said.furthest > 1).all() == (share == 1)
+    uncertainty = uncertainty_of(fitted_within(limit), recording)
+    np.testing.assert_array_equal(uncertainty.out_of_distribution_fraction, [share, share])
+    assert (uncertainty.furthest > 1).all() == (share == 1)
 
 
 def test_a_warning_carries_the_numbers_and_comes_above_one_percent():
     of = {"furthest": np.array([0.9, 2.34]), "half_width": np.zeros((2, 2))}
-    assert Doubt(beyond=np.array([0.0, 0.019]), **of).warning() is None
-    warning = Doubt(beyond=np.array([0.0, 0.05]), **of).warning()
+    assert SurrogateUncertainty(out_of_distribution_fraction=np.array([0.0, 0.019]), **of).warning() is None
+    warning = SurrogateUncertainty(out_of_distribution_fraction=np.array([0.0, 0.05]), **of).warning()
     assert "2.5% of the samples" in warning
     assert "up to 2.3" in warning
 
 
-def test_an_evaluation_in_a_surrogate_says_how_far_to_trust_it():
+def test_an_evaluation_in_a_surrogate_has_its_uncertainty():
     config = EvaluateConfig(references=((1.0, 0.0),), seconds=3, seeds=2)
-    summary = evaluate(Echo(), knowing(1e-3), config).summary()
-    assert summary["references"][0]["surrogate"]["beyond_data"] == 1
+    summary = evaluate(Echo(), fitted_within(1e-3), config).summary()
+    assert summary["references"][0]["surrogate"]["out_of_distribution_fraction"] == 1
     assert summary["references"][0]["surrogate"]["half_width_x_n"] > 0
     assert "100.0% of the samples" in summary["warning"]
     other = evaluate(Echo(), AnalyticFin(), config).summary()

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from softfin.evaluation.view.outline import PIECES, arrow_outline, fin_outline, smooth
+from softfin.evaluation.view.picture import PIECES, arrow_outline, fin_outline, smooth
 
 
 def area(polygon):

@@ -3,7 +3,8 @@ import numpy as np
 import pytest
 
 from softfin.core.quantities import Command, Reading
-from softfin.tank.calibration.recording import Recording, RecordingConfig
+from softfin.tank.calibration.config import RecordingConfig
+from softfin.tank.calibration.model import Recording
 
 COMMAND = Command(jnp.asarray([-1.0, 0.5]), jnp.asarray([1.0, 3.0]))
 READING = Reading(jnp.arange(2.0), jnp.asarray([0.0, 1.0]), jnp.asarray([2.0, 0.0]), jnp.ones((2, 2)))

@@ -1,35 +1,73 @@
+"""Errors over a controller's range: at random references, and at those of a lattice."""
+
+import json
+
 import jax
 import numpy as np
 import pytest
 
 from softfin.core.errors import CoverageError
+from softfin.core.randomness import generator_of
 from softfin.evaluation.evaluate import EvaluateConfig, evaluate
-from softfin.evaluation.forceplane import error_map, error_map_figure, map_range
+from softfin.evaluation.figures import error_map_figure
+from softfin.evaluation.range_errors import draw_references, errors_at, map_errors, random_errors
 from softfin.gaits.reachable import Cell, Reachable
 from softfin.task.references import PAPER_CELLS
 from tests.evaluation.test_moving import Covering
 from tests.plants import AnalyticFin
 
 KEY = jax.random.key(0)
+DISC = Reachable(np.float32([2, 0]), np.full(64, 1.0, np.float32))
+
+
+def test_they_lie_in_a_cell_and_in_reach_and_are_spread_by_area():
+    cells = (Cell(low=(1, -1), high=(2, 1)), Cell(low=(2, 0), high=(3, 1)))
+    forces = draw_references(cells, DISC, 3000, generator_of(0, "test"))
+    assert forces.shape == (3000, 2)
+    assert DISC.contains(forces).all()
+    assert all(min(cell.distance((x, y)) for cell in cells) == 0 for x, y in forces.tolist())
+    # Three quarters of a disc, two of them in the first cell.
+    assert np.mean(forces[:, 0] < 2) == pytest.approx(2 / 3, abs=0.03)
+
+
+def test_the_seed_says_which():
+    one, same, other = (draw_references(PAPER_CELLS, None, 5, generator_of(seed, "test")) for seed in (0, 0, 1))
+    np.testing.assert_array_equal(one, same)
+    assert (one != other).all()
+
+
+def test_cells_beyond_reach_are_refused():
+    with pytest.raises(CoverageError, match=r"random = 3: of 300 references .* this fin can make 0; train"):
+        draw_references((Cell(low=(5, 5), high=(6, 6)),), DISC, 3, generator_of(0, "test"))
+
+
+def test_the_errors_have_mean_percentile_and_worst():
+    errors = random_errors(Covering(), AnalyticFin(), 20, 0, 3, jax.random.key(0))
+    row = errors.to_dict()
+    assert row["count"] == len(errors.error) == 20
+    for i, axis in enumerate("xy"):
+        assert row[axis]["worst_n"] == errors.error[:, i].max()
+        assert row[axis]["mean_n"] < row[axis]["p95_n"] < row[axis]["worst_n"]
+    json.dumps(row, allow_nan=False)
 
 
 @pytest.fixture(scope="module")
 def errors():
-    return map_range(Covering(), AnalyticFin(), 6, 3, KEY)
+    return map_errors(Covering(), AnalyticFin(), 6, 3, KEY)
 
 
 def test_the_lattice_is_laid_over_the_range_and_leaves_out_what_is_not_covered(errors):
     # Six of the nine squares of 1 N are covered, each with four of the 36 references.
     assert errors.references.shape == errors.error.shape == (24, 2)
-    assert errors.described()["not_covered"] == 12
+    assert errors.to_dict()["not_covered"] == 12
     np.testing.assert_allclose(errors.references[0], [0.75, -1.25])
-    assert errors.described()["low_n"] == [0.5, -1.5]
+    assert errors.to_dict()["low_n"] == [0.5, -1.5]
 
 
 def test_each_error_is_that_of_its_reference_alone(errors):
     config = EvaluateConfig(references=(tuple(errors.references[7].tolist()),), seconds=3)
     alone = evaluate(Covering(), AnalyticFin(noise_n=0), config)
-    quiet = error_map(Covering(), AnalyticFin(noise_n=0), errors.references, 3, KEY)
+    quiet = errors_at(Covering(), AnalyticFin(noise_n=0), errors.references, 3, KEY)
     np.testing.assert_allclose(quiet[7], alone.scores.error[0, 0], atol=1e-5)
 
 
@@ -59,7 +97,7 @@ def test_the_map_takes_the_reachable_forces_from_the_controller():
     class Knowing(Covering):
         reachable: Reachable = Reachable(np.float32([2, 0]), np.full(8, 1.2, np.float32))
 
-    errors = map_range(Knowing(), AnalyticFin(), 2, 3, KEY)
+    errors = map_errors(Knowing(), AnalyticFin(), 2, 3, KEY)
     np.testing.assert_allclose(errors.reachable[[0, 2]], [[3.2, 0], [2, 1.2]], atol=1e-6)
 
 
@@ -68,9 +106,9 @@ def test_what_the_fin_cannot_make_is_counted_and_not_scored():
         cells: tuple[Cell, ...] = (Cell(low=(0, 0), high=(2, 2)),)
         reachable: Reachable = Reachable(np.float32([0, 0]), np.full(64, 1.0, np.float32))
 
-    described = map_range(Weak(), AnalyticFin(), 2, 3, KEY).described()
-    assert [row["reference_n"] for row in described["references"]] == [[0.5, 0.5]]
-    assert (described["not_covered"], described["not_reachable"], described["seeds"]) == (0, 3, 1)
+    values = map_errors(Weak(), AnalyticFin(), 2, 3, KEY).to_dict()
+    assert [row["reference_n"] for row in values["references"]] == [[0.5, 0.5]]
+    assert (values["not_covered"], values["not_reachable"], values["seeds"]) == (0, 3, 1)
 
 
 def test_a_range_without_area_has_no_map():
@@ -78,4 +116,4 @@ def test_a_range_without_area_has_no_map():
         cells: tuple[Cell, ...] = (Cell(low=(1, 0), high=(2, 0)),)
 
     with pytest.raises(CoverageError, match="range has no area; train it for a wider cell"):
-        map_range(Single(), AnalyticFin(), 6, 3, KEY)
+        map_errors(Single(), AnalyticFin(), 6, 3, KEY)

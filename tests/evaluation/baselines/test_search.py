@@ -5,8 +5,9 @@ import pytest
 from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.errors import PlantError
 from softfin.core.quantities import PAPER_LIMITS, Command
-from softfin.evaluation.baselines.open_loop import CHUNK, OpenLoop, judge, missed
-from softfin.evaluation.baselines.sine import Sine, commanded
+from softfin.evaluation.baselines.baselines import evaluate_commands
+from softfin.evaluation.baselines.search import CHUNK, OpenLoop, force_errors
+from softfin.evaluation.baselines.sines import ShaftSine
 from softfin.evaluation.evaluate import EvaluateConfig, evaluate
 from softfin.tank import Tank
 from tests.plants import AnalyticFin, Flapper, PlainFin
@@ -24,7 +25,7 @@ def flapping(seconds):
 def test_the_same_commands_score_the_same_as_from_a_controller():
     plant = AnalyticFin(noise_n=0.3)
     commands = jax.tree.map(lambda x: np.stack([x, x]), flapping(4))
-    ours = judge(OpenLoop(plant, PAPER_LIMITS), commands, CONFIG)
+    ours = evaluate_commands(OpenLoop(plant, PAPER_LIMITS), commands, CONFIG)
     theirs = evaluate(Flapper(), plant, CONFIG)
     for mine, other in zip(ours.scores, theirs.scores, strict=True):
         np.testing.assert_allclose(mine, other, atol=1e-4)
@@ -34,12 +35,12 @@ def test_the_same_commands_score_the_same_as_from_a_controller():
 
 def test_a_plant_without_randomness_counts_as_one_repetition():
     commands = jax.tree.map(lambda x: np.stack([x, x]), flapping(4))
-    assert judge(OpenLoop(AnalyticFin(noise_n=0.0), PAPER_LIMITS), commands, CONFIG).repetitions == 1
+    assert evaluate_commands(OpenLoop(AnalyticFin(noise_n=0.0), PAPER_LIMITS), commands, CONFIG).repetitions == 1
 
 
 def test_forces_of_more_cases_than_run_side_by_side_are_those_one_by_one():
-    sines = Sine(np.linspace(-1, 1, CHUNK + 3), np.full(CHUNK + 3, 0.4), np.full(CHUNK + 3, 1.0))
-    commands = jax.tree.map(np.asarray, commanded(PAPER_LIMITS, sines, 50)[0])
+    sines = ShaftSine(np.linspace(-1, 1, CHUNK + 3), np.full(CHUNK + 3, 0.4), np.full(CHUNK + 3, 1.0))
+    commands = jax.tree.map(np.asarray, sines.commands(PAPER_LIMITS, 50)[0])
     player, key = OpenLoop(PlainFin(), PAPER_LIMITS), jax.random.key(0)
     forces = player.forces(commands, key)
     assert forces.shape == (CHUNK + 3, 50, 2)
@@ -47,10 +48,10 @@ def test_forces_of_more_cases_than_run_side_by_side_are_those_one_by_one():
     np.testing.assert_allclose(forces[-1:], last, atol=1e-6)
 
 
-def test_what_is_missed_is_the_sum_of_both_errors_over_whole_windows():
+def test_the_force_error_is_the_sum_of_both_errors_over_whole_windows():
     forces = np.zeros((2, 400, 2))
     forces[1, :, 0] = 1.5
-    np.testing.assert_allclose(missed(forces, np.array([[1.0, -1.0], [1.5, 0.0]])), [[2.0, 1.5], [1.5, 0.0]])
+    np.testing.assert_allclose(force_errors(forces, np.array([[1.0, -1.0], [1.5, 0.0]])), [[2.0, 1.5], [1.5, 0.0]])
 
 
 def test_a_force_that_is_no_number_is_named():
@@ -61,14 +62,18 @@ def test_a_force_that_is_no_number_is_named():
 
     commands = jax.tree.map(lambda x: np.stack([x, x]), flapping(4))
     with pytest.raises(PlantError, match=r"reference \(1, -1\) N, seed 0, 0\.01 s"):
-        judge(OpenLoop(Broken(), PAPER_LIMITS), commands, CONFIG)
+        evaluate_commands(OpenLoop(Broken(), PAPER_LIMITS), commands, CONFIG)
 
 
-def test_in_the_tank_a_beat_about_a_positive_angle_pushes_towards_minus_y():
+def test_in_the_tank_a_sine_about_a_positive_angle_pushes_towards_minus_y():
     """The frame of the inverse model is the tank's: about pi/4 the mean force is along (1, -1)."""
     tank = Tank()
-    sines = Sine(np.array([0.7854, -0.7854]), np.full(2, 0.7), np.full(2, 1.0))
-    commands = jax.tree.map(np.asarray, commanded(tank.limits, sines, 300)[0])
+    sines = ShaftSine(np.array([0.7854, -0.7854]), np.full(2, 0.7), np.full(2, 1.0))
+    commands = jax.tree.map(np.asarray, sines.commands(tank.limits, 300)[0])
     config = EvaluateConfig(references=((1, -1), (1, 1)), seconds=3, seeds=1)
-    force = judge(OpenLoop(tank, tank.limits), commands, config).recording.reading.force[:, 0, 100:].mean(axis=1)
+    force = (
+        evaluate_commands(OpenLoop(tank, tank.limits), commands, config)
+        .recording.reading.force[:, 0, 100:]
+        .mean(axis=1)
+    )
     np.testing.assert_allclose(force, [[1, -1], [1, 1]], atol=0.25)

@@ -3,7 +3,7 @@ import pytest
 
 from softfin.core.errors import LogError
 from softfin.core.quantities import Command, Log, Reading
-from softfin.tank.calibration.pieces import cut
+from softfin.tank.calibration.segments import cut
 
 
 def log(rows, shift=0.0):
@@ -14,20 +14,20 @@ def log(rows, shift=0.0):
 
 
 def test_each_reading_stands_beside_the_command_a_row_before_it():
-    pieces = cut([log(25)], 2, 10, 3, "training")
-    assert pieces.measured.shape == (2, 10, 3)
-    np.testing.assert_array_equal(pieces.measured[..., 0], pieces.command.angle + 1)
-    np.testing.assert_array_equal(pieces.command.angle[1], np.arange(10, 20))
-    assert pieces.compared.shape == (2, 7, 3)
+    segments = cut([log(25)], 2, 10, 3, "training")
+    assert segments.measured.shape == (2, 10, 3)
+    np.testing.assert_array_equal(segments.measured[..., 0], segments.command.angle + 1)
+    np.testing.assert_array_equal(segments.command.angle[1], np.arange(10, 20))
+    assert segments.compared.shape == (2, 7, 3)
 
 
-def test_pieces_come_from_all_logs_in_turn_and_end_with_them():
-    pieces = cut([log(25), log(12, 1000.0), log(8, 2000.0)], 9, 10, 0, "training")
-    np.testing.assert_array_equal(pieces.command.angle[:, 0], [0, 1000, 10])
+def test_segments_come_from_all_logs_in_turn_and_end_with_them():
+    segments = cut([log(25), log(12, 1000.0), log(8, 2000.0)], 9, 10, 0, "training")
+    np.testing.assert_array_equal(segments.command.angle[:, 0], [0, 1000, 10])
 
 
-def test_logs_too_short_for_a_piece_are_refused():
-    with pytest.raises(LogError, match=r"test logs: none has 11 rows, one piece of 0.1 s; lower piece_s"):
+def test_logs_too_short_for_a_segment_are_refused():
+    with pytest.raises(LogError, match=r"test logs: none has 11 rows, one segment of 0.1 s; lower segment_s"):
         cut([log(10)], 2, 10, 0, "test")
 
 

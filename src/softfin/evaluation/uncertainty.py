@@ -16,56 +16,56 @@ from softfin.core.plant import EnsemblePlant, State
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import AXES, Command
 from softfin.core.window import moving_average
-from softfin.evaluation.experiment import Recording, Subject
+from softfin.evaluation.experiment import EvaluationTarget, ExperimentRecording
+
+RARELY = 0.01
+"""Fraction of samples beyond the data up to which there is no warning: ten times that of the data themselves."""
 
 
-class Doubt(NamedTuple):
-    """Of each reference."""
+class SurrogateUncertainty(NamedTuple):
+    """Uncertainty of a surrogate's forces, for each reference."""
 
-    beyond: Float[np.ndarray, "references"]
-    """Share of the samples at a distance of more than 1: further than all but 1 of 1000 training moments."""
+    out_of_distribution_fraction: Float[np.ndarray, "references"]
+    """Fraction of the samples at a distance of more than 1: further than all but 1 of 1000 training moments."""
     furthest: Float[np.ndarray, "references"]
     """Greatest distance."""
     half_width: Float[np.ndarray, "references 2"]
-    """Of the stated interval of the mean force, mean over the windows [N]."""
+    """Half-width of the stated interval of the mean force, mean over the windows [N]."""
 
-    def described(self, index: int) -> dict[str, Any]:
-        """Of one reference, for JSON."""
+    def to_dict(self, index: int) -> dict[str, Any]:
+        """Values of one reference, for JSON."""
         return {
-            "beyond_data": float(self.beyond[index]),
+            "out_of_distribution_fraction": float(self.out_of_distribution_fraction[index]),
             "furthest": float(self.furthest[index]),
             **{f"half_width_{axis}_n": float(self.half_width[index, i]) for i, axis in enumerate(AXES)},
         }
 
     def warning(self) -> str | None:
-        """In words; None where the data were hardly ever left."""
-        if self.beyond.mean() <= RARELY:
+        """A sentence on how much lies beyond the data; None where hardly anything does."""
+        fraction = self.out_of_distribution_fraction.mean()
+        if fraction <= RARELY:
             return None
         return (
-            f"{self.beyond.mean():.1%} of the samples lie beyond what the surrogate was fitted to (distance up to "
-            f"{self.furthest.max():.1f}, 1 is its edge): what it says there is extrapolated"
+            f"{fraction:.1%} of the samples lie beyond what the surrogate was fitted to (distance up to "
+            f"{self.furthest.max():.1f}, 1 is its edge): its forces there are extrapolated"
         )
 
 
-RARELY = 0.01
-"""Share of samples beyond the data that is no reason for a warning: ten times that of the data themselves."""
-
-
-def doubt(plant: Subject, recording: Recording) -> Doubt | None:
-    """From the first repetition of every reference; None of a plant that knows nothing of its errors."""
+def uncertainty_of(plant: EvaluationTarget, recording: ExperimentRecording) -> SurrogateUncertainty | None:
+    """Return the uncertainty in the first repetition of every reference; None for a plant that estimates none."""
     if not isinstance(plant, EnsemblePlant):
         return None
     commands = Command(*(jnp.asarray(part[:, 0]) for part in recording.command))
     ensemble = jit_argument(plant)
     assert isinstance(ensemble, EnsemblePlant)
-    distance, force = (np.asarray(part) for part in _again(ensemble, commands))
+    distance, force = (np.asarray(part) for part in _run_members(ensemble, commands))
     means = np.stack([moving_average(member) for member in np.moveaxis(force, 2, 0)])
     half_width = np.asarray(plant.interval.half_width(means))
-    return Doubt((distance > 1).mean(axis=1), distance.max(axis=1), half_width.mean(axis=1))
+    return SurrogateUncertainty((distance > 1).mean(axis=1), distance.max(axis=1), half_width.mean(axis=1))
 
 
 @eqx.filter_jit
-def _again(plant: EnsemblePlant, commands: Command) -> tuple[Array, Array]:
+def _run_members(plant: EnsemblePlant, commands: Command) -> tuple[Array, Array]:
     """Distances ``(references, ticks)`` and the members' forces ``(references, ticks, members, 2)``."""
 
     def tick(state: State, command: Command) -> tuple[State, tuple[Array, Array]]:

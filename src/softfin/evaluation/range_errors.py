@@ -1,0 +1,168 @@
+"""Errors over a controller's whole range: at a lattice of references, and at references drawn at random.
+
+Controller and plant go in; all references run side by side in one compiled program, each from rest, at one seed.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, PRNGKeyArray
+
+from softfin.control.controller import Controller
+from softfin.control.references import cells_of, reachable_of
+from softfin.core.errors import CoverageError
+from softfin.core.quantities import AXES
+from softfin.core.randomness import generator_of
+from softfin.evaluation.experiment import EvaluationTarget, independent, run
+from softfin.evaluation.scores import score
+from softfin.gaits.reachable import Cell, Force, Reachable, bounding_box
+from softfin.task.references import PAPER_RANGE
+
+LATTICE_POINTS = 7
+"""Default number of references along each side of the lattice."""
+
+MAX_RANDOM = 10_000
+"""Greatest number of random references, which run side by side."""
+
+ROUNDS = 100
+"""Draws of as many references as are asked for, until the cells count as beyond the fin's reach."""
+
+
+class ErrorMap(NamedTuple):
+    """Errors at the references of a lattice."""
+
+    cell: Cell
+    """Range of the controller; each reference is the middle of an equal part of it."""
+    points: int
+    """References along each side."""
+    references: Float[np.ndarray, "references 2"]
+    """References that the controller covers and the fin can make [N]; the others of ``points ** 2`` are left out."""
+    error: Float[np.ndarray, "references 2"]
+    """Mean |moving average - reference| [N]."""
+    reachable: Float[np.ndarray, "corners 2"] | None = None
+    """Outline of the mean forces that the fin can make [N]; None where it is not known."""
+    not_reachable: int = 0
+    """References of the lattice that the controller covers and the fin cannot make."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Values for JSON."""
+        rows = [
+            {"reference_n": reference, "error_x_n": x, "error_y_n": y}
+            for reference, (x, y) in zip(self.references.tolist(), self.error.tolist(), strict=True)
+        ]
+        return {
+            "points": self.points,
+            "low_n": list(self.cell.low),
+            "high_n": list(self.cell.high),
+            "seeds": 1,
+            "not_covered": self.points**2 - len(rows) - self.not_reachable,
+            "not_reachable": self.not_reachable,
+            "references": rows,
+            **{f"mean_{axis}_n": float(self.error[:, i].mean()) for i, axis in enumerate(AXES)},
+            **{f"worst_{axis}_n": float(self.error[:, i].max()) for i, axis in enumerate(AXES)},
+        }
+
+
+class RandomErrors(NamedTuple):
+    """Errors at random references."""
+
+    references: Float[np.ndarray, "references 2"]
+    """Reference forces (x, y) [N]."""
+    error: Float[np.ndarray, "references 2"]
+    """Mean |moving average - reference| [N]."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Values for JSON; the 95th percentile is over the references."""
+        axes = {
+            axis: {
+                "mean_n": float(self.error[:, i].mean()),
+                "p95_n": float(np.percentile(self.error[:, i], 95)),
+                "worst_n": float(self.error[:, i].max()),
+                "worst_reference_n": self.references[self.error[:, i].argmax()].round(4).tolist(),
+            }
+            for i, axis in enumerate(AXES)
+        }
+        return {"count": len(self.references), "seeds": 1, **axes}
+
+
+def range_of(controller: Controller) -> Cell:
+    """The bounding box of a controller's cells; the paper's range for one that has none and covers everything."""
+    return bounding_box(cells_of(controller) or (PAPER_RANGE,))
+
+
+def errors_at(
+    controller: Controller,
+    plant: EvaluationTarget,
+    references: Float[np.ndarray, "references 2"],
+    seconds: int,
+    key: PRNGKeyArray,
+) -> Float[np.ndarray, "references 2"]:
+    """Mean |moving average - reference| of each reference [N]."""
+    recording = run(controller, plant, np.asarray(references, np.float32), seconds, jnp.stack([key]))
+    return score(independent(recording)).error[:, 0]
+
+
+def map_errors(
+    controller: Controller, plant: EvaluationTarget, points: int, seconds: int, key: PRNGKeyArray
+) -> ErrorMap:
+    """Errors over a lattice of the controller's range; raises CoverageError where no reference of it can be tracked."""
+    cell = range_of(controller)
+    if cell.low[0] == cell.high[0] or cell.low[1] == cell.high[1]:
+        raise CoverageError(f"an error map over {cell}: the controller's range has no area; train it for a wider cell")
+
+    def covers(reference: Force) -> bool:
+        try:
+            controller.check(reference)
+        except CoverageError:
+            return False
+        return True
+
+    covered = [reference for reference in cell.lattice(points) if covers(reference)]
+    references, reachable = np.array(covered).reshape(-1, 2), reachable_of(controller)
+    if reachable is not None:
+        references = references[reachable.contains(references)]
+    if not len(references):
+        reason = (
+            "this fin can make none of them; ask for more points, or train the controller within the fin's reach "
+            "(softfin map shows it)"
+            if covered
+            else "the controller covers none of them; ask for more points"
+        )
+        raise CoverageError(f"an error map of {points} x {points} references over {cell}: {reason}")
+    error = errors_at(controller, plant, references, seconds, key)
+    outline = None if reachable is None else reachable.corners()
+    return ErrorMap(cell, points, references, error, outline, len(covered) - len(references))
+
+
+def random_errors(
+    controller: Controller, plant: EvaluationTarget, count: int, seed: int, seconds: int, key: PRNGKeyArray
+) -> RandomErrors:
+    """Errors at `count` references drawn from `seed` over the controller's cells and the fin's reach."""
+    cells = cells_of(controller) or (PAPER_RANGE,)
+    references = draw_references(cells, reachable_of(controller), count, generator_of(seed, "evaluate/random"))
+    return RandomErrors(references, errors_at(controller, plant, references, seconds, key))
+
+
+def draw_references(
+    cells: Sequence[Cell], reachable: Reachable | None, count: int, generator: np.random.Generator
+) -> Float[np.ndarray, "references 2"]:
+    """Forces uniform over the part of the cells that the fin can make; raises CoverageError where it makes hardly any.
+
+    Cells of no area, single references or lines, are drawn from with equal probability if no other has any.
+    """
+    low, high = (np.array([getattr(cell, corner) for cell in cells], float) for corner in ("low", "high"))
+    area = np.prod(high - low, axis=1)
+    probability = area / area.sum() if area.any() else np.full(len(cells), 1 / len(cells))
+    accepted = np.zeros((0, 2))
+    for _ in range(ROUNDS):
+        chosen = generator.choice(len(cells), count, p=probability)
+        forces = generator.uniform(low[chosen], high[chosen])
+        accepted = np.concatenate([accepted, forces if reachable is None else forces[reachable.contains(forces)]])
+        if len(accepted) >= count:
+            return accepted[:count]
+    raise CoverageError(
+        f"random = {count}: of {count * ROUNDS} references drawn over the controller's cells this fin can make "
+        f"{len(accepted)}; train the controller within the fin's reach (softfin map shows it)"
+    )

@@ -1,0 +1,169 @@
+"""Map what a fin can do, find gaits, train policies (paper Sec. III-C)."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from softfin.control.store import save_gaits
+from softfin.core.choices import EngineName, Split
+from softfin.core.errors import ConfigurationError
+from softfin.core.plant import Plant
+from softfin.core.plant_identity import identity
+from softfin.core.progress import Progress
+from softfin.core.quantities import Limits
+from softfin.gaits.figure import write_map
+from softfin.gaits.force_map import MapConfig, check_star
+from softfin.gaits.force_map import map_forces as _map_forces
+from softfin.gaits.map_store import load_force_map
+from softfin.gaits.reachable import PAPER_REFERENCES
+from softfin.learning.configuration import TrainConfig, check, choose_preset
+from softfin.learning.controllers import save_controller
+from softfin.learning.figure import REFINED, write_learning
+from softfin.learning.jobs import default_split, find_engine, train_jobs
+from softfin.learning.refine import check_refinable, train_refined
+from softfin.storage import artifact as artifacts
+from softfin.storage.registry import find_plant
+from softfin.storage.run_directory import TRAINING_LOG, RunDirectory
+from softfin.surrogate.channels import learnt_from
+from softfin.task.references import PAPER_RANGE
+
+
+def map_forces(
+    plant: str | Plant,
+    out: Path,
+    config: MapConfig | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Which mean forces a fin can make, at what Sobolev cost, and the gaits that make them; writes the folder `out`."""
+    config = config or MapConfig()
+    artifacts.check_vacant(out, overwrite)
+    moving = find_plant(plant) if isinstance(plant, str) else plant
+    found = _map_forces(moving, config, None if progress is None else partial(progress, "map"))
+    write_map(out, found, config, Limits(*map(float, moving.limits)), origin_of(plant, moving), overwrite)
+    errors, star = found.gaits.force_error(), check_star(found, config.tolerance_n)
+    return {
+        "map": str(out),
+        "box_n": found.reachable.bounds(),
+        "area_n2": found.reachable.area(),
+        "nodes": errors.size,
+        "held": int((errors <= config.tolerance_n).sum()),
+        "beyond": [list(force) for force in PAPER_REFERENCES if not found.reachable.contains(force)],
+        "star_shape": star._asdict(),
+        "warning": star.warning,
+    }
+
+
+def find_gaits(
+    plant: str | Plant,
+    out: Path,
+    config: MapConfig | None = None,
+    *,
+    force_map: Path | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> None:
+    """Find the gaits of a lattice of reference forces and write them as a controller, the folder `out`.
+
+    The folder of a map, `force_map`, has them already, over its own lattice.
+    """
+    artifacts.check_vacant(out, overwrite)
+    moving = find_plant(plant) if isinstance(plant, str) else plant
+    if force_map is None:
+        config = config or MapConfig(box=PAPER_RANGE)
+        found = _map_forces(moving, config, None if progress is None else partial(progress, "gaits"))
+    elif config is None:
+        loaded = load_force_map(force_map, moving, name_of(plant))
+        found, config = loaded.force_map, loaded.config
+    else:
+        raise ConfigurationError(f"map {force_map}: its lattice is made; give no configuration or range beside it")
+    origin = origin_of(plant, moving, **({} if force_map is None else {"map": str(force_map)}))
+    save_gaits(out, found, config, Limits(*map(float, moving.limits)), origin, None, learnt_from(plant), overwrite)
+
+
+def origin_of(plant: str | Plant, moving: Plant, **metadata: Any) -> dict[str, Any]:
+    """Return the provenance of what was made in a plant."""
+    return artifacts.provenance(plant=name_of(plant), plant_identity=identity(moving), **metadata)
+
+
+def name_of(plant: str | Plant) -> str:
+    """Return the name that a user gave to a plant, or the name of its class."""
+    return plant if isinstance(plant, str) else type(plant).__name__
+
+
+def train(
+    plant: str | Plant,
+    out: Path,
+    config: TrainConfig | None = None,
+    *,
+    force_map: Path | None = None,
+    seeds: Sequence[int] = (0,),
+    refine: int = 0,
+    engine: EngineName = "local",
+    split: Split | None = None,
+    cluster: str | None = None,
+    reason: str | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> None:
+    """Train controllers inside a plant, as a rule a surrogate: by LSTM-PPO (paper Sec. III-C) or by gradients.
+
+    Without a configuration it is a grid over the paper's cells, by gradients wherever the plant has them. The folder of
+    a map of the plant, `force_map`, says what the fin can do and saves the search for gaits; without, only training by
+    gradients that begins as gaits looks for it, and references beyond reach are trained for as they are.
+    One seed writes the controller's folder `out`; several are written as ``out/seed-N``. All is one program, unless
+    it is `split` into jobs; the `engine` does these one after the other, or all at once on a Ray `cluster`. A grid's
+    worst cells are split until there are `refine` more, whose policies go on from their cell's, in this process.
+    The `reason` for the algorithm is kept with the controller.
+    """
+    working, split = find_engine(engine, cluster), split or default_split(engine, seeds)
+    moving = find_plant(plant) if isinstance(plant, str) else plant
+    if config is None:
+        config, reason = choose_preset(moving)
+    check_refinable(config, refine)
+    can = None if force_map is None else load_force_map(force_map, moving, name_of(plant)).force_map
+    origin, learnt = (
+        origin_of(plant, moving, **({} if force_map is None else {"map": str(force_map)})),
+        learnt_from(plant),
+    )
+    origin["algorithm"] = reason or f"{config.algorithm}, as configured"
+    metadata = {
+        "configuration": config.model_dump(mode="json"),
+        "seeds": list(seeds),
+        "plant": origin["plant_identity"],
+        "split": split,
+        "refine": refine,
+        "map": None if can is None else can.to_dict(),
+    }
+    check(moving, config, seeds, can)
+    run_directory = RunDirectory(out, metadata, resume, overwrite)
+    if run_directory.complete:
+        return run_directory.finish()
+    if progress is not None and reason is not None:
+        progress("algorithm", 1.0, reason)
+    trained = train_jobs(moving, config, seeds, run_directory, progress, engine=working, split=split, force_map=can)
+    if refine:
+        trained, parents = train_refined(moving, trained, refine, run_directory.part(REFINED), progress)
+        origin |= {"refined_from": [cell.model_dump(mode="json") for cell in config.cells], "parents": list(parents)}
+
+    def save(folder: Path, seed: int, extra_files: Callable[[Path], None] | None = None) -> None:
+        save_controller(folder, trained, seed, origin | {"seed": seed}, extra_files, learnt, overwrite)
+
+    def keep_log(folder: Path) -> None:
+        run_directory.keep_log(folder)
+        write_learning(folder / TRAINING_LOG)
+
+    def save_all(folder: Path) -> None:
+        for seed in seeds:
+            save(folder / f"seed-{seed}", seed)
+        (folder / "controllers.json").write_text(artifacts.dump_json({"seeds": list(seeds)}))
+        keep_log(folder)
+
+    if len(seeds) == 1:
+        save(out, seeds[0], keep_log)
+    else:
+        artifacts.write_folder(out, save_all, overwrite)
+    run_directory.finish()
