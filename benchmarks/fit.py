@@ -14,14 +14,13 @@ import numpy as np
 from benchmarks.measure import entry, interleaved, matmul
 from softfin.core.quantities import Command
 from softfin.surrogate import FitConfig, StreamingConfig
-from softfin.surrogate.paper.fit import COLUMNS, Learner
+from softfin.surrogate.paper.fit import COLUMNS, PaperLearner
 from softfin.surrogate.paper.network import NetworkConfig
 from softfin.surrogate.streaming.core import products
+from softfin.surrogate.streaming.drive import LONGEST_DELAY
+from softfin.surrogate.streaming.fit import StreamingLearner, force_loss
 from softfin.surrogate.streaming.force import Motion, Scales
-from softfin.surrogate.streaming.learner import Learner as StreamingLearner
-from softfin.surrogate.streaming.learner import force_loss
 from softfin.surrogate.streaming.member import ensemble, single
-from softfin.surrogate.streaming.profile import LONGEST_DELAY, ProfileConfig
 from softfin.surrogate.streaming.segments import Table
 
 ROWS, UPDATES = 400_000, 25
@@ -39,7 +38,7 @@ def training_flops(config: NetworkConfig) -> int:
 
 def main() -> list[dict[str, Any]]:
     config = FitConfig()
-    learner = Learner(config, UPDATES)
+    learner = PaperLearner(config, UPDATES)
     random = np.random.default_rng(0)
     table = jnp.asarray(random.uniform(size=(ROWS, len(COLUMNS))), jnp.float32)
     batches = jnp.asarray(random.integers(0, ROWS - 101, (UPDATES, config.batch)), jnp.int32)
@@ -63,7 +62,7 @@ def streaming_updates(random: np.random.Generator) -> tuple[Callable[[], Any], i
     """A call of one update of the force nets; member-ticks of it, and FLOPs of each: forward, weights, inputs."""
     config = StreamingConfig()
     scales = Scales(angle_rad=0.8, velocity_rad_s=2.0, change_rad_s=0.25, force_n=2.2)
-    members = ensemble(config.members, config.drive, config.force, ProfileConfig(), scales, jax.random.key(0))
+    members = ensemble(config.members, config.drive, config.force, scales, jax.random.key(0))
     columns = [jnp.asarray(random.normal(size=ROWS), jnp.float32) for _ in range(4)]
     force = jnp.asarray(random.normal(size=(ROWS, 2)), jnp.float32)
     starts = jnp.arange(LONGEST_DELAY, ROWS - config.ticks, dtype=jnp.int32)

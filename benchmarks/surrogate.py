@@ -16,7 +16,6 @@ from softfin.surrogate import StreamingConfig, StreamingSurrogate
 from softfin.surrogate.paper.network import FORCENET
 from softfin.surrogate.streaming.force import Motion, Scales
 from softfin.surrogate.streaming.member import ensemble, single
-from softfin.surrogate.streaming.profile import ProfileConfig
 from softfin.surrogate.streaming.uncertainty import Familiarity, Interval, remembered
 from softfin.task.task import ForceTracking, TaskConfig
 
@@ -27,7 +26,7 @@ def streaming_layout() -> StreamingSurrogate:
     """As `softfin fit` makes it."""
     config = StreamingConfig()
     scales = Scales(angle_rad=0.8, velocity_rad_s=2.0, change_rad_s=0.25, force_n=2.2)
-    members = ensemble(config.members, config.drive, config.force, ProfileConfig(), scales, jax.random.key(0))
+    members = ensemble(config.members, config.drive, config.force, scales, jax.random.key(0))
     size = remembered(single(members.force).start(Motion(jnp.zeros(()), jnp.zeros(())))).size
     interval = Interval(coverage=0.9, factor=1.6, floor_n=0.05, windows=1, logs=10)
     return StreamingSurrogate(members, PAPER_LIMITS, interval, Familiarity(jnp.zeros(size), jnp.eye(size)))

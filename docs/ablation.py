@@ -9,6 +9,11 @@ folder in RUN, so a stopped run goes on where it was. Without --dataset one is r
 import argparse
 from pathlib import Path
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
 from softfin.core.errors import ArtifactError
 from softfin.core.quantities import RATE_HZ
 from softfin.data.collect import CollectConfig
@@ -18,21 +23,29 @@ from softfin.stages.fit import fit
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.surrogate import StreamingConfig
 from softfin.surrogate.compare.compare import CompareConfig
+from softfin.surrogate.streaming import member
+from softfin.surrogate.streaming.force import ForceNet, ForceState, Motion
+
+WITHOUT_QUASI_STEADY = "without the quasi-steady force"
 
 VARIANTS: dict[str, tuple[str, ...]] = {
     "as it is": (),
-    "without the mirror": ("drive.mirror=false", "force.mirror=false"),
-    "without the turning frame": ("force.turning=false",),
-    "without both": ("drive.mirror=false", "force.mirror=false", "force.turning=false"),
     "without the wake": ("force.wake=0",),
-    "without the quasi-steady force": ("force.quasi_steady=false",),
-    "without the drive's profile": ("drive.profile=false",),
+    WITHOUT_QUASI_STEADY: (),
     "fed with measured motion only": ("free_running=[1.0, 1.0]",),
     "fed with predicted motion only": ("free_running=[0.0, 0.0]",),
-    "with learnt deviations": ("force.heteroscedastic=true",),
     "8 units": ("force.units=8",),
     "32 units": ("force.units=32",),
 }
+
+
+class WithoutQuasiSteady(ForceNet):
+    """A force net whose coefficients of added mass and drag stay at zero."""
+
+    def step(self, state: ForceState, motion: Motion) -> tuple[ForceState, Array]:
+        """As the force net, with the core alone."""
+        zero = jax.tree.map(jnp.zeros_like, (self.thrust, self.resistance))
+        return ForceNet.step(eqx.tree_at(lambda net: (net.thrust, net.resistance), self, zero), state, motion)
 
 
 def shortened(dataset: Path, minutes: float, out: Path) -> Path:
@@ -69,6 +82,8 @@ def main() -> None:
     print("| variant | angle RMSE [rad] | force RMSE x, y [N] | mean force, mean error, 95% [N] | FLOPs a tick |")
     print("| --- | --- | --- | --- | --- |")
     for name in words.only:
+        member.ForceNet = WithoutQuasiSteady if name == WITHOUT_QUASI_STEADY else ForceNet
+        jax.clear_caches()
         size = f"{words.minutes:g}min-{words.members}x{words.batch}x{words.updates}"
         folder = words.out / f"{size}-{name.replace(' ', '-')}"
         if not (folder / "surrogate.json").exists():

@@ -27,7 +27,7 @@ def asked(monkeypatch):
     configs = []
     evidence = {"chosen": "paper", "held_out": {name: {"force_rmse_n": 0.5, "angle_rmse_rad": 0.1, "seconds": 13.0}
                                                 for name in ("streaming", "paper")},
-                "left_out": {"streaming, no symmetry": "too few rows"}}  # fmt: skip
+                "left_out": {"paper, too": "too few rows"}}  # fmt: skip
 
     def fit_any(logs, config, seed, run_directory, progress):
         run_directory.log().close()
@@ -58,8 +58,8 @@ def fails(capsys, *words):
     ("words", "config"),
     [
         ([], StreamingConfig()),
-        (["--model", "streaming", "--set", "members=2", "--set", "drive.profile=false"],
-         StreamingConfig(members=2, drive={"profile": False})),
+        (["--model", "streaming", "--set", "members=2", "--set", "drive.units=3"],
+         StreamingConfig(members=2, drive={"units": 3})),
         (["--model", "paper", "--epochs", "3"], FitConfig(epochs=3)),
         (["--model", "auto", "--set", "paper.epochs=3"], AutoConfig(paper={"epochs": 3})),
     ],
@@ -84,7 +84,7 @@ def test_people_are_told_table_i_and_why_a_candidate_was_chosen(capsys, tmp_path
     assert chosen.startswith("paper ")
     assert "0.5000" in chosen
     assert "13.0" in chosen
-    assert "streaming, no symmetry  not fitted: too few rows" in text
+    assert "paper, too  not fitted: too few rows" in text
 
 
 @pytest.mark.parametrize(

@@ -12,10 +12,9 @@ from softfin.core.quantities import PAPER_LIMITS, Command, Limits
 from softfin.data.excitation import ExcitationConfig
 from softfin.surrogate import StreamingSurrogate, save_surrogate
 from softfin.surrogate.active import ActiveCollectConfig, ActiveConfig, Chooser, chooser, information, unlikeness
+from softfin.surrogate.streaming.fit import StreamingConfig
 from softfin.surrogate.streaming.force import Motion, Scales
-from softfin.surrogate.streaming.learner import StreamingConfig
 from softfin.surrogate.streaming.member import ensemble, single
-from softfin.surrogate.streaming.profile import ProfileConfig
 from softfin.surrogate.streaming.uncertainty import Familiarity, Interval, remembered
 from tests.surrogate import small
 
@@ -32,7 +31,7 @@ def two_members():
     config = StreamingConfig()
     scales = Scales(angle_rad=0.8, velocity_rad_s=2.0, change_rad_s=0.25, force_n=2.0)
     drive, force = (part.model_copy(update={"units": 4, "hidden": 4}) for part in (config.drive, config.force))
-    nets = ensemble(2, drive, force, ProfileConfig(), scales, jax.random.key(0))
+    nets = ensemble(2, drive, force, scales, jax.random.key(0))
     return eqx.tree_at(lambda nets: nets.force.thrust, nets, jnp.asarray([[0.0, 0.0], [1.0, 0.0]]))
 
 
@@ -147,18 +146,18 @@ def test_what_chose_is_told_with_the_data_it_was_fitted_to(folders):
     ("name", "limits", "words"),
     [
         ("paper", PAPER_LIMITS, "paper: a paper surrogate; active excitation needs members that can disagree: fit one"),
-        ("alone", PAPER_LIMITS, "alone: a streaming surrogate of 1 member; active excitation needs members that can"),
+        ("alone", PAPER_LIMITS, "alone: a streaming surrogate; active excitation needs members that can"),
         (
             "narrow",
             PAPER_LIMITS,
             "narrow: learnt from commands with angles of -0.3 .. 0.3 rad, where the plant takes -1.57 .. 1.57; "
-            "less than 50% of that: fit it to random logs of this plant",
+            "it must have learnt from at least 50% of that and nothing beyond: fit it to random logs of this plant",
         ),
         (
             "ensemble",
             Limits(-1.0, 1.0, 1.0, 3.1),
-            "ensemble: learnt from commands with angles of -1.57 .. 1.57 rad, where the plant takes -1 .. 1; it is of "
-            "another fin: fit it to random logs of this plant",
+            "ensemble: learnt from commands with angles of -1.57 .. 1.57 rad, where the plant takes -1 .. 1; it must "
+            "have learnt from at least 50% of that and nothing beyond: fit it to random logs of this plant",
         ),
     ],
 )

@@ -12,14 +12,14 @@ from softfin.stages.fit import fit
 from softfin.stages.train import find_gaits, train
 from softfin.storage.dataset import write_dataset
 from softfin.surrogate import save_surrogate
-from softfin.surrogate.range import CHANNELS, UNKNOWN, learnt_from, training_range
+from softfin.surrogate.channels import READINGS, UNKNOWN, learnt_from, training_range
 from softfin.surrogate.store import load_surrogate
 from tests.control.test_controllers import untrained
 from tests.gaits.test_map_store import KNOWN
 from tests.surrogate import small as paper
 from tests.surrogate.streaming import small
 
-RANGE = {name: [-1.0, 2.0] for name in CHANNELS}
+RANGE = {name: [-1.0, 2.0] for name in READINGS}
 
 
 def log(scale):

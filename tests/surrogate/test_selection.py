@@ -6,7 +6,7 @@ import pytest
 
 from softfin.core.errors import ArtifactError, LogError
 from softfin.storage.run_directory import LOG, RunDirectory, read_log
-from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig, StreamingSurrogate, Surrogate
+from softfin.surrogate import AutoConfig, FitConfig, StreamingSurrogate, Surrogate
 from softfin.surrogate import selection as choice
 from softfin.surrogate.compare.free_running import FreeRunPrediction, free_run, segments_of, take
 from softfin.surrogate.selection import fit_any
@@ -24,7 +24,7 @@ CONFIG = AutoConfig(
 )
 
 
-SCALES = scales_of([small.recorded(rows=600, seed=seed, sided=True, noise_n=0.05) for seed in range(3)])
+SCALES = scales_of([small.recorded(rows=600, seed=seed, noise_n=0.05) for seed in range(3)])
 
 
 def paper_fit(logs, config, seed, run_directory, progress=None):
@@ -42,28 +42,26 @@ def profile_known(monkeypatch):
     monkeypatch.setattr("softfin.surrogate.selection.fit", paper_fit)
 
 
-def logs(sided):
-    return [small.recorded(rows=600, seed=seed, sided=sided, noise_n=0.05) for seed in range(4)]
+def logs():
+    return [small.recorded(rows=600, seed=seed, noise_n=0.05) for seed in range(4)]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("sided", "chosen"), [(False, "streaming"), (True, "streaming, no symmetry")])
-def test_the_candidate_with_the_least_error_on_held_out_logs_is_kept(tmp_path, sided, chosen):
-    """A fin whose thrust has a sign is none that a mirror leaves as it is."""
-    data, run_directory, notes = logs(sided), RunDirectory(tmp_path / "s", {}), []
-    fitted, evidence = fit_any(data, CONFIG, 0, run_directory, lambda stage, done, note: notes.append((done, note)))
-    assert evidence["chosen"] == chosen
+def test_the_candidate_with_the_least_error_on_held_out_logs_is_kept(tmp_path):
+    data, workspace, notes = logs(), RunDirectory(tmp_path / "s", {}), []
+    fitted, evidence = fit_any(data, CONFIG, 0, workspace, lambda stage, done, note: notes.append((done, note)))
+    assert evidence["chosen"] == "streaming"
     scores = evidence["held_out"]
-    assert list(scores) == ["streaming", "streaming, no symmetry", "paper"]
-    assert scores[chosen] == min(scores.values(), key=lambda score: score["force_rmse_n"])
-    assert fitted.members.force.config.mirror == (chosen == "streaming")
+    assert list(scores) == ["streaming", "paper"]
+    assert scores["streaming"] == min(scores.values(), key=lambda score: score["force_rmse_n"])
+    assert type(fitted) is StreamingSurrogate
 
     where = segments_of([600], 300, 300)
     said, measured = free_run(fitted, data[-1:], where, 300).reading, take(data[-1:], where, 300).reading
-    assert scores[chosen]["force_rmse_n"] == pytest.approx(
+    assert scores["streaming"]["force_rmse_n"] == pytest.approx(
         np.sqrt(np.mean((said.force - measured.force) ** 2)), rel=1e-4
     )
-    assert scores[chosen]["seconds"] == 3.0
+    assert scores["streaming"]["seconds"] == 3.0
     assert json.loads(json.dumps(evidence)) == evidence
     assert [entry["force_rmse_n"] for entry in read_log(run_directory.folder / LOG)] == [
         score["force_rmse_n"] for score in scores.values()
@@ -76,7 +74,7 @@ def test_the_candidate_with_the_least_error_on_held_out_logs_is_kept(tmp_path, s
 def test_the_kind_of_configuration_says_which_model(tmp_path, monkeypatch):
     monkeypatch.setattr("softfin.surrogate.selection.fit_streaming", lambda *words: small.surrogate())
     for config, kind in ((PAPER, Surrogate), (small.CONFIG, StreamingSurrogate)):
-        fitted, evidence = fit_any(logs(False), config, 0, RunDirectory(tmp_path / "s", {}))
+        fitted, evidence = fit_any(logs(), config, 0, RunDirectory(tmp_path / "s", {}))
         assert type(fitted) is kind
         assert evidence is None
 
@@ -86,20 +84,20 @@ def test_logs_on_which_nothing_can_be_compared_are_refused_before_anything_is_fi
         raise AssertionError
 
     monkeypatch.setattr("softfin.surrogate.selection.fit_streaming", no_fit)
-    short = [small.rows_of(log, 0, 300) for log in logs(False)]
+    short = [small.rows_of(log, 0, 300) for log in logs()]
     with pytest.raises(LogError, match="held-out log 0: 300 rows; more than a window of 300 are needed"):
         fit_any(short, CONFIG, 0, RunDirectory(tmp_path / "s", {}))
 
 
 def test_a_candidate_that_cannot_be_fitted_is_left_out_with_its_reason(tmp_path, monkeypatch):
     monkeypatch.setattr("softfin.surrogate.selection.fit_streaming", lambda *words: small.surrogate())
-    steady = [log._replace(command=log.command._replace(velocity=np.full(600, 2, np.float32))) for log in logs(False)]
+    steady = [log._replace(command=log.command._replace(velocity=np.full(600, 2, np.float32))) for log in logs()]
     for data, config, reason in (
         (steady, CONFIG, "column command_velocity_rad_s is 2 in every training row"),
-        (logs(False), CONFIG.changed(["paper.batch=5000"]), "1764 training windows are fewer than one batch of 5000"),
+        (logs(), CONFIG.changed(["paper.batch=5000"]), "1764 training windows are fewer than one batch of 5000"),
     ):
         _, evidence = fit_any(data, config, 0, RunDirectory(tmp_path / "s", {}))
-        assert list(evidence["held_out"]) == ["streaming", "streaming, no symmetry"]
+        assert list(evidence["held_out"]) == ["streaming"]
         assert list(evidence["left_out"]) == ["paper"]
         assert (evidence["logs_held_out"], evidence["logs_scored"]) == (1, 1)
         assert reason in evidence["left_out"]["paper"]
@@ -107,7 +105,7 @@ def test_a_candidate_that_cannot_be_fitted_is_left_out_with_its_reason(tmp_path,
 
 def test_logs_that_fit_no_candidate_are_refused_in_the_words_of_the_first(tmp_path):
     with pytest.raises(LogError, match="1 training log: at least 2 are needed"):
-        fit_any(logs(False)[:1], CONFIG, 0, RunDirectory(tmp_path / "s", {}))
+        fit_any(logs()[:1], CONFIG, 0, RunDirectory(tmp_path / "s", {}))
 
 
 @pytest.fixture
@@ -140,7 +138,7 @@ def test_short_logs_count_where_all_are_short():
 
 def test_a_killed_choice_is_neither_lost_nor_begun_anew(tmp_path, monkeypatch):
     """As long as it had not come to the end its checkpoints lie in parts alone."""
-    begun, data = [], logs(False)
+    begun, data = [], logs()
 
     def killed_midway(logs, config, seed, run_directory, progress=None):
         begun.append(run_directory.load({"x": np.zeros(1)}))
@@ -149,7 +147,8 @@ def test_a_killed_choice_is_neither_lost_nor_begun_anew(tmp_path, monkeypatch):
             raise KeyboardInterrupt
         return small.surrogate()
 
-    monkeypatch.setattr("softfin.surrogate.selection.fit_streaming", killed_midway)
+    for name in ("fit", "fit_streaming"):
+        monkeypatch.setattr(f"softfin.surrogate.selection.{name}", killed_midway)
     with pytest.raises(KeyboardInterrupt):
         fit_any(data, CONFIG, 0, RunDirectory(tmp_path / "s", {"seed": 0}))
     with pytest.raises(ArtifactError, match="holds an unfinished run; go on with --resume"):
@@ -158,17 +157,3 @@ def test_a_killed_choice_is_neither_lost_nor_begun_anew(tmp_path, monkeypatch):
         RunDirectory(tmp_path / "s", {"seed": 1}, resume=True)
     fit_any(data, CONFIG, 0, RunDirectory(tmp_path / "s", {"seed": 0}, resume=True))
     assert [before is not None for before in begun] == [False, False, True, True]
-
-
-def test_a_candidate_that_is_equal_to_another_is_no_candidate():
-    free = ["streaming.drive.mirror=false", "streaming.force.mirror=false", "streaming.force.turning=false"]
-    assert list(AutoConfig().changed(free).candidates()) == ["streaming", "paper"]
-    assert len(AutoConfig().changed(free[1:]).candidates()) == 3
-
-
-def test_candidates_differ_in_their_symmetry_alone():
-    candidates = AutoConfig(streaming=StreamingConfig(members=3)).candidates()
-    free = candidates["streaming, no symmetry"]
-    assert not any((free.drive.mirror, free.force.mirror, free.force.turning))
-    symmetric = {"drive": {"mirror": True}, "force": {"mirror": True, "turning": True}}
-    assert free.merged(symmetric, "test") == candidates["streaming"]

@@ -8,12 +8,9 @@ import pytest
 from softfin.core.errors import ArtifactError
 from softfin.core.plant import roll
 from softfin.core.plant_identity import identity
-from softfin.core.quantities import PAPER_LIMITS, Command
+from softfin.core.quantities import Command
 from softfin.storage import artifact as artifacts
 from softfin.surrogate import StreamingSurrogate, Surrogate, load_surrogate, save_surrogate
-from softfin.surrogate.streaming.force import Motion
-from softfin.surrogate.streaming.member import single
-from softfin.surrogate.streaming.uncertainty import Familiarity, remembered
 from tests.surrogate import small as paper
 from tests.surrogate.streaming import small
 
@@ -42,20 +39,6 @@ def test_a_stored_streaming_surrogate_says_the_same(stored):
     for one, other in zip(readings(plant), readings(loaded), strict=True):
         np.testing.assert_array_equal(one, other)
     assert (loaded.interval, loaded.limits) == (plant.interval, plant.limits)
-    assert identity(loaded) == identity(plant)
-
-
-@pytest.mark.parametrize(
-    ("drive", "force"), [({"profile": False}, {"mirror": False, "turning": False}), ({}, {"wake": 0})]
-)
-def test_nets_of_other_kinds_are_stored_too(tmp_path, drive, force):
-    nets = small.members(drive=small.DRIVE.merged(drive, "test"), force=small.FORCE.merged(force, "test"))
-    size = remembered(single(nets.force).start(Motion(jnp.zeros(()), jnp.zeros(())))).size
-    plant = StreamingSurrogate(
-        nets, PAPER_LIMITS, small.interval(), Familiarity(jnp.zeros(size), jnp.eye(size))
-    )  # fmt: skip
-    save_surrogate(tmp_path / "s", plant, None, {})
-    loaded = load_surrogate(tmp_path / "s")
     assert identity(loaded) == identity(plant)
 
 
@@ -95,6 +78,10 @@ def test_a_surrogate_from_before_there_was_another_kind_is_the_papers(tmp_path):
         (lambda d: d.update(members="many"), "not a surrogate's description"),
         (lambda d: d.pop("scales"), r"not a surrogate's description \('scales'\)"),
         (lambda d: d["scales"].update(force_n=-1), "not a surrogate's description"),
+        (
+            lambda d: d["networks"]["drive"].update(profile=False),
+            r"networks.drive: profile = False: Input should be True; .* fit it again",
+        ),
         (lambda d: d["limits"].pop("angle_min_rad"), "not a surrogate's description"),
         (lambda d: d["limits"].update(angle_min_rad="low"), "not a surrogate's description"),
     ],

@@ -26,8 +26,8 @@ class Arguments(LogOptions, Configured):
     out: Out
     """Folder of the surrogate to write."""
     model: ModelName = "streaming"
-    """streaming: an ensemble of recurrent nets; paper: PosNet and ForceNet; auto: both, and the streaming nets without
-    symmetry, of which the best on held-out logs is kept."""
+    """streaming: an ensemble of recurrent nets; paper: PosNet and ForceNet; auto: both, of which the
+    best on held-out logs is kept."""
     ignore_errors: bool = False
     """Take logs with errors, too."""
     epochs: int | None = None

@@ -104,7 +104,7 @@ def save_gaits(
 ) -> None:
     """Write a map's gaits as a controller, whole or not at all; `extra_files` adds to the folder.
 
-    `learnt` tells what its plant has learnt from (`softfin.surrogate.range.learnt_from`).
+    `learnt` tells what its plant has learnt from (`softfin.surrogate.channels.learnt_from`).
     """
     gaits = force_map.gaits
     error, nodes = gaits.force_error(), gaits.table.references()

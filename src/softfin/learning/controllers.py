@@ -10,7 +10,7 @@ import numpy as np
 from softfin.control.store import write_controller
 from softfin.learning.policy import Policy, memory_of, named
 from softfin.learning.run import TrainingResult
-from softfin.surrogate.range import UNKNOWN
+from softfin.surrogate.channels import UNKNOWN
 
 
 def save_controller(
@@ -24,7 +24,7 @@ def save_controller(
 ) -> None:
     """Write the controller of one seed, whole or not at all; `extra_files` adds to the folder.
 
-    `learnt` tells what its plant has learnt from (`softfin.surrogate.range.learnt_from`).
+    `learnt` tells what its plant has learnt from (`softfin.surrogate.channels.learnt_from`).
     """
     config, index = trained.config, trained.seeds.index(seed)
     # Those of a grid have a leading axis of cells.

@@ -10,8 +10,7 @@ from softfin.core.progress import Progress
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset
 from softfin.storage.registry import find_plant
-from softfin.surrogate.compare.candidates import candidates
-from softfin.surrogate.compare.compare import CompareConfig
+from softfin.surrogate.compare.compare import CompareConfig, candidates
 from softfin.surrogate.compare.compare import compare as _compare
 from softfin.surrogate.compare.report import write_comparison
 
@@ -44,11 +43,7 @@ def compare(
     elif noise_floor is not None:
         floor = type(noise_floor).__name__, noise_floor
 
-    def report(done: float, note: str) -> None:
-        if progress is not None:
-            progress("compare", done, note)
-
-    comparison = _compare(found, list(data.load(data.test)), config, floor, report)
+    comparison = _compare(found, list(data.load(data.test)), config, floor, progress)
     metadata = {
         "dataset": str(dataset),
         "test_logs": len(data.test),

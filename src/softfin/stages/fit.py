@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+from softfin.core.errors import LogError
 from softfin.core.plant import EnsemblePlant
 from softfin.core.progress import Progress
 from softfin.data.importing.importing import ImportConfig
@@ -20,9 +21,8 @@ from softfin.surrogate import (
     save_surrogate,
 )
 from softfin.surrogate import import_keras as _import_keras
+from softfin.surrogate.channels import SKIPPED, command_limits, training_range
 from softfin.surrogate.compare.metrics import measured_ranges, table_one
-from softfin.surrogate.model import SKIPPED
-from softfin.surrogate.range import check_commands_learnt, training_range
 from softfin.surrogate.selection import fit_any
 from softfin.surrogate.training import check_lengths
 
@@ -51,7 +51,8 @@ def fit(
     metadata = {"configuration": config.model_dump(mode="json"), "seed": seed, "data_hash": opened.data_hash}
     run_directory = RunDirectory(out, metadata, resume, overwrite)
     if not run_directory.complete:
-        check_commands_learnt(opened.train, str(dataset))
+        if problem := command_limits(opened.train).problem(one_velocity=True):
+            raise LogError(f"{dataset}: the commands to learn from: {problem}; are they in degrees? see --angles deg")
         test = opened.test
         check_lengths(test, SKIPPED, "test")
         if test:

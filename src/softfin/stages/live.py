@@ -259,8 +259,8 @@ def _record(
     part, number = name.split("-")
     _, key = jax.random.split(key_of(config.seed, f"collect/{part}/{int(number)}"))
     # What a plant would get: one command a tick, and one more to begin with.
-    drawn = config.excitation(key, config.rows + 1, robot.machine.limits)
-    commands = [Target(*command) for command in np.stack(drawn, axis=1).astype(float).tolist()]
+    sampled = config.excitation(key, config.rows + 1, robot.machine.limits)
+    commands = [Target(*command) for command in np.stack(sampled, axis=1).astype(float).tolist()]
     session.activate()
     session.rest(robot.settle_s)
     samples: list[Sample] = []

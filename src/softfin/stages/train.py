@@ -24,7 +24,7 @@ from softfin.learning.refine import check_refinable, train_refined
 from softfin.storage import artifact as artifacts
 from softfin.storage.registry import find_plant
 from softfin.storage.run_directory import TRAINING_LOG, RunDirectory
-from softfin.surrogate.range import learnt_from
+from softfin.surrogate.channels import learnt_from
 from softfin.task.references import PAPER_RANGE
 
 

@@ -125,7 +125,9 @@ def write_file(path: Path, data: bytes | str | Callable[[BinaryIO], None]) -> No
     beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with beside.open("wb") as file:
+        beside.unlink(missing_ok=True)
+        # Never through a link that somebody put there.
+        with beside.open("xb") as file:
             if callable(data):
                 data(file)
             else:

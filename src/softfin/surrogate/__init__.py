@@ -5,7 +5,7 @@ from softfin.surrogate.paper.keras import import_keras
 from softfin.surrogate.paper.surrogate import Surrogate
 from softfin.surrogate.selection import AutoConfig
 from softfin.surrogate.store import AnySurrogate, load_surrogate, save_surrogate
-from softfin.surrogate.streaming.learner import StreamingConfig
+from softfin.surrogate.streaming.fit import StreamingConfig
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 
 __all__ = [

@@ -11,7 +11,7 @@ how far the piece's windows are from those already taken, in the memory of the f
 """
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -29,9 +29,6 @@ from softfin.surrogate.store import load_surrogate
 from softfin.surrogate.streaming.member import single
 from softfin.surrogate.streaming.streaming import StreamingState, StreamingSurrogate
 from softfin.surrogate.streaming.uncertainty import remembered
-
-FEWEST = 2
-"""Fewest members that can disagree."""
 
 KNOWN = 0.5
 """Least share of the plant's range of commands that an ensemble must have learnt from: else it means little."""
@@ -87,23 +84,6 @@ class ActiveCollectConfig(CollectConfig):
         return self
 
 
-class Chain(NamedTuple):
-    """State after the pieces taken so far."""
-
-    state: StreamingState
-    visited: Float[Array, "pieces windows remembered"]
-    """Memories at the ends of their windows; infinite where no piece is yet."""
-
-
-class PieceRollout(NamedTuple):
-    """The ensemble's prediction of a piece."""
-
-    force: Float[Array, "windows members 2"]
-    """Mean forces over the windows [N]."""
-    memory: Float[Array, "windows remembered"]
-    """Memories at the ends of the windows, in the units of the ensemble's distance."""
-
-
 class Chooser(eqx.Module):
     """Makes the commands of a log (`Commands`): the same key gives the same ones."""
 
@@ -115,19 +95,21 @@ class Chooser(eqx.Module):
         """Choose one command a tick, fields ``(rows,)``, from rest on; pure and traceable."""
         config = self.config
         pieces = -(-rows // (config.windows * config.window))
-        visited = jnp.full((pieces, config.windows, self.ensemble.familiarity.mean.size), jnp.inf)
+        # Memories at the ends of the windows taken so far; infinite where no piece is yet.
+        nowhere = jnp.full((pieces, config.windows, self.ensemble.familiarity.mean.size), jnp.inf)
 
-        def piece(chain: Chain, index: Array) -> tuple[Chain, Command]:
+        def piece(chain: tuple[StreamingState, Array], index: Array) -> tuple[tuple[StreamingState, Array], Command]:
+            before, visited = chain
             keys = jax.random.split(jax.random.fold_in(key, index), config.candidates)
             commands = jax.vmap(lambda key: self._sequence(key, limits))(keys)
-            states, rollouts = jax.vmap(self._roll, in_axes=(None, 0))(chain.state, commands)
-            informative = jax.vmap(lambda force: information(force, config.noise_n))(rollouts.force)
-            unlike = jax.vmap(lambda memory: unlikeness(memory, chain.visited))(rollouts.memory)
+            states, (forces, memories) = jax.vmap(self._roll, in_axes=(None, 0))(before, commands)
+            informative = jax.vmap(lambda force: information(force, config.noise_n))(forces)
+            unlike = jax.vmap(lambda memory: unlikeness(memory, visited))(memories)
             best = jnp.argmax(informative * unlike**config.novelty)
-            state, memory, command = jax.tree.map(lambda x: x[best], (states, rollouts.memory, commands))
-            return Chain(state, chain.visited.at[index].set(memory)), command
+            state, memory, command = jax.tree.map(lambda x: x[best], (states, memories, commands))
+            return (state, visited.at[index].set(memory)), command
 
-        _, chosen = jax.lax.scan(piece, Chain(self.ensemble.init(key), visited), jnp.arange(pieces))
+        _, chosen = jax.lax.scan(piece, (self.ensemble.init(key), nowhere), jnp.arange(pieces))
         return Command(*(channel.reshape(-1)[:rows] for channel in chosen))
 
     def _sequence(self, key: PRNGKeyArray, limits: Limits) -> Command:
@@ -137,15 +119,17 @@ class Chooser(eqx.Module):
         kept = jnp.minimum(jnp.arange(ticks), ticks - round(self.excitation.hold_min_s * RATE_HZ))
         return Command(random.angle[kept], random.velocity[kept])
 
-    def _roll(self, state: StreamingState, commands: Command) -> tuple[StreamingState, PieceRollout]:
+    def _roll(self, state: StreamingState, commands: Command) -> tuple[StreamingState, tuple[Array, Array]]:
+        """Mean forces over a piece's windows, of each member [N], and memories at their ends in units of distance."""
+
         def tick(state: StreamingState, command: Command) -> tuple[StreamingState, Array]:
             state, each = self.ensemble.advance_members(state, command, 1)
             return state, jnp.asarray(each.force[:, 0])
 
-        def window(state: StreamingState, commands: Command) -> tuple[StreamingState, PieceRollout]:
+        def window(state: StreamingState, commands: Command) -> tuple[StreamingState, tuple[Array, Array]]:
             state, force = jax.lax.scan(tick, state, commands)
             memory = remembered(single(state.members.force)) @ self.ensemble.familiarity.whitening
-            return state, PieceRollout(force.mean(0), memory)
+            return state, (force.mean(0), memory)
 
         parts = jax.tree.map(lambda x: x.reshape(self.config.windows, self.config.window), commands)
         return jax.lax.scan(window, state, parts)
@@ -172,22 +156,18 @@ def chooser(folder: Path, config: ActiveCollectConfig, limits: Limits) -> tuple[
         ConfigurationError: the surrogate is not an ensemble, or was trained on commands of another range.
     """
     surrogate = load_surrogate(folder)
-    members = surrogate.size if isinstance(surrogate, StreamingSurrogate) else 1
-    if not isinstance(surrogate, StreamingSurrogate) or members < FEWEST:
-        what = f"a {surrogate.model} surrogate" + (" of 1 member" if surrogate.model == "streaming" else "")
-        raise ConfigurationError(f"{folder}: {what}; active excitation needs members that can disagree: fit one with "
-                                 f"--model streaming and members of at least {FEWEST}")  # fmt: skip
+    if not isinstance(surrogate, StreamingSurrogate) or surrogate.size < 2:
+        raise ConfigurationError(f"{folder}: a {surrogate.model} surrogate; active excitation needs members that can "
+                                 "disagree: fit one with --model streaming and at least 2 members")  # fmt: skip
     for name, unit, low, high in (("angle", "rad", 0, 1), ("velocity", "rad/s", 2, 3)):
         learnt, plant = ((ends[low], ends[high]) for ends in (surrogate.limits, limits))
         span, common = plant[1] - plant[0], min(learnt[1], plant[1]) - max(learnt[0], plant[0])
-        beyond = max(plant[0] - learnt[0], learnt[1] - plant[1]) > 1e-3 * span
-        if beyond or common < KNOWN * span:
+        if max(plant[0] - learnt[0], learnt[1] - plant[1]) > 1e-3 * span or common < KNOWN * span:
             raise ConfigurationError(
                 f"{folder}: learnt from commands with {name}s of {learnt[0]:.3g} .. {learnt[1]:.3g} {unit}, where the "
-                f"plant takes {plant[0]:.3g} .. {plant[1]:.3g}; "
-                + ("it is of another fin: " if beyond else f"less than {KNOWN:.0%} of that: ")
-                + "fit it to random logs of this plant"
+                f"plant takes {plant[0]:.3g} .. {plant[1]:.3g}; it must have learnt from at least {KNOWN:.0%} of that "
+                "and nothing beyond: fit it to random logs of this plant"
             )
     provenance = artifacts.load_description(folder, "surrogate").get("provenance") or {}
-    metadata = {"surrogate": str(folder), "members": members, "data_hash": provenance.get("data_hash")}
+    metadata = {"surrogate": str(folder), "members": surrogate.size, "data_hash": provenance.get("data_hash")}
     return Chooser(surrogate, config.active, config.excitation), metadata

@@ -1,7 +1,12 @@
-"""The channels that surrogates take and give, by name, and their min-max scaling: ``scaled = x * scale + offset``."""
+"""The channels that surrogates take and give, by name: scaling (``scaled = x * scale + offset``), and training range.
 
-from collections.abc import Sequence
-from typing import Any
+The range of a surrogate's training data and the fin they are of go into every controller trained in it: a rig tells by
+the range how far its fin is from the training data, and by the name that a controller is for another.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,11 +15,34 @@ from pydantic import Field
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ArtifactError, LogError
-from softfin.core.quantities import AnyArray, Log
+from softfin.core.quantities import AnyArray, Limits, Log
+from softfin.storage import artifact as artifacts
 
 COMMANDS = ("command_angle_rad", "command_velocity_rad_s")
 ANGLE = "angle_rad"
 FORCES = ("force_x_n", "force_y_n")
+READINGS = (ANGLE, "velocity_rad_s", *FORCES)
+
+SKIPPED = 100
+"""Rows at the beginning of a log that Table I does not score: the first window of PosNet and ForceNet."""
+
+Range: TypeAlias = dict[str, list[float] | None]
+"""Least and greatest of each channel; None where that is not known."""
+
+UNKNOWN: Mapping[str, Any] = {"training_range": None, "fin": None}
+"""Entries of a plant that is not a surrogate, or one without them."""
+
+
+class NetPrediction(NamedTuple):
+    """What a net predicts of the last rows of a log: a row of Table I."""
+
+    channels: tuple[str, ...]
+    series: Float[np.ndarray, "predicted channels"]
+    """Predicted values [rad or N]."""
+    window: int | None
+    """Samples of the past that the net sees; None of one with a state."""
+    parameters: int
+    """Trainable numbers of the net."""
 
 
 class ChannelScaling(Configuration):
@@ -81,3 +109,35 @@ def joined_channels(logs: Sequence[Log]) -> dict[str, Float[np.ndarray, "rows"]]
     """The columns of all logs, one log after the other."""
     each = [channels_of(log) for log in logs]
     return {name: np.concatenate([columns[name] for columns in each]) for name in each[0]}
+
+
+def training_range(logs: Sequence[Log]) -> Range:
+    """Range of the readings in the logs that a surrogate learns from."""
+    columns = joined_channels(logs) | {READINGS[1]: np.concatenate([log.reading.velocity for log in logs])}
+    return {name: [float(columns[name].min()), float(columns[name].max())] for name in READINGS}
+
+
+def command_limits(logs: Sequence[Log]) -> Limits:
+    """Range of the commands in the logs: the limits of a surrogate that learns from them."""
+    columns = joined_channels(logs)
+    return Limits(*(float(end) for name in COMMANDS for end in (columns[name].min(), columns[name].max())))
+
+
+def learnt_from(plant: object) -> dict[str, Any]:
+    """``training_range`` and ``fin`` of a surrogate's folder, where `plant` names one that has them; else unknown.
+
+    Surrogates with min-max scaling, imported ones among them, have kept the range of their channels in it.
+    """
+    folder = Path(plant) if isinstance(plant, str | Path) else None
+    if folder is None or not artifacts.is_kind(folder, "surrogate"):
+        return dict(UNKNOWN)
+    description = artifacts.load_description(folder, "surrogate")
+    entries = {name: description.get(name) for name in UNKNOWN}
+    scaling = description.get("scaling")
+    if entries["training_range"] is None and isinstance(scaling, dict):
+        channels = {name: scaling.get(name) for name in READINGS}
+        entries["training_range"] = {
+            name: [channel["data_min"], channel["data_max"]] if isinstance(channel, dict) else None
+            for name, channel in channels.items()
+        }
+    return entries

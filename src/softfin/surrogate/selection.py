@@ -1,4 +1,4 @@
-"""Fits the model that is asked for, or the best of several on logs that none of them was fitted to."""
+"""Fits the model that is asked for, or the better of both on logs that neither was fitted to."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -7,16 +7,16 @@ import numpy as np
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import LogError
+from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ, Log
 from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate.compare.free_running import free_run, segments_of, take
 from softfin.surrogate.compare.metrics import rms
 from softfin.surrogate.paper.fit import FitConfig, fit, split
 from softfin.surrogate.store import AnySurrogate
-from softfin.surrogate.streaming.fit import StreamingFit, fit_streaming
-from softfin.surrogate.streaming.learner import StreamingConfig
+from softfin.surrogate.streaming.fit import StreamingConfig, fit_streaming, split_streaming
 from softfin.surrogate.streaming.streaming import MEMORY
-from softfin.surrogate.training import Progress, check_lengths, held_out_count
+from softfin.surrogate.training import check_lengths, held_out_count
 
 HORIZON_S = 30
 """Time that candidates run free for, where a held-out log is as long [s]."""
@@ -26,22 +26,12 @@ SHORTEST_S = 10
 
 
 class AutoConfig(Configuration):
-    """Three candidates: the paper's nets, streaming nets, and streaming nets to which the fin has no symmetry."""
+    """Both models are fitted, and the better one is kept."""
 
     paper: FitConfig = FitConfig()
     """The paper's nets."""
     streaming: StreamingConfig = StreamingConfig()
-    """Streaming nets; the third candidate is the same without `mirror` and `turning`."""
-
-    def candidates(self) -> dict[str, FitConfig | StreamingConfig]:
-        """Configurations by name, in order of preference where two are equally good; of equal ones the first."""
-        free = {"drive": {"mirror": False}, "force": {"mirror": False, "turning": False}}
-        without = self.streaming.merged(free, "streaming")
-        return {
-            "streaming": self.streaming,
-            **({} if without == self.streaming else {"streaming, no symmetry": without}),
-            "paper": self.paper,
-        }
+    """Streaming nets."""
 
 
 def fit_any(
@@ -51,7 +41,7 @@ def fit_any(
     run_directory: RunDirectory,
     progress: Progress | None = None,
 ) -> tuple[AnySurrogate, dict[str, Any] | None]:
-    """Fit the model of the configuration; of several candidates the best, with the evidence for it (else None).
+    """Fit the model of the configuration; of both candidates the better, with the evidence for it (else None).
 
     The evidence: which was ``chosen``, the errors of each on ``held_out`` logs, how many of these, and why others were
     ``left_out``.
@@ -60,14 +50,30 @@ def fit_any(
         return fit(logs, config, seed, run_directory, progress), None
     if isinstance(config, StreamingConfig):
         return fit_streaming(logs, config, seed, run_directory, progress), None
-    candidates, left_out = _possible(logs, config.candidates(), run_directory)
+    # In order of preference where both are equally good.
+    candidates: dict[str, FitConfig | StreamingConfig] = {"streaming": config.streaming, "paper": config.paper}
+    left_out = dict[str, LogError]()
+    # What cannot be fitted is found out before hours of fitting.
+    for name, check in (("streaming", lambda: split_streaming(logs, config.streaming)),
+                        ("paper", lambda: split(logs, config.paper))):  # fmt: skip
+        try:
+            check()
+        except LogError as error:
+            left_out[name] = error
+            del candidates[name]
+    if not candidates:
+        raise left_out["streaming"]
     # The shares may differ: the least share holds out what none was fitted to.
     holding = list(logs[-min(held_out_count(len(logs), one.held_out) for one in candidates.values()) :])
     first = max([MEMORY, *(one.posnet.window for one in candidates.values() if isinstance(one, FitConfig))])
     scored = _long_enough(holding, first)
     fitted = dict[str, AnySurrogate]()
     for number, (name, one) in enumerate(candidates.items()):
-        report = None if progress is None else _part(progress, name, number, len(candidates))
+
+        def report(stage: str, done: float, note: str, name: str = name, number: int = number) -> None:
+            if progress is not None:
+                progress(stage, (number + done) / len(candidates), f"{name}: {note}")
+
         fitted[name], _ = fit_any(logs, one, seed, run_directory.part(str(number)), report)
     scores = {name: _scores(surrogate, scored, first) for name, surrogate in fitted.items()}
     record = run_directory.log()
@@ -76,29 +82,8 @@ def fit_any(
     record.close()
     best = min(scores, key=lambda name: scores[name]["force_rmse_n"])
     counts = {"logs_held_out": len(holding), "logs_scored": len(scored)}
-    return fitted[best], {"chosen": best, "held_out": scores, **counts, "left_out": left_out}
-
-
-def _possible(
-    logs: Sequence[Log], candidates: dict[str, FitConfig | StreamingConfig], run_directory: RunDirectory
-) -> tuple[dict[str, FitConfig | StreamingConfig], dict[str, str]]:
-    """Candidates that can be fitted to the logs, and why others cannot: before hours of fitting, not behind them.
-
-    Raises the first candidate's LogError where none can.
-    """
-    possible, reasons = dict[str, FitConfig | StreamingConfig](), dict[str, LogError]()
-    for name, one in candidates.items():
-        try:
-            if isinstance(one, FitConfig):
-                split(logs, one)
-            else:
-                StreamingFit(logs, one, 0, run_directory, None)
-            possible[name] = one
-        except LogError as error:
-            reasons[name] = error
-    if not possible:
-        raise next(iter(reasons.values()))
-    return possible, {name: str(error) for name, error in reasons.items()}
+    reasons = {name: str(error) for name, error in left_out.items()}
+    return fitted[best], {"chosen": best, "held_out": scores, **counts, "left_out": reasons}
 
 
 def _long_enough(logs: Sequence[Log], first: int) -> list[Log]:
@@ -113,12 +98,11 @@ def _long_enough(logs: Sequence[Log], first: int) -> list[Log]:
 
 def _scores(surrogate: AnySurrogate, logs: Sequence[Log], first: int) -> dict[str, float]:
     """Errors free-running from row `first` on, each log in segments as long as it allows; over both axes."""
-    lengths = [min(HORIZON_S * RATE_HZ, len(log.reading.time) - first) for log in logs]
     force, angle = [], []
-    for ticks in sorted(set(lengths)):
-        alike = [log for log, length in zip(logs, lengths, strict=True) if length == ticks]
-        where = segments_of([len(log.reading.time) for log in alike], ticks, first)
-        predicted, measured = free_run(surrogate, alike, where, ticks).reading, take(alike, where, ticks).reading
+    for log in logs:
+        ticks = min(HORIZON_S * RATE_HZ, len(log.reading.time) - first)
+        where = segments_of([len(log.reading.time)], ticks, first)
+        predicted, measured = free_run(surrogate, [log], where, ticks).reading, take([log], where, ticks).reading
         force.append(np.ravel(predicted.force - measured.force))
         angle.append(np.ravel(predicted.angle - measured.angle))
     return {
@@ -126,7 +110,3 @@ def _scores(surrogate: AnySurrogate, logs: Sequence[Log], first: int) -> dict[st
         "angle_rmse_rad": rms(np.concatenate(angle)),
         "seconds": sum(map(len, angle)) / RATE_HZ,
     }
-
-
-def _part(progress: Progress, name: str, number: int, of: int) -> Progress:
-    return lambda stage, done, note: progress(stage, (number + done) / of, f"{name}: {note}")

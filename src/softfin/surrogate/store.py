@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from softfin.core.errors import ArtifactError
+from softfin.core.errors import ArtifactError, ConfigurationError
 from softfin.core.quantities import RATE_HZ, Limits
 from softfin.storage import artifact as artifacts
 from softfin.surrogate.paper.surrogate import Surrogate
@@ -52,7 +52,6 @@ def load_surrogate(path: Path) -> AnySurrogate:
         raise ArtifactError(f"{source}: format {description['format']}; this softfin reads {FORMAT}; update it")
     if description.get("rate_hz") != RATE_HZ:
         raise ArtifactError(f"{source}: made for {description.get('rate_hz')} Hz; softfin runs at {RATE_HZ} Hz")
-    # Folders from before there was a second kind do not name it.
     model = description.get("model", "paper")
     if model not in MODELS:
         raise ArtifactError(f"{source}: model {model!r}; this softfin has {', '.join(MODELS)}; update it")
@@ -61,5 +60,9 @@ def load_surrogate(path: Path) -> AnySurrogate:
         # Those of the paper's nets follow from the scaling.
         Limits.of(surrogate.limits.to_dict(), one_velocity=True)
         return surrogate
+    except ConfigurationError as error:
+        raise ArtifactError(f"{error}; this softfin has no such nets, so fit it again") from None
     except (KeyError, TypeError, ValueError) as error:
-        raise ArtifactError(f"{source}: not a surrogate's description ({' '.join(str(error).split())})") from None
+        raise ArtifactError(
+            f"{source}: not a surrogate's description ({' '.join(str(error).split())}); fit it again"
+        ) from None

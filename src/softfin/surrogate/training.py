@@ -1,7 +1,7 @@
 """The loop in which all nets learn: rounds of updates, the loss on held-out logs after each, the best weights kept."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -10,9 +10,6 @@ import numpy as np
 
 from softfin.core.errors import LogError, RunError
 from softfin.core.quantities import Log
-
-Progress = Callable[[str, float, str], None]
-"""Called with what is going on, how much of it is done (0 .. 1), and the newest figures."""
 
 UPDATES_A_CALL = 50
 """Updates that a compiled program does at most before progress is shown."""
@@ -30,7 +27,7 @@ class TrainingState(NamedTuple):
     """That loss: one number for each of several nets, or an array ``(members,)``."""
 
 
-Call = Callable[[TrainingState], tuple[TrainingState, Any]]
+Call: TypeAlias = Callable[[TrainingState], tuple[TrainingState, Any]]
 """Some updates: the state after them, and the mean loss of each net or member."""
 
 

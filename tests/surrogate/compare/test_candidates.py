@@ -6,7 +6,7 @@ import pytest
 
 from softfin.core.quantities import PAPER_LIMITS, Command
 from softfin.surrogate import save_surrogate
-from softfin.surrogate.compare.candidates import beyond_limits, candidates
+from softfin.surrogate.compare.compare import beyond_limits, candidates
 from tests.surrogate import small
 from tests.surrogate.compare.test_compare import LOGS, candidate
 

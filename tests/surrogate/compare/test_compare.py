@@ -9,8 +9,7 @@ from softfin.core.errors import ConfigurationError, LogError
 from softfin.core.quantities import Log, Reading
 from softfin.core.statistics import interval
 from softfin.surrogate import save_surrogate
-from softfin.surrogate.compare.candidates import Candidate, beyond_limits, candidates, names_of
-from softfin.surrogate.compare.compare import CompareConfig, compare
+from softfin.surrogate.compare.compare import Candidate, CompareConfig, beyond_limits, candidates, compare, names_of
 from softfin.surrogate.paper.surrogate import Surrogate
 from softfin.surrogate.streaming.uncertainty import Interval
 from tests.plants import AnalyticFin
@@ -32,6 +31,16 @@ class Attentive(Surrogate):
     @property
     def interval(self):
         return Interval(coverage=0.9, factor=3.0, floor_n=0.5, windows=1, logs=10)
+
+    @property
+    def size(self):
+        return 1
+
+    def member(self, index):
+        return self
+
+    def distance(self, state):
+        return jax.numpy.zeros(())
 
     def advance_members(self, state, command, ticks):
         state, reading = self.advance(state, command, ticks)
@@ -195,6 +204,6 @@ def test_horizons_are_put_in_order():
 
 def test_progress_ends_at_the_whole():
     seen = []
-    compare([candidate(0)], LOGS, CONFIG, ("fin", AnalyticFin()), lambda done, note: seen.append((done, note)))
+    compare([candidate(0)], LOGS, CONFIG, ("fin", AnalyticFin()), lambda stage, done, note: seen.append((done, note)))
     assert [note for _, note in seen] == ["a-0, 1 s", "a-0, 2.5 s", "second recording (fin)"]
     assert [done for done, _ in seen] == pytest.approx([1 / 3, 2 / 3, 1])

@@ -75,7 +75,7 @@ def test_segments_in_batches_are_those_rolled_one_by_one():
     plant, logs = small.surrogate(), [small.log(rows=150, seed=1), small.log(rows=90, seed=2)]
     where = segments_of([150, 90], ticks=25, first=20)
     # Eight segments in batches of at most three: the last one is filled up.
-    reading, members = free_run(plant, logs, where, ticks=25, batch=3)
+    reading, members = free_run(plant, logs, where, ticks=25)
     assert members is None
     assert reading.force.shape == (len(where), 25, 2) == (7, 25, 2)
     for index, (log, row) in enumerate(where):

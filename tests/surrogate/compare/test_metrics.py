@@ -3,8 +3,8 @@ import pytest
 
 from softfin.core.errors import LogError
 from softfin.core.quantities import Command, Log, Reading
+from softfin.surrogate.channels import SKIPPED
 from softfin.surrogate.compare.metrics import DTW_BAND, dtw_mae, measured_ranges, score_segments, table_one
-from softfin.surrogate.model import SKIPPED
 from softfin.surrogate.streaming.member import parameters, predict_logs, single
 from tests.surrogate import small
 from tests.surrogate.streaming import small as streaming
@@ -58,7 +58,7 @@ def test_table_one_of_a_streaming_surrogate_scores_both_nets_over_all_members():
         reading = log.reading
         angle.append(rmse(said.motion.angle.mean(axis=0)[:, None], reading.angle[:, None]))
         free.append(rmse(said.force.mean(axis=0), reading.force))
-        alone = [streaming.forces_of(single(plant.members.force, index), reading).force for index in range(2)]
+        alone = [streaming.forces_of(single(plant.members.force, index), reading) for index in range(2)]
         given.append(rmse(np.concatenate([reading.force[:1], np.mean(alone, axis=0)]), reading.force))
     for row, expected in zip(table.values(), (angle, given, free), strict=True):
         assert row["physical"]["rmse"] == pytest.approx(np.mean(expected), rel=1e-4)

@@ -6,7 +6,7 @@ from softfin.core.errors import ArtifactError, LogError, RunError
 from softfin.storage import artifact as artifacts
 from softfin.storage.run_directory import LOG, TRAINING_LOG, RunDirectory, read_log
 from softfin.surrogate import FitConfig, load_surrogate, save_surrogate
-from softfin.surrogate.paper.fit import Learner, fit, window_starts
+from softfin.surrogate.paper.fit import PaperLearner, fit, window_starts
 from tests.surrogate import small
 
 CONFIG = FitConfig(posnet=small.POSNET, forcenet=small.FORCENET, epochs=4, batch=32, learning_rate=3e-3)
@@ -144,13 +144,13 @@ def test_a_column_that_never_changes_is_named(tmp_path):
 
 
 def test_a_loss_that_explodes_stops_the_fit(tmp_path, monkeypatch):
-    start = Learner.start
+    start = PaperLearner.start
 
     def far_off(learner, key):
         state = start(learner, key)
         return state._replace(nets=jax.tree.map(lambda x: x * np.float32(1e38), state.nets))
 
-    monkeypatch.setattr(Learner, "start", far_off)
+    monkeypatch.setattr(PaperLearner, "start", far_off)
     with pytest.raises(RunError, match=r"loss of the nets is not finite; lower learning_rate \(--set\), start anew"):
         fit(LOGS, CONFIG, 0, RunDirectory(tmp_path / "s", {}))
 

@@ -9,16 +9,15 @@ import numpy as np
 
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Log, Reading
 from softfin.surrogate import StreamingConfig, StreamingSurrogate
-from softfin.surrogate.streaming.drive import DriveNetConfig
+from softfin.surrogate.streaming.drive import LONGEST_DELAY, DriveNetConfig, Profile
 from softfin.surrogate.streaming.force import ForceNetConfig, Motion, Scales
 from softfin.surrogate.streaming.member import ensemble, forces, single
-from softfin.surrogate.streaming.profile import LONGEST_DELAY, Profile, ProfileConfig
 from softfin.surrogate.streaming.uncertainty import Familiarity, Interval, remembered
 
 SCALES = Scales(angle_rad=0.8, velocity_rad_s=2.0, change_rad_s=0.25, force_n=2.0)
 DRIVE = DriveNetConfig(units=3, hidden=4)
 FORCE = ForceNetConfig(units=3, hidden=4, wake=2)
-PROFILE = ProfileConfig(delay_ticks=2.5, acceleration_rad_s2=60.0)
+PROFILE = Profile(delay=2.5, acceleration=60.0)
 CONFIG = StreamingConfig(
     drive=DRIVE, force=FORCE, members=2, drive_updates=10, force_updates=10, batch=8, ticks=40, burn_in=10
 )
@@ -37,17 +36,17 @@ def filled(tree, seed=0, spread=0.5):
 def members(count=2, drive=DRIVE, force=FORCE, profile=PROFILE, seed=0, spread=0.5):
     """An ensemble whose weights are noise, but not the profile's coefficients and the wake's times."""
     # Not drawn as for a fit: to compile that takes longer than most tests.
-    shapes = jax.eval_shape(lambda key: ensemble(count, drive, force, profile, SCALES, key), jax.random.key(seed))
+    shapes = jax.eval_shape(lambda key: ensemble(count, drive, force, SCALES, key), jax.random.key(seed))
     noise = filled(jax.tree.map(lambda leaf: np.zeros(leaf.shape, np.float32), shapes), seed, spread)
 
     def known(members):
-        return (members.force.log_time, *([members.drive.profile] if drive.profile else []))
+        return (members.force.log_time, members.drive.profile)
 
     def of_each(leaf):
         return jnp.asarray(np.stack([np.asarray(leaf, np.float32)] * count))
 
     times = np.log(np.geomspace(0.05, 1.5, force.wake))
-    return eqx.tree_at(known, noise, jax.tree.map(of_each, (times, Profile(profile))[: 1 + drive.profile]))
+    return eqx.tree_at(known, noise, jax.tree.map(of_each, (times, profile)))
 
 
 def drive_net(seed=0, **options):
@@ -95,7 +94,7 @@ def followed(profile, commands):
 def recorded(rows, seed=0, profile=PROFILE, sided=False, noise_n=0.01, noise_rad=0.0, **options):
     """Thrust v^2 / 4 and drag v |v| / 3 along and across the fin; `sided`: thrust v / 2 instead, which has a sign."""
     issued = commands(rows, seed, **options)
-    angle, velocity = map(np.asarray, followed(Profile(profile), issued))
+    angle, velocity = map(np.asarray, followed(profile, issued))
     random = np.random.default_rng(seed + 1000)
     along, across = (velocity / 2 if sided else velocity**2 / 4), -velocity * np.abs(velocity) / 3
     force = turned(np.stack([along, across], axis=1), angle) + random.normal(0, noise_n, (rows, 2))

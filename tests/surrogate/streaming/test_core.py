@@ -3,14 +3,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.surrogate.streaming.core import SLOWEST, MirrorCore, Parity, PlainCore, magnitude, products
+from softfin.surrogate.streaming.core import SLOWEST, MirrorCore, Parity, magnitude, products
 from tests.surrogate.streaming.small import filled
 
 INPUTS, OUTPUTS, UNITS, HIDDEN = Parity(2, 3), Parity(1, 2), 3, 4
 
 
-def core(kind, seed=0):
-    return filled(kind(INPUTS, OUTPUTS, UNITS, HIDDEN, jax.random.key(seed)), seed)
+def core(seed=0):
+    return filled(MirrorCore(INPUTS, OUTPUTS, UNITS, HIDDEN, jax.random.key(seed)), seed)
 
 
 def inputs(ticks, seed=0):
@@ -23,9 +23,8 @@ def scanned(net, series):
     return jax.lax.scan(lambda memory, now: net.step(memory, now), net.blank(), series)[1]
 
 
-@pytest.mark.parametrize("kind", [MirrorCore, PlainCore])
-def test_step_by_step_it_says_what_a_scan_says(kind):
-    net, series = core(kind), inputs(12)
+def test_step_by_step_it_says_what_a_scan_says():
+    net, series = core(), inputs(12)
     said = scanned(net, series)
     memory = net.blank()
     for tick in range(12):
@@ -36,22 +35,15 @@ def test_step_by_step_it_says_what_a_scan_says(kind):
 
 
 def test_a_mirror_changes_the_sign_of_what_is_odd_and_nothing_else():
-    net, series = core(MirrorCore), inputs(50)
+    net, series = core(), inputs(50)
     said, other = scanned(net, series), scanned(net, series._replace(odd=-series.odd))
     np.testing.assert_allclose(other.even, said.even, atol=1e-6)
     np.testing.assert_allclose(other.odd, -said.odd, atol=1e-6)
     assert min(np.abs(said.even).max(), np.abs(said.odd).max()) > 0.1
 
 
-def test_a_plain_core_has_no_such_symmetry():
-    net, series = core(PlainCore), inputs(50)
-    said, other = scanned(net, series), scanned(net, series._replace(odd=-series.odd))
-    assert np.abs(other.even - said.even).max() > 0.1
-    assert np.abs(other.odd + said.odd).max() > 0.1
-
-
 def test_the_odd_outputs_of_a_mirror_core_see_the_even_inputs_and_the_other_way_round():
-    net, series = core(MirrorCore), inputs(50)
+    net, series = core(), inputs(50)
     said = scanned(net, series)
     assert np.abs(scanned(net, series._replace(even=series.even + 1)).odd - said.odd).max() > 0.1
     assert np.abs(scanned(net, series._replace(odd=2 * series.odd)).even - said.even).max() > 0.1
@@ -59,22 +51,18 @@ def test_the_odd_outputs_of_a_mirror_core_see_the_even_inputs_and_the_other_way_
 
 def test_products_are_those_of_a_count_by_hand():
     # Mirror: 6 x 6 odd, 8 x 12 gates, 6 x 4 hidden, 4 x 1 even out, 4 x 6 factors and their 2 x 3 with the memory.
-    assert products(core(MirrorCore)) == 36 + 96 + 24 + 4 + 24 + 6
-    # Plain: 8 x 6 gates, 8 x 3 candidates, 3 x 4 hidden, 4 x 3 out.
-    assert products(core(PlainCore)) == 48 + 24 + 12 + 12
+    assert products(core()) == 36 + 96 + 24 + 4 + 24 + 6
 
 
-@pytest.mark.parametrize("kind", [MirrorCore, PlainCore])
-def test_untrained_it_says_nothing(kind):
-    said = scanned(kind(INPUTS, OUTPUTS, UNITS, HIDDEN, jax.random.key(0)), inputs(20))
+def test_untrained_it_says_nothing():
+    said = scanned(MirrorCore(INPUTS, OUTPUTS, UNITS, HIDDEN, jax.random.key(0)), inputs(20))
     assert not np.any(said.even)
     assert not np.any(said.odd)
 
 
-@pytest.mark.parametrize(("kind", "bias", "gates"), [(MirrorCore, "bias", 6), (PlainCore, "gates_bias", 3)])
-def test_gates_begin_with_time_constants_from_two_ticks_to_the_slowest(kind, bias, gates):
-    net = kind(INPUTS, OUTPUTS, UNITS, HIDDEN, jax.random.key(0))
-    ticks = 1 / jax.nn.sigmoid(getattr(net, bias)[:gates])
+def test_gates_begin_with_time_constants_from_two_ticks_to_the_slowest():
+    net = MirrorCore(INPUTS, OUTPUTS, UNITS, HIDDEN, jax.random.key(0))
+    ticks = 1 / jax.nn.sigmoid(net.bias[:6])
     assert float(ticks.min()) == pytest.approx(2, rel=1e-4)
     assert float(ticks.max()) == pytest.approx(SLOWEST, rel=1e-4)
 

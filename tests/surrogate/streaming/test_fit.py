@@ -6,14 +6,14 @@ from softfin.core.errors import LogError, RunError
 from softfin.core.randomness import key_of
 from softfin.storage.run_directory import LOG, RunDirectory, read_log
 from softfin.surrogate.streaming import fit as module
+from softfin.surrogate.streaming.drive import Profile
 from softfin.surrogate.streaming.fit import fit_streaming
 from softfin.surrogate.streaming.member import ensemble, predict_logs, single
-from softfin.surrogate.streaming.profile import ProfileConfig
 from softfin.surrogate.streaming.segments import scales_of
 from tests.surrogate.streaming import small
 
 CONFIG = small.CONFIG
-KNOWN = small.PROFILE.merged({"acceleration_rad_s2": 40.0}, "test")
+KNOWN = Profile(delay=2.5, acceleration=40.0)
 """Not quite, so that there is something left to learn."""
 
 LOGS = [small.recorded(rows=400, seed=seed) for seed in range(4)]
@@ -73,11 +73,12 @@ def test_a_killed_fit_resumes_to_the_same_surrogate(tmp_path, whole, after, from
 def test_every_weight_learns_but_the_profile_which_is_what_the_logs_say(whole):
     surrogate, _, _ = whole
     scales = scales_of(LOGS[:-1])
-    fresh = ensemble(2, CONFIG.drive, CONFIG.force, KNOWN, scales, key_of(0, "fit/weights"))
+    fresh = ensemble(2, CONFIG.drive, CONFIG.force, scales, key_of(0, "fit/weights"))
     before, after = (dict(jax.tree_util.tree_leaves_with_path(nets)) for nets in (fresh, surrogate.members))
     held = [jax.tree_util.keystr(path) for path in before if before[path].size and same(before[path], after[path])]
-    assert len(held) == len(ProfileConfig.model_fields)
     assert all(name.startswith(".drive.profile.") for name in held)
+    for index in range(2):
+        assert same(single(surrogate.members.drive.profile, index), KNOWN)
 
 
 def test_the_members_are_not_alike(whole):
@@ -109,20 +110,6 @@ def test_held_out_logs_reach_no_weight(tmp_path, whole):
     both = whole[1], read_log(run_directory.folder / LOG)
     assert of("train/force_loss", both[0]) == of("train/force_loss", both[1])
     assert of("held_out/force_mse", both[0]) != of("held_out/force_mse", both[1])
-
-
-def test_nets_that_are_told_nothing_of_the_fin_learn_too(tmp_path):
-    knowing_nothing = [
-        "drive.mirror=false", "drive.profile=false", "force.mirror=false", "force.turning=false", "members=1",
-        "force.quasi_steady=false", "learning_rate=0.02", "drive_updates=60", "force_updates=60", "batch=16",
-    ]  # fmt: skip
-    run_directory = RunDirectory(tmp_path / "s", {})
-    fitted = fit_streaming(LOGS, CONFIG.changed(knowing_nothing), 7, run_directory)
-    history = read_log(run_directory.folder / LOG)
-    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(fitted.members))
-    for name in ("drive", "force"):
-        losses = of(f"train/{name}_loss", history)
-        assert losses[-1] < 0.7 * losses[0]
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,8 @@ import pytest
 
 from softfin.core.errors import ConfigurationError
 from softfin.surrogate import StreamingConfig
+from softfin.surrogate.streaming.fit import StreamingLearner, drive_loss, force_loss
 from softfin.surrogate.streaming.force import Motion
-from softfin.surrogate.streaming.learner import Learner, drive_loss, force_loss
-from softfin.surrogate.streaming.member import ensemble, single
 from softfin.surrogate.streaming.segments import Table
 from softfin.surrogate.training import keep_best
 from tests.surrogate.streaming import small
@@ -39,20 +38,18 @@ def slopes(function, net):
     return dict(jax.tree_util.tree_leaves_with_path(jax.jit(jax.grad(function))(net)))
 
 
-@pytest.mark.parametrize("options", [{}, {"mirror": False}, {"turning": False}, {"heteroscedastic": True}])
-def test_gradients_reach_every_weight_of_a_force_net(options):
-    net = small.force_net(**options)
+def test_gradients_reach_every_weight_of_a_force_net():
+    net = small.force_net()
     found = slopes(lambda net: force_loss(CONFIG)(net, SEGMENTS, predicted(), jnp.float32(0.5), KEY), net)
     assert [jax.tree_util.keystr(path) for path, slope in found.items() if not np.all(slope)] == []
 
 
-@pytest.mark.parametrize("options", [{}, {"mirror": False}, {"profile": False}])
-def test_gradients_reach_every_weight_of_a_drive_net_and_none_of_its_profile(options):
-    net = small.drive_net(**options)
+def test_gradients_reach_every_weight_of_a_drive_net_and_none_of_its_profile():
+    net = small.drive_net()
     found = slopes(lambda net: drive_loss(CONFIG)(net, SEGMENTS, predicted(), jnp.float32(0), KEY), net)
     names = {jax.tree_util.keystr(path): slope for path, slope in found.items()}
     coefficients = {name for name in names if name.startswith(".profile")}
-    assert len(coefficients) == (7 if options.get("profile", True) else 0)
+    assert len(coefficients) == 7
     assert [name for name, slope in names.items() if name not in coefficients and not np.all(slope)] == []
     assert [name for name in coefficients if names[name] != 0] == []
 
@@ -88,7 +85,7 @@ def test_force_nets_see_the_measured_motion_first_and_the_predicted_one_in_the_e
 
 @pytest.fixture(scope="module")
 def learner():
-    return Learner(force_loss(CONFIG), CONFIG, 8)
+    return StreamingLearner(force_loss(CONFIG), CONFIG, 8)
 
 
 def test_each_member_draws_and_learns_for_itself_and_the_best_weights_of_each_are_kept(learner):
@@ -123,29 +120,6 @@ def test_two_calls_are_one_compiled_program(learner, monkeypatch):
     assert len(compiled) == once
 
 
-def test_nets_learn_that_the_noise_grows_with_the_speed():
-    def noisy(seed):
-        log = small.recorded(600, seed, noise_n=0.0)
-        size = 0.02 + 0.2 * np.abs(log.reading.velocity)
-        noise = np.random.default_rng(seed).normal(size=(600, 2)) * size[:, None]
-        return log._replace(reading=log.reading._replace(force=(log.reading.force + noise).astype(np.float32)))
-
-    changes = ["learning_rate=0.03", "batch=16", "members=1", "force.heteroscedastic=true"]
-    config, updates = CONFIG.changed(changes), 300
-    table = Table.of([noisy(seed) for seed in range(6)], config.ticks)
-    learner = Learner(force_loss(config), config, updates)
-    fresh = ensemble(1, small.DRIVE, config.force, small.PROFILE, small.SCALES, KEY)
-    as_measured = jax.tree.map(lambda x: x[None], table.motion)
-    state, _ = learner.run(learner.start(fresh.force), table, as_measured, jnp.int32(0), updates, KEY)
-    net, motion = single(state.nets), small.recorded(400, seed=50).reading
-    said = small.forces_of(net, motion)
-    deviation = np.exp(np.asarray(said.log_std)) * small.SCALES.force_n
-    speed = np.abs(motion.velocity[1:])
-    for low, high in ((0.0, 0.1), (1.0, 1.5), (2.0, 2.5)):
-        there = (speed >= low) & (speed < high)
-        assert deviation[there].mean() == pytest.approx(0.02 + 0.2 * speed[there].mean(), rel=0.35, abs=0.02)
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -153,7 +127,8 @@ def test_nets_learn_that_the_noise_grows_with_the_speed():
         ("free_running=[0.8, 0.2]", r"two parts of the training in order, such as 0\.2, 0\.8"),
         ("free_running=[0.5, 1.2]", r"two parts of the training in order"),
         ("members=0", r"members = 0: Input should be greater than 0"),
-        ("force.mirors=true", r"did you mean 'mirror'"),
+        ("force.unit=3", r"did you mean 'units'"),
+        ("force.mirror=false", r"force\.mirror = False: Input should be True"),
     ],
 )
 def test_what_cannot_be_fitted_is_refused(change, words):

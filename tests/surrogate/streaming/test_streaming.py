@@ -3,13 +3,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.core.errors import ArtifactError, LogError
+from softfin.core.errors import LogError
 from softfin.core.plant import rest_command, roll
-from softfin.core.quantities import PAPER_LIMITS, Command
+from softfin.core.quantities import Command
 from softfin.surrogate import StreamingSurrogate
 from softfin.surrogate.streaming.core import products
+from softfin.surrogate.streaming.drive import LONGEST_DELAY
 from softfin.surrogate.streaming.member import parameters, predict_logs, single
-from softfin.surrogate.streaming.profile import LONGEST_DELAY
 from softfin.testing import check_plant
 from tests.surrogate.streaming import small
 
@@ -126,20 +126,3 @@ def test_the_distance_is_that_of_the_first_members_force_net(advance):
     state, _ = advance(START, STROKE, 33)
     memory = np.concatenate([np.ravel(leaf[0]) for leaf in jax.tree.leaves(state.members.force[:2])])
     assert float(PLANT.distance(state)) == pytest.approx(np.linalg.norm(memory), rel=1e-4)
-
-
-def test_deviations_are_said_by_nets_that_learnt_them_and_by_no_others():
-    nets = small.members(force=small.FORCE.merged({"heteroscedastic": True}, "test"))
-    plant = StreamingSurrogate(nets, PAPER_LIMITS, small.interval(), small.surrogate().familiarity)
-    state, command = plant.init(jax.random.key(0)), Command(jnp.float32(1.0), jnp.float32(2.0))
-    said = jax.jit(lambda state: plant.force_std(state, command, 5))(state)
-    step, logs = jax.jit(lambda member, state: member.step(state, command)), []
-    for index in range(2):
-        member, own = single(nets, index), single(state.members, index)
-        logs.append([])
-        for _ in range(5):
-            own, (_, spoken) = step(member, own)
-            logs[-1].append(float(spoken.log_std))
-    np.testing.assert_allclose(said, 2.0 * np.sqrt(np.exp(2 * np.array(logs)).mean(axis=0)), rtol=1e-4)
-    with pytest.raises(ArtifactError, match=r"learnt no deviations; fit it with --set force\.heteroscedastic=true"):
-        small.surrogate().force_std(small.surrogate().init(jax.random.key(0)), command, 5)

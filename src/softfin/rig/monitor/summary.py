@@ -55,7 +55,7 @@ class Summary:
     """Places of the joint's rows where some are missing at 100 Hz, and how many are."""
     missing: int
     force_gaps: int
-    """The same for the force's rows."""
+    """Gaps in the rows of the force."""
     force_missing: int
     unreadable: int
     """Messages that could not be decoded as their type."""

@@ -1,23 +1,32 @@
 """Surrogates side by side on the same unseen logs, free-running over several horizons: Table I extended.
 
-Folders and logs go in; groups of scores come out, a group being the seeds of one configuration on the same data. All
-surrogates are scored on the same rows, whatever they need to be warm.
+A group of scores are the seeds of one configuration on the same data. All surrogates are scored on the same rows,
+whatever they need to be warm.
 """
 
-from collections.abc import Callable, Sequence
+import itertools
+import json
+import re
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pydantic
 
 from softfin.core.configuration import Configuration
-from softfin.core.plant import Plant
-from softfin.core.quantities import RATE_HZ, Log, Reading
+from softfin.core.errors import ConfigurationError
+from softfin.core.plant import EnsemblePlant, Plant
+from softfin.core.plant_identity import identity
+from softfin.core.progress import Progress
+from softfin.core.quantities import PAPER_LIMITS, RATE_HZ, Log, Reading
 from softfin.core.randomness import key_of
 from softfin.core.statistics import interval
-from softfin.surrogate.compare.candidates import Candidate, beyond_limits, names_of
-from softfin.surrogate.compare.free_running import BATCH, free_run, run_from_rest, segments_of, take
+from softfin.storage import artifact as artifacts
+from softfin.surrogate.compare.free_running import free_run, run_from_rest, segments_of, take
 from softfin.surrogate.compare.metrics import HorizonScores, measured_ranges, score_segments
+from softfin.surrogate.store import AnySurrogate, load_surrogate
 from softfin.surrogate.streaming.uncertainty import COVERAGE
 
 ENOUGH_SEEDS = 3
@@ -27,6 +36,9 @@ FAR = 0.01
 """Distance beyond the range of the training commands, over that range, from which a test command is worth a note."""
 
 
+SEED_IN_NAME = re.compile(r"[-_./]?(seed)?[-_.]?\d+$")
+
+
 class CompareConfig(Configuration):
     """How surrogates are compared."""
 
@@ -34,8 +46,6 @@ class CompareConfig(Configuration):
     """How long a surrogate runs free [s], on the 10 ms grid; the last is long beside any memory of the fin."""
     seed: int = pydantic.Field(default=0, ge=0)
     """Seed of the noise of the plant that sets the noise floor."""
-    batch: pydantic.PositiveInt = BATCH
-    """Segments side by side, at most."""
 
     @pydantic.field_validator("horizons_s")
     @classmethod
@@ -45,6 +55,15 @@ class CompareConfig(Configuration):
         if len(set(value)) < len(value):
             raise ValueError("a horizon is given twice")
         return tuple(sorted(value))
+
+
+class Candidate(NamedTuple):
+    """A surrogate and where it lies."""
+
+    folder: Path
+    surrogate: AnySurrogate
+    group: str
+    """Key of the group: equal for seeds of one configuration on the same data."""
 
 
 class Run(NamedTuple):
@@ -94,8 +113,8 @@ class Comparison(NamedTuple):
                     f"{group.name}: {share:.1%} of the test commands lie beyond those it was trained on, the furthest "
                     f"by {furthest:.0%} of their range: there it extrapolates"
                 )
-            stated = getattr(group.members[0].surrogate, "interval", None)
-            if stated is not None and (caveat := stated.caveat()) is not None:
+            surrogate = group.members[0].surrogate
+            if isinstance(surrogate, EnsemblePlant) and (caveat := surrogate.interval.caveat()) is not None:
                 notes.append(f"{group.name}: {caveat}")
         if self.noise_floor is not None:
             notes.append(
@@ -107,22 +126,22 @@ class Comparison(NamedTuple):
     def summary(self) -> dict[str, Any]:
         """The comparison for JSON; `write_comparison` describes the entries."""
         yardstick = next((group for group in self.groups if group.model == "paper"), self.groups[0])
-        flops = yardstick.members[0].surrogate.flops_per_tick()
-        rows = []
-        for group, (share, furthest) in zip(self.groups, self.beyond, strict=True):
-            first = group.members[0].surrogate
-            rows.append({
+        flops = [group.members[0].surrogate.flops_per_tick() for group in (yardstick, *self.groups)]
+        rows = [
+            {
                 "name": group.name,
                 "model": group.model,
                 "surrogates": [str(member.folder) for member in group.members],
                 "seeds": len(group.members),
-                "parameters": first.parameters(),
-                "flops_per_tick": first.flops_per_tick(),
-                "flops_ratio": first.flops_per_tick() / flops,
+                "parameters": group.members[0].surrogate.parameters(),
+                "flops_per_tick": own,
+                "flops_ratio": own / flops[0],
                 "commands_beyond_training": share,
                 "furthest_beyond_training": furthest,
                 "horizons": self.horizons_of(group),
-            })  # fmt: skip
+            }
+            for group, own, (share, furthest) in zip(self.groups, flops[1:], self.beyond, strict=True)
+        ]
         second = self.noise_floor
         return {
             "horizons_s": list(self.horizons_s),
@@ -153,7 +172,7 @@ def compare(
     logs: Sequence[Log],
     config: CompareConfig,
     noise_floor: tuple[str, Plant] | None = None,
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Comparison:
     """Score every surrogate free-running over the same segments of the logs; `noise_floor`: a plant by its name.
 
@@ -169,19 +188,17 @@ def compare(
     segments = [segments_of(counts, each, first) for each in reversed(ticks)][::-1]
     ranges = measured_ranges(logs)
     measured = [take(logs, where, each) for where, each in zip(segments, ticks, strict=True)]
-    of, done = len(found) * len(ticks) + (noise_floor is not None), 0
+    of, done = len(found) * len(ticks) + (noise_floor is not None), itertools.count(1)
 
     def report(note: str) -> None:
-        nonlocal done
-        done += 1
         if progress is not None:
-            progress(done / of, note)
+            progress("compare", next(done) / of, note)
 
     def run(candidate: Candidate) -> Run:
         surrogate, scores = candidate.surrogate, []
-        half_width = getattr(getattr(surrogate, "interval", None), "half_width", None)
+        half_width = surrogate.interval.half_width if isinstance(surrogate, EnsemblePlant) else None
         for where, each, actual, horizon in zip(segments, ticks, measured, config.horizons_s, strict=True):
-            reading, members = free_run(surrogate, logs, where, each, config.batch)
+            reading, members = free_run(surrogate, logs, where, each)
             scores.append(score_segments(actual, reading, ranges, members, half_width))
             report(f"{candidate.folder}, {horizon:g} s")
         return Run(scores, reading)
@@ -208,3 +225,60 @@ def compare(
     ]
     beyond = [beyond_limits(group.members, logs) for group in groups]
     return Comparison(config.horizons_s, groups, second, measured[-1], scored, ranges, beyond)
+
+
+def candidates(folders: Sequence[Path]) -> list[Candidate]:
+    """Load surrogates; raises ConfigurationError where there is none, or one is given twice."""
+    if not folders:
+        raise ConfigurationError("no surrogate: give the folders of those that are to be compared")
+    seen: dict[str, Path] = {}
+    found = []
+    for folder in folders:
+        surrogate = load_surrogate(folder)
+        # A copy would pass for a second seed and make the interval too narrow.
+        which = identity(surrogate)
+        if which in seen:
+            before = seen[which]
+            same = "given twice" if before.resolve() == folder.resolve() else f"the same surrogate as {before}"
+            raise ConfigurationError(f"{folder}: {same}; give each surrogate once")
+        seen[which] = folder
+        found.append(Candidate(folder, surrogate, _group(folder, surrogate)))
+    return found
+
+
+def names_of(groups: Sequence[Sequence[Candidate]]) -> list[str]:
+    """Name each group by its model; where several are of one model, also by its first folder, less its seed."""
+    models = Counter(members[0].surrogate.model for members in groups)
+
+    def name(members: Sequence[Candidate], folder: str) -> str:
+        model = members[0].surrogate.model
+        common = SEED_IN_NAME.sub("", folder) if len(members) > 1 else folder
+        return model if models[model] == 1 else f"{model} ({common or folder})"
+
+    short = [name(members, members[0].folder.name) for members in groups]
+    return short if len(set(short)) == len(short) else [name(each, str(each[0].folder)) for each in groups]
+
+
+def beyond_limits(members: Sequence[Candidate], logs: Sequence[Log]) -> tuple[float, float]:
+    """Share of the logs' commands beyond those a group was trained on, and how far the furthest is, over their range.
+
+    For the member for which they are greatest.
+    """
+    commands = np.concatenate([np.stack(log.command, axis=1) for log in logs]).astype(np.float64)
+    limits = np.array([member.surrogate.limits for member in members]).reshape(-1, 1, 2, 2)
+    low, high = limits[..., 0], limits[..., 1]
+    # Where the training commands never changed, over the range of the paper's.
+    span = np.where(high > low, high - low, np.diff(np.reshape(PAPER_LIMITS, (2, 2)))[:, 0])
+    excess = np.maximum((low - commands) / span, (commands - high) / span).max(axis=-1)
+    return float((excess > 0).mean(axis=1).max()), max(float(excess.max()), 0.0)
+
+
+def _group(folder: Path, surrogate: AnySurrogate) -> str:
+    description = artifacts.load_description(folder, "surrogate")
+    data = (description.get("provenance") or {}).get("data_hash")
+    if description.get("configuration") is None or data is None:
+        # Imported: nothing says that two such are seeds of one another.
+        return str(folder.resolve())
+    # The networks too: of several candidates one seed may have chosen another than the next.
+    parts = [surrogate.model, description["configuration"], description.get("networks"), data]
+    return json.dumps(parts, sort_keys=True)

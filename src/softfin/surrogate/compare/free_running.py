@@ -1,8 +1,4 @@
-"""Free-running over logs: a surrogate is warmed on the rows before a segment and then gets its commands alone.
-
-Logs and segments in, predicted readings of these rows out. A plant without `warm` runs whole logs from rest, to be cut
-into the same segments.
-"""
+"""Free-running over logs: a surrogate is warmed on the rows before a segment and then gets its commands alone."""
 
 import math
 from collections.abc import Sequence
@@ -15,9 +11,9 @@ import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
 from softfin.core.errors import LogError, PlantError
-from softfin.core.plant import Plant, State, check_commands, roll
+from softfin.core.plant import EnsemblePlant, Plant, State, check_commands, roll
 from softfin.core.quantities import RATE_HZ, Command, Log, Reading
-from softfin.surrogate.model import SurrogateModel
+from softfin.surrogate.store import AnySurrogate
 
 BATCH = 64
 """Segments side by side, at most: enough for the matrix products, and a few MB of activations."""
@@ -62,10 +58,10 @@ def take(records: Sequence[Record], segments: Sequence[Segment], ticks: int) -> 
 
 
 def free_run(
-    surrogate: SurrogateModel, logs: Sequence[Log], segments: Sequence[Segment], ticks: int, batch: int = BATCH
+    surrogate: AnySurrogate, logs: Sequence[Log], segments: Sequence[Segment], ticks: int
 ) -> FreeRunPrediction:
     """Predict segments that begin at row `memory` or later."""
-    size = math.ceil(len(segments) / math.ceil(len(segments) / batch))
+    size = math.ceil(len(segments) / math.ceil(len(segments) / BATCH))
     parts = []
     for begin in range(0, len(segments), size):
         some = segments[begin : begin + size]
@@ -93,30 +89,24 @@ def run_from_rest(plant: Plant, logs: Sequence[Log], key: PRNGKeyArray) -> list[
         check_commands(plant.limits, log.command)
         issued.append(Command(*(np.pad(x[:-1], (1, max(rows) - count), mode="edge") for x in log.command)))
     states = jax.vmap(plant.init)(jax.random.split(key, len(logs)))
-    reading = Reading(*map(np.asarray, _roll(plant, states, jax.tree.map(jnp.asarray, _stacked(issued)))))
+    reading, _ = jax.tree.map(np.asarray, _free_run(plant, states, jax.tree.map(jnp.asarray, _stacked(issued))))
     _check_finite(reading, [Segment(index, 0) for index in range(len(logs))], "the plant of the noise floor")
     return [Reading(*(field[index, :count] for field in reading)) for index, count in enumerate(rows)]
 
 
 @eqx.filter_jit
-def _free_run(surrogate: Any, states: State, commands: Command) -> tuple[Reading, Any]:
+def _free_run(plant: Any, states: State, commands: Command) -> tuple[Reading, Any]:
     """Fields ``(segments, ticks)``; of an ensemble also the members' forces ``(segments, ticks, members, 2)``."""
-    if not hasattr(surrogate, "advance_members"):
-        return _roll(surrogate, states, commands), None
+    if not isinstance(plant, EnsemblePlant):
+        return jax.vmap(lambda state, issued: roll(plant, state, issued)[1])(states, commands), None
 
     def tick(state: State, command: Command) -> tuple[State, Reading]:
-        state, each = surrogate.advance_members(state, command, 1)
+        state, each = plant.advance_members(state, command, 1)
         return state, jax.tree.map(lambda x: x[:, 0], each)
 
     each = jax.vmap(lambda state, issued: jax.lax.scan(tick, state, issued)[1])(states, commands)
     mean = Reading(each.time[..., 0], each.angle.mean(-1), each.velocity.mean(-1), each.force.mean(-2))
     return mean, each.force
-
-
-@eqx.filter_jit
-def _roll(plant: Any, states: State, commands: Command) -> Reading:
-    reading: Reading = jax.vmap(lambda state, issued: roll(plant, state, issued)[1])(states, commands)
-    return reading
 
 
 def _rows(record: Record, begin: int, end: int) -> Record:

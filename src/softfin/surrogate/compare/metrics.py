@@ -17,8 +17,8 @@ from softfin.core.action_clock import WINDOW
 from softfin.core.errors import LogError
 from softfin.core.quantities import AXES, AnyArray, Log, Reading
 from softfin.core.window import moving_average
-from softfin.surrogate.channels import ANGLE, FORCES, channels_of, joined_channels
-from softfin.surrogate.model import NetPrediction, SurrogateModel
+from softfin.surrogate.channels import ANGLE, FORCES, NetPrediction, channels_of, joined_channels
+from softfin.surrogate.store import AnySurrogate
 
 DTW_BAND = 100
 """Half-width of the band [samples]: a shift of more than a second is no longer the same motion."""
@@ -62,10 +62,10 @@ def dtw_mae(predicted: Samples, measured: Samples) -> float:
 TABLE_I_SCORES: Mapping[str, Callable[[Samples, Samples], float]] = {"rmse": rmse, "mae": mae, "dtw_mae": dtw_mae}
 
 
-def table_one(surrogate: SurrogateModel, logs: Sequence[Log]) -> dict[str, Any]:
+def table_one(surrogate: AnySurrogate, logs: Sequence[Log]) -> dict[str, Any]:
     """Table I, averaged over the test logs.
 
-    Rows are the nets that `SurrogateModel.predictions` names, each with ``window``, ``parameters``, ``physical`` (rad
+    Rows are the nets that `predictions` of a surrogate name, each with ``window``, ``parameters``, ``physical`` (rad
     or N) and ``scaled`` scores, the means over its channels. Scaled scores are those times the surrogate's scaling, or
     over the range of what was measured: a score is proportional to the scale of its series.
     """

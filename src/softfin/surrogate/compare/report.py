@@ -136,6 +136,6 @@ def _pooled(group: Group, field: str) -> np.ndarray:
 
 
 def _distribution(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The empirical distribution at 0 and 400 quantiles: as fine as it can be seen."""
+    """The empirical distribution at 0 and 400 quantiles."""
     share = np.linspace(0, 1, 401)
     return np.concatenate([[0], np.quantile(values, share)]), np.concatenate([[0], share])

@@ -19,21 +19,14 @@ from pydantic import Field, PositiveInt
 from softfin.core.compilation import used_once
 from softfin.core.configuration import Configuration
 from softfin.core.errors import LogError
+from softfin.core.progress import Progress
 from softfin.core.quantities import Log
 from softfin.core.randomness import generator_of, key_of
 from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, Scaling
 from softfin.surrogate.paper.network import FORCENET, POSNET, Network, NetworkConfig, gather
 from softfin.surrogate.paper.surrogate import Surrogate
-from softfin.surrogate.training import (
-    UPDATES_A_CALL,
-    Call,
-    Progress,
-    TrainingState,
-    check_lengths,
-    held_out_count,
-    train,
-)
+from softfin.surrogate.training import UPDATES_A_CALL, Call, TrainingState, check_lengths, held_out_count, train
 
 COLUMNS = (ANGLE, *COMMANDS, *FORCES)
 """Columns of the table that training gathers its windows from: ForceNet's channels first, PosNet's within them."""
@@ -79,7 +72,7 @@ def fit(
     # Equal calls, so that one compiled program does them all.
     calls = max(1, -(-(len(starts) // config.batch) // UPDATES_A_CALL))
     updates = len(starts) // config.batch // calls * calls
-    learner = Learner(config, updates)
+    learner = PaperLearner(config, updates)
     state, done = learner.start(key_of(seed, "fit/weights")), {"epoch": 0, "stale": 0}
     if (resumed := run_directory.load(state)) is not None:
         state, done = resumed
@@ -129,7 +122,7 @@ def split(
     return training, holding, Scaling.fit(training), starts
 
 
-class Learner:
+class PaperLearner:
     """The update of both nets, compiled once."""
 
     def __init__(self, config: FitConfig, updates: int) -> None:
@@ -140,14 +133,14 @@ class Learner:
 
     def start(self, key: PRNGKeyArray) -> TrainingState:
         """Fresh weights."""
-        state: TrainingState = used_once(self._start)(key)
-        return state
 
-    def _start(self, key: PRNGKeyArray) -> TrainingState:
-        configs, keys = (self.config.posnet, self.config.forcenet), jax.random.split(key)
-        nets = Nets(*(Network.create(config, one) for config, one in zip(configs, keys, strict=True)))
-        worst = Nets(jnp.float32(jnp.inf), jnp.float32(jnp.inf))
-        return TrainingState(nets, self.optimiser.init(nets), nets, worst)
+        def fresh(key: PRNGKeyArray) -> TrainingState:
+            configs, keys = (self.config.posnet, self.config.forcenet), jax.random.split(key)
+            nets = Nets(*(Network.create(config, one) for config, one in zip(configs, keys, strict=True)))
+            return TrainingState(nets, self.optimiser.init(nets), nets, Nets(*jnp.full(2, jnp.inf, jnp.float32)))
+
+        state: TrainingState = used_once(fresh)(key)
+        return state
 
     def _run(
         self,

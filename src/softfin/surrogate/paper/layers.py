@@ -29,17 +29,29 @@ class BaseLayer(Configuration):
         """Shapes of the parameters by name."""
         return {}
 
-    def output(self, example: Shape) -> Shape:
-        """Shape of one example behind this layer."""
-        return example
-
     def apply(self, parameters: Parameters, x: Float[Array, "batch *example"]) -> Array:
         """Output of the layer for a batch of examples."""
         return x
 
+    def output(self, example: Shape) -> Shape:
+        """Shape of one example behind this layer."""
+        shape: Shape = jax.eval_shape(self.apply, *self._abstract(example)).shape
+        return shape[1:]
+
     def products(self, example: Shape) -> int:
         """Multiply-adds of the matrix products for one example, as `apply` does them."""
-        return 0
+        steps = jax.make_jaxpr(self.apply)(*self._abstract(example)).eqns
+        return sum(
+            step.outvars[0].aval.size * prod(step.invars[0].aval.shape[axis] for axis in contracted)
+            for step in steps
+            if step.primitive.name == "dot_general"
+            for (contracted, _), _ in [step.params["dimension_numbers"]]
+        )
+
+    def _abstract(self, example: Shape) -> tuple[dict[str, jax.ShapeDtypeStruct], jax.ShapeDtypeStruct]:
+        shapes = {"": (1, *example), **self.shapes(example)}
+        abstract = {name: jax.eval_shape(lambda shape=shape: jnp.zeros(shape)) for name, shape in shapes.items()}
+        return abstract, abstract.pop("")
 
 
 class Conv1D(BaseLayer):
@@ -53,10 +65,6 @@ class Conv1D(BaseLayer):
     def shapes(self, example: Shape) -> dict[str, Shape]:
         """Kernel (taps, features, filters) and bias."""
         return {"kernel": (self.kernel, example[1], self.filters), "bias": (self.filters,)}
-
-    def output(self, example: Shape) -> Shape:
-        """(steps, filters)."""
-        return (example[0], self.filters)
 
     def apply(self, parameters: Parameters, x: Float[Array, "batch steps features"]) -> Array:
         """One matrix product: with few steps nearly every block of the convolution's matrix is used."""
@@ -73,10 +81,6 @@ class Conv1D(BaseLayer):
         y = (x.reshape(batch, steps * features) @ matrix).reshape(batch, steps, self.filters)
         return ACTIVATIONS[self.activation](y + parameters["bias"])
 
-    def products(self, example: Shape) -> int:
-        """Those of the one product."""
-        return example[0] ** 2 * example[1] * self.filters
-
 
 class LSTM(BaseLayer):
     """Long short-term memory (Hochreiter and Schmidhuber 1997); gates in the order input, forget, cell, output."""
@@ -90,10 +94,6 @@ class LSTM(BaseLayer):
         """Kernel (features, gates), recurrent kernel (units, gates) and bias."""
         gates = 4 * self.units
         return {"kernel": (example[1], gates), "recurrent": (self.units, gates), "bias": (gates,)}
-
-    def output(self, example: Shape) -> Shape:
-        """(steps, units), or (units,) of the last step."""
-        return (example[0], self.units) if self.sequence else (self.units,)
 
     def apply(self, parameters: Parameters, x: Float[Array, "batch steps features"]) -> Array:
         """One product a step, of input and past side by side; the first step has no past, so nothing to forget."""
@@ -109,11 +109,6 @@ class LSTM(BaseLayer):
             outputs.append(jax.nn.sigmoid(o) * jnp.tanh(cell))
         return jnp.stack(outputs, axis=1) if self.sequence else outputs[-1]
 
-    def products(self, example: Shape) -> int:
-        """Those of all steps."""
-        steps, features = example
-        return self.units * (3 * features + 4 * (steps - 1) * (features + self.units))
-
     def _without_forget(self, gates: Array) -> Array:
         return jnp.concatenate([gates[..., : self.units], gates[..., 2 * self.units :]], axis=-1)
 
@@ -122,10 +117,6 @@ class MeanPool(BaseLayer):
     """Mean over the steps."""
 
     kind: Literal["mean_pool"] = "mean_pool"
-
-    def output(self, example: Shape) -> Shape:
-        """(features,)."""
-        return example[1:]
 
     def apply(self, parameters: Parameters, x: Float[Array, "batch steps features"]) -> Array:
         """(batch, features)."""
@@ -136,10 +127,6 @@ class Flatten(BaseLayer):
     """Steps and features side by side."""
 
     kind: Literal["flatten"] = "flatten"
-
-    def output(self, example: Shape) -> Shape:
-        """(steps * features,)."""
-        return (prod(example),)
 
     def apply(self, parameters: Parameters, x: Float[Array, "batch ..."]) -> Array:
         """(batch, steps * features)."""
@@ -157,17 +144,9 @@ class Dense(BaseLayer):
         """Kernel (features, units) and bias."""
         return {"kernel": (example[-1], self.units), "bias": (self.units,)}
 
-    def output(self, example: Shape) -> Shape:
-        """(..., units)."""
-        return (*example[:-1], self.units)
-
     def apply(self, parameters: Parameters, x: Float[Array, "batch ... features"]) -> Array:
         """(batch, ..., units)."""
         return ACTIVATIONS[self.activation](x @ parameters["kernel"] + parameters["bias"])
-
-    def products(self, example: Shape) -> int:
-        """Those of the one product."""
-        return prod(example) * self.units
 
 
 class Dropout(BaseLayer):

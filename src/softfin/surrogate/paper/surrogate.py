@@ -21,8 +21,7 @@ from softfin.core.errors import ArtifactError, LogError
 from softfin.core.plant import Ticks, rest_command
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading
 from softfin.core.ticks import tick_at
-from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, Scaling
-from softfin.surrogate.model import NetPrediction
+from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, NetPrediction, Scaling
 from softfin.surrogate.paper.network import Network, NetworkConfig
 
 
@@ -36,7 +35,7 @@ class SurrogateState(NamedTuple):
 
 
 class Surrogate(eqx.Module):
-    """The paper's surrogate of a fin; meets the Plant contract and that of a `SurrogateModel`."""
+    """The paper's surrogate of a fin; meets the Plant contract."""
 
     model: ClassVar[str] = "paper"
 

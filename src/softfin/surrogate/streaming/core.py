@@ -1,8 +1,8 @@
-"""Recurrent cores: inputs, outputs and memory split by what a mirror does to them.
+"""The recurrent core: inputs, outputs and memory split by what a mirror does to them.
 
 A fin that is mirrored in the plane y = 0 is the same fin: angle, angular velocity and force y change sign (odd), force
-x and speeds do not (even). `MirrorCore` has that built in, weight by weight; `PlainCore` has the same interface and no
-symmetry, for fins that have none. Both are gated recurrent units: h' = h + u (c - h) with a gate u and a candidate c.
+x and speeds do not (even). `MirrorCore` has that built in, weight by weight. It is a gated recurrent unit:
+h' = h + u (c - h) with a gate u and a candidate c.
 """
 
 from typing import Any, NamedTuple
@@ -71,45 +71,6 @@ class MirrorCore(eqx.Module):
         hidden = jnp.tanh(jnp.concatenate([even, sizes]) @ self.hidden_in + self.hidden_bias)
         factors = self.odd_out.T + (hidden @ self.odd_factors).reshape(-1, n)
         return Parity(even, odd), Parity(hidden @ self.even_out, factors @ odd)
-
-
-class PlainCore(eqx.Module):
-    """No symmetry: a gated recurrent unit with a hidden layer behind it; all its memory stands under `even`."""
-
-    gates_in: Float[Array, "memory_and_inputs gates"]
-    gates_bias: Float[Array, "gates"]
-    candidate_in: Float[Array, "memory_and_inputs units"]
-    candidate_bias: Float[Array, "units"]
-    hidden_in: Float[Array, "units hidden"]
-    hidden_bias: Float[Array, "hidden"]
-    out: Float[Array, "hidden outputs"]
-    outputs: Parity = eqx.field(static=True)
-
-    def __init__(self, inputs: Parity, outputs: Parity, units: int, hidden: int, key: PRNGKeyArray) -> None:
-        keys = jax.random.split(key, 4)
-        rows = units + inputs.even + inputs.odd
-        self.gates_in = _uniform(keys[0], rows, 2 * units)
-        self.gates_bias = jnp.concatenate([_gates(keys[1], units), jnp.ones(units)])
-        self.candidate_in = _uniform(keys[2], rows, units)
-        self.candidate_bias = jnp.zeros(units)
-        self.hidden_in = _uniform(keys[3], units, hidden)
-        self.hidden_bias = jnp.zeros(hidden)
-        self.out = jnp.zeros((hidden, outputs.even + outputs.odd))
-        self.outputs = outputs
-
-    def blank(self) -> Parity:
-        """Memory that holds nothing yet."""
-        return Parity(jnp.zeros(self.candidate_bias.shape), jnp.zeros(0))
-
-    def step(self, memory: Parity, inputs: Parity) -> tuple[Parity, Parity]:
-        """Step by one tick: (memory, inputs) -> (memory, outputs)."""
-        both = jnp.concatenate([inputs.even, inputs.odd])
-        gates = jnp.concatenate([memory.even, both]) @ self.gates_in + self.gates_bias
-        opening, reset = jnp.split(jax.nn.sigmoid(gates), 2)
-        candidate = jnp.concatenate([reset * memory.even, both]) @ self.candidate_in + self.candidate_bias
-        units = memory.even + opening * (jnp.tanh(candidate) - memory.even)
-        outputs = jnp.tanh(units @ self.hidden_in + self.hidden_bias) @ self.out
-        return Parity(units, memory.odd), Parity(outputs[: self.outputs.even], outputs[self.outputs.even :])
 
 
 def products(net: eqx.Module) -> int:

@@ -1,53 +1,165 @@
 """Fits a streaming surrogate: profile, drive nets, force nets, then the estimates of their errors, in this order.
 
-Force nets are trained on the motion that the drive nets predict for whole logs, so that both are scored as they will be
-used: free-running, from the commands alone.
+All members learn side by side. Force nets are trained on the motion that the drive nets predict for whole logs, so that
+both are scored as they will be used: free-running, from the commands alone.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+import optax
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+from pydantic import Field, PositiveInt, model_validator
 
 from softfin.core.action_clock import WINDOW
+from softfin.core.configuration import Configuration
 from softfin.core.errors import LogError
-from softfin.core.quantities import Limits, Log
+from softfin.core.progress import Progress
+from softfin.core.quantities import Log
 from softfin.core.randomness import key_of
 from softfin.storage.run_directory import RunDirectory
-from softfin.surrogate.channels import COMMANDS, joined_channels
-from softfin.surrogate.streaming.drive import DriveNet
-from softfin.surrogate.streaming.force import ForceNet, Motion
+from softfin.surrogate.channels import command_limits
+from softfin.surrogate.streaming.drive import LONGEST_DELAY, DriveNetConfig, FollowingNet
+from softfin.surrogate.streaming.force import ForceNet, ForceNetConfig, Motion, Scales
 from softfin.surrogate.streaming.identify import identify
-from softfin.surrogate.streaming.learner import Learner, StreamingConfig, drive_loss, force_loss
-from softfin.surrogate.streaming.member import Member, ensemble, predict_force, predict_logs, predict_motion
-from softfin.surrogate.streaming.profile import LONGEST_DELAY, Profile, ProfileConfig
-from softfin.surrogate.streaming.segments import Table, scales_of
+from softfin.surrogate.streaming.member import (
+    Member,
+    ensemble,
+    forces,
+    motions,
+    predict_force,
+    predict_logs,
+    predict_motion,
+)
+from softfin.surrogate.streaming.segments import SegmentBatch, Table, scales_of, slices
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 from softfin.surrogate.streaming.uncertainty import calibrated, familiar
-from softfin.surrogate.training import (
-    UPDATES_A_CALL,
-    Call,
-    Progress,
-    TrainingState,
-    check_lengths,
-    held_out_count,
-    train,
-)
+from softfin.surrogate.training import UPDATES_A_CALL, Call, TrainingState, check_lengths, held_out_count, train
+
+WARM_UP = 100
+"""Updates in which the learning rate rises."""
 
 ROUNDS = 10
 """Times that a net is scored on the held-out logs while it is trained."""
 
+Loss = Callable[[Any, SegmentBatch, Motion, Float[Array, ""], PRNGKeyArray], Float[Array, ""]]
+"""Loss of one member: (net, segments, predicted motion from their `before` on, part of the training done, key)."""
 
-class _Both(NamedTuple):
-    """What a checkpoint holds."""
 
-    drive: TrainingState
-    force: TrainingState
+class StreamingConfig(Configuration):
+    """How an ensemble of nets with a state of their own is fitted; docs/surrogates.md measures the choices."""
+
+    drive: DriveNetConfig = DriveNetConfig()
+    """Commands to motion."""
+    force: ForceNetConfig = ForceNetConfig()
+    """Motion to force."""
+    members: PositiveInt = 5
+    """Members of the ensemble, trained side by side from different weights on different segments."""
+    drive_updates: PositiveInt = 600
+    """Updates of the drive nets; the learning rate falls to a hundredth over them (cosine)."""
+    force_updates: PositiveInt = 2000
+    """Updates of the force nets, likewise."""
+    batch: PositiveInt = 32
+    """Segments of the logs an update and member."""
+    ticks: int = Field(default=400, ge=2)
+    """Length of a segment [10 ms]; gradients go back through all of it."""
+    burn_in: int = Field(default=100, ge=0)
+    """Ticks at the beginning of a segment whose errors do not count: what was before it is not known."""
+    learning_rate: float = Field(default=3e-3, gt=0)
+    """Greatest learning rate of Adam."""
+    free_running: tuple[float, float] = (0.2, 0.8)
+    """Parts of the force nets' training between which they change from the measured to the predicted motion."""
+    held_out: float = Field(default=0.1, gt=0, lt=1)
+    """Share of the training logs kept for choosing weights and calibrating intervals; at least one log."""
+
+    @model_validator(mode="after")
+    def _in_order(self) -> "StreamingConfig":
+        if self.burn_in >= self.ticks:
+            raise ValueError(f"burn_in must be less than ticks = {self.ticks}, or no error counts")
+        if not 0 <= self.free_running[0] <= self.free_running[1] <= 1:
+            raise ValueError("free_running must be two parts of the training in order, such as 0.2, 0.8")
+        return self
+
+
+class StreamingLearner:
+    """The updates of one kind of net, compiled once: all members' weights a step further, side by side."""
+
+    def __init__(self, loss: Loss, config: StreamingConfig, updates: int) -> None:
+        self.loss, self.config, self.updates = loss, config, updates
+        rate = config.learning_rate
+        schedule = optax.warmup_cosine_decay_schedule(0.0, rate, min(WARM_UP, updates // 4), updates, rate / 100)
+        self.optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
+        self.run = eqx.filter_jit(self._run)
+
+    def start(self, nets: Any) -> TrainingState:
+        """State before the first update."""
+        # With its type, or the second call would be compiled anew.
+        worst = jnp.full(self.config.members, jnp.inf, jnp.float32)
+        return TrainingState(nets, jax.jit(jax.vmap(self.optimiser.init))(nets), nets, worst)
+
+    def _run(
+        self, state: TrainingState, table: Table, predicted: Motion, first: Int[Array, ""], count: int,
+        key: PRNGKeyArray,
+    ) -> tuple[TrainingState, Float[Array, "members"]]:  # fmt: skip
+        """`count` updates (static), of which `first` is the first; also returns the members' mean losses."""
+
+        def member(net: Any, optimiser: Any, predicted: Motion, number: Array, key: PRNGKeyArray) -> Any:
+            draw, key = jax.random.split(key)
+            segments = table.draw(draw, self.config.batch, self.config.ticks)
+            motion = slices(predicted, segments.starts, self.config.ticks + 1)
+            loss, slope = jax.value_and_grad(self.loss)(net, segments, motion, number / self.updates, key)
+            step, optimiser = self.optimiser.update(slope, optimiser, net)
+            return optax.apply_updates(net, step), optimiser, loss
+
+        def update(carry: Any, number: Int[Array, ""]) -> Any:
+            keys = jax.random.split(jax.random.fold_in(key, number), self.config.members)
+            nets, optimiser = carry
+            each = jax.vmap(member, in_axes=(0, 0, 0, None, 0))
+            nets, optimiser, loss = each(nets, optimiser, predicted, number, keys)
+            return (nets, optimiser), loss
+
+        (nets, optimiser), losses = jax.lax.scan(update, (state.nets, state.optimiser), first + jnp.arange(count))
+        return state._replace(nets=nets, optimiser=optimiser), losses.mean(axis=0)
+
+
+def drive_loss(config: StreamingConfig) -> Loss:
+    """Return the mean square error of angle and velocity, each in its own unit: free-running from the first tick on."""
+
+    def loss(net: FollowingNet, segments: SegmentBatch, _: Motion, __: Array, ___: PRNGKeyArray) -> Float[Array, ""]:
+        predicted = jax.vmap(lambda *of: motions(net, *of))(segments.before, segments.waiting, segments.commands)
+        angle = (predicted.angle - segments.motion.angle) / net.scales.angle_rad
+        velocity = (predicted.velocity - segments.motion.velocity) / net.scales.velocity_rad_s
+        return jnp.mean((angle**2 + velocity**2)[:, config.burn_in :])
+
+    return loss
+
+
+def force_loss(config: StreamingConfig) -> Loss:
+    """Return the mean square error of the force over its scale.
+
+    A segment gets the measured motion at first, and the drive net's in the end: in between, with the probability that
+    grows from 0 to 1 over the `free_running` part of the training.
+    """
+    begin, end = config.free_running
+
+    def loss(
+        net: ForceNet, segments: SegmentBatch, predicted: Motion, done: Array, key: PRNGKeyArray
+    ) -> Float[Array, ""]:
+        share = jnp.clip((done - begin) / jnp.maximum(end - begin, 1e-6), 0.0, 1.0)
+        free = jax.random.bernoulli(key, share, (config.batch, 1))
+        measured = jax.tree.map(lambda x, y: jnp.concatenate([x[:, None], y], axis=1), segments.before, segments.motion)
+        motion = jax.tree.map(lambda new, old: jnp.where(free, new, old), predicted, measured)
+        before, after = jax.tree.map(lambda x: x[:, 0], motion), jax.tree.map(lambda x: x[:, 1:], motion)
+        force = jax.vmap(lambda *of: forces(net, *of))(before, after)
+        error = jnp.sum(((force - segments.force) / net.scales.force_n) ** 2, axis=-1)
+        return jnp.mean(error[:, config.burn_in :])
+
+    return loss
 
 
 def fit_streaming(
@@ -63,128 +175,96 @@ def fit_streaming(
         LogError: too few logs, logs too short for a segment, or logs in which nothing moves.
         RunError: the loss is no longer finite.
     """
-    return StreamingFit(logs, config, seed, run_directory, progress).run()
+    training, holding, scales, table = split_streaming(logs, config)
+    members = ensemble(config.members, config.drive, config.force, scales, key_of(seed, "fit/weights"))
+    updates = {"drive": config.drive_updates, "force": config.force_updates}
+    learners = {
+        "drive": StreamingLearner(drive_loss(config), config, updates["drive"]),
+        "force": StreamingLearner(force_loss(config), config, updates["force"]),
+    }
+    states = {name: learner.start(getattr(members, name)) for name, learner in learners.items()}
+    done: dict[str, Any] = dict.fromkeys(learners, 0)
+    if (resumed := run_directory.load(states)) is not None:
+        states, done = resumed
+    else:
+        if progress is not None:
+            progress("fit", 0.0, "identifying the drive's profile from the logs")
+        profile = jax.tree.map(lambda x: jnp.full((config.members, *x.shape), x), identify(training, seed)[0])
+        nets = eqx.tree_at(lambda nets: nets.profile, states["drive"].nets, profile)
+        states["drive"] = states["drive"]._replace(nets=nets, best=nets)
+    record = run_directory.log(rewind_to=sum(done.values()))
+    if resumed is None:
+        short = sum(len(log.reading.time) <= LONGEST_DELAY + config.ticks for log in training)
+        record.write(0, logs=float(len(training)), logs_shorter_than_a_segment=float(short))
 
-
-class StreamingFit:
-    """One fit and what its parts share; to make one raises LogError where the logs cannot be fitted."""
-
-    def __init__(
-        self,
-        logs: Sequence[Log],
-        config: StreamingConfig,
-        seed: int,
-        run_directory: RunDirectory,
-        progress: Progress | None,
-    ) -> None:
-        held_out = held_out_count(len(logs), config.held_out)
-        self.training, self.holding = list(logs[:-held_out]), list(logs[-held_out:])
-        check_lengths(self.holding, config.burn_in, "held-out")
-        longest = max(len(log.reading.time) for log in self.holding)
-        if longest < config.burn_in + WINDOW:
-            raise LogError(
-                f"the longest of {held_out} held-out logs has {longest} rows; intervals on the mean over {WINDOW} "
-                f"samples behind burn_in = {config.burn_in} need {config.burn_in + WINDOW}; record longer"
-            )
-        self.config, self.seed, self.run_directory, self.progress = config, seed, run_directory, progress
-        self.scales = scales_of(self.training)
-        self.table = Table.of(self.training, config.ticks)
-        self.updates = {"drive": config.drive_updates, "force": config.force_updates}
-
-    def run(self) -> StreamingSurrogate:
-        """Fit the whole ensemble."""
-        config = self.config
-        parts = (config.drive, config.force, ProfileConfig(), self.scales)
-        members = ensemble(config.members, *parts, key_of(self.seed, "fit/weights"))
-        drive = Learner(drive_loss(config), config, config.drive_updates)
-        force = Learner(force_loss(config), config, config.force_updates)
-        both = _Both(drive.start(members.drive), force.start(members.force))
-        done: dict[str, Any] = {"drive": 0, "force": 0}
-        if (resumed := self.run_directory.load(both)) is not None:
-            both, done = resumed
-        elif config.drive.profile:
-            both = both._replace(drive=self._with_profile(both.drive))
-        self.record = self.run_directory.log(rewind_to=sum(done[name] for name in self.updates))
-        if resumed is None:
-            short = sum(len(log.reading.time) <= LONGEST_DELAY + config.ticks for log in self.training)
-            self.record.write(0, logs=float(len(self.training)), logs_shorter_than_a_segment=float(short))
-        not_used = Motion(*(jnp.zeros((config.members, self.table.force.shape[0])) for _ in range(2)))
-        for state in self._train("drive", drive, both.drive, done, not_used, self._drive_error):
-            both = both._replace(drive=state)
-            self.run_directory.save(both, done)
-        drives = both.drive.best
-        predicted = predict_motion(drives, self.training)
-        joined = Motion(*(jnp.asarray(np.concatenate(parts, axis=1)) for parts in zip(*predicted, strict=True)))
-        held_out = predict_motion(drives, self.holding)
-        force_error = partial(self._force_error, held_out)
-        for state in self._train("force", force, both.force, done, joined, force_error):
-            both = both._replace(force=state)
-            self.run_directory.save(both, done)
-        self.record.close()
-        return self._finished(Member(drives, both.force.best))
-
-    def _with_profile(self, state: TrainingState) -> TrainingState:
-        """Put the coefficients of the drive's profile into every member."""
-        if self.progress is not None:
-            self.progress("fit", 0.0, "identifying the drive's profile from the logs")
-        found, _ = identify(self.training, self.seed)
-        profile = jax.tree.map(lambda x: jnp.full((self.config.members, *x.shape), x), Profile(found))
-        nets = eqx.tree_at(lambda nets: nets.profile, state.nets, profile)
-        return state._replace(nets=nets, best=nets)
-
-    def _train(
-        self,
-        name: str,
-        learner: Learner,
-        state: TrainingState,
-        done: dict[str, Any],
-        predicted: Motion,
-        held_out_loss: Callable[[Any], Float[np.ndarray, "members"]],
-    ) -> Iterator[TrainingState]:
-        """The updates of one kind of net, in rounds; yields the state after each."""
-        key, updates = key_of(self.seed, f"fit/{name}"), self.updates[name]
-        call, round_of = _calls(updates)
-        before = self.updates["drive"] if name == "force" else 0
+    def learn(name: str, predicted: Motion, held_out_loss: Callable[[Any], Float[np.ndarray, "members"]]) -> None:
+        """All updates of one kind of net, in rounds, with a checkpoint after each."""
+        key, (call, round_of) = key_of(seed, f"fit/{name}"), _calls(updates[name])
+        before = updates["drive"] if name == "force" else 0
 
         def run(state: TrainingState, first: int, count: int) -> tuple[TrainingState, Float[Array, "members"]]:
-            state, loss = learner.run(state, self.table, predicted, jnp.int32(first), count, key)
-            if self.progress is not None:
-                part = (before + first + count) / sum(self.updates.values())
-                self.progress("fit", part, f"{name} nets, loss {float(loss.mean()):.3g}")
+            state, loss = learners[name].run(state, table, predicted, jnp.int32(first), count, key)
+            if progress is not None:
+                part = (before + first + count) / sum(updates.values())
+                progress("fit", part, f"{name} nets, loss {float(loss.mean()):.3g}")
             return state, loss
 
         def rounds() -> Iterator[list[Call]]:
-            for first in range(done[name], updates, round_of):
-                until = min(first + round_of, updates)
+            for first in range(done[name], updates[name], round_of):
+                until = min(first + round_of, updates[name])
                 yield [partial(run, first=at, count=min(call, until - at)) for at in range(first, until, call)]
 
-        for each in train(state, rounds(), held_out_loss, f"{name} nets"):
-            done[name] = min(done[name] + round_of, updates)
+        for each in train(states[name], rounds(), held_out_loss, f"{name} nets"):
+            done[name] = min(done[name] + round_of, updates[name])
             means = {f"train/{name}_loss": each.losses[-1], f"held_out/{name}_mse": each.held_out}
-            self.record.write(before + done[name], **{title: float(x.mean()) for title, x in means.items()})
-            yield each.state
+            record.write(before + done[name], **{title: float(x.mean()) for title, x in means.items()})
+            states[name] = each.state
+            run_directory.save(states, done)
 
-    def _drive_error(self, nets: DriveNet) -> Float[np.ndarray, "members"]:
-        """Mean square error of angle and velocity over the held-out logs, each in its own unit."""
-        parts = []
-        for predicted, log in zip(predict_motion(nets, self.holding), self.holding, strict=True):
-            angle = (predicted.angle - log.reading.angle) / self.scales.angle_rad
-            velocity = (predicted.velocity - log.reading.velocity) / self.scales.velocity_rad_s
-            parts.append((angle**2 + velocity**2).mean(axis=1))
-        return np.asarray(np.mean(parts, axis=0))
+    not_used = Motion(*(jnp.zeros((config.members, table.force.shape[0])) for _ in range(2)))
+    learn("drive", not_used, partial(_drive_error, holding, scales))
+    drives = states["drive"].best
+    predicted = zip(*predict_motion(drives, training), strict=True)
+    joined = Motion(*(jnp.asarray(np.concatenate(parts, axis=1)) for parts in predicted))
+    learn("force", joined, partial(_force_error, holding, predict_motion(drives, holding), config.burn_in))
+    record.close()
+    members = Member(drives, states["force"].best)
+    held_out = [predicted.force for predicted in predict_logs(members, holding)]
+    interval = calibrated(held_out, holding, config.burn_in)
+    return StreamingSurrogate(members, command_limits(training), interval, familiar(members, training, config.burn_in))
 
-    def _force_error(self, motion: Sequence[Motion], nets: ForceNet) -> Float[np.ndarray, "members"]:
-        """Mean square error of the force over the held-out logs, behind the drive nets [N2]."""
-        each = zip(predict_force(nets, motion), self.holding, strict=True)
-        errors = [(force - log.reading.force)[:, self.config.burn_in :] for force, log in each]
-        return np.asarray(np.mean([(error**2).sum(-1).mean(axis=1) for error in errors], axis=0))
 
-    def _finished(self, members: Member) -> StreamingSurrogate:
-        columns = joined_channels(self.training)
-        limits = Limits(*(float(end) for name in COMMANDS for end in (columns[name].min(), columns[name].max())))
-        held_out = [predicted.force for predicted in predict_logs(members, self.holding)]
-        interval = calibrated(held_out, self.holding, self.config.burn_in)
-        return StreamingSurrogate(members, limits, interval, familiar(members, self.training, self.config.burn_in))
+def split_streaming(logs: Sequence[Log], config: StreamingConfig) -> tuple[list[Log], list[Log], Scales, Table]:
+    """Training and held-out logs, scales and table of the former; raises LogError where these cannot be fitted."""
+    held_out = held_out_count(len(logs), config.held_out)
+    training, holding = list(logs[:-held_out]), list(logs[-held_out:])
+    check_lengths(holding, config.burn_in, "held-out")
+    longest = max(len(log.reading.time) for log in holding)
+    if longest < config.burn_in + WINDOW:
+        raise LogError(
+            f"the longest of {held_out} held-out logs has {longest} rows; intervals on the mean over {WINDOW} "
+            f"samples behind burn_in = {config.burn_in} need {config.burn_in + WINDOW}; record longer"
+        )
+    return training, holding, scales_of(training), Table.of(training, config.ticks)
+
+
+def _drive_error(logs: Sequence[Log], scales: Scales, nets: FollowingNet) -> Float[np.ndarray, "members"]:
+    """Mean square error of angle and velocity over held-out logs, each in its own unit."""
+    parts = []
+    for predicted, log in zip(predict_motion(nets, logs), logs, strict=True):
+        angle = (predicted.angle - log.reading.angle) / scales.angle_rad
+        velocity = (predicted.velocity - log.reading.velocity) / scales.velocity_rad_s
+        parts.append((angle**2 + velocity**2).mean(axis=1))
+    return np.asarray(np.mean(parts, axis=0))
+
+
+def _force_error(
+    logs: Sequence[Log], motion: Sequence[Motion], burn_in: int, nets: ForceNet
+) -> Float[np.ndarray, "members"]:
+    """Mean square error of the force over held-out logs, behind the drive nets [N2]."""
+    each = zip(predict_force(nets, motion), logs, strict=True)
+    errors = [(force - log.reading.force)[:, burn_in:] for force, log in each]
+    return np.asarray(np.mean([(error**2).sum(-1).mean(axis=1) for error in errors], axis=0))
 
 
 def _calls(updates: int) -> tuple[int, int]:

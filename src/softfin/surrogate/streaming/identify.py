@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from softfin.core.evolution import cma_es
 from softfin.core.quantities import TICK_S, AnyArray, Command, Log
 from softfin.core.randomness import generator_of
-from softfin.surrogate.streaming.profile import LONGEST_DELAY, Profile, ProfileConfig, ProfileState
+from softfin.surrogate.streaming.drive import LONGEST_DELAY, Profile, ProfileState
 from softfin.surrogate.streaming.segments import SegmentBatch, Table
 
 SEGMENTS, TICKS = 96, 300
@@ -22,7 +22,7 @@ SEGMENTS, TICKS = 96, 300
 POPULATION, GENERATIONS, STARTS = 16, 150, 2
 
 
-def identify(logs: Sequence[Log], seed: int) -> tuple[ProfileConfig, float]:
+def identify(logs: Sequence[Log], seed: int) -> tuple[Profile, float]:
     """Find the coefficients, and the mean absolute error of the angle [rad] that they leave."""
     ticks = min(TICKS, max(len(log.reading.time) for log in logs) - LONGEST_DELAY - 1)
     segments = Table.of(logs, ticks).draw(jax.random.key(seed), SEGMENTS, ticks)
@@ -39,7 +39,7 @@ def identify(logs: Sequence[Log], seed: int) -> tuple[ProfileConfig, float]:
             search.tell(asked, np.asarray(errors(jnp.asarray(np.stack(asked), jnp.float32)), np.float64).tolist())
         if search.result.fbest < least:
             best, least = search.result.xbest, search.result.fbest
-    return _profile(jnp.asarray(best, jnp.float32)).config(), float(least)
+    return _profile(jnp.asarray(best, jnp.float32)), float(least)
 
 
 def _guess(logs: Sequence[Log]) -> Float[np.ndarray, "coefficients"]:
@@ -56,13 +56,10 @@ def _profile(coded: Float[Array, "coefficients"]) -> Profile:
     The limit moves in small steps: where it is above all commands it has no effect, and a search gets lost there.
     """
     gain, zero, delay, factor, limit, acceleration, lag = coded
-    profile = Profile(ProfileConfig())
-    values = (
+    return Profile(
         jnp.exp(0.1 * gain), 0.05 * zero, jnp.minimum(jnp.abs(delay), LONGEST_DELAY),
         jnp.exp(0.2 * factor), jnp.exp(0.2 * limit), jnp.exp(acceleration), 0.01 * jnp.abs(lag),
     )  # fmt: skip
-    found: Profile = jax.tree.unflatten(jax.tree.structure(profile), values)
-    return found
 
 
 def _error(profile: Profile, segments: SegmentBatch) -> Float[Array, ""]:

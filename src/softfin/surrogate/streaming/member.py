@@ -7,12 +7,11 @@ from typing import Any, NamedTuple, TypeVar
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Float, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from softfin.core.quantities import Command, Log
-from softfin.surrogate.streaming.drive import DriveNet, DriveNetConfig, DriveState, drive_net
-from softfin.surrogate.streaming.force import ForceNet, ForceNetConfig, ForcePrediction, ForceState, Motion, Scales
-from softfin.surrogate.streaming.profile import LONGEST_DELAY, ProfileConfig
+from softfin.surrogate.streaming.drive import LONGEST_DELAY, DriveNetConfig, FollowingNet, FollowingState
+from softfin.surrogate.streaming.force import ForceNet, ForceNetConfig, ForceState, Motion, Scales
 
 Tree = TypeVar("Tree")
 
@@ -20,36 +19,34 @@ Tree = TypeVar("Tree")
 class MemberState(NamedTuple):
     """States of both nets."""
 
-    drive: DriveState
+    drive: FollowingState
     force: ForceState
 
 
 class Member(eqx.Module):
     """Commands in, motion and force out; one fin, no batch axes."""
 
-    drive: DriveNet
+    drive: FollowingNet
     force: ForceNet
 
     def start(self, motion: Motion, waiting: Command) -> MemberState:
         """State in motion, with the commands of the last `LONGEST_DELAY` ticks, newest first."""
         return MemberState(self.drive.start(motion, waiting), self.force.start(motion))
 
-    def step(self, state: MemberState, command: Command) -> tuple[MemberState, tuple[Motion, ForcePrediction]]:
+    def step(self, state: MemberState, command: Command) -> tuple[MemberState, tuple[Motion, Float[Array, "2"]]]:
         """Step by a tick under a command."""
         drive = self.drive.step(state.drive, command)
         force, predicted = self.force.step(state.force, drive.motion)
         return MemberState(drive, force), (drive.motion, predicted)
 
 
-@functools.partial(jax.jit, static_argnames=("count", "drive", "force", "profile", "scales"))
-def ensemble(
-    count: int, drive: DriveNetConfig, force: ForceNetConfig, profile: ProfileConfig, scales: Scales, key: PRNGKeyArray
-) -> Member:
+@functools.partial(jax.jit, static_argnames=("count", "drive", "force", "scales"))
+def ensemble(count: int, drive: DriveNetConfig, force: ForceNetConfig, scales: Scales, key: PRNGKeyArray) -> Member:
     """Make members with fresh weights of their own: every array has a leading axis ``members``."""
 
     def one(key: PRNGKeyArray) -> Member:
         keys = jax.random.split(key)
-        return Member(drive_net(drive, profile, scales, keys[0]), ForceNet(force, scales, keys[1]))
+        return Member(FollowingNet(drive, scales, keys[0]), ForceNet(force, scales, keys[1]))
 
     stacked: Member = eqx.filter_vmap(one)(jax.random.split(key, count))
     return stacked
@@ -66,18 +63,18 @@ def parameters(module: eqx.Module) -> int:
     return sum(leaf.size for leaf in jax.tree.leaves(eqx.filter(module, eqx.is_array)))
 
 
-def motions(drive: DriveNet, motion: Motion, waiting: Command, commands: Command) -> Motion:
+def motions(drive: FollowingNet, motion: Motion, waiting: Command, commands: Command) -> Motion:
     """The shaft's motion under one command a tick, ``(ticks,)``: that of command k is what row k + 1 shows."""
 
-    def step(state: DriveState, command: Command) -> tuple[DriveState, Motion]:
+    def step(state: FollowingState, command: Command) -> tuple[FollowingState, Motion]:
         state = drive.step(state, command)
         return state, state.motion
 
     return jax.lax.scan(step, drive.start(motion, waiting), commands)[1]
 
 
-def forces(net: ForceNet, before: Motion, motion: Motion) -> ForcePrediction:
-    """The forces of a motion, ``(ticks,)``; `before` is the motion of the tick before it."""
+def forces(net: ForceNet, before: Motion, motion: Motion) -> Float[Array, "ticks 2"]:
+    """The forces of a motion, ``(ticks,)`` [N]; `before` is the motion of the tick before it."""
     return jax.lax.scan(lambda state, now: net.step(state, now), net.start(before), motion)[1]
 
 
@@ -96,7 +93,7 @@ def predict_logs(members: Member, logs: Sequence[Log]) -> list[LogPrediction]:
     return [LogPrediction(*pair) for pair in zip(motion, predict_force(members.force, motion), strict=True)]
 
 
-def predict_motion(drives: DriveNet, logs: Sequence[Log]) -> list[Motion]:
+def predict_motion(drives: FollowingNet, logs: Sequence[Log]) -> list[Motion]:
     """Predict the motion of every log, ``(members, rows)``."""
 
     def of(index: list[int]) -> Motion:
@@ -117,7 +114,7 @@ def predict_force(nets: ForceNet, motion: Sequence[Motion]) -> list[Float[np.nda
     """Predict the forces of motions ``(members, rows)``; a first row has no motion before it and gets the second's."""
 
     def of(index: list[int]) -> Float[np.ndarray, "members logs rows 2"]:
-        force = _forces(nets, jax.tree.map(lambda *x: np.stack(x, axis=1), *[motion[i] for i in index])).force
+        force = _forces(nets, jax.tree.map(lambda *x: np.stack(x, axis=1), *[motion[i] for i in index]))
         return np.concatenate([force[:, :, :1], force], axis=2)
 
     return _together([m.angle.shape[1] for m in motion], of)
@@ -134,13 +131,13 @@ def _together(lengths: Sequence[int], of: Callable[[list[int]], Tree]) -> list[T
 
 
 @eqx.filter_jit
-def _motions(drives: DriveNet, before: Motion, waiting: Command, commands: Command) -> Any:
+def _motions(drives: FollowingNet, before: Motion, waiting: Command, commands: Command) -> Any:
     return eqx.filter_vmap(lambda drive: jax.vmap(lambda *of: motions(drive, *of))(before, waiting, commands))(drives)
 
 
 @eqx.filter_jit
 def _forces(nets: ForceNet, motion: Motion) -> Any:
-    def one(net: ForceNet, motion: Motion) -> ForcePrediction:
+    def one(net: ForceNet, motion: Motion) -> Float[Array, "logs ticks 2"]:
         before, after = jax.tree.map(lambda x: x[:, 0], motion), jax.tree.map(lambda x: x[:, 1:], motion)
         return jax.vmap(lambda *of: forces(net, *of))(before, after)
 

@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from softfin.core.errors import LogError
-from softfin.core.quantities import AnyArray, Command, Log
+from softfin.core.quantities import Command, Log
+from softfin.surrogate.streaming.drive import LONGEST_DELAY
 from softfin.surrogate.streaming.force import Motion, Scales
-from softfin.surrogate.streaming.profile import LONGEST_DELAY
 
 
 class SegmentBatch(NamedTuple):
@@ -79,16 +79,14 @@ def slices(columns: Any, starts: Int[Array, "batch"], length: int) -> Any:
 def scales_of(logs: Sequence[Log]) -> Scales:
     """Scales of the training logs; raises LogError where nothing moves."""
 
-    def joined(columns: Sequence[AnyArray]) -> Float[np.ndarray, "..."]:
-        return np.concatenate(columns, dtype=np.float64)
-
-    readings = [log.reading for log in logs]
-    change = joined([np.diff(np.asarray(reading.velocity, np.float64)) for reading in readings])
+    angle, velocity, force = (
+        [np.asarray(getattr(log.reading, name), np.float64) for log in logs] for name in ("angle", "velocity", "force")
+    )
     values = {
-        "angle_rad": joined([reading.angle for reading in readings]).std(),
-        "velocity_rad_s": joined([reading.velocity for reading in readings]).std(),
-        "change_rad_s": change.std(),
-        "force_n": np.sqrt(np.mean(joined([reading.force for reading in readings]) ** 2)),
+        "angle_rad": np.concatenate(angle).std(),
+        "velocity_rad_s": np.concatenate(velocity).std(),
+        "change_rad_s": np.concatenate([np.diff(each) for each in velocity]).std(),
+        "force_n": np.sqrt(np.mean(np.concatenate(force) ** 2)),
     }
     for name, value in values.items():
         if not value > 0:

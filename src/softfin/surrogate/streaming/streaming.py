@@ -1,7 +1,7 @@
 """An ensemble of streaming nets as a Plant: commands in, readings out at 100 Hz, with estimates of their errors."""
 
 from collections.abc import Sequence
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -13,11 +13,10 @@ from softfin.core.errors import ArtifactError, LogError
 from softfin.core.plant import rest_command
 from softfin.core.quantities import TICK_S, Command, Limits, Log, Reading
 from softfin.core.ticks import tick_at
-from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES
-from softfin.surrogate.model import SKIPPED, NetPrediction
+from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, READINGS, SKIPPED, NetPrediction
 from softfin.surrogate.streaming.core import products
-from softfin.surrogate.streaming.drive import DriveNetConfig
-from softfin.surrogate.streaming.force import ForceNetConfig, ForcePrediction, Motion, Scales
+from softfin.surrogate.streaming.drive import LONGEST_DELAY, DriveNetConfig
+from softfin.surrogate.streaming.force import ForceNetConfig, Motion, Scales
 from softfin.surrogate.streaming.member import (
     Member,
     MemberState,
@@ -27,7 +26,6 @@ from softfin.surrogate.streaming.member import (
     predict_logs,
     single,
 )
-from softfin.surrogate.streaming.profile import LONGEST_DELAY, ProfileConfig
 from softfin.surrogate.streaming.uncertainty import Familiarity, Interval, remembered
 
 MEMORY = 300
@@ -36,9 +34,7 @@ MEMORY = 300
 SETTLED = 3000
 """Ticks that `init` has been at rest for: twenty of the longest time constants that a wake begins with."""
 
-CHANNELS = {"in": list(COMMANDS), "out": [ANGLE, "velocity_rad_s", *FORCES]}
-
-Tree = TypeVar("Tree")
+CHANNELS = {"in": list(COMMANDS), "out": list(READINGS)}
 
 
 class StreamingState(NamedTuple):
@@ -64,16 +60,13 @@ class StreamingMember(eqx.Module):
     def advance(self, state: StreamingState, command: Command, ticks: int) -> tuple[StreamingState, Reading]:
         """Hold the command for `ticks` samples of 10 ms and read after each: fields ``(ticks,)``."""
         held = Command(*(jnp.asarray(part, jnp.float32) for part in command))
-        after, (motion, predicted) = jax.lax.scan(
-            lambda each, _: self.net.step(each, held), state.members, length=ticks
-        )
+        after, (motion, force) = jax.lax.scan(lambda each, _: self.net.step(each, held), state.members, length=ticks)
         time = (state.tick + 1 + jnp.arange(ticks)) * jnp.float32(TICK_S)
-        reading = Reading(time, motion.angle, motion.velocity, predicted.force)
-        return StreamingState(state.tick + ticks, after), reading
+        return StreamingState(state.tick + ticks, after), Reading(time, motion.angle, motion.velocity, force)
 
 
 class StreamingSurrogate(eqx.Module):
-    """An ensemble; meets the contracts of Plant, EnsemblePlant and SurrogateModel. Readings are the members' mean."""
+    """An ensemble; meets the contract of EnsemblePlant. Readings are the members' mean."""
 
     members: Member
     """Members, stacked."""
@@ -127,37 +120,19 @@ class StreamingSurrogate(eqx.Module):
 
     def advance_members(self, state: StreamingState, command: Command, ticks: int) -> tuple[StreamingState, Reading]:
         """As `advance`, with every member's own reading: fields ``(members, ticks)``."""
-        state, (motion, predicted) = self._held(state, command, ticks)
-        time = (state.tick - ticks + 1 + jnp.arange(ticks)) * jnp.float32(TICK_S)
-        return state, Reading(jnp.tile(time, (self.size, 1)), motion.angle, motion.velocity, predicted.force)
+
+        def one(net: Member, rest: MemberState, own: MemberState) -> tuple[MemberState, Reading]:
+            member = StreamingMember(net, rest, self.limits)
+            after, reading = member.advance(StreamingState(state.tick, own), command, ticks)
+            return after.members, reading
+
+        members, reading = jax.vmap(one)(self.members, self.rest, state.members)
+        return StreamingState(state.tick + ticks, members), reading
 
     def member(self, index: Int[Array, ""]) -> "StreamingMember":
         """One member as a plant of its own; `index` may be a value in a program."""
         net, rest = jax.tree.map(lambda leaf: leaf[index], (self.members, self.rest))
         return StreamingMember(net, rest, self.limits)
-
-    def force_std(self, state: StreamingState, command: Command, ticks: int) -> Float[Array, "ticks"]:
-        """Standard deviation of each axis' reading about the mean [N], as the nets learnt it while a command is held.
-
-        Raises ArtifactError where they learnt none.
-        """
-        net = self.members.force
-        if not net.config.heteroscedastic:
-            raise ArtifactError("this surrogate learnt no deviations; fit it with --set force.heteroscedastic=true")
-        _, (_, predicted) = self._held(state, command, ticks)
-        return net.scales.force_n * jnp.sqrt(jnp.exp(2 * jnp.asarray(predicted.log_std)).mean(axis=0))
-
-    def _held(
-        self, state: StreamingState, command: Command, ticks: int
-    ) -> tuple[StreamingState, tuple[Motion, ForcePrediction]]:
-        """What every member predicts while a command is held: fields ``(members, ticks)``."""
-        held = Command(*(jnp.asarray(part, jnp.float32) for part in command))
-
-        def tick(each: MemberState, _: None) -> Any:
-            return jax.vmap(lambda member, state: member.step(state, held))(self.members, each)
-
-        members, predicted = jax.lax.scan(tick, state.members, length=ticks)
-        return StreamingState(state.tick + ticks, members), jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), predicted)
 
     def distance(self, state: StreamingState) -> Float[Array, ""]:
         """Distance of the last motion from the training data: 1 is as far as one in a thousand moments of them."""
@@ -206,14 +181,14 @@ class StreamingSurrogate(eqx.Module):
         """The surrogate that `to_files` described; raises ArtifactError where channels or arrays do not fit."""
         if description["channels"] != CHANNELS:
             raise ArtifactError(f"{source}: channels {description['channels']}; streaming surrogates have {CHANNELS}")
-        drive = DriveNetConfig.model_validate(description["networks"]["drive"])
-        force = ForceNetConfig.model_validate(description["networks"]["force"])
+        drive = DriveNetConfig.build(description["networks"]["drive"], f"{source}: networks.drive")
+        force = ForceNetConfig.build(description["networks"]["force"], f"{source}: networks.force")
         scales = Scales.model_validate(description["scales"])
 
         def skeleton() -> dict[str, Any]:
             size = int(description["members"])
-            members = ensemble(size, drive, force, ProfileConfig(), scales, jax.random.key(0))
-            memory = remembered(single(members.force).start(Motion(jnp.zeros(()), jnp.zeros(())))).size
+            members = ensemble(size, drive, force, scales, jax.random.key(0))
+            memory = 2 * (force.units + force.wake)
             familiarity = Familiarity(jnp.zeros(memory), jnp.zeros((memory, memory)))
             return {"members": members, "familiarity": familiarity}
 
