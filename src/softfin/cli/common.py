@@ -30,7 +30,7 @@ WORD = "move"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Command:
+class CommandOptions:
     """Options of every command."""
 
     json: bool = False
@@ -51,7 +51,7 @@ class Command:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Common(Command):
+class Common(CommandOptions):
     """Options of every command that writes."""
 
     overwrite: bool = False

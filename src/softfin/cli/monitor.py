@@ -10,7 +10,7 @@ from typing import Annotated
 
 from rich.console import Console
 
-from softfin.cli.common import Command
+from softfin.cli.common import CommandOptions
 from softfin.cli.options import Option
 from softfin.core.choices import LOOPBACK
 from softfin.rig.monitor.follow import Follower
@@ -19,7 +19,7 @@ from softfin.rig.monitor.web import Server
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments(Command):
+class Arguments(CommandOptions):
     """Watch a recording while it is made; Ctrl-C ends the watching, never the recording."""
 
     run_folder: Annotated[Path, Option("RECORDING", positional=True)]

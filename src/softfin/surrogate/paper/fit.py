@@ -134,12 +134,12 @@ class PaperLearner:
     def start(self, key: PRNGKeyArray) -> TrainingState:
         """Fresh weights."""
 
-        def fresh(key: PRNGKeyArray) -> TrainingState:
+        def initialise(key: PRNGKeyArray) -> TrainingState:
             configs, keys = (self.config.posnet, self.config.forcenet), jax.random.split(key)
             nets = Nets(*(Network.create(config, one) for config, one in zip(configs, keys, strict=True)))
             return TrainingState(nets, self.optimiser.init(nets), nets, Nets(*jnp.full(2, jnp.inf, jnp.float32)))
 
-        state: TrainingState = used_once(fresh)(key)
+        state: TrainingState = used_once(initialise)(key)
         return state
 
     def _run(
