@@ -48,8 +48,8 @@ def logs():
 
 @pytest.mark.slow
 def test_the_candidate_with_the_least_error_on_held_out_logs_is_kept(tmp_path):
-    data, workspace, notes = logs(), RunDirectory(tmp_path / "s", {}), []
-    fitted, evidence = fit_any(data, CONFIG, 0, workspace, lambda stage, done, note: notes.append((done, note)))
+    data, run_directory, notes = logs(), RunDirectory(tmp_path / "s", {}), []
+    fitted, evidence = fit_any(data, CONFIG, 0, run_directory, lambda stage, done, note: notes.append((done, note)))
     assert evidence["chosen"] == "streaming"
     scores = evidence["held_out"]
     assert list(scores) == ["streaming", "paper"]
