@@ -56,8 +56,8 @@ LEAST_EXPLAINED = 0.1
 """Fraction of the force that the angle must explain for a lag."""
 
 
-class Motion(NamedTuple):
-    """Motion of an angle, smoothed over 50 ms."""
+class MotionSignals(NamedTuple):
+    """Angle, velocity and acceleration of a shaft, smoothed over 50 ms."""
 
     angle: Series
     velocity: Series
@@ -72,11 +72,11 @@ class Lag(NamedTuple):
     """Correlation with a profile, or the response's peak over the rate's deviation, or the fraction explained."""
 
 
-def motion(angle: Series) -> Motion:
+def motion(angle: Series) -> MotionSignals:
     """Differentiate an angle at 100 Hz [rad]."""
     smooth = smoothed(angle)
     velocity = np.gradient(smooth, TICK_S)
-    return Motion(smooth, velocity, np.gradient(smoothed(velocity), TICK_S))
+    return MotionSignals(smooth, velocity, np.gradient(smoothed(velocity), TICK_S))
 
 
 def smoothed(values: Series) -> Series:
@@ -167,7 +167,7 @@ def _peak_lag(values: Float[np.ndarray, "lags"], least: float) -> Lag | None:
     return Lag(float(place / RATE_HZ * 1e3), float(values[best]))
 
 
-def _features(moving: Motion) -> Float[np.ndarray, "ticks 10"]:
+def _features(moving: MotionSignals) -> Float[np.ndarray, "ticks 10"]:
     """Added mass, drag, thrust and damping, along both axes as the fin turns."""
     angle, velocity, acceleration = moving
     terms = np.stack([acceleration, velocity * np.abs(velocity), velocity**2, velocity, np.ones_like(angle)], axis=1)

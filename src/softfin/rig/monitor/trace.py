@@ -65,7 +65,7 @@ def decode_message(role: str, type_name: str, data: bytes) -> Values | None:
         return None
 
 
-class Row(NamedTuple):
+class TraceRow(NamedTuple):
     """One message."""
 
     serial: int
@@ -80,7 +80,7 @@ class Trace:
 
     def __init__(self, role: str) -> None:
         self.role = role
-        self.rows: deque[Row] = deque(maxlen=MOST_ROWS)
+        self.rows: deque[TraceRow] = deque(maxlen=MOST_ROWS)
         self.count = 0
         self.gaps = 0
         """Places where rows at 100 Hz are missing."""
@@ -92,7 +92,7 @@ class Trace:
         self._waiting: deque[tuple[float, str, bytes]] = deque(maxlen=MOST_ROWS)
 
     @property
-    def newest(self) -> Row | None:
+    def newest(self) -> TraceRow | None:
         """The row that came last."""
         return self.rows[-1] if self.rows else None
 
@@ -115,11 +115,11 @@ class Trace:
             if values is None:
                 self.unreadable += 1
             else:
-                self.rows.append(Row(next(serials), time, values))
+                self.rows.append(TraceRow(next(serials), time, values))
         while len(self.rows) > 1 and self.rows[1].time < since:
             self.rows.popleft()
 
-    def after(self, serial: int) -> list[Row]:
+    def after(self, serial: int) -> list[TraceRow]:
         """Return the rows that came after the one of that number."""
         return [row for row in self.rows if row.serial > serial]
 

@@ -25,7 +25,7 @@ Errors = Callable[[Sequence[Point]], Iterator[Float[np.ndarray, "segments compar
 """Function from points to the errors of each, divided by each channel's standard deviation."""
 
 
-class Recording(NamedTuple):
+class RecordingArrays(NamedTuple):
     """A recording's configuration as arrays, so that recordings can be stacked beside tanks."""
 
     angle_gain: Float[Array, "*models"]
@@ -38,7 +38,7 @@ class Recording(NamedTuple):
     force_y: Float[Array, "*models"]
 
     @classmethod
-    def build(cls, config: RecordingConfig) -> "Recording":
+    def build(cls, config: RecordingConfig) -> "RecordingArrays":
         """Return the arrays of a configuration, whose fields are in the same order."""
         return cls(*arrays_of(config))
 
@@ -60,7 +60,7 @@ class Model(eqx.Module):
     """A tank, and what lies between it and the logs."""
 
     tank: Tank
-    recording: Recording
+    recording: RecordingArrays
 
     def read(self, command: Command) -> Float[Array, "ticks channels"]:
         """Return what the log of this tank would have, from rest, after each command ``(ticks,)`` of a log."""
@@ -79,7 +79,9 @@ def stacked(configs: Sequence[tuple[TankConfig, RecordingConfig]]) -> Model:
         "sensor": {"noise_n": 0.0, "drift_n": 0.0, "resolution_n": 0.0},
         "drive": {"encoder_step_rad": 0.0},
     }
-    models = [Model(Tank(tank.merged(quiet, "calibration")), Recording.build(recording)) for tank, recording in configs]
+    models = [
+        Model(Tank(tank.merged(quiet, "calibration")), RecordingArrays.build(recording)) for tank, recording in configs
+    ]
     side_by_side: Model = jax.tree.map(lambda *leaves: jnp.stack(leaves), *models)
     return side_by_side
 
