@@ -28,7 +28,7 @@ def main(path: Path) -> None:
     """Draw each layer above those that it may import."""
     rows = layers()
     with styled():
-        figure = new_figure(8, 0.46 * len(rows))
+        figure = new_figure(8, 0.48 * len(rows))
         axes = figure.subplots()
         for level, rooms in enumerate(rows):
             width = 10 / len(rooms)
@@ -37,8 +37,8 @@ def main(path: Path) -> None:
                 box = FancyBboxPatch((left, level + 0.1), width - 0.2, 0.72, "round,pad=0.02", fc="#EAF2F8", ec=BLUE)
                 axes.add_patch(box)
                 axes.text(left + 0.1, level + 0.46, room, weight="bold", va="center", size=10)
-                text = textwrap.fill(summary(room), round(13.5 * (width - 1.6)))
-                axes.text(left + 1.4, level + 0.46, text, va="center", size=7.5)
+                text = textwrap.fill(summary(room), round(11.5 * (width - 1.75)))
+                axes.text(left + 1.65, level + 0.46, text, va="center", size=7)
         axes.annotate("", (-0.25, 0.2), (-0.25, len(rows) - 0.2), arrowprops={"arrowstyle": "-|>", "color": GREY})
         axes.text(-0.5, len(rows) / 2, "may import", rotation=90, va="center", ha="center", color=GREY)
         axes.set(xlim=(-0.8, 10), ylim=(0, len(rows)))
