@@ -101,7 +101,7 @@ class GridStep:
         xp, reference = ops.xp, now[1:]
         active_cell = self.active_cell(ops, state, reference)
         switched = (active_cell != state.active_cell) & (state.age > 0)
-        network = PolicyNetwork(*(ops.row(ops.constant(part), active_cell) for part in self.networks))
+        network = PolicyNetwork(*[ops.row(part, active_cell) for part in ops.constant(self.networks)])
         memory = PolicyMemory(
             *ops.choose(
                 switched,
@@ -121,7 +121,7 @@ class GridStep:
             last_reference=reference,
             age=state.age + 1,
             active_cell=active_cell,
-            blend=ops.choose(less > 0, lambda: less, lambda: np.float32(0)),
+            blend=ops.clip(less, 0.0, 1.0),
         )
         return after, action
 
@@ -145,7 +145,7 @@ class GridStep:
             observation = self.observation.observe(ops, now, state.actions[2 * ago :], state.age - ago)
             return network.remember(ops, memory, observation)
 
-        memory = empty = PolicyMemory(*map(ops.constant, network.empty()))
+        memory = empty = ops.constant(network.empty())
         if self.switching.replay:
             for ago in range(CYCLE_ACTIONS, 0, -1):
                 memory = PolicyMemory(*ops.choose(state.age >= ago, partial(replayed, memory, ago), lambda: empty))
@@ -159,4 +159,4 @@ class GridStep:
         blend = ops.choose(switched, lambda: whole, lambda: state.blend)
         moved = reference - state.last_reference
         kept = 1 - ops.xp.sqrt(moved[0] * moved[0] + moved[1] * moved[1]) / np.float32(self.switching.step_n)
-        return blend * ops.choose(kept > 0, lambda: kept, lambda: np.float32(0))
+        return blend * ops.clip(kept, 0.0, 1.0)

@@ -84,8 +84,14 @@ class OnnxOperations(Operations):
         """Add a Cast."""
         return self.xp.astype(number, self.xp.float32)
 
-    def constant(self, values: np.ndarray) -> Array:
+    def clip(self, number: Number, low: Number, high: Number) -> Number:
+        """Add a Clip."""
+        return self.xp.clip(number, low, high)
+
+    def constant(self, values: Any) -> Any:
         """Add one constant for each array."""
+        if isinstance(values, tuple):
+            return type(values)(*map(self.constant, values))
         # The array is kept, so that its id stays its own.
         return self._constants.setdefault(id(values), (values, self.xp.asarray(values)))[1]
 

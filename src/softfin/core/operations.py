@@ -42,8 +42,12 @@ class Operations:
         """Convert to a float32, or to a Python number, which does not widen one."""
         return float(number)
 
-    def constant(self, values: Array) -> Array:
-        """Convert to an array of the library."""
+    def clip(self, number: Number, low: Number, high: Number) -> Number:
+        """Limit a number."""
+        return min(max(number, low), high)
+
+    def constant(self, values: Any) -> Any:
+        """Convert an array, or a named tuple of arrays, to the library's."""
         return values
 
 
@@ -71,9 +75,13 @@ class JaxOperations(Operations):
         """Convert to float32."""
         return self.xp.asarray(number).astype(np.float32)
 
-    def constant(self, values: Array) -> Array:
-        """Convert to a JAX array."""
-        return self.xp.asarray(values)
+    def clip(self, number: Number, low: Number, high: Number) -> Number:
+        """Limit a number."""
+        return self.xp.clip(number, low, high)
+
+    def constant(self, values: Any) -> Any:
+        """Convert to JAX arrays."""
+        return self._map(self.xp.asarray, values)
 
 
 NUMPY = Operations()

@@ -50,14 +50,12 @@ class GaitTable(NamedTuple):
     def gait(self, reference: Any, operations: Operations | None = None) -> Any:
         """Blend the gaits of the four nodes round the reference; beyond the lattice, take that of its edge."""
         ops = operations or operations_of(reference, self.actions)
-        rows, numbers = self.actions.shape[1], 2 * CYCLE_ACTIONS
-        table = ops.constant(self.actions.reshape(-1, numbers))
+        rows, table = self.actions.shape[1], ops.constant(self.actions.reshape(-1, CYCLE_ACTIONS, 2))
         x, i = self._place(ops, reference[0], 0)
         y, j = self._place(ops, reference[1], 1)
         node = i * rows + j
         blend = (1 - x) * (1 - y) * ops.row(table, node) + (1 - x) * y * ops.row(table, node + 1)
-        blend = blend + x * (1 - y) * ops.row(table, node + rows) + x * y * ops.row(table, node + rows + 1)
-        return ops.xp.reshape(blend, (CYCLE_ACTIONS, 2))
+        return blend + x * (1 - y) * ops.row(table, node + rows) + x * y * ops.row(table, node + rows + 1)
 
     def references(self) -> Float[np.ndarray, "x y 2"]:
         """References of the nodes [N]."""
@@ -67,13 +65,10 @@ class GaitTable(NamedTuple):
     def _place(self, ops: Operations, force: Number, axis: int) -> tuple[Number, Number]:
         """Return, along one axis, the node before a force and the distance from it in units of the spacing."""
         last = self.actions.shape[axis] - 1
-        low, width = self.low[axis], self.high[axis] - self.low[axis]
         # A box for a single reference has no width, and all its nodes are the same.
-        place = ops.real((force - low) / ops.choose(width > 0, lambda: width, lambda: np.float32(1)))
-        place = ops.choose(place > 0, lambda: place, lambda: np.float32(0))
-        place = ops.choose(place < 1, lambda: place, lambda: np.float32(1)) * np.float32(last)
-        whole = ops.whole(place)
-        node = ops.choose(whole < last, lambda: whole, lambda: last - 1)
+        width = self.high[axis] - self.low[axis] + 1e-9
+        place = last * ops.clip(ops.real((force - self.low[axis]) / width), 0.0, 1.0)
+        node = ops.clip(ops.whole(place), 0, last - 1)
         return place - ops.real(node), node
 
 
