@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from softfin.core.errors import ArtifactError
+from softfin.core.errors import SoftfinError
 from softfin.core.quantities import RATE_HZ
 from softfin.data.collect import CollectConfig
 from softfin.stages.collect import collect
@@ -43,7 +43,7 @@ class WithoutQuasiSteady(ForceNet):
     """A force net whose coefficients of added mass and drag stay at zero."""
 
     def step(self, state: ForceState, motion: Motion) -> tuple[ForceState, Array]:
-        """As the force net, with the core alone."""
+        """Advance by one tick, with the core alone."""
         zero = jax.tree.map(jnp.zeros_like, (self.thrust, self.resistance))
         return ForceNet.step(eqx.tree_at(lambda net: (net.thrust, net.resistance), self, zero), state, motion)
 
@@ -89,7 +89,7 @@ def main() -> None:
         if not (folder / "surrogate.json").exists():
             try:
                 fit(data, folder, StreamingConfig().changed((*base, *VARIANTS[name])), resume=True)
-            except ArtifactError as error:
+            except SoftfinError as error:
                 raise SystemExit(f"{error}") from None
         found = compare([folder], data, config=CompareConfig(horizons_s=(30.0,)))["groups"][0]
         row = {key: value["mean"] for key, value in found["horizons"][0].items() if isinstance(value, dict)}
