@@ -21,7 +21,7 @@ from softfin.rig.epos2 import cia402, objects
 from softfin.rig.epos2.cia402 import Bit, State
 from softfin.rig.epos2.config import BusConfig, Epos2Config, Units
 from softfin.rig.epos2.objects import Object
-from softfin.rig.simulated_bus import open_bus
+from softfin.rig.simulated_network import open_bus
 
 TICK_S = 0.005
 CYCLE_S = 0.05

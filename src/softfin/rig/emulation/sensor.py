@@ -19,7 +19,7 @@ from softfin.rig.axia80.rdt import OVER_RANGE, RdtCommand, RdtRecord, decode_req
 from softfin.rig.emulation.fin import EmulatedFin
 from softfin.rig.frame import rotated, rotation
 from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import SimulatedSocket, network_of
+from softfin.rig.simulated_network import SimulatedSocket
 
 HOST = "127.0.0.1"
 
@@ -72,9 +72,8 @@ class EmulatedAxia80:
         self._socket: socket.socket | SimulatedSocket
         if isinstance(clock, SimulatedClock):
             self._socket = SimulatedSocket(clock, HOST, rdt_port, wake_s)
-            network = network_of(clock)
-            self.http_port, self._server = http_port or next(network.free_ports), None
-            network.pages[HOST, self.http_port] = self.pages
+            self.http_port, self._server = http_port or self._socket.address[1], None
+            clock.shared["http", HOST, self.http_port] = self.pages
         else:
             self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             try:
@@ -126,7 +125,7 @@ class EmulatedAxia80:
             self._server.shutdown()
             self._server.server_close()
         elif isinstance(self._clock, SimulatedClock):
-            network_of(self._clock).pages.pop((HOST, self.http_port), None)
+            self._clock.shared.pop(("http", HOST, self.http_port), None)
 
     def _serve(self) -> None:
         while not self._closing.is_set():

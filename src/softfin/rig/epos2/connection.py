@@ -20,7 +20,7 @@ from softfin.core.errors import DeviceError, RigError
 from softfin.rig.epos2 import objects
 from softfin.rig.epos2.config import BusConfig
 from softfin.rig.epos2.objects import Object
-from softfin.rig.simulated_bus import open_bus
+from softfin.rig.simulated_network import open_bus
 
 SDO_TIMEOUT_S = 0.5
 SEND_TIMEOUT_S = 0.05
