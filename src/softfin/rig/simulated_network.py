@@ -114,7 +114,9 @@ class SimulatedSocket:
             raise OSError("the socket is closed")
         receiver: SimulatedSocket | None = self._clock.shared.get(address)
         if receiver is not None and receiver._peer in (None, self.address) and len(receiver._received) < CAPACITY:
-            receiver._received.append((bytes(data), self._clock(), self.address))
+            # In whole nanoseconds, as a kernel's stamp.
+            arrived = int(self._clock()) + round(self._clock() % 1 * 1e9) * 1e-9
+            receiver._received.append((bytes(data), arrived, self.address))
         return len(data)
 
     def receive(self) -> tuple[bytes, float, tuple[str, int]]:
