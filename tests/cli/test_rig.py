@@ -5,7 +5,7 @@ import pytest
 
 from softfin.cli import main
 from softfin.rig.config import load_rig
-from softfin.rig.epos2.cia402 import State
+from softfin.rig.epos2.protocol import State
 from softfin.rig.safety import SafetyConfig
 from tests.cli.terminal import Terminal
 from tests.cli.test_cli import fails

@@ -12,8 +12,8 @@ from softfin.rig.emulation.drive import EmulatedDrive
 from softfin.rig.emulation.fin import SimpleFin
 from softfin.rig.epos2.config import BusConfig, Epos2Config
 from softfin.rig.epos2.drive import Epos2
-from softfin.rig.simulated_network import open_bus
 from softfin.rig.simulated_clock import SimulatedClock
+from softfin.rig.simulated_network import open_bus
 
 NODE = 5
 LONG_S = 5.0

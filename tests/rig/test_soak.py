@@ -24,7 +24,7 @@ from softfin.core.clock import REAL
 from softfin.core.errors import SafetyStop
 from softfin.rig.emulation.fin import SimpleFin
 from softfin.rig.emulation.rig import EmulatedRig
-from softfin.rig.epos2.cia402 import State
+from softfin.rig.epos2.protocol import State
 from softfin.rig.loop import run_controller
 from softfin.rig.machine import Target
 from softfin.rig.rig import Rig
@@ -82,7 +82,7 @@ def bus_lost(at: Scene) -> None:
     def refuse(message: can.Message, timeout: float | None = None) -> None:
         raise can.CanOperationError("Transmit buffer full")
 
-    at.patches.setattr(at.rig.drive._connection._bus, "send", refuse)
+    at.patches.setattr(at.rig.drive.connection._bus, "send", refuse)
 
 
 def network(**fault: Any) -> Inject:

@@ -17,17 +17,16 @@ from softfin.rig.emulation import drive_motor
 from softfin.rig.emulation.drive_motor import MODES, EmulatedMotor
 from softfin.rig.emulation.drive_objects import ERRORS_KEPT, OUT_OF_RANGE, ProcessData, dictionary, values
 from softfin.rig.emulation.fin import EmulatedFin
-from softfin.rig.epos2 import cia402, objects
-from softfin.rig.epos2.cia402 import Bit, State
+from softfin.rig.epos2 import protocol
 from softfin.rig.epos2.config import BusConfig, Epos2Config, Units
-from softfin.rig.epos2.objects import Object
+from softfin.rig.epos2.protocol import Bit, Object, State
 from softfin.rig.simulated_network import open_bus
 
 TICK_S = 0.005
 CYCLE_S = 0.05
 """Longest time between two looks of the receiver at whether it is to end."""
 NMT_STOP = 0x02
-NMT_COMMANDS = (objects.NMT_START, NMT_STOP, objects.NMT_PRE_OPERATIONAL, objects.NMT_RESET)
+NMT_COMMANDS = (protocol.NMT_START, NMT_STOP, protocol.NMT_PRE_OPERATIONAL, protocol.NMT_RESET)
 ERROR_REGISTER = 0x01
 """Generic error: the bit of the error register that every error sets (CiA 301); those of its kind are not emulated."""
 
@@ -82,13 +81,13 @@ class EmulatedDrive:
         self._motor = motor = EmulatedMotor(fin, Units.of(config), self._value, self.fault)
         self._process_data = ProcessData(self._node, self._network.send_message, self.fault)
         self._readings: dict[int, Callable[[], int]] = {
-            objects.STATUSWORD.number: lambda: self.statusword,
-            objects.ERROR_REGISTER.number: lambda: ERROR_REGISTER * (self.state in cia402.FAULTS),
-            objects.MODE_DISPLAY.number: lambda: motor.mode,
-            objects.POSITION.number: lambda: motor.position,
-            objects.DEMAND.number: self._demand,
-            objects.VELOCITY.number: lambda: motor.rpm,
-            objects.CURRENT.number: lambda: motor.current,
+            protocol.STATUSWORD.number: lambda: self.statusword,
+            protocol.ERROR_REGISTER.number: lambda: ERROR_REGISTER * (self.state in protocol.FAULT_STATES),
+            protocol.MODE_DISPLAY.number: lambda: motor.mode,
+            protocol.POSITION.number: lambda: motor.position,
+            protocol.DEMAND.number: self._demand,
+            protocol.VELOCITY.number: lambda: motor.rpm,
+            protocol.CURRENT.number: lambda: motor.current,
         }
         self._errors: list[int] = []
         self._ending = clock.event()
@@ -132,9 +131,9 @@ class EmulatedDrive:
     def fault(self, code: int) -> None:
         """Emergency frame, error history, fault reaction."""
         with self._lock:
-            if self.state in cia402.FAULTS:
+            if self.state in protocol.FAULT_STATES:
                 return
-            powered = self.state in cia402.POWERED
+            powered = self.state in protocol.POWERED
             self._enter(State.FAULT_REACTION_ENABLED if powered else State.FAULT_REACTION_DISABLED)
             self._errors = [code, *self._errors][:ERRORS_KEPT]
             self._emergency(code)
@@ -188,19 +187,19 @@ class EmulatedDrive:
     def _boot(self) -> None:
         self._node.nmt.stop_heartbeat()
         self._process_data.restart()
-        for code in (objects.NMT_RESET, objects.NMT_PRE_OPERATIONAL):
+        for code in (protocol.NMT_RESET, protocol.NMT_PRE_OPERATIONAL):
             self._node.nmt.send_command(code)
 
     def _enter(self, state: State) -> None:
         before, self.state = self.state, state
-        if before is not state and before in cia402.POWERED:
+        if before is not state and before in protocol.POWERED:
             self._motor.halt()
 
     def _demand(self) -> int:
         return self._motor.demand if self.state is State.OPERATION_ENABLED else self._motor.position
 
     def _is_behind(self) -> bool:
-        return abs(self._demand() - self._motor.position) > self._value(objects.FOLLOWING_ERROR)
+        return abs(self._demand() - self._motor.position) > self._value(protocol.FOLLOWING_ERROR)
 
     def _value(self, entry: Object) -> int:
         value: int = entry.layout.unpack(self._node.get_data(entry.number, entry.sub))[0]
@@ -212,30 +211,30 @@ class EmulatedDrive:
                 self._enter(drive_motor.BY_ITSELF.get(self.state, self.state))
                 if self.state is State.OPERATION_ENABLED and self._is_behind():
                     self.fault(0x8611)
-                silence = self._value(objects.HEARTBEAT_CONSUMER) & 0xFFFF
+                silence = self._value(protocol.HEARTBEAT_CONSUMER) & 0xFFFF
                 if silence and self._host_beat is not None and self._clock() - self._host_beat > silence / 1000:
                     self._host_beat = None
                     self.fault(0x8130)
 
     def _live(self, index: int, subindex: int, od: Any) -> int | None:
         with self._lock:
-            if index == objects.ERROR_COUNT.number:
+            if index == protocol.ERROR_COUNT.number:
                 return len(self._errors) if subindex == 0 else [*self._errors, *[0] * ERRORS_KEPT][subindex - 1]
             return self._readings[index]() if index in self._readings else None
 
     def _written(self, index: int, subindex: int, od: Any, data: bytes | bytearray) -> None:
         with self._lock:
-            if index == objects.CONTROLWORD.number:
-                self._controlled(objects.CONTROLWORD.layout.unpack(data)[0])
-            elif index == objects.MODE.number:
-                mode = objects.MODE.layout.unpack(data)[0]
+            if index == protocol.CONTROLWORD.number:
+                self._controlled(protocol.CONTROLWORD.layout.unpack(data)[0])
+            elif index == protocol.MODE.number:
+                mode = protocol.MODE.layout.unpack(data)[0]
                 if mode not in MODES:
                     raise canopen.SdoAbortedError(OUT_OF_RANGE)
                 self._motor.set_mode(mode)
-            elif index == objects.HEARTBEAT_CONSUMER.number:
+            elif index == protocol.HEARTBEAT_CONSUMER.number:
                 # Watching begins with the first heartbeat after this (CiA 301).
                 self._host_beat = None
-            elif index == objects.ERROR_COUNT.number:
+            elif index == protocol.ERROR_COUNT.number:
                 self._errors = []
             elif 0x1400 <= index < 0x1C00:
                 self._process_data.check(index, subindex, data)
@@ -262,10 +261,10 @@ class EmulatedDrive:
                 self._take(message.arbitration_id, bytes(message.data))
 
     def _take(self, cob_id: int, data: bytes) -> None:
-        is_sdo = cob_id & 0x780 == objects.SDO_REQUEST
+        is_sdo = cob_id & 0x780 == protocol.SDO_REQUEST
         # canopen's server would print a traceback for the first, and has states of its own for the second.
         wrong_sdo = is_sdo and len(data) != 8
-        wrong_nmt = cob_id == objects.NMT and (len(data) != 2 or data[0] not in NMT_COMMANDS)
+        wrong_nmt = cob_id == protocol.NMT and (len(data) != 2 or data[0] not in NMT_COMMANDS)
         if wrong_sdo or wrong_nmt or (is_sdo and self._node.nmt.state == "STOPPED"):
             return
         # Whatever canopen makes of a frame that makes no sense.
@@ -277,14 +276,14 @@ class EmulatedDrive:
 
     def _follow(self, cob_id: int, data: bytes) -> None:
         is_operational = self._node.nmt.state == "OPERATIONAL"
-        if cob_id == objects.NMT and self._node.nmt.state == "INITIALISING":
+        if cob_id == protocol.NMT and self._node.nmt.state == "INITIALISING":
             self.reboot()
-        elif cob_id == objects.NMT and not is_operational:
+        elif cob_id == protocol.NMT and not is_operational:
             self._process_data.restart()
-        elif cob_id & 0x780 == objects.HEARTBEAT:
-            if cob_id & 0x7F == self._value(objects.HEARTBEAT_CONSUMER) >> 16 & 0x7F:
+        elif cob_id & 0x780 == protocol.HEARTBEAT:
+            if cob_id & 0x7F == self._value(protocol.HEARTBEAT_CONSUMER) >> 16 & 0x7F:
                 self._host_beat = self._clock()
-        elif is_operational and cob_id == objects.SYNC:
+        elif is_operational and cob_id == protocol.SYNC:
             self._process_data.synchronise()
         elif is_operational:
             self._process_data.take(cob_id, data)

@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import canopen
 from canopen import objectdictionary as od
 
-from softfin.rig.epos2 import objects
+from softfin.rig.epos2 import protocol
 from softfin.rig.epos2.config import Epos2Config
-from softfin.rig.epos2.objects import Object
+from softfin.rig.epos2.protocol import Object
 
 PDOS = 4
 """Process data of each kind, as an EPOS2 has them."""
@@ -26,8 +26,8 @@ MAXON = 0x000000FB
 TAKEN, SENT = 0x1400, 0x1800
 """First object of the process data of each kind; its mapping is 0x200 above it."""
 READ_ONLY = frozenset(
-    {objects.DEVICE_TYPE, objects.ERROR_REGISTER, objects.STATUSWORD, objects.MODE_DISPLAY, objects.DEMAND,
-     objects.POSITION, objects.VELOCITY, objects.CURRENT, objects.SUPPORTED_MODES, *IDENTITY}
+    {protocol.DEVICE_TYPE, protocol.ERROR_REGISTER, protocol.STATUSWORD, protocol.MODE_DISPLAY, protocol.DEMAND,
+     protocol.POSITION, protocol.VELOCITY, protocol.CURRENT, protocol.SUPPORTED_MODES, *IDENTITY}
 )  # fmt: skip
 _TYPES = {"b": od.INTEGER8, "h": od.INTEGER16, "i": od.INTEGER32,
           "B": od.UNSIGNED8, "H": od.UNSIGNED16, "I": od.UNSIGNED32}  # fmt: skip
@@ -42,30 +42,30 @@ LAST_SYNCHRONOUS, FIRST_AT_ONCE = 240, 254
 
 def values(config: Epos2Config) -> dict[Object, int]:
     """The objects of a drive as delivered, set up for this motor and encoder: our limits are not in it yet."""
-    start: dict[Object, int] = dict.fromkeys((*objects.OBJECTS, *IDENTITY), 0)
+    start: dict[Object, int] = dict.fromkeys((*protocol.OBJECTS, *IDENTITY), 0)
     start |= {
-        objects.DEVICE_TYPE: 0x00020192,
-        objects.ENCODER_LINES: config.encoder_lines,
-        objects.MODE: objects.PROFILE_POSITION,
-        objects.POSITION_MIN: -(2**31),
-        objects.POSITION_MAX: 2**31 - 1,
-        objects.FOLLOWING_ERROR: 2000,
-        objects.FASTEST: 25000,
-        objects.PROFILE_VELOCITY: 1000,
-        objects.ACCELERATION: 10000,
-        objects.DECELERATION: 10000,
-        objects.QUICK_STOP_DECELERATION: 10000,
-        objects.MOTOR_TYPE: 10,
-        objects.CURRENT_LIMIT: 3000,
+        protocol.DEVICE_TYPE: 0x00020192,
+        protocol.ENCODER_LINES: config.encoder_lines,
+        protocol.MODE: protocol.PROFILE_POSITION,
+        protocol.POSITION_MIN: -(2**31),
+        protocol.POSITION_MAX: 2**31 - 1,
+        protocol.FOLLOWING_ERROR: 2000,
+        protocol.FASTEST: 25000,
+        protocol.PROFILE_VELOCITY: 1000,
+        protocol.ACCELERATION: 10000,
+        protocol.DECELERATION: 10000,
+        protocol.QUICK_STOP_DECELERATION: 10000,
+        protocol.MOTOR_TYPE: 10,
+        protocol.CURRENT_LIMIT: 3000,
         # Homing and profile position: bits 5 and 0.
-        objects.SUPPORTED_MODES: 0x21,
+        protocol.SUPPORTED_MODES: 0x21,
         IDENTITY[0]: MAXON,
     }
-    start |= {Object(objects.NEWEST_ERROR.number, place, "I", "error"): 0 for place in range(2, ERRORS_KEPT + 1)}
-    for first, cob_id, transmission in ((TAKEN, 0x200, objects.AT_ONCE), (SENT, 0x180, objects.ON_SYNC)):
+    start |= {Object(protocol.NEWEST_ERROR.number, place, "I", "error"): 0 for place in range(2, ERRORS_KEPT + 1)}
+    for first, cob_id, transmission in ((TAKEN, 0x200, protocol.AT_ONCE), (SENT, 0x180, protocol.ON_SYNC)):
         for number in range(first, first + PDOS):
             start |= {
-                Object(number, 1, "I", "COB-ID"): objects.INVALID | cob_id + 0x100 * (number - first) + config.node,
+                Object(number, 1, "I", "COB-ID"): protocol.INVALID | cob_id + 0x100 * (number - first) + config.node,
                 Object(number, 2, "B", "transmission type"): transmission,
                 Object(number + 0x200, 0, "B", "mapped objects"): 0,
             }
@@ -81,7 +81,7 @@ def dictionary(start: dict[Object, int]) -> Any:
     for entry, value in start.items():
         variable = library.ODVariable(str(entry), entry.number, entry.sub)
         variable.data_type, variable.default = _TYPES[entry.form], value
-        is_error = entry.number == objects.NEWEST_ERROR.number and entry.sub > 0
+        is_error = entry.number == protocol.NEWEST_ERROR.number and entry.sub > 0
         variable.access_type = "ro" if entry in READ_ONLY or is_error else "rw"
         if entry.sub == 0 and entries[entry.number] == 1:
             objects_by_index.add_object(variable)
@@ -134,7 +134,7 @@ class ProcessData:
                 parts.append((index, sub, rest[: bits // 8]))
                 rest = rest[bits // 8 :]
             # One frame holds at one moment: what it orders comes after what it sets.
-            for part in sorted(parts, key=lambda part: part[0] == objects.CONTROLWORD.number):
+            for part in sorted(parts, key=lambda part: part[0] == protocol.CONTROLWORD.number):
                 self._node.set_data(*part)
 
     def check(self, index: int, subindex: int, data: bytes | bytearray) -> None:
@@ -142,7 +142,7 @@ class ProcessData:
         self._pdos.clear()
         value, number = int.from_bytes(data, "little"), index & ~0x200
         if index != number:
-            is_on = not self._value(number, 1, "I") & objects.INVALID
+            is_on = not self._value(number, 1, "I") & protocol.INVALID
             if is_on or (subindex and self._value(index, 0, "B")):
                 raise canopen.SdoAbortedError(WRONG_STATE)
             found = self._node.object_dictionary.get_variable(value >> 16, value >> 8 & 0xFF) if subindex else None
@@ -154,7 +154,7 @@ class ProcessData:
     def _enabled(self, first: int) -> list[_Pdo]:
         if first not in self._pdos:
             pdos = map(self._pdo, range(first, first + PDOS))
-            self._pdos[first] = [pdo for pdo in pdos if not pdo.cob_id & objects.INVALID]
+            self._pdos[first] = [pdo for pdo in pdos if not pdo.cob_id & protocol.INVALID]
         return self._pdos[first]
 
     def _pdo(self, number: int) -> _Pdo:

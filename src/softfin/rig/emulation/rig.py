@@ -18,8 +18,8 @@ from softfin.rig.emulation.fin import EmulatedFin
 from softfin.rig.emulation.sensor import EmulatedAxia80
 from softfin.rig.emulation.tank import TankFin
 from softfin.rig.epos2.config import BusConfig, Epos2Config
-from softfin.rig.simulated_network import SIMULATED
 from softfin.rig.simulated_clock import SimulatedClock
+from softfin.rig.simulated_network import SIMULATED
 from softfin.storage import artifact as artifacts
 from softfin.tank import Tank
 
