@@ -8,7 +8,6 @@ import can
 import pytest
 
 from softfin.core.errors import CommandError, DeviceError, RigError
-from softfin.core.quantities import Limits
 from softfin.rig.emulation import drive_motor
 from softfin.rig.epos2 import protocol
 from softfin.rig.epos2.config import BusConfig
@@ -70,7 +69,7 @@ def test_every_one_of_many_quick_targets_ends_at_the_last() -> None:
 
 def test_a_lost_acknowledge_is_asked_for_again() -> None:
     with enabled() as made:
-        made.emulated.ignore_targets(1)
+        made.emulated.motor.ignored = 1
         made.drive.command(Target(0.3, 3.0))
         assert made.until(lambda: abs(made.fin.now().angle - 0.3) < 1e-3)
         assert made.drive.counters()["targets repeated"] >= 1
@@ -228,10 +227,10 @@ def send(made: Bench, cob_id: int, data: bytes) -> None:
 @pytest.mark.parametrize(
     ("inject", "words"),
     [
-        (lambda made: made.emulated.stall(), "following error"),
+        (lambda made: made.emulated.motor.stall(), "following error"),
         (lambda made: made.emulated.drop_heartbeat(), "heartbeat is missing"),
         (lambda made: made.emulated.go_silent(), "heartbeat is missing"),
-        (lambda made: made.emulated.ignore_targets(1000), "did not take a target"),
+        (lambda made: setattr(made.emulated.motor, "ignored", 1000), "did not take a target"),
         (lambda made: send(made, 0x200 + NODE, bytes(6)), "switch on disabled though it was enabled"),
         (lambda made: send(made, 0x000, bytes([0x80, NODE])), "left the operational state"),
     ],
@@ -460,9 +459,7 @@ def test_a_command_that_safety_lets_pass_is_taken_and_put_on_the_limit() -> None
     # A controller for pi/2, and a rig's file that says 1.57.
     with enabled(angle_max_rad=1.57) as made:
         target = Target(1.5708, 3.14)
-        config = made.drive.config
-        limits = Limits(config.angle_min_rad, config.angle_max_rad, config.slowest_rad_s, config.fastest_rad_s)
-        assert check_target(target, limits) is None
+        assert check_target(target, made.drive.config.limits) is None
         made.drive.command(target)
         assert made.until(lambda: made.drive.sync_and_read().angle == pytest.approx(1.57, abs=1e-3))
         assert made.emulated.state.words == "operation enabled"

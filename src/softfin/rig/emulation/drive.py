@@ -1,7 +1,7 @@
 """An emulated EPOS2 on any python-can bus, a fin that moves by itself behind it: the protocol of the real one.
 
 It is made from the same documents as our driver of it, so that it shares what both misread; canopen's LocalNode
-serves its objects. What a test wants to go wrong is a method: `fault`, `stall`, `go_silent`, `reboot` ..
+serves its objects. What a test wants to go wrong is a method: `fault`, `go_silent`, `reboot`, `motor.stall` ..
 """
 
 import contextlib
@@ -43,28 +43,26 @@ class _Network(canopen.Network):
             super().send_message(can_id, bytes(data), remote)
 
     def send_periodic(self, can_id: int, data: Any, period: float, remote: bool = False) -> Any:
-        return _Heartbeat(lambda data: self.send_message(can_id, data), data, period, self._clock)
+        return _Heartbeat(self, can_id, data, period, self._clock)
 
 
 class _Heartbeat:
     """What canopen keeps as a periodic task: sent at once, and then every period [s]."""
 
-    def __init__(self, send: Callable[[Any], None], data: Any, period: float, clock: Clock) -> None:
-        self._send, self._data, self._period = send, data, period
-        self._ended = clock.event()
-        clock.spawn(self._run, "emulated drive's heartbeat")
+    def __init__(self, network: _Network, can_id: int, data: Any, period: float, clock: Clock) -> None:
+        self._data, ended = data, clock.event()
+        self.stop = ended.set
 
-    def stop(self) -> None:
-        self._ended.set()
+        def run() -> None:
+            while not ended.is_set():
+                with contextlib.suppress(can.CanError, RuntimeError):
+                    network.send_message(can_id, self._data)
+                ended.wait(period)
+
+        clock.spawn(run, "emulated drive's heartbeat")
 
     def update(self, data: Any) -> None:
         self._data = data
-
-    def _run(self) -> None:
-        while not self._ended.is_set():
-            with contextlib.suppress(can.CanError, RuntimeError):
-                self._send(self._data)
-            self._ended.wait(self._period)
 
 
 class EmulatedDrive:
@@ -78,7 +76,7 @@ class EmulatedDrive:
         self._node = node(config.node, dictionary(values(config)))
         self._node.add_read_callback(self._live)
         self._node.add_write_callback(self._written)
-        self._motor = motor = EmulatedMotor(fin, Units.of(config), self._value, self.fault)
+        self.motor = motor = EmulatedMotor(fin, Units.of(config), self._value, self.fault)
         self._process_data = ProcessData(self._node, self._network.send_message, self.fault)
         self._readings: dict[int, Callable[[], int]] = {
             protocol.STATUSWORD.number: lambda: self.statusword,
@@ -89,7 +87,6 @@ class EmulatedDrive:
             protocol.VELOCITY.number: lambda: motor.rpm,
             protocol.CURRENT.number: lambda: motor.current,
         }
-        self._errors: list[int] = []
         self._ending = clock.event()
         self._threads: list[threading.Thread] = []
         self._power_up()
@@ -107,7 +104,7 @@ class EmulatedDrive:
         self._ending.set()
         while self._threads:
             self._threads.pop().join(1.0)
-        self._motor.halt()
+        self.motor.halt()
         self._node.nmt.stop_heartbeat()
         bus, self._network.bus = self._network.bus, None
         if bus is not None:
@@ -122,11 +119,11 @@ class EmulatedDrive:
 
     def remembered(self) -> dict[str, Any]:
         """What it would lose with its supply: its zero, for JSON."""
-        return {"zero_counts": self._motor.zero, "referenced": self._motor.referenced}
+        return {"zero_counts": self.motor.zero, "referenced": self.motor.referenced}
 
     def recall(self, remembered: dict[str, Any]) -> None:
         """Go on as if its supply had never been off."""
-        self._motor.zero, self._motor.referenced = int(remembered["zero_counts"]), bool(remembered["referenced"])
+        self.motor.zero, self.motor.referenced = int(remembered["zero_counts"]), bool(remembered["referenced"])
 
     def fault(self, code: int) -> None:
         """Emergency frame, error history, fault reaction."""
@@ -145,7 +142,6 @@ class EmulatedDrive:
     def go_silent(self) -> None:
         """Cut the cable: nothing comes in and nothing goes out, the drive goes on by itself."""
         self._network.silent = True
-        self._node.nmt.stop_heartbeat()
 
     def reboot(self) -> None:
         """Start anew, as after a moment without supply: the zero is lost."""
@@ -153,20 +149,11 @@ class EmulatedDrive:
             self._power_up()
             self._boot()
 
-    def stall(self) -> None:
-        """Block the fin: it stays where it is while the profile goes on."""
-        with self._lock:
-            self._motor.stall()
-
-    def ignore_targets(self, count: int) -> None:
-        """Take none of the next targets, as if their frames were lost."""
-        self._motor.ignored = count
-
     @property
     def statusword(self) -> int:
         """Statusword as it would be sent now."""
         with self._lock:
-            motor, reaches = self._motor, self.state in {State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE}
+            motor, reaches = self.motor, self.state in {State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE}
             bits = {
                 Bit.REMOTE: self._node.nmt.state == "OPERATIONAL",
                 Bit.TARGET_REACHED: reaches and motor.is_target_reached,
@@ -178,28 +165,28 @@ class EmulatedDrive:
 
     def _power_up(self) -> None:
         self.state = State.START
-        self._motor.power_up()
+        self.motor.power_up()
         self._word = 0
         self._errors = []
         self._host_beat: float | None = None
         self._node.data_store.clear()
+        self._process_data.enabled.clear()
+        self._node.nmt.stop_heartbeat()
 
     def _boot(self) -> None:
-        self._node.nmt.stop_heartbeat()
-        self._process_data.restart()
         for code in (protocol.NMT_RESET, protocol.NMT_PRE_OPERATIONAL):
             self._node.nmt.send_command(code)
 
     def _enter(self, state: State) -> None:
         before, self.state = self.state, state
         if before is not state and before in protocol.POWERED:
-            self._motor.halt()
+            self.motor.halt()
 
     def _demand(self) -> int:
-        return self._motor.demand if self.state is State.OPERATION_ENABLED else self._motor.position
+        return self.motor.demand if self.state is State.OPERATION_ENABLED else self.motor.position
 
     def _is_behind(self) -> bool:
-        return abs(self._demand() - self._motor.position) > self._value(protocol.FOLLOWING_ERROR)
+        return abs(self._demand() - self.motor.position) > self._value(protocol.FOLLOWING_ERROR)
 
     def _value(self, entry: Object) -> int:
         value: int = entry.layout.unpack(self._node.get_data(entry.number, entry.sub))[0]
@@ -230,7 +217,7 @@ class EmulatedDrive:
                 mode = protocol.MODE.layout.unpack(data)[0]
                 if mode not in MODES:
                     raise canopen.SdoAbortedError(OUT_OF_RANGE)
-                self._motor.set_mode(mode)
+                self.motor.set_mode(mode)
             elif index == protocol.HEARTBEAT_CONSUMER.number:
                 # Watching begins with the first heartbeat after this (CiA 301).
                 self._host_beat = None
@@ -246,7 +233,7 @@ class EmulatedDrive:
         if was is State.FAULT and self.state is not State.FAULT:
             self._emergency(0)
         if self.state is State.OPERATION_ENABLED:
-            self._motor.control(word, before)
+            self.motor.control(word, before)
 
     def _receive(self, bus: can.BusABC) -> None:
         while not self._ending.is_set():
@@ -278,8 +265,6 @@ class EmulatedDrive:
         is_operational = self._node.nmt.state == "OPERATIONAL"
         if cob_id == protocol.NMT and self._node.nmt.state == "INITIALISING":
             self.reboot()
-        elif cob_id == protocol.NMT and not is_operational:
-            self._process_data.restart()
         elif cob_id & 0x780 == protocol.HEARTBEAT:
             if cob_id & 0x7F == self._value(protocol.HEARTBEAT_CONSUMER) >> 16 & 0x7F:
                 self._host_beat = self._clock()

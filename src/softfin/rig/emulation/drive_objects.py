@@ -1,10 +1,9 @@
 """The object dictionary of an emulated EPOS2, and its process data (PDO).
 
-Process data are off and empty at first. They are sent at every n-th SYNC (transmission types 1 to 240), and act as soon
-as they are taken (254, 255); other transmission types are refused.
+Process data are off and empty at first. They are sent at every SYNC and act as soon as they are taken (transmission
+types 1 and 255); other transmission types are refused.
 """
 
-from collections import Counter
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -36,8 +35,6 @@ CANNOT_BE_MAPPED, OUT_OF_RANGE, WRONG_STATE = 0x06040041, 0x06090030, 0x08000022
 """Why a write is refused (SDO abort codes)."""
 LENGTH_ERROR = 0x8210
 """Emergency: a frame is shorter than what is mapped."""
-LAST_SYNCHRONOUS, FIRST_AT_ONCE = 240, 254
-"""Transmission types."""
 
 
 def values(config: Epos2Config) -> dict[Object, int]:
@@ -76,26 +73,24 @@ def values(config: Epos2Config) -> dict[Object, int]:
 def dictionary(start: dict[Object, int]) -> Any:
     """canopen's object dictionary with every object at its value."""
     library: Any = od
-    objects_by_index = library.ObjectDictionary()
-    entries = Counter(entry.number for entry in start)
+    made = library.ObjectDictionary()
+    records = {entry.number for entry in start if entry.sub}
+    for number in records:
+        made.add_object(library.ODRecord(f"0x{number:04X}", number))
     for entry, value in start.items():
         variable = library.ODVariable(str(entry), entry.number, entry.sub)
         variable.data_type, variable.default = _TYPES[entry.form], value
         is_error = entry.number == protocol.NEWEST_ERROR.number and entry.sub > 0
         variable.access_type = "ro" if entry in READ_ONLY or is_error else "rw"
-        if entry.sub == 0 and entries[entry.number] == 1:
-            objects_by_index.add_object(variable)
-            continue
-        if entry.number not in objects_by_index:
-            objects_by_index.add_object(library.ODRecord(f"0x{entry.number:04X}", entry.number))
-        objects_by_index[entry.number].add_member(variable)
-    return objects_by_index
+        if entry.number in records:
+            made[entry.number].add_member(variable)
+        else:
+            made.add_object(variable)
+    return made
 
 
 class _Pdo(NamedTuple):
     cob_id: int
-    """COB-ID with its bits."""
-    transmission: int
     entries: list[tuple[int, int, int]]
     """Index, sub-index and bits of what is mapped."""
 
@@ -105,26 +100,18 @@ class ProcessData:
 
     def __init__(self, node: Any, send: Callable[[int, bytes], None], fault: Callable[[int], None]) -> None:
         self._node, self._send, self._fault = node, send, fault
-        self.restart()
-
-    def restart(self) -> None:
-        """Begin to count anew, as when the node becomes operational."""
-        self._pdos: dict[int, list[_Pdo]] = {}
+        self.enabled: dict[int, list[_Pdo]] = {}
         """Those that are on, until one of their objects is written."""
-        self._syncs = 0
 
     def synchronise(self) -> None:
         """Send what is due at a SYNC."""
-        self._syncs += 1
         for pdo in self._enabled(SENT):
-            if self._syncs % pdo.transmission == 0:
-                data = b"".join(self._node.get_data(index, sub) for index, sub, _ in pdo.entries)
-                self._send(pdo.cob_id & 0x7FF, data)
+            self._send(pdo.cob_id, b"".join(self._node.get_data(index, sub) for index, sub, _ in pdo.entries))
 
     def take(self, cob_id: int, data: bytes) -> None:
         """Follow a frame; frames other than process data change nothing."""
         for pdo in self._enabled(TAKEN):
-            if pdo.cob_id & 0x7FF != cob_id:
+            if pdo.cob_id != cob_id:
                 continue
             if 8 * len(data) < sum(bits for _, _, bits in pdo.entries):
                 self._fault(LENGTH_ERROR)
@@ -139,7 +126,7 @@ class ProcessData:
 
     def check(self, index: int, subindex: int, data: bytes | bytearray) -> None:
         """Raise SdoAbortedError where this may not be written into an object of process data now."""
-        self._pdos.clear()
+        self.enabled.clear()
         value, number = int.from_bytes(data, "little"), index & ~0x200
         if index != number:
             is_on = not self._value(number, 1, "I") & protocol.INVALID
@@ -148,20 +135,18 @@ class ProcessData:
             found = self._node.object_dictionary.get_variable(value >> 16, value >> 8 & 0xFF) if subindex else None
             if subindex and (found is None or len(found) != value & 0xFF):
                 raise canopen.SdoAbortedError(CANNOT_BE_MAPPED)
-        elif subindex == 2 and not (1 <= value <= LAST_SYNCHRONOUS if number >= SENT else value >= FIRST_AT_ONCE):
+        elif subindex == 2 and value != (protocol.ON_SYNC if number >= SENT else protocol.AT_ONCE):
             raise canopen.SdoAbortedError(OUT_OF_RANGE)
 
     def _enabled(self, first: int) -> list[_Pdo]:
-        if first not in self._pdos:
-            pdos = map(self._pdo, range(first, first + PDOS))
-            self._pdos[first] = [pdo for pdo in pdos if not pdo.cob_id & protocol.INVALID]
-        return self._pdos[first]
-
-    def _pdo(self, number: int) -> _Pdo:
-        mapping = number + 0x200
-        entries = [self._value(mapping, 1 + place, "I") for place in range(self._value(mapping, 0, "B"))]
-        mapped = [(each >> 16, each >> 8 & 0xFF, each & 0xFF) for each in entries]
-        return _Pdo(self._value(number, 1, "I"), self._value(number, 2, "B"), mapped)
+        if first not in self.enabled:
+            found = self.enabled[first] = []
+            for number in range(first, first + PDOS):
+                cob_id, count = self._value(number, 1, "I"), self._value(number + 0x200, 0, "B")
+                if not cob_id & protocol.INVALID:
+                    mapped = [self._value(number + 0x200, 1 + place, "I") for place in range(count)]
+                    found.append(_Pdo(cob_id & 0x7FF, [(each >> 16, each >> 8 & 0xFF, each & 0xFF) for each in mapped]))
+        return self.enabled[first]
 
     def _value(self, number: int, sub: int, form: str) -> int:
         value: int = Object(number, sub, form, "").layout.unpack(self._node.get_data(number, sub))[0]
