@@ -19,6 +19,7 @@ from typing import Any
 
 import can
 import yaml
+from tests.rig.simple_fin import SimpleFin
 
 from benchmarks.measure import entry
 from softfin.control.controller import LoadedController, Measured
@@ -26,7 +27,6 @@ from softfin.control.store import load_controller
 from softfin.core.clock import REAL
 from softfin.core.errors import SafetyStop
 from softfin.rig.config import RigConfig
-from softfin.rig.emulation.fin import SimpleFin
 from softfin.rig.emulation.rig import EmulatedRig
 from softfin.rig.epos2 import protocol
 from softfin.rig.loop import run_controller

@@ -22,7 +22,6 @@ import yaml
 
 from softfin.core.clock import REAL
 from softfin.core.errors import SafetyStop
-from softfin.rig.emulation.fin import SimpleFin
 from softfin.rig.emulation.rig import EmulatedRig
 from softfin.rig.epos2.protocol import State
 from softfin.rig.loop import run_controller
@@ -35,6 +34,7 @@ from tests.rig.bags import events_of
 from tests.rig.faulty_network import FaultyNetwork
 from tests.rig.machines import Wagging
 from tests.rig.rigs import SAFETY
+from tests.rig.simple_fin import SimpleFin
 
 LONG = os.environ.get("SOFTFIN_LONG") == "1"
 LONG_S = 60 * float(os.environ.get("SOFTFIN_SOAK_MINUTES", "20"))

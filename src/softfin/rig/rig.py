@@ -29,7 +29,7 @@ class Rig:
         self._save: Callable[[], None] | None = None
         if clock is None and config.emulation is not None:
             # Imported here: a real rig needs no tank.
-            from softfin.rig.emulation.kept_rig import kept_rig
+            from softfin.rig.emulation.rig import kept_rig
 
             emulated = kept_rig(config)
             clock, self._save = emulated.clock, emulated.save

@@ -4,11 +4,12 @@ import pytest
 
 from softfin.rig.emulation.drive_motor import EmulatedMotor
 from softfin.rig.emulation.drive_objects import values
-from softfin.rig.emulation.fin import FinMotion, SimpleFin
+from softfin.rig.emulation.fin import FinMotion
 from softfin.rig.epos2 import protocol
 from softfin.rig.epos2.config import Units
 from tests.rig.epos2_bench import drive_config
 from tests.rig.machines import Hours
+from tests.rig.simple_fin import SimpleFin
 
 ENABLED, START, RELATIVE = 0x0F, 0x3F, 0x7F
 

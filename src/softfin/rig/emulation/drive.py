@@ -5,7 +5,6 @@ serves its objects. What a test wants to go wrong is a method: `fault`, `go_sile
 """
 
 import contextlib
-import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -66,10 +65,10 @@ class _Heartbeat:
 
 
 class EmulatedDrive:
-    """A drive set up as `config` describes a real one; `start` it, `close` it."""
+    """A drive set up as `config` describes a real one; it has power from construction until `close`."""
 
-    def __init__(self, bus: BusConfig, config: Epos2Config, fin: EmulatedFin, clock: Clock = REAL) -> None:
-        self._bus_config, self._config, self._clock = bus, config, clock
+    def __init__(self, bus_config: BusConfig, config: Epos2Config, fin: EmulatedFin, clock: Clock = REAL) -> None:
+        self._config, self._clock = config, clock
         self._lock = clock.lock()
         self._network = _Network(clock)
         node: Any = canopen.LocalNode
@@ -88,16 +87,12 @@ class EmulatedDrive:
             protocol.CURRENT.number: lambda: motor.current,
         }
         self._ending = clock.event()
-        self._threads: list[threading.Thread] = []
         self._power_up()
-
-    def start(self) -> None:
-        """Power-up: boot-up message, then pre-operational and switched off."""
-        bus = self._network.bus = open_bus(self._bus_config, self._clock)
-        self._network[self._config.node] = self._node
-        self._threads = [self._clock.spawn(lambda: self._receive(bus), "emulated drive's receiver")]
+        bus = self._network.bus = open_bus(bus_config, clock)
+        self._network[config.node] = self._node
+        self._threads = [clock.spawn(lambda: self._receive(bus), "emulated drive's receiver")]
         self._boot()
-        self._threads.append(self._clock.spawn(self._run, "emulated drive"))
+        self._threads.append(clock.spawn(self._run, "emulated drive"))
 
     def close(self) -> None:
         """Power-down; any number of times."""
@@ -109,13 +104,6 @@ class EmulatedDrive:
         bus, self._network.bus = self._network.bus, None
         if bus is not None:
             bus.shutdown()
-
-    def __enter__(self) -> "EmulatedDrive":
-        self.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def remembered(self) -> dict[str, Any]:
         """What it would lose with its supply: its zero, for JSON."""
