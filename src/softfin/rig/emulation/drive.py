@@ -14,7 +14,7 @@ import canopen
 from softfin.core.clock import REAL, Clock
 from softfin.rig.emulation import drive_motor
 from softfin.rig.emulation.drive_motor import MODES, EmulatedMotor
-from softfin.rig.emulation.drive_objects import ERRORS_KEPT, OUT_OF_RANGE, ProcessData, dictionary, values
+from softfin.rig.emulation.drive_objects import OUT_OF_RANGE, ProcessData, dictionary, values
 from softfin.rig.emulation.fin import EmulatedFin
 from softfin.rig.epos2 import protocol
 from softfin.rig.epos2.config import BusConfig, Epos2Config, Units
@@ -24,8 +24,6 @@ from softfin.rig.simulated_network import open_bus
 TICK_S = 0.005
 CYCLE_S = 0.05
 """Longest time between two looks of the receiver at whether it is to end."""
-NMT_STOP = 0x02
-NMT_COMMANDS = (protocol.NMT_START, NMT_STOP, protocol.NMT_PRE_OPERATIONAL, protocol.NMT_RESET)
 ERROR_REGISTER = 0x01
 """Generic error: the bit of the error register that every error sets (CiA 301); those of its kind are not emulated."""
 
@@ -120,7 +118,7 @@ class EmulatedDrive:
                 return
             powered = self.state in protocol.POWERED
             self._enter(State.FAULT_REACTION_ENABLED if powered else State.FAULT_REACTION_DISABLED)
-            self._errors = [code, *self._errors][:ERRORS_KEPT]
+            self._newest_error = code
             self._emergency(code)
 
     def drop_heartbeat(self) -> None:
@@ -155,7 +153,7 @@ class EmulatedDrive:
         self.state = State.START
         self.motor.power_up()
         self._word = 0
-        self._errors = []
+        self._newest_error = 0
         self._host_beat: float | None = None
         self._node.data_store.clear()
         self._process_data.enabled.clear()
@@ -194,7 +192,7 @@ class EmulatedDrive:
     def _live(self, index: int, subindex: int, od: Any) -> int | None:
         with self._lock:
             if index == protocol.ERROR_COUNT.number:
-                return len(self._errors) if subindex == 0 else [*self._errors, *[0] * ERRORS_KEPT][subindex - 1]
+                return self._newest_error if subindex else int(self._newest_error != 0)
             return self._readings[index]() if index in self._readings else None
 
     def _written(self, index: int, subindex: int, od: Any, data: bytes | bytearray) -> None:
@@ -210,7 +208,7 @@ class EmulatedDrive:
                 # Watching begins with the first heartbeat after this (CiA 301).
                 self._host_beat = None
             elif index == protocol.ERROR_COUNT.number:
-                self._errors = []
+                self._newest_error = 0
             elif 0x1400 <= index < 0x1C00:
                 self._process_data.check(index, subindex, data)
 
@@ -233,33 +231,27 @@ class EmulatedDrive:
                 continue
             # canopen takes 29-bit identifiers for 11-bit ones.
             if not (message.is_error_frame or message.is_extended_id or message.is_remote_frame):
-                self._take(message.arbitration_id, bytes(message.data))
+                # Whatever canopen makes of a frame that makes no sense.
+                with contextlib.suppress(Exception):
+                    self._take(message.arbitration_id, bytes(message.data))
 
     def _take(self, cob_id: int, data: bytes) -> None:
-        is_sdo = cob_id & 0x780 == protocol.SDO_REQUEST
-        # canopen's server would print a traceback for the first, and has states of its own for the second.
-        wrong_sdo = is_sdo and len(data) != 8
-        wrong_nmt = cob_id == protocol.NMT and (len(data) != 2 or data[0] not in NMT_COMMANDS)
-        if wrong_sdo or wrong_nmt or (is_sdo and self._node.nmt.state == "STOPPED"):
+        nmt = self._node.nmt
+        # For a short SDO canopen's server would print a traceback.
+        if cob_id == protocol.SDO_REQUEST + self._config.node and (len(data) != 8 or nmt.state == "STOPPED"):
             return
-        # Whatever canopen makes of a frame that makes no sense.
-        with contextlib.suppress(Exception):
-            # canopen answers SDOs, and follows NMT commands.
-            self._network.notify(cob_id, bytearray(data), self._clock())
-            with self._lock:
-                self._follow(cob_id, data)
-
-    def _follow(self, cob_id: int, data: bytes) -> None:
-        is_operational = self._node.nmt.state == "OPERATIONAL"
-        if cob_id == protocol.NMT and self._node.nmt.state == "INITIALISING":
-            self.reboot()
-        elif cob_id & 0x780 == protocol.HEARTBEAT:
-            if cob_id & 0x7F == self._value(protocol.HEARTBEAT_CONSUMER) >> 16 & 0x7F:
-                self._host_beat = self._clock()
-        elif is_operational and cob_id == protocol.SYNC:
-            self._process_data.synchronise()
-        elif is_operational:
-            self._process_data.take(cob_id, data)
+        # canopen answers SDOs, and follows NMT commands.
+        self._network.notify(cob_id, bytearray(data), self._clock())
+        with self._lock:
+            if cob_id == protocol.NMT and nmt.state == "INITIALISING":
+                self.reboot()
+            elif cob_id & 0x780 == protocol.HEARTBEAT:
+                if cob_id & 0x7F == self._value(protocol.HEARTBEAT_CONSUMER) >> 16 & 0x7F:
+                    self._host_beat = self._clock()
+            elif nmt.state == "OPERATIONAL" and cob_id == protocol.SYNC:
+                self._process_data.synchronise()
+            elif nmt.state == "OPERATIONAL":
+                self._process_data.take(cob_id, data)
 
     def _emergency(self, code: int) -> None:
         if self._node.nmt.state != "STOPPED":

@@ -18,15 +18,11 @@ PDOS = 4
 """Process data of each kind, as an EPOS2 has them."""
 MAPPED = 8
 """Entries of a PDO at most."""
-ERRORS_KEPT = 5
-IDENTITY = tuple(Object(0x1018, sub, "I", "identity") for sub in range(1, 5))
-"""Vendor, product, revision and serial number: every node has them (CiA 301)."""
-MAXON = 0x000000FB
 TAKEN, SENT = 0x1400, 0x1800
 """First object of the process data of each kind; its mapping is 0x200 above it."""
 READ_ONLY = frozenset(
     {protocol.DEVICE_TYPE, protocol.ERROR_REGISTER, protocol.STATUSWORD, protocol.MODE_DISPLAY, protocol.DEMAND,
-     protocol.POSITION, protocol.VELOCITY, protocol.CURRENT, protocol.SUPPORTED_MODES, *IDENTITY}
+     protocol.POSITION, protocol.VELOCITY, protocol.CURRENT, protocol.SUPPORTED_MODES, protocol.NEWEST_ERROR}
 )  # fmt: skip
 _TYPES = {"b": od.INTEGER8, "h": od.INTEGER16, "i": od.INTEGER32,
           "B": od.UNSIGNED8, "H": od.UNSIGNED16, "I": od.UNSIGNED32}  # fmt: skip
@@ -39,8 +35,7 @@ LENGTH_ERROR = 0x8210
 
 def values(config: Epos2Config) -> dict[Object, int]:
     """The objects of a drive as delivered, set up for this motor and encoder: our limits are not in it yet."""
-    start: dict[Object, int] = dict.fromkeys((*protocol.OBJECTS, *IDENTITY), 0)
-    start |= {
+    start = dict.fromkeys(protocol.OBJECTS, 0) | {
         protocol.DEVICE_TYPE: 0x00020192,
         protocol.ENCODER_LINES: config.encoder_lines,
         protocol.MODE: protocol.PROFILE_POSITION,
@@ -56,9 +51,7 @@ def values(config: Epos2Config) -> dict[Object, int]:
         protocol.CURRENT_LIMIT: 3000,
         # Homing and profile position: bits 5 and 0.
         protocol.SUPPORTED_MODES: 0x21,
-        IDENTITY[0]: MAXON,
     }
-    start |= {Object(protocol.NEWEST_ERROR.number, place, "I", "error"): 0 for place in range(2, ERRORS_KEPT + 1)}
     for first, cob_id, transmission in ((TAKEN, 0x200, protocol.AT_ONCE), (SENT, 0x180, protocol.ON_SYNC)):
         for number in range(first, first + PDOS):
             start |= {
@@ -80,8 +73,7 @@ def dictionary(start: dict[Object, int]) -> Any:
     for entry, value in start.items():
         variable = library.ODVariable(str(entry), entry.number, entry.sub)
         variable.data_type, variable.default = _TYPES[entry.form], value
-        is_error = entry.number == protocol.NEWEST_ERROR.number and entry.sub > 0
-        variable.access_type = "ro" if entry in READ_ONLY or is_error else "rw"
+        variable.access_type = "ro" if entry in READ_ONLY else "rw"
         if entry.number in records:
             made[entry.number].add_member(variable)
         else:

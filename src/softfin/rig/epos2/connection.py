@@ -24,9 +24,6 @@ from softfin.rig.simulated_network import open_bus
 SDO_TIMEOUT_S = 0.5
 SEND_TIMEOUT_S = 0.05
 RECEIVER_CYCLE_S = 0.05
-CLOSE_TIMEOUT_S = 0.5
-ERROR_PAUSE_S = 0.05
-"""Pause after a receiving error, so that a bus that is gone does not take a whole core."""
 SCAN_PAUSE_S = 0.002
 """Pause between two requests to all nodes: the transmit queue of a SocketCAN interface holds ten frames."""
 
@@ -51,14 +48,12 @@ class CanConnection:
         self._config, self._node, self._clock = config, node, clock
         self._on_frame, self._on_problem = on_frame, on_problem
         self._bus: can.BusABC | None = None
-        self._receiving: threading.Thread | None = None
         self._receiver: threading.Thread | None = None
         # Re-entrant, for a stop in a signal handler that interrupts a send.
         self._sending, self._requesting = clock.lock(), clock.lock()
         self._answered = clock.condition()
         self._request, self._answer = b"", b""
         self.nodes: set[int] = set()
-        """Nodes that sent anything."""
         self.counters: Counter[str] = Counter()
 
     @property
@@ -81,7 +76,7 @@ class CanConnection:
                 address = (str(options.get("host", "127.0.0.1")), int(options.get("port", 29536)))
                 socket.create_connection(address, timeout=2).close()
             bus = self._bus = open_bus(self._config, self._clock)
-            self._receiving = self._clock.spawn(lambda: self._receive(bus), "drive receiver")
+            self._clock.spawn(lambda: self._receive(bus), "drive receiver")
         except Exception as error:
             # Every interface of python-can has errors of its own.
             self.close()
@@ -92,9 +87,9 @@ class CanConnection:
 
     def close(self) -> None:
         """Close the bus; any number of times, never raises."""
-        receiving, bus, self._receiving, self._bus = self._receiving, self._bus, None, None
-        if receiving is not None and not self.in_receiver:
-            receiving.join(CLOSE_TIMEOUT_S)
+        bus, self._bus = self._bus, None
+        if self._receiver is not None and not self.in_receiver:
+            self._receiver.join(10 * RECEIVER_CYCLE_S)
         if bus is not None:
             with contextlib.suppress(Exception):
                 bus.shutdown()
@@ -129,12 +124,12 @@ class CanConnection:
         self._transfer(entry, download(entry, value), (DOWNLOADED,))
 
     def scan(self) -> list[int]:
-        """Ask every node for its device type; the nodes that sent anything since `open`."""
+        """Ask every node for its device type; the other nodes that sent anything since `open`."""
         for node in range(1, 128):
             self.send(protocol.SDO_REQUEST + node, struct.pack("<BHBI", UPLOAD, protocol.DEVICE_TYPE.number, 0, 0))
             self._clock.sleep(SCAN_PAUSE_S)
         self._clock.sleep(50 * SCAN_PAUSE_S)
-        return sorted(self.nodes)
+        return sorted(self.nodes - {0, self._node})
 
     def _transfer(self, entry: Object, request: bytes, allowed: tuple[int, ...]) -> bytes:
         """The answer to a request, which must begin with one of the allowed commands."""
@@ -172,20 +167,19 @@ class CanConnection:
                 if self._bus is bus:
                     self.counters["receiving errors"] += 1
                     self._on_problem(f"{self.name} cannot be read ({_one_line(error)}); look at the adapter and cable")
-                    self._clock.sleep(ERROR_PAUSE_S)
+                    # A bus that is gone must not take a whole core.
+                    self._clock.sleep(RECEIVER_CYCLE_S)
 
     def _sort(self, message: can.Message) -> None:
+        cob_id, data = message.arbitration_id, bytes(message.data)
         if message.is_error_frame:
             self.counters["error frames"] += 1
             self._on_problem(f"{self.name} reports an error frame; look at cable, termination and bitrate")
-            return
-        if message.is_remote_frame or message.is_extended_id:
+        elif message.is_remote_frame or message.is_extended_id:
             self.counters["foreign frames"] += 1
-            return
-        cob_id, data = message.arbitration_id, bytes(message.data)
-        if cob_id & 0x780 in (protocol.SDO_ANSWER, protocol.HEARTBEAT) and cob_id & 0x7F:
-            self.nodes.add(cob_id & 0x7F)
-        if cob_id != protocol.SDO_ANSWER + self._node:
+        elif cob_id != protocol.SDO_ANSWER + self._node:
+            if cob_id & 0x780 in (protocol.SDO_ANSWER, protocol.HEARTBEAT):
+                self.nodes.add(cob_id & 0x7F)
             self._on_frame(cob_id, data)
         elif len(data) != 8:
             self.counters["malformed frames"] += 1

@@ -26,11 +26,11 @@ def identify(connection: CanConnection, config: Epos2Config) -> None:
     try:
         device = connection.read(protocol.DEVICE_TYPE)
     except DeviceError:
-        others = [node for node in connection.scan() if node != config.node]
-        found = f"node{'s' * (len(others) > 1)} {', '.join(map(str, others))} did: set drive.node" if others else ""
+        found = ", ".join(map(str, connection.scan()))
+        advice = "no other node does either: look at supply, cable, termination and bus.bitrate"
         raise RigError(
             f"no drive answers as node {config.node} on {connection.name}; "
-            + (found or "no other node does either: look at supply, cable, termination and bus.bitrate")
+            + (f"node {found} did: set drive.node" if found else advice)
         ) from None
     if device & 0xFFFF != protocol.SERVO_DRIVE:
         raise RigError(
@@ -54,18 +54,13 @@ def check(connection: CanConnection, config: Epos2Config) -> None:
         raise RigError(f"{fault}; then run: softfin rig check --reset-fault")
     word = connection.read(protocol.STATUSWORD)
     state = protocol.decode(word)
-    if state is None:
-        raise RigError(f"drive's statusword 0x{word:04X} is none of an EPOS2; check drive.node of the rig's file")
-    if state in protocol.POWERED:
-        raise RigError(
-            f"drive is in state {state.words} already; close the program that drives it, or switch it off and on"
-        )
+    if state not in protocol.UNPOWERED:
+        words = state.words if state else f"not of an EPOS2 (statusword 0x{word:04X})"
+        raise RigError(f"drive is {words} already; close the program that drives it, or switch it off and on")
     motor = connection.read(protocol.MOTOR_TYPE)
     if motor not in protocol.BRUSHLESS:
         allowed = " or ".join(f"{number} ({name})" for number, name in protocol.BRUSHLESS.items())
         raise RigError(f"drive's motor type is {motor}; an EC-max has {allowed}: set the motor up in EPOS Studio")
-    if not connection.read(protocol.SUPPORTED_MODES) & 1 << protocol.PROFILE_POSITION - 1:
-        raise RigError("drive has no profile position mode; update its firmware")
     lines = connection.read(protocol.ENCODER_LINES)
     if lines != config.encoder_lines:
         raise RigError(
@@ -96,13 +91,14 @@ def configure(connection: CanConnection, config: Epos2Config) -> None:
         write(connection, entry, value)
     set_mode(connection, protocol.PROFILE_POSITION)
     write(connection, protocol.HEARTBEAT_PRODUCER, milliseconds(config.heartbeat_s / HEARTBEATS))
-    for number, entries in enumerate(protocol.SENT):
-        _map(connection, 0x1800 + number, protocol.TPDO[number] + config.node, entries, protocol.ON_SYNC)
-    for number, entries in enumerate(protocol.TAKEN):
-        _map(connection, 0x1400 + number, protocol.RPDO[number] + config.node, entries, protocol.AT_ONCE)
-    # What else the drive was once told to send and take: TPDO 4, RPDO 3 and 4.
-    for unused, cob_id in ((0x1803, 0x480), (0x1402, 0x400), (0x1403, 0x500)):
-        _set_cob_id(connection, unused, cob_id + config.node | protocol.INVALID)
+    for first, pdos, cob_id, transmission in (
+        (0x1800, protocol.SENT, protocol.TPDO[0], protocol.ON_SYNC),
+        (0x1400, protocol.TAKEN, protocol.RPDO[0], protocol.AT_ONCE),
+    ):
+        # All four of each kind: what else the drive was once told to send and take is turned off.
+        for place in range(4):
+            entries = pdos[place] if place < len(pdos) else ()
+            _map(connection, first + place, cob_id + 0x100 * place + config.node, entries, transmission)
 
 
 def write(connection: CanConnection, entry: Object, value: int, shown: Object | None = None, mask: int = -1) -> None:
@@ -123,15 +119,18 @@ def set_mode(connection: CanConnection, mode: int) -> None:
 
 def _map(connection: CanConnection, number: int, cob_id: int, entries: tuple[Object, ...], transmission: int) -> None:
     """Mapping objects are 0x200 above those of the communication; a PDO must be off while its mapping changes."""
-    _set_cob_id(connection, number, cob_id | protocol.INVALID)
+
+    def set_cob_id(value: int) -> None:
+        entry = Object(number, 1, "I", "COB-ID")
+        write(connection, entry, value | NO_REMOTE_REQUEST, mask=protocol.INVALID | 0x7FF)
+
+    set_cob_id(cob_id | protocol.INVALID)
+    if not entries:
+        return
     count = Object(number + 0x200, 0, "B", "mapped objects")
     connection.write(count, 0)
     for place, entry in enumerate(entries, 1):
         write(connection, Object(number + 0x200, place, "I", "mapping"), entry.mapping)
     write(connection, count, len(entries))
     write(connection, Object(number, 2, "B", "transmission type"), transmission)
-    _set_cob_id(connection, number, cob_id)
-
-
-def _set_cob_id(connection: CanConnection, number: int, cob_id: int) -> None:
-    write(connection, Object(number, 1, "I", "COB-ID"), cob_id | NO_REMOTE_REQUEST, mask=protocol.INVALID | 0x7FF)
+    set_cob_id(cob_id)
