@@ -19,6 +19,7 @@ from typing import Any
 
 import can
 import yaml
+from tests.rig.simple_fin import SimpleFin
 
 from benchmarks.measure import entry
 from softfin.control.controller import LoadedController, Measured
@@ -26,9 +27,8 @@ from softfin.control.store import load_controller
 from softfin.core.clock import REAL
 from softfin.core.errors import SafetyStop
 from softfin.rig.config import RigConfig
-from softfin.rig.emulation.fin import SimpleFin
 from softfin.rig.emulation.rig import EmulatedRig
-from softfin.rig.epos2 import cia402
+from softfin.rig.epos2 import protocol
 from softfin.rig.loop import run_controller
 from softfin.rig.machine import Sample, Target
 from softfin.rig.rig import Rig
@@ -192,7 +192,7 @@ class _QuickStop:
             self.beat = time.monotonic()
         if message.arbitration_id & 0x780 == RECEIVE_PDO_1:
             (word,) = struct.unpack_from("<H", message.data)
-            if word == cia402.QUICK_STOP:
+            if word == protocol.QUICK_STOP:
                 self.times.append(time.monotonic())
 
     def __enter__(self) -> "_QuickStop":

@@ -5,7 +5,7 @@ import pytest
 
 from softfin.cli import main
 from softfin.rig.config import load_rig
-from softfin.rig.epos2.cia402 import State
+from softfin.rig.epos2.protocol import State
 from softfin.rig.safety import SafetyConfig
 from tests.cli.terminal import Terminal
 from tests.cli.test_cli import fails
@@ -43,7 +43,7 @@ def test_a_rig_is_checked_without_moving(file, emulated, capsys):
 
 def test_what_is_wrong_is_in_the_table_and_the_exit_code(file, emulated, capsys):
     emulated.drive.fault(0x2310)
-    emulated.sensor.status(0x88000000)
+    emulated.sensor.status = 0x88000000
     with pytest.raises(SystemExit) as ended:
         main(["rig", "check", "--rig", file])
     assert ended.value.code == 1

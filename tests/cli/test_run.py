@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from softfin.cli import main
-from softfin.rig.epos2.cia402 import State
+from softfin.rig.epos2.protocol import State
 from tests.cli.terminal import Terminal
 from tests.cli.test_cli import fails
 from tests.control.folders import folder_of

@@ -3,17 +3,17 @@
 import struct
 import uuid
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import Any, NamedTuple
 
 import can
 
 from softfin.rig.emulation.drive import EmulatedDrive
-from softfin.rig.emulation.fin import SimpleFin
 from softfin.rig.epos2.config import BusConfig, Epos2Config
 from softfin.rig.epos2.drive import Epos2
-from softfin.rig.simulated_bus import open_bus
 from softfin.rig.simulated_clock import SimulatedClock
+from softfin.rig.simulated_network import open_bus
+from tests.rig.simple_fin import SimpleFin
 
 NODE = 5
 LONG_S = 5.0
@@ -58,7 +58,7 @@ class Bench(NamedTuple):
 def bench(emulated: Epos2Config | None = None, **changes: Any) -> Iterator[Bench]:
     clock = SimulatedClock()
     config, bus, fin, faults = drive_config(**changes), bus_config(), SimpleFin(clock), []
-    with EmulatedDrive(bus, emulated or config, fin, clock) as behind:
+    with closing(EmulatedDrive(bus, emulated or config, fin, clock)) as behind:
         drive = Epos2(bus, config, clock, on_fault=faults.append)
         try:
             yield Bench(drive, behind, fin, bus, faults, clock)

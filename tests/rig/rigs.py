@@ -9,13 +9,12 @@ import pytest
 import yaml
 
 from softfin.core.clock import REAL
-from softfin.rig.emulation.fin import SimpleFin
-from softfin.rig.emulation.kept_rig import KeptRig, close_rigs, register_rig
-from softfin.rig.emulation.rig import EmulatedRig
+from softfin.rig.emulation.rig import EmulatedRig, rigs
 from softfin.rig.rig import Rig
 from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.tank import Tank
+from tests.rig.simple_fin import SimpleFin
 
 SAFETY = {"current_peak_a": 20.0, "current_sustained_a": 10.0, "acceleration_rad_s2": 1e5}
 """The simple fin is as fast as it likes at once."""
@@ -57,11 +56,11 @@ def robot_of(behind: EmulatedRig, **values: Any) -> RobotSetup:
 def filed(behind: EmulatedRig, path: Path, **safety: Any) -> Iterator[Path]:
     """Its file, for the command line in this process."""
     path.write_text(yaml.safe_dump(values_of(behind, **safety) | {"emulation": {}}))
-    register_rig(path, KeptRig(behind.clock, save=lambda: None, close=lambda: None))
+    rigs[path.resolve()] = behind
     try:
         yield path
     finally:
-        close_rigs()
+        del rigs[path.resolve()]
 
 
 @contextmanager

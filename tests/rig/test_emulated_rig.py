@@ -2,9 +2,9 @@ import socket
 
 from softfin.core.clock import REAL
 from softfin.rig.config import load_rig
-from softfin.rig.emulation.fin import SimpleFin
 from softfin.rig.emulation.rig import EmulatedRig, write_simulated
 from softfin.tank import Tank
+from tests.rig.simple_fin import SimpleFin
 
 
 def test_it_writes_a_file_that_another_process_can_use_as_it_is(tmp_path):
@@ -25,7 +25,6 @@ def test_its_limits_are_the_tanks(tmp_path):
 
 def test_it_closes_any_number_of_times_and_frees_its_ports():
     emulated = EmulatedRig(fin=SimpleFin(), clock=REAL)
-    emulated.start()
     port = emulated.server.port
     for _ in range(3):
         emulated.close()

@@ -3,7 +3,7 @@ import itertools
 import pytest
 
 from softfin.core.errors import DeviceError, RigError, SafetyStop
-from softfin.rig.epos2.cia402 import State
+from softfin.rig.epos2.protocol import State
 from softfin.rig.machine import Machine, Target
 from softfin.rig.rig import zero_angle, zero_force
 from softfin.rig.safety import Guard

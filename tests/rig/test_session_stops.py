@@ -133,7 +133,7 @@ def test_a_rig_tells_the_notes_of_its_sensor():
         assert isinstance(rig, Machine)
         assert rig.notes == ()
         assert rig.stop_unconfirmed is None
-        behind.sensor.status(1 << 28)
+        behind.sensor.status = 1 << 28
         try:
             rig.open()
             assert "its forces are simulated" in rig.notes[0]

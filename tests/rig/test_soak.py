@@ -22,9 +22,8 @@ import yaml
 
 from softfin.core.clock import REAL
 from softfin.core.errors import SafetyStop
-from softfin.rig.emulation.fin import SimpleFin
 from softfin.rig.emulation.rig import EmulatedRig
-from softfin.rig.epos2.cia402 import State
+from softfin.rig.epos2.protocol import State
 from softfin.rig.loop import run_controller
 from softfin.rig.machine import Target
 from softfin.rig.rig import Rig
@@ -35,6 +34,7 @@ from tests.rig.bags import events_of
 from tests.rig.faulty_network import FaultyNetwork
 from tests.rig.machines import Wagging
 from tests.rig.rigs import SAFETY
+from tests.rig.simple_fin import SimpleFin
 
 LONG = os.environ.get("SOFTFIN_LONG") == "1"
 LONG_S = 60 * float(os.environ.get("SOFTFIN_SOAK_MINUTES", "20"))
@@ -82,7 +82,7 @@ def bus_lost(at: Scene) -> None:
     def refuse(message: can.Message, timeout: float | None = None) -> None:
         raise can.CanOperationError("Transmit buffer full")
 
-    at.patches.setattr(at.rig.drive._connection._bus, "send", refuse)
+    at.patches.setattr(at.rig.drive.connection._bus, "send", refuse)
 
 
 def network(**fault: Any) -> Inject:
@@ -116,9 +116,9 @@ STOPS: dict[str, tuple[Inject, str]] = {
     "emergency frame": (lambda at: at.emulated.drive.fault(0x8611), "0x8611, following error"),
     "over-current": (lambda at: at.emulated.drive.fault(0x2310), "0x2310, over-current"),
     "drive starts anew": (lambda at: at.emulated.drive.reboot(), "started anew|state"),
-    "blocked fin": (lambda at: at.emulated.drive.stall(), "following|behind"),
-    "over-range": (lambda at: at.emulated.sensor.status(0xC0000000), "force sensor 127.0.0.1"),
-    "broken gage": (lambda at: at.emulated.sensor.status(0x88000000), "force sensor 127.0.0.1"),
+    "blocked fin": (lambda at: at.emulated.drive.motor.stall(), "following|behind"),
+    "over-range": (lambda at: setattr(at.emulated.sensor, "status", 0xC0000000), "force sensor 127.0.0.1"),
+    "broken gage": (lambda at: setattr(at.emulated.sensor, "status", 0x88000000), "force sensor 127.0.0.1"),
     "sensor silent": (lambda at: at.emulated.sensor.silence(), "nothing new|no new force"),
     "sensor starts anew": (lambda at: at.emulated.sensor.reboot(0.1), "switched off and on|nothing new|no new force"),
     "all packets lost": (network(drop=1.0), "nothing new|no new force"),
@@ -132,7 +132,7 @@ GOES_ON: dict[str, tuple[Inject, tuple[str, ...]]] = {
     "packets doubled": (network(duplicate=0.2), ("sensor_late",)),
     "packets reordered": (network(reorder=0.2), ("sensor_late",)),
     "wall clock jumps": (clock_jump, ()),
-    "targets not taken": (lambda at: at.emulated.drive.ignore_targets(1), ("drive_targets_repeated",)),
+    "targets not taken": (lambda at: setattr(at.emulated.drive.motor, "ignored", 1), ("drive_targets_repeated",)),
 }
 """Each is counted, and the fin goes on."""
 

@@ -12,7 +12,7 @@ from softfin.core.plant import roll
 from softfin.core.quantities import Command
 from softfin.data.collect import CollectConfig, collect
 from softfin.evaluation.evaluate import EvaluateConfig
-from softfin.rig.epos2.cia402 import State
+from softfin.rig.epos2.protocol import State
 from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import SafetyConfig
 from softfin.rig.simulated_clock import SimulatedClock

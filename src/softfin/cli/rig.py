@@ -83,8 +83,7 @@ class Arguments(Armed, Common):
         if self.rig.exists() and not self.overwrite:
             raise ConfigurationError(f"{self.rig}: exists; give another --rig, or --overwrite to replace it")
         from softfin.core.clock import REAL
-        from softfin.rig.emulation.kept_rig import state_file
-        from softfin.rig.emulation.rig import EmulatedRig, write_simulated
+        from softfin.rig.emulation.rig import EmulatedRig, state_file, write_simulated
         from softfin.tank import Tank, TankConfig
 
         values = {} if self.tank is None else read_yaml(self.tank)

@@ -6,7 +6,6 @@ from typing import Any
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import DeviceError, SoftfinError
-from softfin.core.quantities import Limits
 from softfin.rig.axia80.sensor import Axia80
 from softfin.rig.config import RigConfig
 from softfin.rig.epos2.drive import Epos2
@@ -30,7 +29,7 @@ class Rig:
         self._save: Callable[[], None] | None = None
         if clock is None and config.emulation is not None:
             # Imported here: a real rig needs no tank.
-            from softfin.rig.emulation.kept_rig import kept_rig
+            from softfin.rig.emulation.rig import kept_rig
 
             emulated = kept_rig(config)
             clock, self._save = emulated.clock, emulated.save
@@ -38,7 +37,7 @@ class Rig:
         self.config, self.clock = config, clock
         drive = config.drive
         self.name = f"rig of {config.fin}"
-        self.limits = Limits(drive.angle_min_rad, drive.angle_max_rad, drive.slowest_rad_s, drive.fastest_rad_s)
+        self.limits = drive.limits
         # A fault of the drive does not wait for the next tick.
         self.drive = Epos2(config.bus, drive, clock, on_fault=lambda _: self.stop())
         self.sensor = Axia80(config.sensor, clock)

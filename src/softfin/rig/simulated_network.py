@@ -1,40 +1,76 @@
-"""Datagrams and web pages within the process, in simulated time: the network of an emulated force sensor."""
+"""What emulated devices are reached by within the process, in simulated time: a CAN bus, datagrams and web pages."""
 
+import copy
 import itertools
 from collections import deque
-from collections.abc import Mapping
-from weakref import WeakKeyDictionary
 
+import can
+
+from softfin.core.clock import Clock
+from softfin.core.configuration import Configuration
 from softfin.core.errors import DeviceError
 from softfin.rig.simulated_clock import SimulatedClock
+
+SIMULATED = "simulated"
+"""Interface of a bus in a rig's file."""
 
 CAPACITY = 5461
 """Datagrams that a socket keeps: those of one record for which Linux has room in 4 MiB."""
 
-Address = tuple[str, int]
+_free_ports = itertools.count(50_000)
 
 
-class SimulatedNetwork:
-    """One for each simulated clock: whoever uses the same clock is on the same network."""
+def open_bus(config: Configuration, clock: Clock) -> can.BusABC:
+    """Open the bus of an `epos2.config.BusConfig`, whose fields are the arguments of python-can, and raise its errors.
 
-    def __init__(self) -> None:
-        self.sockets: dict[Address, SimulatedSocket] = {}
-        self.pages: dict[Address, Mapping[str, bytes]] = {}
-        """Pages of each web server, by path."""
-        self.free_ports = itertools.count(50_000)
-
-
-_networks: WeakKeyDictionary[SimulatedClock, SimulatedNetwork] = WeakKeyDictionary()
+    On a simulated clock it is that of this process, whatever the interface.
+    """
+    settings = config.model_dump()
+    if isinstance(clock, SimulatedClock):
+        return SimulatedBus(clock, settings["channel"])
+    return can.Bus(**settings.pop("options"), **settings)
 
 
-def network_of(clock: SimulatedClock) -> SimulatedNetwork:
-    """The network of a clock."""
-    return _networks.setdefault(clock, SimulatedNetwork())
+class SimulatedBus(can.BusABC):
+    """Everybody on a channel of a clock gets what the others send, at once and in order."""
+
+    def __init__(self, clock: SimulatedClock, channel: str) -> None:
+        super().__init__(channel)
+        self.channel_info = f"{SIMULATED} {channel}"
+        self._clock = clock
+        self._frames: deque[can.Message] = deque()
+        self._all: list[SimulatedBus] = clock.shared.setdefault(channel, [])
+        self._all.append(self)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Send a frame; raises CanOperationError once the bus is shut down."""
+        self._check_open()
+        for bus in self._all:
+            if bus is not self:
+                message = copy.copy(msg)
+                message.timestamp = self._clock()
+                bus._frames.append(message)
+
+    def shutdown(self) -> None:
+        """Shut down, any number of times; whoever waits for a frame is woken."""
+        super().shutdown()
+        if self in self._all:
+            self._all.remove(self)
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """The next frame, None where none comes in so many seconds; raises CanOperationError once it is shut down."""
+        self._clock.wait_for(lambda: self._frames or self not in self._all, timeout)
+        self._check_open()
+        return self._frames.popleft() if self._frames else None
+
+    def _check_open(self) -> None:
+        if self not in self._all:
+            raise can.CanOperationError("the bus is shut down")
 
 
 def fetch_simulated_page(clock: SimulatedClock, host: str, port: int, path: str) -> bytes | None:
     """A page of an emulated sensor, None where it has no such page; raises DeviceError without a server."""
-    pages = network_of(clock).pages.get((host, port))
+    pages: dict[str, bytes] | None = clock.shared.get(("http", host, port))
     if pages is None:
         raise DeviceError(
             f"http://{host}:{port}{path}: the force sensor's page cannot be read (nobody serves it); "
@@ -47,25 +83,23 @@ class SimulatedSocket:
     """A bound UDP socket, as far as softfin uses one; `receive` waits up to `timeout`."""
 
     def __init__(self, clock: SimulatedClock, host: str, port: int = 0, timeout: float = 0.0) -> None:
-        self._clock, self._network = clock, network_of(clock)
+        self._clock = clock
         self.timeout = timeout
-        self.address = (host, port or next(self._network.free_ports))
-        if self.address in self._network.sockets:
+        self.address = (host, port or next(_free_ports))
+        if clock.shared.setdefault(self.address, self) is not self:
             raise OSError(f"port {port} of {host} is in use")
-        self._network.sockets[self.address] = self
-        self._peer: Address | None = None
-        self._news = clock.event()
-        self._received: deque[tuple[bytes, float, Address]] = deque()
+        self._peer: tuple[str, int] | None = None
+        self._received: deque[tuple[bytes, float, tuple[str, int]]] = deque()
 
-    def getsockname(self) -> Address:
+    def getsockname(self) -> tuple[str, int]:
         """Its host and port."""
         return self.address
 
     def fileno(self) -> int:
         """-1 once it is closed."""
-        return 0 if self._network.sockets.get(self.address) is self else -1
+        return 0 if self._clock.shared.get(self.address) is self else -1
 
-    def connect(self, address: Address) -> None:
+    def connect(self, address: tuple[str, int]) -> None:
         """Send to this address from now on, and receive only from it."""
         self._peer = address
 
@@ -74,29 +108,26 @@ class SimulatedSocket:
         assert self._peer is not None
         return self.sendto(data, self._peer)
 
-    def sendto(self, data: bytes, address: Address) -> int:
+    def sendto(self, data: bytes, address: tuple[str, int]) -> int:
         """Send a datagram; it is lost where nobody listens, or whoever does has no room."""
         if self.fileno() == -1:
             raise OSError("the socket is closed")
-        receiver = self._network.sockets.get(address)
+        receiver: SimulatedSocket | None = self._clock.shared.get(address)
         if receiver is not None and receiver._peer in (None, self.address) and len(receiver._received) < CAPACITY:
             # In whole nanoseconds, as a kernel's stamp.
             arrived = int(self._clock()) + round(self._clock() % 1 * 1e9) * 1e-9
             receiver._received.append((bytes(data), arrived, self.address))
-            receiver._news.set()
         return len(data)
 
-    def receive(self) -> tuple[bytes, float, Address]:
+    def receive(self) -> tuple[bytes, float, tuple[str, int]]:
         """A datagram, the time of its arrival [s] and its sender; raises BlockingIOError where none comes in time."""
         if self.fileno() == -1:
             raise OSError("the socket is closed")
-        # Cleared before the look, so that what comes in between wakes it.
-        self._news.clear()
-        if not self._received and not (self.timeout and self._news.wait(self.timeout)):
+        if not (self._clock.wait_for(lambda: self._received, self.timeout) if self.timeout else self._received):
             raise BlockingIOError
         return self._received.popleft()
 
-    def recvfrom(self, size: int) -> tuple[bytes, Address]:
+    def recvfrom(self, size: int) -> tuple[bytes, tuple[str, int]]:
         """A datagram and its sender; raises BlockingIOError where none comes in time."""
         data, _, sender = self.receive()
         return data[:size], sender
@@ -104,4 +135,4 @@ class SimulatedSocket:
     def close(self) -> None:
         """Close it; any number of times."""
         if self.fileno() != -1:
-            del self._network.sockets[self.address]
+            del self._clock.shared[self.address]

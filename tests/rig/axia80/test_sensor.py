@@ -142,21 +142,21 @@ def test_late_packets_make_a_late_force_and_nothing_else(pair):
 
 def test_an_error_status_is_a_complaint_as_long_as_it_lasts(pair):
     sensor, client = pair
-    sensor.status(OVER_RANGE)
+    sensor.status = OVER_RANGE
     read_until(client, client.complaints)
     assert client.complaints() == (
         "force sensor 127.0.0.1: force or torque is out of its range; take the load off, look at the fin's mount",
     )
-    sensor.status(0)
+    sensor.status = 0
     read_until(client, lambda: not client.complaints())
     assert client.counters()["sensor_error_records"] > 0
 
 
 def test_an_error_of_a_single_record_is_not_missed(pair):
     sensor, client = pair
-    sensor.status(OVER_RANGE)
+    sensor.status = OVER_RANGE
     sensor.clock.sleep(0.1)
-    sensor.status(0)
+    sensor.status = 0
     sensor.clock.sleep(0.1)
     client.read()
     assert client.complaints()
@@ -166,7 +166,7 @@ def test_an_error_of_a_single_record_is_not_missed(pair):
 @pytest.mark.parametrize(("status", "words"), [(0x80000008, "busy"), (0x10000000, "simulated")])
 def test_what_is_no_error_is_a_note(pair, status, words):
     sensor, client = pair
-    sensor.status(status)
+    sensor.status = status
     read_until(client, client.notes)
     assert words in client.notes()[0]
     assert client.complaints() == ()

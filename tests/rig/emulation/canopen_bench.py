@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import Any
 
 import can
@@ -11,9 +11,9 @@ from canopen.profiles.p402 import BaseNode402
 
 from softfin.rig.emulation.drive import EmulatedDrive
 from softfin.rig.emulation.drive_objects import dictionary, values
-from softfin.rig.emulation.fin import SimpleFin
 from tests.rig.epos2_bench import NODE, bus_config, drive_config
 from tests.rig.machines import Hours
+from tests.rig.simple_fin import SimpleFin
 
 PATIENCE_S = 60.0
 """In real time: the machine that runs the tests is shared."""
@@ -83,7 +83,7 @@ def canopen_bench() -> Iterator[CanopenBench]:
     fin = SimpleFin(clock)
     network: Any = canopen.Network()
     network.NOTIFIER_CYCLE = 0.02
-    with EmulatedDrive(bus, drive_config(), fin, clock) as drive:
+    with closing(EmulatedDrive(bus, drive_config(), fin, clock)) as drive:
         network.connect(interface=bus.interface, channel=bus.channel)
         try:
             yield CanopenBench(network, drive, fin, clock)

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 import uuid
+from contextlib import closing
 
 import can
 import pytest
@@ -13,10 +14,10 @@ from hypothesis import strategies as st
 
 from softfin.rig.emulation.bus import HOST, SocketcandServer, line_of, parse
 from softfin.rig.emulation.drive import EmulatedDrive
-from softfin.rig.emulation.fin import SimpleFin
 from softfin.rig.epos2.config import BusConfig
 from tests.rig.emulation.canopen_bench import PATIENCE_S
 from tests.rig.epos2_bench import drive_config
+from tests.rig.simple_fin import SimpleFin
 
 OTHER_PROCESS = """
 import json, sys, time
@@ -56,7 +57,7 @@ def test_another_process_drives_the_emulated_drive_over_tcp() -> None:
 
     channel, fin, config = f"test {uuid.uuid4()}", SimpleFin(), drive_config(heartbeat_s=2.0)
     virtual = BusConfig(interface="virtual", channel=channel)
-    with EmulatedDrive(virtual, config, fin) as drive, SocketcandServer(channel) as server:
+    with closing(EmulatedDrive(virtual, config, fin)) as drive, SocketcandServer(channel) as server:
         bus = BusConfig(interface="socketcand", channel=channel, options={"host": HOST, "port": server.port})
         given = json.dumps({"bus": bus.model_dump(), "drive": config.model_dump()})
         ran = subprocess.run([sys.executable, "-c", OTHER_PROCESS, given], capture_output=True, text=True, timeout=60)
@@ -124,11 +125,11 @@ def test_it_listens_on_the_loopback_address_alone() -> None:
 
 def test_closing_ends_with_clients_still_there() -> None:
     server = SocketcandServer("y")
-    server.start()
     with socket.create_connection((HOST, server.port), timeout=PATIENCE_S):
-        server.close()
-        server.close()
-    assert not server._serving.is_alive()
+        server.server_close()
+        server.server_close()
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection((HOST, server.port), timeout=PATIENCE_S)
 
 
 @given(st.integers(0, 0x7FF), st.binary(max_size=8))

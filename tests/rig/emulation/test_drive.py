@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import canopen
 import pytest
 
-from softfin.rig.epos2.cia402 import State
+from softfin.rig.epos2.protocol import State
 from tests.rig.emulation.canopen_bench import PATIENCE_S, CanopenBench, canopen_bench
 from tests.rig.epos2_bench import NODE
 

@@ -4,11 +4,12 @@ import pytest
 
 from softfin.rig.emulation.drive_motor import EmulatedMotor
 from softfin.rig.emulation.drive_objects import values
-from softfin.rig.emulation.fin import FinMotion, SimpleFin
-from softfin.rig.epos2 import objects
+from softfin.rig.emulation.fin import FinMotion
+from softfin.rig.epos2 import protocol
 from softfin.rig.epos2.config import Units
 from tests.rig.epos2_bench import drive_config
 from tests.rig.machines import Hours
+from tests.rig.simple_fin import SimpleFin
 
 ENABLED, START, RELATIVE = 0x0F, 0x3F, 0x7F
 
@@ -31,7 +32,7 @@ class Made:
 
     def control(self, *words: int, target: int | None = None) -> None:
         if target is not None:
-            self.values[objects.TARGET] = target
+            self.values[protocol.TARGET] = target
         for word in words:
             self.motor.control(word, self.word)
             self.word = word
@@ -56,7 +57,7 @@ def test_the_target_is_reached_when_the_profile_has_ended_and_not_before(fin: ty
 
 def test_a_target_beyond_the_limits_is_a_fault_and_a_relative_one_is_not_taken() -> None:
     made = Made()
-    made.values[objects.POSITION_MAX] = 2000
+    made.values[protocol.POSITION_MAX] = 2000
     made.control(ENABLED, RELATIVE, target=1000)
     assert not made.motor.is_acknowledged
     made.control(ENABLED, START, target=2000)

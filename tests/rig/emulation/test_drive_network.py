@@ -54,14 +54,7 @@ def test_a_reset_of_the_node_forgets_everything(bench: CanopenBench) -> None:
     bench.until_state(0x140)
 
 
-@pytest.mark.parametrize("data", [bytes([0x50, NODE]), bytes([0x82, NODE]), bytes([0x01]), bytes([0x01, NODE, 0])])
-def test_an_nmt_command_that_is_none_changes_nothing(bench: CanopenBench, data: bytes) -> None:
-    bench.send(0x000, data)
-    bench.read(0x1000)
-    assert bench.drive._node.nmt.state == "PRE-OPERATIONAL"
-
-
-@pytest.mark.parametrize(("index", "sub", "size"), [(0x1018, 1, 4), (0x1003, 1, 4), (0x6502, 0, 4)])
+@pytest.mark.parametrize(("index", "sub", "size"), [(0x1003, 1, 4), (0x6502, 0, 4)])
 def test_entries_that_can_only_be_read_are_not_written(bench: CanopenBench, index: int, sub: int, size: int) -> None:
     with pytest.raises(canopen.SdoAbortedError, match="06010002"):
         bench.write(index, sub, 0, size)

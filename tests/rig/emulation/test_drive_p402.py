@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from softfin.rig.epos2.cia402 import State
+from softfin.rig.epos2.protocol import State
 from tests.rig.emulation.canopen_bench import CanopenBench, canopen_bench
 from tests.rig.epos2_bench import LONG_S
 

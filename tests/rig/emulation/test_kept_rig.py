@@ -10,12 +10,16 @@ import pytest
 from softfin.cli import main
 from softfin.core.errors import RigError
 from softfin.rig.config import load_rig
-from softfin.rig.emulation.kept_rig import close_rigs, kept_rig, state_file
-from softfin.rig.emulation.rig import write_simulated
+from softfin.rig.emulation.rig import kept_rig, rigs, state_file, write_simulated
 from softfin.rig.emulation.tank import _tick
 from softfin.rig.machine import Target
 from softfin.rig.rig import Rig, zero_angle, zero_force
 from softfin.tank import Tank
+
+
+def close_rigs():
+    while rigs:
+        rigs.popitem()[1].close()
 
 
 @pytest.fixture(autouse=True)

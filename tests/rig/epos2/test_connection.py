@@ -5,9 +5,9 @@ import struct
 import pytest
 
 from softfin.core.errors import DeviceError
-from softfin.rig.epos2 import objects
-from softfin.rig.epos2.connection import MAXON_ABORTS, SDO_TIMEOUT_S, abort_line
-from softfin.rig.epos2.objects import Object
+from softfin.rig.epos2 import protocol
+from softfin.rig.epos2.connection import SDO_TIMEOUT_S
+from softfin.rig.epos2.protocol import MAXON_ABORTS, Object, abort_line
 from tests.rig.epos2_bench import NODE, Sniffer, bench
 
 ANSWER = 0x580 + NODE
@@ -15,41 +15,41 @@ ANSWER = 0x580 + NODE
 
 @pytest.mark.parametrize(
     ("entry", "value"),
-    [(objects.HOMING_METHOD, -3), (objects.CURRENT_LIMIT, 0xFFFF), (objects.TARGET, -(2**31)),
-     (objects.POSITION_MAX, 12), (objects.PROFILE_VELOCITY, 2**32 - 1)],
+    [(protocol.HOMING_METHOD, -3), (protocol.CURRENT_LIMIT, 0xFFFF), (protocol.TARGET, -(2**31)),
+     (protocol.POSITION_MAX, 12), (protocol.PROFILE_VELOCITY, 2**32 - 1)],
 )  # fmt: skip
 def test_a_value_of_each_length_comes_back(entry: Object, value: int) -> None:
     with bench() as made:
         made.drive.connect()
-        made.drive._connection.write(entry, value)
-        assert made.drive._connection.read(entry) == value
+        made.drive.connection.write(entry, value)
+        assert made.drive.connection.read(entry) == value
 
 
 def test_what_the_drive_or_the_object_does_not_take_is_told_in_one_line() -> None:
     with bench() as made:
         made.drive.connect()
-        connection = made.drive._connection
+        connection = made.drive.connection
         with pytest.raises(DeviceError, match=r"refuses nonesuch .*0x06020000, Object does not exist: check that"):
             connection.read(Object(0x2099, 0, "I", "nonesuch"))
         with pytest.raises(DeviceError, match=r"refuses mode .*0x06090030, .* change the value in the rig's file"):
-            connection.write(objects.MODE, 8)
+            connection.write(protocol.MODE, 8)
         with pytest.raises(DeviceError, match=r"controlword .* cannot hold 65536; change the value"):
-            connection.write(objects.CONTROLWORD, 0x10000)
+            connection.write(protocol.CONTROLWORD, 0x10000)
         with pytest.raises(DeviceError, match="makes no sense"):
-            connection.read(Object(objects.TARGET.number, 0, "H", "target of another length"))
+            connection.read(Object(protocol.TARGET.number, 0, "H", "target of another length"))
         made.emulated.go_silent()
         began = made.clock()
         with pytest.raises(DeviceError, match=r"does not answer for statusword .* within 0.5 s"):
-            connection.read(objects.STATUSWORD)
+            connection.read(protocol.STATUSWORD)
         assert made.clock() - began == pytest.approx(SDO_TIMEOUT_S)
 
 
 def test_a_late_answer_to_an_earlier_request_is_not_taken_for_the_answer() -> None:
     with bench() as made, Sniffer(made) as sniffer:
         made.drive.connect()
-        sniffer.send(ANSWER, struct.pack("<BHBI", 0x43, objects.TARGET.number, 0, 7))
+        sniffer.send(ANSWER, struct.pack("<BHBI", 0x43, protocol.TARGET.number, 0, 7))
         sniffer.send(ANSWER, b"\x43")
-        assert made.drive._connection.read(objects.ENCODER_LINES) == 500
+        assert made.drive.connection.read(protocol.ENCODER_LINES) == 500
         assert made.drive.counters()["malformed frames"] == 1
 
 

@@ -9,30 +9,29 @@ FIRST, SECOND, THIRD = Setpoint(1, 1), Setpoint(2, 2), Setpoint(3, 3)
 
 def test_a_target_is_raised_acknowledged_and_lowered() -> None:
     shake = Handshake(0.06)
-    shake.offer(FIRST)
+    shake.waiting = FIRST
     assert shake.step(False, 0.0) == FIRST
     assert shake.step(False, 0.01) is None
     assert shake.step(True, 0.02) is True
     assert shake.step(True, 0.03) is None
     assert shake.step(False, 0.04) is None
-    shake.offer(SECOND)
+    shake.waiting = SECOND
     assert shake.step(False, 0.05) == SECOND
 
 
-def test_the_newest_target_wins_and_the_older_one_is_counted() -> None:
+def test_the_newest_target_wins() -> None:
     shake = Handshake(0.06)
     for each in (FIRST, SECOND, THIRD):
-        shake.offer(each)
+        shake.waiting = each
         shake.step(False, 0.0)
     assert shake.current == FIRST
-    assert shake.superseded == 1
     assert shake.step(True, 0.01) is True
     assert shake.step(False, 0.02) == THIRD
 
 
 def test_a_target_without_acknowledge_is_lowered_and_raised_again() -> None:
     shake = Handshake(0.06)
-    shake.offer(FIRST)
+    shake.waiting = FIRST
     assert shake.step(False, 0.0) == FIRST
     assert shake.step(False, 0.1) is True
     assert shake.step(False, 0.11) == FIRST
@@ -43,19 +42,19 @@ def test_a_target_without_acknowledge_is_lowered_and_raised_again() -> None:
 
 def test_a_newer_target_is_not_overtaken_by_the_one_that_was_lost() -> None:
     shake = Handshake(0.06)
-    shake.offer(FIRST)
+    shake.waiting = FIRST
     shake.step(False, 0.0)
-    shake.offer(SECOND)
+    shake.waiting = SECOND
     assert shake.step(False, 0.1) is True
     assert shake.step(False, 0.11) == SECOND
 
 
 def test_a_lowering_that_was_lost_is_sent_again() -> None:
     shake = Handshake(0.06)
-    shake.offer(FIRST)
+    shake.waiting = FIRST
     shake.step(False, 0.0)
     assert shake.step(True, 0.01) is True
-    shake.offer(SECOND)
+    shake.waiting = SECOND
     assert shake.step(True, 0.02) is None
     assert shake.step(True, 0.1) is True
     assert shake.step(False, 0.11) == SECOND
@@ -64,11 +63,11 @@ def test_a_lowering_that_was_lost_is_sent_again() -> None:
 @pytest.mark.parametrize("raised", [True, False], ids=["after a target", "before the first target"])
 def test_a_drive_whose_acknowledgement_never_falls_is_counted(raised: bool) -> None:
     shake, now = Handshake(0.06), 5.0
-    shake.offer(FIRST)
+    shake.waiting = FIRST
     if raised:
         assert shake.step(False, now) == FIRST
         assert shake.step(True, now) is True
-        shake.offer(SECOND)
+        shake.waiting = SECOND
     while shake.unanswered < 3:
         now += 0.01
         assert now < 6
@@ -83,7 +82,7 @@ def test_whatever_the_drive_says_the_last_offer_is_current_or_waiting(steps: lis
         if offered:
             count += 1
             last = Setpoint(count, 1)
-            shake.offer(last)
+            shake.waiting = last
         shake.step(acknowledged, now)
     # A drive that answers as it should then takes it, at the latest when it is repeated.
     acknowledged = False

@@ -3,7 +3,7 @@
 import os
 import random
 
-from softfin.rig.epos2.cia402 import POWERED
+from softfin.rig.epos2.protocol import POWERED
 from softfin.rig.machine import Target
 from tests.rig.epos2_bench import NODE, Sniffer, bench, enabled
 

@@ -21,7 +21,7 @@ _SEND = re.compile(r"< send ([0-7][0-9A-Fa-f]{2}) ([0-8]) ((?:[0-9A-Fa-f]{1,2} ?
 
 
 class SocketcandServer(socketserver.ThreadingTCPServer):
-    """Serves one channel to any number of clients; port 0 takes a free one."""
+    """Serves one channel to any number of clients until `server_close`; port 0 takes a free one."""
 
     daemon_threads = allow_reuse_address = True
 
@@ -30,25 +30,13 @@ class SocketcandServer(socketserver.ThreadingTCPServer):
         self.channel = channel
         self.port: int = self.server_address[1]
         self.ending = threading.Event()
-        self._serving = threading.Thread(target=self.serve_forever, args=(CYCLE_S,), name="socketcand", daemon=True)
+        threading.Thread(target=self.serve_forever, args=(CYCLE_S,), name="socketcand", daemon=True).start()
 
-    def start(self) -> None:
-        """Take clients from now on."""
-        self._serving.start()
-
-    def close(self) -> None:
+    def server_close(self) -> None:
         """End with all clients; any number of times."""
         self.ending.set()
-        if self._serving.is_alive():
-            self.shutdown()
-        self.server_close()
-
-    def __enter__(self) -> "SocketcandServer":
-        self.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+        self.shutdown()
+        super().server_close()
 
 
 class _Client(socketserver.BaseRequestHandler):

@@ -1,11 +1,10 @@
 """An emulated EPOS2 on any python-can bus, a fin that moves by itself behind it: the protocol of the real one.
 
 It is made from the same documents as our driver of it, so that it shares what both misread; canopen's LocalNode
-serves its objects. What a test wants to go wrong is a method: `fault`, `stall`, `go_silent`, `reboot` ..
+serves its objects. What a test wants to go wrong is a method: `fault`, `go_silent`, `reboot`, `motor.stall` ..
 """
 
 import contextlib
-import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -15,19 +14,16 @@ import canopen
 from softfin.core.clock import REAL, Clock
 from softfin.rig.emulation import drive_motor
 from softfin.rig.emulation.drive_motor import MODES, EmulatedMotor
-from softfin.rig.emulation.drive_objects import ERRORS_KEPT, OUT_OF_RANGE, ProcessData, dictionary, values
+from softfin.rig.emulation.drive_objects import OUT_OF_RANGE, ProcessData, dictionary, values
 from softfin.rig.emulation.fin import EmulatedFin
-from softfin.rig.epos2 import cia402, objects
-from softfin.rig.epos2.cia402 import Bit, State
+from softfin.rig.epos2 import protocol
 from softfin.rig.epos2.config import BusConfig, Epos2Config, Units
-from softfin.rig.epos2.objects import Object
-from softfin.rig.simulated_bus import open_bus
+from softfin.rig.epos2.protocol import Bit, Object, State
+from softfin.rig.simulated_network import open_bus
 
 TICK_S = 0.005
 CYCLE_S = 0.05
 """Longest time between two looks of the receiver at whether it is to end."""
-NMT_STOP = 0x02
-NMT_COMMANDS = (objects.NMT_START, NMT_STOP, objects.NMT_PRE_OPERATIONAL, objects.NMT_RESET)
 ERROR_REGISTER = 0x01
 """Generic error: the bit of the error register that every error sets (CiA 301); those of its kind are not emulated."""
 
@@ -44,99 +40,85 @@ class _Network(canopen.Network):
             super().send_message(can_id, bytes(data), remote)
 
     def send_periodic(self, can_id: int, data: Any, period: float, remote: bool = False) -> Any:
-        return _Heartbeat(lambda data: self.send_message(can_id, data), data, period, self._clock)
+        return _Heartbeat(self, can_id, data, period, self._clock)
 
 
 class _Heartbeat:
     """What canopen keeps as a periodic task: sent at once, and then every period [s]."""
 
-    def __init__(self, send: Callable[[Any], None], data: Any, period: float, clock: Clock) -> None:
-        self._send, self._data, self._period = send, data, period
-        self._ended = clock.event()
-        clock.spawn(self._run, "emulated drive's heartbeat")
+    def __init__(self, network: _Network, can_id: int, data: Any, period: float, clock: Clock) -> None:
+        self._data, ended = data, clock.event()
+        self.stop = ended.set
 
-    def stop(self) -> None:
-        self._ended.set()
+        def run() -> None:
+            while not ended.is_set():
+                with contextlib.suppress(can.CanError, RuntimeError):
+                    network.send_message(can_id, self._data)
+                ended.wait(period)
+
+        clock.spawn(run, "emulated drive's heartbeat")
 
     def update(self, data: Any) -> None:
         self._data = data
 
-    def _run(self) -> None:
-        while not self._ended.is_set():
-            with contextlib.suppress(can.CanError, RuntimeError):
-                self._send(self._data)
-            self._ended.wait(self._period)
-
 
 class EmulatedDrive:
-    """A drive set up as `config` describes a real one; `start` it, `close` it."""
+    """A drive set up as `config` describes a real one; it has power from construction until `close`."""
 
-    def __init__(self, bus: BusConfig, config: Epos2Config, fin: EmulatedFin, clock: Clock = REAL) -> None:
-        self._bus_config, self._config, self._clock = bus, config, clock
+    def __init__(self, bus_config: BusConfig, config: Epos2Config, fin: EmulatedFin, clock: Clock = REAL) -> None:
+        self._config, self._clock = config, clock
         self._lock = clock.lock()
         self._network = _Network(clock)
         node: Any = canopen.LocalNode
         self._node = node(config.node, dictionary(values(config)))
         self._node.add_read_callback(self._live)
         self._node.add_write_callback(self._written)
-        self._motor = motor = EmulatedMotor(fin, Units.of(config), self._value, self.fault)
+        self.motor = motor = EmulatedMotor(fin, Units.of(config), self._value, self.fault)
         self._process_data = ProcessData(self._node, self._network.send_message, self.fault)
         self._readings: dict[int, Callable[[], int]] = {
-            objects.STATUSWORD.number: lambda: self.statusword,
-            objects.ERROR_REGISTER.number: lambda: ERROR_REGISTER * (self.state in cia402.FAULTS),
-            objects.MODE_DISPLAY.number: lambda: motor.mode,
-            objects.POSITION.number: lambda: motor.position,
-            objects.DEMAND.number: self._demand,
-            objects.VELOCITY.number: lambda: motor.rpm,
-            objects.CURRENT.number: lambda: motor.current,
+            protocol.STATUSWORD.number: lambda: self.statusword,
+            protocol.ERROR_REGISTER.number: lambda: ERROR_REGISTER * (self.state in protocol.FAULT_STATES),
+            protocol.MODE_DISPLAY.number: lambda: motor.mode,
+            protocol.POSITION.number: lambda: motor.position,
+            protocol.DEMAND.number: self._demand,
+            protocol.VELOCITY.number: lambda: motor.rpm,
+            protocol.CURRENT.number: lambda: motor.current,
         }
-        self._errors: list[int] = []
         self._ending = clock.event()
-        self._threads: list[threading.Thread] = []
         self._power_up()
-
-    def start(self) -> None:
-        """Power-up: boot-up message, then pre-operational and switched off."""
-        bus = self._network.bus = open_bus(self._bus_config, self._clock)
-        self._network[self._config.node] = self._node
-        self._threads = [self._clock.spawn(lambda: self._receive(bus), "emulated drive's receiver")]
+        bus = self._network.bus = open_bus(bus_config, clock)
+        self._network[config.node] = self._node
+        self._threads = [clock.spawn(lambda: self._receive(bus), "emulated drive's receiver")]
         self._boot()
-        self._threads.append(self._clock.spawn(self._run, "emulated drive"))
+        self._threads.append(clock.spawn(self._run, "emulated drive"))
 
     def close(self) -> None:
         """Power-down; any number of times."""
         self._ending.set()
         while self._threads:
             self._threads.pop().join(1.0)
-        self._motor.halt()
+        self.motor.halt()
         self._node.nmt.stop_heartbeat()
         bus, self._network.bus = self._network.bus, None
         if bus is not None:
             bus.shutdown()
 
-    def __enter__(self) -> "EmulatedDrive":
-        self.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
     def remembered(self) -> dict[str, Any]:
         """What it would lose with its supply: its zero, for JSON."""
-        return {"zero_counts": self._motor.zero, "referenced": self._motor.referenced}
+        return {"zero_counts": self.motor.zero, "referenced": self.motor.referenced}
 
     def recall(self, remembered: dict[str, Any]) -> None:
         """Go on as if its supply had never been off."""
-        self._motor.zero, self._motor.referenced = int(remembered["zero_counts"]), bool(remembered["referenced"])
+        self.motor.zero, self.motor.referenced = int(remembered["zero_counts"]), bool(remembered["referenced"])
 
     def fault(self, code: int) -> None:
         """Emergency frame, error history, fault reaction."""
         with self._lock:
-            if self.state in cia402.FAULTS:
+            if self.state in protocol.FAULT_STATES:
                 return
-            powered = self.state in cia402.POWERED
+            powered = self.state in protocol.POWERED
             self._enter(State.FAULT_REACTION_ENABLED if powered else State.FAULT_REACTION_DISABLED)
-            self._errors = [code, *self._errors][:ERRORS_KEPT]
+            self._newest_error = code
             self._emergency(code)
 
     def drop_heartbeat(self) -> None:
@@ -146,7 +128,6 @@ class EmulatedDrive:
     def go_silent(self) -> None:
         """Cut the cable: nothing comes in and nothing goes out, the drive goes on by itself."""
         self._network.silent = True
-        self._node.nmt.stop_heartbeat()
 
     def reboot(self) -> None:
         """Start anew, as after a moment without supply: the zero is lost."""
@@ -154,20 +135,11 @@ class EmulatedDrive:
             self._power_up()
             self._boot()
 
-    def stall(self) -> None:
-        """Block the fin: it stays where it is while the profile goes on."""
-        with self._lock:
-            self._motor.stall()
-
-    def ignore_targets(self, count: int) -> None:
-        """Take none of the next targets, as if their frames were lost."""
-        self._motor.ignored = count
-
     @property
     def statusword(self) -> int:
         """Statusword as it would be sent now."""
         with self._lock:
-            motor, reaches = self._motor, self.state in {State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE}
+            motor, reaches = self.motor, self.state in {State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE}
             bits = {
                 Bit.REMOTE: self._node.nmt.state == "OPERATIONAL",
                 Bit.TARGET_REACHED: reaches and motor.is_target_reached,
@@ -179,28 +151,28 @@ class EmulatedDrive:
 
     def _power_up(self) -> None:
         self.state = State.START
-        self._motor.power_up()
+        self.motor.power_up()
         self._word = 0
-        self._errors = []
+        self._newest_error = 0
         self._host_beat: float | None = None
         self._node.data_store.clear()
+        self._process_data.enabled.clear()
+        self._node.nmt.stop_heartbeat()
 
     def _boot(self) -> None:
-        self._node.nmt.stop_heartbeat()
-        self._process_data.restart()
-        for code in (objects.NMT_RESET, objects.NMT_PRE_OPERATIONAL):
+        for code in (protocol.NMT_RESET, protocol.NMT_PRE_OPERATIONAL):
             self._node.nmt.send_command(code)
 
     def _enter(self, state: State) -> None:
         before, self.state = self.state, state
-        if before is not state and before in cia402.POWERED:
-            self._motor.halt()
+        if before is not state and before in protocol.POWERED:
+            self.motor.halt()
 
     def _demand(self) -> int:
-        return self._motor.demand if self.state is State.OPERATION_ENABLED else self._motor.position
+        return self.motor.demand if self.state is State.OPERATION_ENABLED else self.motor.position
 
     def _is_behind(self) -> bool:
-        return abs(self._demand() - self._motor.position) > self._value(objects.FOLLOWING_ERROR)
+        return abs(self._demand() - self.motor.position) > self._value(protocol.FOLLOWING_ERROR)
 
     def _value(self, entry: Object) -> int:
         value: int = entry.layout.unpack(self._node.get_data(entry.number, entry.sub))[0]
@@ -212,31 +184,31 @@ class EmulatedDrive:
                 self._enter(drive_motor.BY_ITSELF.get(self.state, self.state))
                 if self.state is State.OPERATION_ENABLED and self._is_behind():
                     self.fault(0x8611)
-                silence = self._value(objects.HEARTBEAT_CONSUMER) & 0xFFFF
+                silence = self._value(protocol.HEARTBEAT_CONSUMER) & 0xFFFF
                 if silence and self._host_beat is not None and self._clock() - self._host_beat > silence / 1000:
                     self._host_beat = None
                     self.fault(0x8130)
 
     def _live(self, index: int, subindex: int, od: Any) -> int | None:
         with self._lock:
-            if index == objects.ERROR_COUNT.number:
-                return len(self._errors) if subindex == 0 else [*self._errors, *[0] * ERRORS_KEPT][subindex - 1]
+            if index == protocol.ERROR_COUNT.number:
+                return self._newest_error if subindex else int(self._newest_error != 0)
             return self._readings[index]() if index in self._readings else None
 
     def _written(self, index: int, subindex: int, od: Any, data: bytes | bytearray) -> None:
         with self._lock:
-            if index == objects.CONTROLWORD.number:
-                self._controlled(objects.CONTROLWORD.layout.unpack(data)[0])
-            elif index == objects.MODE.number:
-                mode = objects.MODE.layout.unpack(data)[0]
+            if index == protocol.CONTROLWORD.number:
+                self._controlled(protocol.CONTROLWORD.layout.unpack(data)[0])
+            elif index == protocol.MODE.number:
+                mode = protocol.MODE.layout.unpack(data)[0]
                 if mode not in MODES:
                     raise canopen.SdoAbortedError(OUT_OF_RANGE)
-                self._motor.set_mode(mode)
-            elif index == objects.HEARTBEAT_CONSUMER.number:
+                self.motor.set_mode(mode)
+            elif index == protocol.HEARTBEAT_CONSUMER.number:
                 # Watching begins with the first heartbeat after this (CiA 301).
                 self._host_beat = None
-            elif index == objects.ERROR_COUNT.number:
-                self._errors = []
+            elif index == protocol.ERROR_COUNT.number:
+                self._newest_error = 0
             elif 0x1400 <= index < 0x1C00:
                 self._process_data.check(index, subindex, data)
 
@@ -247,7 +219,7 @@ class EmulatedDrive:
         if was is State.FAULT and self.state is not State.FAULT:
             self._emergency(0)
         if self.state is State.OPERATION_ENABLED:
-            self._motor.control(word, before)
+            self.motor.control(word, before)
 
     def _receive(self, bus: can.BusABC) -> None:
         while not self._ending.is_set():
@@ -259,35 +231,27 @@ class EmulatedDrive:
                 continue
             # canopen takes 29-bit identifiers for 11-bit ones.
             if not (message.is_error_frame or message.is_extended_id or message.is_remote_frame):
-                self._take(message.arbitration_id, bytes(message.data))
+                # Whatever canopen makes of a frame that makes no sense.
+                with contextlib.suppress(Exception):
+                    self._take(message.arbitration_id, bytes(message.data))
 
     def _take(self, cob_id: int, data: bytes) -> None:
-        is_sdo = cob_id & 0x780 == objects.SDO_REQUEST
-        # canopen's server would print a traceback for the first, and has states of its own for the second.
-        wrong_sdo = is_sdo and len(data) != 8
-        wrong_nmt = cob_id == objects.NMT and (len(data) != 2 or data[0] not in NMT_COMMANDS)
-        if wrong_sdo or wrong_nmt or (is_sdo and self._node.nmt.state == "STOPPED"):
+        nmt = self._node.nmt
+        # For a short SDO canopen's server would print a traceback.
+        if cob_id == protocol.SDO_REQUEST + self._config.node and (len(data) != 8 or nmt.state == "STOPPED"):
             return
-        # Whatever canopen makes of a frame that makes no sense.
-        with contextlib.suppress(Exception):
-            # canopen answers SDOs, and follows NMT commands.
-            self._network.notify(cob_id, bytearray(data), self._clock())
-            with self._lock:
-                self._follow(cob_id, data)
-
-    def _follow(self, cob_id: int, data: bytes) -> None:
-        is_operational = self._node.nmt.state == "OPERATIONAL"
-        if cob_id == objects.NMT and self._node.nmt.state == "INITIALISING":
-            self.reboot()
-        elif cob_id == objects.NMT and not is_operational:
-            self._process_data.restart()
-        elif cob_id & 0x780 == objects.HEARTBEAT:
-            if cob_id & 0x7F == self._value(objects.HEARTBEAT_CONSUMER) >> 16 & 0x7F:
-                self._host_beat = self._clock()
-        elif is_operational and cob_id == objects.SYNC:
-            self._process_data.synchronise()
-        elif is_operational:
-            self._process_data.take(cob_id, data)
+        # canopen answers SDOs, and follows NMT commands.
+        self._network.notify(cob_id, bytearray(data), self._clock())
+        with self._lock:
+            if cob_id == protocol.NMT and nmt.state == "INITIALISING":
+                self.reboot()
+            elif cob_id & 0x780 == protocol.HEARTBEAT:
+                if cob_id & 0x7F == self._value(protocol.HEARTBEAT_CONSUMER) >> 16 & 0x7F:
+                    self._host_beat = self._clock()
+            elif nmt.state == "OPERATIONAL" and cob_id == protocol.SYNC:
+                self._process_data.synchronise()
+            elif nmt.state == "OPERATIONAL":
+                self._process_data.take(cob_id, data)
 
     def _emergency(self, code: int) -> None:
         if self._node.nmt.state != "STOPPED":

@@ -6,12 +6,11 @@ Every target takes effect at once, as our driver asks for; a relative one is not
 from collections.abc import Callable
 
 from softfin.rig.emulation.fin import EmulatedFin
-from softfin.rig.epos2 import cia402, objects
-from softfin.rig.epos2.cia402 import State
+from softfin.rig.epos2 import protocol
 from softfin.rig.epos2.config import Units
-from softfin.rig.epos2.objects import Object
+from softfin.rig.epos2.protocol import Object, State
 
-MODES = frozenset({objects.PROFILE_POSITION, objects.HOMING})
+MODES = frozenset({protocol.PROFILE_POSITION, protocol.HOMING})
 NEW_TARGET, RELATIVE = 1 << 4, 1 << 6
 """Bits of the controlword."""
 POSITION_LIMIT = 0xFF09
@@ -30,14 +29,14 @@ BY_ITSELF = {
 
 def next_state(state: State, word: int, before: int) -> State:
     """The state after a controlword, `before` being the last one: CiA 402 with maxon's two states on the way."""
-    if state is State.FAULT and word & ~before & cia402.FAULT_RESET:
+    if state is State.FAULT and word & ~before & protocol.FAULT_RESET:
         return State.SWITCH_ON_DISABLED
-    if state in cia402.FAULTS or state in (State.START, State.NOT_READY) or word & cia402.FAULT_RESET:
+    if state in protocol.FAULT_STATES or state in (State.START, State.NOT_READY) or word & protocol.FAULT_RESET:
         return state
     if not word & 2:
         return State.SWITCH_ON_DISABLED
     if not word & 4:
-        return State.QUICK_STOP_ACTIVE if state in cia402.POWERED else State.SWITCH_ON_DISABLED
+        return State.QUICK_STOP_ACTIVE if state in protocol.POWERED else State.SWITCH_ON_DISABLED
     if state is State.QUICK_STOP_ACTIVE:
         return State.OPERATION_ENABLED if word & 9 == 9 else state
     if not word & 1:
@@ -60,7 +59,7 @@ class EmulatedMotor:
 
     def power_up(self) -> None:
         """Begin anew: the zero is lost."""
-        self.set_mode(objects.PROFILE_POSITION)
+        self.set_mode(protocol.PROFILE_POSITION)
         self.referenced = False
         self._stalled_at: int | None = None
         # An incremental encoder counts from wherever it wakes up; [counts] of the fin's own angle.
@@ -110,13 +109,13 @@ class EmulatedMotor:
     @property
     def is_acknowledged(self) -> bool:
         """Bit 12 of the statusword: target acknowledged, or home attained."""
-        return self._homed if self.mode == objects.HOMING else self._acknowledged
+        return self._homed if self.mode == protocol.HOMING else self._acknowledged
 
     def control(self, word: int, before: int) -> None:
         """Follow a controlword while operation is enabled."""
         is_new = bool(word & ~before & NEW_TARGET)
-        if self.mode == objects.HOMING:
-            if is_new and self._value(objects.HOMING_METHOD) == objects.HOME_HERE:
+        if self.mode == protocol.HOMING:
+            if is_new and self._value(protocol.HOMING_METHOD) == protocol.HOME_HERE:
                 self.zero += self.position
                 self.referenced = self._homed = True
         elif not word & NEW_TARGET:
@@ -125,14 +124,14 @@ class EmulatedMotor:
             self.ignored -= 1
         elif is_new and not word & RELATIVE:
             self._acknowledged = True
-            self._move(self._value(objects.TARGET))
+            self._move(self._value(protocol.TARGET))
 
     def _move(self, goal: int) -> None:
         self._goal = goal
-        if not self._value(objects.POSITION_MIN) <= goal <= self._value(objects.POSITION_MAX):
+        if not self._value(protocol.POSITION_MIN) <= goal <= self._value(protocol.POSITION_MAX):
             self._fault(POSITION_LIMIT)
             return
-        rpm = min(self._value(objects.PROFILE_VELOCITY), self._value(objects.FASTEST))
+        rpm = min(self._value(protocol.PROFILE_VELOCITY), self._value(protocol.FASTEST))
         self._fin.move(self._units.angle(goal + self.zero), abs(self._units.velocity(rpm)))
 
     def _counts(self, angle: float) -> int:

@@ -1,33 +1,28 @@
 """The object dictionary of an emulated EPOS2, and its process data (PDO).
 
-Process data are off and empty at first. They are sent at every n-th SYNC (transmission types 1 to 240), and act as soon
-as they are taken (254, 255); other transmission types are refused.
+Process data are off and empty at first. They are sent at every SYNC and act as soon as they are taken (transmission
+types 1 and 255); other transmission types are refused.
 """
 
-from collections import Counter
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import canopen
 from canopen import objectdictionary as od
 
-from softfin.rig.epos2 import objects
+from softfin.rig.epos2 import protocol
 from softfin.rig.epos2.config import Epos2Config
-from softfin.rig.epos2.objects import Object
+from softfin.rig.epos2.protocol import Object
 
 PDOS = 4
 """Process data of each kind, as an EPOS2 has them."""
 MAPPED = 8
 """Entries of a PDO at most."""
-ERRORS_KEPT = 5
-IDENTITY = tuple(Object(0x1018, sub, "I", "identity") for sub in range(1, 5))
-"""Vendor, product, revision and serial number: every node has them (CiA 301)."""
-MAXON = 0x000000FB
 TAKEN, SENT = 0x1400, 0x1800
 """First object of the process data of each kind; its mapping is 0x200 above it."""
 READ_ONLY = frozenset(
-    {objects.DEVICE_TYPE, objects.ERROR_REGISTER, objects.STATUSWORD, objects.MODE_DISPLAY, objects.DEMAND,
-     objects.POSITION, objects.VELOCITY, objects.CURRENT, objects.SUPPORTED_MODES, *IDENTITY}
+    {protocol.DEVICE_TYPE, protocol.ERROR_REGISTER, protocol.STATUSWORD, protocol.MODE_DISPLAY, protocol.DEMAND,
+     protocol.POSITION, protocol.VELOCITY, protocol.CURRENT, protocol.SUPPORTED_MODES, protocol.NEWEST_ERROR}
 )  # fmt: skip
 _TYPES = {"b": od.INTEGER8, "h": od.INTEGER16, "i": od.INTEGER32,
           "B": od.UNSIGNED8, "H": od.UNSIGNED16, "I": od.UNSIGNED32}  # fmt: skip
@@ -36,36 +31,31 @@ CANNOT_BE_MAPPED, OUT_OF_RANGE, WRONG_STATE = 0x06040041, 0x06090030, 0x08000022
 """Why a write is refused (SDO abort codes)."""
 LENGTH_ERROR = 0x8210
 """Emergency: a frame is shorter than what is mapped."""
-LAST_SYNCHRONOUS, FIRST_AT_ONCE = 240, 254
-"""Transmission types."""
 
 
 def values(config: Epos2Config) -> dict[Object, int]:
     """The objects of a drive as delivered, set up for this motor and encoder: our limits are not in it yet."""
-    start: dict[Object, int] = dict.fromkeys((*objects.OBJECTS, *IDENTITY), 0)
-    start |= {
-        objects.DEVICE_TYPE: 0x00020192,
-        objects.ENCODER_LINES: config.encoder_lines,
-        objects.MODE: objects.PROFILE_POSITION,
-        objects.POSITION_MIN: -(2**31),
-        objects.POSITION_MAX: 2**31 - 1,
-        objects.FOLLOWING_ERROR: 2000,
-        objects.FASTEST: 25000,
-        objects.PROFILE_VELOCITY: 1000,
-        objects.ACCELERATION: 10000,
-        objects.DECELERATION: 10000,
-        objects.QUICK_STOP_DECELERATION: 10000,
-        objects.MOTOR_TYPE: 10,
-        objects.CURRENT_LIMIT: 3000,
+    start = dict.fromkeys(protocol.OBJECTS, 0) | {
+        protocol.DEVICE_TYPE: 0x00020192,
+        protocol.ENCODER_LINES: config.encoder_lines,
+        protocol.MODE: protocol.PROFILE_POSITION,
+        protocol.POSITION_MIN: -(2**31),
+        protocol.POSITION_MAX: 2**31 - 1,
+        protocol.FOLLOWING_ERROR: 2000,
+        protocol.FASTEST: 25000,
+        protocol.PROFILE_VELOCITY: 1000,
+        protocol.ACCELERATION: 10000,
+        protocol.DECELERATION: 10000,
+        protocol.QUICK_STOP_DECELERATION: 10000,
+        protocol.MOTOR_TYPE: 10,
+        protocol.CURRENT_LIMIT: 3000,
         # Homing and profile position: bits 5 and 0.
-        objects.SUPPORTED_MODES: 0x21,
-        IDENTITY[0]: MAXON,
+        protocol.SUPPORTED_MODES: 0x21,
     }
-    start |= {Object(objects.NEWEST_ERROR.number, place, "I", "error"): 0 for place in range(2, ERRORS_KEPT + 1)}
-    for first, cob_id, transmission in ((TAKEN, 0x200, objects.AT_ONCE), (SENT, 0x180, objects.ON_SYNC)):
+    for first, cob_id, transmission in ((TAKEN, 0x200, protocol.AT_ONCE), (SENT, 0x180, protocol.ON_SYNC)):
         for number in range(first, first + PDOS):
             start |= {
-                Object(number, 1, "I", "COB-ID"): objects.INVALID | cob_id + 0x100 * (number - first) + config.node,
+                Object(number, 1, "I", "COB-ID"): protocol.INVALID | cob_id + 0x100 * (number - first) + config.node,
                 Object(number, 2, "B", "transmission type"): transmission,
                 Object(number + 0x200, 0, "B", "mapped objects"): 0,
             }
@@ -76,26 +66,23 @@ def values(config: Epos2Config) -> dict[Object, int]:
 def dictionary(start: dict[Object, int]) -> Any:
     """canopen's object dictionary with every object at its value."""
     library: Any = od
-    objects_by_index = library.ObjectDictionary()
-    entries = Counter(entry.number for entry in start)
+    made = library.ObjectDictionary()
+    records = {entry.number for entry in start if entry.sub}
+    for number in records:
+        made.add_object(library.ODRecord(f"0x{number:04X}", number))
     for entry, value in start.items():
         variable = library.ODVariable(str(entry), entry.number, entry.sub)
         variable.data_type, variable.default = _TYPES[entry.form], value
-        is_error = entry.number == objects.NEWEST_ERROR.number and entry.sub > 0
-        variable.access_type = "ro" if entry in READ_ONLY or is_error else "rw"
-        if entry.sub == 0 and entries[entry.number] == 1:
-            objects_by_index.add_object(variable)
-            continue
-        if entry.number not in objects_by_index:
-            objects_by_index.add_object(library.ODRecord(f"0x{entry.number:04X}", entry.number))
-        objects_by_index[entry.number].add_member(variable)
-    return objects_by_index
+        variable.access_type = "ro" if entry in READ_ONLY else "rw"
+        if entry.number in records:
+            made[entry.number].add_member(variable)
+        else:
+            made.add_object(variable)
+    return made
 
 
 class _Pdo(NamedTuple):
     cob_id: int
-    """COB-ID with its bits."""
-    transmission: int
     entries: list[tuple[int, int, int]]
     """Index, sub-index and bits of what is mapped."""
 
@@ -105,26 +92,18 @@ class ProcessData:
 
     def __init__(self, node: Any, send: Callable[[int, bytes], None], fault: Callable[[int], None]) -> None:
         self._node, self._send, self._fault = node, send, fault
-        self.restart()
-
-    def restart(self) -> None:
-        """Begin to count anew, as when the node becomes operational."""
-        self._pdos: dict[int, list[_Pdo]] = {}
+        self.enabled: dict[int, list[_Pdo]] = {}
         """Those that are on, until one of their objects is written."""
-        self._syncs = 0
 
     def synchronise(self) -> None:
         """Send what is due at a SYNC."""
-        self._syncs += 1
         for pdo in self._enabled(SENT):
-            if self._syncs % pdo.transmission == 0:
-                data = b"".join(self._node.get_data(index, sub) for index, sub, _ in pdo.entries)
-                self._send(pdo.cob_id & 0x7FF, data)
+            self._send(pdo.cob_id, b"".join(self._node.get_data(index, sub) for index, sub, _ in pdo.entries))
 
     def take(self, cob_id: int, data: bytes) -> None:
         """Follow a frame; frames other than process data change nothing."""
         for pdo in self._enabled(TAKEN):
-            if pdo.cob_id & 0x7FF != cob_id:
+            if pdo.cob_id != cob_id:
                 continue
             if 8 * len(data) < sum(bits for _, _, bits in pdo.entries):
                 self._fault(LENGTH_ERROR)
@@ -134,34 +113,32 @@ class ProcessData:
                 parts.append((index, sub, rest[: bits // 8]))
                 rest = rest[bits // 8 :]
             # One frame holds at one moment: what it orders comes after what it sets.
-            for part in sorted(parts, key=lambda part: part[0] == objects.CONTROLWORD.number):
+            for part in sorted(parts, key=lambda part: part[0] == protocol.CONTROLWORD.number):
                 self._node.set_data(*part)
 
     def check(self, index: int, subindex: int, data: bytes | bytearray) -> None:
         """Raise SdoAbortedError where this may not be written into an object of process data now."""
-        self._pdos.clear()
+        self.enabled.clear()
         value, number = int.from_bytes(data, "little"), index & ~0x200
         if index != number:
-            is_on = not self._value(number, 1, "I") & objects.INVALID
+            is_on = not self._value(number, 1, "I") & protocol.INVALID
             if is_on or (subindex and self._value(index, 0, "B")):
                 raise canopen.SdoAbortedError(WRONG_STATE)
             found = self._node.object_dictionary.get_variable(value >> 16, value >> 8 & 0xFF) if subindex else None
             if subindex and (found is None or len(found) != value & 0xFF):
                 raise canopen.SdoAbortedError(CANNOT_BE_MAPPED)
-        elif subindex == 2 and not (1 <= value <= LAST_SYNCHRONOUS if number >= SENT else value >= FIRST_AT_ONCE):
+        elif subindex == 2 and value != (protocol.ON_SYNC if number >= SENT else protocol.AT_ONCE):
             raise canopen.SdoAbortedError(OUT_OF_RANGE)
 
     def _enabled(self, first: int) -> list[_Pdo]:
-        if first not in self._pdos:
-            pdos = map(self._pdo, range(first, first + PDOS))
-            self._pdos[first] = [pdo for pdo in pdos if not pdo.cob_id & objects.INVALID]
-        return self._pdos[first]
-
-    def _pdo(self, number: int) -> _Pdo:
-        mapping = number + 0x200
-        entries = [self._value(mapping, 1 + place, "I") for place in range(self._value(mapping, 0, "B"))]
-        mapped = [(each >> 16, each >> 8 & 0xFF, each & 0xFF) for each in entries]
-        return _Pdo(self._value(number, 1, "I"), self._value(number, 2, "B"), mapped)
+        if first not in self.enabled:
+            found = self.enabled[first] = []
+            for number in range(first, first + PDOS):
+                cob_id, count = self._value(number, 1, "I"), self._value(number + 0x200, 0, "B")
+                if not cob_id & protocol.INVALID:
+                    mapped = [self._value(number + 0x200, 1 + place, "I") for place in range(count)]
+                    found.append(_Pdo(cob_id & 0x7FF, [(each >> 16, each >> 8 & 0xFF, each & 0xFF) for each in mapped]))
+        return self.enabled[first]
 
     def _value(self, number: int, sub: int, form: str) -> int:
         value: int = Object(number, sub, form, "").layout.unpack(self._node.get_data(number, sub))[0]

@@ -4,13 +4,16 @@ In simulated time, the default, everything is within the process. In real time s
 python-can's virtual bus within one process, over socketcand on loopback from another, and the sensor over UDP and HTTP.
 """
 
+import contextlib
+import json
 import uuid
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import yaml
 
 from softfin.core.clock import Clock
+from softfin.core.errors import ConfigurationError, RigError
 from softfin.rig.config import RigConfig
 from softfin.rig.emulation.bus import SocketcandServer
 from softfin.rig.emulation.drive import EmulatedDrive
@@ -18,10 +21,10 @@ from softfin.rig.emulation.fin import EmulatedFin
 from softfin.rig.emulation.sensor import EmulatedAxia80
 from softfin.rig.emulation.tank import TankFin
 from softfin.rig.epos2.config import BusConfig, Epos2Config
-from softfin.rig.simulated_bus import SIMULATED
 from softfin.rig.simulated_clock import SimulatedClock
+from softfin.rig.simulated_network import SIMULATED
 from softfin.storage import artifact as artifacts
-from softfin.tank import Tank
+from softfin.tank import Tank, TankConfig
 
 HOST = "127.0.0.1"
 
@@ -39,8 +42,8 @@ REAL_TIME_HEARTBEAT_S = 1.0
 """Period of the heartbeat in real time, likewise."""
 
 
-class EmulatedRig:
-    """Serves from `start` until `close`; in simulated time unless it is given a real clock."""
+class EmulatedRig(contextlib.ExitStack):
+    """Serves from construction until `close`; in simulated time unless it is given a real clock."""
 
     def __init__(
         self,
@@ -54,38 +57,24 @@ class EmulatedRig:
 
         Without a clock, on a simulated one of its own.
         """
+        super().__init__()
         tank = (tank or Tank()) if fin is None else None
         self.clock = clock or SimulatedClock()
         self.fin: Any = fin or TankFin(tank, seed, self.clock)
         self._channel = channel or f"emulated-{uuid.uuid4().hex[:8]}"
         simulated = isinstance(self.clock, SimulatedClock)
-        self._drive = _drive_config(tank, real_time=not simulated)
-        bus = BusConfig(interface="virtual", channel=self._channel)
-        self.drive = EmulatedDrive(bus, self._drive, self.fin, self.clock)
-        self.server = None if simulated else SocketcandServer(self._channel)
         # Within the process nobody else has the ports that a real one has.
         ports = (RDT_PORT, HTTP_PORT) if simulated else (0, 0)
         self.sensor = EmulatedAxia80(self.fin, *ports, frame=FRAME, clock=self.clock)
+        self.callback(self.sensor.close)
+        self._drive = _drive_config(tank, real_time=not simulated)
+        bus = BusConfig(interface="virtual", channel=self._channel)
+        self.drive = EmulatedDrive(bus, self._drive, self.fin, self.clock)
+        self.callback(self.drive.close)
+        self.server = None if simulated else self.enter_context(SocketcandServer(self._channel))
 
-    def start(self) -> None:
-        """Power up."""
-        self.drive.start()
-        if self.server is not None:
-            self.server.start()
-
-    def close(self) -> None:
-        """Power down; any number of times."""
-        if self.server is not None:
-            self.server.close()
-        self.drive.close()
-        self.sensor.close()
-
-    def __enter__(self) -> "EmulatedRig":
-        self.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    def save(self) -> None:
+        """Keep the state for the next command, where the rig is one of a file."""
 
     def description(self) -> str:
         """Where it listens, in words."""
@@ -113,6 +102,79 @@ class EmulatedRig:
     def write(self, path: Path) -> None:
         """Write the rig's file for other processes; of a rig in real time."""
         _write(path, "An emulated rig, while `softfin rig emulate --real-time` runs", self.values())
+
+
+rigs: dict[Path, EmulatedRig] = {}
+"""The emulated rigs of this process, by their files."""
+
+
+def kept_rig(config: RigConfig) -> EmulatedRig:
+    """The emulated rig that a file describes, as the command before has left it; raises RigError."""
+    if config.file is None:
+        raise RigError("an emulated rig is described by a file that softfin rig emulate writes; load that")
+    if config.file not in rigs:
+        rigs[config.file] = _KeptRig(config, config.file)
+    return rigs[config.file]
+
+
+def state_file(rig: Path) -> Path:
+    """File of the state, beside the rig's file."""
+    return rig.with_suffix(".state.json")
+
+
+class _KeptRig(EmulatedRig):
+    """A rig in simulated time for one process at a time, whose state is kept beside its file for the next command.
+
+    The state is where the fin stands and how the water moves, the zero of the drive and of the sensor, and how much of
+    the noise has been drawn.
+    """
+
+    def __init__(self, config: RigConfig, file: Path) -> None:
+        assert config.emulation is not None
+        try:
+            tank = Tank(TankConfig.build(config.emulation.tank, f"{file}: emulation.tank"))
+        except ConfigurationError as error:
+            raise RigError(str(error)) from None
+        lock = _lock(file)
+        super().__init__(tank, config.emulation.seed, channel=config.bus.channel)
+        self.enter_context(lock)
+        self._state, self._emulation = state_file(file), config.emulation.model_dump(mode="json")
+        self._parts = {"fin": self.fin, "drive": self.drive, "sensor": self.sensor}
+        try:
+            if self._state.exists():
+                state = json.loads(self._state.read_bytes())
+                if state["emulation"] != self._emulation:
+                    raise ValueError("of another seed or tank")
+                for name, part in self._parts.items():
+                    part.recall(state[name])
+        except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+            self.close()
+            raise RigError(
+                f"{self._state}: not the state of this emulated rig ({' '.join(str(error).split())[:200]}); remove it, "
+                "and the rig begins anew, not zeroed"
+            ) from None
+
+    def save(self) -> None:
+        state = {"emulation": self._emulation} | {name: part.remembered() for name, part in self._parts.items()}
+        artifacts.write_file(self._state, json.dumps(state) + "\n")
+
+
+def _lock(file: Path) -> IO[bytes]:
+    """The rig's file, open and locked; raises RigError where another process has it."""
+    held = file.open("rb")
+    # Windows has no such lock.
+    with contextlib.suppress(ImportError):
+        import fcntl
+
+        try:
+            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            held.close()
+            raise RigError(
+                f"{file}: another command uses this emulated rig; wait for its end, or make another one: "
+                "softfin rig emulate --rig OTHER.yaml"
+            ) from None
+    return held
 
 
 def write_simulated(path: Path, tank: Tank, values: dict[str, Any], seed: int) -> None:

@@ -4,9 +4,11 @@ Its counts are those of the fin's force rotated back into the sensor's axes and 
 """
 
 import contextlib
+import itertools
 import socket
 import threading
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 from xml.sax.saxutils import escape
@@ -19,7 +21,7 @@ from softfin.rig.axia80.rdt import OVER_RANGE, RdtCommand, RdtRecord, decode_req
 from softfin.rig.emulation.fin import EmulatedFin
 from softfin.rig.frame import rotated, rotation
 from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import SimulatedSocket, network_of
+from softfin.rig.simulated_network import SimulatedSocket
 
 HOST = "127.0.0.1"
 
@@ -33,8 +35,6 @@ WAKE_S = 0.002
 
 MAX_BEHIND_S = 1.0
 """A process that was stopped for longer does not send the missed records; their numbers are skipped."""
-
-TOP_COUNT = 2**31 - 1
 
 
 class EmulatedAxia80:
@@ -55,36 +55,38 @@ class EmulatedAxia80:
         self.rate_hz = rate_hz
         self.pages = sensor_pages(units, counts)
         """Its web pages, by path; may be changed at any time."""
+        self.status = 0
+        """Status of every record; a test may set its bits."""
         self.transmit: Callable[[bytes], Iterable[bytes]] = lambda datagram: (datagram,)
         """What arrives of a datagram that is sent; a test may have it lost, doubled or late."""
         self._fin, self._clock = fin, clock
         # The inverse of the client's: from softfin's axes into the sensor's.
         self._rotation = rotation(frame).T
         self._scale = np.repeat([counts[0] / FORCE_UNITS[units[0]], counts[1] / TORQUE_UNITS[units[1]]], 3)
-        self._limits = np.minimum(np.array(RANGE) * self._scale, TOP_COUNT)
+        self._limits = np.minimum(np.array(RANGE) * self._scale, 2**31 - 1)
         self._bias = np.zeros(6)
-        self._adc = self._status = 0
+        self._adc = 0
         self._silent_until = 0.0
         self._lock = threading.Lock()
         self._closing = clock.event()
         self._stream: _Stream | None = None
+        self._ports = contextlib.ExitStack()
         wake_s = max(WAKE_S, 1 / rate_hz)
         self._socket: socket.socket | SimulatedSocket
         if isinstance(clock, SimulatedClock):
             self._socket = SimulatedSocket(clock, HOST, rdt_port, wake_s)
-            network = network_of(clock)
-            self.http_port, self._server = http_port or next(network.free_ports), None
-            network.pages[HOST, self.http_port] = self.pages
+            self.http_port = http_port or self._socket.address[1]
+            clock.shared["http", HOST, self.http_port] = self.pages
+            self._ports.callback(clock.shared.pop, ("http", HOST, self.http_port), None)
         else:
             self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-            try:
-                self._socket.settimeout(wake_s)
-                self._socket.bind((HOST, rdt_port))
-                self._server = serve_pages(http_port, self.pages)
-            except BaseException:
-                self._socket.close()
-                raise
-            self.http_port = self._server.server_port
+            self._socket.settimeout(wake_s)
+            self._socket.bind((HOST, rdt_port))
+            server = serve_pages(http_port, self.pages)
+            self.http_port = server.server_port
+            self._ports.callback(server.server_close)
+            self._ports.callback(server.shutdown)
+        self._ports.callback(self._socket.close)
         self.rdt_port = int(self._socket.getsockname()[1])
         self._thread = clock.spawn(self._serve, "emulated sensor's stream")
 
@@ -99,10 +101,6 @@ class EmulatedAxia80:
             raise ValueError("bias must be six numbers")
         with self._lock:
             self._bias, self._adc = bias, int(remembered["samples"])
-
-    def status(self, bits: int) -> None:
-        """Set the status of every record from now on; 0 for none."""
-        self._status = bits
 
     def silence(self, seconds: float = float("inf")) -> None:
         """Neither receive nor send for so long [s]; 0 ends it."""
@@ -121,36 +119,26 @@ class EmulatedAxia80:
         """Stop serving; any number of times."""
         self._closing.set()
         self._thread.join()
-        self._socket.close()
-        if self._server is not None:
-            self._server.shutdown()
-            self._server.server_close()
-        elif isinstance(self._clock, SimulatedClock):
-            network_of(self._clock).pages.pop((HOST, self.http_port), None)
+        self._ports.close()
 
     def _serve(self) -> None:
         while not self._closing.is_set():
             # Nothing comes in time, or an answer to a client that is gone.
             with contextlib.suppress(OSError):
                 data, sender = self._socket.recvfrom(2048)
+                request = decode_request(data)
                 with self._lock:
-                    if self._clock() >= self._silent_until:
-                        self._obey(data, sender)
+                    if request is not None and self._clock() >= self._silent_until:
+                        self._obey(*request, sender)
             with self._lock:
                 now, stream = self._clock(), self._stream
                 datagrams = [] if stream is None else self._measure(stream, now)
-                silent = now < self._silent_until
-            for datagram in datagrams:
-                for arriving in self.transmit(datagram):
-                    if stream is not None and not silent:
-                        with contextlib.suppress(OSError):
-                            self._socket.sendto(arriving, stream.client)
+            for arriving in itertools.chain.from_iterable(map(self.transmit, datagrams)):
+                if stream is not None and now >= self._silent_until:
+                    with contextlib.suppress(OSError):
+                        self._socket.sendto(arriving, stream.client)
 
-    def _obey(self, data: bytes, client: tuple[str, int]) -> None:
-        request = decode_request(data)
-        if request is None:
-            return
-        command, wanted = request
+    def _obey(self, command: RdtCommand, wanted: int, client: tuple[str, int]) -> None:
         if command is RdtCommand.BIAS:
             self._bias = self._felt()
         else:
@@ -166,7 +154,7 @@ class EmulatedAxia80:
         if due <= 0:
             return []
         exact = (self._felt() - self._bias) * self._scale
-        status = self._status | (OVER_RANGE if (np.abs(exact) > self._limits).any() else 0)
+        status = self.status | (OVER_RANGE if (np.abs(exact) > self._limits).any() else 0)
         fx, fy, fz, tx, ty, tz = np.rint(np.clip(exact, -self._limits, self._limits)).astype(int).tolist()
         datagrams = []
         for _ in range(due):
@@ -180,18 +168,18 @@ class EmulatedAxia80:
         return np.array(rotated(self._fin.now().wrench, self._rotation))
 
 
+@dataclass
 class _Stream:
-    """The stream of one request; `wanted` is 0 for no end."""
+    client: tuple[str, int]
+    began: float
+    wanted: int
+    """Records to send; 0 for no end."""
+    sent: int = 0
 
-    def __init__(self, client: tuple[str, int], began: float, wanted: int) -> None:
-        self.client, self.began, self.wanted, self.sent = client, began, wanted, 0
 
-
-def sensor_pages(
-    units: tuple[str, str], counts: tuple[float, float], product: str = "Emulated Axia80-M20", serial: str = "FT00000"
-) -> dict[str, bytes]:
+def sensor_pages(units: tuple[str, str], counts: tuple[float, float], serial: str = "FT00000") -> dict[str, bytes]:
     """The two pages that clients read, by path, in the form of the real ones; units and counts of force and torque."""
-    settings = {"prodname": product, "scfgfu": units[0], "scfgtu": units[1],
+    settings = {"prodname": "Emulated Axia80-M20", "scfgfu": units[0], "scfgtu": units[1],
                 "cfgcpf": f"{counts[0]:.10g}", "cfgcpt": f"{counts[1]:.10g}"}  # fmt: skip
     return {SETTINGS: _xml("netft", settings), CALIBRATION: _xml("netftCalibration", {"calsn": serial})}
 

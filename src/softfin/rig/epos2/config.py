@@ -8,9 +8,6 @@ from pydantic import Field, model_validator
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Limits
 
-COUNTS_A_LINE = 4
-"""Quadrature: every line of the encoder gives four edges."""
-
 LONGEST_BRAKE_S = 0.5
 """Longest quick stop from the highest velocity; whoever waits for the end of a longer one would give it up."""
 
@@ -66,10 +63,14 @@ class Epos2Config(Configuration):
     zero_needed: bool = True
     """Refuse to move before the fin was zeroed since the drive's power-up; false only for an absolute encoder."""
 
+    @property
+    def limits(self) -> Limits:
+        """Range of the commands."""
+        return Limits(self.angle_min_rad, self.angle_max_rad, self.slowest_rad_s, self.fastest_rad_s)
+
     @model_validator(mode="after")
     def _fits(self) -> "Epos2Config":
-        limits = Limits(self.angle_min_rad, self.angle_max_rad, self.slowest_rad_s, self.fastest_rad_s)
-        if problem := limits.problem(one_velocity=True):
+        if problem := self.limits.problem(one_velocity=True):
             raise ValueError(problem)
         if self.node == self.host_node:
             raise ValueError(f"node and host_node are both {self.node}; give host_node a number that no device has")
@@ -97,8 +98,9 @@ class Units(NamedTuple):
     def of(cls, config: Epos2Config) -> "Units":
         """Units of a drive."""
         turns_per_rad = config.gear_ratio / (2 * math.pi)
-        counts_a_turn = COUNTS_A_LINE * config.encoder_lines
-        return cls(turns_per_rad * counts_a_turn, 60 * turns_per_rad, config.direction, config.zero_offset_rad)
+        # Quadrature: every line of the encoder gives four edges.
+        counts_per_rad = turns_per_rad * 4 * config.encoder_lines
+        return cls(counts_per_rad, 60 * turns_per_rad, config.direction, config.zero_offset_rad)
 
     def counts(self, angle: float) -> int:
         """Position [counts] at an angle [rad], to the nearest count."""

@@ -13,35 +13,22 @@ from collections import Counter
 from collections.abc import Callable
 
 import can
-from canopen import SdoAbortedError
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import DeviceError, RigError
-from softfin.rig.epos2 import objects
+from softfin.rig.epos2 import protocol
 from softfin.rig.epos2.config import BusConfig
-from softfin.rig.epos2.objects import Object
-from softfin.rig.simulated_bus import open_bus
+from softfin.rig.epos2.protocol import Object
+from softfin.rig.simulated_network import open_bus
 
 SDO_TIMEOUT_S = 0.5
 SEND_TIMEOUT_S = 0.05
 RECEIVER_CYCLE_S = 0.05
-CLOSE_TIMEOUT_S = 0.5
-ERROR_PAUSE_S = 0.05
-"""Pause after a receiving error, so that a bus that is gone does not take a whole core."""
 SCAN_PAUSE_S = 0.002
 """Pause between two requests to all nodes: the transmit queue of a SocketCAN interface holds ten frames."""
 
 UPLOAD, DOWNLOADED, ABORTED = 0x40, 0x60, 0x80
 """Commands of an SDO: read an object; it was written; the transfer was refused."""
-
-MAXON_ABORTS = {
-    0x0F00FFB9: "Wrong node number",
-    0x0F00FFBC: "Not in service mode",
-    0x0F00FFBE: "Wrong password",
-    0x0F00FFBF: "Command illegal",
-    0x0F00FFC0: "Wrong NMT state",
-}
-"""Abort codes of an EPOS2 beyond those of CiA 301 (maxon "EPOS2 Communication Guide", rel4054)."""
 
 # python-can would write to the terminal what our errors report.
 logging.getLogger("can").addHandler(logging.NullHandler())
@@ -61,14 +48,12 @@ class CanConnection:
         self._config, self._node, self._clock = config, node, clock
         self._on_frame, self._on_problem = on_frame, on_problem
         self._bus: can.BusABC | None = None
-        self._receiving: threading.Thread | None = None
         self._receiver: threading.Thread | None = None
         # Re-entrant, for a stop in a signal handler that interrupts a send.
         self._sending, self._requesting = clock.lock(), clock.lock()
         self._answered = clock.condition()
         self._request, self._answer = b"", b""
         self.nodes: set[int] = set()
-        """Nodes that sent anything."""
         self.counters: Counter[str] = Counter()
 
     @property
@@ -91,7 +76,7 @@ class CanConnection:
                 address = (str(options.get("host", "127.0.0.1")), int(options.get("port", 29536)))
                 socket.create_connection(address, timeout=2).close()
             bus = self._bus = open_bus(self._config, self._clock)
-            self._receiving = self._clock.spawn(lambda: self._receive(bus), "drive receiver")
+            self._clock.spawn(lambda: self._receive(bus), "drive receiver")
         except Exception as error:
             # Every interface of python-can has errors of its own.
             self.close()
@@ -102,9 +87,9 @@ class CanConnection:
 
     def close(self) -> None:
         """Close the bus; any number of times, never raises."""
-        receiving, bus, self._receiving, self._bus = self._receiving, self._bus, None, None
-        if receiving is not None and not self.in_receiver:
-            receiving.join(CLOSE_TIMEOUT_S)
+        bus, self._bus = self._bus, None
+        if self._receiver is not None and not self.in_receiver:
+            self._receiver.join(10 * RECEIVER_CYCLE_S)
         if bus is not None:
             with contextlib.suppress(Exception):
                 bus.shutdown()
@@ -136,19 +121,15 @@ class CanConnection:
 
     def write(self, entry: Object, value: int) -> None:
         """Write an object of the drive; raises DeviceError."""
-        self._transfer(entry, _download(entry, value), (DOWNLOADED,))
-
-    def write_unconfirmed(self, entry: Object, value: int) -> None:
-        """Write an object without waiting for the answer; raises DeviceError where the bus takes no frame."""
-        self.send(objects.SDO_REQUEST + self._node, _download(entry, value))
+        self._transfer(entry, download(entry, value), (DOWNLOADED,))
 
     def scan(self) -> list[int]:
-        """Ask every node for its device type; the nodes that sent anything since `open`."""
+        """Ask every node for its device type; the other nodes that sent anything since `open`."""
         for node in range(1, 128):
-            self.send(objects.SDO_REQUEST + node, struct.pack("<BHBI", UPLOAD, objects.DEVICE_TYPE.number, 0, 0))
+            self.send(protocol.SDO_REQUEST + node, struct.pack("<BHBI", UPLOAD, protocol.DEVICE_TYPE.number, 0, 0))
             self._clock.sleep(SCAN_PAUSE_S)
         self._clock.sleep(50 * SCAN_PAUSE_S)
-        return sorted(self.nodes)
+        return sorted(self.nodes - {0, self._node})
 
     def _transfer(self, entry: Object, request: bytes, allowed: tuple[int, ...]) -> bytes:
         """The answer to a request, which must begin with one of the allowed commands."""
@@ -156,7 +137,7 @@ class CanConnection:
             raise DeviceError(f"drive's {entry} cannot be asked for: another request is not answered yet; try again")
         try:
             self._request, self._answer = request, b""
-            self.send(objects.SDO_REQUEST + self._node, request)
+            self.send(protocol.SDO_REQUEST + self._node, request)
             with self._answered:
                 self._answered.wait_for(lambda: bool(self._answer), SDO_TIMEOUT_S)
             answer = self._answer
@@ -169,7 +150,7 @@ class CanConnection:
                 "look at its supply, the bus's cable and its bitrate"
             )
         if answer[0] == ABORTED:
-            raise DeviceError(f"drive refuses {entry}: {abort_line(int.from_bytes(answer[4:], 'little'))}")
+            raise DeviceError(f"drive refuses {entry}: {protocol.abort_line(int.from_bytes(answer[4:], 'little'))}")
         if answer[0] not in allowed:
             raise DeviceError(f"drive's answer for {entry} makes no sense ({answer.hex()}); try again")
         return answer
@@ -186,20 +167,19 @@ class CanConnection:
                 if self._bus is bus:
                     self.counters["receiving errors"] += 1
                     self._on_problem(f"{self.name} cannot be read ({_one_line(error)}); look at the adapter and cable")
-                    self._clock.sleep(ERROR_PAUSE_S)
+                    # A bus that is gone must not take a whole core.
+                    self._clock.sleep(RECEIVER_CYCLE_S)
 
     def _sort(self, message: can.Message) -> None:
+        cob_id, data = message.arbitration_id, bytes(message.data)
         if message.is_error_frame:
             self.counters["error frames"] += 1
             self._on_problem(f"{self.name} reports an error frame; look at cable, termination and bitrate")
-            return
-        if message.is_remote_frame or message.is_extended_id:
+        elif message.is_remote_frame or message.is_extended_id:
             self.counters["foreign frames"] += 1
-            return
-        cob_id, data = message.arbitration_id, bytes(message.data)
-        if cob_id & 0x780 in (objects.SDO_ANSWER, objects.HEARTBEAT) and cob_id & 0x7F:
-            self.nodes.add(cob_id & 0x7F)
-        if cob_id != objects.SDO_ANSWER + self._node:
+        elif cob_id != protocol.SDO_ANSWER + self._node:
+            if cob_id & 0x780 in (protocol.SDO_ANSWER, protocol.HEARTBEAT):
+                self.nodes.add(cob_id & 0x7F)
             self._on_frame(cob_id, data)
         elif len(data) != 8:
             self.counters["malformed frames"] += 1
@@ -210,16 +190,8 @@ class CanConnection:
                 self._answered.notify_all()
 
 
-def abort_line(code: int) -> str:
-    """Name and way out of an SDO abort, such as ``0x06020000, Object does not exist: check that ..``."""
-    name = MAXON_ABORTS.get(code) or SdoAbortedError.CODES.get(code, "Not in softfin's list")
-    way_out = "check that the device is an EPOS2, close other programs such as EPOS Studio, switch the drive off and on"
-    if 0x06090030 <= code <= 0x06090036:
-        way_out = "change the value in the rig's file to one that the drive takes"
-    return f"0x{code:08X}, {name}: {way_out}"
-
-
-def _download(entry: Object, value: int) -> bytes:
+def download(entry: Object, value: int) -> bytes:
+    """The SDO that writes an object; raises DeviceError for a value that it cannot hold."""
     unused = 4 - entry.layout.size
     try:
         data = entry.layout.pack(value) + bytes(unused)

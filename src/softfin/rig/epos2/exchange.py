@@ -4,31 +4,120 @@ Frames are taken in the receiver's thread, everything else is sent from the call
 sent but under the lock, with `armed` set: so nothing follows a stop.
 """
 
+from collections import Counter
 from collections.abc import Callable
 from typing import NamedTuple
 
-from softfin.core.clock import Clock
+from softfin.core.clock import REAL, Clock
 from softfin.core.errors import DeviceError
-from softfin.rig.epos2 import cia402, objects
-from softfin.rig.epos2.cia402 import Bit, State
+from softfin.rig.epos2 import protocol
 from softfin.rig.epos2.config import BusConfig, Epos2Config, Units
-from softfin.rig.epos2.connection import CanConnection
-from softfin.rig.epos2.status import ALL, DriveStatus
+from softfin.rig.epos2.connection import CanConnection, download
+from softfin.rig.epos2.protocol import Bit, State
 
 PATIENCE_TICKS = 6
 """Ticks in which the drive must acknowledge a target; its statuswords come once a tick."""
 LOCK_TIMEOUT_S = 0.05
 """A thread that hangs in a send must not keep a stop from going out."""
 
-_WORD_AND_TARGET = objects.layout(objects.TAKEN[0])
-_VELOCITY = objects.layout(objects.TAKEN[1])
+_SENT = tuple(protocol.layout(each) for each in protocol.SENT)
+_WORD_AND_TARGET, _VELOCITY = (protocol.layout(each) for each in protocol.TAKEN)
+_SIZES = dict(zip(protocol.TPDO, (each.size for each in _SENT), strict=True)) | {
+    protocol.HEARTBEAT: 1,
+    protocol.EMERGENCY: 8,
+}
+"""Bytes of each kind of frame."""
+ALL = (1 << len(_SENT)) - 1
+
+
+class DriveStatus:
+    """The newest values of the drive; `take` returns a line where a frame reports that something has gone wrong."""
+
+    def __init__(self, node: int) -> None:
+        self._node = node
+        self.statusword: int | None = None
+        self.position = self.velocity = self.current = self.demand = 0
+        self.answered = 0
+        """A bit for each process datum that came since the last SYNC."""
+        self.sync_time = 0.0
+        """When the last SYNC was sent: the moment that the drive samples for its answers [s]."""
+        self.time = 0.0
+        """The newest SYNC that all process data have answered [s]: none of the values is older."""
+        self.heartbeat_time = 0.0
+        self.nmt: int | None = None
+        self.emergency: int | None = None
+        self.rebooted = False
+        self.counters: Counter[str] = Counter()
+
+    @property
+    def state(self) -> State | None:
+        """State by the newest statusword; None before the first, and for one that no EPOS2 sends."""
+        return None if self.statusword is None else protocol.decode(self.statusword)
+
+    @property
+    def words(self) -> str:
+        """The state for messages."""
+        return self.state.words if self.state else f"in no state of an EPOS2 (statusword 0x{self.statusword or 0:04X})"
+
+    def has(self, bit: Bit) -> bool:
+        """Whether a bit of the statusword is set."""
+        return bool((self.statusword or 0) & bit)
+
+    def fault(self) -> str | None:
+        """The drive's fault, by its emergency, its boot-up message or its statusword."""
+        if self.emergency is not None:
+            return protocol.fault_line(self.emergency)
+        if self.rebooted:
+            return f"drive {self._node} started anew; look at its supply, then zero the fin and start again"
+        if self.state in protocol.FAULT_STATES:
+            return "drive is in fault and did not report which; run: softfin rig check"
+        return None
+
+    def synchronise(self, now: float) -> None:
+        """A SYNC is about to be sent."""
+        self.counters["syncs without all answers"] += self.time > 0 and self.answered != ALL
+        self.answered, self.sync_time = 0, now
+
+    def take(self, cob_id: int, data: bytes, now: float) -> str | None:
+        """Decode one frame of the bus; frames of other nodes change nothing."""
+        function, node = cob_id & 0x780, cob_id & 0x7F
+        if node != self._node or function not in _SIZES:
+            return None
+        if len(data) != _SIZES[function]:
+            self.counters["malformed frames"] += 1
+            return None
+        if function in protocol.TPDO:
+            return self._take_process_data(protocol.TPDO.index(function), data)
+        if function == protocol.HEARTBEAT:
+            self.heartbeat_time, self.nmt = now, data[0] & 0x7F
+            self.rebooted |= self.nmt == protocol.BOOT_UP
+            return self.fault() if self.nmt == protocol.BOOT_UP else None
+        code = int.from_bytes(data[:2], "little")
+        self.counters["emergencies"] += code != 0
+        # The first names the cause; what follows from it must not hide it.
+        self.emergency = None if code == 0 else self.emergency or code
+        return protocol.fault_line(code) if code else None
+
+    def _take_process_data(self, which: int, data: bytes) -> str | None:
+        was_well = self.fault() is None
+        values = _SENT[which].unpack(data)
+        if which == 0:
+            self.statusword, self.position = values
+        elif which == 1:
+            self.velocity, self.current = values
+        else:
+            (self.demand,) = values
+        self.answered |= 1 << which
+        if self.answered == ALL:
+            self.time = self.sync_time
+        return self.fault() if which == 0 and was_well else None
 
 
 class DriveReading(NamedTuple):
     """The newest values of the drive."""
 
     time: float
-    """The SYNC that the drive sampled its position at [s]."""
+    """The SYNC that the drive sampled them at [s]."""
     angle: float
     """Angle of the fin [rad]."""
     velocity: float
@@ -37,7 +126,6 @@ class DriveReading(NamedTuple):
     """Current of the motor [A]."""
     following_error: float
     """Angle demanded less angle [rad]."""
-    state: State | None
     new: bool
     """Whether all of it answers the SYNC of this reading."""
 
@@ -58,22 +146,18 @@ class Handshake:
 
     def __init__(self, patience: float) -> None:
         self._patience = patience
-        self.superseded = self.repeated = 0
+        self.repeated = 0
         self.clear()
 
     def clear(self) -> None:
         """Forget everything: the drive was stopped, or is enabled anew."""
         self._is_raised, self._since = False, 0.0
-        self._waiting: Setpoint | None = None
+        self.waiting: Setpoint | None = None
+        """The target to give to the drive as soon as it can take it."""
         self.current: Setpoint | None = None
         """The target that the drive has, or is being given."""
         self.unanswered = 0
         """Times in a row that the drive did not acknowledge the current target."""
-
-    def offer(self, setpoint: Setpoint) -> None:
-        """Give this to the drive as soon as it can take it."""
-        self.superseded += self._waiting is not None
-        self._waiting = setpoint
 
     def step(self, acknowledged: bool, now: float) -> Setpoint | bool | None:
         """What to send next: a target to raise, True to lower bit 4, or None."""
@@ -86,16 +170,16 @@ class Handshake:
                 self.unanswered = 0
             else:
                 self.unanswered, self.repeated = self.unanswered + 1, self.repeated + 1
-                self._waiting = self._waiting or self.current
+                self.waiting = self.waiting or self.current
             return True
-        if self._waiting is None or (acknowledged and not late):
+        if self.waiting is None or (acknowledged and not late):
             return None
         self._since = now
         if acknowledged:
             # A drive whose bit 12 does not fall takes no target: the lowering may have been lost.
             self.unanswered += 1
             return True
-        self._is_raised, self.current, self._waiting = True, self._waiting, None
+        self._is_raised, self.current, self.waiting = True, self.waiting, None
         return self.current
 
 
@@ -103,116 +187,103 @@ class Exchange:
     """One drive on one bus; `on_fault(line)` is called in the receiver's thread within milliseconds of a fault."""
 
     def __init__(
-        self, bus: BusConfig, config: Epos2Config, clock: Clock, on_fault: Callable[[str], None] | None
+        self,
+        bus: BusConfig,
+        config: Epos2Config,
+        clock: Clock = REAL,
+        on_fault: Callable[[str], None] | None = None,
     ) -> None:
-        self._config, self._units, self.clock, self._on_fault = config, Units.of(config), clock, on_fault
+        self.config, self.units, self.clock, self.on_fault = config, Units.of(config), clock, on_fault
         self.connection = CanConnection(bus, config.node, self._take, self._report, clock)
         self.lock = clock.condition()
         """Guards all below; notified of every frame."""
+        self.stopping = clock.lock()
+        """Held while the motor is brought to rest after a stop."""
+        self.powered = False
+        """Whether the motor may have power: not confirmed otherwise since it was last enabled."""
         self.reset()
 
     def reset(self) -> None:
         """Forget everything, as before the first frame."""
-        self.status = DriveStatus(self._config.node)
-        self.handshake = Handshake(PATIENCE_TICKS * self._config.sync_s)
+        self.status = DriveStatus(self.config.node)
+        self.handshake = Handshake(PATIENCE_TICKS * self.config.sync_s)
         self.trouble: str | None = None
         """The newest that went wrong on the bus; it stays until the drive is connected anew."""
         self.owned = False
         """Whether this drive is ours to command."""
         self.armed = False
         """Whether targets may be sent."""
-        self.halts = 0
-        """Times that it was stopped: what began before a stop must not go on after it."""
+        self.stopped = False
+        """Whether it was stopped since it was last to be enabled: what began before a stop must not go on after it."""
 
-    def sync_and_read(self, timeout: float) -> DriveReading:
+    def sync_and_read(self, timeout: float = 0.003) -> DriveReading:
         """Have the drive sample, wait for the answers [s]; the newest known where they do not all come."""
-        status, units = self.status, self._units
+        status, units = self.status, self.units
         with self.lock:
             status.synchronise(self.clock())
-            self.attempt(objects.SYNC, b"")
+            self.attempt(protocol.SYNC, b"")
             self.lock.wait_for(lambda: status.answered == ALL, timeout)
-            self._carry_on()
+            self.carry_on()
             angle = units.angle(status.position)
-            return DriveReading(
-                status.times[0],
-                angle,
-                units.velocity(status.velocity),
-                status.current / 1000,
-                units.angle(status.demand) - angle,
-                status.state,
-                status.answered == ALL,
-            )
+            error = units.angle(status.demand) - angle
+            velocity, is_new = units.velocity(status.velocity), status.answered == ALL
+            return DriveReading(status.time, angle, velocity, status.current / 1000, error, is_new)
 
     def send_heartbeat(self) -> None:
-        """Send the host's heartbeat."""
-        self.attempt(objects.HEARTBEAT + self._config.host_node, bytes([objects.OPERATIONAL]))
+        """Send our heartbeat: a drive that is enabled stops by itself `heartbeat_s` after the last one."""
+        self.attempt(protocol.HEARTBEAT + self.config.host_node, bytes([protocol.OPERATIONAL]))
 
-    def nmt(self, command: int) -> None:
-        """Send a command to the node's state (NMT)."""
-        self.connection.send(objects.NMT, bytes([command, self._config.node]))
-
-    def attempt(self, cob_id: int, data: bytes) -> None:
-        """Send in the loop, where a bus that fails is a complaint and no error."""
+    def attempt(self, cob_id: int, data: bytes) -> bool:
+        """Send where a bus that fails is a complaint and no error; whether it took the frame."""
         try:
             self.connection.send(cob_id, data)
         except DeviceError as error:
             self.trouble = str(error)
+            return False
+        return True
 
-    def offer(self, setpoint: Setpoint) -> None:
-        """Give the drive a new target; raises DeviceError where the drive is not enabled."""
-        with self.lock:
-            if not self.armed:
-                raise DeviceError("drive is not enabled; enable it before it is asked to move")
-            self.handshake.offer(setpoint)
-            self._carry_on()
-
-    def control(self, word: int, counts: int | None = None) -> None:
-        """Send a controlword with a target; without one, where the drive is."""
+    def order(self, word: int, counts: int | None = None) -> tuple[int, bytes]:
+        """The frame of a controlword with a target; without one, where the drive is."""
         data = _WORD_AND_TARGET.pack(word, self.status.position if counts is None else counts)
-        self.connection.send(objects.RPDO[0] + self._config.node, data)
+        return protocol.RPDO[0] + self.config.node, data
 
-    def refuse_halted(self, halts: int) -> None:
-        """Raise DeviceError where the drive was stopped since it had been stopped so many times."""
-        if self.halts != halts:
-            raise DeviceError("drive was stopped while it was being enabled; enable it again")
+    def insist(self, word: int) -> bool:
+        """Send a controlword by process data, and where the node does not take them by SDO; whether the bus took it."""
+        is_sent = self.attempt(*self.order(word))
+        if is_sent and self.status.nmt == protocol.OPERATIONAL:
+            return True
+        return self.attempt(protocol.SDO_REQUEST + self.config.node, download(protocol.CONTROLWORD, word)) or is_sent
 
     def brake(self) -> bool:
         """Quick stop at once, from any thread; nothing is enabled or moved after it. False where a send hangs."""
         locked = self.lock.acquire(timeout=LOCK_TIMEOUT_S)
         try:
-            self.armed = False
-            self.halts += 1
+            self.armed, self.stopped = False, True
             self.handshake.clear()
             if self.owned:
-                self.insist(cia402.QUICK_STOP)
+                self.insist(protocol.QUICK_STOP)
         finally:
             if locked:
                 self.lock.release()
         return locked
 
-    def insist(self, word: int) -> bool:
-        """Send a controlword by process data; where that fails or the node does not take them, by SDO.
-
-        Whether the bus took any of it.
-        """
-        sent = True
-        try:
-            self.control(word)
-        except DeviceError as error:
-            sent, self.trouble = False, str(error)
-        if not sent or self.status.nmt != objects.OPERATIONAL:
-            try:
-                self.connection.write_unconfirmed(objects.CONTROLWORD, word)
-                sent = True
-            except DeviceError as error:
-                self.trouble = str(error)
-        return sent
+    def carry_on(self) -> None:
+        """Carry the hand-shake on, as far as the newest statusword lets it."""
+        if not self.armed:
+            return
+        step = self.handshake.step(self.status.has(Bit.ACKNOWLEDGED), self.clock())
+        if isinstance(step, Setpoint):
+            if self.attempt(protocol.RPDO[1] + self.config.node, _VELOCITY.pack(step.rpm)):
+                self.attempt(*self.order(protocol.NEW_TARGET, step.counts))
+        elif step:
+            target = self.handshake.current
+            self.attempt(*self.order(protocol.ENABLE_OPERATION, target.counts if target else None))
 
     def _take(self, cob_id: int, data: bytes) -> None:
         with self.lock:
             fault = self.status.take(cob_id, data, self.clock())
-            if cob_id == objects.TPDO[0] + self._config.node:
-                self._carry_on()
+            if cob_id == protocol.TPDO[0] + self.config.node:
+                self.carry_on()
             self.lock.notify_all()
         if fault:
             self._tell(fault)
@@ -224,22 +295,7 @@ class Exchange:
     def _tell(self, line: str) -> None:
         """Call `on_fault`; its errors must not end the receiver's thread, which also brings the answers to a stop."""
         try:
-            if self._on_fault:
-                self._on_fault(line)
+            if self.on_fault:
+                self.on_fault(line)
         except Exception as error:
             self.trouble = f"{line} (and what was to be done then failed: {error})"
-
-    def _carry_on(self) -> None:
-        """Carry the hand-shake on, as far as the newest statusword lets it."""
-        if not self.armed:
-            return
-        try:
-            step = self.handshake.step(self.status.has(Bit.ACKNOWLEDGED), self.clock())
-            if isinstance(step, Setpoint):
-                self.connection.send(objects.RPDO[1] + self._config.node, _VELOCITY.pack(step.rpm))
-                self.control(cia402.NEW_TARGET, step.counts)
-            elif step:
-                target = self.handshake.current
-                self.control(cia402.ENABLE_OPERATION, target.counts if target else None)
-        except DeviceError as error:
-            self.trouble = str(error)

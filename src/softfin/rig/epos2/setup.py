@@ -4,16 +4,15 @@ Nothing here moves the motor, and nothing is stored for good: the drive forgets 
 """
 
 from softfin.core.errors import DeviceError, RigError
-from softfin.rig.epos2 import cia402, objects
+from softfin.rig.epos2 import protocol
 from softfin.rig.epos2.config import Epos2Config, Units
 from softfin.rig.epos2.connection import CanConnection
-from softfin.rig.epos2.objects import Object
-from softfin.rig.epos2.status import fault_line
+from softfin.rig.epos2.protocol import Object, fault_line
 
 NO_REMOTE_REQUEST = 1 << 30
 HEARTBEATS = 10
 """Heartbeats of the drive in the time after which silence means that it is gone."""
-HOME = {objects.HOMING_METHOD: objects.HOME_HERE, objects.HOME_OFFSET: 0, objects.HOME_POSITION: 0}
+HOME = {protocol.HOMING_METHOD: protocol.HOME_HERE, protocol.HOME_OFFSET: 0, protocol.HOME_POSITION: 0}
 """What makes the present position zero."""
 
 
@@ -25,27 +24,27 @@ def milliseconds(seconds: float) -> int:
 def identify(connection: CanConnection, config: Epos2Config) -> None:
     """Raise RigError where the node does not answer, naming those that do; or where it is not a drive."""
     try:
-        device = connection.read(objects.DEVICE_TYPE)
+        device = connection.read(protocol.DEVICE_TYPE)
     except DeviceError:
-        others = [node for node in connection.scan() if node != config.node]
-        found = f"node{'s' * (len(others) > 1)} {', '.join(map(str, others))} did: set drive.node" if others else ""
+        found = ", ".join(map(str, connection.scan()))
+        advice = "no other node does either: look at supply, cable, termination and bus.bitrate"
         raise RigError(
             f"no drive answers as node {config.node} on {connection.name}; "
-            + (found or "no other node does either: look at supply, cable, termination and bus.bitrate")
+            + (f"node {found} did: set drive.node" if found else advice)
         ) from None
-    if device & 0xFFFF != objects.SERVO_DRIVE:
+    if device & 0xFFFF != protocol.SERVO_DRIVE:
         raise RigError(
-            f"node {config.node} is not a drive: its device type is 0x{device:08X}, not CiA {objects.SERVO_DRIVE}; "
+            f"node {config.node} is not a drive: its device type is 0x{device:08X}, not CiA {protocol.SERVO_DRIVE}; "
             "set drive.node of the rig's file to the EPOS2's"
         )
 
 
 def fault_of(connection: CanConnection) -> str | None:
     """The fault that the drive is in, asked for; None when it is in none."""
-    if cia402.decode(connection.read(objects.STATUSWORD)) not in cia402.FAULTS:
+    if protocol.decode(connection.read(protocol.STATUSWORD)) not in protocol.FAULT_STATES:
         return None
-    if connection.read(objects.ERROR_COUNT):
-        return fault_line(connection.read(objects.NEWEST_ERROR) & 0xFFFF)
+    if connection.read(protocol.ERROR_COUNT):
+        return fault_line(connection.read(protocol.NEWEST_ERROR) & 0xFFFF)
     return "drive is in fault without an entry in its error history"
 
 
@@ -53,21 +52,16 @@ def check(connection: CanConnection, config: Epos2Config) -> None:
     """Raise RigError for a drive in fault, enabled by somebody else, or set up otherwise than the rig's file says."""
     if fault := fault_of(connection):
         raise RigError(f"{fault}; then run: softfin rig check --reset-fault")
-    word = connection.read(objects.STATUSWORD)
-    state = cia402.decode(word)
-    if state is None:
-        raise RigError(f"drive's statusword 0x{word:04X} is none of an EPOS2; check drive.node of the rig's file")
-    if state in cia402.POWERED:
-        raise RigError(
-            f"drive is in state {state.words} already; close the program that drives it, or switch it off and on"
-        )
-    motor = connection.read(objects.MOTOR_TYPE)
-    if motor not in objects.BRUSHLESS:
-        allowed = " or ".join(f"{number} ({name})" for number, name in objects.BRUSHLESS.items())
+    word = connection.read(protocol.STATUSWORD)
+    state = protocol.decode(word)
+    if state not in protocol.UNPOWERED:
+        words = state.words if state else f"not of an EPOS2 (statusword 0x{word:04X})"
+        raise RigError(f"drive is {words} already; close the program that drives it, or switch it off and on")
+    motor = connection.read(protocol.MOTOR_TYPE)
+    if motor not in protocol.BRUSHLESS:
+        allowed = " or ".join(f"{number} ({name})" for number, name in protocol.BRUSHLESS.items())
         raise RigError(f"drive's motor type is {motor}; an EC-max has {allowed}: set the motor up in EPOS Studio")
-    if not connection.read(objects.SUPPORTED_MODES) & 1 << objects.PROFILE_POSITION - 1:
-        raise RigError("drive has no profile position mode; update its firmware")
-    lines = connection.read(objects.ENCODER_LINES)
+    lines = connection.read(protocol.ENCODER_LINES)
     if lines != config.encoder_lines:
         raise RigError(
             f"drive is set to an encoder of {lines} lines, the rig's file to encoder_lines {config.encoder_lines}; "
@@ -80,30 +74,31 @@ def configure(connection: CanConnection, config: Epos2Config) -> None:
     units = Units.of(config)
     ends = sorted((units.counts(config.angle_min_rad), units.counts(config.angle_max_rad)))
     values = {
-        objects.HEARTBEAT_CONSUMER: 0,
-        objects.POSITION_MIN: ends[0],
-        objects.POSITION_MAX: ends[1],
-        objects.FOLLOWING_ERROR: units.distance(config.following_error_rad),
-        objects.FASTEST: units.rpm(config.fastest_rad_s),
-        objects.PROFILE_VELOCITY: units.rpm(config.slowest_rad_s),
-        objects.ACCELERATION: units.rpm_s(config.acceleration_rad_s2),
-        objects.DECELERATION: units.rpm_s(config.acceleration_rad_s2),
-        objects.QUICK_STOP_DECELERATION: units.rpm_s(config.quick_stop_rad_s2),
-        objects.PROFILE_TYPE: 0,
+        protocol.HEARTBEAT_CONSUMER: 0,
+        protocol.POSITION_MIN: ends[0],
+        protocol.POSITION_MAX: ends[1],
+        protocol.FOLLOWING_ERROR: units.distance(config.following_error_rad),
+        protocol.FASTEST: units.rpm(config.fastest_rad_s),
+        protocol.PROFILE_VELOCITY: units.rpm(config.slowest_rad_s),
+        protocol.ACCELERATION: units.rpm_s(config.acceleration_rad_s2),
+        protocol.DECELERATION: units.rpm_s(config.acceleration_rad_s2),
+        protocol.QUICK_STOP_DECELERATION: units.rpm_s(config.quick_stop_rad_s2),
+        protocol.PROFILE_TYPE: 0,
     }
     if config.current_limit_a is not None:
-        values[objects.CURRENT_LIMIT] = round(1000 * config.current_limit_a)
+        values[protocol.CURRENT_LIMIT] = round(1000 * config.current_limit_a)
     for entry, value in values.items():
         write(connection, entry, value)
-    set_mode(connection, objects.PROFILE_POSITION)
-    write(connection, objects.HEARTBEAT_PRODUCER, milliseconds(config.heartbeat_s / HEARTBEATS))
-    for number, entries in enumerate(objects.SENT):
-        _map(connection, 0x1800 + number, objects.TPDO[number] + config.node, entries, objects.ON_SYNC)
-    for number, entries in enumerate(objects.TAKEN):
-        _map(connection, 0x1400 + number, objects.RPDO[number] + config.node, entries, objects.AT_ONCE)
-    # What else the drive was once told to send and take: TPDO 4, RPDO 3 and 4.
-    for unused, cob_id in ((0x1803, 0x480), (0x1402, 0x400), (0x1403, 0x500)):
-        _set_cob_id(connection, unused, cob_id + config.node | objects.INVALID)
+    set_mode(connection, protocol.PROFILE_POSITION)
+    write(connection, protocol.HEARTBEAT_PRODUCER, milliseconds(config.heartbeat_s / HEARTBEATS))
+    for first, pdos, cob_id, transmission in (
+        (0x1800, protocol.SENT, protocol.TPDO[0], protocol.ON_SYNC),
+        (0x1400, protocol.TAKEN, protocol.RPDO[0], protocol.AT_ONCE),
+    ):
+        # All four of each kind: what else the drive was once told to send and take is turned off.
+        for place in range(4):
+            entries = pdos[place] if place < len(pdos) else ()
+            _map(connection, first + place, cob_id + 0x100 * place + config.node, entries, transmission)
 
 
 def write(connection: CanConnection, entry: Object, value: int, shown: Object | None = None, mask: int = -1) -> None:
@@ -119,20 +114,23 @@ def write(connection: CanConnection, entry: Object, value: int, shown: Object | 
 
 def set_mode(connection: CanConnection, mode: int) -> None:
     """Set the mode of operation; raises RigError where the drive is not in it then."""
-    write(connection, objects.MODE, mode, shown=objects.MODE_DISPLAY)
+    write(connection, protocol.MODE, mode, shown=protocol.MODE_DISPLAY)
 
 
 def _map(connection: CanConnection, number: int, cob_id: int, entries: tuple[Object, ...], transmission: int) -> None:
     """Mapping objects are 0x200 above those of the communication; a PDO must be off while its mapping changes."""
-    _set_cob_id(connection, number, cob_id | objects.INVALID)
+
+    def set_cob_id(value: int) -> None:
+        entry = Object(number, 1, "I", "COB-ID")
+        write(connection, entry, value | NO_REMOTE_REQUEST, mask=protocol.INVALID | 0x7FF)
+
+    set_cob_id(cob_id | protocol.INVALID)
+    if not entries:
+        return
     count = Object(number + 0x200, 0, "B", "mapped objects")
     connection.write(count, 0)
     for place, entry in enumerate(entries, 1):
         write(connection, Object(number + 0x200, place, "I", "mapping"), entry.mapping)
     write(connection, count, len(entries))
     write(connection, Object(number, 2, "B", "transmission type"), transmission)
-    _set_cob_id(connection, number, cob_id)
-
-
-def _set_cob_id(connection: CanConnection, number: int, cob_id: int) -> None:
-    write(connection, Object(number, 1, "I", "COB-ID"), cob_id | NO_REMOTE_REQUEST, mask=objects.INVALID | 0x7FF)
+    set_cob_id(cob_id)

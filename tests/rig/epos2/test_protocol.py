@@ -3,8 +3,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from softfin.rig.emulation.drive_motor import BY_ITSELF, next_state
-from softfin.rig.epos2 import cia402
-from softfin.rig.epos2.cia402 import FAULTS, State
+from softfin.rig.epos2 import protocol
+from softfin.rig.epos2.protocol import FAULT_STATES, State
 
 GOLDEN = {
     0x0000: State.START,
@@ -24,57 +24,57 @@ GOLDEN = {
 
 @pytest.mark.parametrize("word", GOLDEN)
 def test_the_twelve_statuswords_are_the_twelve_states(word: int) -> None:
-    assert cia402.decode(word) is GOLDEN[word]
+    assert protocol.decode(word) is GOLDEN[word]
 
 
 @given(st.sampled_from(sorted(GOLDEN)), st.integers(0, 0xFFFF))
 def test_bits_outside_the_mask_do_not_change_the_state(word: int, other: int) -> None:
-    assert cia402.decode(word | other & ~0x417F) is GOLDEN[word]
+    assert protocol.decode(word | other & ~0x417F) is GOLDEN[word]
 
 
 @given(st.integers(0, 0xFFFF))
 def test_a_word_is_one_of_the_twelve_or_none(word: int) -> None:
-    state = cia402.decode(word)
+    state = protocol.decode(word)
     assert (state is None) == (word & 0x417F not in GOLDEN)
 
 
-@pytest.mark.parametrize("start", [state for state in State if state not in FAULTS])
+@pytest.mark.parametrize("start", [state for state in State if state not in FAULT_STATES])
 def test_every_state_without_fault_can_be_enabled(start: State) -> None:
     state, word = start, 0
     for _ in range(20):
-        following = cia402.towards_enabled(state)
+        following = protocol.TO_ENABLED.get(state)
         if following is not None:
             state, word = next_state(state, following, word), following
         state = BY_ITSELF.get(state, state)
     assert state is State.OPERATION_ENABLED
 
 
-@pytest.mark.parametrize("state", sorted(FAULTS, key=lambda state: state.value))
+@pytest.mark.parametrize("state", sorted(FAULT_STATES, key=lambda state: state.value))
 def test_a_fault_is_never_left_on_the_way_to_enabled(state: State) -> None:
-    assert cia402.towards_enabled(state) is None
-    assert cia402.towards_enabled(None) is None
+    assert protocol.TO_ENABLED.get(state) is None
+    assert protocol.TO_ENABLED.get(None) is None
 
 
 def test_a_quick_stop_is_left_only_through_disabled_voltage() -> None:
-    assert cia402.towards_enabled(State.QUICK_STOP_ACTIVE) == cia402.DISABLE_VOLTAGE
+    assert protocol.TO_ENABLED.get(State.QUICK_STOP_ACTIVE) == protocol.DISABLE_VOLTAGE
 
 
 def test_a_fault_is_reset_by_a_rising_edge_alone() -> None:
     assert next_state(State.FAULT, 0x80, 0x80) is State.FAULT
     assert next_state(State.FAULT, 0x80, 0x00) is State.SWITCH_ON_DISABLED
-    words = cia402.RESET_EDGE
+    words = protocol.RESET_EDGE
     assert [words[k] & ~words[k - 1] & 0x80 for k in range(1, len(words))].count(0x80) == 1
 
 
 @given(st.sampled_from([*State]), st.integers(0, 0xFFFF), st.integers(0, 0xFFFF))
 def test_no_single_controlword_enables_from_a_state_without_power(state: State, word: int, before: int) -> None:
-    if state not in cia402.POWERED:
+    if state not in protocol.POWERED:
         following = next_state(state, word, before)
         assert following is not State.OPERATION_ENABLED
-        assert following not in cia402.POWERED or state is State.SWITCHED_ON
+        assert following not in protocol.POWERED or state is State.SWITCHED_ON
 
 
 @given(st.sampled_from([*State]), st.integers(0, 0xFFFF))
 def test_quick_stop_and_disabled_voltage_lead_out_of_motion_from_any_state(state: State, before: int) -> None:
-    assert next_state(state, cia402.QUICK_STOP, before) not in cia402.ENABLING
-    assert next_state(state, cia402.DISABLE_VOLTAGE, before) not in cia402.ENABLING | {State.QUICK_STOP_ACTIVE}
+    assert next_state(state, protocol.QUICK_STOP, before) not in protocol.ENABLING
+    assert next_state(state, protocol.DISABLE_VOLTAGE, before) not in protocol.ENABLING | {State.QUICK_STOP_ACTIVE}

@@ -1,0 +1,236 @@
+"""The protocol of an EPOS2: objects, process data, states, controlwords, and its faults and aborts in words.
+
+Indices, states and codes are those of the maxon "EPOS2 Firmware Specification" (rel5466), by way of drivers written
+from it, and of CiA 301 and 402; the ways out are ours. Not met by a real drive yet; the sub-indices of 0x2210 and
+0x6410 and the home position 0x2081 are the ones to look at first.
+"""
+
+import struct
+from enum import Enum, IntFlag
+from typing import NamedTuple
+
+from canopen import SdoAbortedError
+
+BOOT_UP, OPERATIONAL = 0x00, 0x05
+"""States of a node in its heartbeat."""
+
+NMT_START, NMT_PRE_OPERATIONAL, NMT_RESET = 0x01, 0x80, 0x81
+
+NMT, SYNC, EMERGENCY, SDO_ANSWER, SDO_REQUEST, HEARTBEAT = 0x000, 0x080, 0x080, 0x580, 0x600, 0x700
+"""COB-IDs; to all but NMT and SYNC the node's number is added."""
+TPDO = (0x180, 0x280, 0x380)
+RPDO = (0x200, 0x300)
+
+PROFILE_POSITION, HOMING = 1, 6
+HOME_HERE = 35
+"""Homing method: the present position is home; nothing moves."""
+BRUSHLESS = {10: "sinusoidal brushless", 11: "block brushless"}
+SERVO_DRIVE = 402
+"""Low word of the device type."""
+
+
+class Object(NamedTuple):
+    """One entry of the drive's object dictionary."""
+
+    number: int
+    """Index in the dictionary; a tuple has a method of that name."""
+    sub: int
+    form: str
+    """Letter of its type in `struct`: B, H, I unsigned; b, h, i signed."""
+    name: str
+
+    @property
+    def layout(self) -> struct.Struct:
+        """Layout of its bytes: little-endian, as CANopen has it."""
+        return struct.Struct(f"<{self.form}")
+
+    @property
+    def mapping(self) -> int:
+        """Entry that stands for it in a PDO's mapping."""
+        return self.number << 16 | self.sub << 8 | 8 * self.layout.size
+
+    def __str__(self) -> str:
+        return f"{self.name} (0x{self.number:04X}.{self.sub})"
+
+
+DEVICE_TYPE = Object(0x1000, 0, "I", "device type")
+ERROR_REGISTER = Object(0x1001, 0, "B", "error register")
+ERROR_COUNT = Object(0x1003, 0, "B", "number of errors")
+NEWEST_ERROR = Object(0x1003, 1, "I", "newest error")
+HEARTBEAT_CONSUMER = Object(0x1016, 1, "I", "consumer heartbeat")
+HEARTBEAT_PRODUCER = Object(0x1017, 0, "H", "producer heartbeat")
+HOME_POSITION = Object(0x2081, 0, "i", "home position")
+ENCODER_LINES = Object(0x2210, 1, "I", "encoder lines")
+CONTROLWORD = Object(0x6040, 0, "H", "controlword")
+STATUSWORD = Object(0x6041, 0, "H", "statusword")
+MODE = Object(0x6060, 0, "b", "mode of operation")
+MODE_DISPLAY = Object(0x6061, 0, "b", "mode of operation display")
+DEMAND = Object(0x6062, 0, "i", "position demand")
+POSITION = Object(0x6064, 0, "i", "position")
+FOLLOWING_ERROR = Object(0x6065, 0, "I", "largest following error")
+VELOCITY = Object(0x606C, 0, "i", "velocity")
+CURRENT = Object(0x6078, 0, "h", "current")
+TARGET = Object(0x607A, 0, "i", "target position")
+HOME_OFFSET = Object(0x607C, 0, "i", "home offset")
+POSITION_MIN = Object(0x607D, 1, "i", "smallest position")
+POSITION_MAX = Object(0x607D, 2, "i", "largest position")
+FASTEST = Object(0x607F, 0, "I", "largest profile velocity")
+PROFILE_VELOCITY = Object(0x6081, 0, "I", "profile velocity")
+ACCELERATION = Object(0x6083, 0, "I", "profile acceleration")
+DECELERATION = Object(0x6084, 0, "I", "profile deceleration")
+QUICK_STOP_DECELERATION = Object(0x6085, 0, "I", "quick-stop deceleration")
+PROFILE_TYPE = Object(0x6086, 0, "h", "profile type")
+HOMING_METHOD = Object(0x6098, 0, "b", "homing method")
+MOTOR_TYPE = Object(0x6402, 0, "H", "motor type")
+CURRENT_LIMIT = Object(0x6410, 2, "H", "output current limit")
+SUPPORTED_MODES = Object(0x6502, 0, "I", "supported modes")
+
+OBJECTS = tuple(value for value in list(globals().values()) if isinstance(value, Object))
+
+SENT = ((STATUSWORD, POSITION), (VELOCITY, CURRENT), (DEMAND,))
+"""Objects that the drive sends on every SYNC: TPDO 1, 2, 3."""
+TAKEN = ((CONTROLWORD, TARGET), (PROFILE_VELOCITY,))
+"""Objects that the drive takes at once: RPDO 1, 2."""
+ON_SYNC, AT_ONCE = 1, 255
+"""Transmission types of process data."""
+INVALID = 1 << 31
+"""Bit of a PDO's COB-ID: it is off."""
+
+
+def layout(objects: tuple[Object, ...]) -> struct.Struct:
+    """Layout of a PDO that carries these objects."""
+    return struct.Struct("<" + "".join(each.form for each in objects))
+
+
+SHUTDOWN = 0x0006
+SWITCH_ON = 0x0007
+ENABLE_OPERATION = 0x000F
+QUICK_STOP = 0x0002
+DISABLE_VOLTAGE = 0x0000
+FAULT_RESET = 0x0080
+NEW_TARGET = 0x003F
+"""Operation enabled, a new target (bit 4), absolute, at once (bit 5)."""
+START_HOMING = 0x001F
+RESET_EDGE = (DISABLE_VOLTAGE, FAULT_RESET, DISABLE_VOLTAGE)
+"""The controlwords that acknowledge a fault: bit 7 must rise, so it is lowered first."""
+
+
+class State(Enum):
+    """The twelve states of an EPOS2; the value is the statusword, masked.
+
+    The generic masks of CiA 402, as in canopen's `State402`, would read refresh and measure-init as "switched on".
+    """
+
+    START = 0x0000
+    NOT_READY = 0x0100
+    SWITCH_ON_DISABLED = 0x0140
+    READY = 0x0121
+    SWITCHED_ON = 0x0123
+    REFRESH = 0x4123
+    MEASURE_INIT = 0x4133
+    OPERATION_ENABLED = 0x0137
+    QUICK_STOP_ACTIVE = 0x0117
+    FAULT_REACTION_DISABLED = 0x010F
+    FAULT_REACTION_ENABLED = 0x011F
+    FAULT = 0x0108
+
+    @property
+    def words(self) -> str:
+        """Name of the state for messages."""
+        return self.name.lower().replace("_", " ")
+
+
+class Bit(IntFlag):
+    """Bits of the statusword beside the state."""
+
+    REMOTE = 1 << 9
+    TARGET_REACHED = 1 << 10
+    LIMIT = 1 << 11
+    ACKNOWLEDGED = 1 << 12
+    """The new target was taken; in homing: the home is attained."""
+    ERROR = 1 << 13
+    """Following error; in homing: homing error."""
+    REFERENCED = 1 << 15
+
+
+FAULT_STATES = frozenset({State.FAULT_REACTION_DISABLED, State.FAULT_REACTION_ENABLED, State.FAULT})
+ENABLING = frozenset({State.REFRESH, State.MEASURE_INIT, State.OPERATION_ENABLED})
+"""Operation enabled, and the two states through which a drive gets there by itself."""
+POWERED = ENABLING | {State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ENABLED}
+"""States in which the motor carries current."""
+UNPOWERED = frozenset(State) - POWERED
+
+TO_ENABLED: dict[State | None, int] = {
+    State.SWITCH_ON_DISABLED: SHUTDOWN,
+    State.READY: SWITCH_ON,
+    State.SWITCHED_ON: ENABLE_OPERATION,
+    State.QUICK_STOP_ACTIVE: DISABLE_VOLTAGE,
+}
+"""The controlwords that bring a drive one step nearer to operation enabled; from other states it moves on by itself.
+
+A quick stop is first left through disabled voltage: a drive that was stopped is never let go on.
+"""
+_STATES = {state.value: state for state in State}
+
+
+def decode(statusword: int) -> State | None:
+    """The state in a statusword; None for one that no EPOS2 sends."""
+    return _STATES.get(statusword & 0x417F)
+
+
+FAULTS = {
+    0x1000: ("generic error", "switch the drive off and on"),
+    0x2310: ("over-current", "look for a short circuit or a blocked fin; lower the acceleration"),
+    0x3210: ("over-voltage", "look at the supply; brake more gently, or add a brake resistor"),
+    0x3220: ("under-voltage", "look at the supply: its voltage fell below what the drive needs"),
+    0x4210: ("over-temperature", "let the drive cool down; move less or slower"),
+    0x5113: ("+5 V supply too low", "look for a short circuit in the encoder's cable"),
+    0x5114: ("supply of the output stage too low", "look at the supply and at its fuse"),
+    0x6100: ("internal software error", "switch the drive off and on; update its firmware if it comes again"),
+    0x6320: ("software parameter error", "restore the drive's defaults in EPOS Studio and tune it again"),
+    0x7320: ("position sensor error", "look at the encoder and its cable; its lines must be those of the drive"),
+    0x8110: ("CAN overrun, objects lost", "put fewer nodes or a higher bitrate on the bus"),
+    0x8111: ("CAN overrun", "put fewer nodes or a higher bitrate on the bus"),
+    0x8120: ("CAN error passive", "look at the bus: termination, bitrate, cable"),
+    0x8130: ("heartbeat of the host lost", "find out why the program hung or was killed; look at the bus's cable"),
+    0x8150: ("CAN message collision", "look for a second drive with the same node number"),
+    0x81FD: ("CAN bus off", "look at the bus: termination, bitrate, cable"),
+    0x81FE: ("CAN receive queue overrun", "put fewer nodes or a higher bitrate on the bus"),
+    0x81FF: ("CAN transmit queue overrun", "put fewer nodes or a higher bitrate on the bus"),
+    0x8210: ("process data of a wrong length", "look for another program that writes to the same drive"),
+    0x8611: ("following error", "look for a blocked fin; ask for less velocity or acceleration, or tune the drive"),
+    0xFF01: ("hall sensor error", "look at the hall sensors' cable"),
+    0xFF02: ("index processing error", "look at the encoder's index channel"),
+    0xFF03: ("encoder resolution error", "set the encoder's lines in the drive to those of the encoder"),
+    0xFF04: ("hall sensor not found", "look at the hall sensors' cable"),
+    0xFF06: ("negative limit switch", "turn the fin away from its end"),
+    0xFF07: ("positive limit switch", "turn the fin away from its end"),
+    0xFF08: ("hall angle detection error", "look at the hall sensors' cable and at the motor's pole pairs"),
+    0xFF09: ("software position limit", "turn the fin inside its limits, or zero it anew"),
+    0xFF0A: ("position sensor breach", "look at the encoder and its cable"),
+    0xFF0B: ("system overloaded", "look for too many messages on the bus"),
+}
+
+MAXON_ABORTS = {
+    0x0F00FFB9: "Wrong node number",
+    0x0F00FFBC: "Not in service mode",
+    0x0F00FFBE: "Wrong password",
+    0x0F00FFBF: "Command illegal",
+    0x0F00FFC0: "Wrong NMT state",
+}
+"""Abort codes of an EPOS2 beyond those of CiA 301 (maxon "EPOS2 Communication Guide", rel4054)."""
+
+
+def fault_line(code: int) -> str:
+    """Name and way out of a fault, such as ``drive fault 0x8611, following error: look for a blocked fin; ..``."""
+    name, way_out = FAULTS.get(code, ("not in softfin's list", "look it up in the EPOS2 Firmware Specification"))
+    return f"drive fault 0x{code:04X}, {name}: {way_out}"
+
+
+def abort_line(code: int) -> str:
+    """Name and way out of an SDO abort, such as ``0x06020000, Object does not exist: check that ..``."""
+    name = MAXON_ABORTS.get(code) or SdoAbortedError.CODES.get(code, "Not in softfin's list")
+    way_out = "check that the device is an EPOS2, close other programs such as EPOS Studio, switch the drive off and on"
+    if 0x06090030 <= code <= 0x06090036:
+        way_out = "change the value in the rig's file to one that the drive takes"
+    return f"0x{code:08X}, {name}: {way_out}"
