@@ -1,3 +1,4 @@
+import contextlib
 import errno
 import os
 import threading
@@ -81,7 +82,7 @@ def test_rows_are_in_the_file_before_it_is_closed(tmp_path):
 
 
 def test_nothing_is_overwritten_and_a_second_recorder_is_refused(tmp_path):
-    with BagRecorder(tmp_path / "new" / "run.mcap") as recorder:
+    with contextlib.closing(BagRecorder(tmp_path / "new" / "run.mcap")) as recorder:
         with pytest.raises(LogError, match="exists already, recordings are never overwritten") as error:
             BagRecorder(recorder.path)
         assert "\n" not in str(error.value)

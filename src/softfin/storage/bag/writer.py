@@ -14,7 +14,7 @@ from pathlib import Path
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import LogError, RunError
 from softfin.storage import artifact as artifacts
-from softfin.storage.bag.messages import COMMAND, CURRENT, EVENTS, JOINT, REFERENCE, SECOND_NS, WRENCH, BagWriter, Row
+from softfin.storage.bag.messages import COMMAND, CURRENT, EVENTS, JOINT, REFERENCE, SECOND_NS, WRENCH, BagWriter
 
 POLL_S = 0.05
 """Period at which the queue is emptied [s]: so few rows at a time delay the loop by tenths of a millisecond at most."""
@@ -34,8 +34,6 @@ CLOSE_S = 10.0
 APART_S = 1e-6
 """Least time between two commands [s]: in simulated time two may come at one moment, and their order must be kept."""
 
-Values = tuple[float, ...] | str
-
 
 class BagRecorder:
     """A bag that grows while the fin moves; one thread hands rows in, with times of `clock`.
@@ -50,7 +48,7 @@ class BagRecorder:
         self.path = path
         self._flush_s, self._reserve, self._clock = flush_s, reserve_bytes, clock
         self._offset_ns = round((clock.wall() - clock()) * SECOND_NS)
-        self._queue: queue.SimpleQueue[tuple[str, float, Values]] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[tuple[str, float, Sequence[float] | str]] = queue.SimpleQueue()
         self._pending = _Pending()
         self._failure: str | None = None
         self._bag = BagWriter(self._pending)
@@ -59,22 +57,13 @@ class BagRecorder:
         self._began: float | None = None
         self._commanded = -float("inf")
         self._closing = clock.event()
-        try:
-            # The file is a bag before the first row comes, and a disk without room is noticed before a motion.
-            self._flush()
-            if self._failure is not None:
-                raise RunError(self._failure)
-        except BaseException:
+        # The file is a bag before the first row comes, and a disk without room is noticed before a motion.
+        self._flush()
+        if self._failure is not None:
             os.close(self._file)
-            path.unlink(missing_ok=True)
-            raise
+            path.unlink()
+            raise RunError(self._failure)
         self._thread = clock.spawn(self._work, "bag recorder")
-
-    def __enter__(self) -> "BagRecorder":
-        return self
-
-    def __exit__(self, *reason: object) -> None:
-        self.close()
 
     @property
     def failure(self) -> str | None:
@@ -116,7 +105,7 @@ class BagRecorder:
         if self._thread.is_alive():
             self._fail(f"the disk did not end the file within {CLOSE_S:g} s", f"softfin bag recover {self.path}")
 
-    def _hand_in(self, topic: str, time: float, values: Values) -> None:
+    def _hand_in(self, topic: str, time: float, values: Sequence[float] | str) -> None:
         if self._closing.is_set():
             return
         if self._queue.qsize() < BACKLOG:
@@ -145,7 +134,7 @@ class BagRecorder:
             if len(self._pending) > PENDING_BYTES:
                 continue
             try:
-                self._bag.write(Row(topic, self._offset_ns + round(seconds * SECOND_NS), values))
+                self._bag.write(topic, self._offset_ns + round(seconds * SECOND_NS), values)
             except Exception as error:
                 self._fail(f"{topic} cannot be {values!r:.100} ({error})", "report this, it is a defect of softfin")
 
@@ -168,32 +157,27 @@ class BagRecorder:
             self._failure = f"{self.path}: the recording fails: {reason}; what was written stays; {fix}"
 
 
-class _Pending:
+class _Pending(bytearray):
     """The stream that the bag is written to: bytes that wait for the disk."""
 
-    def __init__(self) -> None:
-        self._bytes = bytearray()
-        self._gone = 0
+    gone = 0
+    """Number of bytes that are on the disk."""
 
-    def __len__(self) -> int:
-        return len(self._bytes)
-
-    def write(self, data: bytes) -> int:
-        self._bytes += data
-        return len(data)
+    def write(self, data: bytes) -> None:
+        self.extend(data)
 
     def tell(self) -> int:
-        return self._gone + len(self._bytes)
+        return self.gone + len(self)
 
     def flush(self) -> None:
         """Do nothing: `write_to` writes when it is time."""
 
     def write_to(self, file: int) -> None:
         """Write to the disk; raises OSError, and keeps what was not written."""
-        while self._bytes:
-            taken = os.write(file, self._bytes)
-            del self._bytes[:taken]
-            self._gone += taken
+        while self:
+            taken = os.write(file, self)
+            del self[:taken]
+            self.gone += taken
 
 
 def _create(path: Path) -> int:
