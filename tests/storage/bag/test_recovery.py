@@ -17,7 +17,7 @@ from softfin.data.importing.importing import ImportConfig
 from softfin.data.importing.rosbag import read_bag
 from softfin.storage.bag.messages import COMMAND, JOINT, WRENCH
 from softfin.storage.bag.recovery import recover, recovered_path
-from softfin.storage.bag.scan import check_bag
+from softfin.storage.bag.records import check_bag
 from tests.data.recorded import by_mcap_ros2, by_rosbags, record
 
 LONG = os.environ.get("SOFTFIN_LONG") == "1"
@@ -196,7 +196,7 @@ def test_what_is_no_bag_is_refused_in_one_line(tmp_path):
             recover(tmp_path / name, tmp_path / "saved.mcap")
         assert str(error.value).startswith(str(tmp_path / name))
         assert "\n" not in str(error.value)
-    with pytest.raises(LogError, match=r"a folder; give the \.mcap file"):
+    with pytest.raises(LogError, match=r"cannot be read .Is a directory.; give the path of a \.mcap file"):
         recover(tmp_path, tmp_path / "saved.mcap")
     assert not (tmp_path / "saved.mcap").exists()
 

@@ -1,12 +1,16 @@
-"""MCAP records of a file that is whole, still grows or was cut off: bytes in, records of the mcap library out.
+"""MCAP records of a file that is whole, still grows, was cut off or damaged: bytes in, records of the mcap library out.
 
 The library's own readers need a file that ends as it should. Here a record counts as soon as it lies whole in the
 file, a chunk only if its length and its checksum are right.
 """
 
+import contextlib
 import io
+import os
 import struct
+import zlib
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, cast
 
 import zstandard
@@ -24,18 +28,18 @@ MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
 """Opcode and length, before each record."""
 
-MESSAGE_HEAD_BYTES = 22
-"""Bytes of a message's record before its data."""
+FOOTER = struct.Struct("<QQI")
+"""Start of the index, that of its groups, and a checksum."""
 
 LARGEST_BYTES = 64 * 2**20
 """Largest record, or unpacked chunk, that is read; ROS 2 closes its chunks below one megabyte."""
 
+CHUNK_HEAD_BYTES = 40
+"""Fields of an uncompressed chunk before its records."""
+
 Record: TypeAlias = Schema | Channel | Message | Footer
 
 _KINDS: dict[int, Any] = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.FOOTER: Footer}
-
-READ = frozenset({*_KINDS, Opcode.MESSAGE, Opcode.CHUNK})
-"""Opcodes of the records whose content is read; others (indexes, attachments) are passed over."""
 
 
 class RawRecord(NamedTuple):
@@ -47,7 +51,15 @@ class RawRecord(NamedTuple):
     end: int
     """Byte of the file that follows the record."""
     content: bytes
-    """Bytes behind opcode and length; empty unless the opcode is in `READ`."""
+    """Bytes behind opcode and length; of an attachment none."""
+
+
+class Damage(NamedTuple):
+    """A part of the file that cannot be read."""
+
+    start: int
+    length: int
+    reason: str
 
 
 def read_records(file: io.BufferedIOBase, start: int, size: int) -> Iterator[RawRecord]:
@@ -55,45 +67,102 @@ def read_records(file: io.BufferedIOBase, start: int, size: int) -> Iterator[Raw
     while start + HEAD.size <= size:
         file.seek(start)
         head = file.read(HEAD.size)
-        if len(head) < HEAD.size:
-            return
-        opcode, length = HEAD.unpack(head)
-        if not opcode and not length:
+        if len(head) < HEAD.size or not any(head):
             # Over a network, and after a power cut, the length of a file can be seen before its bytes.
             return
-        is_read = opcode in READ
+        opcode, length = HEAD.unpack(head)
         if not opcode or (opcode != Opcode.ATTACHMENT and length > LARGEST_BYTES):
             raise LogError(f"a record of kind {opcode} and {length:,} bytes at byte {start:,}")
         end = start + HEAD.size + length
         if end > size:
             return
-        content = file.read(length) if is_read else b""
-        if is_read and len(content) < length:
-            return
-        yield RawRecord(opcode, start, end, content)
+        yield RawRecord(opcode, start, end, b"" if opcode == Opcode.ATTACHMENT else file.read(length))
         start = end
 
 
 def decode(record: RawRecord) -> list[Record]:
     """Decode a record, of a chunk all that it holds; raises LogError where it is damaged."""
+    stream = ReadDataStream(io.BytesIO(record.content))
     try:
-        if record.opcode == Opcode.CHUNK:
-            return _unpack(record.content)
-        stream = ReadDataStream(io.BytesIO(record.content))
         if record.opcode == Opcode.MESSAGE:
-            if len(record.content) < MESSAGE_HEAD_BYTES:
-                raise LogError("a message that is too short")
             return [Message.read(stream, len(record.content))]
-        return [_KINDS[record.opcode].read(stream)] if record.opcode in _KINDS else []
+        if record.opcode != Opcode.CHUNK:
+            return [_KINDS[record.opcode].read(stream)] if record.opcode in _KINDS else []
+        chunk = Chunk.read(stream)
+        if chunk.uncompressed_size > LARGEST_BYTES:
+            raise ValueError(f"{chunk.uncompressed_size:,} bytes unpacked, allowed are {LARGEST_BYTES:,}")
+        return cast(list[Record], breakup_chunk(chunk, validate_crc=True))
     except (McapError, zstandard.ZstdError, ValueError, OverflowError, RuntimeError, EOFError, struct.error) as error:
         what = "chunk" if record.opcode == Opcode.CHUNK else "record"
         raise LogError(f"a {what} that cannot be decoded ({' '.join(str(error).split())})") from None
 
 
-def _unpack(content: bytes) -> list[Record]:
-    chunk = Chunk.read(ReadDataStream(io.BytesIO(content)))
-    if chunk.uncompressed_size > LARGEST_BYTES:
-        raise LogError(f"a chunk of {chunk.uncompressed_size:,} bytes, allowed are {LARGEST_BYTES:,}")
-    if chunk.compression not in ("", "lz4", "zstd"):
-        raise LogError(f"a chunk of unknown compression {chunk.compression!r}")
-    return cast(list[Record], breakup_chunk(chunk, validate_crc=True))
+def scan(path: Path) -> Iterator[Record | Damage]:
+    """Yield the records of a file in order, those in chunks too, and each damage where it is met."""
+    try:
+        with path.open("rb") as file:
+            yield from _scan(file, os.fstat(file.fileno()).st_size)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read ({error.strerror}); give the path of a .mcap file") from None
+
+
+def check_bag(path: Path) -> None:
+    """Raise LogError unless the file is whole."""
+    damage = next((item for item in scan(path) if isinstance(item, Damage)), None)
+    if damage is not None:
+        raise LogError(
+            f"{path}: truncated, or not a ROS 2 bag (at byte {damage.start:,}: {damage.reason}); "
+            f"what it holds is saved by: softfin bag recover {path}"
+        )
+
+
+def _scan(file: io.BufferedIOBase, size: int) -> Iterator[Record | Damage]:
+    if file.read(len(MAGIC)) != MAGIC:
+        yield Damage(0, size, "it does not begin as MCAP")
+        return
+    at, reason = len(MAGIC), "a record that is not whole"
+    try:
+        for record in read_records(file, at, size):
+            at = record.end
+            if record.opcode == Opcode.FOOTER:
+                if not _is_end(file, record):
+                    yield Damage(record.start, size - record.start, "the index or the end is damaged")
+                return
+            yield from _decode(record)
+    except LogError as error:
+        reason = str(error)
+    saved = 0
+    for record in _records_of_cut_chunk(file, at, size):
+        yield from _decode(record)
+        saved += record.end - record.start
+    yield Damage(at, size - at - saved, reason if at < size else "it has no end")
+
+
+def _decode(record: RawRecord) -> list[Record] | list[Damage]:
+    try:
+        return decode(record)
+    except LogError as error:
+        return [Damage(record.start, record.end - record.start, str(error))]
+
+
+def _records_of_cut_chunk(file: io.BufferedIOBase, at: int, size: int) -> Iterator[RawRecord]:
+    """Yield the whole records of a last chunk that was not compressed."""
+    file.seek(at)
+    head = file.read(HEAD.size + CHUNK_HEAD_BYTES)
+    if len(head) == HEAD.size + CHUNK_HEAD_BYTES and head[0] == Opcode.CHUNK and head[37:41] == bytes(4):
+        # A file system shows zeros where bytes never reached the disk, so no message may end in them.
+        beginning = file.read(min(size - at, LARGEST_BYTES)).rstrip(b"\0")
+        # Behind the first bytes that are not a record there is nothing to save.
+        with contextlib.suppress(LogError):
+            yield from read_records(io.BytesIO(beginning), 0, len(beginning))
+
+
+def _is_end(file: io.BufferedIOBase, record: RawRecord) -> bool:
+    """Whether a footer is followed by the file's last bytes, and the checksum of the index before it is right."""
+    file.seek(record.end)
+    if file.read() != MAGIC or len(record.content) < FOOTER.size:
+        return False
+    start, _, checksum = FOOTER.unpack_from(record.content)
+    # The checksum covers the index, and the footer but for the checksum itself.
+    file.seek(min(start, record.start))
+    return not (start and checksum) or zlib.crc32(file.read(record.end - 4 - start)) == checksum

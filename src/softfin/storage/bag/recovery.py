@@ -9,8 +9,7 @@ from mcap.records import Channel, Message, Schema
 from softfin.core.errors import LogError
 from softfin.storage import artifact as artifacts
 from softfin.storage.bag.messages import start_writer
-from softfin.storage.bag.scan import Damage, scan
-from softfin.storage.paths import check_recoverable
+from softfin.storage.bag.records import Damage, scan
 
 
 class Recovery(NamedTuple):
@@ -29,8 +28,9 @@ class Recovery(NamedTuple):
 
     def to_dict(self) -> dict[str, Any]:
         """Recovery for JSON."""
-        damages = [{"byte": one.start, "bytes": one.length, "reason": one.reason} for one in self.damages]
-        return {**self._asdict(), "damages": damages}
+        return self._asdict() | {
+            "damages": [{"byte": one.start, "bytes": one.length, "reason": one.reason} for one in self.damages]
+        }
 
 
 def recovered_path(path: Path) -> Path:
@@ -40,12 +40,12 @@ def recovered_path(path: Path) -> Path:
 
 def recover(path: Path, out: Path, overwrite: bool = False) -> Recovery:
     """Save what can be read; raises LogError where nothing can, or `out` exists."""
-    check_recoverable(path)
-    if out.exists() and (not overwrite or out.is_dir() or out.samefile(path)):
+    if out.exists() and (not overwrite or out.is_dir() or out.resolve() == path.resolve()):
         raise LogError(f"{out}: exists already; give another --out")
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
-    counts, times, damages = Counter[int](), [2**64, 0], list[Damage]()
+    counts, damages = Counter[int](), list[Damage]()
+    first, last = 2**64, 0
     # Definitions may stand behind their messages where the first chunk is lost: the index repeats them.
     for item in scan(path):
         match item:
@@ -57,32 +57,29 @@ def recover(path: Path, out: Path, overwrite: bool = False) -> Recovery:
                 channels.setdefault(item.id, item)
             case Message():
                 counts[item.channel_id] += 1
-                times = [min(times[0], item.log_time), max(times[1], item.log_time)]
+                first, last = min(first, item.log_time), max(last, item.log_time)
     messages = Counter[str]()
     for number in sorted(channels.keys() & counts):
         messages[channels[number].topic] += counts[number]
-    orphans = sum(count for number, count in counts.items() if number not in channels)
+    orphans = counts.total() - messages.total()
     if orphans:
         damages.append(Damage(0, 0, f"{orphans:,} messages whose topic is not known"))
-    recovery = Recovery(not damages, dict(messages), max(0, times[1] - times[0]) / 1e9, orphans, tuple(damages))
     if damages and not messages:
         reason = damages[0].reason
         raise LogError(f"{path}: no message in it can be read ({reason}); copy it again from where it was recorded")
+
+    def copy(file: BinaryIO) -> None:
+        writer, registered, written = start_writer(file), {0: 0}, {}
+        for number, schema in schemas.items():
+            registered[number] = writer.register_schema(schema.name, schema.encoding, schema.data)
+        for number, channel in channels.items():
+            kind = registered.get(channel.schema_id, 0)
+            written[number] = writer.register_channel(channel.topic, channel.message_encoding, kind, channel.metadata)
+        for one in scan(path):
+            if isinstance(one, Message) and one.channel_id in written:
+                writer.add_message(written[one.channel_id], one.log_time, one.data, one.publish_time, one.sequence)
+        writer.finish()
+
     if damages:
-        artifacts.write_file(out, lambda file: _copy(path, file, schemas, channels))
-    return recovery
-
-
-def _copy(path: Path, file: BinaryIO, schemas: dict[int, Schema], channels: dict[int, Channel]) -> None:
-    writer = start_writer(file)
-    registered = {0: 0} | {
-        number: writer.register_schema(one.name, one.encoding, one.data) for number, one in schemas.items()
-    }
-    written = {
-        number: writer.register_channel(one.topic, one.message_encoding, registered.get(one.schema_id, 0), one.metadata)
-        for number, one in channels.items()
-    }
-    for item in scan(path):
-        if isinstance(item, Message) and item.channel_id in written:
-            writer.add_message(written[item.channel_id], item.log_time, item.data, item.publish_time, item.sequence)
-    writer.finish()
+        artifacts.write_file(out, copy)
+    return Recovery(not damages, dict(messages), max(0, last - first) / 1e9, orphans, tuple(damages))
