@@ -11,7 +11,6 @@ from softfin.core.errors import RigError
 from softfin.rig.machine import clock_of
 from softfin.rig.ros2.config import NodeConfig
 from softfin.rig.ros2.connection import open_transport
-from softfin.rig.ros2.messages import Messages
 from softfin.rig.ros2.node import RosNode
 from softfin.rig.ros2.plant import Ros2Machine
 from softfin.rig.simulated_clock import SimulatedClock
@@ -49,7 +48,7 @@ class Arguments(Driving, Configured):
         if isinstance(robot.machine, Ros2Machine):
             robot.machine.config.check_apart(topics)
         otherwise, warning = resolve_reference(controller, self.reference, self.strict)
-        transport = open_transport(topics.connection, Messages())
+        transport = open_transport(topics.connection)
         try:
             node = RosNode(transport, topics, say, lambda asked: resolve_reference(controller, asked, self.strict))
             for note in (*transport.notes, *([] if warning is None else [warning])):

@@ -5,7 +5,7 @@ import pytest
 from softfin.core.errors import ConfigurationError
 from softfin.rig.machine import Sample, Target
 from softfin.rig.ros2.config import NodeConfig
-from softfin.rig.ros2.messages import VECTOR
+from softfin.rig.ros2.connection import VECTOR
 from softfin.rig.ros2.node import RosNode
 from softfin.rig.stop import StopRequest
 from tests.rig.ros2_memory import MemoryTransport

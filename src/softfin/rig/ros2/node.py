@@ -11,11 +11,11 @@ from softfin.rig.loop import Force, References
 from softfin.rig.machine import Sample, Target
 from softfin.rig.references import ResolveReference
 from softfin.rig.ros2.config import NodeConfig
-from softfin.rig.ros2.connection import Stamped, Subscription
-from softfin.rig.ros2.messages import BOOL, JOINT, VECTOR, WRENCH, Messages, reference_of
+from softfin.rig.ros2.connection import BOOL, VECTOR, Stamped, Subscription, reference_of
 from softfin.rig.ros2.transport import Transport
 from softfin.rig.session import Observer
 from softfin.rig.stop import StopRequest
+from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr
 
 MOST_LINES = 20
 """Most different lines that are reported."""
@@ -30,16 +30,15 @@ class RosNode:
     ) -> None:  # fmt: skip
         """`report` gets remarks for the user, each once; `resolve` maps a reference to the one that is tracked."""
         self.config, self._clock, self._resolve, self._report = topics, clock, resolve, report
-        self._messages = messages = Messages()
-        self.joint = transport.publish(topics.joint_topic, JOINT)
-        self._wrench = transport.publish(topics.wrench_topic, WRENCH)
-        self._command = transport.publish(topics.command_topic, JOINT)
-        kind = WRENCH if topics.reference_type == "wrench" else VECTOR
+        self.joint = transport.publish(topics.joint_topic, JOINT_STATE)
+        self._wrench = transport.publish(topics.wrench_topic, WRENCH_STAMPED)
+        self._command = transport.publish(topics.command_topic, JOINT_STATE)
+        kind = WRENCH_STAMPED if topics.reference_type == "wrench" else VECTOR
         self._references: Subscription[Force] = Subscription(
-            transport, messages, topics.reference_topic, kind, self._tracked, stamped=False
+            transport, topics.reference_topic, kind, self._tracked, stamped=False
         )
         self._stops: Subscription[bool] = Subscription(
-            transport, messages, topics.stop_topic, BOOL, lambda message: bool(message.data), stamped=False
+            transport, topics.stop_topic, BOOL, lambda message: bool(message.data), stamped=False
         )
         self._newest: Stamped[Force] | None = None
         self._resolved: tuple[Force, Force] | None = None
@@ -51,17 +50,15 @@ class RosNode:
 
     def publish(self, sample: Sample, target: Target | None) -> None:
         """Publish one sample, and the command where it is a new one; what cannot go out is counted."""
-        config, messages = self.config, self._messages
+        frame, name = self.config.frame, self.config.joint_name
         # Both clocks at the same moment: this computer's date may be set at any time.
         ahead = time.time_ns() - round(time.monotonic() * 1e9)
         stamp, force_stamp = (round(at * 1e9) + ahead for at in (sample.time, sample.force_time))
-        joint = messages.joint(stamp, config.frame, config.joint_name, sample.angle, sample.velocity)
         try:
-            self.joint.send(messages.encode(joint))
-            self._wrench.send(messages.encode(messages.wrench(force_stamp, config.frame, sample.wrench)))
+            self.joint.send(cdr(JOINT_STATE, stamp, (sample.angle, sample.velocity), frame, name))
+            self._wrench.send(cdr(WRENCH_STAMPED, force_stamp, sample.wrench, frame))
             if target is not None and target != self._published:
-                command = messages.joint(stamp, config.frame, config.joint_name, target.angle, target.velocity)
-                self._command.send(messages.encode(command))
+                self._command.send(cdr(JOINT_STATE, stamp, target, frame, name))
                 self._published = target
         except DeviceError as error:
             self._unsent += 1

@@ -9,16 +9,18 @@ import time
 from collections.abc import Callable
 from typing import NamedTuple
 
+from rosbags.typesys.store import Typestore
+
 from softfin.core.errors import CommandError, DeviceError
 from softfin.core.quantities import Limits
 from softfin.rig.frame import rotated, rotation
 from softfin.rig.machine import Sample, Target, Wrench
 from softfin.rig.ros2.config import Ros2PlantConfig, TransportConfig
-from softfin.rig.ros2.connection import Stamped, Subscription, open_transport
-from softfin.rig.ros2.flipper import FlipperCommands
-from softfin.rig.ros2.messages import BOOL, JOINT, WRENCH, Messages, joint_of, wrench_of
+from softfin.rig.ros2.connection import BOOL, Stamped, Subscription, joint_of, open_transport, wrench_of
+from softfin.rig.ros2.flipper import FlipperCommands, define_types
 from softfin.rig.ros2.transport import Publisher, Transport
 from softfin.rig.safety import check_target
+from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr, serialized
 
 LOCK_S = 0.02
 """Longest that a stop waits for a command that is going out [s]; over DDS that takes 5 ms at most."""
@@ -27,14 +29,13 @@ LOCK_S = 0.02
 class JointCommands:
     """Commands as sensor_msgs/JointState, one message for each; the driver holds it. FlipperCommands sends others."""
 
-    def __init__(self, publisher: Publisher, messages: Messages, joint: str, velocity: float) -> None:
+    def __init__(self, publisher: Publisher, joint: str, velocity: float) -> None:
         """`velocity` to where the fin holds [rad/s]."""
-        self.publisher, self._messages, self._joint, self._velocity = publisher, messages, joint, velocity
+        self.publisher, self._joint, self._velocity = publisher, joint, velocity
 
     def send(self, target: Target, angle: float, now: float) -> None:
         """Send the target, whatever the measured angle is."""
-        message = self._messages.joint(time.time_ns(), "", self._joint, target.angle, target.velocity)
-        self.publisher.send(self._messages.encode(message))
+        self.publisher.send(cdr(JOINT_STATE, time.time_ns(), target, "", self._joint))
 
     def tick(self, now: float) -> None:
         """Send nothing; called at every tick while the fin is enabled, for drives that need messages more often."""
@@ -63,14 +64,15 @@ class Ros2Machine:
     """
 
     name = "ros2"
+    stop_unconfirmed: str | None = "whether the motor is off lies with its driver; keep a switch of its supply at hand"
 
     def __init__(
         self, config: Ros2PlantConfig, clock: Callable[[], float] = time.monotonic,
-        opener: Callable[[TransportConfig, Messages], Transport] = open_transport,
+        opener: Callable[[TransportConfig, Typestore], Transport] = open_transport,
     ) -> None:  # fmt: skip
         self.config, self._clock, self._opener = config, clock, opener
         self.limits: Limits = config.limits
-        self._messages = Messages(config.flipper.definitions if config.flipper else None)
+        self._types = define_types(config.flipper.definitions if config.flipper else {})
         self._sign = -1.0 if config.negate_angle else 1.0
         # A signal's handler may stop the machine while this very thread is in the middle of a command.
         self._lock = threading.RLock()
@@ -85,42 +87,40 @@ class Ros2Machine:
         """Remarks on the connection."""
         return () if self._topics is None else self._topics.transport.notes
 
-    @property
-    def stop_unconfirmed(self) -> str | None:
-        """Whatever was sent: whether the motor is off lies with its driver."""
-        return "whether the motor is off lies with its driver; keep a switch of its supply at hand"
-
     def open(self) -> None:
         """Wait until joint and wrench publish; nothing is sent."""
         self.close()
-        transport = self._opener(self.config.connection, self._messages)
+        config = self.config
+        turn, quality = rotation(config.frame), {"best_effort": config.best_effort}
+        transport = self._opener(config.connection, self._types)
         try:
-            self._topics = self._subscribe(transport)
+            joint: Subscription[tuple[float, float | None]] = Subscription(
+                transport,
+                config.joint_topic,
+                JOINT_STATE,
+                lambda message: joint_of(message, config.joint_name),
+                **quality,
+            )
+            wrench = Subscription(
+                transport,
+                config.wrench_topic,
+                WRENCH_STAMPED,
+                lambda message: rotated(wrench_of(message), turn),
+                **quality,
+            )
+            commands: JointCommands | FlipperCommands
+            if config.flipper is not None:
+                commands = FlipperCommands(transport, self._types, config.command_topic, config.flipper)
+            else:
+                publisher = transport.publish(config.command_topic, JOINT_STATE)
+                commands = JointCommands(publisher, config.joint_name, self.limits.velocity_max)
+            stop = None if config.stop_topic is None else transport.publish(config.stop_topic, BOOL)
+            self._topics = _Topics(transport, joint, wrench, commands, stop)
             self._await_first(self._topics)
         except BaseException:
             self.close()
             transport.close()
             raise
-
-    def _subscribe(self, transport: Transport) -> _Topics:
-        config, messages = self.config, self._messages
-        turn, best_effort = rotation(config.frame), config.best_effort
-        joint: Subscription[tuple[float, float | None]] = Subscription(
-            transport, messages, config.joint_topic, JOINT,
-            lambda message: joint_of(message, config.joint_name), best_effort=best_effort,
-        )  # fmt: skip
-        wrench = Subscription(
-            transport, messages, config.wrench_topic, WRENCH,
-            lambda message: rotated(wrench_of(message), turn), best_effort=best_effort,
-        )  # fmt: skip
-        commands: JointCommands | FlipperCommands
-        if config.flipper is not None:
-            commands = FlipperCommands(transport, messages, config.command_topic, config.flipper)
-        else:
-            publisher = transport.publish(config.command_topic, JOINT)
-            commands = JointCommands(publisher, messages, config.joint_name, self.limits.velocity_max)
-        stop = None if config.stop_topic is None else transport.publish(config.stop_topic, BOOL)
-        return _Topics(transport, joint, wrench, commands, stop)
 
     def read(self) -> Sample:
         """The newest of both topics."""
@@ -130,8 +130,7 @@ class Ros2Machine:
         with self._lock:
             if self._enabled:
                 self._send(lambda commands: commands.tick(self._clock()))
-        refusals = (topics.joint.refusal, topics.wrench.refusal)
-        complaints = tuple(refusal for refusal in refusals if refusal is not None)
+        complaints = tuple(filter(None, (topics.joint.refusal, topics.wrench.refusal)))
         at, force = self._angle, self._force
         return Sample(at.time, *at.value, None, None, force.time, force.value, complaints)
 
@@ -198,19 +197,17 @@ class Ros2Machine:
 
     def _await_first(self, topics: _Topics) -> None:
         deadline = time.monotonic() + self.config.wait_s
-        while self._angle is None or self._force is None:
+        while (self._angle is None or self._force is None) and time.monotonic() < deadline:
             self._take()
-            if time.monotonic() > deadline:
-                break
             time.sleep(0.002)
-        for subscription, value in ((topics.joint, self._angle), (topics.wrench, self._force)):
+        for awaited, value in ((topics.joint, self._angle), (topics.wrench, self._force)):
             if value is None:
-                there = list(topics.transport.topics().items())[:20]
-                listed = ", ".join(f"{topic} ({kind})" for topic, kind in there) or "nothing"
+                there = [f"{topic} ({kind})" for topic, kind in topics.transport.topics().items()]
                 raise DeviceError(
-                    subscription.refusal
-                    or f"{subscription.topic}: no {subscription.kind} in {self.config.wait_s:g} s; there is {listed}; "
-                    "start its driver, correct the topic, or the domain (ROS_DOMAIN_ID) and the network"
+                    awaited.refusal
+                    or f"{awaited.topic}: no {awaited.kind} in {self.config.wait_s:g} s; there is "
+                    f"{', '.join(there[:20]) or 'nothing'}; start its driver, correct the topic, or the domain "
+                    "(ROS_DOMAIN_ID) and the network"
                 )
 
     def _take(self) -> _Topics:
@@ -219,12 +216,10 @@ class Ros2Machine:
         if topics is None:
             raise DeviceError("the machine is closed; open it first")
         for joint in topics.joint.take():
-            angle, velocity, before = self._sign * joint.value[0], joint.value[1], self._angle
-            if velocity is not None:
-                velocity *= self._sign
-            elif before is None or joint.time <= before.time:
-                velocity = 0.0
-            else:
+            angle, velocity, before = self._sign * joint.value[0], 0.0, self._angle
+            if joint.value[1] is not None:
+                velocity = self._sign * joint.value[1]
+            elif before is not None and joint.time > before.time:
                 # A driver that reports no velocity: the difference from the reading before.
                 velocity = (angle - before.value[0]) / (joint.time - before.time)
             self._angle = Stamped(joint.time, joint.received, (angle, velocity))
@@ -242,7 +237,7 @@ class Ros2Machine:
         """Ask the driver to stop, or take that back, where it has a topic for it; returns whether somebody reads it."""
         if self._topics is None or self._topics.stop is None:
             return False
-        self._topics.stop.send(self._messages.encode(self._messages.make(BOOL, stop)))
+        self._topics.stop.send(serialized(BOOL, stop))
         return self._topics.stop.readers() > 0
 
     def _brake(self, was_enabled: bool) -> None:

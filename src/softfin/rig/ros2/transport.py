@@ -55,3 +55,8 @@ class Transport(Protocol):
     def close(self) -> None:
         """Leave; any number of times, never raises."""
         ...
+
+
+def one_line(error: Exception) -> str:
+    """The message of an error of any library, in one short line."""
+    return " ".join(str(error).split())[:160] or type(error).__name__

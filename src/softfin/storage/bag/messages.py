@@ -58,7 +58,7 @@ def cdr(kind: str, stamp_ns: int, values: Sequence[float] | str, frame: str = FR
     waits for Python while the recorder packs.
     """
     if isinstance(values, str):
-        return _serialized(kind, values.encode(errors="replace").decode())
+        return serialized(kind, values.encode(errors="replace").decode())
     blank, places = _template(kind, frame, joint)
     data = bytearray(blank)
     if kind != FLOAT:
@@ -75,17 +75,18 @@ def _template(kind: str, frame: str, joint: str) -> tuple[bytes, tuple[int, ...]
     marks = [1.0 + index for index in range(COUNTS[kind])]
     header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](0, 0), frame)
     if kind == JOINT_STATE:
-        data = _serialized(kind, header, [joint], *(np.array([mark]) for mark in marks), np.zeros(0))
+        data = serialized(kind, header, [joint], *(np.array([mark]) for mark in marks), np.zeros(0))
     elif kind == WRENCH_STAMPED:
         vector = types["geometry_msgs/msg/Vector3"]
         wrench = types["geometry_msgs/msg/Wrench"](vector(*marks[:3]), vector(*marks[3:]))
-        data = _serialized(kind, header, wrench)
+        data = serialized(kind, header, wrench)
     else:
-        data = _serialized(kind, *marks)
+        data = serialized(kind, *marks)
     return data, tuple(data.index(_NUMBER.pack(mark)) for mark in marks)
 
 
-def _serialized(kind: str, *fields: Any) -> bytes:
+def serialized(kind: str, *fields: Any) -> bytes:
+    """The bytes of one of ROS 2's own messages, by the general serialiser."""
     store = type_store()
     return bytes(store.serialize_cdr(store.types[kind](*fields), kind))
 
