@@ -34,8 +34,7 @@ def convert(
     count = len(opened.logs)
     files = [out] if count == 1 else [out.with_name(f"{out.stem}-{n}{out.suffix}") for n in range(1, count + 1)]
     for file in files:
-        if file.exists() and (not overwrite or file.is_dir()):
-            raise LogError(f"{file}: exists already; give another --out, or --overwrite to replace it")
+        artifacts.check_file(file, overwrite)
     for one, file in zip(opened.logs, files, strict=True):
         # On the clock that the recording was made on: opened logs begin at 0.
         reading = one.log.reading

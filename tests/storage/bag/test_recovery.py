@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from mcap.writer import CompressionType, Writer
 
-from softfin.core.errors import LogError, SoftfinError
+from softfin.core.errors import ArtifactError, LogError, SoftfinError
 from softfin.data.importing.clocks import logs_of
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.importing.rosbag import read_bag
@@ -206,10 +206,10 @@ def test_nothing_is_overwritten_unless_it_is_said_and_never_the_original(damaged
     out = recovered_path(path)
     assert out.name == "harmed.recovered.mcap"
     recover(path, out)
-    with pytest.raises(LogError, match="exists already"):
+    with pytest.raises(ArtifactError, match="exists already"):
         recover(path, out)
     recover(path, out, overwrite=True)
-    with pytest.raises(LogError, match="exists already"):
+    with pytest.raises(ArtifactError, match="exists already"):
         recover(path, path, overwrite=True)
     assert sorted(file.name for file in tmp_path.iterdir()) == ["harmed.mcap", "harmed.recovered.mcap"]
 

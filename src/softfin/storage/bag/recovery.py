@@ -39,9 +39,8 @@ def recovered_path(path: Path) -> Path:
 
 
 def recover(path: Path, out: Path, overwrite: bool = False) -> Recovery:
-    """Save what can be read; raises LogError where nothing can, or `out` exists."""
-    if out.exists() and (not overwrite or out.is_dir() or out.resolve() == path.resolve()):
-        raise LogError(f"{out}: exists already; give another --out")
+    """Save what can be read; raises LogError where nothing can, ArtifactError where `out` exists."""
+    artifacts.check_file(out, overwrite and out.resolve() != path.resolve())
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
     counts, damages = Counter[int](), list[Damage]()
