@@ -52,7 +52,7 @@ SLIPS: list[tuple[list[str], str]] = [
     (["run", "made", "--reference=1,1", "--bag", "a.txt"], "--bag a.txt: a recording is a file NAME.mcap"),
     (["bag", "recover", "no.mcap"], "no.mcap: cannot be read"),
     (["bag", "convert", "no.mcap"], "convert needs --out"),
-    (["monitor", "no.mcap"], "no.mcap: not there; give a bag"),
+    (["monitor", "no.mcap"], "no.mcap: no such file or folder; give a bag"),
 ]
 
 
