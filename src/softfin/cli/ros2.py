@@ -55,7 +55,7 @@ class Arguments(Driving, Configured):
                 say(note)
             stop = StopRequest()
             result = self.drive(
-                controller, robot, node.references(otherwise), self.seconds,
+                controller, robot, lambda _: node.reference() or otherwise, self.seconds,
                 lambda _: say("references come by their topic; Enter alone stops the fin"), stop,
                 (node.observer(stop),),
             )  # fmt: skip

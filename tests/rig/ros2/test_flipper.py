@@ -3,8 +3,9 @@ import pytest
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.rig.machine import Target
 from softfin.rig.ros2.config import FlipperConfig
-from softfin.rig.ros2.flipper import FlipperCommands, define_types
-from tests.rig.ros2_memory import MemoryTransport, Messages
+from softfin.rig.ros2.flipper import define_types, encode_flipper
+from softfin.rig.ros2.plant import Commands
+from softfin.rig.ros2.transport import Publisher
 
 DEFINITIONS = {
     "own/msg/Flipper": "float32 frequency\nfloat32 amplitude\nfloat32 zero_direction\nstring name\nbool on\n",
@@ -14,11 +15,8 @@ DEFINITIONS = {
 
 def encoded(**changes):
     config = FlipperConfig.build({"type": "own/msg/Flippers", "definitions": DEFINITIONS} | changes)
-    transport = MemoryTransport()
-    transport.messages = Messages(config.definitions)
-    commands = FlipperCommands(transport, transport.messages.types, "/flippers", config)
-    commands.send(Target(0.5, 1.0), 0.5, 3.0)
-    return transport.sent["/flippers"][0]
+    types = define_types(config.definitions)
+    return types.deserialize_cdr(encode_flipper(config, types, 0.5), config.type)
 
 
 def test_fields_are_found_by_their_path_and_sequences_grow():
@@ -73,14 +71,10 @@ def test_a_field_of_an_unknown_type_is_told_before_anything_is_sent(field):
 
 
 def test_late_ticks_are_not_made_up_for():
-    transport = MemoryTransport()
-    config = FlipperConfig.build({"type": "own/msg/Flippers", "definitions": DEFINITIONS,
-                                  "zero_direction": "angles.0", "amplitude": "pair.0"})  # fmt: skip
-    transport.messages = Messages(config.definitions)
-    commands = FlipperCommands(transport, transport.messages.types, "/flippers", config)
+    sent = []
+    commands = Commands(Publisher(sent.append, lambda: 1), lambda _, angle: angle, 0.05)
     commands.tick(0.0)
     commands.send(Target(1.0, 1.0), 0.0, 0.0)
     for now in (0.04, 0.33, 0.34, 0.36):
         commands.tick(now)
-    angles = [message.angles[0] for message in transport.sent["/flippers"]]
-    assert angles == [0.0, 0.33, 0.36]
+    assert sent == [0.0, 0.33, 0.36]

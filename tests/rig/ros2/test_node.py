@@ -55,10 +55,8 @@ def test_the_newest_reference_counts_and_an_old_one_does_not():
     assert node.node.reference() is None
     assert node.node.reference() is None
     assert node.told == ["/fin/reference: no reference for 0.5 s: the last one does not count any more"]
-    asked = node.node.references((0.25, 0.75))
-    assert asked(1.0) == (0.25, 0.75)
     node.ask(3.0, 0.0)
-    assert asked(2.0) == (3.0, 0.0)
+    assert node.node.reference() == (3.0, 0.0)
 
 
 def test_without_a_timeout_the_newest_is_obeyed_for_ever():

@@ -1,11 +1,8 @@
-"""Commands in the U-CAT family's flipper messages: a flipper that does not oscillate by itself, and whose zero moves.
+"""Messages of the U-CAT family's flippers: one that does not oscillate by itself, and whose zero direction moves.
 
-Amplitude 0, zero_direction = angle, 20 times a second. The drive takes no velocity, so the zero direction itself goes
-at the command's velocity. The messages differ between robots: their type and fields are configuration. No robot of the
-family has been met.
+They differ between robots: their type and fields are configuration. No robot of the family has been met.
 """
 
-import math
 import time
 from collections import defaultdict
 from collections.abc import Mapping
@@ -17,66 +14,27 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from softfin.core.errors import RigError
-from softfin.rig.machine import Target
 from softfin.rig.ros2.config import FlipperConfig
-from softfin.rig.ros2.transport import Transport, one_line
+from softfin.rig.ros2.transport import one_line
 from softfin.storage.bag.messages import SECOND_NS
 
-EARLY_S = 1e-3
-"""How long before its time a message may go out [s]: ticks come a little early and late."""
 
-
-class FlipperCommands:
-    """Commands as flipper messages: a set-point that goes to the target at its velocity."""
-
-    def __init__(self, transport: Transport, types: Typestore, topic: str, config: FlipperConfig) -> None:
-        self._types, self._config = types, config
-        # Told before anything is sent.
-        self._encoded(0.0)
-        self.publisher = transport.publish(topic, config.type)
-        self._target: Target | None = None
-        self._setpoint, self._since, self._next = 0.0, 0.0, 0.0
-
-    def send(self, target: Target, angle: float, now: float) -> None:
-        """Move on from where the set-point is; from the measured angle where there is none yet."""
-        self._setpoint = angle if self._target is None else self._at(self._target, now)
-        self._target, self._since, self._next = target, now, now
-        self.tick(now)
-
-    def tick(self, now: float) -> None:
-        """Send the next message, where it is due."""
-        if self._target is not None and now >= self._next - EARLY_S:
-            # In step with the first one; what a late tick has missed is not made up for.
-            period = 1 / self._config.rate_hz
-            self._next += period * (max(math.floor((now - self._next) / period), 0) + 1)
-            self.publisher.send(self._encoded(self._at(self._target, now)))
-
-    def hold(self, angle: float) -> None:
-        """Send one message, then none."""
-        self._target = None
-        self.publisher.send(self._encoded(angle))
-
-    def _at(self, target: Target, now: float) -> float:
-        reach = target.velocity * (now - self._since)
-        return self._setpoint + min(max(target.angle - self._setpoint, -reach), reach)
-
-    def _encoded(self, angle: float) -> bytes:
-        config, types = self._config, self._types
-        seconds, rest = divmod(time.time_ns(), SECOND_NS)
-        stamp = {"header.stamp.sec": seconds, "header.stamp.nanosec": rest}
-        try:
-            has_header = "header" in dict(types.fielddefs[config.type][1])
-            values = (
-                (stamp if has_header else {}) | config.constants | {config.amplitude: 0.0, config.zero_direction: angle}
-            )
-            return bytes(types.serialize_cdr(build_message(types, (Nodetype.NAME, config.type), values), config.type))
-        except Exception as error:
-            # Unknown types, fields that are not there and values that do not fit fail in ways of their own.
-            reason = f"{type(error).__name__}: {one_line(error)}"
-            raise RigError(
-                f"flipper: no {config.type} can be made ({reason}); give the .msg text of each type that ROS 2 "
-                "lacks in flipper.definitions, and fields as paths of names and indices, as flippers.2.amplitude"
-            ) from None
+def encode_flipper(config: FlipperConfig, types: Typestore, angle: float) -> bytes:
+    """The message by which the flipper stands at an angle [rad]; else raises RigError."""
+    seconds, rest = divmod(time.time_ns(), SECOND_NS)
+    stamp = {"header.stamp.sec": seconds, "header.stamp.nanosec": rest}
+    try:
+        has_header = "header" in dict(types.fielddefs[config.type][1])
+        values = config.constants | {config.amplitude: 0.0, config.zero_direction: angle}
+        message = build_message(types, (Nodetype.NAME, config.type), (stamp if has_header else {}) | values)
+        return bytes(types.serialize_cdr(message, config.type))
+    except Exception as error:
+        # Unknown types, fields that are not there and values that do not fit fail in ways of their own.
+        reason = f"{type(error).__name__}: {one_line(error)}"
+        raise RigError(
+            f"flipper: no {config.type} can be made ({reason}); give the .msg text of each type that ROS 2 lacks in "
+            "flipper.definitions, and fields as paths of names and indices, as flippers.2.amplitude"
+        ) from None
 
 
 def define_types(definitions: Mapping[str, str]) -> Typestore:

@@ -3,11 +3,12 @@
 Called by the thread of the loop; nothing here waits, and nothing here moves the fin.
 """
 
+import functools
 import time
 from collections.abc import Callable
 
 from softfin.core.errors import DeviceError, SoftfinError
-from softfin.rig.loop import Force, References
+from softfin.rig.loop import Force
 from softfin.rig.machine import Sample, Target
 from softfin.rig.references import ResolveReference
 from softfin.rig.ros2.config import NodeConfig
@@ -16,9 +17,6 @@ from softfin.rig.ros2.transport import Transport
 from softfin.rig.session import Observer
 from softfin.rig.stop import StopRequest
 from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr
-
-MOST_LINES = 20
-"""Most different lines that are reported."""
 
 
 class RosNode:
@@ -29,7 +27,9 @@ class RosNode:
         resolve: ResolveReference = lambda force: (force, None), clock: Callable[[], float] = time.monotonic,
     ) -> None:  # fmt: skip
         """`report` gets remarks for the user, each once; `resolve` maps a reference to the one that is tracked."""
-        self.config, self._clock, self._resolve, self._report = topics, clock, resolve, report
+        self.config, self._clock, self._report = topics, clock, report
+        # References are published again and again: the newest one is kept.
+        self._resolve = functools.lru_cache(maxsize=1)(resolve)
         self.joint = transport.publish(topics.joint_topic, JOINT_STATE)
         self._wrench = transport.publish(topics.wrench_topic, WRENCH_STAMPED)
         self._command = transport.publish(topics.command_topic, JOINT_STATE)
@@ -41,8 +41,6 @@ class RosNode:
             transport, topics.stop_topic, BOOL, lambda message: bool(message.data), stamped=False
         )
         self._newest: Stamped[Force] | None = None
-        self._resolved: tuple[Force, Force] | None = None
-        """The newest reference that was asked for, and the one that is tracked."""
         self._published: Target | None = None
         self._stop: str | None = None
         self._reported: set[str] = set()
@@ -91,10 +89,6 @@ class RosNode:
                 self._stop = f"emergency stop cannot be heard: {error}"
         return self._stop
 
-    def references(self, otherwise: Force) -> References:
-        """References for the loop: the newest that counts, else a constant one."""
-        return lambda _: self.reference() or otherwise
-
     def observer(self, request: StopRequest) -> Observer:
         """An observer of the session: publishes each sample, and passes on a stop."""
 
@@ -122,18 +116,16 @@ class RosNode:
         force, limit = reference_of(message, self.config.frame), self.config.reference_limit_n
         if max(map(abs, force)) > limit:
             raise ValueError(f"it is ({force[0]:g}, {force[1]:g}) N; reference_limit_n is {limit:g} N")
-        if self._resolved is None or force != self._resolved[0]:
-            try:
-                tracked, warning = self._resolve(force)
-            except SoftfinError as error:
-                raise ValueError(str(error)) from None
-            self._resolved = force, tracked
-            if warning is not None:
-                self._report_once(warning)
-        return self._resolved[1]
+        try:
+            tracked, warning = self._resolve(force)
+        except SoftfinError as error:
+            raise ValueError(str(error)) from None
+        if warning is not None:
+            self._report_once(warning)
+        return tracked
 
     def _report_once(self, line: str) -> None:
         """Report a line that was not there before; many different ones are only counted."""
-        if line not in self._reported and len(self._reported) < MOST_LINES:
+        if line not in self._reported and len(self._reported) < 20:
             self._reported.add(line)
             self._report(line)

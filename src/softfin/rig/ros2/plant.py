@@ -4,10 +4,11 @@ Tried with drivers of our own making on loopback; it has met neither a real driv
 """
 
 import contextlib
+import math
 import threading
 import time
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from rosbags.typesys.store import Typestore
 
@@ -17,32 +18,50 @@ from softfin.rig.frame import rotated, rotation
 from softfin.rig.machine import Sample, Target, Wrench
 from softfin.rig.ros2.config import Ros2PlantConfig, TransportConfig
 from softfin.rig.ros2.connection import BOOL, Stamped, Subscription, joint_of, open_transport, wrench_of
-from softfin.rig.ros2.flipper import FlipperCommands, define_types
+from softfin.rig.ros2.flipper import define_types, encode_flipper
 from softfin.rig.ros2.transport import Publisher, Transport
 from softfin.rig.safety import check_target
 from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr, serialized
+
+EARLY_S = 1e-3
+"""How long before its time a message may go out [s]: ticks come a little early and late."""
 
 LOCK_S = 0.02
 """Longest that a stop waits for a command that is going out [s]; over DDS that takes 5 ms at most."""
 
 
-class JointCommands:
-    """Commands as sensor_msgs/JointState, one message for each; the driver holds it. FlipperCommands sends others."""
+class Commands:
+    """Commands as messages: one for each, or, with a period, a set-point that goes to the target at its velocity."""
 
-    def __init__(self, publisher: Publisher, joint: str, velocity: float) -> None:
-        """`velocity` to where the fin holds [rad/s]."""
-        self.publisher, self._joint, self._velocity = publisher, joint, velocity
+    def __init__(
+        self, publisher: Publisher, encode: Callable[[Target, float], bytes], period_s: float = math.inf
+    ) -> None:
+        """`encode` makes a message of the target and the set-point [rad]."""
+        self.publisher, self._encode, self._period = publisher, encode, period_s
+        self._target: Target | None = None
+        self._setpoint = self._since = self._next = 0.0
 
     def send(self, target: Target, angle: float, now: float) -> None:
-        """Send the target, whatever the measured angle is."""
-        self.publisher.send(cdr(JOINT_STATE, time.time_ns(), target, "", self._joint))
+        """Move on from where the set-point is; from the measured angle where there is none yet."""
+        self._setpoint = angle if self._target is None else self._at(self._target, now)
+        self._target, self._since, self._next = target, now, now
+        self.tick(now)
 
     def tick(self, now: float) -> None:
-        """Send nothing; called at every tick while the fin is enabled, for drives that need messages more often."""
+        """Send the next message, where it is due."""
+        if self._target is not None and now >= self._next - EARLY_S:
+            # In step with the first one; what a late tick has missed is not made up for.
+            self._next += self._period * (max((now - self._next) // self._period, 0) + 1)
+            self.publisher.send(self._encode(self._target, self._at(self._target, now)))
 
-    def hold(self, angle: float) -> None:
-        """Go no further: the last message until the next `send`."""
-        self.send(Target(angle, self._velocity), angle, 0.0)
+    def hold(self, angle: float, velocity: float) -> None:
+        """Send one message by which it stays where it is, then none."""
+        self._target = None
+        self.publisher.send(self._encode(Target(angle, velocity), angle))
+
+    def _at(self, target: Target, now: float) -> float:
+        reach = target.velocity * (now - self._since)
+        return self._setpoint + min(max(target.angle - self._setpoint, -reach), reach)
 
 
 class _Topics(NamedTuple):
@@ -51,7 +70,7 @@ class _Topics(NamedTuple):
     transport: Transport
     joint: Subscription[tuple[float, float | None]]
     wrench: Subscription[Wrench]
-    commands: JointCommands | FlipperCommands
+    commands: Commands
     stop: Publisher | None
 
 
@@ -90,30 +109,24 @@ class Ros2Machine:
     def open(self) -> None:
         """Wait until joint and wrench publish; nothing is sent."""
         self.close()
-        config = self.config
-        turn, quality = rotation(config.frame), {"best_effort": config.best_effort}
+        config, flipper, sign, turn = self.config, self.config.flipper, self._sign, rotation(self.config.frame)
         transport = self._opener(config.connection, self._types)
+
+        def subscribe(topic: str, kind: str, read: Callable[[Any], Any]) -> Subscription[Any]:
+            return Subscription(transport, topic, kind, read, best_effort=config.best_effort)
+
+        def encode(target: Target, setpoint: float) -> bytes:
+            if flipper is not None:
+                return encode_flipper(flipper, self._types, sign * setpoint)
+            return cdr(JOINT_STATE, time.time_ns(), (sign * target.angle, target.velocity), "", config.joint_name)
+
         try:
-            joint: Subscription[tuple[float, float | None]] = Subscription(
-                transport,
-                config.joint_topic,
-                JOINT_STATE,
-                lambda message: joint_of(message, config.joint_name),
-                **quality,
-            )
-            wrench = Subscription(
-                transport,
-                config.wrench_topic,
-                WRENCH_STAMPED,
-                lambda message: rotated(wrench_of(message), turn),
-                **quality,
-            )
-            commands: JointCommands | FlipperCommands
-            if config.flipper is not None:
-                commands = FlipperCommands(transport, self._types, config.command_topic, config.flipper)
-            else:
-                publisher = transport.publish(config.command_topic, JOINT_STATE)
-                commands = JointCommands(publisher, config.joint_name, self.limits.velocity_max)
+            # What a flipper's configuration lacks is told before anything is sent.
+            encode(Target(0.0, 0.0), 0.0)
+            joint = subscribe(config.joint_topic, JOINT_STATE, lambda message: joint_of(message, config.joint_name))
+            wrench = subscribe(config.wrench_topic, WRENCH_STAMPED, lambda message: rotated(wrench_of(message), turn))
+            publisher = transport.publish(config.command_topic, flipper.type if flipper else JOINT_STATE)
+            commands = Commands(publisher, encode, 1 / flipper.rate_hz if flipper else math.inf)
             stop = None if config.stop_topic is None else transport.publish(config.stop_topic, BOOL)
             self._topics = _Topics(transport, joint, wrench, commands, stop)
             self._await_first(self._topics)
@@ -129,7 +142,7 @@ class Ros2Machine:
         assert self._force is not None
         with self._lock:
             if self._enabled:
-                self._send(lambda commands: commands.tick(self._clock()))
+                self._send(topics.commands.tick)
         complaints = tuple(filter(None, (topics.joint.refusal, topics.wrench.refusal)))
         at, force = self._angle, self._force
         return Sample(at.time, *at.value, None, None, force.time, force.value, complaints)
@@ -149,8 +162,7 @@ class Ros2Machine:
             if self.config.stop_release:
                 self._send_stop(False)
             self._enabled = True
-            hold = Target(self._sign * angle, limits.velocity_min)
-            self._send(lambda commands: commands.send(hold, hold.angle, self._clock()))
+            self._send(topics.commands.send, Target(angle, limits.velocity_min), angle)
 
     def command(self, target: Target) -> None:
         """Go there from now on."""
@@ -158,10 +170,9 @@ class Ros2Machine:
         if trip is not None:
             raise CommandError(trip.reason)
         with self._lock:
-            if not self._enabled or self._angle is None:
+            if not self._enabled or self._topics is None or self._angle is None:
                 raise DeviceError("the fin is not enabled; enable it before it is commanded")
-            aim, measured = Target(self._sign * target.angle, target.velocity), self._sign * self._angle.value[0]
-            self._send(lambda commands: commands.send(aim, measured, self._clock()))
+            self._send(self._topics.commands.send, target, self._angle.value[0])
 
     def stop(self) -> None:
         """See the class for what it can do and cannot."""
@@ -226,10 +237,9 @@ class Ros2Machine:
         self._force = next(reversed(topics.wrench.take()), self._force)
         return topics
 
-    def _send(self, message: Callable[[JointCommands | FlipperCommands], None]) -> None:
-        """A message that moves; a stop in between, by a signal, has the last word."""
-        if self._topics is not None:
-            message(self._topics.commands)
+    def _send(self, send: Callable[..., None], *what: Target | float) -> None:
+        """Send a message that moves; a stop in between, by a signal, has the last word."""
+        send(*what, self._clock())
         if not self._enabled:
             self._brake(was_enabled=True)
 
@@ -246,4 +256,4 @@ class Ros2Machine:
                 return
         with contextlib.suppress(Exception):
             if was_enabled and self._topics is not None and self._angle is not None:
-                self._topics.commands.hold(self._sign * self._angle.value[0])
+                self._topics.commands.hold(self._angle.value[0], self.limits.velocity_max)
