@@ -6,8 +6,9 @@ import numpy as np
 from rosbags.interfaces import Nodetype
 
 from softfin.core.errors import DeviceError
-from softfin.rig.ros2.flipper import build_message, define_types
+from softfin.rig.ros2.flipper import define_types
 from softfin.rig.ros2.transport import Publisher, Received
+from softfin.storage.bag.messages import build_message
 
 JOINT, WRENCH = "sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped"
 

@@ -4,19 +4,15 @@ They differ between robots: their type and fields are configuration. No robot of
 """
 
 import time
-from collections import defaultdict
 from collections.abc import Mapping
-from typing import Any
 
-import numpy as np
-from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from softfin.core.errors import RigError
 from softfin.rig.ros2.config import FlipperConfig
 from softfin.rig.ros2.transport import one_line
-from softfin.storage.bag.messages import SECOND_NS
+from softfin.storage.bag.messages import SECOND_NS, serialized
 
 
 def encode_flipper(config: FlipperConfig, types: Typestore, angle: float) -> bytes:
@@ -26,8 +22,7 @@ def encode_flipper(config: FlipperConfig, types: Typestore, angle: float) -> byt
     try:
         has_header = "header" in dict(types.fielddefs[config.type][1])
         values = config.constants | {config.amplitude: 0.0, config.zero_direction: angle}
-        message = build_message(types, (Nodetype.NAME, config.type), (stamp if has_header else {}) | values)
-        return bytes(types.serialize_cdr(message, config.type))
+        return serialized(config.type, (stamp if has_header else {}) | values, types)
     except Exception as error:
         # Unknown types, fields that are not there and values that do not fit fail in ways of their own.
         reason = f"{type(error).__name__}: {one_line(error)}"
@@ -48,35 +43,3 @@ def define_types(definitions: Mapping[str, str]) -> Typestore:
         raise RigError(f"message {kind}: its definition cannot be used ({one_line(error)}); give that of its .msg "
                        "file") from None  # fmt: skip
     return types
-
-
-def build_message(types: Typestore, descriptor: Any, values: Mapping[str, Any]) -> Any:
-    """A field, as rosbags describes it, with values by their paths within it; other numbers are 0, others empty.
-
-    Sequences are as long as the paths go. Raises ValueError where there is no such field, or one of another kind.
-    """
-    node, detail = descriptor
-    if node is Nodetype.BASE:
-        blank = "" if detail[0] == "string" else 0
-        value = values.get("", blank)
-        if values.keys() - {""} or isinstance(value, str) != isinstance(blank, str):
-            raise ValueError(f"no field that takes {values}")
-        return value
-    inner: dict[str, dict[str, Any]] = defaultdict(dict)
-    for path, value in values.items():
-        first, _, rest = path.partition(".")
-        inner[first][rest] = value
-    if node is Nodetype.NAME:
-        fields = dict(types.fielddefs[detail][1])
-    else:
-        element, count = detail
-        count = count if node is Nodetype.ARRAY else max((int(index) + 1 for index in inner), default=0)
-        fields = {str(index): element for index in range(count)}
-    if not inner.keys() <= fields.keys():
-        raise ValueError(f"no field {', '.join(inner.keys() - fields.keys())!r}; it has {', '.join(fields) or 'none'}")
-    items = [build_message(types, field, inner[name]) for name, field in fields.items()]
-    if node is Nodetype.NAME:
-        return types.types[detail](*items)
-    if element[0] is Nodetype.BASE and element[1][0] != "string":
-        return np.array(items, {"byte": "int8", "char": "uint8"}.get(element[1][0], element[1][0]))
-    return items

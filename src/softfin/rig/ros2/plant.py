@@ -247,7 +247,7 @@ class Ros2Machine:
         """Ask the driver to stop, or take that back, where it has a topic for it; returns whether somebody reads it."""
         if self._topics is None or self._topics.stop is None:
             return False
-        self._topics.stop.send(serialized(BOOL, stop))
+        self._topics.stop.send(serialized(BOOL, {"data": stop}))
         return self._topics.stop.readers() > 0
 
     def _brake(self, was_enabled: bool) -> None:

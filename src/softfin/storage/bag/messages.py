@@ -5,12 +5,14 @@ Times are nanoseconds since 1970. Names of types are full, as ``sensor_msgs/msg/
 
 import importlib.metadata
 import struct
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
+from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -28,8 +30,12 @@ TYPES = {
     CURRENT: FLOAT, EVENTS: STRING,
 }  # fmt: skip
 
-COUNTS = {JOINT_STATE: 2, WRENCH_STAMPED: 6, FLOAT: 1}
-"""Number of values: angle and velocity [rad, rad/s], force and torque [N, N m], a current [A]."""
+FIELDS = {
+    JOINT_STATE: ("position.0", "velocity.0"),
+    WRENCH_STAMPED: tuple(f"wrench.{part}.{axis}" for part in ("force", "torque") for axis in "xyz"),
+    FLOAT: ("data",),
+}
+"""Paths of the values: angle and velocity [rad, rad/s], force and torque [N, N m], a current [A]."""
 
 QUALITY = {"offered_qos_profiles": ""}
 """Entry that MCAP's profile for ROS 2 requires; empty is ROS 2's default quality of service."""
@@ -58,7 +64,7 @@ def cdr(kind: str, stamp_ns: int, values: Sequence[float] | str, frame: str = FR
     waits for Python while the recorder packs.
     """
     if isinstance(values, str):
-        return serialized(kind, values.encode(errors="replace").decode())
+        return serialized(kind, {"data": values.encode(errors="replace").decode()})
     blank, places = _template(kind, frame, joint)
     data = bytearray(blank)
     if kind != FLOAT:
@@ -71,24 +77,48 @@ def cdr(kind: str, stamp_ns: int, values: Sequence[float] | str, frame: str = FR
 @cache
 def _template(kind: str, frame: str, joint: str) -> tuple[bytes, tuple[int, ...]]:
     """A message as rosbags serialises it, and the places of its values."""
-    types: Any = type_store().types
-    marks = [1.0 + index for index in range(COUNTS[kind])]
-    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](0, 0), frame)
-    if kind == JOINT_STATE:
-        data = serialized(kind, header, [joint], *(np.array([mark]) for mark in marks), np.zeros(0))
-    elif kind == WRENCH_STAMPED:
-        vector = types["geometry_msgs/msg/Vector3"]
-        wrench = types["geometry_msgs/msg/Wrench"](vector(*marks[:3]), vector(*marks[3:]))
-        data = serialized(kind, header, wrench)
+    names = {} if kind == FLOAT else {"header.frame_id": frame} | ({"name.0": joint} if kind == JOINT_STATE else {})
+    marks = {path: 1.0 + index for index, path in enumerate(FIELDS[kind])}
+    data = serialized(kind, names | marks)
+    return data, tuple(data.index(_NUMBER.pack(mark)) for mark in marks.values())
+
+
+def serialized(kind: str, values: Mapping[str, Any], types: Typestore | None = None) -> bytes:
+    """The bytes of a message of any type, by the general serialiser; `values` as for `build_message`."""
+    types = types or type_store()
+    return bytes(types.serialize_cdr(build_message(types, (Nodetype.NAME, kind), values), kind))
+
+
+def build_message(types: Typestore, descriptor: Any, values: Mapping[str, Any]) -> Any:
+    """A field, as rosbags describes it, with values by their paths within it; other numbers are 0, others empty.
+
+    Sequences are as long as the paths go. Raises ValueError where there is no such field, or one of another kind.
+    """
+    node, detail = descriptor
+    if node is Nodetype.BASE:
+        blank = "" if detail[0] == "string" else 0
+        value = values.get("", blank)
+        if values.keys() - {""} or isinstance(value, str) != isinstance(blank, str):
+            raise ValueError(f"no field that takes {values}")
+        return value
+    inner: dict[str, dict[str, Any]] = defaultdict(dict)
+    for path, value in values.items():
+        first, _, rest = path.partition(".")
+        inner[first][rest] = value
+    if node is Nodetype.NAME:
+        fields = dict(types.fielddefs[detail][1])
     else:
-        data = serialized(kind, *marks)
-    return data, tuple(data.index(_NUMBER.pack(mark)) for mark in marks)
-
-
-def serialized(kind: str, *fields: Any) -> bytes:
-    """The bytes of one of ROS 2's own messages, by the general serialiser."""
-    store = type_store()
-    return bytes(store.serialize_cdr(store.types[kind](*fields), kind))
+        element, count = detail
+        count = count if node is Nodetype.ARRAY else max((int(index) + 1 for index in inner), default=0)
+        fields = {str(index): element for index in range(count)}
+    if not inner.keys() <= fields.keys():
+        raise ValueError(f"no field {', '.join(inner.keys() - fields.keys())!r}; it has {', '.join(fields) or 'none'}")
+    items = [build_message(types, field, inner[name]) for name, field in fields.items()]
+    if node is Nodetype.NAME:
+        return types.types[detail](*items)
+    if element[0] is Nodetype.BASE and element[1][0] != "string":
+        return np.array(items, {"byte": "int8", "char": "uint8"}.get(element[1][0], element[1][0]))
+    return items
 
 
 class BagWriter:

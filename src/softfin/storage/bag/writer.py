@@ -5,6 +5,7 @@ loses what came since. The file is at any time the beginning of a whole bag: `so
 """
 
 import contextlib
+import io
 import os
 import queue
 import shutil
@@ -23,7 +24,7 @@ BACKLOG = 50_000
 """Most rows that wait for the disk: two minutes at 400 per second, some 20 MB."""
 
 PENDING_BYTES = 50_000_000
-"""Most bytes that wait for a full disk; beyond it rows are dropped."""
+"""Room for what waits for a full disk [bytes]: 25 minutes."""
 
 STALL_S = 5.0
 """Longest time that the disk may take to synchronise [s]."""
@@ -49,10 +50,16 @@ class BagRecorder:
         self._flush_s, self._reserve, self._clock = flush_s, reserve_bytes, clock
         self._offset_ns = round((clock.wall() - clock()) * SECOND_NS)
         self._queue: queue.SimpleQueue[tuple[str, float, Sequence[float] | str]] = queue.SimpleQueue()
-        self._pending = _Pending()
         self._failure: str | None = None
-        self._bag = BagWriter(self._pending)
-        self._file = _create(path)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = io.BufferedWriter(io.FileIO(path, "xb"), PENDING_BYTES)
+        except FileExistsError:
+            raise LogError(f"{path}: exists already, recordings are never overwritten; give another name") from None
+        except OSError as error:
+            raise RunError(f"{path}: cannot be written ({error.strerror or error}); record elsewhere") from None
+        artifacts.sync(path.parent)
+        self._bag = BagWriter(self._file)
         self._flushed = clock()
         self._began: float | None = None
         self._commanded = -float("inf")
@@ -60,7 +67,7 @@ class BagRecorder:
         # The file is a bag before the first row comes, and a disk without room is noticed before a motion.
         self._flush()
         if self._failure is not None:
-            os.close(self._file)
+            self._file.close()
             path.unlink()
             raise RunError(self._failure)
         self._thread = clock.spawn(self._work, "bag recorder")
@@ -126,67 +133,30 @@ class BagRecorder:
             self._fail(f"{type(error).__name__}: {' '.join(str(error).split())}", f"softfin bag recover {self.path}")
         finally:
             with contextlib.suppress(OSError):
-                os.close(self._file)
+                self._file.close()
 
     def _take(self) -> None:
         for _ in range(self._queue.qsize()):
             topic, seconds, values = self._queue.get()
-            if len(self._pending) > PENDING_BYTES:
-                continue
             try:
                 self._bag.write(topic, self._offset_ns + round(seconds * SECOND_NS), values)
             except Exception as error:
                 self._fail(f"{topic} cannot be {values!r:.100} ({error})", "report this, it is a defect of softfin")
 
     def _flush(self, end: bool = False) -> None:
-        (self._bag.finish if end else self._bag.flush)()
         self._began = self._clock()
         try:
+            (self._bag.finish if end else self._bag.flush)()
             if shutil.disk_usage(self.path.parent).free < self._reserve:
                 # Reported while there is room for the stop, the events and the end of the file.
                 self._fail(f"less than {self._reserve / 1e6:g} MB of the disk are free", "make room")
-            self._pending.write_to(self._file)
-            os.fsync(self._file)
+            self._file.flush()
+            os.fsync(self._file.fileno())
         except OSError as error:
-            # What could not be written stays pending: the next flush goes on from there, should room be made.
+            # What could not be written stays in the buffer: the next flush goes on from there, should room be made.
             self._fail(error.strerror or str(error), f"make room on its disk; softfin bag recover {self.path}")
         self._began, self._flushed = None, self._clock()
 
     def _fail(self, reason: str, fix: str) -> None:
         if self._failure is None:
             self._failure = f"{self.path}: the recording fails: {reason}; what was written stays; {fix}"
-
-
-class _Pending(bytearray):
-    """The stream that the bag is written to: bytes that wait for the disk."""
-
-    gone = 0
-    """Number of bytes that are on the disk."""
-
-    def write(self, data: bytes) -> None:
-        self.extend(data)
-
-    def tell(self) -> int:
-        return self.gone + len(self)
-
-    def flush(self) -> None:
-        """Do nothing: `write_to` writes when it is time."""
-
-    def write_to(self, file: int) -> None:
-        """Write to the disk; raises OSError, and keeps what was not written."""
-        while self:
-            taken = os.write(file, self)
-            del self[:taken]
-            self.gone += taken
-
-
-def _create(path: Path) -> int:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o644)
-    except FileExistsError:
-        raise LogError(f"{path}: exists already, recordings are never overwritten; give another name") from None
-    except OSError as error:
-        raise RunError(f"{path}: cannot be written ({error.strerror or error}); record elsewhere") from None
-    artifacts.sync(path.parent)
-    return file
