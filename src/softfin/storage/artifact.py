@@ -265,8 +265,7 @@ def _git_commit() -> str | None:
     if not (checkout / ".git").exists():
         return None
     command = ("git", "describe", "--always", "--dirty=+", "--abbrev=12", "--exclude=*")
-    try:
+    with contextlib.suppress(OSError, subprocess.SubprocessError):
         output = subprocess.check_output(command, cwd=checkout, stderr=subprocess.DEVNULL, text=True, timeout=5)
         return output.strip() or None
-    except (OSError, subprocess.SubprocessError):
-        return None
+    return None

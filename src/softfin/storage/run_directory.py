@@ -35,8 +35,8 @@ class RunDirectory:
     def __init__(self, out: Path, fingerprint: dict[str, Any], resume: bool = False, overwrite: bool = False) -> None:
         """Claim ``.NAME.unfinished`` beside `out`: taken over with `resume`, emptied with `overwrite`.
 
-        The fingerprint is what makes a resumed run the same run: configuration, data, seed. Raises ArtifactError where
-        unfinished work is there and neither was asked for, or where it, or a part of it, is that of another run.
+        The fingerprint, of configuration, data and seed, tells one run from another. Raises ArtifactError where neither
+        was asked for, or where unfinished work, or a part of it, is that of another run.
         """
         self.folder = out.absolute().with_name(f".{out.absolute().name}.unfinished")
         self.fingerprint = json.loads(artifacts.dump_json(fingerprint))
@@ -67,9 +67,8 @@ class RunDirectory:
 
     def save(self, tree: Any, metadata: dict[str, Any]) -> None:
         """Replace the checkpoint."""
-        leaves = {name: np.asarray(leaf) for name, leaf in _named(tree)[0].items()}
-        whole = {"software": _software(), "fingerprint": self.fingerprint, **metadata}
-        artifacts.write_file(self.folder / CHECKPOINT, artifacts.encode(leaves, {"facts": json.dumps(whole)}))
+        facts = json.dumps({"software": _software(), "fingerprint": self.fingerprint, **metadata})
+        artifacts.write_file(self.folder / CHECKPOINT, artifacts.encode(_named(tree)[0], {"facts": facts}))
 
     def load(self, like: Tree) -> tuple[Tree, dict[str, Any]] | None:
         """The last checkpoint, in the structure of `like`, else an ArtifactError; None where there is none yet."""
@@ -78,16 +77,15 @@ class RunDirectory:
             return None
         arrays, metadata = self._read(path)
         expected, structure = _named(like)
-        for name in sorted(arrays.keys() | expected.keys()):
-            there, here = (
-                f"{np.asarray(leaves[name]).dtype} {np.shape(leaves[name])}" if name in leaves else "missing"
-                for leaves in (arrays, expected)
-            )
-            if there != here:
-                raise ArtifactError(
-                    f"{path}: does not fit this training state ({name} is {there} there and {here} here); start anew "
-                    "with --overwrite"
-                )
+        there, here = (
+            {name: f"{np.asarray(leaf).dtype} {np.shape(leaf)}" for name, leaf in leaves.items()}
+            for leaves in (arrays, expected)
+        )
+        for name in sorted(there | here):
+            if there.get(name) != here.get(name):
+                both = f"{there.get(name, 'missing')} there and {here.get(name, 'missing')} here"
+                raise ArtifactError(f"{path}: does not fit this training state ({name} is {both}); start anew with "
+                                    "--overwrite")  # fmt: skip
         return jax.tree.unflatten(structure, [jnp.asarray(arrays[name]) for name in expected]), metadata
 
     def _read(self, path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
@@ -109,7 +107,13 @@ class RunDirectory:
     def _check_same(self, path: Path, before: dict[str, Any]) -> None:
         """Raise ArtifactError unless what was found at a path has the fingerprint of this run."""
         if before != self.fingerprint:
-            was, now = _flat(before), _flat(self.fingerprint)
+            was, now = (
+                {
+                    jax.tree_util.keystr(key, simple=True, separator="."): value
+                    for key, value in jax.tree.leaves_with_path(one)
+                }
+                for one in (before, self.fingerprint)
+            )
             names = [name for name in sorted(was | now) if was.get(name) != now.get(name)]
             differing = ", ".join(f"{name} was {was.get(name)!r} and is {now.get(name)!r}" for name in names[:3])
             raise ArtifactError(
@@ -156,9 +160,7 @@ class RunLog:
             with self.path.open("a") as file:
                 file.write(json.dumps(entry, allow_nan=False) + "\n")
         except OSError as error:
-            raise RunError(
-                f"{self.path}: cannot be written ({error.strerror or error}); make room and --resume"
-            ) from None
+            raise RunError(f"{self.path}: cannot be written ({error.strerror}); make room and --resume") from None
         for name, value in scalars.items():
             self._writer.add_scalar(name, float(value), step)
 
@@ -169,15 +171,8 @@ class RunLog:
 
 def read_log(path: Path) -> list[dict[str, Any]]:
     """The entries of a ``log.jsonl``; a last line that a kill cut short is left out."""
-    if not path.is_file():
-        return []
-    entries = []
-    for line in path.read_text().splitlines():
-        try:
-            entries.append(json.loads(line))
-        except ValueError:
-            break
-    return entries
+    lines = path.read_text().splitlines() if path.is_file() else []
+    return [json.loads(line) for line in lines if line.endswith("}")]
 
 
 def _software() -> str:
@@ -189,10 +184,3 @@ def _named(tree: Any) -> tuple[dict[str, Any], Any]:
     """The leaves by their paths, such as ``tree.lanes.policy.net.lstm.kernel``, in the order of the structure."""
     paths, structure = jax.tree_util.tree_flatten_with_path(tree)
     return {f"tree{jax.tree_util.keystr(path)}": leaf for path, leaf in paths}, structure
-
-
-def _flat(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in tree.items():
-        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
-    return flat

@@ -9,7 +9,6 @@ import os
 import time
 import weakref
 from typing import Any
-from xml.sax.saxutils import quoteattr
 
 from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
@@ -90,7 +89,7 @@ def _idl_field(descriptor: Any, typestore: Typestore) -> Any:
 def configuration(network: str | None) -> str:
     """Cyclone DDS's configuration for a network interface; None is this computer alone: loopback, no multicast."""
     if network is not None:
-        inner = f"<General><Interfaces><NetworkInterface name={quoteattr(network)}/></Interfaces></General>"
+        inner = f'<General><Interfaces><NetworkInterface name="{network}"/></Interfaces></General>'
     else:
         inner = (
             '<General><Interfaces><NetworkInterface address="127.0.0.1" multicast="false"/></Interfaces>'
