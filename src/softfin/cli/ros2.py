@@ -1,5 +1,6 @@
 """``softfin ros2``: a controller on the real fin as a ROS 2 node: readings out, references and a stop in; no JAX."""
 
+import functools
 from dataclasses import dataclass
 
 from softfin.cli.common import Configured
@@ -57,7 +58,7 @@ class Arguments(Driving, Configured):
             result = self.drive(
                 controller, robot, lambda _: node.reference() or otherwise, self.seconds,
                 lambda _: say("references come by their topic; Enter alone stops the fin"), stop,
-                (node.observer(stop),),
+                (functools.partial(node.observe, stop),),
             )  # fmt: skip
             result["counters"] |= node.counters()
         finally:

@@ -12,7 +12,6 @@ import json
 import math
 import os
 import platform
-import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable, Mapping
@@ -80,32 +79,29 @@ def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = Fa
     """
     check_vacant(path, overwrite)
     path = path.resolve()
-    beside, before = (path.with_name(f".{path.name}.{os.getpid()}.{word}") for word in ("partial", "before"))
-    try:
-        shutil.rmtree(beside, ignore_errors=True)
-        beside.mkdir(parents=True)
-        write(beside)
-        for place in (*beside.rglob("*"), beside):
-            sync(place)
-    except BaseException as error:
-        shutil.rmtree(beside, ignore_errors=True)
-        if not isinstance(error, OSError):
-            raise
-        raise RunError(f"{path}: cannot be written ({error.strerror or error}); what was there is left") from None
-    try:
-        check_vacant(path, overwrite)
-        if path.exists():
-            path.rename(before)
-        beside.rename(path)
-        sync(path.parent)
-    except (OSError, ArtifactError) as error:
-        if before.exists():
-            before.rename(path)
-        names = (path.with_name(f"{path.name}.finished-{number}") for number in itertools.count(1))
-        kept = beside.rename(next(name for name in names if not name.exists()))
-        reason = f"cannot be written ({error.strerror or error})" if isinstance(error, OSError) else "is in use by now"
-        raise RunError(f"{path}: {reason}; the finished result is in {kept}: move it where it is wanted") from None
-    shutil.rmtree(before, ignore_errors=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as beside:
+        new, before = Path(beside) / "new", Path(beside) / "before"
+        try:
+            new.mkdir()
+            write(new)
+            for place in (*new.rglob("*"), new):
+                sync(place)
+        except OSError as error:
+            raise RunError(f"{path}: cannot be written ({error.strerror or error}); what was there is left") from None
+        try:
+            check_vacant(path, overwrite)
+            if path.exists():
+                path.rename(before)
+            new.rename(path)
+            sync(path.parent)
+        except BaseException as error:
+            if before.exists():
+                before.rename(path)
+            names = (path.with_name(f"{path.name}.finished-{number}") for number in itertools.count(1))
+            kept = new.rename(next(name for name in names if not name.exists()))
+            reason = "is in use by now" if isinstance(error, ArtifactError) else f"cannot be written ({error})"
+            raise RunError(f"{path}: {reason}; the finished result is in {kept}: move it where it is wanted") from None
 
 
 def sync(place: Path) -> None:

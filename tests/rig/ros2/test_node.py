@@ -1,3 +1,4 @@
+import functools
 import math
 
 import pytest
@@ -115,7 +116,7 @@ def test_a_stop_that_cannot_be_read_stops_too():
 
 def test_a_session_hears_of_the_stop_through_its_observer():
     node, request = Node(), StopRequest()
-    observe = node.node.observer(request)
+    observe = functools.partial(node.node.observe, request)
     observe(SAMPLE, None)
     assert request.trip is None
     node.stop()

@@ -14,7 +14,6 @@ from softfin.rig.references import ResolveReference
 from softfin.rig.ros2.config import NodeConfig
 from softfin.rig.ros2.connection import BOOL, VECTOR, Stamped, Subscription, reference_of
 from softfin.rig.ros2.transport import Transport
-from softfin.rig.session import Observer
 from softfin.rig.stop import StopRequest
 from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr
 
@@ -89,18 +88,14 @@ class RosNode:
                 self._stop = f"emergency stop cannot be heard: {error}"
         return self._stop
 
-    def observer(self, request: StopRequest) -> Observer:
-        """An observer of the session: publishes each sample, and passes on a stop."""
-
-        def observe(sample: Sample, target: Target | None) -> None:
-            reason = self.stop_reason()
-            if reason is not None:
-                request.ask("emergency_stop", reason)
-            # Taken here too, so that its age counts from when it came, not from the next action.
-            self.reference()
-            self.publish(sample, target)
-
-        return observe
+    def observe(self, request: StopRequest, sample: Sample, target: Target | None) -> None:
+        """Publish a sample, and pass on a stop: as an observer of the session."""
+        reason = self.stop_reason()
+        if reason is not None:
+            request.ask("emergency_stop", reason)
+        # Taken here too, so that its age counts from when it came, not from the next action.
+        self.reference()
+        self.publish(sample, target)
 
     def counters(self) -> dict[str, int]:
         """Counts of references and stops that came and were refused, and of samples that did not go out."""

@@ -38,23 +38,18 @@ class Transport(Protocol):
     @property
     def notes(self) -> tuple[str, ...]:
         """Remarks for the user about how it was opened, each one line."""
-        ...
 
     def publish(self, topic: str, kind: str) -> Publisher:
         """A topic to write to: reliable, keep last 10, volatile."""
-        ...
 
     def subscribe(self, topic: str, kind: str, best_effort: bool = False) -> Take:
         """A topic to read; best effort matches reliable publishers too, but nothing is sent again."""
-        ...
 
     def topics(self) -> dict[str, str]:
         """Topics that other nodes publish, each with its type."""
-        ...
 
     def close(self) -> None:
         """Leave; any number of times, never raises."""
-        ...
 
 
 def one_line(error: Exception) -> str:

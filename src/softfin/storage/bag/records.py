@@ -37,9 +37,6 @@ FOOTER = struct.Struct("<QQI")
 LARGEST_BYTES = 64 * 2**20
 """Largest record, or unpacked chunk, that is read; ROS 2 closes its chunks below one megabyte."""
 
-CHUNK_HEAD_BYTES = 40
-"""Fields of an uncompressed chunk before its records."""
-
 Record: TypeAlias = Schema | Channel | Message | Footer
 
 _KINDS: dict[int, Any] = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.FOOTER: Footer}
@@ -50,9 +47,8 @@ class RawRecord(NamedTuple):
 
     opcode: int
     start: int
-    """First byte within the file."""
     end: int
-    """Byte of the file that follows the record."""
+    """Bytes of the file: the record's first, and the one that follows it."""
     content: bytes
     """Bytes behind opcode and length; of an attachment none."""
 
@@ -151,8 +147,9 @@ def _decode(record: RawRecord) -> list[Record] | list[Damage]:
 def _records_of_cut_chunk(file: io.BufferedIOBase, at: int, size: int) -> Iterator[RawRecord]:
     """Yield the whole records of a last chunk that was not compressed."""
     file.seek(at)
-    head = file.read(HEAD.size + CHUNK_HEAD_BYTES)
-    if len(head) == HEAD.size + CHUNK_HEAD_BYTES and head[0] == Opcode.CHUNK and head[37:41] == bytes(4):
+    # Opcode, length and the fields of an uncompressed chunk: its compression has no letters.
+    head = file.read(49)
+    if head[:1] == bytes([Opcode.CHUNK]) and head[37:41] == bytes(4):
         # A file system shows zeros where bytes never reached the disk, so no message may end in them.
         beginning = file.read(min(size - at, LARGEST_BYTES)).rstrip(b"\0")
         # Behind the first bytes that are not a record there is nothing to save.
@@ -188,7 +185,7 @@ class Recovery(NamedTuple):
     def to_dict(self) -> dict[str, Any]:
         """Recovery for JSON."""
         return self._asdict() | {
-            "damages": [{"byte": one.start, "bytes": one.length, "reason": one.reason} for one in self.damages]
+            "damages": [{"byte": at, "bytes": length, "reason": reason} for at, length, reason in self.damages]
         }
 
 
