@@ -7,7 +7,7 @@ from rosbags.interfaces import Nodetype
 
 from softfin.core.errors import DeviceError
 from softfin.rig.ros2.flipper import define_types
-from softfin.rig.ros2.transport import Publisher, Received
+from softfin.rig.ros2.transport import Publisher
 from softfin.storage.bag.messages import build_message
 
 JOINT, WRENCH = "sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped"
@@ -89,4 +89,4 @@ class MemoryTransport:
 
     def put(self, topic, message, at=None):
         data = message if isinstance(message, bytes) else self.messages.encode(message)
-        self.waiting[topic].append(Received(data, self.clock() if at is None else at))
+        self.waiting[topic].append((data, self.clock() if at is None else at))

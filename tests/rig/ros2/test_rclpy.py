@@ -128,7 +128,7 @@ def test_messages_go_out_and_come_in_as_bytes(rclpy, transport):
         rclpy.subscriptions["/stop"](bytes([index]))
     taken = take()
     assert [data[0] for data, _ in taken] == list(range(2, 12)), "ten are kept, the newest"
-    assert before <= taken[0].time <= taken[-1].time <= time.monotonic()
+    assert before <= taken[0][1] <= taken[-1][1] <= time.monotonic()
     assert take() == []
 
 

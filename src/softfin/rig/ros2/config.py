@@ -74,7 +74,7 @@ class NodeConfig(Configuration):
 
     @model_validator(mode="after")
     def _apart(self) -> "NodeConfig":
-        names = [getattr(self, name) for name in type(self).model_fields if name.endswith("_topic")]
+        names = [value for name, value in self if name.endswith("_topic")]
         if twice := {name for name in names if names.count(name) > 1}:
             raise ValueError(f"{', '.join(twice)} is the name of two topics; give each its own")
         return self
@@ -132,6 +132,4 @@ class Ros2PlantConfig(Configuration):
         ours = {self.joint_topic, self.wrench_topic, self.command_topic, self.stop_topic}
         for name in ("joint_topic", "wrench_topic", "command_topic", "reference_topic"):
             if (topic := getattr(node, name)) in ours:
-                raise RigError(
-                    f"{name} = {topic}: is a topic of the fin's own; give the node another: --set {name}=/NAME"
-                )
+                raise RigError(f"{name} = {topic}: is a topic of the fin's own; give another: --set {name}=/NAME")

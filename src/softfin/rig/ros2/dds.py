@@ -15,7 +15,7 @@ from rosbags.typesys.store import Typestore
 
 from softfin.core.errors import DeviceError, RigError
 from softfin.rig.ros2.config import TransportConfig
-from softfin.rig.ros2.transport import DEPTH, Publisher, Received, Take, one_line
+from softfin.rig.ros2.transport import DEPTH, Publisher, Take, one_line
 
 try:
     from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
@@ -134,13 +134,13 @@ class DdsTransport:
         """A reader of its own, which keeps the last messages."""
         reader = DataReader(self._participant, self._topic(topic, kind), qos=_quality(best_effort))
 
-        def take() -> list[Received]:
+        def take() -> list[tuple[bytes, float]]:
             try:
                 found = reader.take(DEPTH)
             except DDSException as error:
                 raise DeviceError(f"{topic}: cannot be read ({one_line(error)}); start again") from None
             now = time.monotonic()
-            return [Received(sample.data, now) for sample in found if not isinstance(sample, InvalidSample)]
+            return [(sample.data, now) for sample in found if not isinstance(sample, InvalidSample)]
 
         return take
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from softfin.core.errors import DeviceError, RigError
 from softfin.rig.ros2.config import TransportConfig
-from softfin.rig.ros2.transport import DEPTH, Publisher, Received, Take, one_line
+from softfin.rig.ros2.transport import DEPTH, Publisher, Take, one_line
 
 
 class RclpyTransport:
@@ -58,15 +58,15 @@ class RclpyTransport:
 
     def subscribe(self, topic: str, kind: str, best_effort: bool = False) -> Take:
         """A raw subscription: the bytes as they came."""
-        waiting: deque[Received] = deque(maxlen=DEPTH)
+        waiting: deque[tuple[bytes, float]] = deque(maxlen=DEPTH)
 
-        def take() -> list[Received]:
+        def take() -> list[tuple[bytes, float]]:
             if self.failure is not None:
                 raise DeviceError(f"rclpy has stopped ({self.failure}); start again")
             return [waiting.popleft() for _ in range(len(waiting))]
 
         self._node.create_subscription(
-            _class(kind), topic, lambda data: waiting.append(Received(bytes(data), time.monotonic())),
+            _class(kind), topic, lambda data: waiting.append((bytes(data), time.monotonic())),
             self._quality(best_effort), raw=True,
         )  # fmt: skip
         return take

@@ -2,23 +2,17 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
+from typing import Protocol, TypeAlias, runtime_checkable
 
 DEPTH = 10
 """Messages that are kept for a reader that is slower: ROS 2's default."""
 
 
-class Received(NamedTuple):
-    """A message as it came."""
+Take: TypeAlias = Callable[[], list[tuple[bytes, float]]]
+"""Returns what has come since the last call, oldest first: CDR, and when it was taken, of `time.monotonic` [s].
 
-    data: bytes
-    """CDR."""
-    time: float
-    """When it was taken, of `time.monotonic` [s]."""
-
-
-Take: TypeAlias = Callable[[], list[Received]]
-"""Returns what has come since the last call, oldest first; never waits. Raises DeviceError where nothing can come."""
+It never waits, and raises DeviceError where nothing can come.
+"""
 
 
 @dataclass
