@@ -6,13 +6,16 @@ folder that is called as a plant is written ``./tank``. JAX is imported only whe
 
 import importlib
 import sys
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from softfin.core.errors import PlantError
 from softfin.storage import artifact as artifacts
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from softfin.core.plant import Plant
 
 TANK = "tank"
@@ -37,23 +40,22 @@ def is_surrogate(name: str) -> bool:
     return name != TANK and not is_live(name) and artifacts.is_kind(Path(name), "surrogate")
 
 
-def resolve_plant(name: str) -> Literal["tank", "tank file", "surrogate", "object"]:
-    """Return the kind of plant that `name` stands for; raises PlantError that lists what there is."""
+def resolve_plant(name: str) -> "Callable[[], Plant]":
+    """Return what builds the plant that `name` stands for; raises PlantError that lists what there is."""
     path = Path(name)
+    # Surrogates and tanks are rooms above this one, found by their names.
     if is_live(name):
         folder = f"; the folder of this name is ./{name}" if path.exists() else ""
         raise PlantError(
             f"plant {name}: moves in real time and cannot be simulated; collect, evaluate and run take it{folder}"
         )
-    if name == TANK:
-        return "tank"
-    if path.suffix in (".yaml", ".yml") and path.is_file():
-        return "tank file"
+    if name == TANK or (path.suffix in (".yaml", ".yml") and path.is_file()):
+        return partial(_build_tank, name)
     if artifacts.is_kind(path, "surrogate"):
-        return "surrogate"
+        return lambda: importlib.import_module("softfin.surrogate").load_surrogate(path)
     if ":" in name and not path.exists():
         _import_object(name)
-        return "object"
+        return partial(_import_object, name, build=True)
     what = "holds no surrogate.json" if path.is_dir() else "is not a YAML file" if path.exists() else "does not exist"
     raise PlantError(f"plant {name}: unknown ({what}); give {HELP}")
 
@@ -62,18 +64,7 @@ def find_plant(name: str) -> "Plant":
     """Build or load the plant that `name` stands for; raises PlantError that lists what there is."""
     from softfin.core.quantities import Limits
 
-    kind, path = resolve_plant(name), Path(name)
-    # Surrogates and tanks are rooms above this one, found by their names.
-    plant: Plant
-    if kind == "object":
-        plant = _import_object(name, build=True)
-    elif kind == "surrogate":
-        plant = importlib.import_module("softfin.surrogate").load_surrogate(path)
-    else:
-        from softfin.core.configuration import read_yaml
-
-        tank = importlib.import_module("softfin.tank")
-        plant = tank.Tank(tank.TankConfig.build({} if kind == "tank" else read_yaml(path), name))
+    plant = resolve_plant(name)()
     try:
         problem = Limits(*map(float, plant.limits)).problem()
     except (TypeError, ValueError) as error:
@@ -81,6 +72,13 @@ def find_plant(name: str) -> "Plant":
     if problem:
         raise PlantError(f"plant {name}: {problem}")
     return plant
+
+
+def _build_tank(name: str) -> Any:
+    from softfin.core.configuration import read_yaml
+
+    tank = importlib.import_module("softfin.tank")
+    return tank.Tank(tank.TankConfig.build({} if name == TANK else read_yaml(Path(name)), name))
 
 
 def _import_object(name: str, build: bool = False) -> Any:

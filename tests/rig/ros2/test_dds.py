@@ -166,12 +166,13 @@ print(opened(network="no-such").__class__.__name__)
     lines = run(code).splitlines()
     assert lines[:2] == ["()", "{} 0"]
     assert lines[2].startswith("DeviceError DDS domain 231 cannot be used")
-    assert lines[2].endswith("that there is such a network interface (no-such) and that it is up")
+    assert "that the network interface (no-such) is there and up" in lines[2]
 
 
 def test_one_domain_cannot_be_on_two_networks():
     told = run(f'{OPEN}\nfirst = opened()\nopened(network="lo")')
-    assert told == "RigError DDS domain 231 is open on this computer alone, and cannot be on lo too: use another"
+    assert told.startswith("DeviceError DDS domain 231 cannot be used")
+    assert told.endswith("and that no other one was given for this domain")
 
 
 def test_a_network_of_ones_own_comes_with_a_warning():

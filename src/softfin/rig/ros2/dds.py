@@ -5,9 +5,9 @@ Names after ROS 2's design article "Topic and Service name mapping to DDS": ``/f
 of this library on loopback only: it has not met a node of ROS 2.
 """
 
+import functools
 import os
 import time
-import weakref
 from typing import Any
 
 from rosbags.interfaces import Nodetype
@@ -32,9 +32,6 @@ except ImportError:
 
 URI = "CYCLONEDDS_URI"
 
-BLOCK_NS = 5_000_000
-"""Longest time that a slow reader may hold up a writer [ns]: half a tick."""
-
 IDL: Any = types
 """Its types take their lengths in brackets, in a way of their own that type checkers do not know."""
 
@@ -42,8 +39,6 @@ BASES = {"byte": types.int8, "char": types.uint8, "string": str, "bool": bool} |
     name: getattr(types, name)
     for name in ("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64")
 }
-
-_domains: "weakref.WeakValueDictionary[int, Any]" = weakref.WeakValueDictionary()
 
 
 class Carrier(IdlStruct):
@@ -104,15 +99,21 @@ class DdsTransport:
 
     def __init__(self, config: TransportConfig, typestore: Typestore) -> None:
         """`typestore` has the types of all messages."""
-        self._types, number = typestore, config.domain_id()
+        self._types, number, network = typestore, config.domain_id(), config.network
+        self.notes: tuple[str, ...] = ()
         try:
-            self._domain, self.notes = _open_domain(number, config.network)
+            if os.environ.get(URI):
+                ignored = "" if network is None else f": --network {network} does not count"
+                self.notes = (f"DDS is set up by {URI}{ignored}",)
+            else:
+                _open_domain(number, network)
+                if network is not None:
+                    self.notes = (f"everybody on the network of {network} can read these topics and write to them",)
             self._participant: Any = DomainParticipant(number)
         except DDSException as error:
-            self._domain = None
             raise DeviceError(
-                f"DDS domain {number} cannot be used ({one_line(error)}); check {URI}, and that there is such a "
-                f"network interface ({config.network or 'loopback'}) and that it is up"
+                f"DDS domain {number} cannot be used ({one_line(error)}); check {URI}, that the network interface "
+                f"({network or 'loopback'}) is there and up, and that no other one was given for this domain"
             ) from None
         self._own: set[str] = set()
 
@@ -156,7 +157,7 @@ class DdsTransport:
 
     def close(self) -> None:
         """Leave; readers and writers that somebody still holds go with the last one who does."""
-        self._participant = self._domain = None
+        self._participant = None
 
     def _topic(self, topic: str, kind: str) -> Any:
         if self._participant is None:
@@ -165,23 +166,14 @@ class DdsTransport:
 
 
 def _quality(best_effort: bool = False) -> Any:
-    reliability = Policy.Reliability.BestEffort if best_effort else Policy.Reliability.Reliable(BLOCK_NS)
+    # A slow reader may hold up a writer for half a tick [ns].
+    reliability = Policy.Reliability.BestEffort if best_effort else Policy.Reliability.Reliable(5_000_000)
     # ROS 2 speaks the first version of CDR; cyclonedds would offer the second one too.
     representation = Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False)
     return Qos(reliability, Policy.History.KeepLast(DEPTH), Policy.Durability.Volatile, representation)
 
 
-def _open_domain(number: int, network: str | None) -> tuple[Any, tuple[str, ...]]:
-    """The domain with our configuration, shared by all of this process, and remarks on it."""
-    if os.environ.get(URI):
-        ignored = "" if network is None else f": --network {network} does not count"
-        return None, (f"DDS is set up by {URI}{ignored}",)
-    domain: Any = _domains.get(number)
-    if domain is None:
-        domain = _domains[number] = Domain(number, configuration(network))
-        domain.network = network
-    elif domain.network != network:
-        names = [name or "this computer alone" for name in (domain.network, network)]
-        raise RigError(f"DDS domain {number} is open on {names[0]}, and cannot be on {names[1]} too: use another")
-    warning = f"everybody on the network of {network} can read these topics and write to them"
-    return domain, () if network is None else (warning,)
+@functools.cache
+def _open_domain(number: int, network: str | None) -> Any:
+    """The domain with our configuration, shared by all of this process."""
+    return Domain(number, configuration(network))

@@ -23,12 +23,6 @@ from softfin.rig.ros2.transport import Publisher, Transport
 from softfin.rig.safety import check_target
 from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr, serialized
 
-EARLY_S = 1e-3
-"""How long before its time a message may go out [s]: ticks come a little early and late."""
-
-LOCK_S = 0.02
-"""Longest that a stop waits for a command that is going out [s]; over DDS that takes 5 ms at most."""
-
 
 class Commands:
     """Commands as messages: one for each, or, with a period, a set-point that goes to the target at its velocity."""
@@ -49,7 +43,8 @@ class Commands:
 
     def tick(self, now: float) -> None:
         """Send the next message, where it is due."""
-        if self._target is not None and now >= self._next - EARLY_S:
+        # Ticks come a little early and late.
+        if self._target is not None and now >= self._next - 1e-3:
             # In step with the first one; what a late tick has missed is not made up for.
             self._next += self._period * (max((now - self._next) // self._period, 0) + 1)
             self.publisher.send(self._encode(self._target, self._at(self._target, now)))
@@ -176,8 +171,8 @@ class Ros2Machine:
 
     def stop(self) -> None:
         """See the class for what it can do and cannot."""
-        # A command that hangs in its transport must not keep the watchdog from its stop.
-        alone = self._lock.acquire(timeout=LOCK_S)
+        # A command that hangs in its transport, where 5 ms are usual, must not keep the watchdog from its stop.
+        alone = self._lock.acquire(timeout=0.02)
         try:
             was_enabled, self._enabled = self._enabled, False
             self._brake(was_enabled)

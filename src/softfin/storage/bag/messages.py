@@ -37,16 +37,10 @@ FIELDS = {
 }
 """Paths of the values: angle and velocity [rad, rad/s], force and torque [N, N m], a current [A]."""
 
-QUALITY = {"offered_qos_profiles": ""}
-"""Entry that MCAP's profile for ROS 2 requires; empty is ROS 2's default quality of service."""
-
 FRAME = "fin"
 """Frame of the force and name of the joint."""
 
 SECOND_NS = 1_000_000_000
-
-CHUNK_BYTES = 1024 * 1024
-"""Length at which a chunk ends unless it was flushed before."""
 
 _STAMP, _STAMP_BYTE, _NUMBER = struct.Struct("<iI"), 4, struct.Struct("<d")
 
@@ -133,8 +127,10 @@ class BagWriter:
             kind: self._writer.register_schema(kind, "ros2msg", store.generate_msgdef(kind, ros_version=2)[0].encode())
             for kind in dict.fromkeys(TYPES.values())
         }
+        # MCAP's profile for ROS 2 requires the entry; empty is ROS 2's default quality of service.
+        quality = {"offered_qos_profiles": ""}
         self._channels = {
-            topic: self._writer.register_channel(topic, "cdr", schemas[kind], QUALITY) for topic, kind in TYPES.items()
+            topic: self._writer.register_channel(topic, "cdr", schemas[kind], quality) for topic, kind in TYPES.items()
         }
         self.flush, self.finish = self._writer.flush, self._writer.finish
         """End the chunk; write the index and the end."""
@@ -147,6 +143,6 @@ class BagWriter:
 
 def start_writer(stream: Any) -> Any:
     """Start an MCAP file as all of softfin's are written."""
-    writer: Any = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE)
+    writer: Any = Writer(stream, compression=CompressionType.NONE)
     writer.start(profile="ros2", library=f"softfin {importlib.metadata.version('softfin')}")
     return writer

@@ -23,17 +23,11 @@ POLL_S = 0.05
 BACKLOG = 50_000
 """Most rows that wait for the disk: two minutes at 400 per second, some 20 MB."""
 
-PENDING_BYTES = 50_000_000
-"""Room for what waits for a full disk [bytes]: 25 minutes."""
-
 STALL_S = 5.0
 """Longest time that the disk may take to synchronise [s]."""
 
 CLOSE_S = 10.0
 """Longest time that `close` waits for the thread [s]."""
-
-APART_S = 1e-6
-"""Least time between two commands [s]: in simulated time two may come at one moment, and their order must be kept."""
 
 
 class BagRecorder:
@@ -53,7 +47,8 @@ class BagRecorder:
         self._failure: str | None = None
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = io.BufferedWriter(io.FileIO(path, "xb"), PENDING_BYTES)
+            # The buffer has room for 25 minutes that wait for a full disk.
+            self._file = io.BufferedWriter(io.FileIO(path, "xb"), 50_000_000)
         except FileExistsError:
             raise LogError(f"{path}: exists already, recordings are never overwritten; give another name") from None
         except OSError as error:
@@ -81,8 +76,9 @@ class BagRecorder:
         return self._failure
 
     def command(self, time: float, angle: float, velocity: float) -> None:
-        """Record a command [rad, rad/s]; the later one of two at one moment is stamped a little later."""
-        self._commanded = max(time, self._commanded + APART_S)
+        """Record a command [rad, rad/s]."""
+        # In simulated time two may come at one moment, and their order must be kept.
+        self._commanded = max(time, self._commanded + 1e-6)
         self._hand_in(COMMAND, self._commanded, (angle, velocity))
 
     def joint(self, time: float, angle: float, velocity: float, current: float | None) -> None:
