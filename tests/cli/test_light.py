@@ -47,12 +47,12 @@ SLIPS: list[tuple[list[str], str]] = [
     (["train", "tank", *OUT, "--controller", "gaits", "--steps", "3"], "--steps: gaits are found, not trained"),
     (["evaluate", "made", *OUT, "--reference-file", "no.csv"], "--reference-file no.csv: cannot be read"),
     (["evaluate", "made", *OUT, "--reference", "one"], "--reference=one: not a force"),
-    (["rig", "check"], "rig.yaml: no such file; docs/rig.md has one"),
+    (["rig", "check"], "rig.yaml: cannot be read (No such file or directory); docs/rig.md has one"),
     (["run", "no", "--reference=1,1"], "no: no such folder; it should be a controller"),
     (["run", "made", "--reference=1,1", "--bag", "a.txt"], "--bag a.txt: a recording is a file NAME.mcap"),
     (["bag", "recover", "no.mcap"], "no.mcap: cannot be read"),
     (["bag", "convert", "no.mcap"], "convert needs --out"),
-    (["monitor", "no.mcap"], "no.mcap: not there; give a bag"),
+    (["monitor", "no.mcap"], "no.mcap: no such file or folder; give a bag"),
 ]
 
 

@@ -50,7 +50,7 @@ def test_each_command_reads_what_the_one_before_wrote(capsys, tmp_path, monkeypa
     with pytest.raises(SystemExit) as stop:
         main([*words, "--seed", "7", "--resume"])
     assert stop.value.code == 2
-    assert "surrogate: is complete, of another run (seed was 0 and is 7); give the" in capsys.readouterr().err
+    assert "surrogate: is of another run (seed was 0 and is 7); give the" in capsys.readouterr().err
     assert json.loads((tmp_path / "surrogate" / "surrogate.json").read_text()) == description
 
     for kind, cells in (("single", CELLS[:1]), ("grid", CELLS)):

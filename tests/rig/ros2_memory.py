@@ -1,10 +1,49 @@
-"""A transport without a network, for tests of what stands on it."""
+"""A transport without a network, for tests of what stands on it, and messages made by rosbags' general serialiser."""
 
 from collections import defaultdict
 
+import numpy as np
+from rosbags.interfaces import Nodetype
+
 from softfin.core.errors import DeviceError
-from softfin.rig.ros2.messages import Messages
-from softfin.rig.ros2.transport import Publisher, Received
+from softfin.rig.ros2.flipper import define_types
+from softfin.rig.ros2.transport import Publisher
+from softfin.storage.bag.messages import build_message
+
+JOINT, WRENCH = "sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped"
+
+
+class Messages:
+    """Messages of ROS 2's types, and of others by their definition."""
+
+    def __init__(self, definitions=None, types=None):
+        self.types = types or define_types(definitions or {})
+
+    def make(self, kind, *values):
+        return self.types.types[kind](*values)
+
+    def encode(self, message):
+        return bytes(self.types.serialize_cdr(message, message.__msgtype__))
+
+    def decode(self, data, kind):
+        return self.types.deserialize_cdr(data, kind)
+
+    def blank(self, kind):
+        return build_message(self.types, (Nodetype.NAME, kind), {})
+
+    def header(self, stamp_ns, frame):
+        return self.make(
+            "std_msgs/msg/Header", self.make("builtin_interfaces/msg/Time", *divmod(stamp_ns, 10**9)), frame
+        )
+
+    def joint(self, stamp_ns, frame, name, angle, velocity):
+        return self.make(
+            JOINT, self.header(stamp_ns, frame), [name], np.array([angle]), np.array([velocity]), np.zeros(0)
+        )
+
+    def wrench(self, stamp_ns, frame, wrench):
+        parts = (self.make("geometry_msgs/msg/Vector3", *map(float, part)) for part in (wrench[:3], wrench[3:]))
+        return self.make(WRENCH, self.header(stamp_ns, frame), self.make("geometry_msgs/msg/Wrench", *parts))
 
 
 class MemoryTransport:
@@ -50,4 +89,4 @@ class MemoryTransport:
 
     def put(self, topic, message, at=None):
         data = message if isinstance(message, bytes) else self.messages.encode(message)
-        self.waiting[topic].append(Received(data, self.clock() if at is None else at))
+        self.waiting[topic].append((data, self.clock() if at is None else at))

@@ -146,10 +146,9 @@ def node(_: Path) -> dict[str, Any]:
     from softfin.rig.machine import Sample, Target
     from softfin.rig.ros2.config import NodeConfig, TransportConfig
     from softfin.rig.ros2.connection import open_transport
-    from softfin.rig.ros2.messages import Messages
     from softfin.rig.ros2.node import RosNode
 
-    transport = open_transport(TransportConfig(transport="dds"), Messages())
+    transport = open_transport(TransportConfig(transport="dds"))
     ros_node = RosNode(transport, NodeConfig(reference_timeout_s=None), print)
     reference = stop = None
     deadline = time.monotonic() + 20

@@ -48,7 +48,7 @@ def test_a_file_with_a_mistake_is_one_line_that_names_the_key(change, words, tmp
 
 def test_a_file_that_is_not_there_or_no_yaml_says_what_to_do(tmp_path):
     for load in (load_rig, load_ros2):
-        with pytest.raises(RigError, match=r"no such file; docs/rig.md has one with comments"):
+        with pytest.raises(RigError, match=r"No such file or directory.; docs/rig.md has one with comments"):
             load(tmp_path / "no.yaml")
     bad = tmp_path / "bad.yaml"
     bad.write_text("fin: [")

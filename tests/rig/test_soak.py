@@ -97,10 +97,10 @@ def bus_off(at: Scene) -> None:
 def disk_full(at: Scene) -> None:
     import softfin.storage.bag.writer as writer
 
-    def write(file: int, data: Any) -> int:
+    def sync(file: int) -> None:
         raise OSError(28, "No space left on device")
 
-    at.patches.setattr(writer.os, "write", write)
+    at.patches.setattr(writer.os, "fsync", sync)
 
 
 def clock_jump(at: Scene) -> None:

@@ -37,7 +37,7 @@ def test_a_tank_of_ones_own_numbers_is_found_by_its_file(tmp_path):
     [
         ("pool", r"plant pool: unknown \(does not exist\); give tank, the YAML file of a tank, the folder of"),
         ("no_such_module:plant", "No module named 'no_such_module'"),
-        ("json:plant", "module json has no 'plant'"),
+        ("json:plant", "module .json. has no attribute .plant."),
         ("math:pi", "a float is not a plant, which has limits, init and advance"),
     ],
 )

@@ -40,7 +40,7 @@ class Arguments(LogOptions, Common):
         return self.tell(result, f"{columns_read(result['columns'])}{text}")
 
     def _recover(self) -> None:
-        from softfin.storage.bag.recovery import recover, recovered_path
+        from softfin.storage.bag.records import recover, recovered_path
 
         out = self.out or recovered_path(self.path)
         recovery = recover(self.path, out, self.overwrite)

@@ -1,5 +1,6 @@
 """``softfin ros2``: a controller on the real fin as a ROS 2 node: readings out, references and a stop in; no JAX."""
 
+import functools
 from dataclasses import dataclass
 
 from softfin.cli.common import Configured
@@ -11,7 +12,6 @@ from softfin.core.errors import RigError
 from softfin.rig.machine import clock_of
 from softfin.rig.ros2.config import NodeConfig
 from softfin.rig.ros2.connection import open_transport
-from softfin.rig.ros2.messages import Messages
 from softfin.rig.ros2.node import RosNode
 from softfin.rig.ros2.plant import Ros2Machine
 from softfin.rig.simulated_clock import SimulatedClock
@@ -49,16 +49,16 @@ class Arguments(Driving, Configured):
         if isinstance(robot.machine, Ros2Machine):
             robot.machine.config.check_apart(topics)
         otherwise, warning = resolve_reference(controller, self.reference, self.strict)
-        transport = open_transport(topics.connection, Messages())
+        transport = open_transport(topics.connection)
         try:
             node = RosNode(transport, topics, say, lambda asked: resolve_reference(controller, asked, self.strict))
             for note in (*transport.notes, *([] if warning is None else [warning])):
                 say(note)
             stop = StopRequest()
             result = self.drive(
-                controller, robot, node.references(otherwise), self.seconds,
+                controller, robot, lambda _: node.reference() or otherwise, self.seconds,
                 lambda _: say("references come by their topic; Enter alone stops the fin"), stop,
-                (node.observer(stop),),
+                (functools.partial(node.observe, stop),),
             )  # fmt: skip
             result["counters"] |= node.counters()
         finally:

@@ -18,8 +18,7 @@ from softfin.core.action_clock import ACTION_RATE_HZ, ACTION_TICKS
 from softfin.core.errors import ConfigurationError, RunError
 from softfin.core.operations import Array, Number, Operations
 from softfin.core.quantities import command_of
-from softfin.storage.artifact import write_file
-from softfin.storage.paths import check_onnx
+from softfin.storage.artifact import check_file, write_file
 
 OPSET, IR_VERSION = 17, 8
 """Versions of ONNX and of its files: what onnxruntime 1.12 (2022) and everything after it runs."""
@@ -104,7 +103,7 @@ def export_onnx(controller: LoadedController, file: Path, overwrite: bool = Fals
         ArtifactError: there is a file already.
         RunError: the exported step gives other commands than NumPy; nothing is written.
     """
-    check_onnx(file, overwrite)
+    check_file(file, overwrite, "--onnx")
     try:
         ndonnx, onnx, runtime, *_ = (importlib.import_module(name) for name in NEEDED)
     except ImportError as error:

@@ -16,7 +16,7 @@ from softfin.data.importing.importing import ImportConfig
 from softfin.data.issues import check_issues
 from softfin.data.recordings import open_logs
 from softfin.storage import artifact as artifacts
-from softfin.storage.bag.messages import COMMAND, JOINT, SECOND_NS, WRENCH, BagWriter, Row
+from softfin.storage.bag.messages import COMMAND, JOINT, SECOND_NS, WRENCH, BagWriter
 from softfin.storage.log_file import write_log
 
 KINDS = (".mcap", ".parquet")
@@ -34,8 +34,7 @@ def convert(
     count = len(opened.logs)
     files = [out] if count == 1 else [out.with_name(f"{out.stem}-{n}{out.suffix}") for n in range(1, count + 1)]
     for file in files:
-        if file.exists() and (not overwrite or file.is_dir()):
-            raise LogError(f"{file}: exists already; give another --out, or --overwrite to replace it")
+        artifacts.check_file(file, overwrite)
     for one, file in zip(opened.logs, files, strict=True):
         # On the clock that the recording was made on: opened logs begin at 0.
         reading = one.log.reading
@@ -58,8 +57,8 @@ def encode_bag(log: Log, source: str) -> bytes:
     columns = (*log.command, log.reading.angle, log.reading.velocity, *np.asarray(log.reading.force).T)
     for seconds, angle, velocity, *row in zip(time.tolist(), *(column.tolist() for column in columns), strict=True):
         stamp = round(seconds * SECOND_NS)
-        bag.write(Row(COMMAND, stamp, (angle, velocity)))
-        bag.write(Row(JOINT, stamp, (row[0], row[1])))
-        bag.write(Row(WRENCH, stamp, (row[2], row[3], 0.0, 0.0, 0.0, 0.0)))
+        bag.write(COMMAND, stamp, (angle, velocity))
+        bag.write(JOINT, stamp, (row[0], row[1]))
+        bag.write(WRENCH, stamp, (row[2], row[3], 0.0, 0.0, 0.0, 0.0))
     bag.finish()
     return sink.getvalue()

@@ -13,7 +13,7 @@ from softfin.rig.epos2.config import BusConfig, Epos2Config
 from softfin.rig.filter import design
 from softfin.rig.ros2.config import Ros2PlantConfig
 from softfin.rig.safety import SafetyConfig
-from softfin.storage.paths import find_rig_file
+from softfin.storage.paths import RIG_FILE, check_readable
 
 
 def _check_printable(name: str) -> str:
@@ -93,7 +93,7 @@ class Ros2Config(RealFinConfig):
 
 def load_rig(path: Path | None = None) -> RigConfig:
     """Read a rig's file, by default rig.yaml; raises RigError naming the key, the value and what is allowed."""
-    file = find_rig_file("rig", path)
+    file = path or RIG_FILE
     config = _load(file, RigConfig)
     config._file = file.resolve()
     return config
@@ -101,10 +101,11 @@ def load_rig(path: Path | None = None) -> RigConfig:
 
 def load_ros2(path: Path | None = None) -> Ros2Config:
     """Read the file of a fin behind ROS 2, by default ros2.yaml; likewise."""
-    return _load(find_rig_file("ros2", path), Ros2Config)
+    return _load(path or Path("ros2.yaml"), Ros2Config)
 
 
 def _load(path: Path, kind: type[Config]) -> Config:
+    check_readable(path, RigError, "; docs/rig.md has one with comments, and softfin rig emulate writes one of its own")
     try:
         return kind.build(read_yaml(path), str(path))
     except ConfigurationError as error:

@@ -12,24 +12,14 @@ import json
 import math
 import os
 import platform
-import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, TypeAlias
+from typing import Any, BinaryIO
 
 from softfin.core.errors import ArtifactError, RunError
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Array: TypeAlias = NDArray[Any]
-else:
-    Array = Any
-
-Weights = Mapping[str, Array]
 
 WEIGHTS = "weights.safetensors"
 
@@ -46,13 +36,21 @@ def check_vacant(path: Path, overwrite: bool = False) -> None:
     To be called before the work whose result is written there: a place that cannot be written is refused as well.
     """
     check_writable(path)
-    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
-        if not overwrite:
-            raise ArtifactError(f"{path}: exists already; give another --out, or --overwrite to replace it")
-        if not path.is_dir() or not any(is_kind(path, kind) for kind in KINDS):
-            raise ArtifactError(
-                f"{path}: exists and was not written by softfin, so it is not replaced; give another --out"
-            )
+    if not path.exists() or (path.is_dir() and not any(path.iterdir())):
+        return
+    if not overwrite:
+        raise ArtifactError(f"{path}: exists already; give another --out, or --overwrite to replace it")
+    if not any(is_kind(path, kind) for kind in KINDS):
+        raise ArtifactError(f"{path}: exists and was not written by softfin, so it is not replaced; give another --out")
+
+
+def check_file(path: Path, overwrite: bool, option: str = "--out") -> None:
+    """Raise ArtifactError unless a file may be written at `path`, which an option names."""
+    if path.exists() and not path.is_file():
+        raise ArtifactError(f"{path}: exists and is not a file; give another {option}")
+    if path.exists() and not overwrite:
+        raise ArtifactError(f"{path}: exists already; give another {option}, or --overwrite to replace it")
+    check_writable(path)
 
 
 def check_writable(path: Path) -> None:
@@ -81,32 +79,29 @@ def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = Fa
     """
     check_vacant(path, overwrite)
     path = path.resolve()
-    beside, before = (path.with_name(f".{path.name}.{os.getpid()}.{word}") for word in ("partial", "before"))
-    try:
-        shutil.rmtree(beside, ignore_errors=True)
-        beside.mkdir(parents=True)
-        write(beside)
-        for place in (*beside.rglob("*"), beside):
-            sync(place)
-    except BaseException as error:
-        shutil.rmtree(beside, ignore_errors=True)
-        if isinstance(error, OSError):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as beside:
+        new, before = Path(beside) / "new", Path(beside) / "before"
+        try:
+            new.mkdir()
+            write(new)
+            for place in (*new.rglob("*"), new):
+                sync(place)
+        except OSError as error:
             raise RunError(f"{path}: cannot be written ({error.strerror or error}); what was there is left") from None
-        raise
-    try:
-        check_vacant(path, overwrite)
-        if path.exists():
-            path.rename(before)
-        beside.rename(path)
-        sync(path.parent)
-    except (OSError, ArtifactError) as error:
-        if before.exists():
-            before.rename(path)
-        names = (path.with_name(f"{path.name}.finished-{number}") for number in itertools.count(1))
-        kept = beside.rename(next(name for name in names if not name.exists()))
-        reason = f"cannot be written ({error.strerror or error})" if isinstance(error, OSError) else "is in use by now"
-        raise RunError(f"{path}: {reason}; the finished result is in {kept}: move it where it is wanted") from None
-    shutil.rmtree(before, ignore_errors=True)
+        try:
+            check_vacant(path, overwrite)
+            if path.exists():
+                path.rename(before)
+            new.rename(path)
+            sync(path.parent)
+        except BaseException as error:
+            if before.exists():
+                before.rename(path)
+            names = (path.with_name(f"{path.name}.finished-{number}") for number in itertools.count(1))
+            kept = new.rename(next(name for name in names if not name.exists()))
+            reason = "is in use by now" if isinstance(error, ArtifactError) else f"cannot be written ({error})"
+            raise RunError(f"{path}: {reason}; the finished result is in {kept}: move it where it is wanted") from None
 
 
 def sync(place: Path) -> None:
@@ -146,7 +141,7 @@ def save(
     path: Path,
     kind: str,
     description: Mapping[str, Any],
-    weights: Weights,
+    weights: Mapping[str, Any],
     extra_files: Callable[[Path], None] | None = None,
     overwrite: bool = False,
 ) -> None:
@@ -162,7 +157,7 @@ def save(
     write_folder(path, write, overwrite)
 
 
-def encode(weights: Weights, metadata: dict[str, str] | None = None) -> bytes:
+def encode(weights: Mapping[str, Any], metadata: dict[str, str] | None = None) -> bytes:
     """Arrays by name as safetensors."""
     import numpy as np
     import safetensors.numpy
@@ -170,22 +165,29 @@ def encode(weights: Weights, metadata: dict[str, str] | None = None) -> bytes:
     return safetensors.numpy.save({name: np.asarray(array, order="C") for name, array in weights.items()}, metadata)
 
 
-def load(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Array]]:
+def load(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Any]]:
     """The description and the weights of a folder that `save` wrote; raises ArtifactError for anything else."""
     import safetensors.numpy
 
-    description = load_description(path, kind)
+    description, file = load_description(path, kind), path / WEIGHTS
+    if not file.exists():
+        raise ArtifactError(f"{file}: missing; copy the whole folder again")
     try:
-        weights = safetensors.numpy.load_file(path / WEIGHTS)
+        weights = safetensors.numpy.load_file(file)
         for name, array in weights.items():
             if array.dtype.kind not in "fiu":
                 raise ValueError(f"{name[:80]!r} is of type {array.dtype}")
-    except OSError as error:
-        reason = "missing" if isinstance(error, FileNotFoundError) else f"cannot be read ({error.strerror or error})"
-        raise ArtifactError(f"{path / WEIGHTS}: {reason}; copy the whole folder again") from None
     # Of bfloat16 and float8, which NumPy has not, safetensors says KeyError, AttributeError or TypeError.
-    except (safetensors.SafetensorError, ValueError, KeyError, AttributeError, TypeError, OverflowError) as error:
-        raise ArtifactError(f"{path / WEIGHTS}: truncated or damaged ({error}); copy it again") from None
+    except (
+        OSError,
+        safetensors.SafetensorError,
+        ValueError,
+        LookupError,
+        AttributeError,
+        TypeError,
+        OverflowError,
+    ) as error:
+        raise ArtifactError(f"{file}: truncated or damaged ({error}); copy it again") from None
     return description, weights
 
 
@@ -208,9 +210,7 @@ def read_json(file: Path) -> dict[str, Any]:
     """The object in a JSON file of softfin's."""
     try:
         description = json.loads(file.read_bytes())
-    except OSError as error:
-        raise ArtifactError(f"{file}: cannot be read ({error.strerror or error}); copy it again") from None
-    except (ValueError, RecursionError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ArtifactError(f"{file}: not readable as JSON ({error}); copy it again") from None
     if not isinstance(description, dict):
         raise ArtifactError(f"{file}: holds no object; it was not written by softfin")
@@ -240,35 +240,28 @@ def plain(value: Any) -> Any:
 
 def provenance(**metadata: Any) -> dict[str, Any]:
     """Where an artifact comes from: the given metadata, versions, git commit, time."""
+    versions: dict[str, str | None] = dict.fromkeys(("softfin", "jax", "numpy"))
+    for package in versions:
+        # Controllers run on computers without JAX.
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            versions[package] = importlib.metadata.version(package)
     return {
         **metadata,
-        "softfin": _version("softfin"),
-        "jax": _version("jax"),
-        "numpy": _version("numpy"),
+        **versions,
         "python": platform.python_version(),
         "git_commit": _git_commit(),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }
 
 
-def _version(package: str) -> str | None:
-    """None on a computer that runs controllers without it."""
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return None
-
-
 def _git_commit() -> str | None:
     """Return the commit of softfin's checkout, with ``+`` when it has uncommitted changes; None outside a checkout."""
-    # An environment inside somebody's repository is not a checkout of softfin: there git does not list this file.
-    listed = ("ls-files", "--error-unmatch", Path(__file__).name)
-    version = ("describe", "--always", "--dirty=+", "--abbrev=12", "--exclude=*")
-    try:
-        for words in (listed, version):
-            output = subprocess.check_output(
-                ["git", *words], cwd=Path(__file__).parent, stderr=subprocess.DEVNULL, text=True, timeout=5
-            )
-        return output.strip() or None
-    except (OSError, subprocess.SubprocessError):
+    checkout = Path(__file__).parents[3]
+    # An environment inside somebody's repository is not a checkout of softfin.
+    if not (checkout / ".git").exists():
         return None
+    command = ("git", "describe", "--always", "--dirty=+", "--abbrev=12", "--exclude=*")
+    with contextlib.suppress(OSError, subprocess.SubprocessError):
+        output = subprocess.check_output(command, cwd=checkout, stderr=subprocess.DEVNULL, text=True, timeout=5)
+        return output.strip() or None
+    return None

@@ -34,12 +34,21 @@ class Dataset:
     def open(cls, path: Path) -> "Dataset":
         """Open a folder; raises ArtifactError where it lacks logs or changed since it was written."""
         description = artifacts.load_description(path, "dataset")
-        hashes = _hash_files(path)
-        _check_files(path, description.get("files"), hashes)
-        train, test = (tuple(path / name for name in hashes if name.startswith(f"{part}/")) for part in PARTS)
+        found = _hash_files(path)
+        listed = description.get("files", found)
+        if not isinstance(listed, dict):
+            raise ArtifactError(f"{path / 'dataset.json'}: 'files' must map names to hashes; take it out to list none")
+        for name in sorted(listed.keys() | found.keys()):
+            if listed.get(name) != found.get(name):
+                what = "missing" if name not in found else "new" if name not in listed else "truncated or changed"
+                raise ArtifactError(
+                    f"{path / name}: {what} since dataset.json was written; copy the dataset again, or take 'files' "
+                    "out of its dataset.json to take the logs as they are"
+                )
+        train, test = (tuple(path / name for name in found if name.startswith(f"{part}/")) for part in PARTS)
         if not train:
             raise ArtifactError(f"{path}: holds no training logs; put Parquet logs into {path / 'train'}")
-        return cls(path, train, test, description, _hash_of(hashes))
+        return cls(path, train, test, description, _hash_of(found))
 
     def load(self, paths: Sequence[Path]) -> Iterator[Log]:
         """Read logs one by one; raises LogError for one that cannot be used for training."""
@@ -78,19 +87,4 @@ def _hash_files(path: Path) -> dict[str, str]:
 
 
 def _hash_of(hashes: dict[str, str]) -> str:
-    lines = "".join(f"{name} {digest}\n" for name, digest in hashes.items())
-    return hashlib.sha256(lines.encode()).hexdigest()
-
-
-def _check_files(path: Path, listed: Any, found: dict[str, str]) -> None:
-    if listed is None:
-        return
-    if not isinstance(listed, dict):
-        raise ArtifactError(f"{path / 'dataset.json'}: 'files' must map names to hashes; take it out to list nothing")
-    for name in sorted(listed.keys() | found.keys()):
-        if listed.get(name) != found.get(name):
-            what = "missing" if name not in found else "new" if name not in listed else "truncated or changed"
-            raise ArtifactError(
-                f"{path / name}: {what} since dataset.json was written; copy the dataset again, or take 'files' out of "
-                "its dataset.json to take the logs as they are"
-            )
+    return hashlib.sha256("".join(f"{name} {digest}\n" for name, digest in hashes.items()).encode()).hexdigest()

@@ -49,7 +49,7 @@ def styled() -> Any:
 
 
 def save_figure(figure: Figure, folder: Path, name: str, formats: tuple[str, ...] = ("svg", "png")) -> None:
-    """Write a figure as ``NAME.svg`` and ``NAME.png``; the same figure gives the same bytes."""
+    """Write a figure as ``NAME.svg`` and ``NAME.png``."""
     for kind in formats:
         artifacts.write_file(folder / f"{name}.{kind}", _render(figure, kind))
 

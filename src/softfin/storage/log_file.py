@@ -14,18 +14,10 @@ from softfin.core.errors import LogError
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Log, Reading
 from softfin.storage import artifact as artifacts
 
-SCHEMA = pa.schema(
-    [
-        # float64: a float32 resolves 10 ms no more after 36 hours, and the clock of a computer (1.7e9 s) not at all.
-        pa.field("time_s", pa.float64()),
-        pa.field("command_angle_rad", pa.float32()),
-        pa.field("command_velocity_rad_s", pa.float32()),
-        pa.field("angle_rad", pa.float32()),
-        pa.field("velocity_rad_s", pa.float32()),
-        pa.field("force_x_n", pa.float32()),
-        pa.field("force_y_n", pa.float32()),
-    ]
-)
+NUMBERS = ("command_angle_rad", "command_velocity_rad_s", "angle_rad", "velocity_rad_s", "force_x_n", "force_y_n")
+
+# float64: a float32 resolves 10 ms no more after 36 hours, and the clock of a computer (1.7e9 s) not at all.
+SCHEMA = pa.schema([pa.field("time_s", pa.float64()), *(pa.field(name, pa.float32()) for name in NUMBERS)])
 
 RATE_TOLERANCE = 0.01
 """Largest relative error of the mean rate."""
@@ -41,8 +33,7 @@ def write_log(path: Path, log: Log) -> None:
 def encode_log(log: Log, source: str) -> bytes:
     """The bytes of a log's file; raises LogError, under the name `source`, where `read_log` would refuse it."""
     command, reading = log
-    force = np.asarray(reading.force)
-    series = (reading.time, *command, reading.angle, reading.velocity, force[..., 0], force[..., 1])
+    series = (reading.time, *command, reading.angle, reading.velocity, *np.moveaxis(np.asarray(reading.force), -1, 0))
     columns = {
         field.name: np.asarray(values, field.type.to_pandas_dtype())
         for field, values in zip(SCHEMA, series, strict=True)
@@ -56,11 +47,20 @@ def encode_log(log: Log, source: str) -> bytes:
 
 def read_log(path: Path) -> Log:
     """Read a log as NumPy arrays; raises LogError naming file, row, column, value and what to do."""
-    columns = _read_columns(path)
+    table = read_parquet(path)
+    names = table.schema.names
+    missing = [name for name in SCHEMA.names if name not in names]
+    excess = [name for name in names if name not in SCHEMA.names or names.count(name) > 1]
+    for column, fix in [(missing, "is missing"), (excess, "must not be there, or only once")]:
+        if column:
+            raise LogError(f"{path}: column {column[0]!r} {fix}; it has {names}; a log has {', '.join(SCHEMA.names)}")
+    for field in SCHEMA:
+        if (kind := table.schema.field(field.name).type) != field.type:
+            raise LogError(f"{path}: column {field.name} is {kind}, must be {field.type}; cast it")
+    columns = {name: table.column(name).to_numpy() for name in SCHEMA.names}
     check_columns(columns, str(path))
-    command = Command(columns["command_angle_rad"], columns["command_velocity_rad_s"])
-    force = np.stack([columns["force_x_n"], columns["force_y_n"]], axis=1)
-    return Log(command, Reading(columns["time_s"], columns["angle_rad"], columns["velocity_rad_s"], force))
+    time, command_angle, command_velocity, angle, velocity, *force = columns.values()
+    return Log(Command(command_angle, command_velocity), Reading(time, angle, velocity, np.stack(force, axis=1)))
 
 
 def check_columns(columns: Columns, source: str) -> None:
@@ -83,14 +83,14 @@ def check_columns(columns: Columns, source: str) -> None:
             f"{source}: row {row}, column time_s: {time[row]:.4f} s repeats or precedes row {row - 1} "
             f"({time[row - 1]:.4f} s); remove repeated rows, sort by time_s"
         )
+    if not steps.size:
+        return
     uneven = np.flatnonzero(np.abs(steps - TICK_S) > 0.5 * TICK_S)
-    # The median first: at a wrong rate every step would be called a gap. A few rows with jitter show no mean rate.
-    rate = 1 / float(np.median(steps)) if steps.size else RATE_HZ
-    is_rate_right = 2 / 3 < rate * TICK_S < 2
-    if is_rate_right and not uneven.size and steps.size >= RATE_HZ:
-        rate = steps.size / float(time[-1] - time[0])
-        is_rate_right = abs(rate / RATE_HZ - 1) <= RATE_TOLERANCE
-    if not is_rate_right:
+    # The mean of a second or more without a gap; else the median: at a wrong rate every step would be called a gap.
+    is_steady = not uneven.size and steps.size >= RATE_HZ
+    rate = steps.size / float(time[-1] - time[0]) if is_steady else 1 / float(np.median(steps))
+    low, high = (1 - RATE_TOLERANCE, 1 + RATE_TOLERANCE) if is_steady else (2 / 3, 2)
+    if not low <= rate / RATE_HZ <= high:
         raise LogError(
             f"{source}: column time_s: {rate:.2f} Hz, must be {RATE_HZ} Hz; resample it, time_s is in seconds"
         )
@@ -114,22 +114,9 @@ def read_parquet(path: Path) -> pa.Table:
         # Arrow decodes the names of columns only when they are asked for.
         _ = table.schema.names
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        # Arrow's own errors are OSError too, without a reason of the system's.
         if isinstance(error, OSError) and error.strerror:
             raise LogError(f"{path}: cannot be read ({error.strerror}); give the path of a Parquet file") from None
-        reason = " ".join(str(error).split())[:500] or type(error).__name__
+        reason = " ".join(str(error).split())[:500]
         raise LogError(f"{path}: truncated, or not a Parquet file ({reason}); copy it again") from None
     return table
-
-
-def _read_columns(path: Path) -> Columns:
-    table = read_parquet(path)
-    names = table.schema.names
-    missing = [name for name in SCHEMA.names if name not in names]
-    excess = [name for name in names if name not in SCHEMA.names or names.count(name) > 1]
-    for column, fix in [(missing, "is missing"), (excess, "must not be there, or only once")]:
-        if column:
-            raise LogError(f"{path}: column {column[0]!r} {fix}; it has {names}; a log has {', '.join(SCHEMA.names)}")
-    for field in SCHEMA:
-        if (kind := table.schema.field(field.name).type) != field.type:
-            raise LogError(f"{path}: column {field.name} is {kind}, must be {field.type}; cast it")
-    return {name: table.column(name).to_numpy() for name in SCHEMA.names}

@@ -3,9 +3,8 @@
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal
 
-from softfin.core.errors import ArtifactError, ConfigurationError, LogError, RigError, SoftfinError
+from softfin.core.errors import ConfigurationError, LogError, SoftfinError
 from softfin.storage import artifact as artifacts
 
 CSV = (".csv", ".tsv", ".txt")
@@ -16,12 +15,7 @@ PARTS = {"train": 4, "test": 3}
 VIEWS = (".gif", ".mp4", ".html", ".png")
 """What a view is written as."""
 
-RIG_FILE, ROS2_FILE = Path("rig.yaml"), Path("ros2.yaml")
-
-RIG_HINTS = {
-    "rig": "docs/rig.md has one with comments, and softfin rig emulate writes one of its own",
-    "ros2": "docs/rig.md has one with comments",
-}
+RIG_FILE = Path("rig.yaml")
 
 
 def check_readable(
@@ -68,17 +62,8 @@ def is_bag(path: Path) -> bool:
 
 def check_monitored(path: Path) -> None:
     """Raise LogError where there is no recording to follow."""
-    if path.is_file() or path.is_dir():
-        return
-    what = "neither a file nor a folder" if path.exists() else "not there"
-    raise LogError(f"{path}: {what}; give a bag (.mcap), or the folder that bags are written to")
-
-
-def check_recoverable(path: Path) -> None:
-    """Raise LogError unless there is a file that may hold a damaged bag."""
-    if path.is_dir():
-        raise LogError(f"{path}: a folder; give the .mcap file that is in it")
-    check_readable(path, LogError, "; give the path of a .mcap file")
+    if not path.is_file() and not path.is_dir():
+        raise LogError(f"{path}: no such file or folder; give a bag (.mcap), or the folder that bags are written to")
 
 
 def check_reference_file(path: Path) -> None:
@@ -92,38 +77,16 @@ def check_view(path: Path, overwrite: bool) -> None:
     """Raise unless a film or a page may be written at `path`."""
     if path.suffix not in VIEWS:
         raise ConfigurationError(f"--out {path}: a view is written as {', '.join(VIEWS)}; name it so")
-    if path.is_dir():
-        raise ArtifactError(f"{path}: is a folder; give another --out")
-    if path.exists() and not overwrite:
-        raise ArtifactError(f"{path}: exists already; give another --out, or --overwrite to replace it")
+    artifacts.check_file(path, overwrite)
     if path.suffix == ".mp4":
         find_ffmpeg(path)
-    artifacts.check_writable(path)
 
 
 def find_ffmpeg(path: Path) -> str:
     """The program that writes the film `path`; raises ConfigurationError where there is none."""
-    program = shutil.which("ffmpeg")
-    if program is None:
-        raise ConfigurationError(
-            f"{path}: MP4 takes the program ffmpeg, which is not on PATH; install it, or write --out "
-            f"{path.with_suffix('.gif').name} or {path.with_suffix('.html').name}"
-        )
-    return program
-
-
-def check_onnx(path: Path, overwrite: bool) -> None:
-    """Raise ArtifactError unless a model may be written at `path`."""
-    if path.exists() and not (overwrite and path.is_file()):
-        what = "exists already; give another --onnx, or --overwrite to replace it"
-        raise ArtifactError(f"{path}: {what if path.is_file() else 'exists and is not a file; give another --onnx'}")
-    artifacts.check_writable(path)
-
-
-def find_rig_file(kind: Literal["rig", "ros2"], path: Path | None) -> Path:
-    """The file of a rig, by default the one in the working folder; raises RigError where there is none."""
-    path = path or (RIG_FILE if kind == "rig" else ROS2_FILE)
-    if not path.exists():
-        raise RigError(f"{path}: no such file; {RIG_HINTS[kind]}")
-    check_readable(path, RigError)
-    return path
+    if program := shutil.which("ffmpeg"):
+        return program
+    raise ConfigurationError(
+        f"{path}: MP4 takes the program ffmpeg, which is not on PATH; install it, or write --out "
+        f"{path.with_suffix('.gif').name} or {path.with_suffix('.html').name}"
+    )

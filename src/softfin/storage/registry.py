@@ -6,15 +6,16 @@ folder that is called as a plant is written ``./tank``. JAX is imported only whe
 
 import importlib
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 from softfin.core.errors import PlantError
 from softfin.storage import artifact as artifacts
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from softfin.core.plant import Plant
 
 TANK = "tank"
@@ -28,9 +29,6 @@ HELP = (
     "package.module:plant (one's own simulator)"
 )
 
-PlantKind: TypeAlias = Literal["tank", "tank file", "surrogate", "object"]
-"""The virtual tank, the tank of a YAML file, the surrogate in a folder, or an object of a Python module."""
-
 
 def is_live(name: str) -> bool:
     """Whether `name` stands for a fin that moves in real time."""
@@ -42,23 +40,22 @@ def is_surrogate(name: str) -> bool:
     return name != TANK and not is_live(name) and artifacts.is_kind(Path(name), "surrogate")
 
 
-def resolve_plant(name: str) -> PlantKind:
-    """Return the kind of plant that `name` stands for; raises PlantError that lists what there is."""
+def resolve_plant(name: str) -> "Callable[[], Plant]":
+    """Return what builds the plant that `name` stands for; raises PlantError that lists what there is."""
     path = Path(name)
+    # Surrogates and tanks are rooms above this one, found by their names.
     if is_live(name):
         folder = f"; the folder of this name is ./{name}" if path.exists() else ""
         raise PlantError(
             f"plant {name}: moves in real time and cannot be simulated; collect, evaluate and run take it{folder}"
         )
-    if name == TANK:
-        return "tank"
-    if path.suffix in (".yaml", ".yml") and path.is_file():
-        return "tank file"
+    if name == TANK or (path.suffix in (".yaml", ".yml") and path.is_file()):
+        return partial(_build_tank, name)
     if artifacts.is_kind(path, "surrogate"):
-        return "surrogate"
+        return lambda: importlib.import_module("softfin.surrogate").load_surrogate(path)
     if ":" in name and not path.exists():
         _import_object(name)
-        return "object"
+        return partial(_import_object, name, build=True)
     what = "holds no surrogate.json" if path.is_dir() else "is not a YAML file" if path.exists() else "does not exist"
     raise PlantError(f"plant {name}: unknown ({what}); give {HELP}")
 
@@ -67,18 +64,7 @@ def find_plant(name: str) -> "Plant":
     """Build or load the plant that `name` stands for; raises PlantError that lists what there is."""
     from softfin.core.quantities import Limits
 
-    kind, path = resolve_plant(name), Path(name)
-    # Surrogates and tanks are rooms above this one, found by their names.
-    plant: Plant
-    if kind == "object":
-        plant = _build_object(name)
-    elif kind == "surrogate":
-        plant = importlib.import_module("softfin.surrogate").load_surrogate(path)
-    else:
-        from softfin.core.configuration import read_yaml
-
-        tank = importlib.import_module("softfin.tank")
-        plant = tank.Tank(tank.TankConfig.build({} if kind == "tank" else read_yaml(path), name))
+    plant = resolve_plant(name)()
     try:
         problem = Limits(*map(float, plant.limits)).problem()
     except (TypeError, ValueError) as error:
@@ -88,44 +74,36 @@ def find_plant(name: str) -> "Plant":
     return plant
 
 
-def _build_object(name: str) -> Any:
-    """Return the plant that the user's module holds under that name: itself, or what its class or function makes."""
-    from softfin.core.plant import Plant
+def _build_tank(name: str) -> Any:
+    from softfin.core.configuration import read_yaml
 
-    plant = _import_object(name)
-    if isinstance(plant, type) or (callable(plant) and not isinstance(plant, Plant)):
-        with _running_user_code(name):
+    tank = importlib.import_module("softfin.tank")
+    return tank.Tank(tank.TankConfig.build({} if name == TANK else read_yaml(Path(name)), name))
+
+
+def _import_object(name: str, build: bool = False) -> Any:
+    """Import what ``package.module:attribute`` names; with `build` return the plant: itself, or what a call makes."""
+    module, _, attribute = name.partition(":")
+    # As `python -m` does: one's own simulator mostly lies in the folder where one works.
+    here = str(Path.cwd())
+    sys.path.insert(0, here)
+    try:
+        plant = getattr(importlib.import_module(module), attribute)
+        if not build:
+            return plant
+        from softfin.core.plant import Plant
+
+        if isinstance(plant, type) or (callable(plant) and not isinstance(plant, Plant)):
             plant = plant()
+    except Exception as error:
+        # The user's code may raise anything.
+        reason = " ".join(str(error).split())
+        raise PlantError(f"plant {name}: {type(error).__name__}: {reason}; give {HELP}") from error
+    finally:
+        sys.path.remove(here)
     if not isinstance(plant, Plant):
         raise PlantError(
             f"plant {name}: a {type(plant).__name__} is not a plant, which has limits, init and advance; "
             "softfin.testing.check_plant says what is missing"
         )
     return plant
-
-
-def _import_object(name: str) -> Any:
-    """Import what ``package.module:attribute`` names."""
-    module, _, attribute = name.partition(":")
-    with _running_user_code(name):
-        imported = importlib.import_module(module)
-        if not hasattr(imported, attribute):
-            raise PlantError(f"plant {name}: module {module} has no {attribute!r}; give {HELP}")
-        return getattr(imported, attribute)
-
-
-@contextmanager
-def _running_user_code(name: str) -> Iterator[None]:
-    """Run code of the user's plant `name`: the working folder is on the path, all errors become PlantError."""
-    # As `python -m` does: one's own simulator mostly lies in the folder where one works.
-    here = str(Path.cwd())
-    sys.path.insert(0, here)
-    try:
-        yield
-    except PlantError:
-        raise
-    except Exception as error:
-        reason = " ".join(str(error).split())
-        raise PlantError(f"plant {name}: {type(error).__name__}: {reason}; give {HELP}") from error
-    finally:
-        sys.path.remove(here)

@@ -35,22 +35,16 @@ class RunDirectory:
     def __init__(self, out: Path, fingerprint: dict[str, Any], resume: bool = False, overwrite: bool = False) -> None:
         """Claim ``.NAME.unfinished`` beside `out`: taken over with `resume`, emptied with `overwrite`.
 
-        Args:
-            out: where the finished artifact will stand.
-            fingerprint: what must be the same for a resumed run to be the same run: configuration, data, seed.
-            resume: go on from the checkpoint that is there, if one is; of a run that is `complete` nothing is left to
-                do.
-            overwrite: drop unfinished work.
-
-        Raises:
-            ArtifactError: unfinished work is there and neither was asked for, or it, or a part of it, is that of
-                another run.
+        The fingerprint, of configuration, data and seed, tells one run from another. Raises ArtifactError where neither
+        was asked for, or where unfinished work, or a part of it, is that of another run.
         """
         self.folder = out.absolute().with_name(f".{out.absolute().name}.unfinished")
         self.fingerprint = json.loads(artifacts.dump_json(fingerprint))
-        self.complete = resume and not overwrite and self._is_complete(out / TRAINING_LOG / RUN)
+        finished = out / TRAINING_LOG / RUN
+        self.complete = resume and not overwrite and finished.is_file()
         """Whether the finished artifact of this very run stands at `out`."""
         if self.complete:
+            self._check_same(out, artifacts.read_json(finished))
             return
         artifacts.check_vacant(out, overwrite)
         # Also those of parts.
@@ -73,28 +67,25 @@ class RunDirectory:
 
     def save(self, tree: Any, metadata: dict[str, Any]) -> None:
         """Replace the checkpoint."""
-        leaves = {name: np.asarray(leaf) for name, leaf in _named(tree)[0].items()}
-        whole = {"software": _software(), "fingerprint": self.fingerprint, **metadata}
-        artifacts.write_file(self.folder / CHECKPOINT, artifacts.encode(leaves, {"facts": json.dumps(whole)}))
+        facts = json.dumps({"software": _software(), "fingerprint": self.fingerprint, **metadata})
+        artifacts.write_file(self.folder / CHECKPOINT, artifacts.encode(_named(tree)[0], {"facts": facts}))
 
     def load(self, like: Tree) -> tuple[Tree, dict[str, Any]] | None:
-        """The last checkpoint, in the structure of `like`; None where there is none yet.
-
-        Raises:
-            ArtifactError: a leaf is missing, odd, or of another shape or type than in `like`.
-        """
+        """The last checkpoint, in the structure of `like`, else an ArtifactError; None where there is none yet."""
         path = self.folder / CHECKPOINT
         if not path.exists():
             return None
         arrays, metadata = self._read(path)
         expected, structure = _named(like)
-        for name in sorted(arrays.keys() | expected.keys()):
-            there, here = _kind(arrays.get(name)), _kind(expected.get(name))
-            if there != here:
-                raise ArtifactError(
-                    f"{path}: does not fit this training state ({name} is {there} there and {here} here); start anew "
-                    "with --overwrite"
-                )
+        there, here = (
+            {name: f"{np.asarray(leaf).dtype} {np.shape(leaf)}" for name, leaf in leaves.items()}
+            for leaves in (arrays, expected)
+        )
+        for name in sorted(there | here):
+            if there.get(name) != here.get(name):
+                both = f"{there.get(name, 'missing')} there and {here.get(name, 'missing')} here"
+                raise ArtifactError(f"{path}: does not fit this training state ({name} is {both}); start anew with "
+                                    "--overwrite")  # fmt: skip
         return jax.tree.unflatten(structure, [jnp.asarray(arrays[name]) for name in expected]), metadata
 
     def _read(self, path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
@@ -110,27 +101,28 @@ class RunDirectory:
             raise ArtifactError(
                 f"{path}: was written by {software}, and this is {_software()}; resume with that, or --overwrite"
             )
-        if before != self.fingerprint:
-            differing = _differences(before, self.fingerprint)
-            raise ArtifactError(
-                f"{path}: is of another run ({differing}); resume with the same options, or --overwrite"
-            )
+        self._check_same(path, before)
         return arrays, metadata
+
+    def _check_same(self, path: Path, before: dict[str, Any]) -> None:
+        """Raise ArtifactError unless what was found at a path has the fingerprint of this run."""
+        if before != self.fingerprint:
+            was, now = (
+                {
+                    jax.tree_util.keystr(key, simple=True, separator="."): value
+                    for key, value in jax.tree.leaves_with_path(one)
+                }
+                for one in (before, self.fingerprint)
+            )
+            names = [name for name in sorted(was | now) if was.get(name) != now.get(name)]
+            differing = ", ".join(f"{name} was {was.get(name)!r} and is {now.get(name)!r}" for name in names[:3])
+            raise ArtifactError(
+                f"{path}: is of another run ({differing}); give the same options, another --out, or --overwrite"
+            )
 
     def log(self, rewind_to: int | None = None) -> "RunLog":
         """The training log; on resuming, entries beyond step `rewind_to` are dropped, because they will come again."""
-        self.folder.mkdir(parents=True, exist_ok=True)
         return RunLog(self.folder, rewind_to)
-
-    def _is_complete(self, file: Path) -> bool:
-        if not file.is_file():
-            return False
-        if (before := artifacts.read_json(file)) != self.fingerprint:
-            raise ArtifactError(
-                f"{file.parents[1]}: is complete, of another run ({_differences(before, self.fingerprint)}); give the "
-                "same options, another --out, or --overwrite"
-            )
-        return True
 
     def keep_log(self, artifact: Path) -> None:
         """Copy the training log, and those of parts, into a finished artifact, and say there of which run it is."""
@@ -156,10 +148,10 @@ class RunLog:
         from tensorboardX import SummaryWriter
 
         self.path = folder / LOG
-        kept = [entry for entry in read_log(self.path) if rewind_to is not None and entry["step"] <= rewind_to]
+        last = -1 if rewind_to is None else rewind_to
+        kept = [entry for entry in read_log(self.path) if entry["step"] <= last]
         artifacts.write_file(self.path, "".join(json.dumps(entry) + "\n" for entry in kept))
-        purge = None if rewind_to is None else rewind_to + 1
-        self._writer = SummaryWriter(str(folder), purge_step=purge, filename_suffix=".softfin")
+        self._writer = SummaryWriter(str(folder), purge_step=last + 1, filename_suffix=".softfin")
 
     def write(self, step: int, **scalars: float) -> None:
         """Append the scalars of one step; those that are not finite as null."""
@@ -168,9 +160,7 @@ class RunLog:
             with self.path.open("a") as file:
                 file.write(json.dumps(entry, allow_nan=False) + "\n")
         except OSError as error:
-            raise RunError(
-                f"{self.path}: cannot be written ({error.strerror or error}); make room and --resume"
-            ) from None
+            raise RunError(f"{self.path}: cannot be written ({error.strerror}); make room and --resume") from None
         for name, value in scalars.items():
             self._writer.add_scalar(name, float(value), step)
 
@@ -181,15 +171,8 @@ class RunLog:
 
 def read_log(path: Path) -> list[dict[str, Any]]:
     """The entries of a ``log.jsonl``; a last line that a kill cut short is left out."""
-    if not path.is_file():
-        return []
-    entries = []
-    for line in path.read_text().splitlines():
-        try:
-            entries.append(json.loads(line))
-        except ValueError:
-            break
-    return entries
+    lines = path.read_text().splitlines() if path.is_file() else []
+    return [json.loads(line) for line in lines if line.endswith("}")]
 
 
 def _software() -> str:
@@ -201,20 +184,3 @@ def _named(tree: Any) -> tuple[dict[str, Any], Any]:
     """The leaves by their paths, such as ``tree.lanes.policy.net.lstm.kernel``, in the order of the structure."""
     paths, structure = jax.tree_util.tree_flatten_with_path(tree)
     return {f"tree{jax.tree_util.keystr(path)}": leaf for path, leaf in paths}, structure
-
-
-def _kind(leaf: Any) -> str:
-    return "missing" if leaf is None else f"{np.asarray(leaf).dtype} {np.shape(leaf)}"
-
-
-def _differences(before: dict[str, Any], now: dict[str, Any]) -> str:
-    flat_before, flat_now = _flat(before), _flat(now)
-    names = [n for n in sorted(flat_before | flat_now) if flat_before.get(n) != flat_now.get(n)]
-    return ", ".join(f"{n} was {flat_before.get(n)!r} and is {flat_now.get(n)!r}" for n in names[:3])
-
-
-def _flat(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in tree.items():
-        flat.update(_flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value})
-    return flat

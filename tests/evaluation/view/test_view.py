@@ -98,7 +98,7 @@ def test_the_stage_writes_a_gif_with_the_frames_that_it_tells(tmp_path):
         (["--out", "fin.avi"], "--out fin.avi: a view is written as .gif, .mp4, .html, .png; name it so"),
         (["--out", "fin"], "a view is written as .gif"),
         (["--out", "there.html"], "there.html: exists already; give another --out, or --overwrite to replace it"),
-        (["--out", "folder.gif", "--overwrite"], "folder.gif: is a folder; give another --out"),
+        (["--out", "folder.gif", "--overwrite"], "folder.gif: exists and is not a file; give another --out"),
         (["--out", "fin.mp4"], "ffmpeg, which is not on PATH"),
         (["--out", "fin.gif", "--plant", "pool"], "plant pool: unknown (does not exist)"),
         (["--out", "fin.gif", "--seconds", "0"], "seconds = 0.0: Input should be greater than or equal to 0.1"),

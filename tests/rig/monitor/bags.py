@@ -2,7 +2,7 @@
 
 import io
 
-from softfin.storage.bag.messages import COMMAND, CURRENT, EVENTS, JOINT, REFERENCE, WRENCH, BagWriter, Row
+from softfin.storage.bag.messages import COMMAND, CURRENT, EVENTS, JOINT, REFERENCE, WRENCH, BagWriter
 
 START_NS = 1_700_000_000 * 10**9
 
@@ -22,16 +22,16 @@ class Recording:
 
     def chunk(self, ticks, force=(1.0, -0.5), reference=None, event=None):
         if reference is not None:
-            self.bag.write(Row(REFERENCE, self.at(self.tick), (*reference, 0.0, 0.0, 0.0, 0.0)))
+            self.bag.write(REFERENCE, self.at(self.tick), (*reference, 0.0, 0.0, 0.0, 0.0))
         if event is not None:
-            self.bag.write(Row(EVENTS, self.at(self.tick), event))
+            self.bag.write(EVENTS, self.at(self.tick), event)
         for _ in range(ticks):
             now = self.at(self.tick)
             if self.tick % 33 == 0:
-                self.bag.write(Row(COMMAND, now, (0.5, 2.0)))
-            self.bag.write(Row(JOINT, now, (0.001 * self.tick, 0.1)))
-            self.bag.write(Row(CURRENT, now, (0.25,)))
-            self.bag.write(Row(WRENCH, now, (*force, 0.0, 0.0, 0.0, 0.0)))
+                self.bag.write(COMMAND, now, (0.5, 2.0))
+            self.bag.write(JOINT, now, (0.001 * self.tick, 0.1))
+            self.bag.write(CURRENT, now, (0.25,))
+            self.bag.write(WRENCH, now, (*force, 0.0, 0.0, 0.0, 0.0))
             self.tick += 1
         self.bag.flush()
         self.ends.append(len(self.stream.getvalue()))

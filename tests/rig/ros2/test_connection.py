@@ -5,9 +5,84 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softfin.rig.ros2.connection import CREEP, StampClock, Stamped, Subscription
-from softfin.rig.ros2.messages import JOINT, WRENCH, Messages, joint_of, wrench_of
-from tests.rig.ros2_memory import MemoryTransport
+from softfin.rig.ros2.connection import (
+    BOOL,
+    CREEP,
+    VECTOR,
+    StampClock,
+    Stamped,
+    Subscription,
+    decode,
+    joint_of,
+    reference_of,
+    stamp_of,
+    wrench_of,
+)
+from softfin.storage.bag.messages import cdr
+from tests.rig.ros2_memory import JOINT, WRENCH, MemoryTransport, Messages
+
+MESSAGES = Messages()
+numbers = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@given(numbers, numbers, st.integers(1, 2**31 * 10**9 - 1), st.text(max_size=5))
+def test_a_joint_comes_back_as_it_went(angle, velocity, stamp, frame):
+    frame = frame.replace("\0", "")
+    message = decode(cdr(JOINT, stamp, (angle, velocity), frame), JOINT)
+    assert joint_of(message, "fin") == (angle, velocity)
+    assert stamp_of(message) == stamp
+    assert message.header.frame_id == frame
+
+
+@given(st.tuples(*[numbers] * 6))
+def test_a_wrench_comes_back_as_it_went(wrench):
+    message = decode(cdr(WRENCH, 1, wrench, ""), WRENCH)
+    assert wrench_of(message) == wrench
+
+
+@given(st.binary(max_size=300), st.sampled_from([JOINT, WRENCH, VECTOR, BOOL]))
+def test_any_bytes_are_a_message_or_refused(data, kind):
+    told = kind
+    try:
+        decode(data, kind)
+    except ValueError as error:
+        told = str(error)
+    assert kind in told
+    assert "\n" not in told
+
+
+def test_a_joint_among_others_is_found_by_its_name():
+    message = MESSAGES.joint(1, "", "fin", 1.0, 2.0)
+    message.name, message.position, message.velocity = ["a", "fin"], np.array([0.0, 3.0]), np.zeros(0)
+    assert joint_of(message, "fin") == (3.0, None)
+    with pytest.raises(ValueError, match=r"no joint 'tail' in it; it has 'a', 'fin'"):
+        joint_of(message, "tail")
+    message.position = np.zeros(1)
+    with pytest.raises(ValueError, match="2 names, 1 positions"):
+        joint_of(message, "fin")
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf")])
+def test_what_is_no_number_is_refused(bad):
+    with pytest.raises(ValueError, match="velocity is"):
+        joint_of(MESSAGES.joint(1, "", "fin", 0.0, bad), "fin")
+    for index in range(6):
+        wrench = [0.0] * 6
+        wrench[index] = bad
+        with pytest.raises(ValueError, match=r"(force|torque) [xyz] is"):
+            wrench_of(MESSAGES.wrench(1, "", tuple(wrench)))
+    with pytest.raises(ValueError, match="y is"):
+        reference_of(MESSAGES.wrench(1, "", (0.0, bad, 0.0, 0.0, 0.0, 0.0)), "fin_mount")
+
+
+def test_references_are_of_both_types_and_of_our_frame():
+    wrench = MESSAGES.wrench(1, "fin_mount", (1.0, -2.0, 9.0, 9.0, 9.0, 9.0))
+    vector = MESSAGES.make(VECTOR, MESSAGES.header(1, ""), MESSAGES.make("geometry_msgs/msg/Vector3", 3.0, 4.0, 0.0))
+    assert reference_of(wrench, "fin_mount") == (1.0, -2.0)
+    assert reference_of(vector, "fin_mount") == (3.0, 4.0)
+    with pytest.raises(ValueError, match="in the frame 'fin_mount'; this node's is 'base'"):
+        reference_of(wrench, "base")
+
 
 START = 1_700_000_000 * 10**9
 
@@ -49,9 +124,7 @@ def test_messages_without_stamps_count_from_when_they_come():
 
 def test_what_cannot_be_used_is_counted_and_told_until_the_next_that_can():
     transport, messages = MemoryTransport(), Messages()
-    subscription = Subscription(
-        transport, messages, "/joint", JOINT, lambda message: joint_of(message, "fin"), best_effort=True
-    )
+    subscription = Subscription(transport, "/joint", JOINT, lambda message: joint_of(message, "fin"), best_effort=True)
     assert transport.asked == {"/joint": (JOINT, True)}
     transport.put("/joint", messages.joint(START, "", "fin", 1.0, 2.0), 5.0)
     transport.put("/joint", messages.joint(START, "", "fin", 1.0, 2.0), 5.0)
@@ -72,7 +145,7 @@ def test_damaged_messages_are_told_or_refused_and_nothing_else():
     kinds = {JOINT: lambda message: joint_of(message, "fin"), WRENCH: wrench_of}
     whole = {JOINT: messages.joint(START, "fin_mount", "fin", 1.0, 2.0),
              WRENCH: messages.wrench(START, "fin_mount", (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))}  # fmt: skip
-    subscriptions = [Subscription(transport, messages, f"/{kind}", kind, value) for kind, value in kinds.items()]
+    subscriptions = [Subscription(transport, f"/{kind}", kind, value) for kind, value in kinds.items()]
     for case in range(cases):
         subscription = subscriptions[case % 2]
         data = bytearray(messages.encode(whole[subscription.kind]))

@@ -2,9 +2,10 @@ import pytest
 
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.rig.machine import Target
-from softfin.rig.ros2.flipper import FlipperCommands, FlipperConfig
-from softfin.rig.ros2.messages import Messages
-from tests.rig.ros2_memory import MemoryTransport
+from softfin.rig.ros2.config import FlipperConfig
+from softfin.rig.ros2.flipper import define_types, encode_flipper
+from softfin.rig.ros2.plant import Commands
+from softfin.rig.ros2.transport import Publisher
 
 DEFINITIONS = {
     "own/msg/Flipper": "float32 frequency\nfloat32 amplitude\nfloat32 zero_direction\nstring name\nbool on\n",
@@ -13,12 +14,9 @@ DEFINITIONS = {
 
 
 def encoded(**changes):
-    config = FlipperConfig.build({"type": "own/Flippers", "definitions": DEFINITIONS} | changes)
-    transport = MemoryTransport()
-    transport.messages = Messages(config.definitions)
-    commands = FlipperCommands(transport, transport.messages, "/flippers", config)
-    commands.send(Target(0.5, 1.0), 0.5, 3.0)
-    return transport.sent["/flippers"][0]
+    config = FlipperConfig.build({"type": "own/msg/Flippers", "definitions": DEFINITIONS} | changes)
+    types = define_types(config.definitions)
+    return types.deserialize_cdr(encode_flipper(config, types, 0.5), config.type)
 
 
 def test_fields_are_found_by_their_path_and_sequences_grow():
@@ -40,32 +38,43 @@ def test_numbers_in_sequences_and_arrays_are_fields_too():
 @pytest.mark.parametrize(
     "way",
     ["flippers.0.zero", "pair.2", "flippers.x.amplitude", "flippers.0", "angles", "flippers.0.name",
-     "flippers.0.name.1", "__class__", "flippers.9999.amplitude", "flippers.-1.amplitude", ""],
+     "flippers.0.name.1", "__class__", "flippers.-1.amplitude", ""],
 )  # fmt: skip
 def test_a_field_that_is_not_there_is_told_before_anything_is_sent(way):
-    with pytest.raises(RigError, match=f"flipper field '{way}' of own/msg/Flippers: no field that takes 0.0; .* two"):
+    with pytest.raises(RigError, match=r"flipper: no own/msg/Flippers can be made .*, as flippers\.2\.amplitude"):
         encoded(zero_direction=way, amplitude="pair.0")
 
 
 def test_a_constant_that_a_field_cannot_hold_is_told():
-    with pytest.raises(RigError, match="cannot hold these values"):
+    with pytest.raises(RigError, match="no own/msg/Flippers can be made"):
         encoded(zero_direction="angles.0", amplitude="pair.0", constants={"header.stamp.sec": 1e30})
 
 
 def test_a_type_that_is_none_is_a_wrong_configuration():
-    with pytest.raises(ConfigurationError, match="is not a message type"):
+    with pytest.raises(ConfigurationError, match=r"type = 'Flipper'.*/msg/"):
         FlipperConfig.build({"type": "Flipper"})
 
 
+@pytest.mark.parametrize("text", ["float64", "= 3"])
+def test_a_definition_that_is_none_is_told_in_one_line(text):
+    with pytest.raises(RigError, match=r"message own/msg/Bad: its definition cannot be used .*\.msg") as error:
+        define_types({"own/msg/Bad": text})
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("field", ["Part[] missing", "Part missing", "float65 a", "wstring wide"])
+def test_a_field_of_an_unknown_type_is_told_before_anything_is_sent(field):
+    definitions = {"own/msg/Bad": f"{field}\nfloat64 zero_direction\nfloat64 amplitude\n"}
+    with pytest.raises(RigError, match=r"no own/msg/Bad can be made .*\.msg text of each type") as error:
+        encoded(type="own/msg/Bad", definitions=definitions)
+    assert "\n" not in str(error.value)
+
+
 def test_late_ticks_are_not_made_up_for():
-    transport = MemoryTransport()
-    config = FlipperConfig.build({"type": "own/Flippers", "definitions": DEFINITIONS,
-                                  "zero_direction": "angles.0", "amplitude": "pair.0"})  # fmt: skip
-    transport.messages = Messages(config.definitions)
-    commands = FlipperCommands(transport, transport.messages, "/flippers", config)
+    sent = []
+    commands = Commands(Publisher(sent.append, lambda: 1), lambda _, angle: angle, 0.05)
     commands.tick(0.0)
     commands.send(Target(1.0, 1.0), 0.0, 0.0)
     for now in (0.04, 0.33, 0.34, 0.36):
         commands.tick(now)
-    angles = [message.angles[0] for message in transport.sent["/flippers"]]
-    assert angles == [0.0, 0.33, 0.36]
+    assert sent == [0.0, 0.33, 0.36]

@@ -1,3 +1,4 @@
+import functools
 import math
 
 import pytest
@@ -5,7 +6,7 @@ import pytest
 from softfin.core.errors import ConfigurationError
 from softfin.rig.machine import Sample, Target
 from softfin.rig.ros2.config import NodeConfig
-from softfin.rig.ros2.messages import VECTOR
+from softfin.rig.ros2.connection import VECTOR
 from softfin.rig.ros2.node import RosNode
 from softfin.rig.stop import StopRequest
 from tests.rig.ros2_memory import MemoryTransport
@@ -55,10 +56,8 @@ def test_the_newest_reference_counts_and_an_old_one_does_not():
     assert node.node.reference() is None
     assert node.node.reference() is None
     assert node.told == ["/fin/reference: no reference for 0.5 s: the last one does not count any more"]
-    asked = node.node.references((0.25, 0.75))
-    assert asked(1.0) == (0.25, 0.75)
     node.ask(3.0, 0.0)
-    assert asked(2.0) == (3.0, 0.0)
+    assert node.node.reference() == (3.0, 0.0)
 
 
 def test_without_a_timeout_the_newest_is_obeyed_for_ever():
@@ -117,7 +116,7 @@ def test_a_stop_that_cannot_be_read_stops_too():
 
 def test_a_session_hears_of_the_stop_through_its_observer():
     node, request = Node(), StopRequest()
-    observe = node.node.observer(request)
+    observe = functools.partial(node.node.observe, request)
     observe(SAMPLE, None)
     assert request.trip is None
     node.stop()

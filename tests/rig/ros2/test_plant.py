@@ -7,7 +7,7 @@ from softfin.core.errors import CommandError, ConfigurationError, DeviceError, R
 from softfin.rig.machine import Machine, Target
 from softfin.rig.ros2.config import Ros2PlantConfig
 from softfin.rig.ros2.plant import Ros2Machine
-from tests.rig.ros2_memory import MemoryTransport
+from tests.rig.ros2_memory import MemoryTransport, Messages
 
 START = 1_700_000_000 * 10**9
 
@@ -30,13 +30,13 @@ class Rig:
         self.now = 10.0
         self.transport = MemoryTransport(lambda: self.now)
         self.machine = Ros2Machine(
-            Ros2PlantConfig.build(CONFIG | changes), lambda: self.now, lambda config, messages: self._with(messages)
+            Ros2PlantConfig.build(CONFIG | changes), lambda: self.now, lambda config, types: self._with(types)
         )
         self.stamp = START
         self.say()
 
-    def _with(self, messages):
-        self.transport.messages = messages
+    def _with(self, types):
+        self.transport.messages = Messages(types=types)
         return self.transport
 
     def say(self, angle=0.25, velocity=0.5, wrench=(1.0, 2.0, 3.0, 4.0, 5.0, 6.0)):
@@ -288,5 +288,5 @@ def test_a_flipper_follows_the_command_at_its_velocity_twenty_times_a_second():
 
 
 def test_a_flipper_that_has_no_such_message_is_told_on_opening():
-    with pytest.raises(RigError, match=r"flipper.type = own/msg/Flipper: ROS 2 has no such message"):
-        Rig(flipper={"type": "own/Flipper"}).machine.open()
+    with pytest.raises(RigError, match=r"flipper: no own/msg/Flipper can be made .*; give the .msg text of each type"):
+        Rig(flipper={"type": "own/msg/Flipper"}).machine.open()

@@ -9,10 +9,10 @@ import pytest
 
 from softfin.core.errors import DeviceError, RigError
 from softfin.rig.ros2.config import NodeConfig, TransportConfig
-from softfin.rig.ros2.connection import open_transport
-from softfin.rig.ros2.messages import BOOL, JOINT, Messages
+from softfin.rig.ros2.connection import BOOL, open_transport
 from softfin.rig.ros2.node import RosNode
 from softfin.rig.ros2.transport import Transport
+from tests.rig.ros2_memory import JOINT
 
 
 class Rclpy:
@@ -102,7 +102,7 @@ def rclpy(monkeypatch):
 
 @pytest.fixture
 def transport(rclpy):
-    opened = open_transport(TransportConfig(domain=5, node="tail"), Messages())
+    opened = open_transport(TransportConfig(domain=5, node="tail"))
     assert rclpy.spinning.wait(10)
     yield opened
     opened.close()
@@ -128,7 +128,7 @@ def test_messages_go_out_and_come_in_as_bytes(rclpy, transport):
         rclpy.subscriptions["/stop"](bytes([index]))
     taken = take()
     assert [data[0] for data, _ in taken] == list(range(2, 12)), "ten are kept, the newest"
-    assert before <= taken[0].time <= taken[-1].time <= time.monotonic()
+    assert before <= taken[0][1] <= taken[-1][1] <= time.monotonic()
     assert take() == []
 
 
@@ -165,7 +165,7 @@ def test_a_thread_that_failed_is_told_to_who_reads(rclpy, transport):
 def test_an_installation_that_does_not_start_is_told_in_one_line(rclpy):
     rclpy.fails = "failed to load\nlibrmw"
     with pytest.raises(RigError, match=r"rclpy cannot be used \(failed to load librmw\); use transport: dds"):
-        open_transport(TransportConfig(), Messages())
+        open_transport(TransportConfig())
 
 
 def test_a_message_package_that_is_not_there_is_told(transport):
@@ -177,4 +177,4 @@ def test_a_message_package_that_is_not_there_is_told(transport):
 
 def test_a_network_is_not_its_to_choose(rclpy):
     with pytest.raises(RigError, match="--network eth0 is for DDS"):
-        open_transport(TransportConfig(network="eth0"), Messages())
+        open_transport(TransportConfig(network="eth0"))

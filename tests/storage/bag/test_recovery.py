@@ -11,13 +11,12 @@ from pathlib import Path
 import pytest
 from mcap.writer import CompressionType, Writer
 
-from softfin.core.errors import LogError, SoftfinError
+from softfin.core.errors import ArtifactError, LogError, SoftfinError
 from softfin.data.importing.clocks import logs_of
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.importing.rosbag import read_bag
 from softfin.storage.bag.messages import COMMAND, JOINT, WRENCH
-from softfin.storage.bag.recovery import recover, recovered_path
-from softfin.storage.bag.scan import check_bag
+from softfin.storage.bag.records import check_bag, recover, recovered_path
 from tests.data.recorded import by_mcap_ros2, by_rosbags, record
 
 LONG = os.environ.get("SOFTFIN_LONG") == "1"
@@ -196,7 +195,7 @@ def test_what_is_no_bag_is_refused_in_one_line(tmp_path):
             recover(tmp_path / name, tmp_path / "saved.mcap")
         assert str(error.value).startswith(str(tmp_path / name))
         assert "\n" not in str(error.value)
-    with pytest.raises(LogError, match=r"a folder; give the \.mcap file"):
+    with pytest.raises(LogError, match=r"cannot be read .Is a directory.; give the path of a \.mcap file"):
         recover(tmp_path, tmp_path / "saved.mcap")
     assert not (tmp_path / "saved.mcap").exists()
 
@@ -206,10 +205,10 @@ def test_nothing_is_overwritten_unless_it_is_said_and_never_the_original(damaged
     out = recovered_path(path)
     assert out.name == "harmed.recovered.mcap"
     recover(path, out)
-    with pytest.raises(LogError, match="exists already"):
+    with pytest.raises(ArtifactError, match="exists already"):
         recover(path, out)
     recover(path, out, overwrite=True)
-    with pytest.raises(LogError, match="exists already"):
+    with pytest.raises(ArtifactError, match="exists already"):
         recover(path, path, overwrite=True)
     assert sorted(file.name for file in tmp_path.iterdir()) == ["harmed.mcap", "harmed.recovered.mcap"]
 

@@ -1,4 +1,6 @@
+import contextlib
 import errno
+import io
 import os
 import threading
 import time
@@ -11,7 +13,7 @@ from softfin.data.importing.rosbag import TYPES as READABLE
 from softfin.data.recordings import open_logs
 from softfin.storage.bag import writer as bag_writer
 from softfin.storage.bag.messages import COMMAND, CURRENT, DEFAULT_TOPICS, EVENTS, JOINT, REFERENCE, TYPES, WRENCH
-from softfin.storage.bag.recovery import recover
+from softfin.storage.bag.records import recover
 from softfin.storage.bag.writer import BagRecorder
 from tests.data.recorded import by_mcap_ros2, by_rosbags, record
 from tests.rig.machines import Hours
@@ -81,7 +83,7 @@ def test_rows_are_in_the_file_before_it_is_closed(tmp_path):
 
 
 def test_nothing_is_overwritten_and_a_second_recorder_is_refused(tmp_path):
-    with BagRecorder(tmp_path / "new" / "run.mcap") as recorder:
+    with contextlib.closing(BagRecorder(tmp_path / "new" / "run.mcap")) as recorder:
         with pytest.raises(LogError, match="exists already, recordings are never overwritten") as error:
             BagRecorder(recorder.path)
         assert "\n" not in str(error.value)
@@ -98,20 +100,18 @@ def test_a_disk_without_room_is_known_before_anything_moves(tmp_path):
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EIO])
 def test_a_disk_that_fails_is_told_and_what_was_written_recovers(tmp_path, monkeypatch, number):
-    write, room = os.write, [6000]
+    room = [6000]
 
-    def limited(file, data):
-        if file != recorder_file[0]:
-            return write(file, data)
-        if not room[0]:
-            raise OSError(number, os.strerror(number))
-        taken = write(file, bytes(data[: room[0]]))
-        room[0] -= taken
-        return taken
+    class Limited(io.FileIO):
+        def write(self, data):
+            if not room[0]:
+                raise OSError(number, os.strerror(number))
+            taken = super().write(bytes(data[: room[0]]))
+            room[0] -= taken
+            return taken
 
+    monkeypatch.setattr(io, "FileIO", Limited)
     recorder = BagRecorder(tmp_path / "run.mcap", flush_s=0.05)
-    recorder_file = [recorder._file]
-    monkeypatch.setattr(os, "write", limited)
     assert recorder.failure is None
     for k in range(200):
         recorder.wrench(k / 100, (float(k), 0.0, 0.0, 0.0, 0.0, 1.0))

@@ -18,7 +18,7 @@ from softfin.data.importing.recording import Part, Recording, Track
 from softfin.data.importing.tables import derived_velocity
 from softfin.data.issues import Issue
 from softfin.storage.bag.messages import DEFAULT_TOPICS, type_store
-from softfin.storage.bag.scan import check_bag
+from softfin.storage.bag.records import check_bag
 
 TYPES = {
     "command": ("sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"),

@@ -10,10 +10,11 @@ from softfin.core.configuration import Configuration
 from softfin.core.errors import RigError
 from softfin.core.quantities import Limits
 from softfin.data.importing.importing import FORCE_FRAMES
-from softfin.rig.ros2.flipper import FlipperConfig
 
 TopicName = Annotated[str, StringConstraints(pattern=r"^(/[A-Za-z_][A-Za-z0-9_]*)+$")]
 """A full name, as ``/fin/wrench``: no relative ones, no ``~``."""
+
+MessageType = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]*/msg/[A-Za-z][A-Za-z0-9_]*$")]
 
 LimitsField = Annotated[
     Limits,
@@ -73,10 +74,27 @@ class NodeConfig(Configuration):
 
     @model_validator(mode="after")
     def _apart(self) -> "NodeConfig":
-        names = [getattr(self, name) for name in type(self).model_fields if name.endswith("_topic")]
+        names = [value for name, value in self if name.endswith("_topic")]
         if twice := {name for name in names if names.count(name) > 1}:
             raise ValueError(f"{', '.join(twice)} is the name of two topics; give each its own")
         return self
+
+
+class FlipperConfig(Configuration):
+    """Which message moves the flipper. A field is named by its path: ``zero_direction``, ``flippers.2.amplitude``."""
+
+    type: MessageType
+    """Type of the message: package/msg/Type."""
+    definitions: dict[MessageType, str] = Field(default_factory=dict)
+    """Text of the .msg file of each type that ROS 2 itself does not have, by package/msg/Type."""
+    zero_direction: str = "zero_direction"
+    """Field that takes the angle [rad]."""
+    amplitude: str = "amplitude"
+    """Field that takes 0: the flipper does not oscillate by itself."""
+    constants: dict[str, float | bool | str] = Field(default_factory=dict)
+    """Other fields that must not be 0 or empty, such as a frequency or the flipper's number."""
+    rate_hz: float = Field(default=20.0, gt=0, le=100)
+    """Messages a second [Hz]."""
 
 
 class Ros2PlantConfig(Configuration):
@@ -114,6 +132,4 @@ class Ros2PlantConfig(Configuration):
         ours = {self.joint_topic, self.wrench_topic, self.command_topic, self.stop_topic}
         for name in ("joint_topic", "wrench_topic", "command_topic", "reference_topic"):
             if (topic := getattr(node, name)) in ours:
-                raise RigError(
-                    f"{name} = {topic}: is a topic of the fin's own; give the node another: --set {name}=/NAME"
-                )
+                raise RigError(f"{name} = {topic}: is a topic of the fin's own; give another: --set {name}=/NAME")

@@ -5,22 +5,28 @@ the smallest delay so far, as in NTP's clock filter, released slowly so that a c
 """
 
 import importlib.util
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
+from rosbags.typesys.store import Typestore
+
 from softfin.core.errors import RigError
+from softfin.rig.machine import Wrench
 from softfin.rig.ros2.config import TransportConfig
-from softfin.rig.ros2.messages import Messages, stamp_of
-from softfin.rig.ros2.transport import Transport
+from softfin.rig.ros2.transport import Transport, one_line
+from softfin.storage.bag.messages import SECOND_NS, type_store
 
 Value = TypeVar("Value")
+
+VECTOR, BOOL = "geometry_msgs/msg/Vector3Stamped", "std_msgs/msg/Bool"
 
 CREEP = 2e-4
 """Rate at which the smallest delay is released [s/s]: four times the drift of a common quartz, 50 ppm."""
 
 
-def open_transport(config: TransportConfig, messages: Messages) -> Transport:
+def open_transport(config: TransportConfig, types: Typestore | None = None) -> Transport:
     """rclpy where it is installed, else DDS, or as configured; raises RigError where that is not installed."""
     installed = importlib.util.find_spec("rclpy") is not None
     if config.transport == "rclpy" and not installed:
@@ -31,27 +37,26 @@ def open_transport(config: TransportConfig, messages: Messages) -> Transport:
         return RclpyTransport(config)
     from softfin.rig.ros2.dds import DdsTransport
 
-    return DdsTransport(config, messages)
+    return DdsTransport(config, types or type_store())
 
 
 class StampClock:
     """Maps stamps of one sender to our clock; never to later than the message came."""
 
     def __init__(self) -> None:
-        self._first: int | None = None
-        self._newest = 0
+        self._first = self._newest = 0
         self._offset = self._received = 0.0
 
     def time(self, stamp_ns: int, received: float) -> float | None:
         """Time of our clock [s]; None where the stamp is not later than the one before."""
-        if stamp_ns == 0:
+        if not stamp_ns:
             return received
-        if self._first is None:
+        if not self._first:
             self._first, self._offset, self._received = stamp_ns, received, received
         elif stamp_ns <= self._newest:
             return None
         self._newest = stamp_ns
-        since = (stamp_ns - self._first) / 1e9
+        since = (stamp_ns - self._first) / SECOND_NS
         released = self._offset + CREEP * (received - self._received)
         self._offset, self._received = min(released, received - since), received
         return since + self._offset
@@ -68,15 +73,15 @@ class Stamped(Generic[Value]):
 
 
 class Subscription(Generic[Value]):
-    """One topic that is read."""
+    """One topic that is read; `read` takes the value from a message, and raises ValueError with the reason."""
 
     def __init__(
-        self, transport: Transport, messages: Messages, topic: str, kind: str, value: Callable[[Any], Value],
+        self, transport: Transport, topic: str, kind: str, read: Callable[[Any], Value],
         stamped: bool = True, best_effort: bool = False,
     ) -> None:  # fmt: skip
         """Messages that are not `stamped` count from when they come, whatever is in their header."""
         self.topic, self.kind = topic, kind
-        self._messages, self._value, self._stamped = messages, value, stamped
+        self._read, self._stamped = read, stamped
         self._take = transport.subscribe(topic, kind, best_effort)
         self._clock = StampClock()
         self.received = self.refused = self.not_newer = 0
@@ -89,8 +94,8 @@ class Subscription(Generic[Value]):
         for data, received in self._take():
             self.received += 1
             try:
-                message = self._messages.decode(data, self.kind)
-                value = self._value(message)
+                message = decode(data, self.kind)
+                value = self._read(message)
             except (ValueError, OverflowError) as error:
                 self.refused += 1
                 self.refusal = f"{self.topic}: refused: {error}; correct its publisher"
@@ -102,3 +107,54 @@ class Subscription(Generic[Value]):
             else:
                 taken.append(Stamped(time, received, value))
         return taken
+
+
+def decode(data: bytes, kind: str) -> Any:
+    """A message of ROS 2's own types from CDR; raises ValueError where the bytes are not such a message."""
+    try:
+        return type_store().deserialize_cdr(data, kind)
+    except Exception as error:
+        # Bytes that anybody sent fail at any step of the decoder.
+        raise ValueError(f"{len(data)} bytes that are no {kind} ({one_line(error)})") from None
+
+
+def stamp_of(message: Any) -> int:
+    """Time since 1970 in its header [ns]; 0 where there is none."""
+    header = getattr(message, "header", None)
+    return 0 if header is None else int(header.stamp.sec) * SECOND_NS + int(header.stamp.nanosec)
+
+
+def joint_of(message: Any, name: str) -> tuple[float, float | None]:
+    """Angle and velocity of the joint of that name; the velocity None where the message has none."""
+    names = list(message.name)
+    if name not in names:
+        raise ValueError(f"no joint {name!r} in it; it has {', '.join(map(repr, names[:10])) or 'none'}")
+    index = names.index(name)
+    if len(message.position) != len(names) or len(message.velocity) not in (0, len(names)):
+        counts = f"{len(names)} names, {len(message.position)} positions, {len(message.velocity)} velocities"
+        raise ValueError(f"{counts}; as many of each are needed, or no velocities")
+    angle = _finite("position", message.position[index])
+    return angle, _finite("velocity", message.velocity[index]) if len(message.velocity) else None
+
+
+def wrench_of(message: Any) -> Wrench:
+    """Force and torque in the message's own axes."""
+    parts = (("force", message.wrench.force), ("torque", message.wrench.torque))
+    fx, fy, fz, tx, ty, tz = (_finite(f"{name} {axis}", getattr(part, axis)) for name, part in parts for axis in "xyz")
+    return fx, fy, fz, tx, ty, tz
+
+
+def reference_of(message: Any, frame: str) -> tuple[float, float]:
+    """The reference force of a WrenchStamped or a Vector3Stamped in our frame, or without one."""
+    theirs = message.header.frame_id
+    if theirs not in ("", frame):
+        raise ValueError(f"it is in the frame {theirs!r}; this node's is {frame!r}")
+    vector = message.wrench.force if hasattr(message, "wrench") else message.vector
+    return _finite("x", vector.x), _finite("y", vector.y)
+
+
+def _finite(name: str, value: Any) -> float:
+    number = float(value)
+    if not math.isfinite(number):
+        raise ValueError(f"its {name} is {number}")
+    return number

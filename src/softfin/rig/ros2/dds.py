@@ -5,19 +5,17 @@ Names after ROS 2's design article "Topic and Service name mapping to DDS": ``/f
 of this library on loopback only: it has not met a node of ROS 2.
 """
 
+import functools
 import os
-import threading
 import time
-import weakref
 from typing import Any
-from xml.sax.saxutils import quoteattr
 
 from rosbags.interfaces import Nodetype
+from rosbags.typesys.store import Typestore
 
 from softfin.core.errors import DeviceError, RigError
 from softfin.rig.ros2.config import TransportConfig
-from softfin.rig.ros2.messages import Messages, one_line
-from softfin.rig.ros2.transport import DEPTH, Publisher, Received, Take
+from softfin.rig.ros2.transport import DEPTH, Publisher, Take, one_line
 
 try:
     from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
@@ -34,9 +32,6 @@ except ImportError:
 
 URI = "CYCLONEDDS_URI"
 
-BLOCK_NS = 5_000_000
-"""Longest time that a slow reader may hold up a writer [ns]: half a tick."""
-
 IDL: Any = types
 """Its types take their lengths in brackets, in a way of their own that type checkers do not know."""
 
@@ -44,9 +39,6 @@ BASES = {"byte": types.int8, "char": types.uint8, "string": str, "bool": bool} |
     name: getattr(types, name)
     for name in ("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64")
 }
-
-_domains: "weakref.WeakValueDictionary[int, Any]" = weakref.WeakValueDictionary()
-_lock = threading.Lock()
 
 
 class Carrier(IdlStruct):
@@ -67,18 +59,32 @@ class Carrier(IdlStruct):
     deserialize_key = deserialize
 
 
-def idl_type(kind: str, messages: Messages, carries: bool = False) -> Any:
+def idl_type(kind: str, typestore: Typestore, carries: bool = False) -> Any:
     """The DDS type of a message; with `carries` its samples hold CDR in place of fields."""
-    fields = {name: _idl_field(descriptor, messages) for name, descriptor in messages.types.fielddefs[kind][1]}
+    fields = {name: _idl_field(descriptor, typestore) for name, descriptor in typestore.fielddefs[kind][1]}
     package, _, name = kind.split("/")
     bases = (Carrier,) if carries else ()
     return make_idl_struct(f"{name}_", f"{package}::msg::dds_::{name}_", fields, dataclassify=not carries, bases=bases)
 
 
+def _idl_field(descriptor: Any, typestore: Typestore) -> Any:
+    node, detail = descriptor
+    if node is Nodetype.NAME:
+        return idl_type(detail, typestore)
+    if node is Nodetype.BASE:
+        name, bound = detail
+        return IDL.bounded_str[bound] if name == "string" and bound else BASES[name]
+    element, count = detail
+    inner = _idl_field(element, typestore)
+    if node is Nodetype.ARRAY:
+        return IDL.array[inner, count]
+    return IDL.sequence[inner, count] if count else IDL.sequence[inner]
+
+
 def configuration(network: str | None) -> str:
     """Cyclone DDS's configuration for a network interface; None is this computer alone: loopback, no multicast."""
     if network is not None:
-        inner = f"<General><Interfaces><NetworkInterface name={quoteattr(network)}/></Interfaces></General>"
+        inner = f'<General><Interfaces><NetworkInterface name="{network}"/></Interfaces></General>'
     else:
         inner = (
             '<General><Interfaces><NetworkInterface address="127.0.0.1" multicast="false"/></Interfaces>'
@@ -91,29 +97,35 @@ def configuration(network: str | None) -> str:
 class DdsTransport:
     """Meets the Transport contract."""
 
-    def __init__(self, config: TransportConfig, messages: Messages) -> None:
-        self._messages, number = messages, config.domain_id()
+    def __init__(self, config: TransportConfig, typestore: Typestore) -> None:
+        """`typestore` has the types of all messages."""
+        self._types, number, network = typestore, config.domain_id(), config.network
+        self.notes: tuple[str, ...] = ()
         try:
-            self._domain, self.notes = _open_domain(number, config.network)
+            if os.environ.get(URI):
+                ignored = "" if network is None else f": --network {network} does not count"
+                self.notes = (f"DDS is set up by {URI}{ignored}",)
+            else:
+                _open_domain(number, network)
+                if network is not None:
+                    self.notes = (f"everybody on the network of {network} can read these topics and write to them",)
             self._participant: Any = DomainParticipant(number)
-            self._publications: Any = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
         except DDSException as error:
-            self._domain = None
-            remedy = "is there such a network interface, and is it up?" if config.network else "is loopback up?"
-            remedy = f"check {URI}" if os.environ.get(URI) else remedy
-            raise DeviceError(f"DDS domain {number} cannot be used ({one_line(error)}); {remedy}") from None
+            raise DeviceError(
+                f"DDS domain {number} cannot be used ({one_line(error)}); check {URI}, that the network interface "
+                f"({network or 'loopback'}) is there and up, and that no other one was given for this domain"
+            ) from None
         self._own: set[str] = set()
-        self._seen: dict[str, tuple[str, str]] = {}
 
     def publish(self, topic: str, kind: str) -> Publisher:
         """A writer of its own."""
-        carrier, there = self._topic(topic, kind)
+        there = self._topic(topic, kind)
         writer: Any = DataWriter(self._participant, there, qos=_quality())
         self._own.add(str(writer.get_guid()))
 
         def send(data: bytes) -> None:
             try:
-                writer.write(carrier(data))
+                writer.write(there.data_type(data))
             except DDSException as error:
                 raise DeviceError(f"{topic}: not sent ({one_line(error)}); is its reader too slow?") from None
 
@@ -121,76 +133,47 @@ class DdsTransport:
 
     def subscribe(self, topic: str, kind: str, best_effort: bool = False) -> Take:
         """A reader of its own, which keeps the last messages."""
-        _, there = self._topic(topic, kind)
-        reader = DataReader(self._participant, there, qos=_quality(best_effort))
+        reader = DataReader(self._participant, self._topic(topic, kind), qos=_quality(best_effort))
 
-        def take() -> list[Received]:
+        def take() -> list[tuple[bytes, float]]:
             try:
                 found = reader.take(DEPTH)
             except DDSException as error:
                 raise DeviceError(f"{topic}: cannot be read ({one_line(error)}); start again") from None
             now = time.monotonic()
-            return [Received(sample.data, now) for sample in found if not isinstance(sample, InvalidSample)]
+            return [(sample.data, now) for sample in found if not isinstance(sample, InvalidSample)]
 
         return take
 
     def topics(self) -> dict[str, str]:
         """Topics that other nodes publish, from DDS's own discovery."""
-        for found in self._publications.take(1000) if self._publications is not None else ():
-            key, name = str(found.key), str(found.topic_name)
-            if found.sample_info is not None and not found.sample_info.valid_data:
-                self._seen.pop(key, None)
-            elif name.startswith("rt/"):
-                kind = found.type_name.replace("::dds_::", "::").removesuffix("_").replace("::", "/")
-                self._seen[key] = (name[2:], kind)
-        return dict(sorted(pair for key, pair in self._seen.items() if key not in self._own))
+        if self._participant is None:
+            return {}
+        found = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication).take(1000)
+        there = [one for one in found if str(one.key) not in self._own and one.sample_info.valid_data]
+        kinds = [one.type_name.replace("::dds_::", "::").removesuffix("_").replace("::", "/") for one in there]
+        pairs = zip((one.topic_name for one in there), kinds, strict=True)
+        return dict(sorted((name[2:], kind) for name, kind in pairs if name.startswith("rt/")))
 
     def close(self) -> None:
         """Leave; readers and writers that somebody still holds go with the last one who does."""
-        self._publications = self._participant = self._domain = None
+        self._participant = None
 
-    def _topic(self, topic: str, kind: str) -> tuple[Any, Any]:
-        """The type of a topic's samples, and the topic."""
+    def _topic(self, topic: str, kind: str) -> Any:
         if self._participant is None:
             raise DeviceError("the way to ROS 2 is closed; open it again")
-        carrier = idl_type(kind, self._messages, carries=True)
-        return carrier, Topic(self._participant, f"rt{topic}", carrier, qos=_quality())
+        return Topic(self._participant, f"rt{topic}", idl_type(kind, self._types, carries=True), qos=_quality())
 
 
 def _quality(best_effort: bool = False) -> Any:
-    reliability = Policy.Reliability.BestEffort if best_effort else Policy.Reliability.Reliable(BLOCK_NS)
+    # A slow reader may hold up a writer for half a tick [ns].
+    reliability = Policy.Reliability.BestEffort if best_effort else Policy.Reliability.Reliable(5_000_000)
     # ROS 2 speaks the first version of CDR; cyclonedds would offer the second one too.
     representation = Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False)
     return Qos(reliability, Policy.History.KeepLast(DEPTH), Policy.Durability.Volatile, representation)
 
 
-def _idl_field(descriptor: Any, messages: Messages) -> Any:
-    node, detail = descriptor
-    if node is Nodetype.NAME:
-        return idl_type(detail, messages)
-    if node is Nodetype.BASE:
-        name, bound = detail
-        return IDL.bounded_str[bound] if name == "string" and bound else BASES[name]
-    element, count = detail
-    inner = _idl_field(element, messages)
-    if node is Nodetype.ARRAY:
-        return IDL.array[inner, count]
-    return IDL.sequence[inner, count] if count else IDL.sequence[inner]
-
-
-def _open_domain(number: int, network: str | None) -> tuple[Any, tuple[str, ...]]:
-    """The domain with our configuration, shared by all of this process, and remarks on it."""
-    if os.environ.get(URI):
-        own = f"DDS is set up by {URI}"
-        return None, (own if network is None else f"{own}: --network {network} does not count",)
-    with _lock:
-        domain: Any = _domains.get(number)
-        if domain is None:
-            domain = _domains[number] = Domain(number, configuration(network))
-            domain.network = network
-        elif domain.network != network:
-            names = [name or "this computer alone" for name in (domain.network, network)]
-            raise RigError(f"DDS domain {number} is open on {names[0]}, and cannot be on {names[1]} too: use another")
-    if network is None:
-        return domain, ()
-    return domain, (f"everybody on the network of {network} can read these topics and write to them",)
+@functools.cache
+def _open_domain(number: int, network: str | None) -> Any:
+    """The domain with our configuration, shared by all of this process."""
+    return Domain(number, configuration(network))

@@ -3,22 +3,19 @@
 Called by the thread of the loop; nothing here waits, and nothing here moves the fin.
 """
 
+import functools
 import time
 from collections.abc import Callable
 
 from softfin.core.errors import DeviceError, SoftfinError
-from softfin.rig.loop import Force, References
+from softfin.rig.loop import Force
 from softfin.rig.machine import Sample, Target
 from softfin.rig.references import ResolveReference
 from softfin.rig.ros2.config import NodeConfig
-from softfin.rig.ros2.connection import Stamped, Subscription
-from softfin.rig.ros2.messages import BOOL, JOINT, VECTOR, WRENCH, Messages, reference_of
+from softfin.rig.ros2.connection import BOOL, VECTOR, Stamped, Subscription, reference_of
 from softfin.rig.ros2.transport import Transport
-from softfin.rig.session import Observer
 from softfin.rig.stop import StopRequest
-
-MOST_LINES = 20
-"""Most different lines that are reported."""
+from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr
 
 
 class RosNode:
@@ -29,21 +26,20 @@ class RosNode:
         resolve: ResolveReference = lambda force: (force, None), clock: Callable[[], float] = time.monotonic,
     ) -> None:  # fmt: skip
         """`report` gets remarks for the user, each once; `resolve` maps a reference to the one that is tracked."""
-        self.config, self._clock, self._resolve, self._report = topics, clock, resolve, report
-        self._messages = messages = Messages()
-        self.joint = transport.publish(topics.joint_topic, JOINT)
-        self._wrench = transport.publish(topics.wrench_topic, WRENCH)
-        self._command = transport.publish(topics.command_topic, JOINT)
-        kind = WRENCH if topics.reference_type == "wrench" else VECTOR
+        self.config, self._clock, self._report = topics, clock, report
+        # References are published again and again: the newest one is kept.
+        self._resolve = functools.lru_cache(maxsize=1)(resolve)
+        self.joint = transport.publish(topics.joint_topic, JOINT_STATE)
+        self._wrench = transport.publish(topics.wrench_topic, WRENCH_STAMPED)
+        self._command = transport.publish(topics.command_topic, JOINT_STATE)
+        kind = WRENCH_STAMPED if topics.reference_type == "wrench" else VECTOR
         self._references: Subscription[Force] = Subscription(
-            transport, messages, topics.reference_topic, kind, self._tracked, stamped=False
+            transport, topics.reference_topic, kind, self._tracked, stamped=False
         )
         self._stops: Subscription[bool] = Subscription(
-            transport, messages, topics.stop_topic, BOOL, lambda message: bool(message.data), stamped=False
+            transport, topics.stop_topic, BOOL, lambda message: bool(message.data), stamped=False
         )
         self._newest: Stamped[Force] | None = None
-        self._resolved: tuple[Force, Force] | None = None
-        """The newest reference that was asked for, and the one that is tracked."""
         self._published: Target | None = None
         self._stop: str | None = None
         self._reported: set[str] = set()
@@ -51,17 +47,15 @@ class RosNode:
 
     def publish(self, sample: Sample, target: Target | None) -> None:
         """Publish one sample, and the command where it is a new one; what cannot go out is counted."""
-        config, messages = self.config, self._messages
+        frame, name = self.config.frame, self.config.joint_name
         # Both clocks at the same moment: this computer's date may be set at any time.
         ahead = time.time_ns() - round(time.monotonic() * 1e9)
         stamp, force_stamp = (round(at * 1e9) + ahead for at in (sample.time, sample.force_time))
-        joint = messages.joint(stamp, config.frame, config.joint_name, sample.angle, sample.velocity)
         try:
-            self.joint.send(messages.encode(joint))
-            self._wrench.send(messages.encode(messages.wrench(force_stamp, config.frame, sample.wrench)))
+            self.joint.send(cdr(JOINT_STATE, stamp, (sample.angle, sample.velocity), frame, name))
+            self._wrench.send(cdr(WRENCH_STAMPED, force_stamp, sample.wrench, frame))
             if target is not None and target != self._published:
-                command = messages.joint(stamp, config.frame, config.joint_name, target.angle, target.velocity)
-                self._command.send(messages.encode(command))
+                self._command.send(cdr(JOINT_STATE, stamp, target, frame, name))
                 self._published = target
         except DeviceError as error:
             self._unsent += 1
@@ -94,22 +88,14 @@ class RosNode:
                 self._stop = f"emergency stop cannot be heard: {error}"
         return self._stop
 
-    def references(self, otherwise: Force) -> References:
-        """References for the loop: the newest that counts, else a constant one."""
-        return lambda _: self.reference() or otherwise
-
-    def observer(self, request: StopRequest) -> Observer:
-        """An observer of the session: publishes each sample, and passes on a stop."""
-
-        def observe(sample: Sample, target: Target | None) -> None:
-            reason = self.stop_reason()
-            if reason is not None:
-                request.ask("emergency_stop", reason)
-            # Taken here too, so that its age counts from when it came, not from the next action.
-            self.reference()
-            self.publish(sample, target)
-
-        return observe
+    def observe(self, request: StopRequest, sample: Sample, target: Target | None) -> None:
+        """Publish a sample, and pass on a stop: as an observer of the session."""
+        reason = self.stop_reason()
+        if reason is not None:
+            request.ask("emergency_stop", reason)
+        # Taken here too, so that its age counts from when it came, not from the next action.
+        self.reference()
+        self.publish(sample, target)
 
     def counters(self) -> dict[str, int]:
         """Counts of references and stops that came and were refused, and of samples that did not go out."""
@@ -125,18 +111,16 @@ class RosNode:
         force, limit = reference_of(message, self.config.frame), self.config.reference_limit_n
         if max(map(abs, force)) > limit:
             raise ValueError(f"it is ({force[0]:g}, {force[1]:g}) N; reference_limit_n is {limit:g} N")
-        if self._resolved is None or force != self._resolved[0]:
-            try:
-                tracked, warning = self._resolve(force)
-            except SoftfinError as error:
-                raise ValueError(str(error)) from None
-            self._resolved = force, tracked
-            if warning is not None:
-                self._report_once(warning)
-        return self._resolved[1]
+        try:
+            tracked, warning = self._resolve(force)
+        except SoftfinError as error:
+            raise ValueError(str(error)) from None
+        if warning is not None:
+            self._report_once(warning)
+        return tracked
 
     def _report_once(self, line: str) -> None:
         """Report a line that was not there before; many different ones are only counted."""
-        if line not in self._reported and len(self._reported) < MOST_LINES:
+        if line not in self._reported and len(self._reported) < 20:
             self._reported.add(line)
             self._report(line)

@@ -4,44 +4,59 @@ Tried with drivers of our own making on loopback; it has met neither a real driv
 """
 
 import contextlib
+import math
 import threading
 import time
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+from rosbags.typesys.store import Typestore
 
 from softfin.core.errors import CommandError, DeviceError
 from softfin.core.quantities import Limits
 from softfin.rig.frame import rotated, rotation
 from softfin.rig.machine import Sample, Target, Wrench
 from softfin.rig.ros2.config import Ros2PlantConfig, TransportConfig
-from softfin.rig.ros2.connection import Stamped, Subscription, open_transport
-from softfin.rig.ros2.flipper import FlipperCommands
-from softfin.rig.ros2.messages import BOOL, JOINT, WRENCH, Messages, joint_of, wrench_of
+from softfin.rig.ros2.connection import BOOL, Stamped, Subscription, joint_of, open_transport, wrench_of
+from softfin.rig.ros2.flipper import define_types, encode_flipper
 from softfin.rig.ros2.transport import Publisher, Transport
 from softfin.rig.safety import check_target
-
-LOCK_S = 0.02
-"""Longest that a stop waits for a command that is going out [s]; over DDS that takes 5 ms at most."""
+from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr, serialized
 
 
-class JointCommands:
-    """Commands as sensor_msgs/JointState, one message for each; the driver holds it. FlipperCommands sends others."""
+class Commands:
+    """Commands as messages: one for each, or, with a period, a set-point that goes to the target at its velocity."""
 
-    def __init__(self, publisher: Publisher, messages: Messages, joint: str, velocity: float) -> None:
-        """`velocity` to where the fin holds [rad/s]."""
-        self.publisher, self._messages, self._joint, self._velocity = publisher, messages, joint, velocity
+    def __init__(
+        self, publisher: Publisher, encode: Callable[[Target, float], bytes], period_s: float = math.inf
+    ) -> None:
+        """`encode` makes a message of the target and the set-point [rad]."""
+        self.publisher, self._encode, self._period = publisher, encode, period_s
+        self._target: Target | None = None
+        self._setpoint = self._since = self._next = 0.0
 
     def send(self, target: Target, angle: float, now: float) -> None:
-        """Send the target, whatever the measured angle is."""
-        message = self._messages.joint(time.time_ns(), "", self._joint, target.angle, target.velocity)
-        self.publisher.send(self._messages.encode(message))
+        """Move on from where the set-point is; from the measured angle where there is none yet."""
+        self._setpoint = angle if self._target is None else self._at(self._target, now)
+        self._target, self._since, self._next = target, now, now
+        self.tick(now)
 
     def tick(self, now: float) -> None:
-        """Send nothing; called at every tick while the fin is enabled, for drives that need messages more often."""
+        """Send the next message, where it is due."""
+        # Ticks come a little early and late.
+        if self._target is not None and now >= self._next - 1e-3:
+            # In step with the first one; what a late tick has missed is not made up for.
+            self._next += self._period * (max((now - self._next) // self._period, 0) + 1)
+            self.publisher.send(self._encode(self._target, self._at(self._target, now)))
 
-    def hold(self, angle: float) -> None:
-        """Go no further: the last message until the next `send`."""
-        self.send(Target(angle, self._velocity), angle, 0.0)
+    def hold(self, angle: float, velocity: float) -> None:
+        """Send one message by which it stays where it is, then none."""
+        self._target = None
+        self.publisher.send(self._encode(Target(angle, velocity), angle))
+
+    def _at(self, target: Target, now: float) -> float:
+        reach = target.velocity * (now - self._since)
+        return self._setpoint + min(max(target.angle - self._setpoint, -reach), reach)
 
 
 class _Topics(NamedTuple):
@@ -50,7 +65,7 @@ class _Topics(NamedTuple):
     transport: Transport
     joint: Subscription[tuple[float, float | None]]
     wrench: Subscription[Wrench]
-    commands: JointCommands | FlipperCommands
+    commands: Commands
     stop: Publisher | None
 
 
@@ -63,14 +78,15 @@ class Ros2Machine:
     """
 
     name = "ros2"
+    stop_unconfirmed: str | None = "whether the motor is off lies with its driver; keep a switch of its supply at hand"
 
     def __init__(
         self, config: Ros2PlantConfig, clock: Callable[[], float] = time.monotonic,
-        opener: Callable[[TransportConfig, Messages], Transport] = open_transport,
+        opener: Callable[[TransportConfig, Typestore], Transport] = open_transport,
     ) -> None:  # fmt: skip
         self.config, self._clock, self._opener = config, clock, opener
         self.limits: Limits = config.limits
-        self._messages = Messages(config.flipper.definitions if config.flipper else None)
+        self._types = define_types(config.flipper.definitions if config.flipper else {})
         self._sign = -1.0 if config.negate_angle else 1.0
         # A signal's handler may stop the machine while this very thread is in the middle of a command.
         self._lock = threading.RLock()
@@ -85,42 +101,34 @@ class Ros2Machine:
         """Remarks on the connection."""
         return () if self._topics is None else self._topics.transport.notes
 
-    @property
-    def stop_unconfirmed(self) -> str | None:
-        """Whatever was sent: whether the motor is off lies with its driver."""
-        return "whether the motor is off lies with its driver; keep a switch of its supply at hand"
-
     def open(self) -> None:
         """Wait until joint and wrench publish; nothing is sent."""
         self.close()
-        transport = self._opener(self.config.connection, self._messages)
+        config, flipper, sign, turn = self.config, self.config.flipper, self._sign, rotation(self.config.frame)
+        transport = self._opener(config.connection, self._types)
+
+        def subscribe(topic: str, kind: str, read: Callable[[Any], Any]) -> Subscription[Any]:
+            return Subscription(transport, topic, kind, read, best_effort=config.best_effort)
+
+        def encode(target: Target, setpoint: float) -> bytes:
+            if flipper is not None:
+                return encode_flipper(flipper, self._types, sign * setpoint)
+            return cdr(JOINT_STATE, time.time_ns(), (sign * target.angle, target.velocity), "", config.joint_name)
+
         try:
-            self._topics = self._subscribe(transport)
+            # What a flipper's configuration lacks is told before anything is sent.
+            encode(Target(0.0, 0.0), 0.0)
+            joint = subscribe(config.joint_topic, JOINT_STATE, lambda message: joint_of(message, config.joint_name))
+            wrench = subscribe(config.wrench_topic, WRENCH_STAMPED, lambda message: rotated(wrench_of(message), turn))
+            publisher = transport.publish(config.command_topic, flipper.type if flipper else JOINT_STATE)
+            commands = Commands(publisher, encode, 1 / flipper.rate_hz if flipper else math.inf)
+            stop = None if config.stop_topic is None else transport.publish(config.stop_topic, BOOL)
+            self._topics = _Topics(transport, joint, wrench, commands, stop)
             self._await_first(self._topics)
         except BaseException:
             self.close()
             transport.close()
             raise
-
-    def _subscribe(self, transport: Transport) -> _Topics:
-        config, messages = self.config, self._messages
-        turn, best_effort = rotation(config.frame), config.best_effort
-        joint: Subscription[tuple[float, float | None]] = Subscription(
-            transport, messages, config.joint_topic, JOINT,
-            lambda message: joint_of(message, config.joint_name), best_effort=best_effort,
-        )  # fmt: skip
-        wrench = Subscription(
-            transport, messages, config.wrench_topic, WRENCH,
-            lambda message: rotated(wrench_of(message), turn), best_effort=best_effort,
-        )  # fmt: skip
-        commands: JointCommands | FlipperCommands
-        if config.flipper is not None:
-            commands = FlipperCommands(transport, messages, config.command_topic, config.flipper)
-        else:
-            publisher = transport.publish(config.command_topic, JOINT)
-            commands = JointCommands(publisher, messages, config.joint_name, self.limits.velocity_max)
-        stop = None if config.stop_topic is None else transport.publish(config.stop_topic, BOOL)
-        return _Topics(transport, joint, wrench, commands, stop)
 
     def read(self) -> Sample:
         """The newest of both topics."""
@@ -129,9 +137,8 @@ class Ros2Machine:
         assert self._force is not None
         with self._lock:
             if self._enabled:
-                self._send(lambda commands: commands.tick(self._clock()))
-        refusals = (topics.joint.refusal, topics.wrench.refusal)
-        complaints = tuple(refusal for refusal in refusals if refusal is not None)
+                self._send(topics.commands.tick)
+        complaints = tuple(filter(None, (topics.joint.refusal, topics.wrench.refusal)))
         at, force = self._angle, self._force
         return Sample(at.time, *at.value, None, None, force.time, force.value, complaints)
 
@@ -150,8 +157,7 @@ class Ros2Machine:
             if self.config.stop_release:
                 self._send_stop(False)
             self._enabled = True
-            hold = Target(self._sign * angle, limits.velocity_min)
-            self._send(lambda commands: commands.send(hold, hold.angle, self._clock()))
+            self._send(topics.commands.send, Target(angle, limits.velocity_min), angle)
 
     def command(self, target: Target) -> None:
         """Go there from now on."""
@@ -159,15 +165,14 @@ class Ros2Machine:
         if trip is not None:
             raise CommandError(trip.reason)
         with self._lock:
-            if not self._enabled or self._angle is None:
+            if not self._enabled or self._topics is None or self._angle is None:
                 raise DeviceError("the fin is not enabled; enable it before it is commanded")
-            aim, measured = Target(self._sign * target.angle, target.velocity), self._sign * self._angle.value[0]
-            self._send(lambda commands: commands.send(aim, measured, self._clock()))
+            self._send(self._topics.commands.send, target, self._angle.value[0])
 
     def stop(self) -> None:
         """See the class for what it can do and cannot."""
-        # A command that hangs in its transport must not keep the watchdog from its stop.
-        alone = self._lock.acquire(timeout=LOCK_S)
+        # A command that hangs in its transport, where 5 ms are usual, must not keep the watchdog from its stop.
+        alone = self._lock.acquire(timeout=0.02)
         try:
             was_enabled, self._enabled = self._enabled, False
             self._brake(was_enabled)
@@ -198,19 +203,17 @@ class Ros2Machine:
 
     def _await_first(self, topics: _Topics) -> None:
         deadline = time.monotonic() + self.config.wait_s
-        while self._angle is None or self._force is None:
+        while (self._angle is None or self._force is None) and time.monotonic() < deadline:
             self._take()
-            if time.monotonic() > deadline:
-                break
             time.sleep(0.002)
-        for subscription, value in ((topics.joint, self._angle), (topics.wrench, self._force)):
+        for awaited, value in ((topics.joint, self._angle), (topics.wrench, self._force)):
             if value is None:
-                there = list(topics.transport.topics().items())[:20]
-                listed = ", ".join(f"{topic} ({kind})" for topic, kind in there) or "nothing"
+                there = [f"{topic} ({kind})" for topic, kind in topics.transport.topics().items()]
                 raise DeviceError(
-                    subscription.refusal
-                    or f"{subscription.topic}: no {subscription.kind} in {self.config.wait_s:g} s; there is {listed}; "
-                    "start its driver, correct the topic, or the domain (ROS_DOMAIN_ID) and the network"
+                    awaited.refusal
+                    or f"{awaited.topic}: no {awaited.kind} in {self.config.wait_s:g} s; there is "
+                    f"{', '.join(there[:20]) or 'nothing'}; start its driver, correct the topic, or the domain "
+                    "(ROS_DOMAIN_ID) and the network"
                 )
 
     def _take(self) -> _Topics:
@@ -219,22 +222,19 @@ class Ros2Machine:
         if topics is None:
             raise DeviceError("the machine is closed; open it first")
         for joint in topics.joint.take():
-            angle, velocity, before = self._sign * joint.value[0], joint.value[1], self._angle
-            if velocity is not None:
-                velocity *= self._sign
-            elif before is None or joint.time <= before.time:
-                velocity = 0.0
-            else:
+            angle, velocity, before = self._sign * joint.value[0], 0.0, self._angle
+            if joint.value[1] is not None:
+                velocity = self._sign * joint.value[1]
+            elif before is not None and joint.time > before.time:
                 # A driver that reports no velocity: the difference from the reading before.
                 velocity = (angle - before.value[0]) / (joint.time - before.time)
             self._angle = Stamped(joint.time, joint.received, (angle, velocity))
         self._force = next(reversed(topics.wrench.take()), self._force)
         return topics
 
-    def _send(self, message: Callable[[JointCommands | FlipperCommands], None]) -> None:
-        """A message that moves; a stop in between, by a signal, has the last word."""
-        if self._topics is not None:
-            message(self._topics.commands)
+    def _send(self, send: Callable[..., None], *what: Target | float) -> None:
+        """Send a message that moves; a stop in between, by a signal, has the last word."""
+        send(*what, self._clock())
         if not self._enabled:
             self._brake(was_enabled=True)
 
@@ -242,7 +242,7 @@ class Ros2Machine:
         """Ask the driver to stop, or take that back, where it has a topic for it; returns whether somebody reads it."""
         if self._topics is None or self._topics.stop is None:
             return False
-        self._topics.stop.send(self._messages.encode(self._messages.make(BOOL, stop)))
+        self._topics.stop.send(serialized(BOOL, {"data": stop}))
         return self._topics.stop.readers() > 0
 
     def _brake(self, was_enabled: bool) -> None:
@@ -251,4 +251,4 @@ class Ros2Machine:
                 return
         with contextlib.suppress(Exception):
             if was_enabled and self._topics is not None and self._angle is not None:
-                self._topics.commands.hold(self._sign * self._angle.value[0])
+                self._topics.commands.hold(self._angle.value[0], self.limits.velocity_max)

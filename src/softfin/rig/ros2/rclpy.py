@@ -12,8 +12,7 @@ from typing import Any
 
 from softfin.core.errors import DeviceError, RigError
 from softfin.rig.ros2.config import TransportConfig
-from softfin.rig.ros2.messages import one_line
-from softfin.rig.ros2.transport import DEPTH, Publisher, Received, Take
+from softfin.rig.ros2.transport import DEPTH, Publisher, Take, one_line
 
 
 class RclpyTransport:
@@ -38,9 +37,8 @@ class RclpyTransport:
         except Exception as error:
             # What it raises where the installation is broken is not documented.
             raise RigError(f"rclpy cannot be used ({one_line(error)}); use transport: dds") from None
-        self._own: list[str] = []
+        self._own, self._closed = list[str](), False
         self.failure: str | None = None
-        self._closed = False
         threading.Thread(target=self._spin, name="softfin-rclpy", daemon=True).start()
 
     def publish(self, topic: str, kind: str) -> Publisher:
@@ -60,44 +58,43 @@ class RclpyTransport:
 
     def subscribe(self, topic: str, kind: str, best_effort: bool = False) -> Take:
         """A raw subscription: the bytes as they came."""
-        waiting: deque[Received] = deque(maxlen=DEPTH)
+        waiting: deque[tuple[bytes, float]] = deque(maxlen=DEPTH)
 
-        def put(data: bytes) -> None:
-            waiting.append(Received(bytes(data), time.monotonic()))
-
-        def take() -> list[Received]:
+        def take() -> list[tuple[bytes, float]]:
             if self.failure is not None:
                 raise DeviceError(f"rclpy has stopped ({self.failure}); start again")
             return [waiting.popleft() for _ in range(len(waiting))]
 
-        self._node.create_subscription(_class(kind), topic, put, self._quality(best_effort), raw=True)
+        self._node.create_subscription(
+            _class(kind), topic, lambda data: waiting.append((bytes(data), time.monotonic())),
+            self._quality(best_effort), raw=True,
+        )  # fmt: skip
         return take
 
     def topics(self) -> dict[str, str]:
         """As `ros2 topic list -t` shows them, without ours."""
-        found = dict(self._node.get_topic_names_and_types())
-        theirs = (name for name in sorted(found) if self._node.count_publishers(name) > self._own.count(name))
-        return {name: ", ".join(found[name]) for name in theirs}
+        found = sorted(self._node.get_topic_names_and_types())
+        return {
+            name: ", ".join(kinds) for name, kinds in found if self._node.count_publishers(name) > self._own.count(name)
+        }
 
     def close(self) -> None:
         """End the thread with its executor; any number of times."""
-        if self._closed:
-            return
-        self._closed = True
-        for step in (lambda: self._executor.shutdown(timeout_sec=1.0), self._node.destroy_node,
-                     lambda: self._rclpy.try_shutdown(context=self._context)):  # fmt: skip
-            with contextlib.suppress(Exception):
-                step()
+        if not self._closed:
+            self._closed = True
+            with contextlib.suppress(Exception), contextlib.ExitStack() as steps:
+                steps.callback(self._rclpy.try_shutdown, context=self._context)
+                steps.callback(self._node.destroy_node)
+                steps.callback(self._executor.shutdown, timeout_sec=1.0)
 
     def _spin(self) -> None:
-        failure = "its executor has ended"
+        # Whatever ends it ends the messages: those who take must hear of it.
         try:
             self._executor.spin()
+            failure = "its executor has ended"
         except Exception as error:
-            # Whatever ends it ends the messages: those who take must hear of it.
             failure = one_line(error)
-        if not self._closed:
-            self.failure = failure
+        self.failure = None if self._closed else failure
 
     def _quality(self, best_effort: bool) -> Any:
         qos = importlib.import_module("rclpy.qos")

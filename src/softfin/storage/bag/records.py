@@ -1,13 +1,18 @@
-"""MCAP records of a file that is whole, still grows or was cut off: bytes in, records of the mcap library out.
+"""Bags that are whole, still grow, were cut off or damaged: bytes in, records of the mcap library or a whole bag out.
 
 The library's own readers need a file that ends as it should. Here a record counts as soon as it lies whole in the
 file, a chunk only if its length and its checksum are right.
 """
 
+import contextlib
 import io
+import os
 import struct
+import zlib
+from collections import Counter
 from collections.abc import Iterator
-from typing import Any, NamedTuple, TypeAlias, cast
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple, TypeAlias, cast
 
 import zstandard
 from mcap.data_stream import ReadDataStream
@@ -17,6 +22,8 @@ from mcap.records import Channel, Chunk, Footer, Message, Schema
 from mcap.stream_reader import breakup_chunk
 
 from softfin.core.errors import LogError
+from softfin.storage import artifact as artifacts
+from softfin.storage.bag.messages import start_writer
 
 MAGIC = b"\x89MCAP0\r\n"
 """First and last bytes of a file."""
@@ -24,8 +31,8 @@ MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
 """Opcode and length, before each record."""
 
-MESSAGE_HEAD_BYTES = 22
-"""Bytes of a message's record before its data."""
+FOOTER = struct.Struct("<QQI")
+"""Start of the index, that of its groups, and a checksum."""
 
 LARGEST_BYTES = 64 * 2**20
 """Largest record, or unpacked chunk, that is read; ROS 2 closes its chunks below one megabyte."""
@@ -34,20 +41,24 @@ Record: TypeAlias = Schema | Channel | Message | Footer
 
 _KINDS: dict[int, Any] = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.FOOTER: Footer}
 
-READ = frozenset({*_KINDS, Opcode.MESSAGE, Opcode.CHUNK})
-"""Opcodes of the records whose content is read; others (indexes, attachments) are passed over."""
-
 
 class RawRecord(NamedTuple):
     """A record before it is decoded."""
 
     opcode: int
     start: int
-    """First byte within the file."""
     end: int
-    """Byte of the file that follows the record."""
+    """Bytes of the file: the record's first, and the one that follows it."""
     content: bytes
-    """Bytes behind opcode and length; empty unless the opcode is in `READ`."""
+    """Bytes behind opcode and length; of an attachment none."""
+
+
+class Damage(NamedTuple):
+    """A part of the file that cannot be read."""
+
+    start: int
+    length: int
+    reason: str
 
 
 def read_records(file: io.BufferedIOBase, start: int, size: int) -> Iterator[RawRecord]:
@@ -55,45 +66,175 @@ def read_records(file: io.BufferedIOBase, start: int, size: int) -> Iterator[Raw
     while start + HEAD.size <= size:
         file.seek(start)
         head = file.read(HEAD.size)
-        if len(head) < HEAD.size:
-            return
-        opcode, length = HEAD.unpack(head)
-        if not opcode and not length:
+        if len(head) < HEAD.size or not any(head):
             # Over a network, and after a power cut, the length of a file can be seen before its bytes.
             return
-        is_read = opcode in READ
+        opcode, length = HEAD.unpack(head)
         if not opcode or (opcode != Opcode.ATTACHMENT and length > LARGEST_BYTES):
             raise LogError(f"a record of kind {opcode} and {length:,} bytes at byte {start:,}")
         end = start + HEAD.size + length
         if end > size:
             return
-        content = file.read(length) if is_read else b""
-        if is_read and len(content) < length:
-            return
-        yield RawRecord(opcode, start, end, content)
+        yield RawRecord(opcode, start, end, b"" if opcode == Opcode.ATTACHMENT else file.read(length))
         start = end
 
 
 def decode(record: RawRecord) -> list[Record]:
     """Decode a record, of a chunk all that it holds; raises LogError where it is damaged."""
+    stream = ReadDataStream(io.BytesIO(record.content))
     try:
-        if record.opcode == Opcode.CHUNK:
-            return _unpack(record.content)
-        stream = ReadDataStream(io.BytesIO(record.content))
         if record.opcode == Opcode.MESSAGE:
-            if len(record.content) < MESSAGE_HEAD_BYTES:
-                raise LogError("a message that is too short")
             return [Message.read(stream, len(record.content))]
-        return [_KINDS[record.opcode].read(stream)] if record.opcode in _KINDS else []
+        if record.opcode != Opcode.CHUNK:
+            return [_KINDS[record.opcode].read(stream)] if record.opcode in _KINDS else []
+        chunk = Chunk.read(stream)
+        if chunk.uncompressed_size > LARGEST_BYTES:
+            raise ValueError(f"{chunk.uncompressed_size:,} bytes unpacked, allowed are {LARGEST_BYTES:,}")
+        return cast(list[Record], breakup_chunk(chunk, validate_crc=True))
     except (McapError, zstandard.ZstdError, ValueError, OverflowError, RuntimeError, EOFError, struct.error) as error:
         what = "chunk" if record.opcode == Opcode.CHUNK else "record"
         raise LogError(f"a {what} that cannot be decoded ({' '.join(str(error).split())})") from None
 
 
-def _unpack(content: bytes) -> list[Record]:
-    chunk = Chunk.read(ReadDataStream(io.BytesIO(content)))
-    if chunk.uncompressed_size > LARGEST_BYTES:
-        raise LogError(f"a chunk of {chunk.uncompressed_size:,} bytes, allowed are {LARGEST_BYTES:,}")
-    if chunk.compression not in ("", "lz4", "zstd"):
-        raise LogError(f"a chunk of unknown compression {chunk.compression!r}")
-    return cast(list[Record], breakup_chunk(chunk, validate_crc=True))
+def scan(path: Path) -> Iterator[Record | Damage]:
+    """Yield the records of a file in order, those in chunks too, and each damage where it is met."""
+    try:
+        with path.open("rb") as file:
+            yield from _scan(file, os.fstat(file.fileno()).st_size)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read ({error.strerror}); give the path of a .mcap file") from None
+
+
+def check_bag(path: Path) -> None:
+    """Raise LogError unless the file is whole."""
+    damage = next((item for item in scan(path) if isinstance(item, Damage)), None)
+    if damage is not None:
+        raise LogError(
+            f"{path}: truncated, or not a ROS 2 bag (at byte {damage.start:,}: {damage.reason}); "
+            f"what it holds is saved by: softfin bag recover {path}"
+        )
+
+
+def _scan(file: io.BufferedIOBase, size: int) -> Iterator[Record | Damage]:
+    if file.read(len(MAGIC)) != MAGIC:
+        yield Damage(0, size, "it does not begin as MCAP")
+        return
+    at, reason = len(MAGIC), "a record that is not whole"
+    try:
+        for record in read_records(file, at, size):
+            at = record.end
+            if record.opcode == Opcode.FOOTER:
+                if not _is_end(file, record):
+                    yield Damage(record.start, size - record.start, "the index or the end is damaged")
+                return
+            yield from _decode(record)
+    except LogError as error:
+        reason = str(error)
+    saved = 0
+    for record in _records_of_cut_chunk(file, at, size):
+        yield from _decode(record)
+        saved += record.end - record.start
+    yield Damage(at, size - at - saved, reason if at < size else "it has no end")
+
+
+def _decode(record: RawRecord) -> list[Record] | list[Damage]:
+    try:
+        return decode(record)
+    except LogError as error:
+        return [Damage(record.start, record.end - record.start, str(error))]
+
+
+def _records_of_cut_chunk(file: io.BufferedIOBase, at: int, size: int) -> Iterator[RawRecord]:
+    """Yield the whole records of a last chunk that was not compressed."""
+    file.seek(at)
+    # Opcode, length and the fields of an uncompressed chunk: its compression has no letters.
+    head = file.read(49)
+    if head[:1] == bytes([Opcode.CHUNK]) and head[37:41] == bytes(4):
+        # A file system shows zeros where bytes never reached the disk, so no message may end in them.
+        beginning = file.read(min(size - at, LARGEST_BYTES)).rstrip(b"\0")
+        # Behind the first bytes that are not a record there is nothing to save.
+        with contextlib.suppress(LogError):
+            yield from read_records(io.BytesIO(beginning), 0, len(beginning))
+
+
+def _is_end(file: io.BufferedIOBase, record: RawRecord) -> bool:
+    """Whether a footer is followed by the file's last bytes, and the checksum of the index before it is right."""
+    file.seek(record.end)
+    if file.read() != MAGIC or len(record.content) < FOOTER.size:
+        return False
+    start, _, checksum = FOOTER.unpack_from(record.content)
+    # The checksum covers the index, and the footer but for the checksum itself.
+    file.seek(min(start, record.start))
+    return not (start and checksum) or zlib.crc32(file.read(record.end - 4 - start)) == checksum
+
+
+class Recovery(NamedTuple):
+    """Result of a recovery."""
+
+    whole: bool
+    """Whether the bag was whole, so that nothing was written."""
+    messages: dict[str, int]
+    """Number of messages saved, or present, by topic."""
+    seconds: float
+    """Time from the first to the last message [s]."""
+    orphans: int
+    """Number of messages whose topic is not known any more: they are not saved."""
+    damages: tuple[Damage, ...]
+    """Parts that could not be read."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Recovery for JSON."""
+        return self._asdict() | {
+            "damages": [{"byte": at, "bytes": length, "reason": reason} for at, length, reason in self.damages]
+        }
+
+
+def recovered_path(path: Path) -> Path:
+    """Path that is written unless another is given: ``run.recovered.mcap`` beside ``run.mcap``."""
+    return path.with_name(f"{path.stem}.recovered.mcap")
+
+
+def recover(path: Path, out: Path, overwrite: bool = False) -> Recovery:
+    """Save what can be read; raises LogError where nothing can, ArtifactError where `out` exists."""
+    artifacts.check_file(out, overwrite and out.resolve() != path.resolve())
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
+    counts, damages = Counter[int](), list[Damage]()
+    first, last = 2**64, 0
+    # Definitions may stand behind their messages where the first chunk is lost: the index repeats them.
+    for item in scan(path):
+        match item:
+            case Damage():
+                damages.append(item)
+            case Schema():
+                schemas.setdefault(item.id, item)
+            case Channel():
+                channels.setdefault(item.id, item)
+            case Message():
+                counts[item.channel_id] += 1
+                first, last = min(first, item.log_time), max(last, item.log_time)
+    messages = Counter[str]()
+    for number in sorted(channels.keys() & counts):
+        messages[channels[number].topic] += counts[number]
+    orphans = counts.total() - messages.total()
+    if orphans:
+        damages.append(Damage(0, 0, f"{orphans:,} messages whose topic is not known"))
+    if damages and not messages:
+        reason = damages[0].reason
+        raise LogError(f"{path}: no message in it can be read ({reason}); copy it again from where it was recorded")
+
+    def copy(file: BinaryIO) -> None:
+        writer, registered, written = start_writer(file), {0: 0}, {}
+        for number, schema in schemas.items():
+            registered[number] = writer.register_schema(schema.name, schema.encoding, schema.data)
+        for number, channel in channels.items():
+            kind = registered.get(channel.schema_id, 0)
+            written[number] = writer.register_channel(channel.topic, channel.message_encoding, kind, channel.metadata)
+        for one in scan(path):
+            if isinstance(one, Message) and one.channel_id in written:
+                writer.add_message(written[one.channel_id], one.log_time, one.data, one.publish_time, one.sequence)
+        writer.finish()
+
+    if damages:
+        artifacts.write_file(out, copy)
+    return Recovery(not damages, dict(messages), max(0, last - first) / 1e9, orphans, tuple(damages))

@@ -5,6 +5,7 @@ loses what came since. The file is at any time the beginning of a whole bag: `so
 """
 
 import contextlib
+import io
 import os
 import queue
 import shutil
@@ -14,7 +15,7 @@ from pathlib import Path
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import LogError, RunError
 from softfin.storage import artifact as artifacts
-from softfin.storage.bag.messages import COMMAND, CURRENT, EVENTS, JOINT, REFERENCE, SECOND_NS, WRENCH, BagWriter, Row
+from softfin.storage.bag.messages import COMMAND, CURRENT, EVENTS, JOINT, REFERENCE, SECOND_NS, WRENCH, BagWriter
 
 POLL_S = 0.05
 """Period at which the queue is emptied [s]: so few rows at a time delay the loop by tenths of a millisecond at most."""
@@ -22,19 +23,11 @@ POLL_S = 0.05
 BACKLOG = 50_000
 """Most rows that wait for the disk: two minutes at 400 per second, some 20 MB."""
 
-PENDING_BYTES = 50_000_000
-"""Most bytes that wait for a full disk; beyond it rows are dropped."""
-
 STALL_S = 5.0
 """Longest time that the disk may take to synchronise [s]."""
 
 CLOSE_S = 10.0
 """Longest time that `close` waits for the thread [s]."""
-
-APART_S = 1e-6
-"""Least time between two commands [s]: in simulated time two may come at one moment, and their order must be kept."""
-
-Values = tuple[float, ...] | str
 
 
 class BagRecorder:
@@ -50,31 +43,29 @@ class BagRecorder:
         self.path = path
         self._flush_s, self._reserve, self._clock = flush_s, reserve_bytes, clock
         self._offset_ns = round((clock.wall() - clock()) * SECOND_NS)
-        self._queue: queue.SimpleQueue[tuple[str, float, Values]] = queue.SimpleQueue()
-        self._pending = _Pending()
+        self._queue: queue.SimpleQueue[tuple[str, float, Sequence[float] | str]] = queue.SimpleQueue()
         self._failure: str | None = None
-        self._bag = BagWriter(self._pending)
-        self._file = _create(path)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            # The buffer has room for 25 minutes that wait for a full disk.
+            self._file = io.BufferedWriter(io.FileIO(path, "xb"), 50_000_000)
+        except FileExistsError:
+            raise LogError(f"{path}: exists already, recordings are never overwritten; give another name") from None
+        except OSError as error:
+            raise RunError(f"{path}: cannot be written ({error.strerror or error}); record elsewhere") from None
+        artifacts.sync(path.parent)
+        self._bag = BagWriter(self._file)
         self._flushed = clock()
         self._began: float | None = None
         self._commanded = -float("inf")
         self._closing = clock.event()
-        try:
-            # The file is a bag before the first row comes, and a disk without room is noticed before a motion.
-            self._flush()
-            if self._failure is not None:
-                raise RunError(self._failure)
-        except BaseException:
-            os.close(self._file)
-            path.unlink(missing_ok=True)
-            raise
+        # The file is a bag before the first row comes, and a disk without room is noticed before a motion.
+        self._flush()
+        if self._failure is not None:
+            self._file.close()
+            path.unlink()
+            raise RunError(self._failure)
         self._thread = clock.spawn(self._work, "bag recorder")
-
-    def __enter__(self) -> "BagRecorder":
-        return self
-
-    def __exit__(self, *reason: object) -> None:
-        self.close()
 
     @property
     def failure(self) -> str | None:
@@ -85,8 +76,9 @@ class BagRecorder:
         return self._failure
 
     def command(self, time: float, angle: float, velocity: float) -> None:
-        """Record a command [rad, rad/s]; the later one of two at one moment is stamped a little later."""
-        self._commanded = max(time, self._commanded + APART_S)
+        """Record a command [rad, rad/s]."""
+        # In simulated time two may come at one moment, and their order must be kept.
+        self._commanded = max(time, self._commanded + 1e-6)
         self._hand_in(COMMAND, self._commanded, (angle, velocity))
 
     def joint(self, time: float, angle: float, velocity: float, current: float | None) -> None:
@@ -116,7 +108,7 @@ class BagRecorder:
         if self._thread.is_alive():
             self._fail(f"the disk did not end the file within {CLOSE_S:g} s", f"softfin bag recover {self.path}")
 
-    def _hand_in(self, topic: str, time: float, values: Values) -> None:
+    def _hand_in(self, topic: str, time: float, values: Sequence[float] | str) -> None:
         if self._closing.is_set():
             return
         if self._queue.qsize() < BACKLOG:
@@ -137,72 +129,30 @@ class BagRecorder:
             self._fail(f"{type(error).__name__}: {' '.join(str(error).split())}", f"softfin bag recover {self.path}")
         finally:
             with contextlib.suppress(OSError):
-                os.close(self._file)
+                self._file.close()
 
     def _take(self) -> None:
         for _ in range(self._queue.qsize()):
             topic, seconds, values = self._queue.get()
-            if len(self._pending) > PENDING_BYTES:
-                continue
             try:
-                self._bag.write(Row(topic, self._offset_ns + round(seconds * SECOND_NS), values))
+                self._bag.write(topic, self._offset_ns + round(seconds * SECOND_NS), values)
             except Exception as error:
                 self._fail(f"{topic} cannot be {values!r:.100} ({error})", "report this, it is a defect of softfin")
 
     def _flush(self, end: bool = False) -> None:
-        (self._bag.finish if end else self._bag.flush)()
         self._began = self._clock()
         try:
+            (self._bag.finish if end else self._bag.flush)()
             if shutil.disk_usage(self.path.parent).free < self._reserve:
                 # Reported while there is room for the stop, the events and the end of the file.
                 self._fail(f"less than {self._reserve / 1e6:g} MB of the disk are free", "make room")
-            self._pending.write_to(self._file)
-            os.fsync(self._file)
+            self._file.flush()
+            os.fsync(self._file.fileno())
         except OSError as error:
-            # What could not be written stays pending: the next flush goes on from there, should room be made.
+            # What could not be written stays in the buffer: the next flush goes on from there, should room be made.
             self._fail(error.strerror or str(error), f"make room on its disk; softfin bag recover {self.path}")
         self._began, self._flushed = None, self._clock()
 
     def _fail(self, reason: str, fix: str) -> None:
         if self._failure is None:
             self._failure = f"{self.path}: the recording fails: {reason}; what was written stays; {fix}"
-
-
-class _Pending:
-    """The stream that the bag is written to: bytes that wait for the disk."""
-
-    def __init__(self) -> None:
-        self._bytes = bytearray()
-        self._gone = 0
-
-    def __len__(self) -> int:
-        return len(self._bytes)
-
-    def write(self, data: bytes) -> int:
-        self._bytes += data
-        return len(data)
-
-    def tell(self) -> int:
-        return self._gone + len(self._bytes)
-
-    def flush(self) -> None:
-        """Do nothing: `write_to` writes when it is time."""
-
-    def write_to(self, file: int) -> None:
-        """Write to the disk; raises OSError, and keeps what was not written."""
-        while self._bytes:
-            taken = os.write(file, self._bytes)
-            del self._bytes[:taken]
-            self._gone += taken
-
-
-def _create(path: Path) -> int:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o644)
-    except FileExistsError:
-        raise LogError(f"{path}: exists already, recordings are never overwritten; give another name") from None
-    except OSError as error:
-        raise RunError(f"{path}: cannot be written ({error.strerror or error}); record elsewhere") from None
-    artifacts.sync(path.parent)
-    return file
