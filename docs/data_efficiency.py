@@ -23,6 +23,7 @@ from matplotlib.ticker import LogLocator
 from softfin.cli.options import HelpRequested, Option, help_of, parse
 from softfin.core.quantities import RATE_HZ, Log, Reading
 from softfin.core.randomness import key_of
+from softfin.core.window import moving_average
 from softfin.data.collect import CollectConfig
 from softfin.stages.collect import collect
 from softfin.stages.fit import fit
@@ -202,8 +203,8 @@ def scored(surrogate: Any, logs: Sequence[Log]) -> dict[str, float]:
     where = stretches(logs)
     predicted, members = free_run(surrogate, logs, where, HORIZON)
     measured = take(logs, where, HORIZON)
-    half_width = getattr(getattr(surrogate, "interval", None), "half_width", None)
-    found = score_segments(measured, predicted, measured_ranges(logs), members, half_width).scores
+    widths = None if members is None else surrogate.interval.half_width(moving_average(members))
+    found = score_segments(measured, predicted, measured_ranges(logs), widths).scores
     return found | offset_free(predicted, measured.reading)
 
 

@@ -13,8 +13,8 @@ from softfin.data.excitation import ExcitationConfig
 from softfin.surrogate import StreamingSurrogate, save_surrogate
 from softfin.surrogate.active import ActiveCollectConfig, ActiveConfig, Chooser, chooser, information, unlikeness
 from softfin.surrogate.streaming.fit import StreamingConfig
-from softfin.surrogate.streaming.force import Motion, Scales
 from softfin.surrogate.streaming.member import ensemble, single
+from softfin.surrogate.streaming.segments import Motion, Scales
 from softfin.surrogate.streaming.uncertainty import Familiarity, Interval, remembered
 from tests.surrogate import small
 

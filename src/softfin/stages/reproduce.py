@@ -209,8 +209,8 @@ class _Reproduction:
         first = max(surrogate.memory, min(10 * RATE_HZ, rows // 2))
         ticks = min(SHOWN_S * RATE_HZ, rows - first)
         stretch = slice(first, first + ticks)
-        free = free_run(surrogate, [log], [Segment(0, first)], ticks)
-        predicted = {"free-running": np.asarray(free.reading.force[0])}
+        free, _ = free_run(surrogate, [log], [Segment(0, first)], ticks)
+        predicted = {"free-running": np.asarray(free.force[0])}
         if not isinstance(surrogate, EnsemblePlant):
             behind = slice(first - surrogate.window, stretch.stop - surrogate.window)
             predicted = {"given the angle": surrogate.predict_force(log, free_running=False)[behind], **predicted}

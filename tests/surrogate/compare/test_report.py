@@ -33,13 +33,15 @@ def test_traces_show_what_was_measured_and_what_each_group_predicted():
             i for i, force in enumerate(comparison.measured.reading.force) if np.array_equal(force[:, index], measured)
         )
         for group in comparison.groups:
-            np.testing.assert_array_equal(shown[group.name].get_ydata(), group.runs[0].reading.force[segment, :, index])
+            np.testing.assert_array_equal(
+                shown[group.row["name"]].get_ydata(), group.runs[0].reading.force[segment, :, index]
+            )
     assert axes[1].get_xlabel() == "time since the surrogate began to run free [s]"
 
 
 def test_errors_stand_over_their_horizons_with_intervals_and_the_noise_floor():
     comparison = compared()
-    summary, axes = comparison.summary(), comparison_figure(comparison).get_axes()[2]
+    summary, axes = comparison.summary, comparison_figure(comparison).get_axes()[2]
     bars = {container.get_label(): container for container in axes.containers}
     assert set(bars) == {"paper, x", "paper, y", "attentive, x", "attentive, y"}
     cells = [row["force_y_rmse_n"]["mean"] for row in summary["groups"][0]["horizons"]]

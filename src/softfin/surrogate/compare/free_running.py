@@ -6,7 +6,6 @@ from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
@@ -18,16 +17,7 @@ from softfin.surrogate.store import AnySurrogate
 BATCH = 64
 """Segments side by side, at most: enough for the matrix products, and a few MB of activations."""
 
-Record = TypeVar("Record", Log, Reading)
-
-
-class FreeRunPrediction(NamedTuple):
-    """What a free-running surrogate predicts: NumPy."""
-
-    reading: Reading
-    """Fields ``(segments, ticks)``."""
-    members: Float[np.ndarray, "members segments ticks 2"] | None
-    """Forces of the members of an ensemble [N]; None of a surrogate that is not an ensemble."""
+Tree = TypeVar("Tree")
 
 
 class Segment(NamedTuple):
@@ -51,16 +41,18 @@ def segments_of(rows: Sequence[int], ticks: int, first: int) -> list[Segment]:
     return [Segment(i, row) for i, count in enumerate(rows) for row in range(first, count - ticks + 1, ticks)]
 
 
-def take(records: Sequence[Record], segments: Sequence[Segment], ticks: int) -> Record:
-    """The rows of some segments, stacked: fields ``(segments, ticks, ...)``."""
-    cut: Record = _stacked([_rows(records[log], row, row + ticks) for log, row in segments])
-    return cut
+def take(records: Sequence[Tree], segments: Sequence[Segment], ticks: int) -> Tree:
+    """The rows of some segments of logs or readings, stacked: fields ``(segments, ticks, ...)``."""
+    return _stacked([_rows(records[log], row, row + ticks) for log, row in segments])
 
 
 def free_run(
     surrogate: AnySurrogate, logs: Sequence[Log], segments: Sequence[Segment], ticks: int
-) -> FreeRunPrediction:
-    """Predict segments that begin at row `memory` or later."""
+) -> tuple[Reading, Float[np.ndarray, "members segments ticks 2"] | None]:
+    """Predict segments that begin at row `memory` or later, ``(segments, ticks)``, and the forces of each member [N].
+
+    NumPy; None for the members of a surrogate that is not an ensemble.
+    """
     size = math.ceil(len(segments) / math.ceil(len(segments) / BATCH))
     parts = []
     for begin in range(0, len(segments), size):
@@ -70,12 +62,11 @@ def free_run(
         states = _stacked([surrogate.warm(_rows(logs[log], row - surrogate.memory, row)) for log, row in filled])
         # What row k shows was commanded in row k - 1.
         commands = take(logs, [Segment(log, row - 1) for log, row in filled], ticks).command
-        predicted = _free_run(surrogate, jax.tree.map(jnp.asarray, states), jax.tree.map(jnp.asarray, commands))
-        kept = len(some)
-        parts.append(jax.tree.map(lambda x, kept=kept: np.asarray(x)[:kept], predicted))
+        predicted = _free_run(surrogate, states, commands)
+        parts.append(_rows(predicted, 0, len(some)))
     reading, members = jax.tree.map(lambda *each: np.concatenate(each), *parts)
-    _check_finite(reading, segments, f"the {surrogate.model} surrogate")
-    return FreeRunPrediction(reading, None if members is None else np.moveaxis(members, 2, 0))
+    _check_finite(reading, f"the {surrogate.model} surrogate")
+    return reading, None if members is None else np.moveaxis(members, 2, 0)
 
 
 def run_from_rest(plant: Plant, logs: Sequence[Log], key: PRNGKeyArray) -> list[Reading]:
@@ -89,9 +80,9 @@ def run_from_rest(plant: Plant, logs: Sequence[Log], key: PRNGKeyArray) -> list[
         check_commands(plant.limits, log.command)
         issued.append(Command(*(np.pad(x[:-1], (1, max(rows) - count), mode="edge") for x in log.command)))
     states = jax.vmap(plant.init)(jax.random.split(key, len(logs)))
-    reading, _ = jax.tree.map(np.asarray, _free_run(plant, states, jax.tree.map(jnp.asarray, _stacked(issued))))
-    _check_finite(reading, [Segment(index, 0) for index in range(len(logs))], "the plant of the noise floor")
-    return [Reading(*(field[index, :count] for field in reading)) for index, count in enumerate(rows)]
+    reading, _ = _free_run(plant, states, _stacked(issued))
+    _check_finite(reading, "the plant of the noise floor")
+    return [Reading(*(np.asarray(field)[index, :count] for field in reading)) for index, count in enumerate(rows)]
 
 
 @eqx.filter_jit
@@ -109,21 +100,18 @@ def _free_run(plant: Any, states: State, commands: Command) -> tuple[Reading, An
     return mean, each.force
 
 
-def _rows(record: Record, begin: int, end: int) -> Record:
-    cut: Record = jax.tree.map(lambda x: np.asarray(x)[begin:end], record)
+def _rows(record: Tree, begin: int, end: int) -> Tree:
+    cut: Tree = jax.tree.map(lambda x: np.asarray(x)[begin:end], record)
     return cut
 
 
-def _stacked(records: Sequence[Any]) -> Any:
-    return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *records)
+def _stacked(records: Sequence[Tree]) -> Tree:
+    stacked: Tree = jax.tree.map(lambda *leaves: np.stack(leaves), *records)
+    return stacked
 
 
-def _check_finite(reading: Reading, segments: Sequence[Segment], who: str) -> None:
-    bad = np.argwhere(~np.isfinite(reading.force).all(axis=-1) | ~np.isfinite(reading.angle))
-    if bad.size:
-        segment, tick = bad[0]
-        log, row = segments[segment]
+def _check_finite(reading: Reading, who: str) -> None:
+    if not all(np.isfinite(field).all() for field in reading):
         raise PlantError(
-            f"{who} predicts a value that is not finite for test log {log}, row {row + tick}, {tick + 1} ticks after "
-            "the start of its segment; its scores would mean nothing, so leave it out or fit it again"
+            f"{who} predicts a value that is not finite; its scores would mean nothing, so leave it out or fit it again"
         )

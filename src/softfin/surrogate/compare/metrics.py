@@ -7,7 +7,7 @@ never stands without RMSE.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 from dtaidistance import dtw
@@ -17,7 +17,7 @@ from softfin.core.action_clock import WINDOW
 from softfin.core.errors import LogError
 from softfin.core.quantities import AXES, AnyArray, Log, Reading
 from softfin.core.window import moving_average
-from softfin.surrogate.channels import ANGLE, FORCES, NetPrediction, channels_of, joined_channels
+from softfin.surrogate.channels import ANGLE, FORCES, columns_of, ranges
 from softfin.surrogate.store import AnySurrogate
 
 DTW_BAND = 100
@@ -31,11 +31,8 @@ PAPER_TABLE_I = {
 
 Samples = Float[np.ndarray, "samples"]
 
-Means = Float[np.ndarray, "segments windows *axes"]
+Means = Float[np.ndarray, "segments windows 2"]
 """Mean forces over the evaluation window, (x, y) [N]."""
-
-HalfWidth: TypeAlias = Callable[[Float[np.ndarray, "members segments windows 2"]], AnyArray]
-"""Takes the members' mean forces to the half-width of the stated interval of their mean."""
 
 
 def rms(error: AnyArray) -> float:
@@ -73,34 +70,29 @@ def table_one(surrogate: AnySurrogate, logs: Sequence[Log]) -> dict[str, Any]:
         scales = {name: 1 / span for name, span in measured_ranges(logs).items()}
     else:
         scales = {name: channel.scale for name, channel in surrogate.scaling.channels.items()}
-    predictions = surrogate.predictions(logs)
+    measured = [columns_of([log]) for log in logs]
     table = {}
-    for name, first in predictions[0].items():
-        scores = np.array([_channel_scores(log, each[name]) for log, each in zip(logs, predictions, strict=True)])
-        units = {"physical": np.ones(len(first.channels)), "scaled": np.array([scales[c] for c in first.channels])}
-        means = {unit: (scores * scale).mean(axis=(0, 2)).tolist() for unit, scale in units.items()}
+    for name, (channels, series, window, parameters) in surrogate.predictions(logs).items():
+        scores = np.array([
+            [[score(x, actual[channel][-len(x) :]) for channel, x in zip(channels, predicted.T, strict=True)]
+             for score in TABLE_I_SCORES.values()]
+            for predicted, actual in zip(series, measured, strict=True)
+        ])  # fmt: skip
+        scaled = scores * [scales[channel] for channel in channels]
+        means = {unit: each.mean(axis=(0, 2)).tolist() for unit, each in (("physical", scores), ("scaled", scaled))}
         rows = {unit: dict(zip(TABLE_I_SCORES, values, strict=True)) for unit, values in means.items()}
-        table[name] = {"window": first.window, "parameters": first.parameters, **rows}
+        table[name] = {"window": window, "parameters": parameters, **rows}
     return table
-
-
-def _channel_scores(log: Log, prediction: NetPrediction) -> list[list[float]]:
-    """Each score of each channel."""
-    measured, rows = channels_of(log), len(prediction.series)
-    pairs = [
-        (each, measured[name][-rows:]) for name, each in zip(prediction.channels, prediction.series.T, strict=True)
-    ]
-    return [[score(*pair) for pair in pairs] for score in TABLE_I_SCORES.values()]
 
 
 def measured_ranges(logs: Sequence[Log]) -> dict[str, float]:
     """Greatest minus least measured value of each channel over test logs; raises LogError where one never changes."""
-    columns = joined_channels(logs)
-    spans = {name: float(columns[name].max()) - float(columns[name].min()) for name in (ANGLE, *FORCES)}
-    for name, span in spans.items():
-        if not span > 0:
+    spans = {}
+    for name, (low, high) in ranges(logs, (ANGLE, *FORCES)).items():
+        spans[name] = high - low
+        if not high > low:
             raise LogError(
-                f"test logs: column {name} is {columns[name][0]:g} in every row, so that no prediction of it can be "
+                f"test logs: column {name} is {low:g} in every row, so that no prediction of it can be "
                 "scored; give test logs in which it changes, or none"
             )
     return spans
@@ -118,32 +110,26 @@ class HorizonScores(NamedTuple):
 
 
 def score_segments(
-    measured: Log,
-    predicted: Reading,
-    ranges: Mapping[str, float],
-    members: Float[np.ndarray, "members segments ticks 2"] | None = None,
-    half_width: HalfWidth | None = None,
+    measured: Log, predicted: Reading, spans: Mapping[str, float], half_widths: Means | None = None
 ) -> HorizonScores:
-    """Score segments, fields ``(segments, ticks)``; `members` and `half_width` of an ensemble that states intervals.
+    """Score segments, fields ``(segments, ticks)``, over `measured_ranges`; `half_widths` of stated intervals [N].
 
     Errors are pooled over all rows of all segments; horizons shorter than the evaluation window have no mean force.
     docs/files.md describes each score.
     """
     pairs = {"angle": (predicted.angle, measured.reading.angle)}
     pairs |= {f"force_{x}": (predicted.force[..., i], measured.reading.force[..., i]) for i, x in enumerate(AXES)}
-    units = {"angle": "rad", **{f"force_{axis}": "n" for axis in AXES}}
-    errors = {name: rmse(*pair) for name, pair in pairs.items()}
-    scores = {f"{name}_rmse_{units[name]}": error for name, error in errors.items()}
+    scores, distances = {}, []
+    for (name, pair), span in zip(pairs.items(), spans.values(), strict=True):
+        error, distance = rmse(*pair), np.mean([dtw_mae(*one) for one in zip(*pair, strict=True)])
+        scores[f"{name}_rmse_{'rad' if name == 'angle' else 'n'}"] = error
+        with np.errstate(divide="ignore", invalid="ignore"):  # a channel that never changes has none
+            scores[f"{name}_r2"] = float(1 - np.square(error) / np.var(np.asarray(pair[1], np.float64)))
+        distances.append([distance, distance / span])
     scores |= {"angle_mae_rad": mae(*pairs["angle"]), "force_mae_n": mae(predicted.force, measured.reading.force)}
-    with np.errstate(divide="ignore", invalid="ignore"):  # a channel that never changes has none
-        variances = {name: np.var(np.asarray(actual, np.float64)) for name, (_, actual) in pairs.items()}
-        scores |= {f"{name}_r2": float(1 - np.square(error) / variances[name]) for name, error in errors.items()}
-    warped = {name: np.mean([dtw_mae(*one) for one in zip(*pair, strict=True)]) for name, pair in pairs.items()}
-    scaled = {name: warped[name] / span for name, span in zip(pairs, ranges.values(), strict=True)}
-    for quantity, unit in (("angle", "rad"), ("force", "n")):
-        names = [name for name in pairs if name.startswith(quantity)]
-        scores[f"{quantity}_dtw_mae_{unit}"] = float(np.mean([warped[name] for name in names]))
-        scores[f"{quantity}_dtw_mae_scaled"] = float(np.mean([scaled[name] for name in names]))
+    scores |= dict(zip(("angle_dtw_mae_rad", "angle_dtw_mae_scaled"), map(float, distances[0]), strict=True))
+    force_distances = np.mean(distances[1:], axis=0).tolist()
+    scores |= dict(zip(("force_dtw_mae_n", "force_dtw_mae_scaled"), force_distances, strict=True))
     if measured.reading.angle.shape[1] < WINDOW:
         return HorizonScores(scores, None, None)
     mean_errors = moving_average(np.asarray(predicted.force)) - moving_average(np.asarray(measured.reading.force))
@@ -151,10 +137,8 @@ def score_segments(
     scores |= {f"mean_force_{axis}_mae_n": float(size[..., i].mean()) for i, axis in enumerate(AXES)}
     scores |= {"mean_force_mae_n": float(size.mean()), "mean_force_p95_n": float(np.quantile(size, 0.95)),
                "mean_force_worst_n": float(size.max())}  # fmt: skip
-    if half_width is None or members is None:
-        return HorizonScores(scores, mean_errors, None)
-    half_widths = np.asarray(half_width(moving_average(members)))
-    inside = size <= half_widths
-    scores |= {"coverage": float(inside.mean()), "half_width_n": float(half_widths.mean())}
-    scores |= {f"coverage_{axis}": float(inside[..., i].mean()) for i, axis in enumerate(AXES)}
+    if half_widths is not None:
+        inside = size <= half_widths
+        scores |= {"coverage": float(inside.mean()), "half_width_n": float(half_widths.mean())}
+        scores |= {f"coverage_{axis}": float(inside[..., i].mean()) for i, axis in enumerate(AXES)}
     return HorizonScores(scores, mean_errors, half_widths)

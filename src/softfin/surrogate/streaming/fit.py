@@ -4,7 +4,7 @@ All members learn side by side. Force nets are trained on the motion that the dr
 both are scored as they will be used: free-running, from the commands alone.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -24,9 +24,6 @@ from softfin.core.quantities import Log
 from softfin.core.randomness import key_of
 from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate.channels import command_limits
-from softfin.surrogate.streaming.drive import LONGEST_DELAY, DriveNetConfig, FollowingNet
-from softfin.surrogate.streaming.force import ForceNet, ForceNetConfig, Motion, Scales
-from softfin.surrogate.streaming.identify import identify
 from softfin.surrogate.streaming.member import (
     Member,
     ensemble,
@@ -36,10 +33,12 @@ from softfin.surrogate.streaming.member import (
     predict_logs,
     predict_motion,
 )
-from softfin.surrogate.streaming.segments import SegmentBatch, Table, scales_of, slices
+from softfin.surrogate.streaming.nets import DriveNetConfig, FollowingNet, ForceNet, ForceNetConfig
+from softfin.surrogate.streaming.profile import identify
+from softfin.surrogate.streaming.segments import Motion, Scales, SegmentBatch, Table, scales_of, slices
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 from softfin.surrogate.streaming.uncertainty import calibrated, familiar
-from softfin.surrogate.training import UPDATES_A_CALL, Call, TrainingState, check_lengths, held_out_count, train
+from softfin.surrogate.training import UPDATES_A_CALL, TrainingState, check_lengths, held_out_count, keep_best
 
 WARM_UP = 100
 """Updates in which the learning rate rises."""
@@ -131,7 +130,7 @@ def drive_loss(config: StreamingConfig) -> Loss:
     """Return the mean square error of angle and velocity, each in its own unit: free-running from the first tick on."""
 
     def loss(net: FollowingNet, segments: SegmentBatch, _: Motion, __: Array, ___: PRNGKeyArray) -> Float[Array, ""]:
-        predicted = jax.vmap(lambda *of: motions(net, *of))(segments.before, segments.waiting, segments.commands)
+        predicted = jax.vmap(partial(motions, net))(segments.before, segments.waiting, segments.commands)
         angle = (predicted.angle - segments.motion.angle) / net.scales.angle_rad
         velocity = (predicted.velocity - segments.motion.velocity) / net.scales.velocity_rad_s
         return jnp.mean((angle**2 + velocity**2)[:, config.burn_in :])
@@ -154,9 +153,7 @@ def force_loss(config: StreamingConfig) -> Loss:
         free = jax.random.bernoulli(key, share, (config.batch, 1))
         measured = jax.tree.map(lambda x, y: jnp.concatenate([x[:, None], y], axis=1), segments.before, segments.motion)
         motion = jax.tree.map(lambda new, old: jnp.where(free, new, old), predicted, measured)
-        before, after = jax.tree.map(lambda x: x[:, 0], motion), jax.tree.map(lambda x: x[:, 1:], motion)
-        force = jax.vmap(lambda *of: forces(net, *of))(before, after)
-        error = jnp.sum(((force - segments.force) / net.scales.force_n) ** 2, axis=-1)
+        error = jnp.sum(((jax.vmap(partial(forces, net))(motion) - segments.force) / net.scales.force_n) ** 2, axis=-1)
         return jnp.mean(error[:, config.burn_in :])
 
     return loss
@@ -178,10 +175,8 @@ def fit_streaming(
     training, holding, scales, table = split_streaming(logs, config)
     members = ensemble(config.members, config.drive, config.force, scales, key_of(seed, "fit/weights"))
     updates = {"drive": config.drive_updates, "force": config.force_updates}
-    learners = {
-        "drive": StreamingLearner(drive_loss(config), config, updates["drive"]),
-        "force": StreamingLearner(force_loss(config), config, updates["force"]),
-    }
+    losses = {"drive": drive_loss(config), "force": force_loss(config)}
+    learners = {name: StreamingLearner(loss, config, updates[name]) for name, loss in losses.items()}
     states = {name: learner.start(getattr(members, name)) for name, learner in learners.items()}
     done: dict[str, Any] = dict.fromkeys(learners, 0)
     if (resumed := run_directory.load(states)) is not None:
@@ -193,45 +188,37 @@ def fit_streaming(
         nets = eqx.tree_at(lambda nets: nets.profile, states["drive"].nets, profile)
         states["drive"] = states["drive"]._replace(nets=nets, best=nets)
     record = run_directory.log(rewind_to=sum(done.values()))
-    if resumed is None:
-        short = sum(len(log.reading.time) <= LONGEST_DELAY + config.ticks for log in training)
-        record.write(0, logs=float(len(training)), logs_shorter_than_a_segment=float(short))
 
-    def learn(name: str, predicted: Motion, held_out_loss: Callable[[Any], Float[np.ndarray, "members"]]) -> None:
-        """All updates of one kind of net, in rounds, with a checkpoint after each."""
+    def learn(name: str, predicted: Motion, error: Callable[[Any], Float[np.ndarray, "members"]]) -> Any:
+        """All updates of one kind of net, with a checkpoint after each round; returns the best weights."""
         key, (call, round_of) = key_of(seed, f"fit/{name}"), _calls(updates[name])
         before = updates["drive"] if name == "force" else 0
-
-        def run(state: TrainingState, first: int, count: int) -> tuple[TrainingState, Float[Array, "members"]]:
-            state, loss = learners[name].run(state, table, predicted, jnp.int32(first), count, key)
-            if progress is not None:
-                part = (before + first + count) / sum(updates.values())
-                progress("fit", part, f"{name} nets, loss {float(loss.mean()):.3g}")
-            return state, loss
-
-        def rounds() -> Iterator[list[Call]]:
-            for first in range(done[name], updates[name], round_of):
-                until = min(first + round_of, updates[name])
-                yield [partial(run, first=at, count=min(call, until - at)) for at in range(first, until, call)]
-
-        for each in train(states[name], rounds(), held_out_loss, f"{name} nets"):
-            done[name] = min(done[name] + round_of, updates[name])
-            means = {f"train/{name}_loss": each.losses[-1], f"held_out/{name}_mse": each.held_out}
-            record.write(before + done[name], **{title: float(x.mean()) for title, x in means.items()})
-            states[name] = each.state
+        while done[name] < updates[name]:
+            state, losses, until = states[name], [], min(done[name] + round_of, updates[name])
+            for first in range(done[name], until, call):
+                count = min(call, until - first)
+                state, loss = learners[name].run(state, table, predicted, jnp.int32(first), count, key)
+                losses.append(loss)
+                if progress is not None:
+                    part = (before + first + count) / sum(updates.values())
+                    progress("fit", part, f"{name} nets, loss {float(loss.mean()):.3g}")
+            held_out = error(state.nets)
+            states[name], _ = keep_best(state, losses, held_out, f"{name} nets")
+            done[name] = until
+            means: dict[str, Any] = {f"train/{name}_loss": losses[-1], f"held_out/{name}_mse": held_out}
+            record.write(before + until, **{title: float(x.mean()) for title, x in means.items()})
             run_directory.save(states, done)
+        return states[name].best
 
     not_used = Motion(*(jnp.zeros((config.members, table.force.shape[0])) for _ in range(2)))
-    learn("drive", not_used, partial(_drive_error, holding, scales))
-    drives = states["drive"].best
-    predicted = zip(*predict_motion(drives, training), strict=True)
-    joined = Motion(*(jnp.asarray(np.concatenate(parts, axis=1)) for parts in predicted))
-    learn("force", joined, partial(_force_error, holding, predict_motion(drives, holding), config.burn_in))
+    drives = learn("drive", not_used, partial(_drive_error, holding, scales))
+    motion = predict_motion(drives, training)
+    joined = Motion(*(jnp.asarray(np.concatenate(parts, axis=1)) for parts in zip(*motion, strict=True)))
+    force_nets = learn("force", joined, partial(_force_error, holding, predict_motion(drives, holding), config.burn_in))
     record.close()
-    members = Member(drives, states["force"].best)
-    held_out = [predicted.force for predicted in predict_logs(members, holding)]
-    interval = calibrated(held_out, holding, config.burn_in)
-    return StreamingSurrogate(members, command_limits(training), interval, familiar(members, training, config.burn_in))
+    members = Member(drives, force_nets)
+    interval = calibrated([predicted.force for predicted in predict_logs(members, holding)], holding, config.burn_in)
+    return StreamingSurrogate(members, command_limits(training), interval, familiar(force_nets, motion, config.burn_in))
 
 
 def split_streaming(logs: Sequence[Log], config: StreamingConfig) -> tuple[list[Log], list[Log], Scales, Table]:
@@ -248,6 +235,7 @@ def split_streaming(logs: Sequence[Log], config: StreamingConfig) -> tuple[list[
     return training, holding, scales_of(training), Table.of(training, config.ticks)
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def _drive_error(logs: Sequence[Log], scales: Scales, nets: FollowingNet) -> Float[np.ndarray, "members"]:
     """Mean square error of angle and velocity over held-out logs, each in its own unit."""
     parts = []
@@ -258,6 +246,7 @@ def _drive_error(logs: Sequence[Log], scales: Scales, nets: FollowingNet) -> Flo
     return np.asarray(np.mean(parts, axis=0))
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def _force_error(
     logs: Sequence[Log], motion: Sequence[Motion], burn_in: int, nets: ForceNet
 ) -> Float[np.ndarray, "members"]:
