@@ -67,7 +67,7 @@ def streaming_updates(random: np.random.Generator) -> tuple[Callable[[], Any], i
     starts = jnp.arange(LONGEST_DELAY, ROWS - config.ticks, dtype=jnp.int32)
     table = Table(Command(*columns[:2]), Motion(*columns[2:]), force, starts)
     foretold = Motion(*(jnp.tile(column, (config.members, 1)) for column in columns[2:]))
-    learner = StreamingLearner(force_loss(config), config, config.force_updates)
+    learner = StreamingLearner(force_loss, config, config.force_updates)
     state = learner.start(members.force)
     ticks = config.members * config.batch * config.ticks
     per_tick = 3 * 2 * products(single(members).force)

@@ -32,8 +32,7 @@ from softfin.storage.dataset import Dataset, write_dataset
 from softfin.storage.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, save_figure, styled
 from softfin.surrogate import FitConfig, StreamingConfig, load_surrogate
 from softfin.surrogate.active import ActiveCollectConfig
-from softfin.surrogate.compare.free_running import free_run, run_from_rest, segments_of, take
-from softfin.surrogate.compare.metrics import measured_ranges, score_segments
+from softfin.surrogate.compare.scores import free_run, measured_ranges, run_from_rest, score_segments, segments_of, take
 from softfin.tank import SensorConfig, Tank, TankConfig
 
 MINUTE = 60 * RATE_HZ

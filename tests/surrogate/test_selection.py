@@ -8,7 +8,7 @@ from softfin.core.errors import ArtifactError, LogError
 from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate import AutoConfig, FitConfig, StreamingSurrogate, Surrogate
 from softfin.surrogate import selection as choice
-from softfin.surrogate.compare.free_running import free_run, segments_of, take
+from softfin.surrogate.compare.scores import free_run, segments_of, take
 from softfin.surrogate.selection import fit_any
 from softfin.surrogate.streaming import fit as module
 from softfin.surrogate.streaming.segments import scales_of

@@ -22,7 +22,7 @@ from softfin.surrogate import (
 )
 from softfin.surrogate import import_keras as _import_keras
 from softfin.surrogate.channels import SKIPPED, command_limits, ranges
-from softfin.surrogate.compare.metrics import measured_ranges, table_one
+from softfin.surrogate.compare.scores import measured_ranges, table_one
 from softfin.surrogate.selection import fit_any
 from softfin.surrogate.training import check_lengths
 

@@ -9,8 +9,7 @@ from softfin.core.configuration import Configuration
 from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ, Log
 from softfin.storage.run_directory import RunDirectory
-from softfin.surrogate.compare.free_running import free_run, segments_of, take
-from softfin.surrogate.compare.metrics import rms
+from softfin.surrogate.compare.scores import free_run, rms, segments_of, take
 from softfin.surrogate.paper.fit import FitConfig, fit, split
 from softfin.surrogate.store import AnySurrogate
 from softfin.surrogate.streaming.fit import StreamingConfig, fit_streaming, split_streaming

@@ -4,7 +4,7 @@ import pytest
 from softfin.core.errors import LogError
 from softfin.core.quantities import Command, Log, Reading
 from softfin.surrogate.channels import SKIPPED
-from softfin.surrogate.compare.metrics import DTW_BAND, dtw_mae, measured_ranges, score_segments, table_one
+from softfin.surrogate.compare.scores import DTW_BAND, dtw_mae, measured_ranges, score_segments, table_one
 from softfin.surrogate.streaming.member import parameters, predict_logs, single
 from tests.surrogate import small
 from tests.surrogate.streaming import small as streaming

@@ -25,12 +25,12 @@ def predicted(shift=0.3):
 
 @eqx.filter_jit
 def force_error(net, segments, motion, done):
-    return force_loss(CONFIG)(net, segments, motion, jnp.float32(done), KEY)
+    return force_loss(net, segments, motion, jnp.float32(done), KEY, CONFIG)
 
 
 @eqx.filter_jit
 def drive_error(net, segments):
-    return drive_loss(CONFIG)(net, segments, predicted(), jnp.float32(0), KEY)
+    return drive_loss(net, segments, predicted(), jnp.float32(0), KEY, CONFIG)
 
 
 def slopes(function, net):
@@ -39,13 +39,13 @@ def slopes(function, net):
 
 def test_gradients_reach_every_weight_of_a_force_net():
     net = small.force_net()
-    found = slopes(lambda net: force_loss(CONFIG)(net, SEGMENTS, predicted(), jnp.float32(0.5), KEY), net)
+    found = slopes(lambda net: force_loss(net, SEGMENTS, predicted(), jnp.float32(0.5), KEY, CONFIG), net)
     assert [jax.tree_util.keystr(path) for path, slope in found.items() if not np.all(slope)] == []
 
 
 def test_gradients_reach_every_weight_of_a_drive_net_and_none_of_its_profile():
     net = small.drive_net()
-    found = slopes(lambda net: drive_loss(CONFIG)(net, SEGMENTS, predicted(), jnp.float32(0), KEY), net)
+    found = slopes(lambda net: drive_loss(net, SEGMENTS, predicted(), jnp.float32(0), KEY, CONFIG), net)
     names = {jax.tree_util.keystr(path): slope for path, slope in found.items()}
     coefficients = {name for name in names if name.startswith(".profile")}
     assert len(coefficients) == 7
@@ -84,7 +84,7 @@ def test_force_nets_see_the_measured_motion_first_and_the_predicted_one_in_the_e
 
 @pytest.fixture(scope="module")
 def learner():
-    return StreamingLearner(force_loss(CONFIG), CONFIG, 8)
+    return StreamingLearner(force_loss, CONFIG, 8)
 
 
 def test_each_member_draws_and_learns_for_itself_and_the_best_weights_of_each_are_kept(learner):

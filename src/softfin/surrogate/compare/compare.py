@@ -25,8 +25,15 @@ from softfin.core.randomness import key_of
 from softfin.core.statistics import interval
 from softfin.core.window import moving_average
 from softfin.storage import artifact as artifacts
-from softfin.surrogate.compare.free_running import free_run, run_from_rest, segments_of, take
-from softfin.surrogate.compare.metrics import HorizonScores, measured_ranges, score_segments
+from softfin.surrogate.compare.scores import (
+    HorizonScores,
+    free_run,
+    measured_ranges,
+    run_from_rest,
+    score_segments,
+    segments_of,
+    take,
+)
 from softfin.surrogate.store import AnySurrogate, load_surrogate
 from softfin.surrogate.streaming.uncertainty import COVERAGE
 
@@ -35,7 +42,6 @@ ENOUGH_SEEDS = 3
 
 FAR = 0.01
 """Distance beyond the range of the training commands, over that range, from which a test command is worth a note."""
-
 
 SEED_IN_NAME = re.compile(r"[-_./]?(seed)?[-_.]?\d+$")
 
@@ -50,12 +56,10 @@ class CompareConfig(Configuration):
 
     @pydantic.field_validator("horizons_s")
     @classmethod
-    def _each_once_on_the_grid(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+    def _on_the_grid(cls, value: tuple[float, ...]) -> tuple[float, ...]:
         if not value or any(h < 0.1 or abs(h * RATE_HZ - round(h * RATE_HZ)) > 1e-6 for h in value):
             raise ValueError("horizons are at least 0.1 s and whole numbers of 10 ms samples, such as 1, 5, 30")
-        if len(set(value)) < len(value):
-            raise ValueError("a horizon is given twice")
-        return tuple(sorted(value))
+        return tuple(sorted(set(value)))
 
 
 class Candidate(NamedTuple):
@@ -67,21 +71,15 @@ class Candidate(NamedTuple):
     """Key of the group: equal for seeds of one configuration on the same data."""
 
 
-class Run(NamedTuple):
-    """One member of a group over all horizons."""
-
-    scores: list[HorizonScores]
-    """Scores of each horizon."""
-    reading: Reading
-    """Prediction of the segments of the longest horizon."""
-
-
 class Group(NamedTuple):
-    """Seeds of one configuration, or the plant of the noise floor, which has one run."""
+    """Seeds of one configuration, or the plant of the noise floor."""
 
     row: dict[str, Any]
     """Its entry of the summary."""
-    runs: list[Run]
+    longest: list[HorizonScores]
+    """Scores of each seed at the longest horizon."""
+    reading: Reading
+    """Prediction of the first seed, of the segments of the longest horizon."""
 
 
 class Comparison(NamedTuple):
@@ -104,10 +102,7 @@ def compare(
 ) -> Comparison:
     """Score every surrogate free-running over the same segments of the logs; `noise_floor`: a plant by its name.
 
-    Raises:
-        LogError: a log is shorter than a horizon behind the rows that a surrogate needs to be warm.
-        CommandError: the plant of the noise floor does not take the commands of the logs.
-        PlantError: a prediction is not finite.
+    Raises LogError for a log that is too short, CommandError where that plant does not take the logs' commands.
     """
     first = max(candidate.surrogate.memory for candidate in found)
     rows = [len(log.reading.time) for log in logs]
@@ -120,7 +115,7 @@ def compare(
         if progress is not None:
             progress("compare", next(done) / of, note)
 
-    def run(candidate: Candidate) -> Run:
+    def run(candidate: Candidate) -> tuple[list[HorizonScores], Reading]:
         surrogate, scores = candidate.surrogate, []
         for part, actual, horizon in zip(parts, measured, config.horizons_s, strict=True):
             reading, members = free_run(surrogate, logs, *part)
@@ -129,7 +124,7 @@ def compare(
                 widths = np.asarray(surrogate.interval.half_width(moving_average(members)))
             scores.append(score_segments(actual, reading, spans, widths))
             report(f"{candidate.folder}, {horizon:g} s")
-        return Run(scores, reading)
+        return scores, reading
 
     by_group: dict[str, list[Candidate]] = {}
     for candidate in found:
@@ -139,7 +134,7 @@ def compare(
     yardstick = next((i for i, members in enumerate(seeds) if members[0].surrogate.model == "paper"), 0)
     groups, notes = [], list[str]()
     for name, members, cost in zip(names, seeds, flops, strict=True):
-        runs, surrogate = [run(member) for member in members], members[0].surrogate
+        surrogate, (scores, readings) = members[0].surrogate, zip(*map(run, members), strict=True)
         share, furthest = beyond_limits(members, logs)
         row = {
             "name": name,
@@ -151,18 +146,17 @@ def compare(
             "flops_ratio": cost / flops[yardstick],
             "commands_beyond_training": share,
             "furthest_beyond_training": furthest,
-            "horizons": _horizons(config, runs),
+            "horizons": _horizons(config, scores),
         }
-        groups.append(Group(row, runs))
+        groups.append(Group(row, [each[-1] for each in scores], readings[0]))
         notes += [f"{name}: {note}" for note in _notes(row, surrogate)]
-    floor = None
+    second = None
     if noise_floor is not None:
         name = f"second recording ({noise_floor[0]})"
         whole = run_from_rest(noise_floor[1], logs, key_of(config.seed, "compare/floor"))
         readings = [take(whole, *part) for part in parts]
-        scores = [score_segments(actual, reading, spans) for actual, reading in zip(measured, readings, strict=True)]
-        runs = [Run(scores, readings[-1])]
-        floor = Group({"name": name, "horizons": _horizons(config, runs)}, runs)
+        each = [score_segments(actual, reading, spans) for actual, reading in zip(measured, readings, strict=True)]
+        second = Group({"name": name, "horizons": _horizons(config, [each])}, each[-1:], readings[-1])
         notes.append(
             f"{name}: its own noise and drift count too, so that it is off by up to sqrt(2) times what these leave of "
             "a model that has none"
@@ -178,18 +172,17 @@ def compare(
         "stated_confidence": COVERAGE,
         "flops_ratio_to": names[yardstick],
         "groups": [group.row for group in groups],
-        "noise_floor": None if floor is None else floor.row,
+        "noise_floor": None if second is None else second.row,
         "notes": notes,
     }
-    return Comparison(summary, groups, floor, measured[-1])
+    return Comparison(summary, groups, second, measured[-1])
 
 
-def _horizons(config: CompareConfig, runs: Sequence[Run]) -> list[dict[str, Any]]:
-    """Scores at each horizon, as mean and 95% interval over the runs."""
+def _horizons(config: CompareConfig, scores: Sequence[Sequence[HorizonScores]]) -> list[dict[str, Any]]:
+    """Scores at each horizon, as mean and 95% interval over the seeds."""
     rows = []
-    for index, horizon in enumerate(config.horizons_s):
-        each = [run.scores[index].scores for run in runs]
-        values = {name: np.array([scores[name] for scores in each]) for name in each[0]}
+    for horizon, each in zip(config.horizons_s, zip(*scores, strict=True), strict=True):
+        values = {name: np.array([seed.scores[name] for seed in each]) for name in each[0].scores}
         cells = {name: {"mean": float(x.mean()), "interval": interval(x)} for name, x in values.items()}
         rows.append({"horizon_s": horizon, **cells})
     return rows
@@ -241,7 +234,7 @@ def names_of(groups: Sequence[Sequence[Candidate]]) -> list[str]:
 def beyond_limits(members: Sequence[Candidate], logs: Sequence[Log]) -> tuple[float, float]:
     """Share of the logs' commands beyond those a group was trained on, and how far the furthest is, over their range.
 
-    For the member for which they are greatest. Where the training commands never changed, over 1 rad or rad/s.
+    For the member for which they are greatest; where the training commands never changed, over 1 rad or rad/s.
     """
     commands = np.concatenate([np.stack(log.command, axis=1) for log in logs]).astype(np.float64)
     limits = np.array([member.surrogate.limits for member in members]).reshape(-1, 1, 2, 2)

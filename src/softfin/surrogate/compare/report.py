@@ -44,7 +44,7 @@ def write_comparison(
 
 def comparison_figure(comparison: Comparison) -> Figure:
     """Force over a segment, measured and predicted; below, error by horizon, of the mean force, of its intervals."""
-    longest = [group.runs[0].scores[-1] for group in comparison.groups]
+    longest = [group.longest[0] for group in comparison.groups]
     draw = [_draw_horizons]
     if longest[0].mean_errors is not None:
         draw.append(_draw_means)
@@ -66,7 +66,7 @@ def _draw_traces(panels: Any, comparison: Comparison) -> None:
     for axis, axes in enumerate(panels):
         axes.plot(time, measured[:, axis], color="#BBBBBB", linewidth=2.6, label="measured")
         for group, (colour, line, _) in zip(comparison.groups[:TRACES], STYLES, strict=False):
-            force = np.asarray(group.runs[0].reading.force)[0, : len(time), axis]
+            force = np.asarray(group.reading.force)[0, : len(time), axis]
             axes.plot(time, force, line, color=colour, linewidth=1.2, label=group.row["name"])
         axes.set(ylabel=f"force {AXES[axis]} [N]", xlim=(time[0], time[-1]))
     rest = len(comparison.groups) - TRACES
@@ -90,9 +90,9 @@ def _draw_horizons(axes: Axes, comparison: Comparison) -> None:
                 linestyle=line, marker=marker, color=colour, markerfacecolor=face, markersize=5, capsize=2,
                 label=f"{group.row['name']}, {axis}",
             )  # fmt: skip
-    if (floor := comparison.noise_floor) is not None:
-        means = [np.mean([row[f"force_{axis}_rmse_n"]["mean"] for axis in AXES]) for row in floor.row["horizons"]]
-        axes.plot(places, means, color=GREY, linewidth=1.6, label=f"{floor.row['name']}, mean of x and y")
+    if (second := comparison.noise_floor) is not None:
+        means = [np.mean([row[f"force_{axis}_rmse_n"]["mean"] for axis in AXES]) for row in second.row["horizons"]]
+        axes.plot(places, means, color=GREY, linewidth=1.6, label=f"{second.row['name']}, mean of x and y")
     axes.set_xticks(places, [f"{horizon:g}" for horizon in comparison.summary["horizons_s"]])
     axes.set(xlabel="horizon [s]", ylabel="RMSE of the force [N]", ylim=(0, None), title="Error by the horizon")
     axes.margins(x=0.12)
@@ -119,7 +119,7 @@ def _draw_means(axes: Axes, comparison: Comparison) -> None:
 def _draw_reliability(axes: Axes, comparison: Comparison) -> None:
     """Share of the errors within a multiple of the stated half-widths: at 1 it should be what was stated."""
     for group, (colour, line, marker) in zip(comparison.groups, cycle(STYLES), strict=False):
-        if group.runs[0].scores[-1].half_widths is None:
+        if group.longest[0].half_widths is None:
             continue
         ratios = np.abs(_pooled(group, "mean_errors")) / _pooled(group, "half_widths")
         within = float(np.mean(ratios <= 1))
@@ -133,4 +133,4 @@ def _draw_reliability(axes: Axes, comparison: Comparison) -> None:
 
 
 def _pooled(group: Group, field: str) -> np.ndarray:
-    return np.concatenate([np.ravel(getattr(run.scores[-1], field)) for run in group.runs])
+    return np.concatenate([np.ravel(getattr(scores, field)) for scores in group.longest])

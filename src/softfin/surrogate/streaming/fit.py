@@ -20,7 +20,7 @@ from softfin.core.action_clock import WINDOW
 from softfin.core.configuration import Configuration
 from softfin.core.errors import LogError
 from softfin.core.progress import Progress
-from softfin.core.quantities import Log
+from softfin.core.quantities import Log, Reading
 from softfin.core.randomness import key_of
 from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate.channels import command_limits
@@ -38,7 +38,7 @@ from softfin.surrogate.streaming.profile import identify
 from softfin.surrogate.streaming.segments import Motion, Scales, SegmentBatch, Table, scales_of, slices
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 from softfin.surrogate.streaming.uncertainty import calibrated, familiar
-from softfin.surrogate.training import UPDATES_A_CALL, TrainingState, check_lengths, held_out_count, keep_best
+from softfin.surrogate.training import UPDATES_A_CALL, TrainingState, held_out_count, keep_best
 
 WARM_UP = 100
 """Updates in which the learning rate rises."""
@@ -46,8 +46,8 @@ WARM_UP = 100
 ROUNDS = 10
 """Times that a net is scored on the held-out logs while it is trained."""
 
-Loss = Callable[[Any, SegmentBatch, Motion, Float[Array, ""], PRNGKeyArray], Float[Array, ""]]
-"""Loss of one member: (net, segments, predicted motion from their `before` on, part of the training done, key)."""
+Loss = Callable[[Any, SegmentBatch, Motion, Float[Array, ""], PRNGKeyArray, Any], Float[Array, ""]]
+"""Loss of one member: (net, segments, predicted motion from `before` on, part of the training done, key, config)."""
 
 
 class StreamingConfig(Configuration):
@@ -111,7 +111,7 @@ class StreamingLearner:
             draw, key = jax.random.split(key)
             segments = table.draw(draw, self.config.batch, self.config.ticks)
             motion = slices(predicted, segments.starts, self.config.ticks + 1)
-            loss, slope = jax.value_and_grad(self.loss)(net, segments, motion, number / self.updates, key)
+            loss, slope = jax.value_and_grad(self.loss)(net, segments, motion, number / self.updates, key, self.config)
             step, optimiser = self.optimiser.update(slope, optimiser, net)
             return optax.apply_updates(net, step), optimiser, loss
 
@@ -126,37 +126,36 @@ class StreamingLearner:
         return state._replace(nets=nets, optimiser=optimiser), losses.mean(axis=0)
 
 
-def drive_loss(config: StreamingConfig) -> Loss:
-    """Return the mean square error of angle and velocity, each in its own unit: free-running from the first tick on."""
-
-    def loss(net: FollowingNet, segments: SegmentBatch, _: Motion, __: Array, ___: PRNGKeyArray) -> Float[Array, ""]:
-        predicted = jax.vmap(partial(motions, net))(segments.before, segments.waiting, segments.commands)
-        angle = (predicted.angle - segments.motion.angle) / net.scales.angle_rad
-        velocity = (predicted.velocity - segments.motion.velocity) / net.scales.velocity_rad_s
-        return jnp.mean((angle**2 + velocity**2)[:, config.burn_in :])
-
-    return loss
+def motion_error(predicted: Motion, measured: Motion | Reading, scales: Scales) -> Any:
+    """Square error of angle and velocity, each in its own unit."""
+    angle = (predicted.angle - measured.angle) / scales.angle_rad
+    velocity = (predicted.velocity - measured.velocity) / scales.velocity_rad_s
+    return angle**2 + velocity**2
 
 
-def force_loss(config: StreamingConfig) -> Loss:
-    """Return the mean square error of the force over its scale.
+def drive_loss(
+    net: FollowingNet, segments: SegmentBatch, _: Motion, __: Array, ___: PRNGKeyArray, config: StreamingConfig
+) -> Float[Array, ""]:
+    """Mean of `motion_error`: free-running from the first tick on."""
+    predicted = jax.vmap(partial(motions, net))(segments.before, segments.waiting, segments.commands)
+    return jnp.mean(motion_error(predicted, segments.motion, net.scales)[:, config.burn_in :])
+
+
+def force_loss(
+    net: ForceNet, segments: SegmentBatch, predicted: Motion, done: Array, key: PRNGKeyArray, config: StreamingConfig
+) -> Float[Array, ""]:
+    """Mean square error of the force over its scale.
 
     A segment gets the measured motion at first, and the drive net's in the end: in between, with the probability that
     grows from 0 to 1 over the `free_running` part of the training.
     """
     begin, end = config.free_running
-
-    def loss(
-        net: ForceNet, segments: SegmentBatch, predicted: Motion, done: Array, key: PRNGKeyArray
-    ) -> Float[Array, ""]:
-        share = jnp.clip((done - begin) / jnp.maximum(end - begin, 1e-6), 0.0, 1.0)
-        free = jax.random.bernoulli(key, share, (config.batch, 1))
-        measured = jax.tree.map(lambda x, y: jnp.concatenate([x[:, None], y], axis=1), segments.before, segments.motion)
-        motion = jax.tree.map(lambda new, old: jnp.where(free, new, old), predicted, measured)
-        error = jnp.sum(((jax.vmap(partial(forces, net))(motion) - segments.force) / net.scales.force_n) ** 2, axis=-1)
-        return jnp.mean(error[:, config.burn_in :])
-
-    return loss
+    share = jnp.clip((done - begin) / jnp.maximum(end - begin, 1e-6), 0.0, 1.0)
+    free = jax.random.bernoulli(key, share, (config.batch, 1))
+    measured = jax.tree.map(lambda x, y: jnp.concatenate([x[:, None], y], axis=1), segments.before, segments.motion)
+    motion = jax.tree.map(lambda new, old: jnp.where(free, new, old), predicted, measured)
+    error = (jax.vmap(partial(forces, net))(motion) - segments.force) / net.scales.force_n
+    return jnp.mean(jnp.sum(error**2, axis=-1)[:, config.burn_in :])
 
 
 def fit_streaming(
@@ -168,14 +167,12 @@ def fit_streaming(
 ) -> StreamingSurrogate:
     """Fit an ensemble to the training logs; goes on from the run_directory's checkpoint where there is one.
 
-    Raises:
-        LogError: too few logs, logs too short for a segment, or logs in which nothing moves.
-        RunError: the loss is no longer finite.
+    Raises LogError for logs that are too few, too short or in which nothing moves, RunError where a loss is not finite.
     """
     training, holding, scales, table = split_streaming(logs, config)
     members = ensemble(config.members, config.drive, config.force, scales, key_of(seed, "fit/weights"))
     updates = {"drive": config.drive_updates, "force": config.force_updates}
-    losses = {"drive": drive_loss(config), "force": force_loss(config)}
+    losses: dict[str, Loss] = {"drive": drive_loss, "force": force_loss}
     learners = {name: StreamingLearner(loss, config, updates[name]) for name, loss in losses.items()}
     states = {name: learner.start(getattr(members, name)) for name, learner in learners.items()}
     done: dict[str, Any] = dict.fromkeys(learners, 0)
@@ -205,8 +202,8 @@ def fit_streaming(
             held_out = error(state.nets)
             states[name], _ = keep_best(state, losses, held_out, f"{name} nets")
             done[name] = until
-            means: dict[str, Any] = {f"train/{name}_loss": losses[-1], f"held_out/{name}_mse": held_out}
-            record.write(before + until, **{title: float(x.mean()) for title, x in means.items()})
+            means = {f"train/{name}_loss": float(loss.mean()), f"held_out/{name}_mse": float(held_out.mean())}
+            record.write(before + until, **means)
             run_directory.save(states, done)
         return states[name].best
 
@@ -223,27 +220,23 @@ def fit_streaming(
 
 def split_streaming(logs: Sequence[Log], config: StreamingConfig) -> tuple[list[Log], list[Log], Scales, Table]:
     """Training and held-out logs, scales and table of the former; raises LogError where these cannot be fitted."""
-    held_out = held_out_count(len(logs), config.held_out)
-    training, holding = list(logs[:-held_out]), list(logs[-held_out:])
-    check_lengths(holding, config.burn_in, "held-out")
-    longest = max(len(log.reading.time) for log in holding)
-    if longest < config.burn_in + WINDOW:
+    held_out, needed = held_out_count(len(logs), config.held_out), config.burn_in + WINDOW
+    holding = [log for log in logs[-held_out:] if len(log.reading.time) >= needed]
+    if not holding:
         raise LogError(
-            f"the longest of {held_out} held-out logs has {longest} rows; intervals on the mean over {WINDOW} "
-            f"samples behind burn_in = {config.burn_in} need {config.burn_in + WINDOW}; record longer"
+            f"none of {held_out} held-out logs has {needed} rows: intervals on the mean over {WINDOW} samples behind "
+            f"burn_in = {config.burn_in} need as many; record longer"
         )
+    training = list(logs[:-held_out])
     return training, holding, scales_of(training), Table.of(training, config.ticks)
 
 
 @np.errstate(over="ignore", invalid="ignore")
 def _drive_error(logs: Sequence[Log], scales: Scales, nets: FollowingNet) -> Float[np.ndarray, "members"]:
-    """Mean square error of angle and velocity over held-out logs, each in its own unit."""
-    parts = []
-    for predicted, log in zip(predict_motion(nets, logs), logs, strict=True):
-        angle = (predicted.angle - log.reading.angle) / scales.angle_rad
-        velocity = (predicted.velocity - log.reading.velocity) / scales.velocity_rad_s
-        parts.append((angle**2 + velocity**2).mean(axis=1))
-    return np.asarray(np.mean(parts, axis=0))
+    """Mean of `motion_error` over held-out logs."""
+    each = zip(predict_motion(nets, logs), logs, strict=True)
+    errors = [motion_error(predicted, log.reading, scales).mean(axis=1) for predicted, log in each]
+    return np.asarray(np.mean(errors, axis=0))
 
 
 @np.errstate(over="ignore", invalid="ignore")
@@ -252,8 +245,8 @@ def _force_error(
 ) -> Float[np.ndarray, "members"]:
     """Mean square error of the force over held-out logs, behind the drive nets [N2]."""
     each = zip(predict_force(nets, motion), logs, strict=True)
-    errors = [(force - log.reading.force)[:, burn_in:] for force, log in each]
-    return np.asarray(np.mean([(error**2).sum(-1).mean(axis=1) for error in errors], axis=0))
+    errors = [((force - log.reading.force)[:, burn_in:] ** 2).sum(-1).mean(axis=1) for force, log in each]
+    return np.asarray(np.mean(errors, axis=0))
 
 
 def _calls(updates: int) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""Scores of predictions: Table I one log at a time, and those of free-running segments of several horizons.
+"""Free-running over logs, and the scores of what is predicted: Table I, and those of several horizons.
 
 The paper cites dynamic time warping (DTW) and does not say how it normalises the distance. Here it is `dtw_mae`, in the
 unit of the series and no greater than their mean absolute error: the least sum of |difference| over all warping paths
@@ -6,19 +6,26 @@ inside a Sakoe-Chiba band of 1 s, divided by the number of samples (computed by 
 never stands without RMSE.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
+import equinox as eqx
+import jax
 import numpy as np
 from dtaidistance import dtw
-from jaxtyping import Float
+from jaxtyping import Float, PRNGKeyArray
 
 from softfin.core.action_clock import WINDOW
 from softfin.core.errors import LogError
-from softfin.core.quantities import AXES, AnyArray, Log, Reading
+from softfin.core.plant import EnsemblePlant, Plant, State, check_commands, roll
+from softfin.core.quantities import AXES, RATE_HZ, AnyArray, Command, Log, Reading
 from softfin.core.window import moving_average
 from softfin.surrogate.channels import ANGLE, FORCES, columns_of, ranges
 from softfin.surrogate.store import AnySurrogate
+
+BATCH = 64
+"""Segments side by side, at most: enough for the matrix products, and a few MB of activations."""
 
 DTW_BAND = 100
 """Half-width of the band [samples]: a shift of more than a second is no longer the same motion."""
@@ -33,6 +40,85 @@ Samples = Float[np.ndarray, "samples"]
 
 Means = Float[np.ndarray, "segments windows 2"]
 """Mean forces over the evaluation window, (x, y) [N]."""
+
+Tree = TypeVar("Tree")
+
+
+Segment = tuple[int, int]
+"""Where a run of rows begins: log and row."""
+
+
+def segments_of(rows: Sequence[int], ticks: int, first: int) -> list[Segment]:
+    """Segments of `ticks` end to end over logs of so many rows, from row `first` on; LogError for a short log."""
+    for index, count in enumerate(rows):
+        if count < first + ticks:
+            raise LogError(
+                f"test log {index}: {count} rows; {first} to begin with and a horizon of {ticks / RATE_HZ:g} s need "
+                f"{first + ticks}; record longer test logs, or give shorter --horizons"
+            )
+    return [(i, row) for i, count in enumerate(rows) for row in range(first, count - ticks + 1, ticks)]
+
+
+def take(records: Sequence[Tree], segments: Sequence[Segment], ticks: int) -> Tree:
+    """The rows of some segments of logs or readings, stacked: fields ``(segments, ticks, ...)``."""
+    taken: Tree = _stacked([_rows(records[log], row, row + ticks) for log, row in segments])
+    return taken
+
+
+def free_run(
+    surrogate: AnySurrogate, logs: Sequence[Log], segments: Sequence[Segment], ticks: int
+) -> tuple[Reading, Float[np.ndarray, "members segments ticks 2"] | None]:
+    """Predict segments from their commands alone, warmed on the `memory` rows before; NumPy, ``(segments, ticks)``.
+
+    Also the forces of each member [N], None of a surrogate that is not an ensemble.
+    """
+    size = math.ceil(len(segments) / math.ceil(len(segments) / BATCH))
+    # Filled up with repeats that are thrown away, so that one compiled program serves all batches.
+    filled = [*segments, *[segments[-1]] * (-len(segments) % size)]
+    parts = []
+    for begin in range(0, len(filled), size):
+        some = filled[begin : begin + size]
+        states = _stacked([surrogate.warm(_rows(logs[log], row - surrogate.memory, row)) for log, row in some])
+        # What row k shows was commanded in row k - 1.
+        commands = take(logs, [(log, row - 1) for log, row in some], ticks).command
+        parts.append(_free_run(surrogate, states, commands))
+    reading, members = jax.tree.map(lambda *each: np.concatenate(each)[: len(segments)], *parts)
+    return reading, None if members is None else np.moveaxis(members, 2, 0)
+
+
+def run_from_rest(plant: Plant, logs: Sequence[Log], key: PRNGKeyArray) -> list[Reading]:
+    """Whole logs by a plant that starts at rest: NumPy, row for row; raises CommandError beyond the plant's limits."""
+    rows, issued = [len(log.reading.time) for log in logs], []
+    for log, count in zip(logs, rows, strict=True):
+        check_commands(plant.limits, log.command)
+        # The command that row 0 shows stands in no log; the first that does is taken for it.
+        issued.append(Command(*(np.pad(x[:-1], (1, max(rows) - count), mode="edge") for x in log.command)))
+    states = jax.vmap(plant.init)(jax.random.split(key, len(logs)))
+    reading, _ = jax.tree.map(np.asarray, _free_run(plant, states, _stacked(issued)))
+    return [Reading(*(field[index, :count] for field in reading)) for index, count in enumerate(rows)]
+
+
+@eqx.filter_jit
+def _free_run(plant: Any, states: State, commands: Command) -> tuple[Reading, Any]:
+    """Fields ``(segments, ticks)``; of an ensemble also the members' forces ``(segments, ticks, members, 2)``."""
+    if not isinstance(plant, EnsemblePlant):
+        return jax.vmap(lambda state, issued: roll(plant, state, issued)[1])(states, commands), None
+
+    def tick(state: State, command: Command) -> tuple[State, Reading]:
+        state, each = plant.advance_members(state, command, 1)
+        return state, jax.tree.map(lambda x: x[:, 0], each)
+
+    each = jax.vmap(lambda state, issued: jax.lax.scan(tick, state, issued)[1])(states, commands)
+    mean = Reading(each.time[..., 0], each.angle.mean(-1), each.velocity.mean(-1), each.force.mean(-2))
+    return mean, each.force
+
+
+def _rows(record: Any, begin: int, end: int) -> Any:
+    return jax.tree.map(lambda x: np.asarray(x)[begin:end], record)
+
+
+def _stacked(records: Sequence[Any]) -> Any:
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *records)
 
 
 def rms(error: AnyArray) -> float:
@@ -60,15 +146,12 @@ TABLE_I_SCORES: Mapping[str, Callable[[Samples, Samples], float]] = {"rmse": rms
 
 
 def table_one(surrogate: AnySurrogate, logs: Sequence[Log]) -> dict[str, Any]:
-    """Table I, averaged over the test logs.
+    """Table I, a row for each net: ``window``, ``parameters``, and means over logs and channels of its scores.
 
-    Rows are the nets that `predictions` of a surrogate name, each with ``window``, ``parameters``, ``physical`` (rad
-    or N) and ``scaled`` scores, the means over its channels. Scaled scores are those times the surrogate's scaling, or
-    over the range of what was measured: a score is proportional to the scale of its series.
+    ``physical`` ones are in rad or N, ``scaled`` ones times the surrogate's scaling, or over the measured range.
     """
-    if surrogate.scaling is None:
-        scales = {name: 1 / span for name, span in measured_ranges(logs).items()}
-    else:
+    scales = {name: 1 / span for name, span in measured_ranges(logs).items()}
+    if surrogate.scaling is not None:
         scales = {name: channel.scale for name, channel in surrogate.scaling.channels.items()}
     measured = [columns_of([log]) for log in logs]
     table = {}
@@ -112,11 +195,7 @@ class HorizonScores(NamedTuple):
 def score_segments(
     measured: Log, predicted: Reading, spans: Mapping[str, float], half_widths: Means | None = None
 ) -> HorizonScores:
-    """Score segments, fields ``(segments, ticks)``, over `measured_ranges`; `half_widths` of stated intervals [N].
-
-    Errors are pooled over all rows of all segments; horizons shorter than the evaluation window have no mean force.
-    docs/files.md describes each score.
-    """
+    """Score segments, fields ``(segments, ticks)``, as docs/files.md describes; `spans` are `measured_ranges`."""
     pairs = {"angle": (predicted.angle, measured.reading.angle)}
     pairs |= {f"force_{x}": (predicted.force[..., i], measured.reading.force[..., i]) for i, x in enumerate(AXES)}
     scores, distances = {}, []
@@ -127,16 +206,16 @@ def score_segments(
             scores[f"{name}_r2"] = float(1 - np.square(error) / np.var(np.asarray(pair[1], np.float64)))
         distances.append([distance, distance / span])
     scores |= {"angle_mae_rad": mae(*pairs["angle"]), "force_mae_n": mae(predicted.force, measured.reading.force)}
-    scores |= dict(zip(("angle_dtw_mae_rad", "angle_dtw_mae_scaled"), map(float, distances[0]), strict=True))
-    force_distances = np.mean(distances[1:], axis=0).tolist()
-    scores |= dict(zip(("force_dtw_mae_n", "force_dtw_mae_scaled"), force_distances, strict=True))
+    for quantity, unit, some in (("angle", "rad", distances[:1]), ("force", "n", distances[1:])):
+        distance, scaled = np.mean(some, axis=0).tolist()
+        scores |= {f"{quantity}_dtw_mae_{unit}": distance, f"{quantity}_dtw_mae_scaled": scaled}
     if measured.reading.angle.shape[1] < WINDOW:
         return HorizonScores(scores, None, None)
     mean_errors = moving_average(np.asarray(predicted.force)) - moving_average(np.asarray(measured.reading.force))
     size = np.abs(mean_errors)
     scores |= {f"mean_force_{axis}_mae_n": float(size[..., i].mean()) for i, axis in enumerate(AXES)}
-    scores |= {"mean_force_mae_n": float(size.mean()), "mean_force_p95_n": float(np.quantile(size, 0.95)),
-               "mean_force_worst_n": float(size.max())}  # fmt: skip
+    each = {"mae": np.mean(size), "p95": np.quantile(size, 0.95), "worst": np.max(size)}
+    scores |= {f"mean_force_{name}_n": float(value) for name, value in each.items()}
     if half_widths is not None:
         inside = size <= half_widths
         scores |= {"coverage": float(inside.mean()), "half_width_n": float(half_widths.mean())}
