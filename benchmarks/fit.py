@@ -14,21 +14,20 @@ import numpy as np
 from benchmarks.measure import entry, interleaved, matmul
 from softfin.core.quantities import Command
 from softfin.surrogate import FitConfig, StreamingConfig
-from softfin.surrogate.paper.fit import COLUMNS, PaperLearner
+from softfin.surrogate.channels import COLUMNS
+from softfin.surrogate.paper.fit import PaperLearner
 from softfin.surrogate.paper.network import NetworkConfig
-from softfin.surrogate.streaming.core import products
-from softfin.surrogate.streaming.drive import LONGEST_DELAY
 from softfin.surrogate.streaming.fit import StreamingLearner, force_loss
-from softfin.surrogate.streaming.force import Motion, Scales
 from softfin.surrogate.streaming.member import ensemble, single
-from softfin.surrogate.streaming.segments import Table
+from softfin.surrogate.streaming.nets import products
+from softfin.surrogate.streaming.segments import LONGEST_DELAY, Motion, Scales, Table
 
 ROWS, UPDATES = 400_000, 25
 
 
 def training_flops(config: NetworkConfig) -> int:
     """Forward, gradient of the weights and of the inputs, one matrix product each; none of the first layer's inputs."""
-    first = 2 * config.layers[0].products(config.examples()[0])
+    first = config.model_copy(update={"layers": config.layers[:1]}).flops()
     if config.layers[0].kind == "lstm":
         # Of an LSTM only the products with the data have no gradient to pass on; those with its own past do.
         steps, features = config.examples()[0]
@@ -68,7 +67,7 @@ def streaming_updates(random: np.random.Generator) -> tuple[Callable[[], Any], i
     starts = jnp.arange(LONGEST_DELAY, ROWS - config.ticks, dtype=jnp.int32)
     table = Table(Command(*columns[:2]), Motion(*columns[2:]), force, starts)
     foretold = Motion(*(jnp.tile(column, (config.members, 1)) for column in columns[2:]))
-    learner = StreamingLearner(force_loss(config), config, config.force_updates)
+    learner = StreamingLearner(force_loss, config, config.force_updates)
     state = learner.start(members.force)
     ticks = config.members * config.batch * config.ticks
     per_tick = 3 * 2 * products(single(members).force)

@@ -7,8 +7,7 @@ import jax
 
 from softfin.surrogate import Surrogate
 from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, ChannelScaling, Scaling
-from softfin.surrogate.paper.layers import LSTM, Dense, Dropout
-from softfin.surrogate.paper.network import POSNET, Network, NetworkConfig
+from softfin.surrogate.paper.network import LSTM, POSNET, Dense, Dropout, Network, NetworkConfig
 
 PUBLISHED_FORCENET = NetworkConfig(
     channels=(ANGLE, *COMMANDS),

@@ -24,7 +24,8 @@ from softfin.storage.dataset import Dataset, write_dataset
 from softfin.surrogate import StreamingConfig
 from softfin.surrogate.compare.compare import CompareConfig
 from softfin.surrogate.streaming import member
-from softfin.surrogate.streaming.force import ForceNet, ForceState, Motion
+from softfin.surrogate.streaming.nets import ForceNet, ForceState
+from softfin.surrogate.streaming.segments import Motion
 
 WITHOUT_QUASI_STEADY = "without the quasi-steady force"
 

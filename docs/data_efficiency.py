@@ -23,6 +23,7 @@ from matplotlib.ticker import LogLocator
 from softfin.cli.options import HelpRequested, Option, help_of, parse
 from softfin.core.quantities import RATE_HZ, Log, Reading
 from softfin.core.randomness import key_of
+from softfin.core.window import moving_average
 from softfin.data.collect import CollectConfig
 from softfin.stages.collect import collect
 from softfin.stages.fit import fit
@@ -31,8 +32,7 @@ from softfin.storage.dataset import Dataset, write_dataset
 from softfin.storage.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, save_figure, styled
 from softfin.surrogate import FitConfig, StreamingConfig, load_surrogate
 from softfin.surrogate.active import ActiveCollectConfig
-from softfin.surrogate.compare.free_running import free_run, run_from_rest, segments_of, take
-from softfin.surrogate.compare.metrics import measured_ranges, score_segments
+from softfin.surrogate.compare.scores import free_run, measured_ranges, run_from_rest, score_segments, segments_of, take
 from softfin.tank import SensorConfig, Tank, TankConfig
 
 MINUTE = 60 * RATE_HZ
@@ -202,8 +202,8 @@ def scored(surrogate: Any, logs: Sequence[Log]) -> dict[str, float]:
     where = stretches(logs)
     predicted, members = free_run(surrogate, logs, where, HORIZON)
     measured = take(logs, where, HORIZON)
-    half_width = getattr(getattr(surrogate, "interval", None), "half_width", None)
-    found = score_segments(measured, predicted, measured_ranges(logs), members, half_width).scores
+    widths = None if members is None else surrogate.interval.half_width(moving_average(members))
+    found = score_segments(measured, predicted, measured_ranges(logs), widths).scores
     return found | offset_free(predicted, measured.reading)
 
 

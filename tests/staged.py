@@ -25,7 +25,7 @@ from softfin.storage.dataset import write_dataset
 from softfin.storage.registry import find_plant
 from softfin.surrogate import Surrogate, save_surrogate
 from softfin.surrogate.channels import COMMANDS, ChannelScaling, Scaling
-from softfin.surrogate.streaming import identify
+from softfin.surrogate.streaming import profile
 from tests.control.test_controllers import untrained
 from tests.data import bags
 from tests.data.faulty import columns_of
@@ -95,8 +95,8 @@ CONFIGURATIONS = MappingProxyType({
 @pytest.fixture
 def short_search(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a search finds is tested with it; here it only has to go through."""
-    monkeypatch.setattr(identify, "GENERATIONS", 2)
-    monkeypatch.setattr(identify, "SEGMENTS", 4)
+    monkeypatch.setattr(profile, "GENERATIONS", 2)
+    monkeypatch.setattr(profile, "SEGMENTS", 4)
 
 
 def dataset(path: Path) -> None:

@@ -6,8 +6,7 @@ import numpy as np
 from softfin.core.quantities import Command, Log, Reading
 from softfin.surrogate import Surrogate
 from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, ChannelScaling, Scaling
-from softfin.surrogate.paper.layers import LSTM, Conv1D, Dense, Dropout, Flatten, MeanPool
-from softfin.surrogate.paper.network import Network, NetworkConfig
+from softfin.surrogate.paper.network import LSTM, Conv1D, Dense, Dropout, Flatten, MeanPool, Network, NetworkConfig
 
 WINDOW = 12
 

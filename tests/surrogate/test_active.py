@@ -13,8 +13,8 @@ from softfin.data.excitation import ExcitationConfig
 from softfin.surrogate import StreamingSurrogate, save_surrogate
 from softfin.surrogate.active import ActiveCollectConfig, ActiveConfig, Chooser, chooser, information, unlikeness
 from softfin.surrogate.streaming.fit import StreamingConfig
-from softfin.surrogate.streaming.force import Motion, Scales
 from softfin.surrogate.streaming.member import ensemble, single
+from softfin.surrogate.streaming.segments import Motion, Scales
 from softfin.surrogate.streaming.uncertainty import Familiarity, Interval, remembered
 from tests.surrogate import small
 
@@ -170,7 +170,7 @@ def test_an_ensemble_that_cannot_choose_is_refused(folders, name, limits, words)
     ("change", "words"),
     [
         ("active.window_s=0.255", "window_s must be a whole number of 10 ms samples"),
-        ("active.piece_s=1.1", "piece_s must be a whole number of windows of 0.25 s"),
+        ("active.piece_s=1.1", "and piece_s of windows"),
         ("active.candidates=0", "greater than 0"),
         ("active.novelti=1", "did you mean 'novelty'"),
         ("excitation.hold_min_s=2.5", r"hold_max_s = 1\.5 must be at least"),

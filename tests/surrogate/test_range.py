@@ -12,7 +12,7 @@ from softfin.stages.fit import fit
 from softfin.stages.train import find_gaits, train
 from softfin.storage.dataset import write_dataset
 from softfin.surrogate import save_surrogate
-from softfin.surrogate.channels import READINGS, UNKNOWN, learnt_from, training_range
+from softfin.surrogate.channels import READINGS, UNKNOWN, learnt_from, ranges
 from softfin.surrogate.store import load_surrogate
 from tests.control.test_controllers import untrained
 from tests.gaits.test_map_store import KNOWN
@@ -28,7 +28,7 @@ def log(scale):
 
 
 def test_the_range_is_the_least_and_greatest_of_each_channel_over_all_logs():
-    assert training_range([log(1), log(-2)]) == {
+    assert ranges([log(1), log(-2)]) == {
         "angle_rad": [-4, 2],
         "velocity_rad_s": [-8, 4],
         "force_x_n": [-12, 6],
@@ -79,7 +79,7 @@ def test_the_stages_hand_it_on_from_the_dataset_to_the_controllers(tmp_path, mon
     fit(tmp_path / "dataset", tmp_path / "surrogate")
     train(surrogate, tmp_path / "policy", SINGLE, seeds=(3, 5))
     find_gaits(surrogate, tmp_path / "gaits")
-    expected = training_range(logs[:3])
+    expected = ranges(logs[:3])
     for file in ("surrogate/surrogate.json", "policy/seed-5/controller.json", "gaits/controller.json"):
         described = json.loads((tmp_path / file).read_text())
         assert described["training_range"] == expected, file

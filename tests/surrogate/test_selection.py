@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import ArtifactError, LogError
-from softfin.storage.run_directory import LOG, RunDirectory, read_log
+from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate import AutoConfig, FitConfig, StreamingSurrogate, Surrogate
 from softfin.surrogate import selection as choice
-from softfin.surrogate.compare.free_running import FreeRunPrediction, free_run, segments_of, take
+from softfin.surrogate.compare.scores import free_run, segments_of, take
 from softfin.surrogate.selection import fit_any
 from softfin.surrogate.streaming import fit as module
 from softfin.surrogate.streaming.segments import scales_of
@@ -57,15 +57,12 @@ def test_the_candidate_with_the_least_error_on_held_out_logs_is_kept(tmp_path):
     assert type(fitted) is StreamingSurrogate
 
     where = segments_of([600], 300, 300)
-    said, measured = free_run(fitted, data[-1:], where, 300).reading, take(data[-1:], where, 300).reading
+    said, measured = free_run(fitted, data[-1:], where, 300)[0], take(data[-1:], where, 300).reading
     assert scores["streaming"]["force_rmse_n"] == pytest.approx(
         np.sqrt(np.mean((said.force - measured.force) ** 2)), rel=1e-4
     )
     assert scores["streaming"]["seconds"] == 3.0
     assert json.loads(json.dumps(evidence)) == evidence
-    assert [entry["force_rmse_n"] for entry in read_log(run_directory.folder / LOG)] == [
-        score["force_rmse_n"] for score in scores.values()
-    ]
     assert [done for done, _ in notes] == sorted(done for done, _ in notes)
     assert notes[-1][0] == pytest.approx(1.0)
     assert notes[-1][1].startswith("paper: ")
@@ -89,18 +86,24 @@ def test_logs_on_which_nothing_can_be_compared_are_refused_before_anything_is_fi
         fit_any(short, CONFIG, 0, RunDirectory(tmp_path / "s", {}))
 
 
-def test_a_candidate_that_cannot_be_fitted_is_left_out_with_its_reason(tmp_path, monkeypatch):
-    monkeypatch.setattr("softfin.surrogate.selection.fit_streaming", lambda *words: small.surrogate())
-    steady = [log._replace(command=log.command._replace(velocity=np.full(600, 2, np.float32))) for log in logs()]
-    for data, config, reason in (
-        (steady, CONFIG, "column command_velocity_rad_s is 2 in every training row"),
-        (logs(), CONFIG.changed(["paper.batch=5000"]), "1764 training windows are fewer than one batch of 5000"),
-    ):
-        _, evidence = fit_any(data, config, 0, RunDirectory(tmp_path / "s", {}))
-        assert list(evidence["held_out"]) == ["streaming"]
-        assert list(evidence["left_out"]) == ["paper"]
-        assert (evidence["logs_held_out"], evidence["logs_scored"]) == (1, 1)
-        assert reason in evidence["left_out"]["paper"]
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ([], "column command_velocity_rad_s is 2 in every training row"),
+        (["paper.batch=5000"], "1764 training windows are fewer than one batch of 5000"),
+        (["streaming.ticks=590"], "611 are needed in one piece"),
+    ],
+)
+def test_logs_that_one_candidate_cannot_be_fitted_to_are_refused(tmp_path, monkeypatch, change, reason):
+    def no_fit(*words):
+        raise AssertionError
+
+    monkeypatch.setattr("softfin.surrogate.selection.fit_streaming", no_fit)
+    data = logs()
+    if not change:
+        data = [log._replace(command=log.command._replace(velocity=np.full(600, 2, np.float32))) for log in data]
+    with pytest.raises(LogError, match=reason):
+        fit_any(data, CONFIG.changed(change), 0, RunDirectory(tmp_path / "s", {}))
 
 
 def test_logs_that_fit_no_candidate_are_refused_in_the_words_of_the_first(tmp_path):
@@ -114,26 +117,19 @@ def silent(monkeypatch):
 
     def free_run(surrogate, logs, where, ticks):
         measured = take(logs, where, ticks).reading
-        return FreeRunPrediction(jax.tree.map(np.zeros_like, measured), None)
+        return jax.tree.map(np.zeros_like, measured), None
 
     monkeypatch.setattr("softfin.surrogate.selection.free_run", free_run)
 
 
 @pytest.mark.usefixtures("silent")
 def test_each_log_counts_over_its_own_length():
-    """Of 40 s a stretch of 30 s, of 15 s and 12 s all that is behind the first 2 s; of 5 s nothing."""
-    data = [small.recorded(rows, seed) for seed, rows in enumerate((4000, 1500, 1200, 500))]
-    enough = choice._long_enough(data, 200)
-    assert [len(log.reading.time) for log in enough] == [4000, 1500, 1200]
-    scores = choice._scores(small.surrogate(), enough, 200)
+    """Of 40 s a stretch of 30 s, of 15 s and 5 s all that is behind the first 2 s."""
+    data = [small.recorded(rows, seed) for seed, rows in enumerate((4000, 1500, 500))]
+    scores = choice._scores(small.surrogate(), data, 200)
     used = [data[0].reading.force[200:3200], data[1].reading.force[200:], data[2].reading.force[200:]]
-    assert scores["seconds"] == 30 + 13 + 10
+    assert scores["seconds"] == 30 + 13 + 3
     assert scores["force_rmse_n"] == pytest.approx(np.sqrt(np.mean(np.concatenate(used) ** 2)), rel=1e-5)
-
-
-def test_short_logs_count_where_all_are_short():
-    data = [small.recorded(rows) for rows in (250, 600, 300, 301)]
-    assert [len(log.reading.time) for log in choice._long_enough(data, 300)] == [600, 301]
 
 
 def test_a_killed_choice_is_neither_lost_nor_begun_anew(tmp_path, monkeypatch):

@@ -60,8 +60,7 @@ class Arguments(LogOptions, Configured):
             for name, row in found["held_out"].items():
                 scores = [f"{row['force_rmse_n']:.4f}", f"{row['angle_rmse_rad']:.4f}", f"{row['seconds']:.1f}"]
                 rows.append([name, *scores, "<- chosen" if name == found["chosen"] else ""])
-            left = [f"{name}  not fitted: {why}" for name, why in found["left_out"].items()]
-            parts.append("\n".join([*aligned(rows, (0, 4)), *left]))
+            parts.append("\n".join(aligned(rows, (0, 4))))
         if result["caveat"] is not None:
             parts.append(f"note: {result['caveat']}")
         self.tell({"surrogate": str(self.out), **result}, "\n\n".join(parts))

@@ -6,7 +6,7 @@ from typing import Any
 
 from softfin.core.quantities import AXES
 from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_II
-from softfin.surrogate.compare.metrics import PAPER_TABLE_I
+from softfin.surrogate.compare.scores import PAPER_TABLE_I
 
 NETS = {
     "posnet": "PosNet 1D CNN",

@@ -22,7 +22,7 @@ from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_II, PaperS
 from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.storage import artifact as artifacts
 from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, inline_svg, new_figure, styled, with_minus_signs
-from softfin.surrogate.compare.metrics import PAPER_TABLE_I
+from softfin.surrogate.compare.scores import PAPER_TABLE_I
 
 Figures = Mapping[str, Figure]
 """Figures by caption."""
@@ -52,7 +52,7 @@ def write_report(
     ================= ===============================================================================================
     ``title``         text of the heading
     ``plant``         what the controllers were evaluated on, in words
-    ``surrogate``     ``{"scores": ...}`` of `softfin.surrogate.compare.metrics.table_one`, or None (imported)
+    ``surrogate``     ``{"scores": ...}`` of `softfin.surrogate.compare.scores.table_one`, or None (imported)
     ``controllers``   by name (``single``, ``grid``), what `write_evaluation` gives
     ``in_surrogate``  the same of these controllers in the surrogate that they were trained in
     ``configuration`` nested mappings

@@ -50,6 +50,4 @@ def compare(
         "configuration": config.model_dump(mode="json"),
         "provenance": artifacts.provenance(seed=config.seed, data_hash=data.data_hash),
     }
-    return (
-        {**comparison.summary(), **metadata} if out is None else write_comparison(comparison, out, metadata, overwrite)
-    )
+    return {**comparison.summary, **metadata} if out is None else write_comparison(comparison, out, metadata, overwrite)

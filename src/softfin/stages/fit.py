@@ -21,8 +21,8 @@ from softfin.surrogate import (
     save_surrogate,
 )
 from softfin.surrogate import import_keras as _import_keras
-from softfin.surrogate.channels import SKIPPED, command_limits, training_range
-from softfin.surrogate.compare.metrics import measured_ranges, table_one
+from softfin.surrogate.channels import SKIPPED, command_limits, ranges
+from softfin.surrogate.compare.scores import measured_ranges, table_one
 from softfin.surrogate.selection import fit_any
 from softfin.surrogate.training import check_lengths
 
@@ -64,7 +64,7 @@ def fit(
         save_surrogate(
             out, fitted, table_one(fitted, test) if test else None, provenance,
             extra_files=run_directory.keep_log, overwrite=overwrite, configuration=metadata["configuration"],
-            training_range=training_range(opened.train), fin=_fin_of(dataset),
+            training_range=ranges(opened.train), fin=_fin_of(dataset),
             **({} if evidence is None else {"candidates": evidence}),
         )  # fmt: skip
     run_directory.finish()

@@ -34,7 +34,7 @@ from softfin.storage.dataset import Dataset
 from softfin.storage.registry import find_plant, is_surrogate
 from softfin.storage.run_directory import LOG, TRAINING_LOG, read_log
 from softfin.surrogate import load_surrogate
-from softfin.surrogate.compare.free_running import Segment, free_run
+from softfin.surrogate.compare.scores import free_run
 
 KIND = "reproduction"
 RESULTS = "results.json"
@@ -58,7 +58,7 @@ def reproduce(
 
     ================= ================================================================================================
     ``plant``         plant of the evaluations; ``preset``, ``seed`` and ``seeds`` say how
-    ``surrogate``     null when the plant is a surrogate, else ``scores``: Table I (see `surrogate.metrics.table_one`)
+    ``surrogate``     null when the plant is a surrogate, else ``scores``: Table I (see `compare.scores.table_one`)
     ``controllers``   ``single`` and ``grid``, each what `evaluation.evaluate.write_evaluation` writes: per reference
                       and axis ``error_n``, ``std_n``, ``raw_std_n`` and their 95% intervals over the trained seeds
     ``in_surrogate``  the same controllers in the surrogate that they were trained in; null when that is `plant`
@@ -209,8 +209,8 @@ class _Reproduction:
         first = max(surrogate.memory, min(10 * RATE_HZ, rows // 2))
         ticks = min(SHOWN_S * RATE_HZ, rows - first)
         stretch = slice(first, first + ticks)
-        free = free_run(surrogate, [log], [Segment(0, first)], ticks)
-        predicted = {"free-running": np.asarray(free.reading.force[0])}
+        free, _ = free_run(surrogate, [log], [(0, first)], ticks)
+        predicted = {"free-running": np.asarray(free.force[0])}
         if not isinstance(surrogate, EnsemblePlant):
             behind = slice(first - surrogate.window, stretch.stop - surrogate.window)
             predicted = {"given the angle": surrogate.predict_force(log, free_running=False)[behind], **predicted}

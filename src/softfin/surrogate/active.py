@@ -1,7 +1,7 @@
 """Active excitation: the commands whose force the members of an ensemble agree on least, for the next log of the fin.
 
 A log is a chain of pieces. For each, many random sequences of commands are rolled through the ensemble side by side,
-from the state that the pieces before have led to, and the most informative one is taken. Its score is
+from the state that the pieces before have led to, and the one with the greatest score is taken:
 
     sum over its windows and both axes of  log(1 + var / noise^2) / 2,  times  unlikeness ** novelty
 
@@ -10,12 +10,14 @@ reading of a Gaussian with that variance through noise (Shannon; Lindley 1956, A
 how far the piece's windows are from those already taken, in the memory of the first member's force net.
 """
 
+import math
 from pathlib import Path
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pydantic
 from jaxtyping import Array, Float, PRNGKeyArray
 
@@ -51,23 +53,17 @@ class ActiveConfig(Configuration):
 
     @pydantic.model_validator(mode="after")
     def _in_whole_numbers(self) -> "ActiveConfig":
-        for whole, part, message in (
-            (self.window_s, 1 / RATE_HZ, "window_s must be a whole number of 10 ms samples, such as 0.25"),
-            (self.piece_s, self.window_s, f"piece_s must be a whole number of windows of {self.window_s:g} s"),
-        ):
-            if abs(whole / part - round(whole / part)) > 1e-6 or round(whole / part) < 1:
-                raise ValueError(message)
+        parts = np.array([self.window_s * RATE_HZ, self.piece_s / self.window_s])
+        if (np.abs(parts - np.round(parts)) > 1e-6).any() or (parts < 0.5).any():
+            raise ValueError(
+                "window_s must be a whole number of 10 ms samples, and piece_s of windows, such as 0.25, 2"
+            )
         return self
 
     @property
-    def window(self) -> int:
-        """Ticks of a window."""
-        return round(self.window_s * RATE_HZ)
-
-    @property
-    def windows(self) -> int:
-        """Windows of a piece."""
-        return round(self.piece_s / self.window_s)
+    def shape(self) -> tuple[int, int]:
+        """Windows of a piece, and ticks of a window."""
+        return round(self.piece_s / self.window_s), round(self.window_s * RATE_HZ)
 
 
 class ActiveCollectConfig(CollectConfig):
@@ -93,10 +89,10 @@ class Chooser(eqx.Module):
 
     def __call__(self, key: PRNGKeyArray, rows: int, limits: Limits) -> Command:
         """Choose one command a tick, fields ``(rows,)``, from rest on; pure and traceable."""
-        config = self.config
-        pieces = -(-rows // (config.windows * config.window))
+        config, (windows, ticks) = self.config, self.config.shape
+        pieces = -(-rows // (windows * ticks))
         # Memories at the ends of the windows taken so far; infinite where no piece is yet.
-        nowhere = jnp.full((pieces, config.windows, self.ensemble.familiarity.mean.size), jnp.inf)
+        nowhere = jnp.full((pieces, windows, self.ensemble.familiarity.mean.size), jnp.inf)
 
         def piece(chain: tuple[StreamingState, Array], index: Array) -> tuple[tuple[StreamingState, Array], Command]:
             before, visited = chain
@@ -114,7 +110,7 @@ class Chooser(eqx.Module):
 
     def _sequence(self, key: PRNGKeyArray, limits: Limits) -> Command:
         """Random commands, but for the last, which is held for the shortest hold at least."""
-        ticks = self.config.windows * self.config.window
+        ticks = math.prod(self.config.shape)
         random = self.excitation(key, ticks, limits)
         kept = jnp.minimum(jnp.arange(ticks), ticks - round(self.excitation.hold_min_s * RATE_HZ))
         return Command(random.angle[kept], random.velocity[kept])
@@ -131,7 +127,7 @@ class Chooser(eqx.Module):
             memory = remembered(single(state.members.force)) @ self.ensemble.familiarity.whitening
             return state, (force.mean(0), memory)
 
-        parts = jax.tree.map(lambda x: x.reshape(self.config.windows, self.config.window), commands)
+        parts = jax.tree.map(lambda x: x.reshape(self.config.shape), commands)
         return jax.lax.scan(window, state, parts)
 
 
@@ -151,9 +147,7 @@ def unlikeness(
 def chooser(folder: Path, config: ActiveCollectConfig, limits: Limits) -> tuple[Commands, dict[str, Any]]:
     """Load the ensemble that chooses for a plant with these limits; also its entries of the dataset's description.
 
-    Raises:
-        ArtifactError: the folder holds no surrogate.
-        ConfigurationError: the surrogate is not an ensemble, or was trained on commands of another range.
+    Raises ConfigurationError where it is not an ensemble, or was trained on commands of another range.
     """
     surrogate = load_surrogate(folder)
     if not isinstance(surrogate, StreamingSurrogate) or surrogate.size < 2:

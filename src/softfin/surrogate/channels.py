@@ -6,7 +6,7 @@ the range how far its fin is from the training data, and by the name that a cont
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -22,23 +22,22 @@ COMMANDS = ("command_angle_rad", "command_velocity_rad_s")
 ANGLE = "angle_rad"
 FORCES = ("force_x_n", "force_y_n")
 READINGS = (ANGLE, "velocity_rad_s", *FORCES)
+COLUMNS = (ANGLE, *COMMANDS, *FORCES)
+"""Channels of the paper's nets: ForceNet's first, PosNet's within them, then what ForceNet predicts."""
 
 SKIPPED = 100
 """Rows at the beginning of a log that Table I does not score: the first window of PosNet and ForceNet."""
-
-Range: TypeAlias = dict[str, list[float] | None]
-"""Least and greatest of each channel; None where that is not known."""
 
 UNKNOWN: Mapping[str, Any] = {"training_range": None, "fin": None}
 """Entries of a plant that is not a surrogate, or one without them."""
 
 
 class NetPrediction(NamedTuple):
-    """What a net predicts of the last rows of a log: a row of Table I."""
+    """What a net predicts of logs: a row of Table I."""
 
     channels: tuple[str, ...]
-    series: Float[np.ndarray, "predicted channels"]
-    """Predicted values [rad or N]."""
+    series: Sequence[Float[np.ndarray, "predicted channels"]]
+    """Predicted values of the last rows of each log [rad or N]."""
     window: int | None
     """Samples of the past that the net sees; None of one with a state."""
     parameters: int
@@ -68,8 +67,7 @@ class Scaling(Configuration):
     def fit(cls, logs: Sequence[Log]) -> "Scaling":
         """Map each channel's range in the training logs onto 0 .. 1."""
         channels = {}
-        for name, values in joined_channels(logs).items():
-            low, high = float(values.min()), float(values.max())
+        for name, (low, high) in ranges(logs, COLUMNS).items():
             if not high > low:
                 raise LogError(f"column {name} is {low:g} in every training row: nothing can be learnt from it")
             scale = 1 / (high - low)
@@ -78,7 +76,7 @@ class Scaling(Configuration):
 
     def require(self, source: str) -> None:
         """Raise ArtifactError where a channel of the paper's nets has no scaling."""
-        for name in (ANGLE, *COMMANDS, *FORCES):
+        for name in COLUMNS:
             if name not in self.channels:
                 raise ArtifactError(f"{source}: no scaling for {name}; there is one for {', '.join(self.channels)}")
 
@@ -94,33 +92,26 @@ class Scaling(Configuration):
 
     def table(self, names: Sequence[str], log: Log) -> Float[np.ndarray, "rows {len(names)}"]:
         """Some columns of a log, scaled, float32."""
-        columns = channels_of(log)
+        columns = columns_of([log])
         return np.stack([self.scaled(name, columns[name]) for name in names], axis=1).astype(np.float32)
 
 
-def channels_of(log: Log) -> dict[str, Float[np.ndarray, "rows"]]:
-    """The columns of a log by the names of the channels."""
-    columns = (log.reading.angle, *log.command, *np.asarray(log.reading.force).T)
-    names = (ANGLE, *COMMANDS, *FORCES)
-    return {name: np.asarray(values, np.float32) for name, values in zip(names, columns, strict=True)}
+def columns_of(logs: Sequence[Log]) -> dict[str, Float[np.ndarray, "rows"]]:
+    """The columns of logs, one log after the other, by the names of the channels."""
+    each = [(*log.command, log.reading.angle, log.reading.velocity, *np.asarray(log.reading.force).T) for log in logs]
+    joined = [np.concatenate(parts, dtype=np.float32) for parts in zip(*each, strict=True)]
+    return dict(zip((*COMMANDS, *READINGS), joined, strict=True))
 
 
-def joined_channels(logs: Sequence[Log]) -> dict[str, Float[np.ndarray, "rows"]]:
-    """The columns of all logs, one log after the other."""
-    each = [channels_of(log) for log in logs]
-    return {name: np.concatenate([columns[name] for columns in each]) for name in each[0]}
-
-
-def training_range(logs: Sequence[Log]) -> Range:
-    """Range of the readings in the logs that a surrogate learns from."""
-    columns = joined_channels(logs) | {READINGS[1]: np.concatenate([log.reading.velocity for log in logs])}
-    return {name: [float(columns[name].min()), float(columns[name].max())] for name in READINGS}
+def ranges(logs: Sequence[Log], names: Sequence[str] = READINGS) -> dict[str, list[float]]:
+    """Least and greatest value of some channels in logs; of the readings it is the training range of a surrogate."""
+    columns = columns_of(logs)
+    return {name: [float(columns[name].min()), float(columns[name].max())] for name in names}
 
 
 def command_limits(logs: Sequence[Log]) -> Limits:
     """Range of the commands in the logs: the limits of a surrogate that learns from them."""
-    columns = joined_channels(logs)
-    return Limits(*(float(end) for name in COMMANDS for end in (columns[name].min(), columns[name].max())))
+    return Limits(*(end for ends in ranges(logs, COMMANDS).values() for end in ends))
 
 
 def learnt_from(plant: object) -> dict[str, Any]:
@@ -128,16 +119,13 @@ def learnt_from(plant: object) -> dict[str, Any]:
 
     Surrogates with min-max scaling, imported ones among them, have kept the range of their channels in it.
     """
-    folder = Path(plant) if isinstance(plant, str | Path) else None
-    if folder is None or not artifacts.is_kind(folder, "surrogate"):
+    if not isinstance(plant, str | Path) or not artifacts.is_kind(Path(plant), "surrogate"):
         return dict(UNKNOWN)
-    description = artifacts.load_description(folder, "surrogate")
+    description = artifacts.load_description(Path(plant), "surrogate")
     entries = {name: description.get(name) for name in UNKNOWN}
-    scaling = description.get("scaling")
-    if entries["training_range"] is None and isinstance(scaling, dict):
-        channels = {name: scaling.get(name) for name in READINGS}
+    if entries["training_range"] is None and (scaling := description.get("scaling")):
         entries["training_range"] = {
-            name: [channel["data_min"], channel["data_max"]] if isinstance(channel, dict) else None
-            for name, channel in channels.items()
+            name: [scaling[name]["data_min"], scaling[name]["data_max"]] if name in scaling else None
+            for name in READINGS
         }
     return entries

@@ -1,14 +1,14 @@
-"""The loop in which all nets learn: rounds of updates, the loss on held-out logs after each, the best weights kept."""
+"""What both kinds of nets share: the best weights are kept while they learn, and weights have names in files."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, NamedTuple, TypeAlias
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softfin.core.errors import LogError, RunError
+from softfin.core.errors import ArtifactError, LogError, RunError
 from softfin.core.quantities import Log
 
 UPDATES_A_CALL = 50
@@ -27,52 +27,25 @@ class TrainingState(NamedTuple):
     """That loss: one number for each of several nets, or an array ``(members,)``."""
 
 
-Call: TypeAlias = Callable[[TrainingState], tuple[TrainingState, Any]]
-"""Some updates: the state after them, and the mean loss of each net or member."""
+def keep_best(state: TrainingState, losses: Any, held_out: Any, name: str) -> tuple[TrainingState, bool]:
+    """Keep the weights of each net or member whose held-out loss is less than ever before, and whether any is.
 
-
-class Round(NamedTuple):
-    """What a round of updates has led to."""
-
-    state: TrainingState
-    losses: list[Any]
-    """Training losses, one entry a call."""
-    held_out: Any
-    """Loss of each net or member on the held-out logs."""
-    improved: bool
-    """Whether any net or member has never had a lesser one."""
-
-
-def train(
-    state: TrainingState, rounds: Iterable[Sequence[Call]], held_out_loss: Callable[[Any], Any], name: str
-) -> Iterator[Round]:
-    """Do the calls of each round, then score the nets; raises RunError where a loss of the nets is not finite."""
-    for calls in rounds:
-        losses = []
-        for call in calls:
-            state, loss = call(state)
-            losses.append(loss)
-        # The error below says it better than a warning.
-        with np.errstate(over="ignore", invalid="ignore"):
-            held_out = held_out_loss(state.nets)
-        if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((losses, held_out))):
-            raise RunError(f"fit: the loss of the {name} is not finite; lower learning_rate (--set), start anew")
-        before = state.best_loss
-        state = keep_best(state, jax.tree.map(jnp.float32, held_out))
-        improved = any(jax.tree.leaves(jax.tree.map(lambda new, old: (new < old).any(), state.best_loss, before)))
-        yield Round(state, losses, held_out, improved)
+    Raises RunError where that or one of the training losses is not finite.
+    """
+    if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((losses, held_out))):
+        raise RunError(f"fit: the loss of the {name} is not finite; lower learning_rate (--set), start anew")
+    after = _keep_best(state, jax.tree.map(jnp.float32, held_out))
+    less = jax.tree.map(lambda new, old: (new < old).any(), after.best_loss, state.best_loss)
+    return after, any(jax.tree.leaves(less))
 
 
 @eqx.filter_jit
-def keep_best(state: TrainingState, loss: Any) -> TrainingState:
-    """Keep the weights of each net or member whose held-out loss is less than ever before."""
-
+def _keep_best(state: TrainingState, loss: Any) -> TrainingState:
     def pick(new_loss: Any, old_loss: Any, new: Any, old: Any) -> Any:
-        def where(x: Any, y: Any) -> Any:
-            return jnp.where(better.reshape(better.shape + (1,) * (x.ndim - better.ndim)), x, y)
-
         better = jnp.asarray(new_loss < old_loss)
-        return jax.tree.map(where, new, old)
+        return jax.tree.map(
+            lambda x, y: jnp.where(better.reshape(better.shape + (1,) * (x.ndim - better.ndim)), x, y), new, old
+        )
 
     best = jax.tree.map(pick, loss, state.best_loss, state.nets, state.best)
     return state._replace(best=best, best_loss=jax.tree.map(jnp.minimum, loss, state.best_loss))
@@ -93,3 +66,30 @@ def check_lengths(logs: Sequence[Log], window: int, part: str) -> None:
             raise LogError(
                 f"{part} log {index}: {rows} rows; more than a window of {window} are needed, so record longer"
             )
+
+
+def named(nets: Any) -> dict[str, np.ndarray]:
+    """Arrays by their places, such as ``posnet.3.kernel``."""
+    return {_name(path): np.asarray(leaf) for path, leaf in jax.tree_util.tree_leaves_with_path(nets)}
+
+
+def restored(shapes: Any, arrays: Mapping[str, np.ndarray], source: str) -> Any:
+    """Nets of these shapes with the arrays of `named`; raises ArtifactError where one is missing or does not fit."""
+
+    def leaf(path: Any, like: Any) -> Any:
+        array = arrays.get(_name(path))
+        if array is None:
+            problem = "is missing"
+        elif array.shape != like.shape:
+            problem = f"has the shape {array.shape}"
+        elif np.isfinite(array).all():
+            return jnp.asarray(array, like.dtype)
+        else:
+            problem = "is not finite"
+        raise ArtifactError(f"{source}: {_name(path)} {problem}, must have {like.shape}; copy the whole folder again")
+
+    return jax.tree_util.tree_map_with_path(leaf, shapes)
+
+
+def _name(path: Any) -> str:
+    return jax.tree_util.keystr(path, simple=True, separator=".")

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from softfin.core.quantities import PAPER_LIMITS, Command
+from softfin.core.quantities import Command
 from softfin.surrogate import save_surrogate
 from softfin.surrogate.compare.compare import beyond_limits, candidates
 from tests.surrogate import small
@@ -24,7 +24,7 @@ def test_fits_of_one_configuration_that_chose_other_networks_are_no_seeds_of_one
     assert one != different
 
 
-def test_beyond_training_commands_that_never_changed_is_counted_over_the_papers_range():
+def test_beyond_training_commands_that_never_changed_is_counted_over_1_rad_s():
     still = candidate(0)
     limits = still.surrogate.limits._replace(velocity_min=2.0, velocity_max=2.0)
 
@@ -37,5 +37,4 @@ def test_beyond_training_commands_that_never_changed_is_counted_over_the_papers_
     zero = jax.tree.map(np.zeros_like, log.command.angle)
     same, faster = (log._replace(command=Command(zero, np.full_like(zero, speed))) for speed in (2.0, 2.5))
     assert beyond_limits([steady], [same]) == (0, 0)
-    usual = PAPER_LIMITS.velocity_max - PAPER_LIMITS.velocity_min
-    assert beyond_limits([steady], [same, faster]) == pytest.approx((0.5, 0.5 / usual))
+    assert beyond_limits([steady], [same, faster]) == pytest.approx((0.5, 0.5))

@@ -4,7 +4,7 @@ import pytest
 from softfin.core.errors import LogError
 from softfin.core.quantities import Command, Log, Reading
 from softfin.surrogate.channels import SKIPPED
-from softfin.surrogate.compare.metrics import DTW_BAND, dtw_mae, measured_ranges, score_segments, table_one
+from softfin.surrogate.compare.scores import DTW_BAND, dtw_mae, measured_ranges, score_segments, table_one
 from softfin.surrogate.streaming.member import parameters, predict_logs, single
 from tests.surrogate import small
 from tests.surrogate.streaming import small as streaming
@@ -157,13 +157,7 @@ def test_the_mean_force_is_over_every_run_of_200_samples():
 
 def test_coverage_is_the_share_of_errors_inside_what_was_stated():
     predicted = off(MEASURED.reading, force=(0.3, -0.5))
-    members = np.stack([predicted.force - 1, predicted.force + 1])
-
-    def half_width(means):
-        np.testing.assert_allclose(means[1] - means[0], np.full((3, 61, 2), 2.0), rtol=1e-5)
-        return np.broadcast_to([0.4, 0.2], (3, 61, 2))
-
-    scored = score_segments(MEASURED, predicted, SPANS, members, half_width)
+    scored = score_segments(MEASURED, predicted, SPANS, np.broadcast_to([0.4, 0.2], (3, 61, 2)))
     assert scored.scores["coverage"] == 0.5
     assert scored.scores["half_width_n"] == pytest.approx(0.3)
 

@@ -33,13 +33,13 @@ def test_traces_show_what_was_measured_and_what_each_group_predicted():
             i for i, force in enumerate(comparison.measured.reading.force) if np.array_equal(force[:, index], measured)
         )
         for group in comparison.groups:
-            np.testing.assert_array_equal(shown[group.name].get_ydata(), group.runs[0].reading.force[segment, :, index])
+            np.testing.assert_array_equal(shown[group.row["name"]].get_ydata(), group.reading.force[segment, :, index])
     assert axes[1].get_xlabel() == "time since the surrogate began to run free [s]"
 
 
 def test_errors_stand_over_their_horizons_with_intervals_and_the_noise_floor():
     comparison = compared()
-    summary, axes = comparison.summary(), comparison_figure(comparison).get_axes()[2]
+    summary, axes = comparison.summary, comparison_figure(comparison).get_axes()[2]
     bars = {container.get_label(): container for container in axes.containers}
     assert set(bars) == {"paper, x", "paper, y", "attentive, x", "attentive, y"}
     cells = [row["force_y_rmse_n"]["mean"] for row in summary["groups"][0]["horizons"]]
@@ -56,7 +56,7 @@ def test_the_distribution_of_the_mean_forces_error_reaches_its_worst():
     comparison = compared()
     axes = comparison_figure(comparison).get_axes()[3]
     line = lines(axes)["paper"]
-    worst = max(run.scores[-1].scores["mean_force_worst_n"] for run in comparison.groups[0].runs)
+    worst = max(run.scores["mean_force_worst_n"] for run in comparison.groups[0].longest)
     assert line.get_xdata()[-1] == pytest.approx(worst)
     assert line.get_ydata()[-1] == 1
     assert "second recording (fin)" in lines(axes)
@@ -66,7 +66,7 @@ def test_intervals_are_drawn_where_they_are_stated():
     comparison = compared()
     axes = comparison_figure(comparison).get_axes()
     assert len(axes) == 5
-    share = comparison.groups[1].runs[0].scores[-1].scores["coverage"]
+    share = comparison.groups[1].longest[0].scores["coverage"]
     assert f"attentive: {share:.1%} inside" in lines(axes[4])
     assert not any(label.startswith("paper") for label in lines(axes[4]))
 

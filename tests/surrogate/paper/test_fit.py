@@ -14,7 +14,7 @@ LOGS = [small.log(rows=600, seed=seed) for seed in range(5)]
 
 
 def weights_of(surrogate):
-    return [*surrogate.posnet.arrays().values(), *surrogate.forcenet.arrays().values()]
+    return jax.tree.leaves((surrogate.posnet, surrogate.forcenet))
 
 
 def same_weights(one, other):

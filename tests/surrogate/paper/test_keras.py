@@ -233,8 +233,8 @@ def of_other_shape(file):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda file: file.pop(FIRST), rf"weights {FIRST} are missing, must be \(5, 10, 6\)"),
-        (of_other_shape, rf"weights {FIRST} are of the shape \(5, 3\), must be \(5, 10, 6\)"),
+        (lambda file: file.pop(FIRST), r"not a whole Keras 2 \.keras file \(.*object '0' doesn't exist"),
+        (of_other_shape, r"0\.kernel has the shape \(5, 3\), must have \(5, 10, 6\)"),
     ],
 )
 def test_weights_that_are_missing_or_of_another_shape_are_named(files, change, words):
@@ -248,20 +248,9 @@ def test_a_damaged_heap_is_one_line(files):
     with zipfile.ZipFile(files[0] / "pos.keras") as archive:
         content = archive.read("model.weights.h5")
     rewrite(files[0] / "pos.keras", "model.weights.h5", content.replace(b"HEAP", b"PEAH"))
-    with pytest.raises(ArtifactError, match=r"pos\.keras: weights layers/conv1d/vars/0 are missing") as error:
+    with pytest.raises(ArtifactError, match=r"pos\.keras: not a whole Keras 2 \.keras file") as error:
         load(files[0])
     assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize("name", ["config.json", "model.weights.h5"])
-def test_an_archive_that_would_inflate_beyond_all_nets_is_refused_before_it_does(files, name):
-    with (
-        zipfile.ZipFile(files[0] / "pos.keras", "a", zipfile.ZIP_DEFLATED) as archive,
-        pytest.warns(UserWarning, match="Duplicate"),
-    ):
-        archive.writestr(name, bytes(40 * 2**20))
-    with pytest.raises(ArtifactError, match="inflates to more than 33,554,432 bytes"):
-        load(files[0])
 
 
 def listing(*layers):

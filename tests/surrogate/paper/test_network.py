@@ -5,8 +5,8 @@ import pytest
 from pydantic import ValidationError
 
 from softfin.core.errors import ArtifactError
-from softfin.surrogate.paper.layers import LSTM, Conv1D, Dropout, Flatten
-from softfin.surrogate.paper.network import FORCENET, POSNET, Network, NetworkConfig
+from softfin.surrogate.paper.network import FORCENET, LSTM, POSNET, Conv1D, Dropout, Flatten, Network, NetworkConfig
+from softfin.surrogate.training import named, restored
 
 
 def convolution(x, kernel, bias):
@@ -36,12 +36,12 @@ def lstm(x, kernel, recurrent, bias):
 
 def test_posnet_has_the_parameters_of_table_one():
     assert POSNET.parameters() == 113_601
-    assert sum(a.size for a in Network.create(POSNET, jax.random.key(0)).arrays().values()) == 113_601
+    assert sum(a.size for a in jax.tree.leaves(Network.create(POSNET, jax.random.key(0)))) == 113_601
 
 
 def test_forcenet_has_the_parameters_of_table_one():
     assert FORCENET.parameters() == 129_794
-    assert sum(a.size for a in Network.create(FORCENET, jax.random.key(0)).arrays().values()) == 129_794
+    assert sum(a.size for a in jax.tree.leaves(Network.create(FORCENET, jax.random.key(0)))) == 129_794
 
 
 @pytest.mark.parametrize("kernel", [1, 2, 3, 5])
@@ -88,23 +88,28 @@ def test_dropout_drops_only_with_a_key_and_keeps_the_mean():
 def test_weights_by_name_make_the_same_network():
     net = Network.create(FORCENET, jax.random.key(3))
     x = jax.random.normal(jax.random.key(4), (2, 3, 100))
-    np.testing.assert_array_equal(Network.of(FORCENET, net.arrays(), "here")(x), net(x))
+    weights = named(net.layers)
+    assert set(weights) >= {"0.kernel", "0.recurrent", "0.bias", "5.bias"}
+    same = Network(FORCENET, restored(FORCENET.shapes(), weights, "here"))
+    np.testing.assert_array_equal(same(x), net(x))
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda a: a.pop("0.kernel"), "weight 0.kernel is missing"),
-        (lambda a: a.update({"9.kernel": np.zeros(1)}), "weight 9.kernel is not in the configuration"),
-        (lambda a: a.update({"0.bias": np.zeros(3)}), r"weight 0.bias has shape \(3,\); it must be \(128,\)"),
-        (lambda a: a["0.bias"].fill(np.nan), "weight 0.bias is not finite"),
+        (
+            lambda a: a.pop("0.kernel"),
+            r"here: 0.kernel is missing, must have \(5, 100, 128\); copy",
+        ),
+        (lambda a: a.update({"0.bias": np.zeros(3)}), r"0.bias has the shape \(3,\), must have \(128,\)"),
+        (lambda a: a["0.bias"].fill(np.nan), "0.bias is not finite"),
     ],
 )
 def test_odd_weights_are_refused_by_name(change, words):
-    arrays = {name: array.copy() for name, array in Network.create(POSNET, jax.random.key(0)).arrays().items()}
+    arrays = {name: array.copy() for name, array in named(Network.create(POSNET, jax.random.key(0)).layers).items()}
     change(arrays)
     with pytest.raises(ArtifactError, match=words):
-        Network.of(POSNET, arrays, "here")
+        restored(POSNET.shapes(), arrays, "here")
 
 
 def test_an_unknown_layer_is_no_network():

@@ -9,9 +9,10 @@ import numpy as np
 
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Log, Reading
 from softfin.surrogate import StreamingConfig, StreamingSurrogate
-from softfin.surrogate.streaming.drive import LONGEST_DELAY, DriveNetConfig, Profile
-from softfin.surrogate.streaming.force import ForceNetConfig, Motion, Scales
 from softfin.surrogate.streaming.member import ensemble, forces, single
+from softfin.surrogate.streaming.nets import DriveNetConfig, ForceNetConfig
+from softfin.surrogate.streaming.profile import Profile
+from softfin.surrogate.streaming.segments import LONGEST_DELAY, Motion, Scales
 from softfin.surrogate.streaming.uncertainty import Familiarity, Interval, remembered
 
 SCALES = Scales(angle_rad=0.8, velocity_rad_s=2.0, change_rad_s=0.25, force_n=2.0)
@@ -140,4 +141,4 @@ def rows_of_first(log):
 def forces_of(net, reading):
     """What a net says of a measured motion from its second row on."""
     motion = Motion(jnp.asarray(reading.angle), jnp.asarray(reading.velocity))
-    return jax.jit(forces)(net, Motion(motion.angle[0], motion.velocity[0]), rows_of(motion, 1, None))
+    return jax.jit(forces)(net, motion)

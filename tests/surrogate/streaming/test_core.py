@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.surrogate.streaming.core import SLOWEST, MirrorCore, Parity, magnitude, products
+from softfin.surrogate.streaming.nets import SLOWEST, MirrorCore, Parity, magnitude, products
 from tests.surrogate.streaming.small import filled
 
 INPUTS, OUTPUTS, UNITS, HIDDEN = Parity(2, 3), Parity(1, 2), 3, 4

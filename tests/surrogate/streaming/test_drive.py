@@ -4,10 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from softfin.core.quantities import Command
-from softfin.surrogate.streaming.core import products
-from softfin.surrogate.streaming.drive import LONGEST_DELAY
-from softfin.surrogate.streaming.force import Motion
 from softfin.surrogate.streaming.member import motions
+from softfin.surrogate.streaming.nets import products
+from softfin.surrogate.streaming.segments import LONGEST_DELAY, Motion
 from tests.surrogate.streaming import small
 
 COMMANDS = Command(*map(jnp.asarray, small.commands(120, seed=1)))

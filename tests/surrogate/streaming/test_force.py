@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from softfin.core.quantities import TICK_S
-from softfin.surrogate.streaming.core import products
-from softfin.surrogate.streaming.force import Motion
 from softfin.surrogate.streaming.member import forces
+from softfin.surrogate.streaming.nets import products
+from softfin.surrogate.streaming.segments import Motion
 from tests.surrogate.streaming import small
 
 MOTION = small.motion(61)
@@ -91,8 +91,7 @@ def test_the_sensor_turns_and_shifts_what_is_read():
 
 def test_forces_is_step_by_step():
     net = small.force_net()
-    before, after = small.rows_of(MOTION, 0, 1), small.rows_of(MOTION, 1, None)
-    said = jax.jit(forces)(net, jax.tree.map(lambda x: x[0], before), after)
+    said = jax.jit(forces)(net, MOTION)
     np.testing.assert_allclose(said, force(net, MOTION), atol=1e-5)
 
 

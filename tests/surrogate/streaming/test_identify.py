@@ -4,9 +4,8 @@ import jax
 import numpy as np
 import pytest
 
-from softfin.surrogate.streaming import identify as module
-from softfin.surrogate.streaming.drive import Profile
-from softfin.surrogate.streaming.identify import identify
+from softfin.surrogate.streaming import profile as module
+from softfin.surrogate.streaming.profile import Profile, identify
 from tests.surrogate.streaming import small
 
 TRUE = Profile(gain=1.03, zero=0.02, delay=3.4, velocity_factor=0.95, velocity_limit=2.5, acceleration=30.0)

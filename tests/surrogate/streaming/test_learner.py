@@ -7,8 +7,7 @@ import pytest
 from softfin.core.errors import ConfigurationError
 from softfin.surrogate import StreamingConfig
 from softfin.surrogate.streaming.fit import StreamingLearner, drive_loss, force_loss
-from softfin.surrogate.streaming.force import Motion
-from softfin.surrogate.streaming.segments import Table
+from softfin.surrogate.streaming.segments import Motion, Table
 from softfin.surrogate.training import keep_best
 from tests.surrogate.streaming import small
 
@@ -26,12 +25,12 @@ def predicted(shift=0.3):
 
 @eqx.filter_jit
 def force_error(net, segments, motion, done):
-    return force_loss(CONFIG)(net, segments, motion, jnp.float32(done), KEY)
+    return force_loss(net, segments, motion, jnp.float32(done), KEY, CONFIG)
 
 
 @eqx.filter_jit
 def drive_error(net, segments):
-    return drive_loss(CONFIG)(net, segments, predicted(), jnp.float32(0), KEY)
+    return drive_loss(net, segments, predicted(), jnp.float32(0), KEY, CONFIG)
 
 
 def slopes(function, net):
@@ -40,13 +39,13 @@ def slopes(function, net):
 
 def test_gradients_reach_every_weight_of_a_force_net():
     net = small.force_net()
-    found = slopes(lambda net: force_loss(CONFIG)(net, SEGMENTS, predicted(), jnp.float32(0.5), KEY), net)
+    found = slopes(lambda net: force_loss(net, SEGMENTS, predicted(), jnp.float32(0.5), KEY, CONFIG), net)
     assert [jax.tree_util.keystr(path) for path, slope in found.items() if not np.all(slope)] == []
 
 
 def test_gradients_reach_every_weight_of_a_drive_net_and_none_of_its_profile():
     net = small.drive_net()
-    found = slopes(lambda net: drive_loss(CONFIG)(net, SEGMENTS, predicted(), jnp.float32(0), KEY), net)
+    found = slopes(lambda net: drive_loss(net, SEGMENTS, predicted(), jnp.float32(0), KEY, CONFIG), net)
     names = {jax.tree_util.keystr(path): slope for path, slope in found.items()}
     coefficients = {name for name in names if name.startswith(".profile")}
     assert len(coefficients) == 7
@@ -85,7 +84,7 @@ def test_force_nets_see_the_measured_motion_first_and_the_predicted_one_in_the_e
 
 @pytest.fixture(scope="module")
 def learner():
-    return StreamingLearner(force_loss(CONFIG), CONFIG, 8)
+    return StreamingLearner(force_loss, CONFIG, 8)
 
 
 def test_each_member_draws_and_learns_for_itself_and_the_best_weights_of_each_are_kept(learner):
@@ -96,8 +95,12 @@ def test_each_member_draws_and_learns_for_itself_and_the_best_weights_of_each_ar
     moved = [np.asarray(new - old) for new, old in zip(*map(jax.tree.leaves, (state.nets, twins)), strict=True)]
     assert all(np.abs(x[0] - x[1]).max() > 0 for x in moved if x.size)
 
-    first = keep_best(state, jnp.asarray([1.0, 2.0]))
-    later = keep_best(first._replace(nets=jax.tree.map(lambda x: x + 1, first.nets)), jnp.asarray([3.0, 0.5]))
+    first, better = keep_best(state, loss, jnp.asarray([1.0, 2.0]), "nets")
+    assert better
+    further = first._replace(nets=jax.tree.map(lambda x: x + 1, first.nets))
+    later, better = keep_best(further, loss, jnp.asarray([3.0, 0.5]), "nets")
+    assert better
+    assert not keep_best(later, loss, jnp.asarray([1.0, 0.5]), "nets")[1]
     np.testing.assert_array_equal(later.best_loss, [1.0, 0.5])
     np.testing.assert_array_equal(later.best.offset[0], state.nets.offset[0])
     np.testing.assert_array_equal(later.best.offset[1], state.nets.offset[1] + 1)
@@ -115,7 +118,7 @@ def test_two_calls_are_one_compiled_program(learner, monkeypatch):
     nowhere = Motion(*(jnp.zeros((2, 600)) for _ in range(2)))
     for first in (0, 1):
         state, _ = learner.run(state, TABLE, nowhere, jnp.int32(first), 4, KEY)
-        state = keep_best(state, jnp.asarray([1.0, 2.0], jnp.float32))
+        state, _ = keep_best(state, jnp.ones(2), jnp.asarray([1.0, 2.0], jnp.float32), "nets")
         once = len(compiled) if first == 0 else once
     assert len(compiled) == once
 

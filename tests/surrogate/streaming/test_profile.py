@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from softfin.core.quantities import TICK_S, Command
-from softfin.surrogate.streaming.drive import LONGEST_DELAY, Profile
-from softfin.surrogate.streaming.force import Motion
+from softfin.surrogate.streaming.profile import Profile
+from softfin.surrogate.streaming.segments import LONGEST_DELAY, Motion
 from softfin.tank.drive import Drive, DriveConfig
 from tests.surrogate.streaming import small
 

@@ -6,8 +6,7 @@ from hypothesis import strategies as st
 
 from softfin.core.errors import LogError
 from softfin.core.quantities import Command, Log, Reading
-from softfin.surrogate.streaming.drive import LONGEST_DELAY
-from softfin.surrogate.streaming.segments import Table, scales_of
+from softfin.surrogate.streaming.segments import LONGEST_DELAY, Table, scales_of
 from tests.surrogate.streaming import small
 
 

@@ -7,9 +7,9 @@ from softfin.core.errors import LogError
 from softfin.core.plant import rest_command, roll
 from softfin.core.quantities import Command
 from softfin.surrogate import StreamingSurrogate
-from softfin.surrogate.streaming.core import products
-from softfin.surrogate.streaming.drive import LONGEST_DELAY
 from softfin.surrogate.streaming.member import parameters, predict_logs, single
+from softfin.surrogate.streaming.nets import products
+from softfin.surrogate.streaming.segments import LONGEST_DELAY
 from softfin.testing import check_plant
 from tests.surrogate.streaming import small
 

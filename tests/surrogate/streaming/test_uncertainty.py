@@ -6,7 +6,7 @@ import pytest
 from softfin.core.action_clock import WINDOW
 from softfin.core.quantities import Command, Log, Reading
 from softfin.core.window import window_means
-from softfin.surrogate.streaming.member import single
+from softfin.surrogate.streaming.member import predict_motion, single
 from softfin.surrogate.streaming.uncertainty import Interval, calibrated, familiar, remembered
 from tests.surrogate.streaming import small
 
@@ -57,7 +57,9 @@ def test_the_half_width_grows_with_the_spread_of_the_members():
 def known():
     """Training logs of slow commands to small angles, and distances of the memories of such logs."""
     members = small.members(seed=3, spread=0.3)
-    return members, familiar(members, [training(seed) for seed in range(6)], burn_in=100)
+    return members, familiar(
+        members.force, predict_motion(members.drive, [training(seed) for seed in range(6)]), burn_in=100
+    )
 
 
 def training(seed, **options):

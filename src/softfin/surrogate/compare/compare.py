@@ -8,7 +8,7 @@ import itertools
 import json
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,12 +20,20 @@ from softfin.core.errors import ConfigurationError
 from softfin.core.plant import EnsemblePlant, Plant
 from softfin.core.plant_identity import identity
 from softfin.core.progress import Progress
-from softfin.core.quantities import PAPER_LIMITS, RATE_HZ, Log, Reading
+from softfin.core.quantities import RATE_HZ, Log, Reading
 from softfin.core.randomness import key_of
 from softfin.core.statistics import interval
+from softfin.core.window import moving_average
 from softfin.storage import artifact as artifacts
-from softfin.surrogate.compare.free_running import free_run, run_from_rest, segments_of, take
-from softfin.surrogate.compare.metrics import HorizonScores, measured_ranges, score_segments
+from softfin.surrogate.compare.scores import (
+    HorizonScores,
+    free_run,
+    measured_ranges,
+    run_from_rest,
+    score_segments,
+    segments_of,
+    take,
+)
 from softfin.surrogate.store import AnySurrogate, load_surrogate
 from softfin.surrogate.streaming.uncertainty import COVERAGE
 
@@ -34,7 +42,6 @@ ENOUGH_SEEDS = 3
 
 FAR = 0.01
 """Distance beyond the range of the training commands, over that range, from which a test command is worth a note."""
-
 
 SEED_IN_NAME = re.compile(r"[-_./]?(seed)?[-_.]?\d+$")
 
@@ -49,12 +56,10 @@ class CompareConfig(Configuration):
 
     @pydantic.field_validator("horizons_s")
     @classmethod
-    def _each_once_on_the_grid(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+    def _on_the_grid(cls, value: tuple[float, ...]) -> tuple[float, ...]:
         if not value or any(h < 0.1 or abs(h * RATE_HZ - round(h * RATE_HZ)) > 1e-6 for h in value):
             raise ValueError("horizons are at least 0.1 s and whole numbers of 10 ms samples, such as 1, 5, 30")
-        if len(set(value)) < len(value):
-            raise ValueError("a horizon is given twice")
-        return tuple(sorted(value))
+        return tuple(sorted(set(value)))
 
 
 class Candidate(NamedTuple):
@@ -66,105 +71,26 @@ class Candidate(NamedTuple):
     """Key of the group: equal for seeds of one configuration on the same data."""
 
 
-class Run(NamedTuple):
-    """One member of a group over all horizons."""
-
-    scores: list[HorizonScores]
-    """Scores of each horizon."""
-    reading: Reading
-    """Prediction of the segments of the longest horizon."""
-
-
 class Group(NamedTuple):
     """Seeds of one configuration, or the plant of the noise floor."""
 
-    name: str
-    model: str
-    members: list[Candidate]
-    """Surrogates of the group; empty for the noise floor."""
-    runs: list[Run]
+    row: dict[str, Any]
+    """Its entry of the summary."""
+    longest: list[HorizonScores]
+    """Scores of each seed at the longest horizon."""
+    reading: Reading
+    """Prediction of the first seed, of the segments of the longest horizon."""
 
 
 class Comparison(NamedTuple):
     """All groups on the same rows."""
 
-    horizons_s: tuple[float, ...]
+    summary: dict[str, Any]
+    """The content of ``comparison.json``, which docs/files.md describes."""
     groups: list[Group]
     noise_floor: Group | None
     measured: Log
     """The segments of the longest horizon."""
-    scored: list[dict[str, int]]
-    """Counts of segments and rows of each horizon."""
-    ranges: dict[str, float]
-    """Range of the measured channels, see `measured_ranges`."""
-    beyond: list[tuple[float, float]]
-    """Share of the test commands beyond each group's training range, and how far the furthest is, over the range."""
-
-    def notes(self) -> list[str]:
-        """What a reader of the scores should know, in words."""
-        notes = []
-        for group, (share, furthest) in zip(self.groups, self.beyond, strict=True):
-            count = len(group.members)
-            if count < ENOUGH_SEEDS:
-                seeds = "1 seed" if count == 1 else f"{count} seeds"
-                notes.append(f"{group.name}: {seeds}; fit at least {ENOUGH_SEEDS} before a difference is believed")
-            if furthest > FAR:
-                notes.append(
-                    f"{group.name}: {share:.1%} of the test commands lie beyond those it was trained on, the furthest "
-                    f"by {furthest:.0%} of their range: there it extrapolates"
-                )
-            surrogate = group.members[0].surrogate
-            if isinstance(surrogate, EnsemblePlant) and (caveat := surrogate.interval.caveat()) is not None:
-                notes.append(f"{group.name}: {caveat}")
-        if self.noise_floor is not None:
-            notes.append(
-                f"{self.noise_floor.name}: its own noise and drift count too, so that it is off by up to sqrt(2) times "
-                "what these leave of a model that has none"
-            )
-        return notes
-
-    def summary(self) -> dict[str, Any]:
-        """The comparison for JSON; `write_comparison` describes the entries."""
-        yardstick = next((group for group in self.groups if group.model == "paper"), self.groups[0])
-        flops = [group.members[0].surrogate.flops_per_tick() for group in (yardstick, *self.groups)]
-        rows = [
-            {
-                "name": group.name,
-                "model": group.model,
-                "surrogates": [str(member.folder) for member in group.members],
-                "seeds": len(group.members),
-                "parameters": group.members[0].surrogate.parameters(),
-                "flops_per_tick": own,
-                "flops_ratio": own / flops[0],
-                "commands_beyond_training": share,
-                "furthest_beyond_training": furthest,
-                "horizons": self.horizons_of(group),
-            }
-            for group, own, (share, furthest) in zip(self.groups, flops[1:], self.beyond, strict=True)
-        ]
-        second = self.noise_floor
-        return {
-            "horizons_s": list(self.horizons_s),
-            "scored": self.scored,
-            "ranges": self.ranges,
-            "stated_confidence": COVERAGE,
-            "flops_ratio_to": yardstick.name,
-            "groups": rows,
-            "noise_floor": None if second is None else {"name": second.name, "horizons": self.horizons_of(second)},
-            "notes": self.notes(),
-        }
-
-    def horizons_of(self, group: Group) -> list[dict[str, Any]]:
-        """Scores of a group at each horizon, as mean and 95% interval over its runs."""
-        rows = []
-        for index, horizon in enumerate(self.horizons_s):
-            each = [run.scores[index].scores for run in group.runs]
-            row: dict[str, Any] = {"horizon_s": horizon}
-            for name in each[0]:
-                values = np.array([scores[name] for scores in each])
-                row[name] = {"mean": float(values.mean()), "interval": interval(values)}
-            rows.append(row)
-        return rows
 
 
 def compare(
@@ -176,55 +102,103 @@ def compare(
 ) -> Comparison:
     """Score every surrogate free-running over the same segments of the logs; `noise_floor`: a plant by its name.
 
-    Raises:
-        LogError: a log is shorter than the longest horizon behind the rows that a surrogate needs to be warm.
-        CommandError: the plant of the noise floor does not take the commands of the logs.
-        PlantError: a prediction is not finite.
+    Raises LogError for a log that is too short, CommandError where that plant does not take the logs' commands.
     """
-    ticks = [round(horizon * RATE_HZ) for horizon in config.horizons_s]
     first = max(candidate.surrogate.memory for candidate in found)
-    counts = [len(log.reading.time) for log in logs]
-    # The longest first: it is the one that a log may be too short for.
-    segments = [segments_of(counts, each, first) for each in reversed(ticks)][::-1]
-    ranges = measured_ranges(logs)
-    measured = [take(logs, where, each) for where, each in zip(segments, ticks, strict=True)]
-    of, done = len(found) * len(ticks) + (noise_floor is not None), itertools.count(1)
+    rows = [len(log.reading.time) for log in logs]
+    parts = [(segments_of(rows, ticks, first), ticks) for ticks in (round(h * RATE_HZ) for h in config.horizons_s)]
+    spans = measured_ranges(logs)
+    measured = [take(logs, *part) for part in parts]
+    of, done = len(found) * len(parts) + (noise_floor is not None), itertools.count(1)
 
     def report(note: str) -> None:
         if progress is not None:
             progress("compare", next(done) / of, note)
 
-    def run(candidate: Candidate) -> Run:
+    def run(candidate: Candidate) -> tuple[list[HorizonScores], Reading]:
         surrogate, scores = candidate.surrogate, []
-        half_width = surrogate.interval.half_width if isinstance(surrogate, EnsemblePlant) else None
-        for where, each, actual, horizon in zip(segments, ticks, measured, config.horizons_s, strict=True):
-            reading, members = free_run(surrogate, logs, where, each)
-            scores.append(score_segments(actual, reading, ranges, members, half_width))
+        for part, actual, horizon in zip(parts, measured, config.horizons_s, strict=True):
+            reading, members = free_run(surrogate, logs, *part)
+            widths = None
+            if members is not None and isinstance(surrogate, EnsemblePlant):
+                widths = np.asarray(surrogate.interval.half_width(moving_average(members)))
+            scores.append(score_segments(actual, reading, spans, widths))
             report(f"{candidate.folder}, {horizon:g} s")
-        return Run(scores, reading)
+        return scores, reading
 
-    grouped: dict[str, list[Candidate]] = {}
+    by_group: dict[str, list[Candidate]] = {}
     for candidate in found:
-        grouped.setdefault(candidate.group, []).append(candidate)
-    names = names_of(list(grouped.values()))
-    groups = [
-        Group(name, members[0].surrogate.model, members, [run(member) for member in members])
-        for name, members in zip(names, grouped.values(), strict=True)
-    ]
+        by_group.setdefault(candidate.group, []).append(candidate)
+    seeds = list(by_group.values())
+    names, flops = names_of(seeds), [members[0].surrogate.flops_per_tick() for members in seeds]
+    yardstick = next((i for i, members in enumerate(seeds) if members[0].surrogate.model == "paper"), 0)
+    groups, notes = [], list[str]()
+    for name, members, cost in zip(names, seeds, flops, strict=True):
+        surrogate, (scores, readings) = members[0].surrogate, zip(*map(run, members), strict=True)
+        share, furthest = beyond_limits(members, logs)
+        row = {
+            "name": name,
+            "model": surrogate.model,
+            "surrogates": [str(member.folder) for member in members],
+            "seeds": len(members),
+            "parameters": surrogate.parameters(),
+            "flops_per_tick": cost,
+            "flops_ratio": cost / flops[yardstick],
+            "commands_beyond_training": share,
+            "furthest_beyond_training": furthest,
+            "horizons": _horizons(config, scores),
+        }
+        groups.append(Group(row, [each[-1] for each in scores], readings[0]))
+        notes += [f"{name}: {note}" for note in _notes(row, surrogate)]
     second = None
     if noise_floor is not None:
-        name, plant = noise_floor
-        whole = run_from_rest(plant, logs, key_of(config.seed, "compare/floor"))
-        readings = [take(whole, where, each) for where, each in zip(segments, ticks, strict=True)]
-        scores = [score_segments(actual, reading, ranges) for actual, reading in zip(measured, readings, strict=True)]
-        second = Group(f"second recording ({name})", name, [], [Run(scores, readings[-1])])
-        report(second.name)
-    scored = [
-        {"segments": len(where), "rows": len(where) * each, "rows_left": sum(counts) - len(where) * each}
-        for where, each in zip(segments, ticks, strict=True)
-    ]
-    beyond = [beyond_limits(group.members, logs) for group in groups]
-    return Comparison(config.horizons_s, groups, second, measured[-1], scored, ranges, beyond)
+        name = f"second recording ({noise_floor[0]})"
+        whole = run_from_rest(noise_floor[1], logs, key_of(config.seed, "compare/floor"))
+        readings = [take(whole, *part) for part in parts]
+        each = [score_segments(actual, reading, spans) for actual, reading in zip(measured, readings, strict=True)]
+        second = Group({"name": name, "horizons": _horizons(config, [each])}, each[-1:], readings[-1])
+        notes.append(
+            f"{name}: its own noise and drift count too, so that it is off by up to sqrt(2) times what these leave of "
+            "a model that has none"
+        )
+        report(name)
+    summary = {
+        "horizons_s": list(config.horizons_s),
+        "scored": [
+            {"segments": len(where), "rows": len(where) * ticks, "rows_left": sum(rows) - len(where) * ticks}
+            for where, ticks in parts
+        ],
+        "ranges": spans,
+        "stated_confidence": COVERAGE,
+        "flops_ratio_to": names[yardstick],
+        "groups": [group.row for group in groups],
+        "noise_floor": None if second is None else second.row,
+        "notes": notes,
+    }
+    return Comparison(summary, groups, second, measured[-1])
+
+
+def _horizons(config: CompareConfig, scores: Sequence[Sequence[HorizonScores]]) -> list[dict[str, Any]]:
+    """Scores at each horizon, as mean and 95% interval over the seeds."""
+    rows = []
+    for horizon, each in zip(config.horizons_s, zip(*scores, strict=True), strict=True):
+        values = {name: np.array([seed.scores[name] for seed in each]) for name in each[0].scores}
+        cells = {name: {"mean": float(x.mean()), "interval": interval(x)} for name, x in values.items()}
+        rows.append({"horizon_s": horizon, **cells})
+    return rows
+
+
+def _notes(row: Mapping[str, Any], surrogate: AnySurrogate) -> Iterator[str]:
+    """What a reader of a group's scores should know, in words."""
+    if (seeds := row["seeds"]) < ENOUGH_SEEDS:
+        yield f"{seeds} seed{'s' * (seeds > 1)}; fit at least {ENOUGH_SEEDS} before a difference is believed"
+    if row["furthest_beyond_training"] > FAR:
+        yield (
+            f"{row['commands_beyond_training']:.1%} of the test commands lie beyond those it was trained on, the "
+            f"furthest by {row['furthest_beyond_training']:.0%} of their range: there it extrapolates"
+        )
+    if isinstance(surrogate, EnsemblePlant) and (caveat := surrogate.interval.caveat()) is not None:
+        yield caveat
 
 
 def candidates(folders: Sequence[Path]) -> list[Candidate]:
@@ -237,10 +211,8 @@ def candidates(folders: Sequence[Path]) -> list[Candidate]:
         surrogate = load_surrogate(folder)
         # A copy would pass for a second seed and make the interval too narrow.
         which = identity(surrogate)
-        if which in seen:
-            before = seen[which]
-            same = "given twice" if before.resolve() == folder.resolve() else f"the same surrogate as {before}"
-            raise ConfigurationError(f"{folder}: {same}; give each surrogate once")
+        if (before := seen.get(which)) is not None:
+            raise ConfigurationError(f"{folder}: the same surrogate as {before}; give each surrogate once")
         seen[which] = folder
         found.append(Candidate(folder, surrogate, _group(folder, surrogate)))
     return found
@@ -262,13 +234,12 @@ def names_of(groups: Sequence[Sequence[Candidate]]) -> list[str]:
 def beyond_limits(members: Sequence[Candidate], logs: Sequence[Log]) -> tuple[float, float]:
     """Share of the logs' commands beyond those a group was trained on, and how far the furthest is, over their range.
 
-    For the member for which they are greatest.
+    For the member for which they are greatest; where the training commands never changed, over 1 rad or rad/s.
     """
     commands = np.concatenate([np.stack(log.command, axis=1) for log in logs]).astype(np.float64)
     limits = np.array([member.surrogate.limits for member in members]).reshape(-1, 1, 2, 2)
     low, high = limits[..., 0], limits[..., 1]
-    # Where the training commands never changed, over the range of the paper's.
-    span = np.where(high > low, high - low, np.diff(np.reshape(PAPER_LIMITS, (2, 2)))[:, 0])
+    span = np.where(high > low, high - low, 1)
     excess = np.maximum((low - commands) / span, (commands - high) / span).max(axis=-1)
     return float((excess > 0).mean(axis=1).max()), max(float(excess.max()), 0.0)
 

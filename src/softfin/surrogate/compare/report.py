@@ -21,6 +21,9 @@ TRACE_S = 8
 TRACES = 3
 """Groups whose traces are shown: more cover each other."""
 
+SHARES = np.linspace(0, 1, 401)
+"""Where distributions are drawn."""
+
 STYLES = ((ORANGE, "--", "o"), (BLUE, "-", "s"), (GREEN, "-.", "^"), (BLACK, ":", "D"))
 """Colour, line and marker of the groups, in turn."""
 
@@ -28,13 +31,12 @@ STYLES = ((ORANGE, "--", "o"), (BLUE, "-", "s"), (GREEN, "-.", "^"), (BLACK, ":"
 def write_comparison(
     comparison: Comparison, out: Path, metadata: Mapping[str, Any], overwrite: bool = False
 ) -> dict[str, Any]:
-    """Write the folder, whole or not at all; returns the content of its JSON, which docs/files.md describes."""
-    summary = {**comparison.summary(), **metadata}
+    """Write the folder, whole or not at all; returns the content of its JSON."""
+    summary = {**comparison.summary, **metadata}
 
     def write(folder: Path) -> None:
         (folder / "comparison.json").write_text(artifacts.dump_json(summary))
-        figure = comparison_figure(comparison)
-        save_figure(figure, folder, "comparison")
+        save_figure(comparison_figure(comparison), folder, "comparison")
 
     artifacts.write_folder(out, write, overwrite)
     return summary
@@ -42,20 +44,19 @@ def write_comparison(
 
 def comparison_figure(comparison: Comparison) -> Figure:
     """Force over a segment, measured and predicted; below, error by horizon, of the mean force, of its intervals."""
-    longest = [group.runs[0].scores[-1] for group in comparison.groups]
-    with_means = longest[0].mean_errors is not None
-    with_intervals = any(scores.half_widths is not None for scores in longest)
+    longest = [group.longest[0] for group in comparison.groups]
+    draw = [_draw_horizons]
+    if longest[0].mean_errors is not None:
+        draw.append(_draw_means)
+    if any(scores.half_widths is not None for scores in longest):
+        draw.append(_draw_reliability)
     with styled():
         figure = new_figure(11, 8.2)
         parts: Any = figure.subfigures(2, 1, height_ratios=(1.35, 1))
         above, below = parts
         _draw_traces(above.subplots(2, 1, sharex=True), comparison)
-        panels = below.subplots(1, 1 + with_means + with_intervals, squeeze=False)[0]
-        _draw_horizons(panels[0], comparison)
-        if with_means:
-            _draw_means(panels[1], comparison)
-        if with_intervals:
-            _draw_reliability(panels[2], comparison)
+        for draw_panel, axes in zip(draw, below.subplots(1, len(draw), squeeze=False)[0], strict=True):
+            draw_panel(axes, comparison)
     return figure
 
 
@@ -65,8 +66,8 @@ def _draw_traces(panels: Any, comparison: Comparison) -> None:
     for axis, axes in enumerate(panels):
         axes.plot(time, measured[:, axis], color="#BBBBBB", linewidth=2.6, label="measured")
         for group, (colour, line, _) in zip(comparison.groups[:TRACES], STYLES, strict=False):
-            force = np.asarray(group.runs[0].reading.force)[0, : len(time), axis]
-            axes.plot(time, force, line, color=colour, linewidth=1.2, label=group.name)
+            force = np.asarray(group.reading.force)[0, : len(time), axis]
+            axes.plot(time, force, line, color=colour, linewidth=1.2, label=group.row["name"])
         axes.set(ylabel=f"force {AXES[axis]} [N]", xlim=(time[0], time[-1]))
     rest = len(comparison.groups) - TRACES
     others = f"; {rest} more not shown" if rest > 0 else ""
@@ -77,23 +78,22 @@ def _draw_traces(panels: Any, comparison: Comparison) -> None:
 
 
 def _draw_horizons(axes: Axes, comparison: Comparison) -> None:
-    places, count = np.arange(len(comparison.horizons_s)), len(comparison.groups)
+    places, count = np.arange(len(comparison.summary["horizons_s"])), len(comparison.groups)
     for index, (group, (colour, line, marker)) in enumerate(zip(comparison.groups, cycle(STYLES), strict=False)):
         for number, (axis, face) in enumerate(zip(AXES, (colour, "white"), strict=True)):
-            cells = [row[f"force_{axis}_rmse_n"] for row in comparison.horizons_of(group)]
+            cells = [row[f"force_{axis}_rmse_n"] for row in group.row["horizons"]]
             intervals = [cell["interval"] for cell in cells if cell["interval"] is not None]
             # Side by side, so that bars of intervals do not cover each other.
             shift = 0.03 * (2 * index + number - count + 0.5)
             axes.errorbar(
                 places + shift, [cell["mean"] for cell in cells], [(high - low) / 2 for low, high in intervals] or None,
                 linestyle=line, marker=marker, color=colour, markerfacecolor=face, markersize=5, capsize=2,
-                label=f"{group.name}, {axis}",
+                label=f"{group.row['name']}, {axis}",
             )  # fmt: skip
-    if comparison.noise_floor is not None:
-        rows = comparison.horizons_of(comparison.noise_floor)
-        means = [np.mean([row[f"force_{axis}_rmse_n"]["mean"] for axis in AXES]) for row in rows]
-        axes.plot(places, means, color=GREY, linewidth=1.6, label=f"{comparison.noise_floor.name}, mean of x and y")
-    axes.set_xticks(places, [f"{horizon:g}" for horizon in comparison.horizons_s])
+    if (second := comparison.noise_floor) is not None:
+        means = [np.mean([row[f"force_{axis}_rmse_n"]["mean"] for axis in AXES]) for row in second.row["horizons"]]
+        axes.plot(places, means, color=GREY, linewidth=1.6, label=f"{second.row['name']}, mean of x and y")
+    axes.set_xticks(places, [f"{horizon:g}" for horizon in comparison.summary["horizons_s"]])
     axes.set(xlabel="horizon [s]", ylabel="RMSE of the force [N]", ylim=(0, None), title="Error by the horizon")
     axes.margins(x=0.12)
     # Room for the legend, clear of the bars.
@@ -107,23 +107,24 @@ def _draw_means(axes: Axes, comparison: Comparison) -> None:
     if comparison.noise_floor is not None:
         styled_groups.append((comparison.noise_floor, GREY, "-", 1.6))
     for group, colour, line, width in styled_groups:
-        sizes, share = _distribution(np.abs(_pooled(group, "mean_errors")))
-        axes.plot(sizes, share, line, color=colour, linewidth=width, label=group.name)
+        sizes = np.quantile(np.abs(_pooled(group, "mean_errors")), SHARES)
+        axes.plot(sizes, SHARES, line, color=colour, linewidth=width, label=group.row["name"])
     axes.axhline(0.95, color=GREY, linewidth=0.8, linestyle=":")
     axes.text(0.99, 0.94, "95%", color=GREY, ha="right", va="top", transform=axes.get_yaxis_transform(), fontsize=7)
     axes.set(xlabel="error of the mean force over 2 s [N]", ylabel="share within", ylim=(0, 1.02), xlim=(0, None))
-    axes.set_title(f"Mean force, free-running for {comparison.horizons_s[-1]:g} s")
+    axes.set_title(f"Mean force, free-running for {comparison.summary['horizons_s'][-1]:g} s")
     axes.legend(fontsize=7, loc="lower right")
 
 
 def _draw_reliability(axes: Axes, comparison: Comparison) -> None:
     """Share of the errors within a multiple of the stated half-widths: at 1 it should be what was stated."""
     for group, (colour, line, marker) in zip(comparison.groups, cycle(STYLES), strict=False):
-        if group.runs[0].scores[-1].half_widths is None:
+        if group.longest[0].half_widths is None:
             continue
         ratios = np.abs(_pooled(group, "mean_errors")) / _pooled(group, "half_widths")
         within = float(np.mean(ratios <= 1))
-        axes.plot(*_distribution(ratios), line, color=colour, label=f"{group.name}: {within:.1%} inside")
+        label = f"{group.row['name']}: {within:.1%} inside"
+        axes.plot(np.quantile(ratios, SHARES), SHARES, line, color=colour, label=label)
         axes.plot([1], [within], marker, color=colour)
     axes.plot([1, 1], [COVERAGE - 0.05, COVERAGE + 0.05], color=GREY, linewidth=4, alpha=0.5, label="85% to 95%")
     axes.set(xlabel="error over the stated half-width", ylabel="share within", xlim=(0, 3), ylim=(0, 1.02))
@@ -132,10 +133,4 @@ def _draw_reliability(axes: Axes, comparison: Comparison) -> None:
 
 
 def _pooled(group: Group, field: str) -> np.ndarray:
-    return np.concatenate([np.ravel(getattr(run.scores[-1], field)) for run in group.runs])
-
-
-def _distribution(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The empirical distribution at 0 and 400 quantiles."""
-    share = np.linspace(0, 1, 401)
-    return np.concatenate([[0], np.quantile(values, share)]), np.concatenate([[0], share])
+    return np.concatenate([np.ravel(getattr(scores, field)) for scores in group.longest])

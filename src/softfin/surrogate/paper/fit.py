@@ -3,9 +3,7 @@
 Adam on the mean square error of the scaled outputs; early stopping per net on held-out logs, best weights kept.
 """
 
-import math
-from collections.abc import Iterator, Sequence
-from functools import partial
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -23,13 +21,10 @@ from softfin.core.progress import Progress
 from softfin.core.quantities import Log
 from softfin.core.randomness import generator_of, key_of
 from softfin.storage.run_directory import RunDirectory
-from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, Scaling
+from softfin.surrogate.channels import COLUMNS, COMMANDS, Scaling
 from softfin.surrogate.paper.network import FORCENET, POSNET, Network, NetworkConfig, gather
 from softfin.surrogate.paper.surrogate import Surrogate
-from softfin.surrogate.training import UPDATES_A_CALL, Call, TrainingState, check_lengths, held_out_count, train
-
-COLUMNS = (ANGLE, *COMMANDS, *FORCES)
-"""Columns of the table that training gathers its windows from: ForceNet's channels first, PosNet's within them."""
+from softfin.surrogate.training import UPDATES_A_CALL, TrainingState, check_lengths, held_out_count, keep_best
 
 
 class FitConfig(Configuration):
@@ -76,34 +71,23 @@ def fit(
     state, done = learner.start(key_of(seed, "fit/weights")), {"epoch": 0, "stale": 0}
     if (resumed := run_directory.load(state)) is not None:
         state, done = resumed
-
-    def run(state: TrainingState, at: float, batches: np.ndarray, key: PRNGKeyArray) -> tuple[TrainingState, Nets]:
-        """One call, after which training has come `at` that epoch."""
-        state, losses = learner.run(state, table, jnp.asarray(batches), key)
-        if progress is not None:
-            note = f"epoch {math.ceil(at)}, rms {losses.posnet**0.5:.4f} / {losses.forcenet**0.5:.4f}"
-            progress("fit", at / config.epochs, note)
-        return state, losses
-
-    def rounds() -> Iterator[list[Call]]:
-        for epoch in range(done["epoch"], config.epochs):
-            if done["stale"] >= config.patience:
-                return
-            order = generator_of(seed, f"fit/epoch/{epoch}").permutation(starts)[: updates * config.batch]
-            key = key_of(seed, f"fit/dropout/{epoch}")
-            batches = enumerate(order.reshape(calls, -1, config.batch), 1)
-            yield [partial(run, at=epoch + call / calls, batches=some, key=key) for call, some in batches]
-
-    def held_out_loss(nets: Nets) -> Nets:
-        return Nets(*(_mean_square_error(net, scaling, holding) for net in nets))
-
     record = run_directory.log(rewind_to=done["epoch"])
-    for each in train(state, rounds(), held_out_loss, "nets"):
-        state = each.state
-        done = {"epoch": done["epoch"] + 1, "stale": 0 if each.improved else done["stale"] + 1}
-        means = {"train": Nets(*np.mean(each.losses, axis=0)), "held_out": each.held_out}
+    while done["epoch"] < config.epochs and done["stale"] < config.patience:
+        epoch, losses = done["epoch"], []
+        order = generator_of(seed, f"fit/epoch/{epoch}").permutation(starts)[: updates * config.batch]
+        key = key_of(seed, f"fit/dropout/{epoch}")
+        for call, batches in enumerate(order.reshape(calls, -1, config.batch), 1):
+            state, mse = learner.run(state, table, jnp.asarray(batches), key)
+            losses.append(mse)
+            if progress is not None:
+                note = f"epoch {epoch + 1}, rms {mse.posnet**0.5:.4f} / {mse.forcenet**0.5:.4f}"
+                progress("fit", (epoch + call / calls) / config.epochs, note)
+        held_out = Nets(*(_mean_square_error(net, scaling, holding) for net in state.nets))
+        state, improved = keep_best(state, losses, held_out, "nets")
+        done = {"epoch": epoch + 1, "stale": 0 if improved else done["stale"] + 1}
+        means = {"train": Nets(*np.mean(losses, axis=0)), "held_out": held_out}
         scalars = {f"{part}/{net}_mse": float(x) for part, nets in means.items() for net, x in nets._asdict().items()}
-        record.write(done["epoch"], **scalars)
+        record.write(epoch + 1, **scalars)
         run_directory.save(state, done)
     record.close()
     return Surrogate(state.best.posnet, state.best.forcenet, scaling)
@@ -183,6 +167,7 @@ def window_starts(rows: Sequence[int], window: int) -> Int[np.ndarray, "windows"
     return np.concatenate(parts).astype(np.int32)
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def _mean_square_error(net: Network, scaling: Scaling, logs: Sequence[Log]) -> float:
     tables = [scaling.table((*net.config.channels, *net.config.outputs), log) for log in logs]
     inputs, window = len(net.config.channels), net.config.window

@@ -4,22 +4,156 @@ This is the layout of the published weights (paper Sec. III-B): a window (channe
 as a sequence of `channels` steps with `samples` features each.
 """
 
+from collections.abc import Callable
 from math import prod
+from typing import Annotated, Any, Literal, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
-from pydantic import PositiveInt
+from pydantic import Field, PositiveInt
 
 from softfin.core.configuration import Configuration
-from softfin.core.errors import ArtifactError
 from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES
-from softfin.surrogate.paper.layers import LSTM, Conv1D, Dense, Dropout, Flatten, Layer, MeanPool, Parameters, Shape
 
 CHUNK = 2048
 """Windows that a net takes at once from a table: enough for the matrix products, few enough for the caches."""
+
+Activation = Literal["linear", "relu", "tanh"]
+ACTIVATIONS: dict[str, Callable[[Array], Array]] = {"linear": lambda x: x, "relu": jax.nn.relu, "tanh": jnp.tanh}
+
+Parameters = dict[str, Array]
+Shapes = dict[str, Any]
+Shape = tuple[int, ...]
+"""Shape of one example between layers: (steps, features) or (features,)."""
+
+
+def abstract(*shape: int) -> Any:
+    """Stand-in for an array of this shape."""
+    return cast(Any, jax.ShapeDtypeStruct)(shape, jnp.float32)
+
+
+class BaseLayer(Configuration):
+    """A layer that works on a whole batch with few and large matrix products; here one that changes nothing.
+
+    Equinox's layers work example by example, with a product for input and past each, and take longer.
+    """
+
+    def shapes(self, example: Shape) -> Shapes:
+        """Shapes of the parameters by name."""
+        return {}
+
+    def apply(self, parameters: Parameters, x: Float[Array, "batch *example"]) -> Array:
+        """Output of the layer for a batch of examples."""
+        return x
+
+
+class Conv1D(BaseLayer):
+    """Convolution over the steps, stride 1, zero-padded to the same length."""
+
+    kind: Literal["conv1d"] = "conv1d"
+    filters: PositiveInt
+    kernel: PositiveInt
+    activation: Activation = "relu"
+
+    def shapes(self, example: Shape) -> Shapes:
+        """Kernel (taps, features, filters) and bias."""
+        return {"kernel": abstract(self.kernel, example[1], self.filters), "bias": abstract(self.filters)}
+
+    def apply(self, parameters: Parameters, x: Float[Array, "batch steps features"]) -> Array:
+        """One matrix product: with few steps nearly every block of the convolution's matrix is used."""
+        batch, steps, features = x.shape
+        kernel = parameters["kernel"]
+        left = (self.kernel - 1) // 2
+        empty = jnp.zeros((features, self.filters), kernel.dtype)
+
+        def block(source: int, target: int) -> Array:
+            tap = source - target + left
+            return kernel[tap] if 0 <= tap < self.kernel else empty
+
+        matrix = jnp.block([[block(source, target) for target in range(steps)] for source in range(steps)])
+        y = (x.reshape(batch, steps * features) @ matrix).reshape(batch, steps, self.filters)
+        return ACTIVATIONS[self.activation](y + parameters["bias"])
+
+
+class LSTM(BaseLayer):
+    """Long short-term memory (Hochreiter and Schmidhuber 1997); gates in the order input, forget, cell, output."""
+
+    kind: Literal["lstm"] = "lstm"
+    units: PositiveInt
+    sequence: bool = False
+    """Whether the hidden states of all steps go on, or only the last."""
+
+    def shapes(self, example: Shape) -> Shapes:
+        """Kernel (features, gates), recurrent kernel (units, gates) and bias."""
+        gates = 4 * self.units
+        kernels = {"kernel": abstract(example[1], gates), "recurrent": abstract(self.units, gates)}
+        return {**kernels, "bias": abstract(gates)}
+
+    def apply(self, parameters: Parameters, x: Float[Array, "batch steps features"]) -> Array:
+        """One product a step, of input and past side by side; the first step has no past, so nothing to forget."""
+        kernel, bias = parameters["kernel"], parameters["bias"]
+        both = jnp.concatenate([kernel, parameters["recurrent"]])
+        i, g, o = jnp.split(x[:, 0] @ self._without_forget(kernel) + self._without_forget(bias), 3, axis=-1)
+        cell = jax.nn.sigmoid(i) * jnp.tanh(g)
+        outputs = [jax.nn.sigmoid(o) * jnp.tanh(cell)]
+        for step in range(1, x.shape[1]):
+            gates = jnp.concatenate([x[:, step], outputs[-1]], axis=1) @ both + bias
+            i, f, g, o = jnp.split(gates, 4, axis=-1)
+            cell = jax.nn.sigmoid(f) * cell + jax.nn.sigmoid(i) * jnp.tanh(g)
+            outputs.append(jax.nn.sigmoid(o) * jnp.tanh(cell))
+        return jnp.stack(outputs, axis=1) if self.sequence else outputs[-1]
+
+    def _without_forget(self, gates: Array) -> Array:
+        return jnp.concatenate([gates[..., : self.units], gates[..., 2 * self.units :]], axis=-1)
+
+
+class MeanPool(BaseLayer):
+    """Mean over the steps."""
+
+    kind: Literal["mean_pool"] = "mean_pool"
+
+    def apply(self, parameters: Parameters, x: Float[Array, "batch steps features"]) -> Array:
+        """(batch, features)."""
+        return x.mean(axis=1)
+
+
+class Flatten(BaseLayer):
+    """Steps and features side by side."""
+
+    kind: Literal["flatten"] = "flatten"
+
+    def apply(self, parameters: Parameters, x: Float[Array, "batch ..."]) -> Array:
+        """(batch, steps * features)."""
+        return x.reshape(x.shape[0], -1)
+
+
+class Dense(BaseLayer):
+    """A fully connected layer."""
+
+    kind: Literal["dense"] = "dense"
+    units: PositiveInt
+    activation: Activation = "relu"
+
+    def shapes(self, example: Shape) -> Shapes:
+        """Kernel (features, units) and bias."""
+        return {"kernel": abstract(example[-1], self.units), "bias": abstract(self.units)}
+
+    def apply(self, parameters: Parameters, x: Float[Array, "batch ... features"]) -> Array:
+        """(batch, ..., units)."""
+        return ACTIVATIONS[self.activation](x @ parameters["kernel"] + parameters["bias"])
+
+
+class Dropout(BaseLayer):
+    """Drops features at random in training (Srivastava et al. 2014), see `Network.__call__`; else changes nothing."""
+
+    kind: Literal["dropout"] = "dropout"
+    rate: float = Field(ge=0, lt=1)
+
+
+Layer = Annotated[Conv1D | LSTM | MeanPool | Flatten | Dense | Dropout, Field(discriminator="kind")]
 
 
 class NetworkConfig(Configuration):
@@ -35,22 +169,31 @@ class NetworkConfig(Configuration):
 
     def examples(self) -> list[Shape]:
         """Shape of one example before each layer and behind the last."""
-        shapes: list[Shape] = [(len(self.channels), self.window)]
+        examples: list[Shape] = [(len(self.channels), self.window)]
         for layer in self.layers:
-            shapes.append(layer.output(shapes[-1]))
-        return shapes
+            given = layer.shapes(examples[-1]), abstract(1, *examples[-1])
+            examples.append(jax.eval_shape(layer.apply, *given).shape[1:])
+        return examples
 
-    def shapes(self) -> list[dict[str, Shape]]:
+    def shapes(self) -> tuple[Shapes, ...]:
         """Shapes of each layer's parameters."""
-        return [layer.shapes(example) for layer, example in zip(self.layers, self.examples(), strict=False)]
+        return tuple(layer.shapes(example) for layer, example in zip(self.layers, self.examples(), strict=False))
 
     def parameters(self) -> int:
         """Number of trainable parameters."""
-        return sum(prod(shape) for layer in self.shapes() for shape in layer.values())
+        return sum(shape.size for layer in self.shapes() for shape in layer.values())
 
     def flops(self) -> int:
         """Floating-point operations of the matrix products for one window, two a multiply-add."""
-        return 2 * sum(layer.products(x) for layer, x in zip(self.layers, self.examples(), strict=False))
+        program = jax.make_jaxpr(lambda layers, x: Network(self, layers)(x))
+        steps = program(self.shapes(), abstract(1, len(self.channels), self.window)).eqns
+        products: int = sum(
+            step.outvars[0].aval.size * prod(step.invars[0].aval.shape[axis] for axis in contracted)
+            for step in steps
+            if step.primitive.name == "dot_general"
+            for (contracted, _), _ in [step.params["dimension_numbers"]]
+        )
+        return 2 * products
 
 
 POSNET = NetworkConfig(
@@ -109,10 +252,6 @@ class Network(eqx.Module):
         parts = [np.asarray(_chunk(self, on_device, jnp.int32(first))) for first in range(0, count, CHUNK)]
         return np.concatenate(parts)[:count]
 
-    def arrays(self) -> dict[str, np.ndarray]:
-        """The weights by name: ``3.kernel`` is the kernel of the fourth layer."""
-        return {f"{i}.{name}": np.asarray(a) for i, layer in enumerate(self.layers) for name, a in layer.items()}
-
     @classmethod
     def create(cls, config: NetworkConfig, key: PRNGKeyArray) -> "Network":
         """Fresh weights: Glorot-uniform, recurrent ones orthogonal, forget gates open (Keras's defaults)."""
@@ -121,28 +260,11 @@ class Network(eqx.Module):
         layers = []
         for index, (layer, shapes) in enumerate(zip(config.layers, config.shapes(), strict=True)):
             keys = [jax.random.fold_in(jax.random.fold_in(key, index), number) for number in range(len(shapes))]
-            parameters = {name: draw[name](one, shape) for one, (name, shape) in zip(keys, shapes.items(), strict=True)}
+            drawn = zip(keys, shapes.items(), strict=True)
+            parameters = {name: draw[name](one, like.shape) for one, (name, like) in drawn}
             if isinstance(layer, LSTM):
                 parameters["bias"] = parameters["bias"].at[layer.units : 2 * layer.units].set(1.0)
             layers.append(parameters)
-        return cls(config, tuple(layers))
-
-    @classmethod
-    def of(cls, config: NetworkConfig, arrays: dict[str, np.ndarray], source: str) -> "Network":
-        """A network with named weights; raises ArtifactError where one is missing, odd or of another shape."""
-        expected = {f"{i}.{name}": shape for i, layer in enumerate(config.shapes()) for name, shape in layer.items()}
-        for name in sorted(set(expected) ^ set(arrays)):
-            what = "is missing" if name in expected else "is not in the configuration"
-            raise ArtifactError(f"{source}: weight {name} {what}; copy the whole folder again")
-        for name, shape in expected.items():
-            if arrays[name].shape != shape:
-                raise ArtifactError(f"{source}: weight {name} has shape {arrays[name].shape}; it must be {shape}")
-            if not np.isfinite(arrays[name]).all():
-                raise ArtifactError(f"{source}: weight {name} is not finite; train again")
-        layers = [
-            {name: jnp.asarray(arrays[f"{index}.{name}"], jnp.float32) for name in shapes}
-            for index, shapes in enumerate(config.shapes())
-        ]
         return cls(config, tuple(layers))
 
 

@@ -23,6 +23,7 @@ from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Readi
 from softfin.core.ticks import tick_at
 from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, NetPrediction, Scaling
 from softfin.surrogate.paper.network import Network, NetworkConfig
+from softfin.surrogate.training import named, restored
 
 
 class SurrogateState(NamedTuple):
@@ -79,13 +80,11 @@ class Surrogate(eqx.Module):
         rows = len(history.reading.time)
         if rows < self.memory:
             raise LogError(f"{rows} rows of history; a surrogate that sees {self.memory} samples is warm after as many")
-        last = slice(rows - self.window, rows)
-        table = np.stack([self.scaling.scaled(n, c[last]) for n, c in zip(COMMANDS, history.command, strict=True)])
+        table = self.scaling.table((*COMMANDS, ANGLE), history)[-self.window :].T
         # The last row's command is yet to be given; the oldest of the state's leaves before it is looked at.
-        commands = np.concatenate([table[:, :1], table[:, :-1]], axis=1)
-        angles = self.scaling.scaled(ANGLE, history.reading.angle[last])
+        commands = np.concatenate([table[:2, :1], table[:2, :-1]], axis=1)
         tick = tick_at(float(history.reading.time[-1]))
-        return SurrogateState(jnp.int32(tick), jnp.asarray(commands, jnp.float32), jnp.asarray(angles, jnp.float32))
+        return SurrogateState(jnp.int32(tick), jnp.asarray(commands), jnp.asarray(table[2]))
 
     def advance(self, state: SurrogateState, command: Command, ticks: int) -> tuple[SurrogateState, Reading]:
         """Hold the command for `ticks` samples; all of them go through each net as one batch."""
@@ -128,17 +127,16 @@ class Surrogate(eqx.Module):
             table[self.window :, 0] = self.posnet.over_table(table[:, 1:])[:, 0]
         return np.asarray(self.scaling.physical(FORCES, jnp.asarray(self.forcenet.over_table(table))))
 
-    def predictions(self, logs: Sequence[Log]) -> list[dict[str, NetPrediction]]:
-        """Predictions of every log by PosNet, and by ForceNet given the measured angle and behind PosNet."""
-        posnet, forcenet = ((self.window, net.config.parameters()) for net in (self.posnet, self.forcenet))
-        return [
-            {
-                "posnet": NetPrediction((ANGLE,), self.predict_angle(log)[:, None], *posnet),
-                "forcenet_measured": NetPrediction(FORCES, self.predict_force(log, free_running=False), *forcenet),
-                "forcenet_free_running": NetPrediction(FORCES, self.predict_force(log, free_running=True), *forcenet),
-            }
-            for log in logs
-        ]
+    def predictions(self, logs: Sequence[Log]) -> dict[str, NetPrediction]:
+        """Predictions of logs by PosNet, and by ForceNet given the measured angle and behind PosNet."""
+        posnet, forcenet = (net.config.parameters() for net in (self.posnet, self.forcenet))
+        angle = [self.predict_angle(log)[:, None] for log in logs]
+        given, free = ([self.predict_force(log, free_running) for log in logs] for free_running in (False, True))
+        return {
+            "posnet": NetPrediction((ANGLE,), angle, self.window, posnet),
+            "forcenet_measured": NetPrediction(FORCES, given, self.window, forcenet),
+            "forcenet_free_running": NetPrediction(FORCES, free, self.window, forcenet),
+        }
 
     def flops_per_tick(self) -> int:
         """Floating-point operations of the matrix products for one sample of one fin."""
@@ -151,24 +149,22 @@ class Surrogate(eqx.Module):
     def to_files(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """Entries of ``surrogate.json``, and the weights by name: ``posnet.3.kernel``."""
         nets = {"posnet": self.posnet, "forcenet": self.forcenet}
-        weights = {f"{name}.{key}": array for name, net in nets.items() for key, array in net.arrays().items()}
         return {
             "networks": {name: net.config.model_dump(mode="json") for name, net in nets.items()},
             "parameters": {name: net.config.parameters() for name, net in nets.items()},
             "scaling": self.scaling.model_dump(mode="json")["channels"],
-        }, weights
+        }, named({name: net.layers for name, net in nets.items()})
 
     @classmethod
     def from_files(cls, description: dict[str, Any], weights: dict[str, np.ndarray], source: str) -> "Surrogate":
         """The surrogate that `to_files` described; raises ArtifactError where channels or weights do not fit."""
         scaling = Scaling(channels=description["scaling"])
         scaling.require(source)
-
-        def net(name: str) -> Network:
-            own = {key.removeprefix(f"{name}."): x for key, x in weights.items() if key.startswith(f"{name}.")}
-            return Network.of(NetworkConfig.model_validate(description["networks"][name]), own, source)
-
-        return cls(net("posnet"), net("forcenet"), scaling)
+        networks = description["networks"]
+        configs = {name: NetworkConfig.model_validate(networks[name]) for name in ("posnet", "forcenet")}
+        layers = restored({name: config.shapes() for name, config in configs.items()}, weights, source)
+        posnet, forcenet = (Network(config, layers[name]) for name, config in configs.items())
+        return cls(posnet, forcenet, scaling)
 
 
 def windows(series: Float[Array, "channels samples"], window: int) -> Float[Array, "count channels window"]:

@@ -4,7 +4,7 @@ All members learn side by side. Force nets are trained on the motion that the dr
 both are scored as they will be used: free-running, from the commands alone.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -20,13 +20,10 @@ from softfin.core.action_clock import WINDOW
 from softfin.core.configuration import Configuration
 from softfin.core.errors import LogError
 from softfin.core.progress import Progress
-from softfin.core.quantities import Log
+from softfin.core.quantities import Log, Reading
 from softfin.core.randomness import key_of
 from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate.channels import command_limits
-from softfin.surrogate.streaming.drive import LONGEST_DELAY, DriveNetConfig, FollowingNet
-from softfin.surrogate.streaming.force import ForceNet, ForceNetConfig, Motion, Scales
-from softfin.surrogate.streaming.identify import identify
 from softfin.surrogate.streaming.member import (
     Member,
     ensemble,
@@ -36,10 +33,12 @@ from softfin.surrogate.streaming.member import (
     predict_logs,
     predict_motion,
 )
-from softfin.surrogate.streaming.segments import SegmentBatch, Table, scales_of, slices
+from softfin.surrogate.streaming.nets import DriveNetConfig, FollowingNet, ForceNet, ForceNetConfig
+from softfin.surrogate.streaming.profile import identify
+from softfin.surrogate.streaming.segments import Motion, Scales, SegmentBatch, Table, scales_of, slices
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 from softfin.surrogate.streaming.uncertainty import calibrated, familiar
-from softfin.surrogate.training import UPDATES_A_CALL, Call, TrainingState, check_lengths, held_out_count, train
+from softfin.surrogate.training import UPDATES_A_CALL, TrainingState, held_out_count, keep_best
 
 WARM_UP = 100
 """Updates in which the learning rate rises."""
@@ -47,8 +46,8 @@ WARM_UP = 100
 ROUNDS = 10
 """Times that a net is scored on the held-out logs while it is trained."""
 
-Loss = Callable[[Any, SegmentBatch, Motion, Float[Array, ""], PRNGKeyArray], Float[Array, ""]]
-"""Loss of one member: (net, segments, predicted motion from their `before` on, part of the training done, key)."""
+Loss = Callable[[Any, SegmentBatch, Motion, Float[Array, ""], PRNGKeyArray, Any], Float[Array, ""]]
+"""Loss of one member: (net, segments, predicted motion from `before` on, part of the training done, key, config)."""
 
 
 class StreamingConfig(Configuration):
@@ -112,7 +111,7 @@ class StreamingLearner:
             draw, key = jax.random.split(key)
             segments = table.draw(draw, self.config.batch, self.config.ticks)
             motion = slices(predicted, segments.starts, self.config.ticks + 1)
-            loss, slope = jax.value_and_grad(self.loss)(net, segments, motion, number / self.updates, key)
+            loss, slope = jax.value_and_grad(self.loss)(net, segments, motion, number / self.updates, key, self.config)
             step, optimiser = self.optimiser.update(slope, optimiser, net)
             return optax.apply_updates(net, step), optimiser, loss
 
@@ -127,39 +126,36 @@ class StreamingLearner:
         return state._replace(nets=nets, optimiser=optimiser), losses.mean(axis=0)
 
 
-def drive_loss(config: StreamingConfig) -> Loss:
-    """Return the mean square error of angle and velocity, each in its own unit: free-running from the first tick on."""
-
-    def loss(net: FollowingNet, segments: SegmentBatch, _: Motion, __: Array, ___: PRNGKeyArray) -> Float[Array, ""]:
-        predicted = jax.vmap(lambda *of: motions(net, *of))(segments.before, segments.waiting, segments.commands)
-        angle = (predicted.angle - segments.motion.angle) / net.scales.angle_rad
-        velocity = (predicted.velocity - segments.motion.velocity) / net.scales.velocity_rad_s
-        return jnp.mean((angle**2 + velocity**2)[:, config.burn_in :])
-
-    return loss
+def motion_error(predicted: Motion, measured: Motion | Reading, scales: Scales) -> Any:
+    """Square error of angle and velocity, each in its own unit."""
+    angle = (predicted.angle - measured.angle) / scales.angle_rad
+    velocity = (predicted.velocity - measured.velocity) / scales.velocity_rad_s
+    return angle**2 + velocity**2
 
 
-def force_loss(config: StreamingConfig) -> Loss:
-    """Return the mean square error of the force over its scale.
+def drive_loss(
+    net: FollowingNet, segments: SegmentBatch, _: Motion, __: Array, ___: PRNGKeyArray, config: StreamingConfig
+) -> Float[Array, ""]:
+    """Mean of `motion_error`: free-running from the first tick on."""
+    predicted = jax.vmap(partial(motions, net))(segments.before, segments.waiting, segments.commands)
+    return jnp.mean(motion_error(predicted, segments.motion, net.scales)[:, config.burn_in :])
+
+
+def force_loss(
+    net: ForceNet, segments: SegmentBatch, predicted: Motion, done: Array, key: PRNGKeyArray, config: StreamingConfig
+) -> Float[Array, ""]:
+    """Mean square error of the force over its scale.
 
     A segment gets the measured motion at first, and the drive net's in the end: in between, with the probability that
     grows from 0 to 1 over the `free_running` part of the training.
     """
     begin, end = config.free_running
-
-    def loss(
-        net: ForceNet, segments: SegmentBatch, predicted: Motion, done: Array, key: PRNGKeyArray
-    ) -> Float[Array, ""]:
-        share = jnp.clip((done - begin) / jnp.maximum(end - begin, 1e-6), 0.0, 1.0)
-        free = jax.random.bernoulli(key, share, (config.batch, 1))
-        measured = jax.tree.map(lambda x, y: jnp.concatenate([x[:, None], y], axis=1), segments.before, segments.motion)
-        motion = jax.tree.map(lambda new, old: jnp.where(free, new, old), predicted, measured)
-        before, after = jax.tree.map(lambda x: x[:, 0], motion), jax.tree.map(lambda x: x[:, 1:], motion)
-        force = jax.vmap(lambda *of: forces(net, *of))(before, after)
-        error = jnp.sum(((force - segments.force) / net.scales.force_n) ** 2, axis=-1)
-        return jnp.mean(error[:, config.burn_in :])
-
-    return loss
+    share = jnp.clip((done - begin) / jnp.maximum(end - begin, 1e-6), 0.0, 1.0)
+    free = jax.random.bernoulli(key, share, (config.batch, 1))
+    measured = jax.tree.map(lambda x, y: jnp.concatenate([x[:, None], y], axis=1), segments.before, segments.motion)
+    motion = jax.tree.map(lambda new, old: jnp.where(free, new, old), predicted, measured)
+    error = (jax.vmap(partial(forces, net))(motion) - segments.force) / net.scales.force_n
+    return jnp.mean(jnp.sum(error**2, axis=-1)[:, config.burn_in :])
 
 
 def fit_streaming(
@@ -171,17 +167,13 @@ def fit_streaming(
 ) -> StreamingSurrogate:
     """Fit an ensemble to the training logs; goes on from the run_directory's checkpoint where there is one.
 
-    Raises:
-        LogError: too few logs, logs too short for a segment, or logs in which nothing moves.
-        RunError: the loss is no longer finite.
+    Raises LogError for logs that are too few, too short or in which nothing moves, RunError where a loss is not finite.
     """
     training, holding, scales, table = split_streaming(logs, config)
     members = ensemble(config.members, config.drive, config.force, scales, key_of(seed, "fit/weights"))
     updates = {"drive": config.drive_updates, "force": config.force_updates}
-    learners = {
-        "drive": StreamingLearner(drive_loss(config), config, updates["drive"]),
-        "force": StreamingLearner(force_loss(config), config, updates["force"]),
-    }
+    losses: dict[str, Loss] = {"drive": drive_loss, "force": force_loss}
+    learners = {name: StreamingLearner(loss, config, updates[name]) for name, loss in losses.items()}
     states = {name: learner.start(getattr(members, name)) for name, learner in learners.items()}
     done: dict[str, Any] = dict.fromkeys(learners, 0)
     if (resumed := run_directory.load(states)) is not None:
@@ -193,78 +185,68 @@ def fit_streaming(
         nets = eqx.tree_at(lambda nets: nets.profile, states["drive"].nets, profile)
         states["drive"] = states["drive"]._replace(nets=nets, best=nets)
     record = run_directory.log(rewind_to=sum(done.values()))
-    if resumed is None:
-        short = sum(len(log.reading.time) <= LONGEST_DELAY + config.ticks for log in training)
-        record.write(0, logs=float(len(training)), logs_shorter_than_a_segment=float(short))
 
-    def learn(name: str, predicted: Motion, held_out_loss: Callable[[Any], Float[np.ndarray, "members"]]) -> None:
-        """All updates of one kind of net, in rounds, with a checkpoint after each."""
+    def learn(name: str, predicted: Motion, error: Callable[[Any], Float[np.ndarray, "members"]]) -> Any:
+        """All updates of one kind of net, with a checkpoint after each round; returns the best weights."""
         key, (call, round_of) = key_of(seed, f"fit/{name}"), _calls(updates[name])
         before = updates["drive"] if name == "force" else 0
-
-        def run(state: TrainingState, first: int, count: int) -> tuple[TrainingState, Float[Array, "members"]]:
-            state, loss = learners[name].run(state, table, predicted, jnp.int32(first), count, key)
-            if progress is not None:
-                part = (before + first + count) / sum(updates.values())
-                progress("fit", part, f"{name} nets, loss {float(loss.mean()):.3g}")
-            return state, loss
-
-        def rounds() -> Iterator[list[Call]]:
-            for first in range(done[name], updates[name], round_of):
-                until = min(first + round_of, updates[name])
-                yield [partial(run, first=at, count=min(call, until - at)) for at in range(first, until, call)]
-
-        for each in train(states[name], rounds(), held_out_loss, f"{name} nets"):
-            done[name] = min(done[name] + round_of, updates[name])
-            means = {f"train/{name}_loss": each.losses[-1], f"held_out/{name}_mse": each.held_out}
-            record.write(before + done[name], **{title: float(x.mean()) for title, x in means.items()})
-            states[name] = each.state
+        while done[name] < updates[name]:
+            state, losses, until = states[name], [], min(done[name] + round_of, updates[name])
+            for first in range(done[name], until, call):
+                count = min(call, until - first)
+                state, loss = learners[name].run(state, table, predicted, jnp.int32(first), count, key)
+                losses.append(loss)
+                if progress is not None:
+                    part = (before + first + count) / sum(updates.values())
+                    progress("fit", part, f"{name} nets, loss {float(loss.mean()):.3g}")
+            held_out = error(state.nets)
+            states[name], _ = keep_best(state, losses, held_out, f"{name} nets")
+            done[name] = until
+            means = {f"train/{name}_loss": float(loss.mean()), f"held_out/{name}_mse": float(held_out.mean())}
+            record.write(before + until, **means)
             run_directory.save(states, done)
+        return states[name].best
 
     not_used = Motion(*(jnp.zeros((config.members, table.force.shape[0])) for _ in range(2)))
-    learn("drive", not_used, partial(_drive_error, holding, scales))
-    drives = states["drive"].best
-    predicted = zip(*predict_motion(drives, training), strict=True)
-    joined = Motion(*(jnp.asarray(np.concatenate(parts, axis=1)) for parts in predicted))
-    learn("force", joined, partial(_force_error, holding, predict_motion(drives, holding), config.burn_in))
+    drives = learn("drive", not_used, partial(_drive_error, holding, scales))
+    motion = predict_motion(drives, training)
+    joined = Motion(*(jnp.asarray(np.concatenate(parts, axis=1)) for parts in zip(*motion, strict=True)))
+    force_nets = learn("force", joined, partial(_force_error, holding, predict_motion(drives, holding), config.burn_in))
     record.close()
-    members = Member(drives, states["force"].best)
-    held_out = [predicted.force for predicted in predict_logs(members, holding)]
-    interval = calibrated(held_out, holding, config.burn_in)
-    return StreamingSurrogate(members, command_limits(training), interval, familiar(members, training, config.burn_in))
+    members = Member(drives, force_nets)
+    interval = calibrated([predicted.force for predicted in predict_logs(members, holding)], holding, config.burn_in)
+    return StreamingSurrogate(members, command_limits(training), interval, familiar(force_nets, motion, config.burn_in))
 
 
 def split_streaming(logs: Sequence[Log], config: StreamingConfig) -> tuple[list[Log], list[Log], Scales, Table]:
     """Training and held-out logs, scales and table of the former; raises LogError where these cannot be fitted."""
-    held_out = held_out_count(len(logs), config.held_out)
-    training, holding = list(logs[:-held_out]), list(logs[-held_out:])
-    check_lengths(holding, config.burn_in, "held-out")
-    longest = max(len(log.reading.time) for log in holding)
-    if longest < config.burn_in + WINDOW:
+    held_out, needed = held_out_count(len(logs), config.held_out), config.burn_in + WINDOW
+    holding = [log for log in logs[-held_out:] if len(log.reading.time) >= needed]
+    if not holding:
         raise LogError(
-            f"the longest of {held_out} held-out logs has {longest} rows; intervals on the mean over {WINDOW} "
-            f"samples behind burn_in = {config.burn_in} need {config.burn_in + WINDOW}; record longer"
+            f"none of {held_out} held-out logs has {needed} rows: intervals on the mean over {WINDOW} samples behind "
+            f"burn_in = {config.burn_in} need as many; record longer"
         )
+    training = list(logs[:-held_out])
     return training, holding, scales_of(training), Table.of(training, config.ticks)
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def _drive_error(logs: Sequence[Log], scales: Scales, nets: FollowingNet) -> Float[np.ndarray, "members"]:
-    """Mean square error of angle and velocity over held-out logs, each in its own unit."""
-    parts = []
-    for predicted, log in zip(predict_motion(nets, logs), logs, strict=True):
-        angle = (predicted.angle - log.reading.angle) / scales.angle_rad
-        velocity = (predicted.velocity - log.reading.velocity) / scales.velocity_rad_s
-        parts.append((angle**2 + velocity**2).mean(axis=1))
-    return np.asarray(np.mean(parts, axis=0))
+    """Mean of `motion_error` over held-out logs."""
+    each = zip(predict_motion(nets, logs), logs, strict=True)
+    errors = [motion_error(predicted, log.reading, scales).mean(axis=1) for predicted, log in each]
+    return np.asarray(np.mean(errors, axis=0))
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def _force_error(
     logs: Sequence[Log], motion: Sequence[Motion], burn_in: int, nets: ForceNet
 ) -> Float[np.ndarray, "members"]:
     """Mean square error of the force over held-out logs, behind the drive nets [N2]."""
     each = zip(predict_force(nets, motion), logs, strict=True)
-    errors = [(force - log.reading.force)[:, burn_in:] for force, log in each]
-    return np.asarray(np.mean([(error**2).sum(-1).mean(axis=1) for error in errors], axis=0))
+    errors = [((force - log.reading.force)[:, burn_in:] ** 2).sum(-1).mean(axis=1) for force, log in each]
+    return np.asarray(np.mean(errors, axis=0))
 
 
 def _calls(updates: int) -> tuple[int, int]:

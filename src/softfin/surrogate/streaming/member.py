@@ -10,8 +10,15 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from softfin.core.quantities import Command, Log
-from softfin.surrogate.streaming.drive import LONGEST_DELAY, DriveNetConfig, FollowingNet, FollowingState
-from softfin.surrogate.streaming.force import ForceNet, ForceNetConfig, ForceState, Motion, Scales
+from softfin.surrogate.streaming.nets import (
+    DriveNetConfig,
+    FollowingNet,
+    FollowingState,
+    ForceNet,
+    ForceNetConfig,
+    ForceState,
+)
+from softfin.surrogate.streaming.segments import LONGEST_DELAY, Motion, Scales
 
 Tree = TypeVar("Tree")
 
@@ -52,7 +59,7 @@ def ensemble(count: int, drive: DriveNetConfig, force: ForceNetConfig, scales: S
     return stacked
 
 
-def single(members: Tree, index: int = 0) -> Tree:
+def single(members: Tree, index: Any = 0) -> Tree:
     """One member of a stack."""
     one: Tree = jax.tree.map(lambda x: x[index], members)
     return one
@@ -60,22 +67,23 @@ def single(members: Tree, index: int = 0) -> Tree:
 
 def parameters(module: eqx.Module) -> int:
     """Numbers that were learnt or read off the logs."""
-    return sum(leaf.size for leaf in jax.tree.leaves(eqx.filter(module, eqx.is_array)))
+    return sum(leaf.size for leaf in jax.tree.leaves(module))
 
 
-def motions(drive: FollowingNet, motion: Motion, waiting: Command, commands: Command) -> Motion:
+def motions(drive: FollowingNet, before: Motion, waiting: Command, commands: Command) -> Motion:
     """The shaft's motion under one command a tick, ``(ticks,)``: that of command k is what row k + 1 shows."""
 
     def step(state: FollowingState, command: Command) -> tuple[FollowingState, Motion]:
         state = drive.step(state, command)
         return state, state.motion
 
-    return jax.lax.scan(step, drive.start(motion, waiting), commands)[1]
+    return jax.lax.scan(step, drive.start(before, waiting), commands)[1]
 
 
-def forces(net: ForceNet, before: Motion, motion: Motion) -> Float[Array, "ticks 2"]:
-    """The forces of a motion, ``(ticks,)`` [N]; `before` is the motion of the tick before it."""
-    return jax.lax.scan(lambda state, now: net.step(state, now), net.start(before), motion)[1]
+def forces(net: ForceNet, motion: Motion) -> Float[Array, "ticks 2"]:
+    """The forces of all rows of a motion ``(1 + ticks,)`` but the first [N]."""
+    before, after = (jax.tree.map(lambda x, part=part: x[part], motion) for part in (0, slice(1, None)))
+    return jax.lax.scan(lambda state, now: net.step(state, now), net.start(before), after)[1]
 
 
 class LogPrediction(NamedTuple):
@@ -96,49 +104,43 @@ def predict_logs(members: Member, logs: Sequence[Log]) -> list[LogPrediction]:
 def predict_motion(drives: FollowingNet, logs: Sequence[Log]) -> list[Motion]:
     """Predict the motion of every log, ``(members, rows)``."""
 
-    def of(index: list[int]) -> Motion:
-        some = [logs[i] for i in index]
+    def predict(some: Sequence[Log]) -> Motion:
         # What was commanded before a log is not recorded: its first command has long been given.
-        commands: Command = jax.tree.map(lambda *x: np.stack(x).astype(np.float32), *[log.command for log in some])
-        waiting: Command = jax.tree.map(lambda x: np.repeat(x[:, :1], LONGEST_DELAY, axis=1), commands)
-        first = [Motion(log.reading.angle[0], log.reading.velocity[0]) for log in some]
-        before: Motion = jax.tree.map(lambda *x: np.asarray(x, np.float32), *first)
-        predicted = _motions(drives, before, waiting, jax.tree.map(lambda x: x[:, :-1], commands))
+        command, reading = jax.tree.map(lambda *x: np.stack(x).astype(np.float32), *some)
+        waiting = Command(*(np.repeat(x[:, :1], LONGEST_DELAY, axis=1) for x in command))
+        before = Motion(reading.angle[:, 0], reading.velocity[:, 0])
+        predicted = _motions(drives, before, waiting, Command(*(x[:, :-1] for x in command)))
         return Motion(*(np.concatenate([np.broadcast_to(x[:, None], (*y.shape[:2], 1)), y], axis=2)
                         for x, y in zip(before, predicted, strict=True)))  # fmt: skip
 
-    return _together([len(log.reading.time) for log in logs], of)
+    return _together(logs, [len(log.reading.time) for log in logs], predict)
 
 
 def predict_force(nets: ForceNet, motion: Sequence[Motion]) -> list[Float[np.ndarray, "members rows 2"]]:
     """Predict the forces of motions ``(members, rows)``; a first row has no motion before it and gets the second's."""
 
-    def of(index: list[int]) -> Float[np.ndarray, "members logs rows 2"]:
-        force = _forces(nets, jax.tree.map(lambda *x: np.stack(x, axis=1), *[motion[i] for i in index]))
+    def predict(some: Sequence[Motion]) -> Float[np.ndarray, "members logs rows 2"]:
+        force = _forces(nets, jax.tree.map(lambda *x: np.stack(x, axis=1), *some))
         return np.concatenate([force[:, :, :1], force], axis=2)
 
-    return _together([m.angle.shape[1] for m in motion], of)
+    return _together(motion, [each.angle.shape[1] for each in motion], predict)
 
 
-def _together(lengths: Sequence[int], of: Callable[[list[int]], Tree]) -> list[Tree]:
-    """Logs of equal length side by side; `of` gives fields ``(members, logs, ...)``, each log gets its own."""
-    results: dict[int, Tree] = {}
-    for length in dict.fromkeys(lengths):
-        index = [i for i, other in enumerate(lengths) if other == length]
-        together = of(index)
-        results |= {i: jax.tree.map(lambda x, n=n: np.asarray(x[:, n]), together) for n, i in enumerate(index)}
-    return [results[i] for i in range(len(lengths))]
+def _together(records: Sequence[Any], rows: Sequence[int], predict: Callable[[Any], Any]) -> list[Any]:
+    """What `predict` makes of records of equal length, side by side on the second axis; of each record its own."""
+    results: dict[int, Any] = {}
+    for length in set(rows):
+        index = [i for i, other in enumerate(rows) if other == length]
+        predicted = predict([records[i] for i in index])
+        results |= {i: jax.tree.map(lambda x, n=n: np.asarray(x[:, n]), predicted) for n, i in enumerate(index)}
+    return [results[i] for i in range(len(rows))]
 
 
 @eqx.filter_jit
-def _motions(drives: FollowingNet, before: Motion, waiting: Command, commands: Command) -> Any:
-    return eqx.filter_vmap(lambda drive: jax.vmap(lambda *of: motions(drive, *of))(before, waiting, commands))(drives)
+def _motions(drives: FollowingNet, *given: Any) -> Any:
+    return eqx.filter_vmap(lambda drive: jax.vmap(functools.partial(motions, drive))(*given))(drives)
 
 
 @eqx.filter_jit
 def _forces(nets: ForceNet, motion: Motion) -> Any:
-    def one(net: ForceNet, motion: Motion) -> Float[Array, "logs ticks 2"]:
-        before, after = jax.tree.map(lambda x: x[:, 0], motion), jax.tree.map(lambda x: x[:, 1:], motion)
-        return jax.vmap(lambda *of: forces(net, *of))(before, after)
-
-    return eqx.filter_vmap(one)(nets, motion)
+    return eqx.filter_vmap(lambda net, motion: jax.vmap(functools.partial(forces, net))(motion))(nets, motion)

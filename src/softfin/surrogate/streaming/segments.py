@@ -1,4 +1,4 @@
-"""Logs as one table on the device, and the segments of it that training draws."""
+"""Logs as one table on the device, the segments of it that training draws, and the scales of what they hold."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -7,11 +7,53 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
+from pydantic import Field
 
+from softfin.core.configuration import Configuration
 from softfin.core.errors import LogError
-from softfin.core.quantities import Command, Log
-from softfin.surrogate.streaming.drive import LONGEST_DELAY
-from softfin.surrogate.streaming.force import Motion, Scales
+from softfin.core.quantities import AnyArray, Command, Log
+
+LONGEST_DELAY = 20
+"""Longest delay from a command to the motion that obeys it [ticks]."""
+
+
+class Motion(NamedTuple):
+    """Motion of the shaft."""
+
+    angle: Float[AnyArray, "*shape"]
+    """Angle of the shaft [rad]."""
+    velocity: Float[AnyArray, "*shape"]
+    """Angular velocity of the shaft [rad/s]."""
+
+
+class Scales(Configuration):
+    """Units of the nets' inputs and outputs, from the training logs."""
+
+    velocity_rad_s: float = Field(gt=0)
+    """Standard deviation of the shaft's velocity [rad/s]."""
+    change_rad_s: float = Field(gt=0)
+    """Standard deviation of the velocity's change from tick to tick [rad/s]."""
+    force_n: float = Field(gt=0)
+    """Root mean square of the force on both axes [N]."""
+    angle_rad: float = Field(gt=0)
+    """Standard deviation of the shaft's angle [rad]."""
+
+
+def scales_of(logs: Sequence[Log]) -> Scales:
+    """Scales of the training logs; raises LogError where nothing moves."""
+    angle, velocity, force = (
+        [np.asarray(getattr(log.reading, name), np.float64) for log in logs] for name in ("angle", "velocity", "force")
+    )
+    values = {
+        "angle_rad": np.concatenate(angle).std(),
+        "velocity_rad_s": np.concatenate(velocity).std(),
+        "change_rad_s": np.concatenate([np.diff(each) for each in velocity]).std(),
+        "force_n": np.sqrt(np.mean(np.concatenate(force) ** 2)),
+    }
+    for name, value in values.items():
+        if not value > 0:
+            raise LogError(f"{name.partition('_')[0]} never changes in the training logs: nothing can be learnt")
+    return Scales(**{name: float(value) for name, value in values.items()})
 
 
 class SegmentBatch(NamedTuple):
@@ -71,24 +113,5 @@ class Table(NamedTuple):
 
 def slices(columns: Any, starts: Int[Array, "batch"], length: int) -> Any:
     """Cut the rows ``start .. start + length`` out of columns, for each start: fields ``(batch, length, ...)``."""
-    return jax.vmap(lambda start: jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, start, length), columns))(
-        starts
-    )
-
-
-def scales_of(logs: Sequence[Log]) -> Scales:
-    """Scales of the training logs; raises LogError where nothing moves."""
-
-    angle, velocity, force = (
-        [np.asarray(getattr(log.reading, name), np.float64) for log in logs] for name in ("angle", "velocity", "force")
-    )
-    values = {
-        "angle_rad": np.concatenate(angle).std(),
-        "velocity_rad_s": np.concatenate(velocity).std(),
-        "change_rad_s": np.concatenate([np.diff(each) for each in velocity]).std(),
-        "force_n": np.sqrt(np.mean(np.concatenate(force) ** 2)),
-    }
-    for name, value in values.items():
-        if not value > 0:
-            raise LogError(f"{name.partition('_')[0]} never changes in the training logs: nothing can be learnt")
-    return Scales(**{name: float(value) for name, value in values.items()})
+    rows = starts[:, None] + jnp.arange(length)
+    return jax.tree.map(lambda x: x[rows], columns)

@@ -1,7 +1,7 @@
 """An ensemble of streaming nets as a Plant: commands in, readings out at 100 Hz, with estimates of their errors."""
 
 from collections.abc import Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -11,12 +11,9 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from softfin.core.errors import ArtifactError, LogError
 from softfin.core.plant import rest_command
-from softfin.core.quantities import TICK_S, Command, Limits, Log, Reading
+from softfin.core.quantities import TICK_S, AnyArray, Command, Limits, Log, Reading
 from softfin.core.ticks import tick_at
 from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, READINGS, SKIPPED, NetPrediction
-from softfin.surrogate.streaming.core import products
-from softfin.surrogate.streaming.drive import LONGEST_DELAY, DriveNetConfig
-from softfin.surrogate.streaming.force import ForceNetConfig, Motion, Scales
 from softfin.surrogate.streaming.member import (
     Member,
     MemberState,
@@ -26,7 +23,10 @@ from softfin.surrogate.streaming.member import (
     predict_logs,
     single,
 )
+from softfin.surrogate.streaming.nets import DriveNetConfig, ForceNetConfig, products
+from softfin.surrogate.streaming.segments import LONGEST_DELAY, Motion, Scales
 from softfin.surrogate.streaming.uncertainty import Familiarity, Interval, remembered
+from softfin.surrogate.training import named, restored
 
 MEMORY = 300
 """Ticks of a recorded history that `warm` follows: a stroke at the paper's least velocity takes as long."""
@@ -102,55 +102,56 @@ class StreamingSurrogate(eqx.Module):
         rows = len(history.reading.time)
         if rows < self.memory:
             raise LogError(f"history: {rows} rows; {self.memory} are needed to know what the fin has been doing")
-        command = Command(*(np.asarray(part[-self.memory :], np.float32) for part in history.command))
-        first = self.memory - LONGEST_DELAY
-        motion = Motion(*(jnp.float32(part[-first]) for part in (history.reading.angle, history.reading.velocity)))
-        waiting = Command(*(jnp.asarray(part[:LONGEST_DELAY][::-1]) for part in command))
+        command, reading = jax.tree.map(lambda part: jnp.asarray(part[-self.memory :], jnp.float32), history)
+        motion = Motion(reading.angle[LONGEST_DELAY], reading.velocity[LONGEST_DELAY])
+        waiting = Command(*(part[:LONGEST_DELAY][::-1] for part in command))
         # The last row's command shows in the row that comes next.
-        passed = Command(*(jnp.asarray(part[LONGEST_DELAY:-1]) for part in command))
+        passed = Command(*(part[LONGEST_DELAY:-1] for part in command))
         tick = tick_at(float(history.reading.time[-1]))
         return StreamingState(jnp.int32(tick), _after(self.members, motion, waiting, passed))
 
     def advance(self, state: StreamingState, command: Command, ticks: int) -> tuple[StreamingState, Reading]:
         """Hold the command for `ticks` samples of 10 ms and read after each: fields ``(ticks,)``."""
         state, each = self.advance_members(state, command, ticks)
-        return state, each._replace(
-            time=each.time[0], angle=each.angle.mean(0), velocity=each.velocity.mean(0), force=each.force.mean(0)
-        )
+        return state, Reading(each.time[0], *(channel.mean(axis=0) for channel in each[1:]))
 
     def advance_members(self, state: StreamingState, command: Command, ticks: int) -> tuple[StreamingState, Reading]:
         """As `advance`, with every member's own reading: fields ``(members, ticks)``."""
+        axes = cast(Any, StreamingState)(None, 0)
+        each: Any = jax.vmap(lambda member, own: member.advance(own, command, ticks), (0, axes), (axes, 0))
+        after, readings = each(self._stacked, state)
+        return after, readings
 
-        def one(net: Member, rest: MemberState, own: MemberState) -> tuple[MemberState, Reading]:
-            member = StreamingMember(net, rest, self.limits)
-            after, reading = member.advance(StreamingState(state.tick, own), command, ticks)
-            return after.members, reading
-
-        members, reading = jax.vmap(one)(self.members, self.rest, state.members)
-        return StreamingState(state.tick + ticks, members), reading
-
-    def member(self, index: Int[Array, ""]) -> "StreamingMember":
+    def member(self, index: Int[Array, ""]) -> StreamingMember:
         """One member as a plant of its own; `index` may be a value in a program."""
-        net, rest = jax.tree.map(lambda leaf: leaf[index], (self.members, self.rest))
-        return StreamingMember(net, rest, self.limits)
+        return single(self._stacked, index)
+
+    @property
+    def _stacked(self) -> StreamingMember:
+        return StreamingMember(self.members, self.rest, self.limits)
 
     def distance(self, state: StreamingState) -> Float[Array, ""]:
         """Distance of the last motion from the training data: 1 is as far as one in a thousand moments of them."""
         return self.familiarity.distance(remembered(single(state.members.force)))
 
-    def predictions(self, logs: Sequence[Log]) -> list[dict[str, NetPrediction]]:
-        """Mean predictions of every log by the drive nets, and by the force nets given the motion and behind those."""
-        nets = self.members
-        drive, force = ((None, parameters(net)) for net in (nets.drive, nets.force))
+    def predictions(self, logs: Sequence[Log]) -> dict[str, NetPrediction]:
+        """Mean predictions of logs by the drive nets, and by the force nets given the motion and behind those."""
+        nets, free = self.members, predict_logs(self.members, logs)
         measured = [Motion(*np.tile(np.stack([r.angle, r.velocity])[:, None], (self.size, 1))) for _, r in logs]
-        return [
-            {
-                "drive": NetPrediction((ANGLE,), np.mean(free.motion.angle, axis=0)[SKIPPED:, None], *drive),
-                "force_measured": NetPrediction(FORCES, given.mean(axis=0)[SKIPPED:], *force),
-                "force_free_running": NetPrediction(FORCES, free.force.mean(axis=0)[SKIPPED:], *force),
-            }
-            for free, given in zip(predict_logs(nets, logs), predict_force(nets.force, measured), strict=True)
-        ]
+        series: dict[str, Sequence[AnyArray]] = {
+            "drive": [each.motion.angle[..., None] for each in free],
+            "force_measured": predict_force(nets.force, measured),
+            "force_free_running": [each.force for each in free],
+        }
+        return {
+            name: NetPrediction(
+                (ANGLE,) if name == "drive" else FORCES,
+                [np.mean(predicted, axis=0)[SKIPPED:] for predicted in each],
+                None,
+                parameters(nets.drive if name == "drive" else nets.force),
+            )
+            for name, each in series.items()
+        }
 
     def flops_per_tick(self) -> int:
         """Floating-point operations of the matrix products for one sample of one fin, all members together."""
@@ -163,16 +164,14 @@ class StreamingSurrogate(eqx.Module):
     def to_files(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """Entries of ``surrogate.json``, and the arrays by their place in the nets."""
         drive, force = self.members.drive, self.members.force
-        entries = {
+        return {
             "channels": CHANNELS,
             "members": self.size,
             "networks": {"drive": drive.config.model_dump(mode="json"), "force": force.config.model_dump(mode="json")},
             "scales": force.scales.model_dump(mode="json"),
             "interval": self.interval.model_dump(mode="json"),
             "parameters": self.parameters(),
-        }
-        arrays = jax.tree_util.tree_leaves_with_path({"members": self.members, "familiarity": self.familiarity})
-        return entries, {_name(path): np.asarray(leaf) for path, leaf in arrays}
+        }, named({"members": self.members, "familiarity": self.familiarity})
 
     @classmethod
     def from_files(
@@ -183,32 +182,17 @@ class StreamingSurrogate(eqx.Module):
             raise ArtifactError(f"{source}: channels {description['channels']}; streaming surrogates have {CHANNELS}")
         drive = DriveNetConfig.build(description["networks"]["drive"], f"{source}: networks.drive")
         force = ForceNetConfig.build(description["networks"]["force"], f"{source}: networks.force")
-        scales = Scales.model_validate(description["scales"])
+        scales, size = Scales.model_validate(description["scales"]), int(description["members"])
 
         def skeleton() -> dict[str, Any]:
-            size = int(description["members"])
-            members = ensemble(size, drive, force, scales, jax.random.key(0))
             memory = 2 * (force.units + force.wake)
             familiarity = Familiarity(jnp.zeros(memory), jnp.zeros((memory, memory)))
-            return {"members": members, "familiarity": familiarity}
+            return {"members": ensemble(size, drive, force, scales, jax.random.key(0)), "familiarity": familiarity}
 
-        def leaf(path: Any, shape: Any) -> Any:
-            array = weights.get(_name(path))
-            if array is None or array.shape != shape.shape:
-                what = "is missing" if array is None else f"has the shape {array.shape}"
-                raise ArtifactError(
-                    f"{source}: {_name(path)} {what}, must have {shape.shape}; copy the whole folder again"
-                )
-            return jnp.asarray(array)
-
-        trees = jax.tree_util.tree_map_with_path(leaf, eqx.filter_eval_shape(skeleton))
+        trees = restored(eqx.filter_eval_shape(skeleton), weights, source)
         limits = Limits.of(description["limits"], one_velocity=True)
         interval = Interval.model_validate(description["interval"])
         return cls(trees["members"], limits, interval, trees["familiarity"])
-
-
-def _name(path: Any) -> str:
-    return jax.tree_util.keystr(path, simple=True, separator=".")
 
 
 @eqx.filter_jit
@@ -216,10 +200,9 @@ def _after(members: Member, motion: Motion, waiting: Command, passed: Command) -
     """State of every member after these commands, one a tick."""
 
     def one(member: Member) -> MemberState:
-        def step(state: MemberState, command: Any) -> tuple[MemberState, None]:
-            return member.step(state, Command(*command))[0], None
-
-        return jax.lax.scan(step, member.start(motion, waiting), passed)[0]
+        return jax.lax.scan(
+            lambda state, command: (member.step(state, command)[0], None), member.start(motion, waiting), passed
+        )[0]
 
     state: MemberState = eqx.filter_vmap(one)(members)
     return state

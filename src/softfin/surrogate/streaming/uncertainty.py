@@ -18,8 +18,9 @@ from pydantic import Field
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import AnyArray, Log
 from softfin.core.window import window_means
-from softfin.surrogate.streaming.force import ForceNet, ForceState, Motion
-from softfin.surrogate.streaming.member import Member, predict_motion, single
+from softfin.surrogate.streaming.member import single
+from softfin.surrogate.streaming.nets import ForceNet, ForceState
+from softfin.surrogate.streaming.segments import Motion
 
 COVERAGE = 0.9
 """Share of the mean forces that an interval should hold."""
@@ -95,12 +96,10 @@ def remembered(state: ForceState) -> Float[Array, "remembered"]:
     return jnp.concatenate(jax.tree.leaves((state.memory, state.wake)))
 
 
-def familiar(members: Member, logs: Sequence[Log], burn_in: int) -> Familiarity:
-    """Where the training logs lie, free-running; the first `burn_in` ticks of each depend on what was before it."""
-    first: Member = jax.tree.map(lambda x: x[:1], members)
-    some = [log for log in logs if len(log.reading.time) > burn_in + 1][:LOGS]
-    net = single(first.force)
-    each = [np.asarray(_memories(net, motion))[burn_in::EVERY] for motion in predict_motion(first.drive, some)]
+def familiar(nets: ForceNet, motion: Sequence[Motion], burn_in: int) -> Familiarity:
+    """Where the training logs lie, from their predicted motion ``(members, rows)`` from the row `burn_in` + 1 on."""
+    some = [each for each in motion if each.angle.shape[1] > burn_in + 1][:LOGS]
+    each = [np.asarray(_memories(single(nets), single(motion)))[burn_in::EVERY] for motion in some]
     memory = np.concatenate(each).astype(np.float64)
     mean = memory.mean(axis=0)
     values, vectors = np.linalg.eigh(np.cov(memory, rowvar=False))
@@ -112,11 +111,10 @@ def familiar(members: Member, logs: Sequence[Log], burn_in: int) -> Familiarity:
 
 @eqx.filter_jit
 def _memories(net: ForceNet, motion: Motion) -> Float[Array, "ticks remembered"]:
-    """Memory behind every row of a motion ``(1, rows)`` but the first."""
+    """Memory behind every row of a motion ``(rows,)`` but the first."""
 
     def step(state: ForceState, now: Motion) -> tuple[ForceState, Array]:
         state, _ = net.step(state, now)
         return state, remembered(state)
 
-    before, after = Motion(*(x[0, 0] for x in motion)), Motion(*(x[0, 1:] for x in motion))
-    return jax.lax.scan(step, net.start(before), after)[1]
+    return jax.lax.scan(step, net.start(Motion(*(x[0] for x in motion))), Motion(*(x[1:] for x in motion)))[1]

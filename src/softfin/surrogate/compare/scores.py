@@ -1,0 +1,223 @@
+"""Free-running over logs, and the scores of what is predicted: Table I, and those of several horizons.
+
+The paper cites dynamic time warping (DTW) and does not say how it normalises the distance. Here it is `dtw_mae`, in the
+unit of the series and no greater than their mean absolute error: the least sum of |difference| over all warping paths
+inside a Sakoe-Chiba band of 1 s, divided by the number of samples (computed by dtaidistance). It forgives a lag, so it
+never stands without RMSE.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple, TypeVar
+
+import equinox as eqx
+import jax
+import numpy as np
+from dtaidistance import dtw
+from jaxtyping import Float, PRNGKeyArray
+
+from softfin.core.action_clock import WINDOW
+from softfin.core.errors import LogError
+from softfin.core.plant import EnsemblePlant, Plant, State, check_commands, roll
+from softfin.core.quantities import AXES, RATE_HZ, AnyArray, Command, Log, Reading
+from softfin.core.window import moving_average
+from softfin.surrogate.channels import ANGLE, FORCES, columns_of, ranges
+from softfin.surrogate.store import AnySurrogate
+
+BATCH = 64
+"""Segments side by side, at most: enough for the matrix products, and a few MB of activations."""
+
+DTW_BAND = 100
+"""Half-width of the band [samples]: a shift of more than a second is no longer the same motion."""
+
+PAPER_TABLE_I = {
+    "posnet": {"window": 100, "parameters": 113_601, "rmse": 0.03, "mae": 0.002, "dtw": 0.002},
+    "forcenet": {"window": 100, "parameters": 129_794, "rmse": 0.2, "mae": 0.04, "dtw": 0.03},
+}
+"""The paper's Table I; units and the normalisation of DTW are not stated there."""
+
+Samples = Float[np.ndarray, "samples"]
+
+Means = Float[np.ndarray, "segments windows 2"]
+"""Mean forces over the evaluation window, (x, y) [N]."""
+
+Tree = TypeVar("Tree")
+
+
+Segment = tuple[int, int]
+"""Where a run of rows begins: log and row."""
+
+
+def segments_of(rows: Sequence[int], ticks: int, first: int) -> list[Segment]:
+    """Segments of `ticks` end to end over logs of so many rows, from row `first` on; LogError for a short log."""
+    for index, count in enumerate(rows):
+        if count < first + ticks:
+            raise LogError(
+                f"test log {index}: {count} rows; {first} to begin with and a horizon of {ticks / RATE_HZ:g} s need "
+                f"{first + ticks}; record longer test logs, or give shorter --horizons"
+            )
+    return [(i, row) for i, count in enumerate(rows) for row in range(first, count - ticks + 1, ticks)]
+
+
+def take(records: Sequence[Tree], segments: Sequence[Segment], ticks: int) -> Tree:
+    """The rows of some segments of logs or readings, stacked: fields ``(segments, ticks, ...)``."""
+    taken: Tree = _stacked([_rows(records[log], row, row + ticks) for log, row in segments])
+    return taken
+
+
+def free_run(
+    surrogate: AnySurrogate, logs: Sequence[Log], segments: Sequence[Segment], ticks: int
+) -> tuple[Reading, Float[np.ndarray, "members segments ticks 2"] | None]:
+    """Predict segments from their commands alone, warmed on the `memory` rows before; NumPy, ``(segments, ticks)``.
+
+    Also the forces of each member [N], None of a surrogate that is not an ensemble.
+    """
+    size = math.ceil(len(segments) / math.ceil(len(segments) / BATCH))
+    # Filled up with repeats that are thrown away, so that one compiled program serves all batches.
+    filled = [*segments, *[segments[-1]] * (-len(segments) % size)]
+    parts = []
+    for begin in range(0, len(filled), size):
+        some = filled[begin : begin + size]
+        states = _stacked([surrogate.warm(_rows(logs[log], row - surrogate.memory, row)) for log, row in some])
+        # What row k shows was commanded in row k - 1.
+        commands = take(logs, [(log, row - 1) for log, row in some], ticks).command
+        parts.append(_free_run(surrogate, states, commands))
+    reading, members = jax.tree.map(lambda *each: np.concatenate(each)[: len(segments)], *parts)
+    return reading, None if members is None else np.moveaxis(members, 2, 0)
+
+
+def run_from_rest(plant: Plant, logs: Sequence[Log], key: PRNGKeyArray) -> list[Reading]:
+    """Whole logs by a plant that starts at rest: NumPy, row for row; raises CommandError beyond the plant's limits."""
+    rows, issued = [len(log.reading.time) for log in logs], []
+    for log, count in zip(logs, rows, strict=True):
+        check_commands(plant.limits, log.command)
+        # The command that row 0 shows stands in no log; the first that does is taken for it.
+        issued.append(Command(*(np.pad(x[:-1], (1, max(rows) - count), mode="edge") for x in log.command)))
+    states = jax.vmap(plant.init)(jax.random.split(key, len(logs)))
+    reading, _ = jax.tree.map(np.asarray, _free_run(plant, states, _stacked(issued)))
+    return [Reading(*(field[index, :count] for field in reading)) for index, count in enumerate(rows)]
+
+
+@eqx.filter_jit
+def _free_run(plant: Any, states: State, commands: Command) -> tuple[Reading, Any]:
+    """Fields ``(segments, ticks)``; of an ensemble also the members' forces ``(segments, ticks, members, 2)``."""
+    if not isinstance(plant, EnsemblePlant):
+        return jax.vmap(lambda state, issued: roll(plant, state, issued)[1])(states, commands), None
+
+    def tick(state: State, command: Command) -> tuple[State, Reading]:
+        state, each = plant.advance_members(state, command, 1)
+        return state, jax.tree.map(lambda x: x[:, 0], each)
+
+    each = jax.vmap(lambda state, issued: jax.lax.scan(tick, state, issued)[1])(states, commands)
+    mean = Reading(each.time[..., 0], each.angle.mean(-1), each.velocity.mean(-1), each.force.mean(-2))
+    return mean, each.force
+
+
+def _rows(record: Any, begin: int, end: int) -> Any:
+    return jax.tree.map(lambda x: np.asarray(x)[begin:end], record)
+
+
+def _stacked(records: Sequence[Any]) -> Any:
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *records)
+
+
+def rms(error: AnyArray) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(error, dtype=np.float64))))
+
+
+def rmse(predicted: AnyArray, measured: AnyArray) -> float:
+    """Root mean square error."""
+    return rms(np.asarray(predicted, np.float64) - measured)
+
+
+def mae(predicted: AnyArray, measured: AnyArray) -> float:
+    """Mean absolute error."""
+    return float(np.mean(np.abs(np.asarray(predicted, np.float64) - measured)))
+
+
+def dtw_mae(predicted: Samples, measured: Samples) -> float:
+    """Mean absolute difference of one channel after warping: see the module."""
+    series = [np.ascontiguousarray(samples, np.float64) for samples in (predicted, measured)]
+    return float(dtw.distance_fast(*series, window=DTW_BAND, inner_dist="euclidean") / len(predicted))
+
+
+TABLE_I_SCORES: Mapping[str, Callable[[Samples, Samples], float]] = {"rmse": rmse, "mae": mae, "dtw_mae": dtw_mae}
+
+
+def table_one(surrogate: AnySurrogate, logs: Sequence[Log]) -> dict[str, Any]:
+    """Table I, a row for each net: ``window``, ``parameters``, and means over logs and channels of its scores.
+
+    ``physical`` ones are in rad or N, ``scaled`` ones times the surrogate's scaling, or over the measured range.
+    """
+    scales = {name: 1 / span for name, span in measured_ranges(logs).items()}
+    if surrogate.scaling is not None:
+        scales = {name: channel.scale for name, channel in surrogate.scaling.channels.items()}
+    measured = [columns_of([log]) for log in logs]
+    table = {}
+    for name, (channels, series, window, parameters) in surrogate.predictions(logs).items():
+        scores = np.array([
+            [[score(x, actual[channel][-len(x) :]) for channel, x in zip(channels, predicted.T, strict=True)]
+             for score in TABLE_I_SCORES.values()]
+            for predicted, actual in zip(series, measured, strict=True)
+        ])  # fmt: skip
+        scaled = scores * [scales[channel] for channel in channels]
+        means = {unit: each.mean(axis=(0, 2)).tolist() for unit, each in (("physical", scores), ("scaled", scaled))}
+        rows = {unit: dict(zip(TABLE_I_SCORES, values, strict=True)) for unit, values in means.items()}
+        table[name] = {"window": window, "parameters": parameters, **rows}
+    return table
+
+
+def measured_ranges(logs: Sequence[Log]) -> dict[str, float]:
+    """Greatest minus least measured value of each channel over test logs; raises LogError where one never changes."""
+    spans = {}
+    for name, (low, high) in ranges(logs, (ANGLE, *FORCES)).items():
+        spans[name] = high - low
+        if not high > low:
+            raise LogError(
+                f"test logs: column {name} is {low:g} in every row, so that no prediction of it can be "
+                "scored; give test logs in which it changes, or none"
+            )
+    return spans
+
+
+class HorizonScores(NamedTuple):
+    """Scores of one surrogate at one horizon."""
+
+    scores: dict[str, float]
+    """Scores by name with unit; those of the mean force and of its interval only where there are such."""
+    mean_errors: Means | None
+    """Errors of the mean force, predicted minus measured."""
+    half_widths: Means | None
+    """Half-width of the stated interval of each."""
+
+
+def score_segments(
+    measured: Log, predicted: Reading, spans: Mapping[str, float], half_widths: Means | None = None
+) -> HorizonScores:
+    """Score segments, fields ``(segments, ticks)``, as docs/files.md describes; `spans` are `measured_ranges`."""
+    pairs = {"angle": (predicted.angle, measured.reading.angle)}
+    pairs |= {f"force_{x}": (predicted.force[..., i], measured.reading.force[..., i]) for i, x in enumerate(AXES)}
+    scores, distances = {}, []
+    for (name, pair), span in zip(pairs.items(), spans.values(), strict=True):
+        error, distance = rmse(*pair), np.mean([dtw_mae(*one) for one in zip(*pair, strict=True)])
+        scores[f"{name}_rmse_{'rad' if name == 'angle' else 'n'}"] = error
+        with np.errstate(divide="ignore", invalid="ignore"):  # a channel that never changes has none
+            scores[f"{name}_r2"] = float(1 - np.square(error) / np.var(np.asarray(pair[1], np.float64)))
+        distances.append([distance, distance / span])
+    scores |= {"angle_mae_rad": mae(*pairs["angle"]), "force_mae_n": mae(predicted.force, measured.reading.force)}
+    for quantity, unit, some in (("angle", "rad", distances[:1]), ("force", "n", distances[1:])):
+        distance, scaled = np.mean(some, axis=0).tolist()
+        scores |= {f"{quantity}_dtw_mae_{unit}": distance, f"{quantity}_dtw_mae_scaled": scaled}
+    if measured.reading.angle.shape[1] < WINDOW:
+        return HorizonScores(scores, None, None)
+    mean_errors = moving_average(np.asarray(predicted.force)) - moving_average(np.asarray(measured.reading.force))
+    size = np.abs(mean_errors)
+    scores |= {f"mean_force_{axis}_mae_n": float(size[..., i].mean()) for i, axis in enumerate(AXES)}
+    each = {"mae": np.mean(size), "p95": np.quantile(size, 0.95), "worst": np.max(size)}
+    scores |= {f"mean_force_{name}_n": float(value) for name, value in each.items()}
+    if half_widths is not None:
+        inside = size <= half_widths
+        scores |= {"coverage": float(inside.mean()), "half_width_n": float(half_widths.mean())}
+        scores |= {f"coverage_{axis}": float(inside[..., i].mean()) for i, axis in enumerate(AXES)}
+    return HorizonScores(scores, mean_errors, half_widths)

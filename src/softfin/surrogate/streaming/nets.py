@@ -1,0 +1,249 @@
+"""The nets of one fin, tick by tick: the drive net, commands in and motion out; the force net, motion in and force out.
+
+A fin that is mirrored in the plane y = 0 is the same fin: angle, angular velocity and force y change sign (odd), force
+x and speeds do not (even). The recurrent core of both nets has that built in, weight by weight.
+"""
+
+from typing import Any, Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+from pydantic import Field, PositiveInt
+
+from softfin.core.configuration import Configuration
+from softfin.core.quantities import TICK_S, AnyArray, Command
+from softfin.surrogate.streaming.profile import Profile, ProfileState
+from softfin.surrogate.streaming.segments import Motion, Scales
+
+SLOWEST = 60.0
+"""Gates begin with time constants from 2 to this many ticks, so that both ripples and strokes are remembered."""
+
+
+class Parity(NamedTuple):
+    """Sizes, inputs, outputs or memory, split by what a mirror does to them."""
+
+    even: Any
+    """Part that a mirror does not change."""
+    odd: Any
+    """Part whose sign a mirror changes."""
+
+
+class MirrorCore(eqx.Module):
+    """A gated recurrent unit, h' = h + u (c - h) with a gate u and a candidate c; mirrors inputs to outputs exactly.
+
+    Odd candidates are odd functions of odd inputs; gates, even candidates and what multiplies the odd ones are
+    functions of even inputs and of `magnitude` of mixtures of the odd ones.
+    """
+
+    odd_in: Float[Array, "odd_inputs candidates_and_magnitudes"]
+    even_in: Float[Array, "even_inputs gates_candidates_factors"]
+    bias: Float[Array, "gates_candidates_factors"]
+    hidden_in: Float[Array, "hidden_inputs hidden"]
+    hidden_bias: Float[Array, "hidden"]
+    even_out: Float[Array, "hidden even_outputs"]
+    odd_out: Float[Array, "units odd_outputs"]
+    odd_factors: Float[Array, "hidden odd_outputs_times_units"]
+    units: int = eqx.field(static=True)
+
+    def __init__(self, inputs: Parity, outputs: Parity, units: int, hidden: int, key: PRNGKeyArray) -> None:
+        keys = jax.random.split(key, 4)
+        self.units = units
+        self.odd_in = _uniform(keys[0], units + inputs.odd, 2 * units)
+        self.even_in = _uniform(keys[1], 2 * units + inputs.even, 4 * units)
+        # In random order, to open by 1 / time constant.
+        gates = jax.random.permutation(keys[2], -jnp.log(jnp.geomspace(2.0, SLOWEST, 2 * units) - 1))
+        self.bias = jnp.concatenate([gates, jnp.zeros(units), jnp.ones(units)])
+        self.hidden_in = _uniform(keys[3], 2 * units, hidden)
+        self.hidden_bias = jnp.zeros(hidden)
+        # Zero, so that training begins at the physics that stands beside the net.
+        self.even_out = jnp.zeros((hidden, outputs.even))
+        self.odd_out = jnp.zeros((units, outputs.odd))
+        self.odd_factors = jnp.zeros((hidden, outputs.odd * units))
+
+    def blank(self) -> Parity:
+        """Memory that holds nothing yet."""
+        return Parity(jnp.zeros(self.units), jnp.zeros(self.units))
+
+    def step(self, memory: Parity, inputs: Parity) -> tuple[Parity, Parity]:
+        """Step by one tick: (memory, inputs) -> (memory, outputs)."""
+        n = self.units
+        candidates, mixtures = jnp.split(jnp.concatenate([memory.odd, inputs.odd]) @ self.odd_in, 2)
+        sizes = magnitude(mixtures)
+        gates = jnp.concatenate([memory.even, inputs.even, sizes]) @ self.even_in + self.bias
+        opening = jax.nn.sigmoid(gates[: 2 * n])
+        even = memory.even + opening[:n] * (jnp.tanh(gates[2 * n : 3 * n]) - memory.even)
+        odd = memory.odd + opening[n:] * (jnp.tanh(candidates * gates[3 * n :]) - memory.odd)
+        hidden = jnp.tanh(jnp.concatenate([even, sizes]) @ self.hidden_in + self.hidden_bias)
+        factors = self.odd_out.T + (hidden @ self.odd_factors).reshape(-1, n)
+        return Parity(even, odd), Parity(hidden @ self.even_out, factors @ odd)
+
+
+def magnitude(x: Array) -> Array:
+    """Return sqrt(1 + x^2) - 1: even and smooth, x^2 / 2 where small and |x| where large, as drag in the velocity."""
+    return jnp.sqrt(1 + x * x) - 1
+
+
+def _uniform(key: PRNGKeyArray, inputs: int, outputs: int) -> Float[Array, "inputs outputs"]:
+    """Draw entries of variance 1/2 over the inputs: less than keeps the spread, since all memory is fed back."""
+    reach = jnp.sqrt(1.5 / inputs)
+    return jax.random.uniform(key, (inputs, outputs), minval=-reach, maxval=reach)
+
+
+def products(net: eqx.Module) -> int:
+    """Multiplications of the matrix products of one tick: every matrix of one fin's nets is used once."""
+    return sum(leaf.size for leaf in jax.tree.leaves(net) if leaf.ndim == 2)
+
+
+class DriveNetConfig(Configuration):
+    """Size of the drive net, and what is built into it; the latter cannot be changed, but names the net's structure."""
+
+    units: PositiveInt = 8
+    """Remembered numbers of each parity."""
+    hidden: PositiveInt = 16
+    """Units of the layer between memory and output."""
+    mirror: Literal[True] = True
+    """The drive goes both ways alike."""
+    profile: Literal[True] = True
+    """The trapezoidal profile is known, and the net gives only the rest: the fin's load, the servo, the play."""
+
+
+class FollowingState(NamedTuple):
+    """What the drive net carries from tick to tick."""
+
+    profile: ProfileState
+    memory: Parity
+    motion: Motion
+
+
+class FollowingNet(eqx.Module):
+    """The drive net, which predicts how far the shaft is from its profile; one fin, no batch axes."""
+
+    core: MirrorCore
+    profile: Profile
+    config: DriveNetConfig = eqx.field(static=True)
+    scales: Scales = eqx.field(static=True)
+
+    def __init__(self, config: DriveNetConfig, scales: Scales, key: PRNGKeyArray) -> None:
+        self.core = MirrorCore(Parity(1, 3), Parity(0, 2), config.units, config.hidden, key)
+        self.profile = Profile()
+        self.config, self.scales = config, scales
+
+    def start(self, motion: Motion, waiting: Command) -> FollowingState:
+        """State in motion, with the commands of the last `LONGEST_DELAY` ticks, newest first."""
+        return FollowingState(self._fixed_profile().start(motion, waiting), self.core.blank(), motion)
+
+    def step(self, state: FollowingState, command: Command) -> FollowingState:
+        """Step by one tick under a command; `motion` of the new state is what the shaft has come to."""
+        fixed = self._fixed_profile()
+        profile, target = fixed.step(state.profile, command)
+        before, now = fixed.motion(state.profile), fixed.motion(profile)
+        velocity, change = self.scales.velocity_rad_s, self.scales.change_rad_s
+        odd = jnp.stack([
+            (target.angle - now.angle) / self.scales.angle_rad,
+            now.velocity / velocity,
+            (now.velocity - before.velocity) / change,
+        ])  # fmt: skip
+        memory, outputs = self.core.step(state.memory, Parity((target.velocity / velocity)[None], odd))
+        # Outputs of 1 move the shaft by about a tick's motion: the net is a correction.
+        angle = now.angle + TICK_S * velocity * outputs.odd[0]
+        return FollowingState(profile, memory, Motion(angle, now.velocity + change * outputs.odd[1]))
+
+    def _fixed_profile(self) -> Profile:
+        """The profile, identified beforehand and not learnt: its corners make a poor slope to descend."""
+        profile: Profile = jax.lax.stop_gradient(self.profile)
+        return profile
+
+
+class ForceNetConfig(Configuration):
+    """Size of the force net, and what is built into it; the latter cannot be changed, but names the net's structure."""
+
+    units: PositiveInt = 16
+    """Remembered numbers of each parity."""
+    hidden: PositiveInt = 32
+    """Units of the layer between memory and force."""
+    wake: int = Field(default=4, ge=0, le=64)
+    """Vectors remembered in the tank's axes; they begin with time constants of 0.05 to 1.5 s."""
+    mirror: Literal[True] = True
+    """The mirrored motion makes the mirrored force."""
+    turning: Literal[True] = True
+    """The force turns with the fin: the tank is the same in all directions."""
+    quasi_steady: Literal[True] = True
+    """A force of added mass and drag, with fitted coefficients, stands beside the net."""
+    heteroscedastic: Literal[False] = False
+    """The net does not learn how far readings scatter about its force."""
+
+
+class ForceState(NamedTuple):
+    """What the force net carries from tick to tick."""
+
+    memory: Parity
+    wake: Parity
+    """Components along and across the fin [1]."""
+    motion: Motion
+    """Motion of the tick before."""
+
+
+class ForceNet(eqx.Module):
+    """The force net of one fin; no batch axes.
+
+    In the frame that turns with the shaft the angle has no effect: still water looks alike in all directions. So
+    the net takes rates alone and gives the force along the fin's axis (thrust, even) and across it (odd). What the
+    water remembers in the tank's own axes, a wake, is a few vectors that the turning frame turns back at each tick.
+    """
+
+    core: MirrorCore
+    along: Float[Array, "wake_source wake"]
+    """Weights by which the memory pushes the wake along the fin."""
+    across: Float[Array, "wake_source wake"]
+    """Weights by which the memory pushes the wake across the fin."""
+    log_time: Float[Array, "wake"]
+    """Logarithm of the wake's time constants [s]."""
+    thrust: Float[Array, "2"]
+    """Coefficients of velocity squared and velocity times its change."""
+    resistance: Float[Array, "3"]
+    """Coefficients of the velocity's change (added mass), velocity times speed (drag) and velocity (friction)."""
+    mount_turn: Float[Array, ""]
+    """Angle of the sensor against the tank's axes [rad]."""
+    offset: Float[Array, "2"]
+    """What the sensor reads without force [force scale]."""
+    config: ForceNetConfig = eqx.field(static=True)
+    scales: Scales = eqx.field(static=True)
+
+    def __init__(self, config: ForceNetConfig, scales: Scales, key: PRNGKeyArray) -> None:
+        self.core = MirrorCore(Parity(config.wake, 3 + config.wake), Parity(1, 1), config.units, config.hidden, key)
+        self.along, self.across = (jnp.zeros((config.units, config.wake)) for _ in range(2))
+        self.log_time = jnp.log(jnp.geomspace(0.05, 1.5, config.wake))
+        self.thrust, self.resistance = jnp.zeros(2), jnp.zeros(3)
+        self.mount_turn, self.offset = jnp.zeros(()), jnp.zeros(2)
+        self.config, self.scales = config, scales
+
+    def start(self, motion: Motion) -> ForceState:
+        """State that remembers nothing but the motion of the tick before."""
+        still = jnp.zeros(self.config.wake)
+        return ForceState(self.core.blank(), Parity(still, still), motion)
+
+    def step(self, state: ForceState, motion: Motion) -> tuple[ForceState, Float[Array, "2"]]:
+        """Step to the motion that the shaft has come to; predicts the force (x, y) that is read with it [N]."""
+        # Seen from a fin that has turned, what stands still in the tank has turned the other way.
+        wake = Parity(*_turned(state.wake.even, state.wake.odd, state.motion.angle - motion.angle))
+        velocity = motion.velocity / self.scales.velocity_rad_s
+        change = (motion.velocity - state.motion.velocity) / self.scales.change_rad_s
+        drag = velocity * jnp.abs(velocity)
+        rates = jnp.stack([velocity, change, drag])
+        memory, outputs = self.core.step(state.memory, Parity(wake.even, jnp.concatenate([rates, wake.odd])))
+        along = outputs.even[0] + self.thrust @ jnp.stack([velocity**2, velocity * change])
+        across = outputs.odd[0] + self.resistance @ jnp.stack([change, drag, velocity])
+        x, y = _turned(along, across, self.mount_turn + motion.angle)
+        force = self.scales.force_n * (jnp.stack([x, y]) + self.offset)
+        kept = jnp.exp(-TICK_S * jnp.exp(-self.log_time))
+        pushed = (memory.even @ self.along, memory.odd @ self.across)
+        wake = Parity(*(kept * old + (1 - kept) * new for old, new in zip(wake, pushed, strict=True)))
+        return ForceState(memory, wake, motion), force
+
+
+def _turned(along: Array, across: Array, angle: AnyArray) -> tuple[Array, Array]:
+    """Components along (cos, -sin) and across (sin, cos) of an angle, in the axes that the angle is counted from."""
+    cos, sin = jnp.cos(angle), jnp.sin(angle)
+    return along * cos + across * sin, across * cos - along * sin

@@ -1,0 +1,136 @@
+"""The profile that a positioning drive follows, and its coefficients, read off logs.
+
+The trapezoidal profile itself is the drive's (`softfin.tank.drive`); gains, zero, delay and the drive's own limits are
+the log's. They are found by CMA-ES on the mean absolute error of the angle: so a stroke that the profile cannot explain
+does not pull at all the others.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from softfin.core.evolution import cma_es
+from softfin.core.quantities import TICK_S, AnyArray, Command, Log
+from softfin.core.randomness import generator_of
+from softfin.surrogate.streaming.segments import LONGEST_DELAY, Motion, SegmentBatch, Table
+from softfin.tank.drive import delayed, next_velocity
+
+STEPS = 2
+"""Steps of the profile in a tick: a corner between two ticks is met within 5 ms."""
+
+SEGMENTS, TICKS = 96, 300
+"""How many segments of the logs the coefficients are read off, and how long they are at most [10 ms]."""
+
+POPULATION, GENERATIONS, STARTS = 16, 150, 2
+
+
+class ProfileState(NamedTuple):
+    """State of the profile, and the commands on their way."""
+
+    angle: Float[AnyArray, ""]
+    """Angle of the profile [rad]."""
+    velocity: Float[AnyArray, ""]
+    """Velocity of the profile [rad/s]."""
+    waiting: Command
+    """Commands of the last ticks, newest first."""
+
+
+def _coefficient(default: float) -> Any:
+    return eqx.field(default=default, converter=lambda value: jnp.asarray(value, jnp.float32))
+
+
+class Profile(eqx.Module):
+    """Angle and velocity of a drive that follows its profile; by default one that does what it is told."""
+
+    gain: Float[Array, ""] = _coefficient(1.0)
+    """Ratio of the angle that is read to the angle that was commanded [-]."""
+    zero: Float[Array, ""] = _coefficient(0.0)
+    """Angle that is read where 0 was commanded [rad]."""
+    delay: Float[Array, ""] = _coefficient(0.0)
+    """Ticks from a command to the first that obeys it, at most `LONGEST_DELAY` [10 ms]."""
+    velocity_factor: Float[Array, ""] = _coefficient(1.0)
+    """Ratio of the profile's velocity to the commanded velocity [-]."""
+    velocity_limit: Float[Array, ""] = _coefficient(100.0)
+    """Velocity that the profile never exceeds [rad/s]."""
+    acceleration: Float[Array, ""] = _coefficient(100.0)
+    """Acceleration when speeding up and braking [rad/s2]."""
+    lag: Float[Array, ""] = _coefficient(0.0)
+    """Angle that the shaft is behind its profile over its velocity [s]."""
+
+    def start(self, motion: Motion, waiting: Command) -> ProfileState:
+        """State in motion, with the commands of the last `LONGEST_DELAY` ticks, newest first."""
+        return ProfileState(motion.angle + self.lag * motion.velocity, motion.velocity, waiting)
+
+    def step(self, state: ProfileState, command: Command) -> tuple[ProfileState, Command]:
+        """Step by a tick under a new command; also returns the command that is obeyed, as the log's angles count."""
+        queue = Command(*(jnp.append(new, old) for new, old in zip(command, state.waiting, strict=True)))
+        obeyed = delayed(queue, self.delay)
+        speed = jnp.minimum(self.velocity_factor * obeyed.velocity, self.velocity_limit)
+        target = Command(self.gain * obeyed.angle + self.zero, speed)
+        seconds = TICK_S / STEPS
+        angle, velocity = jnp.asarray(state.angle), jnp.asarray(state.velocity)
+        for _ in range(STEPS):
+            after = next_velocity(angle, velocity, target, self.acceleration, seconds)
+            angle, velocity = angle + seconds * (velocity + after) / 2, after
+        return ProfileState(angle, velocity, Command(*(channel[:-1] for channel in queue))), target
+
+    def motion(self, state: ProfileState) -> Motion:
+        """Motion of the shaft that follows the profile."""
+        return Motion(state.angle - self.lag * state.velocity, state.velocity)
+
+
+def identify(logs: Sequence[Log], seed: int) -> tuple[Profile, float]:
+    """Find the coefficients, and the mean absolute error of the angle [rad] that they leave."""
+    ticks = min(TICKS, max(len(log.reading.time) for log in logs) - LONGEST_DELAY - 1)
+    segments = Table.of(logs, ticks).draw(jax.random.key(seed), SEGMENTS, ticks)
+    errors = jax.jit(jax.vmap(lambda coded: _error(_profile(coded), segments)))
+    results = []
+    for start in range(STARTS):
+        random = generator_of(seed, f"identify/{start}")
+        search = cma_es(
+            _guess(logs), 0.2 * (1 + start), random,
+            popsize=POPULATION, maxiter=GENERATIONS, tolx=1e-6, tolfun=1e-8,
+        )  # fmt: skip
+        while not search.stop():
+            asked = search.ask()
+            search.tell(asked, np.asarray(errors(jnp.asarray(np.stack(asked), jnp.float32)), np.float64).tolist())
+        results.append(search.result)
+    best = min(results, key=lambda result: result.fbest)
+    return _profile(jnp.asarray(best.xbest, jnp.float32)), float(best.fbest)
+
+
+def _guess(logs: Sequence[Log]) -> Float[np.ndarray, "coefficients"]:
+    """Coefficients of a drive that does what it is told three ticks later, no faster than in the logs."""
+    speed = np.abs(np.concatenate([log.reading.velocity for log in logs]))
+    change = np.abs(np.concatenate([np.diff(log.reading.velocity) for log in logs])) / TICK_S
+    steep = change[change > 0.1 * change.max()]
+    return np.array([0.0, 0.0, 3.0, 0.0, 5 * np.log(speed.max()), np.log(np.quantile(steep, 0.8)), 0.0])
+
+
+def _profile(coded: Float[Array, "coefficients"]) -> Profile:
+    """Decode a point of the search: gains, limits and acceleration are logarithms; delay and lag count from 0 on.
+
+    The limit moves in small steps: where it is above all commands it has no effect, and a search gets lost there.
+    """
+    gain, zero, delay, factor, limit, acceleration, lag = coded
+    return Profile(
+        jnp.exp(0.1 * gain), 0.05 * zero, jnp.minimum(jnp.abs(delay), LONGEST_DELAY),
+        jnp.exp(0.2 * factor), jnp.exp(0.2 * limit), jnp.exp(acceleration), 0.01 * jnp.abs(lag),
+    )  # fmt: skip
+
+
+def _error(profile: Profile, segments: SegmentBatch) -> Float[Array, ""]:
+    def one(segment: SegmentBatch) -> Float[Array, ""]:
+        def step(state: ProfileState, command: Command) -> tuple[ProfileState, AnyArray]:
+            state, _ = profile.step(state, command)
+            return state, profile.motion(state).angle
+
+        _, angle = jax.lax.scan(step, profile.start(segment.before, segment.waiting), segment.commands)
+        return jnp.mean(jnp.abs(angle - segment.motion.angle))
+
+    return jnp.mean(jax.vmap(one)(segments))
