@@ -19,9 +19,8 @@ from softfin.control.store import load_controller, save_gaits
 from softfin.core.errors import ArtifactError
 from softfin.core.plant_identity import identity
 from softfin.core.quantities import PAPER_LIMITS
-from softfin.gaits.force_map import MapConfig
+from softfin.gaits.force_map import MapConfig, load_force_map, load_map, save_map
 from softfin.gaits.gait import ForceMap, GaitSearchResult, GaitTable
-from softfin.gaits.map_store import load_force_map, load_map, save_map
 from softfin.gaits.reachable import Reachable
 from tests.plants import AnalyticFin, StrokeFin
 
@@ -133,5 +132,8 @@ def test_a_map_is_known_of_the_very_plant_that_it_was_made_of(tmp_path: Path) ->
     loaded = load_force_map(tmp_path / "map", fin, "mine")
     jax.tree.map(np.testing.assert_array_equal, loaded.force_map.gaits, KNOWN.gaits)
     assert loaded.config == config
-    with pytest.raises(ArtifactError, match=r"a map of another plant .* than other .*: softfin map other --out DIR"):
+    with pytest.raises(
+        ArtifactError,
+        match=r"of another plant .* than other .* has now; map .*: softfin map other --out DIR",
+    ):
         load_force_map(tmp_path / "map", AnalyticFin(), "other")

@@ -1,7 +1,5 @@
-"""Gaits simulated in a plant: mean force, Sobolev term and their gradients; and the families that a survey tries."""
+"""Gaits simulated in a plant: mean force, Sobolev term, and their gradients."""
 
-from collections.abc import Sequence
-from itertools import product
 from typing import NamedTuple
 
 import equinox as eqx
@@ -18,16 +16,14 @@ from softfin.core.quantities import AnyArray, command_of
 from softfin.core.window import sobolev
 from softfin.gaits.gait import Gait
 
-WAVEFORMS: dict[str, Sequence[float]] = {
-    "two": (1, -1, 1, -1, 1, -1),
-    "three": (1, -1, -1, 1, -1, -1),
-    "six": (1, 0.5, -0.5, -1, -0.5, 0.5),
-}
-"""Angles of a gait about its centre, in units of its amplitude: strokes of 0.67 s, 1 s and 2 s."""
+CYCLES = 3
+"""Windows that a gait is repeated for from rest, where nothing else is asked for."""
 
-CENTRES = np.linspace(-1, 1, 11)
-AMPLITUDES = np.linspace(0.05, 0.9, 7)
-VELOCITIES = (1.0, 0.3, -0.3)
+GREATEST_ACTION = 0.97
+"""Actions are moved through atanh, which has no value at 1."""
+
+SIDE_BY_SIDE = 32
+"""Gaits of one call of the program that finds their slopes: one size, so that all who ask share the program."""
 
 
 class GaitResponse(NamedTuple):
@@ -52,25 +48,6 @@ def steady_state_force(plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray)
     return jnp.asarray(hold(plant, plant.init(key), commands)[1].force)
 
 
-class Family(NamedTuple):
-    """Gaits of one waveform and one velocity, over all centres and amplitudes."""
-
-    waveform: str
-    velocity: float
-    gaits: Float[np.ndarray, "members 6 2"]
-
-
-def families() -> list[Family]:
-    """Return all that a survey tries: within one family, neighbouring forces come from neighbouring gaits."""
-    found = []
-    for (name, waveform), velocity in product(WAVEFORMS.items(), VELOCITIES):
-        angles = np.array([c + a * np.array(waveform) for c, a in product(CENTRES, AMPLITUDES)])
-        angles = np.clip(angles, -1, 1)
-        gaits = np.stack([angles, np.full_like(angles, velocity)], axis=-1)
-        found.append(Family(name, velocity, gaits.astype(np.float32)))
-    return found
-
-
 class GaitSensitivity(NamedTuple):
     """Mean forces and Sobolev terms of gaits, with their gradients."""
 
@@ -84,21 +61,9 @@ class GaitSensitivity(NamedTuple):
     """Sobolev terms (x, y) [N]."""
 
 
-GREATEST_ACTION = 0.97
-"""Actions are moved through atanh, which has no value at 1."""
-
-
 def pre_tanh_of(gaits: Float[np.ndarray, "gaits 6 2"]) -> Float[np.ndarray, "gaits 12"]:
     """Return the atanh of the actions."""
-    pre_tanh: np.ndarray = np.arctanh(np.clip(gaits, -GREATEST_ACTION, GREATEST_ACTION)).reshape(len(gaits), -1)
-    return pre_tanh
-
-
-SIDE_BY_SIDE = 32
-"""Gaits of one call of the program that finds their slopes: one size, so that all who ask share the program."""
-
-CYCLES = 3
-"""Windows that a gait is repeated for from rest, where nothing else is asked for."""
+    return np.asarray(np.arctanh(np.clip(gaits, -GREATEST_ACTION, GREATEST_ACTION)).reshape(len(gaits), -1))
 
 
 def gait_sensitivity(
@@ -106,11 +71,8 @@ def gait_sensitivity(
 ) -> GaitSensitivity:
     """Simulate gaits and differentiate their forces; `plant` as `jit_argument` makes it."""
     count = len(pre_tanh)
-    padded = np.resize(np.asarray(pre_tanh), (-(-count // SIDE_BY_SIDE) * SIDE_BY_SIDE, pre_tanh.shape[1]))
-    parts = [
-        _respond(plant, jnp.asarray(padded[start : start + SIDE_BY_SIDE]), cycles, key)
-        for start in range(0, len(padded), SIDE_BY_SIDE)
-    ]
+    padded = np.resize(np.asarray(pre_tanh), (-(-count // SIDE_BY_SIDE), SIDE_BY_SIDE, pre_tanh.shape[1]))
+    parts = [_respond(plant, jnp.asarray(part), cycles, key) for part in padded]
     found: GaitSensitivity = jax.tree.map(lambda *x: np.concatenate(x)[:count], *parts)
     return found
 
@@ -132,15 +94,13 @@ def _respond(plant: Plant, pre_tanh: Float[Array, "gaits 12"], cycles: int, key:
 def missing_gradient(plant: Plant) -> str | None:
     """Explain why the force of a plant has no gradient with respect to its commands; None where it has one.
 
-    Raises:
-        PlantError: the plant itself fails.
-        RunError: the computer fails, for want of memory for example.
+    Raises PlantError where the plant itself fails, RunError where the memory does not suffice.
     """
-    gait = pre_tanh_of(families()[0].gaits[len(CENTRES) * len(AMPLITUDES) // 2][None])
+    strokes = pre_tanh_of(np.array([[(0.475, 1), (-0.475, 1)] * 3], np.float32))
     # Raises where the plant does not go forward.
     argument = jit_argument(plant)
     try:
-        slope = gait_sensitivity(argument, gait, CYCLES, jax.random.key(0)).slope[:, :2]
+        slope = gait_sensitivity(argument, strokes, CYCLES, jax.random.key(0)).slope[:, :2]
     except (TypeError, ValueError, NotImplementedError) as error:
         # What JAX raises where there is no derivative.
         return f"JAX cannot differentiate it ({type(error).__name__}: {str(error).partition(chr(10))[0]})"

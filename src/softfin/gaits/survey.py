@@ -4,6 +4,7 @@ A plant goes in, a Survey of gaits and their mean forces and the region of reach
 """
 
 from collections.abc import Callable
+from itertools import product
 from typing import NamedTuple
 
 import equinox as eqx
@@ -18,7 +19,19 @@ from softfin.core.plant import Plant
 from softfin.core.plant_identity import jit_argument
 from softfin.core.randomness import key_of
 from softfin.gaits.reachable import Reachable, directions
-from softfin.gaits.simulate import CYCLES, Family, GaitResponse, families, gait_sensitivity, pre_tanh_of, simulate_gait
+from softfin.gaits.simulate import CYCLES, gait_sensitivity, pre_tanh_of, simulate_gait
+
+WAVEFORMS = np.array([(1, -1, 1, -1, 1, -1), (1, -1, -1, 1, -1, -1), (1, 0.5, -0.5, -1, -0.5, 0.5)])
+"""Angles of a gait about its centre, in units of its amplitude: strokes of 0.67 s, 1 s and 2 s."""
+
+VELOCITIES, CENTRES, AMPLITUDES = (1.0, 0.3, -0.3), np.linspace(-1, 1, 11), np.linspace(0.05, 0.9, 7)
+"""What every waveform is tried with, as actions."""
+
+NEAR = 0.2
+"""Part of half the diagonal of all forces within which a gait counts as near to their middle."""
+
+ASIDE = 2.0
+"""A newton beside the direction costs as much as this many along it."""
 
 
 class SurveyConfig(Configuration):
@@ -37,56 +50,70 @@ class SurveyConfig(Configuration):
 class Survey(NamedTuple):
     """Gaits that were simulated, and the forces that they made."""
 
-    families: list[Family]
-    force: Float[np.ndarray, "families members 2"]
+    gaits: Float[np.ndarray, "waveforms gaits 6 2"]
+    force: Float[np.ndarray, "waveforms gaits 2"]
     """Mean force over a window [N]."""
-    smoothness: Float[np.ndarray, "families members 2"]
-    """Sobolev term in the form `mean` [N]."""
     reachable: Reachable
-    edge: Float[np.ndarray, "directions 6 2"]
-    """Gaits that make the forces at the corners."""
+
+
+def tried_gaits() -> Float[np.ndarray, "waveforms gaits 6 2"]:
+    """Return all gaits that a survey tries: of one waveform, neighbouring forces come from neighbouring gaits."""
+    rest = list(product(VELOCITIES, CENTRES, AMPLITUDES))
+    angles = np.clip([[c + a * waveform for _, c, a in rest] for waveform in WAVEFORMS], -1, 1)
+    velocities = np.broadcast_to(np.array([v for v, *_ in rest])[:, None], angles.shape)
+    return np.stack([angles, velocities], axis=-1).astype(np.float32)
 
 
 def survey(
-    plant: Plant, config: SurveyConfig | None = None, report: Callable[[float, str], None] | None = None
+    plant: Plant, config: SurveyConfig | None = None, report: Callable[[float, str], None] = lambda *_: None
 ) -> Survey:
-    """Simulate all families in a plant and find the edge of the forces that it can make."""
+    """Simulate all gaits in a plant and find the edge of the forces that it can make."""
     config, plant = config or SurveyConfig(), jit_argument(plant)
-    tried = families()
-    gaits = np.concatenate([family.gaits for family in tried])
-    forces, smoothness = [], []
+    tried = tried_gaits()
+    gaits = tried.reshape(-1, *tried.shape[2:])
+    forces = []
     for start in range(0, len(gaits), config.batch):
         part = gaits[start : start + config.batch]
         padded = np.concatenate([part, np.repeat(part[-1:], config.batch - len(part), axis=0)])
-        got = _simulated(plant, jnp.asarray(padded), config.cycles)
-        forces.append(np.asarray(got.force)[: len(part)])
-        smoothness.append(np.asarray(got.smoothness)[: len(part)])
-        if report is not None:
-            report(0.8 * (start + len(part)) / len(gaits), f"{start + len(part)} of {len(gaits)} gaits")
+        forces.append(np.asarray(_mean_forces(plant, jnp.asarray(padded), config.cycles))[: len(part)])
+        report(0.8 * (start + len(part)) / len(gaits), f"{start + len(part)} of {len(gaits)} gaits")
     force = np.concatenate(forces)
-    reachable, edge = _pushed(plant, gaits, force, config)
-    shape = len(tried), len(tried[0].gaits), 2
-    if report is not None:
-        report(1.0, "")
-    return Survey(tried, force.reshape(shape), np.concatenate(smoothness).reshape(shape), reachable, edge)
+    reachable = _pushed(plant, gaits, force, config)
+    report(1.0, "")
+    return Survey(tried, force.reshape(*tried.shape[:2], 2), reachable)
+
+
+@eqx.filter_jit
+def _mean_forces(plant: Plant, gaits: Float[Array, "n 6 2"], cycles: int) -> Float[Array, "n 2"]:
+    return jax.vmap(lambda gait: simulate_gait(plant, gait, cycles, key_of(0, "survey")).force)(gaits)
 
 
 def _pushed(
     plant: Plant, gaits: Float[np.ndarray, "n 6 2"], force: Float[np.ndarray, "n 2"], config: SurveyConfig
-) -> tuple[Reachable, Float[np.ndarray, "directions 6 2"]]:
-    """Push the farthest gait in each direction on; directions are seen from the middle of all forces."""
-    centre = _middle(force)
-    outward = directions(config.directions)
+) -> Reachable:
+    """Push the farthest gait in each direction on; directions are seen from the middle of all forces.
+
+    It ascends the gradient of the distance along the direction, in the atanh of the actions, by steps of fixed length.
+    """
+    centre, outward = _middle(force), directions(config.directions)
     offset = force - centre
-    along = offset @ outward.T
     aside = np.abs(offset[:, :1] * outward[:, 1] - offset[:, 1:] * outward[:, 0])
-    start = gaits[np.argmax(along - ASIDE * aside, axis=0)]
-    pushed, on_the_way = _push(plant, start, centre, config)
+    pre_tanh = pre_tanh_of(gaits[np.argmax(offset @ outward.T - ASIDE * aside, axis=0)])
+    made = [force]
+    for part in (*np.linspace(1.0, 0.2, config.pushes), 0.0):
+        found = gait_sensitivity(plant, pre_tanh, config.cycles, key_of(0, "survey"))
+        made.append(np.asarray(found.out)[:, :2])
+        offset = made[-1] - centre
+        side = np.sign(offset[:, 0] * outward[:, 1] - offset[:, 1] * outward[:, 0])[:, None]
+        # Of the distance along the direction, less `ASIDE` times that beside it.
+        uphill = outward - ASIDE * side * np.stack([outward[:, 1], -outward[:, 0]], axis=1)
+        change = np.einsum("di,din->dn", uphill, np.asarray(found.slope)[:, :2])
+        pre_tanh = pre_tanh + np.float32(0.5 * part) * change / (np.linalg.norm(change, axis=1, keepdims=True) + 1e-6)
     # The greatest distance in each direction, over the forces in the sector about it.
-    offset = np.concatenate([force, on_the_way]) - centre
+    offset = np.concatenate(made) - centre
     along, length = offset @ outward.T, np.linalg.norm(offset, axis=1)
     radius = np.where(along >= np.cos(np.pi / len(outward)) * length[:, None], along, 0).max(axis=0)
-    return Reachable(centre.astype(np.float32), np.asarray(radius, np.float32)), pushed
+    return Reachable(centre.astype(np.float32), np.asarray(radius, np.float32))
 
 
 def _middle(force: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2"]:
@@ -94,40 +121,4 @@ def _middle(force: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2"]:
     low, high = force.min(axis=0), force.max(axis=0)
     middle = (low + high) / 2
     apart = np.linalg.norm(force - middle, axis=1)
-    nearest: Float[np.ndarray, 2] = force[apart.argmin()]
-    return middle if apart.min() <= NEAR * np.linalg.norm(high - low) / 2 else nearest
-
-
-NEAR = 0.2
-"""Part of half the diagonal of all forces within which a gait counts as near to their middle."""
-
-ASIDE = 2.0
-"""A newton beside the direction costs as much as this many along it."""
-
-
-@eqx.filter_jit
-def _simulated(plant: Plant, gaits: Float[Array, "n 6 2"], cycles: int) -> GaitResponse:
-    return jax.vmap(lambda gait: simulate_gait(plant, gait, cycles, key_of(0, "survey")))(gaits)
-
-
-def _push(
-    plant: Plant, gaits: Float[np.ndarray, "d 6 2"], centre: Float[np.ndarray, "2"], config: SurveyConfig
-) -> tuple[Float[np.ndarray, "d 6 2"], Float[np.ndarray, "forces 2"]]:
-    """Ascend the gradient of the distance along each direction, in the atanh of the actions, by steps of fixed length.
-
-    Also returns every force that was made on the way.
-    """
-    outward = directions(config.directions)
-    pre_tanh = pre_tanh_of(gaits)
-    on_the_way = []
-    for part in (*np.linspace(1.0, 0.2, config.pushes), 0.0):
-        found = gait_sensitivity(plant, pre_tanh, config.cycles, key_of(0, "survey"))
-        force, slope = np.asarray(found.out)[:, :2], np.asarray(found.slope)[:, :2]
-        on_the_way.append(force)
-        offset = force - centre
-        side = np.sign(offset[:, 0] * outward[:, 1] - offset[:, 1] * outward[:, 0])[:, None]
-        # Of the distance along the direction, less `ASIDE` times that beside it.
-        uphill = outward - ASIDE * side * np.stack([outward[:, 1], -outward[:, 0]], axis=1)
-        change = np.einsum("di,din->dn", uphill, slope)
-        pre_tanh = pre_tanh + np.float32(0.5 * part) * change / (np.linalg.norm(change, axis=1, keepdims=True) + 1e-6)
-    return np.tanh(pre_tanh).reshape(gaits.shape), np.concatenate(on_the_way)
+    return np.asarray(middle if apart.min() <= NEAR * np.linalg.norm(high - low) / 2 else force[apart.argmin()])
