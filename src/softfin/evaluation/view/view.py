@@ -17,10 +17,9 @@ from softfin.core.quantities import RATE_HZ, Command, Limits
 from softfin.core.randomness import key_of
 from softfin.data.excitation import ExcitationConfig
 from softfin.evaluation import experiment
+from softfin.evaluation.view.files import write_gif, write_mp4, write_page, write_png
 from softfin.evaluation.view.footage import Footage, film
-from softfin.evaluation.view.page import write_page
 from softfin.evaluation.view.picture import Picture
-from softfin.evaluation.view.video import write_gif, write_mp4, write_png
 from softfin.storage.figures import with_minus_signs
 from softfin.task.signals import Recorded
 
@@ -47,10 +46,8 @@ def stroke_gait(config: StrokeGaitConfig, limits: Limits, ticks: int) -> Command
             f"{low:.3g} .. {high:.3g} rad; the plant takes {limits.angle_min:.3g} .. {limits.angle_max:.3g}; "
             "ask for a centre nearer to the middle, or for a smaller gait.amplitude_rad"
         )
-    velocity = config.velocity_rad_s
-    if velocity is None:
-        strokes = 2 * config.amplitude_rad * ACTION_RATE_HZ / (2 / 3)
-        velocity = min(max(strokes, limits.velocity_min), limits.velocity_max)
+    filling = min(max(2 * config.amplitude_rad * ACTION_RATE_HZ / (2 / 3), limits.velocity_min), limits.velocity_max)
+    velocity = config.velocity_rad_s or filling
     if not limits.velocity_min <= velocity <= limits.velocity_max:
         raise ConfigurationError(
             f"gait.velocity_rad_s = {velocity:g}: the plant takes {limits.velocity_min:.3g} .. "
@@ -91,8 +88,7 @@ def footage_of(
     Raises CoverageError where the controller was not trained for one of those that follow.
     """
     ticks = round(config.seconds * RATE_HZ)
-    key = key_of(config.seed, "view/plant")
-    limits = Limits(*plant.limits)
+    key, limits = key_of(config.seed, "view/plant"), Limits(*plant.limits)
     if controller is not None and reference is not None:
         for following in config.next_references:
             controller.check(following)
