@@ -65,28 +65,6 @@ class ErrorMap(NamedTuple):
         }
 
 
-class RandomErrors(NamedTuple):
-    """Errors at random references."""
-
-    references: Float[np.ndarray, "references 2"]
-    """Reference forces (x, y) [N]."""
-    error: Float[np.ndarray, "references 2"]
-    """Mean |moving average - reference| [N]."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Values for JSON; the 95th percentile is over the references."""
-        axes = {
-            axis: {
-                "mean_n": float(self.error[:, i].mean()),
-                "p95_n": float(np.percentile(self.error[:, i], 95)),
-                "worst_n": float(self.error[:, i].max()),
-                "worst_reference_n": self.references[self.error[:, i].argmax()].round(4).tolist(),
-            }
-            for i, axis in enumerate(AXES)
-        }
-        return {"count": len(self.references), "seeds": 1, **axes}
-
-
 def range_of(controller: Controller) -> Cell:
     """The bounding box of a controller's cells; the paper's range for one that has none and covers everything."""
     return bounding_box(cells_of(controller) or (PAPER_RANGE,))
@@ -108,7 +86,7 @@ def map_errors(
     controller: Controller, plant: EvaluationTarget, points: int, seconds: int, key: PRNGKeyArray
 ) -> ErrorMap:
     """Errors over a lattice of the controller's range; raises CoverageError where no reference of it can be tracked."""
-    cell = range_of(controller)
+    cell, reachable = range_of(controller), reachable_of(controller)
     if cell.low[0] == cell.high[0] or cell.low[1] == cell.high[1]:
         raise CoverageError(f"an error map over {cell}: the controller's range has no area; train it for a wider cell")
 
@@ -119,18 +97,14 @@ def map_errors(
             return False
         return True
 
-    covered = [reference for reference in cell.lattice(points) if covers(reference)]
-    references, reachable = np.array(covered).reshape(-1, 2), reachable_of(controller)
-    if reachable is not None:
-        references = references[reachable.contains(references)]
+    covered = np.array([reference for reference in cell.lattice(points) if covers(reference)]).reshape(-1, 2)
+    references = covered if reachable is None else covered[reachable.contains(covered)]
     if not len(references):
-        reason = (
-            "this fin can make none of them; ask for more points, or train the controller within the fin's reach "
+        raise CoverageError(
+            f"an error map of {points} x {points} references over {cell}: the controller covers {len(covered)} of them "
+            "and the fin can make none of those; ask for more points, or train the controller within the fin's reach "
             "(softfin map shows it)"
-            if covered
-            else "the controller covers none of them; ask for more points"
         )
-        raise CoverageError(f"an error map of {points} x {points} references over {cell}: {reason}")
     error = errors_at(controller, plant, references, seconds, key)
     outline = None if reachable is None else reachable.corners()
     return ErrorMap(cell, points, references, error, outline, len(covered) - len(references))
@@ -138,11 +112,24 @@ def map_errors(
 
 def random_errors(
     controller: Controller, plant: EvaluationTarget, count: int, seed: int, seconds: int, key: PRNGKeyArray
-) -> RandomErrors:
-    """Errors at `count` references drawn from `seed` over the controller's cells and the fin's reach."""
+) -> dict[str, Any]:
+    """Errors at references drawn from `seed` over the controller's cells and the fin's reach, for JSON.
+
+    The 95th percentile is over the references.
+    """
     cells = cells_of(controller) or (PAPER_RANGE,)
     references = draw_references(cells, reachable_of(controller), count, generator_of(seed, "evaluate/random"))
-    return RandomErrors(references, errors_at(controller, plant, references, seconds, key))
+    errors = errors_at(controller, plant, references, seconds, key)
+    axes = {
+        axis: {
+            "mean_n": float(error.mean()),
+            "p95_n": float(np.percentile(error, 95)),
+            "worst_n": float(error.max()),
+            "worst_reference_n": references[error.argmax()].round(4).tolist(),
+        }
+        for axis, error in zip(AXES, errors.T, strict=True)
+    }
+    return {"count": count, "seeds": 1, **axes}
 
 
 def draw_references(

@@ -10,15 +10,14 @@ is `forceToAmplitude` of the WrenchDriver in the ROS 1 package ``tut_arrows`` of
 its coefficients.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 from pydantic import Field, PositiveFloat, model_validator
 
 from softfin.core.configuration import Configuration
-from softfin.core.errors import RunError
 from softfin.core.quantities import TICK_S, AnyArray, Command, Limits
 
 ROUNDING = 1e-6
@@ -80,54 +79,21 @@ class InverseConfig(Configuration):
         return 8 * self.density_kg_m3 * self.drag_coefficient * self.area_m2 * self.arm_m**2 * np.pi**2
 
 
-class InverseSines(NamedTuple):
-    """Sines that the inverse model chooses for some forces."""
-
-    sine: ShaftSine
-    """Fields ``(forces,)``."""
-    amplitude_limited: Bool[np.ndarray, "forces"]
-    """Whether the amplitude is clipped to the driver's range."""
-    direction_limited: Bool[np.ndarray, "forces"]
-    """Whether the centre is clipped to the angles that the plant takes."""
-
-
 def inverse(
     force: Float[np.ndarray, "forces 2"], frequency: float, limits: Limits, config: InverseConfig, constant: float
-) -> InverseSines:
+) -> tuple[ShaftSine, list[dict[str, Any]]]:
     """The sine that should give each force (x, y) [N] on average; `constant` is K [N s2], the config's or a fitted one.
 
-    Thrust at angle theta points along (cos theta, -sin theta), so a force towards -y is made at a positive angle.
+    Also returns, for JSON, whether the amplitude was clipped to the driver's range (to pi where no amplitude gives as
+    much) and the centre to the angles that the plant takes. Thrust at angle theta points along (cos theta, -sin theta),
+    so a force towards -y is made at a positive angle.
     """
     wanted = np.arctan2(-force[:, 1], force[:, 0])
     centre = np.clip(wanted, limits.angle_min, limits.angle_max)
-    exact = amplitude_for(np.hypot(force[:, 0], force[:, 1]), frequency, constant)
+    exact = np.arccos(np.maximum(1 - np.linalg.norm(force, axis=1) / (constant * frequency**2), -1.0))
     amplitude = np.clip(exact, config.amplitude_min_rad, config.amplitude_max_rad)
-    sine = ShaftSine(centre, amplitude, np.full_like(amplitude, frequency))
-    return InverseSines(sine, amplitude != exact, centre != wanted)
-
-
-def amplitude_for(force: Float[np.ndarray, "*shape"], frequency: float, constant: float) -> Float[np.ndarray, "*shape"]:
-    """Amplitude for the size of a force [N]; pi where no amplitude gives as much."""
-    return np.asarray(np.arccos(np.maximum(1 - force / (constant * frequency**2), -1.0)))
-
-
-def mean_force(
-    amplitude: Float[np.ndarray, "*shape"], frequency: float, constant: float
-) -> Float[np.ndarray, "*shape"]:
-    """Mean force of a sine in the model [N]."""
-    return np.asarray(constant * frequency**2 * (1 - np.cos(amplitude)))
-
-
-def fit_constant(amplitude: Float[np.ndarray, "trials"], frequency: float, force: Float[np.ndarray, "trials"]) -> float:
-    """K by least squares from trials at one frequency: mean forces [N] along the zero direction.
-
-    Raises RunError where the fin pulls instead of pushing, so that no K fits.
-    """
-    unit = mean_force(amplitude, frequency, 1.0)
-    constant = float(unit @ force / (unit @ unit))
-    if not constant > 0:
-        raise RunError(
-            f"inverse model at {frequency:g} Hz: the trials' mean force is {force.mean():.3g} N, against the zero "
-            "direction; the model holds for fins that push along it; give another frequency"
-        )
-    return constant
+    limited = [
+        {"amplitude_limited": bool(size), "direction_limited": bool(direction), "constant_n_s2": constant}
+        for size, direction in zip(amplitude != exact, centre != wanted, strict=True)
+    ]
+    return ShaftSine(centre, amplitude, np.full_like(amplitude, frequency)), limited
