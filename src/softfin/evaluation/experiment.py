@@ -23,11 +23,14 @@ MIN_SECONDS = 3
 """Least length of an experiment [s]; the first window of the moving average takes 2 s."""
 
 
+References: TypeAlias = Float[AnyArray, "references *ticks 2"]
+"""Reference forces (x, y) [N]: one for the whole experiment, or one a tick, in force until that tick's reading."""
+
+
 class ExperimentRecording(NamedTuple):
     """Series of references, commands and readings of experiments, in ticks of 10 ms."""
 
-    reference: Float[AnyArray, "references *ticks 2"]
-    """Reference forces (x, y) [N]: one for the whole experiment, or one a tick, in force until that tick's reading."""
+    reference: References
     command: Command
     """Fields ``(references, seeds, ticks)``: the command under which the reading of that tick came about."""
     reading: Reading
@@ -48,9 +51,7 @@ class RealTime(Protocol):
         """The commands that it takes."""
         ...
 
-    def experiments(
-        self, references: Float[np.ndarray, "references *ticks 2"], seconds: int, repetitions: int
-    ) -> ExperimentRecording:
+    def experiments(self, references: References, seconds: int, repetitions: int) -> ExperimentRecording:
         """Run every reference so many times, one after the other, each from rest."""
         ...
 
@@ -60,11 +61,7 @@ EvaluationTarget: TypeAlias = Plant | RealTime
 
 
 def run(
-    controller: Controller,
-    plant: EvaluationTarget,
-    references: Float[AnyArray, "references *ticks 2"],
-    seconds: int,
-    keys: Key[Array, "seeds"],
+    controller: Controller, plant: EvaluationTarget, references: References, seconds: int, keys: Key[Array, "seeds"]
 ) -> ExperimentRecording:
     """Run every reference with every key of the plant, each from rest, for whole seconds.
 

@@ -21,7 +21,7 @@ from softfin.evaluation.experiment import MIN_SECONDS, EvaluationTarget, Experim
 from softfin.evaluation.range_errors import range_of
 from softfin.evaluation.scores import score, step_responses
 from softfin.gaits.reachable import Cell, Reachable
-from softfin.task.signals import Force, Ramp, Recorded, Signal, Sinusoid, Step
+from softfin.task.signals import Force, Ramp, Recorded, Series, Signal, Sinusoid, Step
 
 LOW, MIDDLE, HIGH = 1 / 6, 1 / 2, 5 / 6
 """Places in a controller's range, which goes from 0 (its least reference) to 1 (its greatest) on each axis."""
@@ -111,12 +111,7 @@ class MovingPlan(NamedTuple):
         return MovingScores(recording.first(), [_row(*signal) for signal in each])
 
 
-def _row(
-    signal: Signal,
-    tracked: Float[np.ndarray, "ticks 2"],
-    forces: Float[np.ndarray, "seeds ticks 2"],
-    error: Float[np.ndarray, "seeds 2"],
-) -> dict[str, Any]:
+def _row(signal: Signal, tracked: Series, forces: np.ndarray, error: Float[np.ndarray, "seeds 2"]) -> dict[str, Any]:
     responses = [step_responses(force, tracked) for force in forces]
     # Against the reference of that very instant, so the window's own delay counts too.
     instantaneous = moving_error(forces, np.asarray(tracked, np.float64)[WINDOW - 1 :])
@@ -145,9 +140,7 @@ def _row(
     }
 
 
-def _resolve_signal(
-    controller: Controller, signal: Signal, ticks: int, strict: bool
-) -> tuple[Float[np.ndarray, "ticks 2"], str | None]:
+def _resolve_signal(controller: Controller, signal: Signal, ticks: int, strict: bool) -> tuple[Series, str | None]:
     """The force to track at each tick, the nearest that the fin can make, and a warning where it is not the signal."""
     references = signal.sample(ticks)
     distinct, places = np.unique(references, axis=0, return_inverse=True)

@@ -20,6 +20,9 @@ from softfin.evaluation.scores import score
 from softfin.gaits.reachable import Cell, Force, Reachable, bounding_box
 from softfin.task.references import PAPER_RANGE
 
+Forces = Float[np.ndarray, "references 2"]
+"""(x, y) [N]."""
+
 LATTICE_POINTS = 7
 """Default number of references along each side of the lattice."""
 
@@ -37,9 +40,9 @@ class ErrorMap(NamedTuple):
     """Range of the controller; each reference is the middle of an equal part of it."""
     points: int
     """References along each side."""
-    references: Float[np.ndarray, "references 2"]
+    references: Forces
     """References that the controller covers and the fin can make [N]; the others of ``points ** 2`` are left out."""
-    error: Float[np.ndarray, "references 2"]
+    error: Forces
     """Mean |moving average - reference| [N]."""
     reachable: Float[np.ndarray, "corners 2"] | None = None
     """Outline of the mean forces that the fin can make [N]; None where it is not known."""
@@ -71,12 +74,8 @@ def range_of(controller: Controller) -> Cell:
 
 
 def errors_at(
-    controller: Controller,
-    plant: EvaluationTarget,
-    references: Float[np.ndarray, "references 2"],
-    seconds: int,
-    key: PRNGKeyArray,
-) -> Float[np.ndarray, "references 2"]:
+    controller: Controller, plant: EvaluationTarget, references: Forces, seconds: int, key: PRNGKeyArray
+) -> Forces:
     """Mean |moving average - reference| of each reference [N]."""
     recording = run(controller, plant, np.asarray(references, np.float32), seconds, jnp.stack([key]))
     return score(independent(recording)).error[:, 0]
@@ -134,7 +133,7 @@ def random_errors(
 
 def draw_references(
     cells: Sequence[Cell], reachable: Reachable | None, count: int, generator: np.random.Generator
-) -> Float[np.ndarray, "references 2"]:
+) -> Forces:
     """Forces uniform over the part of the cells that the fin can make; raises CoverageError where it makes hardly any.
 
     Cells of no area, single references or lines, are drawn from with equal probability if no other has any.

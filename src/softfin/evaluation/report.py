@@ -7,6 +7,7 @@ import importlib.resources
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import cycle
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import jinja2
@@ -38,14 +39,10 @@ NETS = {
 """Rows of Table I: by key of `table_one`, what the row is, its unit, the paper's row to stand beside."""
 
 
-def write_report(
-    path: Path,
-    results: Mapping[str, Any],
-    surrogate_figures: Figures | None = None,
-    learning_figures: Figures | None = None,
-    experiment_figures: Figures | None = None,
-) -> None:
-    """Write the page. `results` may hold any of these; what it lacks is left out:
+def write_report(path: Path, results: Mapping[str, Any], figures: Mapping[str, Figures] = MappingProxyType({})) -> None:
+    """Write the page, with `figures` of the parts ``surrogate``, ``learning``, ``experiment``.
+
+    `results` may hold any of these; what it lacks is left out:
 
     ================= ===============================================================================================
     ``title``         text of the heading
@@ -74,9 +71,7 @@ def write_report(
         in_surrogate={name: _table_two(name, summary) for name, summary in (results.get("in_surrogate") or {}).items()},
         conditions=next((summary["conditions"] for summary in controllers.values()), None),
         table_two_svg=_svgs({"errors": table_two_figure(controllers)})["errors"] if controllers else None,
-        surrogate_figures=_svgs(surrogate_figures),
-        learning_figures=_svgs(learning_figures),
-        experiment_figures=_svgs(experiment_figures),
+        **{f"{part}_figures": _svgs(figures.get(part, {})) for part in ("surrogate", "learning", "experiment")},
         configuration=yaml.safe_dump(configuration, sort_keys=False, allow_unicode=True) if configuration else None,
         provenance=results.get("provenance"),
     )
@@ -127,9 +122,9 @@ def _force(reference: Iterable[float | int]) -> str:
     return with_minus_signs(f"({', '.join(f'{value:g}' for value in reference)})")
 
 
-def _svgs(figures: Figures | None) -> dict[str, Markup]:
+def _svgs(figures: Figures) -> dict[str, Markup]:
     # Safe: Matplotlib escapes all text that it draws.
-    return {caption: Markup(inline_svg(figure, caption)) for caption, figure in (figures or {}).items()}
+    return {caption: Markup(inline_svg(figure, caption)) for caption, figure in figures.items()}
 
 
 def table_two_figure(summaries: Mapping[str, Mapping[str, Any]]) -> Figure:

@@ -3,7 +3,6 @@
 Its folder holds ``map.json`` (lattice, region, provenance) and ``weights.safetensors`` (gaits, their forces).
 """
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +18,7 @@ from softfin.core.quantities import Limits
 from softfin.gaits.gait import ForceMap, GaitSearchResult, GaitTable
 from softfin.gaits.reachable import Cell, Reachable, directions
 from softfin.gaits.search import GaitConfig, find_gaits
-from softfin.gaits.simulate import missing_gradient
+from softfin.gaits.simulate import Report, missing_gradient
 from softfin.gaits.survey import SurveyConfig, survey
 from softfin.storage import artifact as artifacts
 
@@ -63,7 +62,7 @@ def empty_map(table: GaitTable, directions: int) -> ForceMap:
     return ForceMap(GaitSearchResult(table, nothing, nothing), nowhere)
 
 
-def map_forces(plant: Plant, config: MapConfig, report: Callable[[float, str], None] | None = None) -> ForceMap:
+def map_forces(plant: Plant, config: MapConfig, report: Report | None = None) -> ForceMap:
     """Survey a plant, search a gait for every node, and determine how far the gaits reach."""
     if (reason := missing_gradient(plant)) is not None:
         raise PlantError(
@@ -72,10 +71,8 @@ def map_forces(plant: Plant, config: MapConfig, report: Callable[[float, str], N
         )
     told = report or (lambda *_: None)
     surveyed = survey(plant, config.survey, lambda done, note: told(0.3 * done, note))
-    gaits = find_gaits(
-        plant, surveyed, config.empty_table(surveyed.reachable), config.gaits,
-        lambda done, note: told(0.3 + 0.7 * done, note),
-    )  # fmt: skip
+    empty = config.empty_table(surveyed.reachable)
+    gaits = find_gaits(plant, surveyed, empty, config.gaits, lambda done, note: told(0.3 + 0.7 * done, note))
     return ForceMap(gaits, held_region(surveyed.reachable, gaits, config.tolerance_n))
 
 
@@ -127,12 +124,7 @@ class LoadedMap(NamedTuple):
 
 
 def save_map(
-    path: Path,
-    force_map: ForceMap,
-    config: MapConfig,
-    limits: Limits,
-    provenance: dict[str, Any],
-    overwrite: bool = False,
+    path: Path, force_map: ForceMap, config: MapConfig, limits: Limits, origin: dict[str, Any], overwrite: bool = False
 ) -> None:
     """Write a map with its figure, ``map.svg`` and ``map.png``, whole or not at all."""
     # Who only reads maps need not wait for Matplotlib.
@@ -145,7 +137,7 @@ def save_map(
         **force_map.to_dict(),
         "star_shape": check_star(force_map, config.tolerance_n)[0],
         "configuration": config.model_dump(mode="json"),
-        "provenance": provenance,
+        "provenance": origin,
     }  # fmt: skip
     figure = map_figure(force_map, config.tolerance_n)
     arrays = force_map.arrays()

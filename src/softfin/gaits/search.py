@@ -6,7 +6,6 @@ ten lower the Sobolev term and keep each gait near those of its neighbours, so t
 (null-space projection, as for redundant manipulators: Siciliano and Khatib, Handbook of Robotics, Sec. 10.3).
 """
 
-from collections.abc import Callable
 from functools import partial
 
 import equinox as eqx
@@ -23,8 +22,14 @@ from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import AnyArray
 from softfin.core.randomness import key_of
 from softfin.gaits.gait import GaitSearchResult, GaitTable
-from softfin.gaits.simulate import CYCLES, GaitSensitivity, gait_sensitivity, pre_tanh_of
+from softfin.gaits.simulate import CYCLES, GaitSensitivity, Report, gait_sensitivity, pre_tanh_of
 from softfin.gaits.survey import Survey
+
+Gaits = Float[AnyArray, "nodes 12"]
+"""atanh of the actions."""
+Forces = Float[AnyArray, "nodes 2"]
+Scales = Float[AnyArray, "nodes"]
+Shape = tuple[int, int]
 
 
 class GaitConfig(Configuration):
@@ -58,11 +63,7 @@ ENOUGH_N = 0.02
 
 
 def find_gaits(
-    plant: Plant,
-    survey: Survey,
-    table: GaitTable,
-    config: GaitConfig,
-    report: Callable[[float, str], None] = lambda *_: None,
+    plant: Plant, survey: Survey, table: GaitTable, config: GaitConfig, report: Report = lambda *_: None
 ) -> GaitSearchResult:
     """Find a gait for every node of an empty table, beginning with the gaits of a survey of the same plant.
 
@@ -88,7 +89,7 @@ def find_gaits(
     return GaitSearchResult(table._replace(actions=actions), force, smoothness)
 
 
-def _start(survey: Survey, target: Float[AnyArray, "nodes 2"], shape: tuple[int, int]) -> Float[AnyArray, "nodes 12"]:
+def _start(survey: Survey, target: Forces, shape: Shape) -> Gaits:
     """Choose the waveform that comes nearest; of it, gaits that come near and are like those of their neighbours."""
     starts = []
     for gaits, force in zip(survey.gaits, survey.force, strict=True):
@@ -105,19 +106,14 @@ def _start(survey: Survey, target: Float[AnyArray, "nodes 2"], shape: tuple[int,
 
 @eqx.filter_jit
 def _stepped(
-    nodes: GaitSensitivity,
-    target: Float[AnyArray, "nodes 2"],
-    scale: Float[AnyArray, "nodes"],
-    shape: tuple[int, int],
-    config: GaitConfig,
-    exact: bool,
-) -> Float[AnyArray, "nodes 12"]:
+    nodes: GaitSensitivity, target: Forces, scale: Scales, shape: Shape, config: GaitConfig, exact: bool
+) -> Gaits:
     """Take one step of every node."""
     across = nodes.slope[:, :2]
     gram = across @ jnp.swapaxes(across, 1, 2)
     gram += (1e-3 * jnp.trace(gram, axis1=1, axis2=2)[:, None, None] + 1e-3) * jnp.eye(2)
 
-    def along(force: Float[AnyArray, "nodes 2"]) -> Float[AnyArray, "nodes 12"]:
+    def along(force: Forces) -> Gaits:
         """Return the smallest change of the actions that changes the force so."""
         return jnp.einsum("nij,ni->nj", across, jnp.linalg.solve(gram, force[..., None])[..., 0])
 
@@ -132,15 +128,11 @@ def _stepped(
 
 @eqx.filter_jit
 def _better(
-    nodes: GaitSensitivity,
-    trial: GaitSensitivity,
-    target: Float[AnyArray, "nodes 2"],
-    scale: Float[AnyArray, "nodes"],
-    smoothness: float,
-) -> tuple[GaitSensitivity, Float[AnyArray, "nodes"]]:
+    nodes: GaitSensitivity, trial: GaitSensitivity, target: Forces, scale: Scales, smoothness: float
+) -> tuple[GaitSensitivity, Scales]:
     """Keep the better one of each node and its trial; the next step is longer after a gain, shorter after none."""
 
-    def merit(nodes: GaitSensitivity) -> Float[AnyArray, "nodes"]:
+    def merit(nodes: GaitSensitivity) -> Scales:
         error = jnp.linalg.norm(nodes.out[:, :2] - target, axis=1)
         return jnp.maximum(error, ENOUGH_N if smoothness else 0) + smoothness * nodes.out[:, 2]
 
@@ -150,9 +142,7 @@ def _better(
     return chosen, jnp.where(better, jnp.minimum(1, 2 * scale), 0.4 * scale)
 
 
-def _restarted(
-    nodes: GaitSensitivity, target: Float[AnyArray, "nodes 2"], scale: Float[AnyArray, "nodes"], shape: tuple[int, int]
-) -> tuple[GaitSensitivity, Float[AnyArray, "nodes"]]:
+def _restarted(nodes: GaitSensitivity, target: Forces, scale: Scales, shape: Shape) -> tuple[GaitSensitivity, Scales]:
     """Let nodes that are stuck begin again where the best of their neighbours is."""
     error = np.linalg.norm(np.asarray(nodes.out)[:, :2] - np.asarray(target), axis=1)
     padded = np.pad(error.reshape(shape), 1, constant_values=np.inf)
@@ -165,13 +155,13 @@ def _restarted(
 
 
 @partial(jax.jit, static_argnums=1)
-def _neighbours(pre_tanh: Float[AnyArray, "nodes 12"], shape: tuple[int, int]) -> Float[AnyArray, "nodes 12"]:
+def _neighbours(pre_tanh: Gaits, shape: Shape) -> Gaits:
     """Average the four neighbours; at the edge a node stands in for the one that is missing."""
     grid = jnp.pad(pre_tanh.reshape(*shape, -1), ((1, 1), (1, 1), (0, 0)), mode="edge")
     mean = (grid[2:, 1:-1] + grid[:-2, 1:-1] + grid[1:-1, 2:] + grid[1:-1, :-2]) / 4
     return mean.reshape(pre_tanh.shape)
 
 
-def _shortened(step: Float[AnyArray, "nodes 12"], longest: float) -> Float[AnyArray, "nodes 12"]:
+def _shortened(step: Gaits, longest: float) -> Gaits:
     length = jnp.linalg.norm(step, axis=1, keepdims=True)
     return step * jnp.minimum(1, longest / (length + 1e-9))

@@ -1,5 +1,6 @@
 """Gaits simulated in a plant: mean force, Sobolev term, and their gradients."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -15,6 +16,9 @@ from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import AnyArray, command_of
 from softfin.core.window import sobolev
 from softfin.gaits.gait import Gait
+
+Report = Callable[[float, str], None]
+"""Called with the done part (0 .. 1) and a note."""
 
 CYCLES = 3
 """Windows that a gait is repeated for from rest, where nothing else is asked for."""

@@ -3,7 +3,6 @@
 A plant goes in, a Survey of gaits and their mean forces and the region of reachable mean forces come out.
 """
 
-from collections.abc import Callable
 from itertools import product
 from typing import NamedTuple
 
@@ -19,7 +18,7 @@ from softfin.core.plant import Plant
 from softfin.core.plant_identity import jit_argument
 from softfin.core.randomness import key_of
 from softfin.gaits.reachable import Reachable, directions
-from softfin.gaits.simulate import CYCLES, gait_sensitivity, pre_tanh_of, simulate_gait
+from softfin.gaits.simulate import CYCLES, Report, gait_sensitivity, pre_tanh_of, simulate_gait
 
 WAVEFORMS = np.array([(1, -1, 1, -1, 1, -1), (1, -1, -1, 1, -1, -1), (1, 0.5, -0.5, -1, -0.5, 0.5)])
 """Angles of a gait about its centre, in units of its amplitude: strokes of 0.67 s, 1 s and 2 s."""
@@ -64,9 +63,7 @@ def tried_gaits() -> Float[np.ndarray, "waveforms gaits 6 2"]:
     return np.stack([angles, velocities], axis=-1).astype(np.float32)
 
 
-def survey(
-    plant: Plant, config: SurveyConfig | None = None, report: Callable[[float, str], None] = lambda *_: None
-) -> Survey:
+def survey(plant: Plant, config: SurveyConfig | None = None, report: Report = lambda *_: None) -> Survey:
     """Simulate all gaits in a plant and find the edge of the forces that it can make."""
     config, plant = config or SurveyConfig(), jit_argument(plant)
     tried = tried_gaits()

@@ -25,8 +25,15 @@ from softfin.core.plant import Plant, rest_command
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import RATE_HZ, Command, Limits
 from softfin.evaluation.baselines.recurrent import run_recurrent, train_recurrent
-from softfin.evaluation.baselines.search import OpenLoopSearch, SearchConfig, repeated, run_commands
-from softfin.evaluation.baselines.sines import InverseConfig, ShaftSine, inverse
+from softfin.evaluation.baselines.search import (
+    InverseConfig,
+    OpenLoopSearch,
+    SearchConfig,
+    ShaftSine,
+    inverse,
+    repeated,
+    run_commands,
+)
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, ExperimentsConfig, score_experiments
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.gaits.reachable import Cell, bounding_box
