@@ -48,7 +48,7 @@ def test_a_footage_that_grows_is_drawn_up_to_now_with_nothing_ahead():
         average = whole.average[: max(ticks - 199, 0)]
         return cut._replace(shape_known=True, thickness=whole.thickness, average=average)
 
-    growing = Picture(first(1), "a fin", DPI, scale=scale_of(whole), seconds=2.2)
+    growing = Picture(first(1), "a fin", DPI, growing=(scale_of(whole), 2.2))
     known = Picture(whole, "a fin", DPI)
     for ticks in (1, 50, 210):
         growing.footage = first(ticks)

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softfin.evaluation.view.footage import greatest_of, open_scale, round_down
+from softfin.evaluation.view.footage import greatest_of, round_down, scale_of
 from tests.evaluation.view.fins import LENGTH_M, BendingFin, beating
 
 
@@ -23,7 +23,7 @@ def test_the_greatest_are_those_of_force_reference_or_mean_and_stream():
 
 def test_the_scale_of_a_growing_footage_holds_every_shape_and_arrow():
     footage = beating(BendingFin(), 220, reference=(2.0, -1.0))
-    scale = open_scale(footage.length_m, greatest_of(footage) + 0.1, (-1.6, 1.6))
+    scale = scale_of(footage, greatest_of(footage) + 0.1, (-1.6, 1.6))
     assert scale.length_m == pytest.approx(LENGTH_M)
     arrows = [footage.reading.force * scale.metres_per_newton, footage.average * scale.metres_per_mean_newton]
     for points in (footage.shape.reshape(-1, 2), *arrows, footage.reference * scale.metres_per_mean_newton):

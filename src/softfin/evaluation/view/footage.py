@@ -24,7 +24,6 @@ LONGEST, MEAN_LONGEST = 0.65, 0.4
 second would be too short to see beside the peaks of a stroke."""
 
 Range = tuple[float, float]
-Vectors = Float[np.ndarray, "_ 2"]
 NONE = np.zeros((1, 2))
 
 
@@ -142,48 +141,39 @@ def greatest_of(footage: Footage) -> Float[np.ndarray, "3"]:
     return np.array([np.linalg.norm(each, axis=1).max() for each in vectors], float)
 
 
-def scale_of(footage: Footage) -> Scale:
-    """Return the scale by which fin and arrows stay in the picture at every tick."""
-    force = np.asarray(footage.reading.force, float)
+def scale_of(footage: Footage, greatest: Float[np.ndarray, "3"] | None = None, angle: Range | None = None) -> Scale:
+    """Return the scale by which fin and arrows stay in the picture at every tick.
+
+    Of a footage that is still growing, up to the `greatest` sizes, wherever the fin turns within the `angle` [rad].
+    """
+    length, force = footage.length_m, np.asarray(footage.reading.force, float)
     asked = NONE if footage.reference is None else np.unique(footage.reference, axis=0)
-    shown, greatest = np.concatenate([force, asked]), greatest_of(footage)
-    # Half a newton at least, so that the noise of a fin at rest is not blown up.
-    greatest[0] = max(float(np.linalg.norm(shown, axis=1).max()), 0.5)
-    greatest[1] = greatest[0] if footage.reference is None else max(greatest[1], 0.25)
-    angles = np.concatenate([footage.reading.angle, footage.command.angle])
-    forces, means = (min(float(shown.min()), 0.0), max(float(shown.max()), 0.0)), [footage.average, asked]
-    return _fit(
-        footage.length_m, greatest, footage.shape.reshape(-1, 2), forces, (float(angles.min()), float(angles.max())),
-        force, np.concatenate(means),
-    )  # fmt: skip
-
-
-def open_scale(length_m: float, greatest: Float[np.ndarray, "3"], angle: Range) -> Scale:
-    """Return a scale for a fin of this length, wherever it turns within the angles [rad], up to `greatest` sizes."""
-    corners = np.array([[-length_m, -length_m], [LONGEST * length_m, length_m]])
-    return _fit(length_m, greatest, corners, (-float(greatest[0]), float(greatest[0])), angle)
-
-
-def _fit(
-    length_m: float, greatest: Float[np.ndarray, "3"], points: Vectors, force: Range, angle: Range,
-    forces: Vectors = NONE, means: Vectors = NONE,
-) -> Scale:  # fmt: skip
-    force_n, mean_n, stream_m_s = greatest.tolist()
-    per_newton = LONGEST * length_m / force_n
-    per_mean_newton = max(MEAN_LONGEST * length_m / mean_n, per_newton)
-    seen = np.concatenate([points, forces * per_newton, means * per_mean_newton, NONE])
-    margin = 0.12 * length_m
+    shown, angles = np.concatenate([force, asked]), np.concatenate([footage.reading.angle, footage.command.angle])
+    force_n, mean_n, stream_m_s = (greatest_of(footage) if greatest is None else greatest).tolist()
+    axis = (-force_n, force_n)
+    if greatest is None:
+        axis = (min(float(shown.min()), 0.0), max(float(shown.max()), 0.0))
+        # Half a newton at least, so that the noise of a fin at rest is not blown up.
+        force_n = max(float(np.linalg.norm(shown, axis=1).max()), 0.5)
+        mean_n = force_n if footage.reference is None else max(mean_n, 0.25)
+    per_newton = LONGEST * length / force_n
+    per_mean_newton = max(MEAN_LONGEST * length / mean_n, per_newton)
+    seen = np.array([[-length, -length], [LONGEST * length, length]])
+    if greatest is None:
+        means = np.concatenate([footage.average, asked])
+        seen = np.concatenate([footage.shape.reshape(-1, 2), force * per_newton, means * per_mean_newton, NONE])
+    margin = 0.12 * length
     (left, bottom), (right, top) = (seen.min(axis=0) - margin).tolist(), (seen.max(axis=0) + margin).tolist()
     return Scale(
-        length_m=length_m,
+        length_m=length,
         metres_per_newton=per_newton,
         key_n=round_down(force_n / 2),
         metres_per_mean_newton=per_mean_newton,
         mean_key_n=round_down(mean_n / 2),
         x=(left, right),
         y=(bottom, top),
-        force=_padded(*force),
-        angle=_padded(*angle),
+        force=_padded(*axis),
+        angle=_padded(*(angle or (float(angles.min()), float(angles.max())))),
         stream_m_s=stream_m_s,
     )
 

@@ -21,7 +21,7 @@ from scipy.interpolate import CubicHermiteSpline
 from softfin.core.action_clock import MOST_TICKS, WINDOW
 from softfin.core.plant import Plant, State, rest_command
 from softfin.core.quantities import AXES, TICK_S, Command, Limits
-from softfin.evaluation.view.footage import Footage, Range, Scale, develop, greatest_of, open_scale, scale_of, shoot
+from softfin.evaluation.view.footage import Footage, Range, Scale, develop, greatest_of, scale_of, shoot
 from softfin.storage.figures import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, styled
 from softfin.tank import Tank
 
@@ -50,21 +50,16 @@ PIECES = 6
 class Picture:
     """A figure whose moving parts are set to one tick after the other.
 
-    Of a footage that is still growing, `scale` and the `seconds` of the time axis are given; nothing lies ahead then.
+    Of a footage that is still `growing`, its scale and the seconds of the time axis are given; nothing lies ahead then.
     """
 
     def __init__(
-        self,
-        footage: Footage,
-        title: str,
-        dots_per_inch: int = 100,
-        scale: Scale | None = None,
-        seconds: float | None = None,
+        self, footage: Footage, title: str, dots_per_inch: int = 100, growing: tuple[Scale, float] | None = None
     ) -> None:
         # As Any: what a footage may lack is drawn only where it is there.
         self.footage: Any = footage
-        self.scale = scale or scale_of(footage)
-        self._growing, self._seconds = seconds is not None, seconds or len(footage.shape) * TICK_S
+        self._growing = growing is not None
+        self.scale, self._seconds = growing or (scale_of(footage), len(footage.shape) * TICK_S)
         self._moving: list[tuple[Any, Callable[[int], Any]]] = []
         with styled():
             self.figure = new_figure(WIDTH_IN, HEIGHT_IN)
@@ -74,15 +69,10 @@ class Picture:
             grid = self.figure.add_gridspec(3, 2, width_ratios=(1.05, 1))
             self._draw_tank(self.figure.add_subplot(grid[:, 0]), title)
             self._draw_traces([self.figure.add_subplot(grid[row, 1]) for row in range(3)])
-            # Laid out once: what moves must not shift what stays.
-            self._canvas.draw()
-            self.figure.set_layout_engine("none")
             for artist, _ in self._moving:
-                artist.set_visible(False)
+                artist.set_animated(True)
             self._canvas.draw()
         self._still = self._canvas.copy_from_bbox(self.figure.bbox)
-        for artist, _ in self._moving:
-            artist.set_visible(True)
 
     def frame(self, tick: int) -> Image:
         """The picture at a tick, counted from 0; -1 is the last one."""
@@ -249,9 +239,9 @@ class EpisodeFilm:
         if self._picture is None or outgrown.any():
             # Twice as much as is needed, so that the scale seldom changes.
             self._greatest = np.where(outgrown, 2 * greatest, self._greatest)
-            scale = open_scale(footage.length_m, self._greatest, (self._limits.angle_min, self._limits.angle_max))
+            scale = scale_of(footage, self._greatest, (self._limits.angle_min, self._limits.angle_max))
             where = "the virtual tank" if isinstance(self._plant, Tank) else type(self._plant).__name__
-            self._picture = Picture(footage, f"A soft fin in {where}", scale=scale, seconds=self._seconds)
+            self._picture = Picture(footage, f"A soft fin in {where}", growing=(scale, self._seconds))
         self._picture.footage = footage
         return self._picture.frame(-1)
 
