@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from softfin.gaits.gait import GaitTable
 from softfin.gaits.reachable import Cell, Reachable
 from softfin.gaits.search import GaitConfig, find_gaits
+from softfin.gaits.simulate import Survey, SurveyConfig, survey, tried_gaits
 from softfin.gaits.simulate import simulate_gait as simulate
-from softfin.gaits.survey import Survey, SurveyConfig, survey, tried_gaits
 from softfin.surrogate import import_keras
 from tests.gaits.test_survey import OwnFin
 from tests.learning.mapped import FIN, GAITS, mapped, simulate_gait, surveyed

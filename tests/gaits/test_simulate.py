@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softfin.core.action_clock import ACTION_TICKS, WINDOW
-from softfin.gaits.survey import AMPLITUDES, CENTRES, VELOCITIES, WAVEFORMS, tried_gaits
+from softfin.gaits.simulate import AMPLITUDES, CENTRES, VELOCITIES, WAVEFORMS, tried_gaits
 from tests.learning.mapped import simulate_gait, steady_state_force
 from tests.plants import AnalyticFin, StrokeFin
 

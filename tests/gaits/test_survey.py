@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from softfin.core.quantities import PAPER_LIMITS, Limits
-from softfin.gaits.survey import SurveyConfig, _middle, survey
+from softfin.gaits.simulate import SurveyConfig, _middle, survey
 from tests.learning.mapped import FIN, SURVEY, simulate_gait, surveyed
 from tests.plants import StrokeFin
 

@@ -57,7 +57,7 @@ def write_report(path: Path, results: Mapping[str, Any], figures: Mapping[str, F
     controllers, configuration = results.get("controllers") or {}, results.get("configuration")
     scores = (results.get("surrogate") or {}).get("scores") or {}
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
-    environment.filters |= {"number": _number, "half": _half}
+    environment.filters["number"] = _number
     template = importlib.resources.files("softfin.evaluation").joinpath("report.html.jinja").read_text("utf-8")
     page = environment.from_string(template).render(
         title=results.get("title", "softfin: force control of a soft fin"),
@@ -81,13 +81,6 @@ def write_report(path: Path, results: Mapping[str, Any], figures: Mapping[str, F
 def _number(value: float) -> str:
     """Three significant digits, as the paper prints them; no exponent for the sizes met here."""
     return f"{value:#.3g}" if 1e-4 <= abs(value) < 1000 else f"{value:.3g}"
-
-
-def _half(cell: Mapping[str, Any]) -> str:
-    """Half of the interval to the digits of its mean; a single digit where those would show zero."""
-    digits = _number(cell["mean"]).partition(".")[2]
-    text = f"{cell['half']:.{len(digits)}f}"
-    return text if float(text) else f"{cell['half']:.1g}"
 
 
 def _table_two(name: str, summary: Mapping[str, Any]) -> dict[str, Any]:

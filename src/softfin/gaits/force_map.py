@@ -18,8 +18,7 @@ from softfin.core.quantities import Limits
 from softfin.gaits.gait import ForceMap, GaitSearchResult, GaitTable
 from softfin.gaits.reachable import Cell, Reachable, directions
 from softfin.gaits.search import GaitConfig, find_gaits
-from softfin.gaits.simulate import Report, missing_gradient
-from softfin.gaits.survey import SurveyConfig, survey
+from softfin.gaits.simulate import Report, SurveyConfig, missing_gradient, survey
 from softfin.storage import artifact as artifacts
 
 KIND = "map"

@@ -22,8 +22,7 @@ from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import AnyArray
 from softfin.core.randomness import key_of
 from softfin.gaits.gait import GaitSearchResult, GaitTable
-from softfin.gaits.simulate import CYCLES, GaitSensitivity, Report, gait_sensitivity, pre_tanh_of
-from softfin.gaits.survey import Survey
+from softfin.gaits.simulate import CYCLES, GaitSensitivity, Report, Survey, gait_sensitivity, pre_tanh_of
 
 Gaits = Float[AnyArray, "nodes 12"]
 """atanh of the actions."""
