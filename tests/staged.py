@@ -17,8 +17,7 @@ import yaml
 
 from softfin.core.plant_identity import identity
 from softfin.core.quantities import PAPER_LIMITS, Limits
-from softfin.gaits.force_map import MapConfig
-from softfin.gaits.map_store import save_map
+from softfin.gaits.force_map import MapConfig, save_map
 from softfin.learning.configuration import SINGLE
 from softfin.learning.controllers import save_controller
 from softfin.storage.dataset import write_dataset

@@ -14,7 +14,7 @@ import softfin
 from softfin import cli
 from softfin.control.controller import Measured
 from softfin.core.quantities import Command
-from softfin.gaits.map_store import load_map
+from softfin.gaits.force_map import load_map
 from softfin.rig.config import load_rig, load_ros2
 from softfin.task.reference_file import read_reference_file
 

@@ -26,7 +26,7 @@ from softfin.task.references import PAPER_RANGE, References
 from softfin.task.task import ForceTracking, TaskConfig, TaskState
 
 if TYPE_CHECKING:
-    from softfin.evaluation.view.episode import EpisodeFilm
+    from softfin.evaluation.view.picture import EpisodeFilm
 
 Observation = Float[np.ndarray, "observations"]
 
@@ -119,7 +119,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
 
     def _new_film(self, most_n: float) -> "EpisodeFilm":
         # Who does not look at it need not wait for Matplotlib.
-        from softfin.evaluation.view.episode import EpisodeFilm
+        from softfin.evaluation.view.picture import EpisodeFilm
 
         return EpisodeFilm(self.task.plant, self.task.config.episode_actions / ACTION_RATE_HZ, most_n)
 

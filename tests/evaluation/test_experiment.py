@@ -4,7 +4,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.core.errors import ConfigurationError
 from softfin.core.plant import Plant
 from softfin.core.quantities import Command
 from softfin.evaluation.experiment import ExperimentRecording, run
@@ -102,8 +101,3 @@ def test_a_moving_reference_that_stays_does_as_a_constant_one(recording):
     np.testing.assert_allclose(
         run(Echo(), AnalyticFin(), stays, 2, KEYS).reading.force, recording.reading.force, atol=1e-6
     )
-
-
-def test_references_of_another_length_than_the_experiment_are_refused():
-    with pytest.raises(ConfigurationError, match="references of 150 ticks for an experiment of 2 s; give 200 ticks"):
-        run(Echo(), AnalyticFin(), np.zeros((1, 150, 2), np.float32), 2, KEYS)

@@ -9,11 +9,11 @@ from softfin.core.errors import CoverageError, PlantError
 from softfin.core.quantities import Command
 from softfin.evaluation.evaluate import EvaluateConfig, evaluate, write_evaluation
 from softfin.evaluation.figures import moving_figure
-from softfin.evaluation.moving import SIGNALS, MovingPlan, plan_moving, signals_of
+from softfin.evaluation.moving import SIGNALS, MovingPlan, _row, plan_moving, signals_of
 from softfin.evaluation.range_errors import range_of
 from softfin.gaits.reachable import Cell, Reachable
 from softfin.task.references import PAPER_CELLS, PAPER_RANGE
-from softfin.task.signals import Recorded, Step
+from softfin.task.signals import Ramp, Recorded, Step
 from tests.evaluation.test_evaluate import Exploding, Untouched
 from tests.plants import AnalyticFin, Flapper
 
@@ -50,16 +50,26 @@ def test_a_step_between_two_actions_is_seen_at_the_second():
 
 
 def test_every_signal_has_errors_and_the_answers_to_its_steps(moving):
-    step, hold = moving.to_dict()
+    step, hold = moving.rows
     assert (step["kind"], step["signal"]["at_s"], step["duration_s"]) == ("step", 3.0, 6.0)
     assert len(step["steps"]) == 1
     assert len(step["steps"][0]) == 2
     assert (step["settles"], step["longest_settling_s"]) == (False, None)
-    assert step["x"]["error_n"] == pytest.approx(moving.error[0, :, 0].mean())
+    low, high = step["x"]["error_interval_n"]
+    assert low < step["x"]["error_n"] < high
     assert (hold["steps"], hold["settles"]) == ([], None)
     # A reference that stays is tracked alike by both measures.
     assert hold["y"]["error_n"] == pytest.approx(hold["y"]["instantaneous_error_n"])
-    json.dumps(moving.to_dict(), allow_nan=False)
+    json.dumps(moving.rows, allow_nan=False)
+
+
+def test_the_instantaneous_error_counts_the_delay_of_the_window():
+    """A force that is its reference, on a ramp of 0.1 N/s: the average over 2 s is 1 s, so 0.1 N, behind it."""
+    ramp = Ramp(start_n=(-0.001, 0.002), to_n=(2, -4), begin_s=0, end_s=20.01)
+    tracked = ramp.sample(2001)
+    row = _row(ramp, tracked, tracked[None].astype(float), np.zeros((1, 2)))
+    assert row["x"]["instantaneous_error_n"] == pytest.approx(0.1, abs=2e-3)
+    assert row["y"]["instantaneous_error_n"] == pytest.approx(0.2, abs=2e-3)
 
 
 def test_the_default_signals_lie_within_the_papers_range_and_its_cells():

@@ -77,13 +77,12 @@ def page(results, evaluation, tmp_path_factory) -> Page:
     recording = evaluation.recording
     one = jax.tree.map(lambda x: x[:1], (recording.reference, recording.command, recording.reading))
     trajectory = experiments_figure(ExperimentRecording(*one))
-    write_report(
-        path,
-        results,
-        {"Prediction": prediction_figure(force, {"free-running": force})},
-        {"Learning": learning_figure({"single": [([0, 1], [0, 1])]})},
-        {"Single": trajectory, "Single again": trajectory},
-    )
+    figures = {
+        "surrogate": {"Prediction": prediction_figure(force, {"free-running": force})},
+        "learning": {"Learning": learning_figure({"single": [([0, 1], [0, 1])]})},
+        "experiment": {"Single": trajectory, "Single again": trajectory},
+    }
+    write_report(path, results, figures)
     return Page(path.read_text())
 
 

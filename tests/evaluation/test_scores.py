@@ -8,7 +8,6 @@ from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_II, recomputed_means
 from softfin.evaluation.scores import (
     STILL_RAD_S,
-    instantaneous_error,
     score,
     step_responses,
     steps_of,
@@ -113,9 +112,9 @@ def test_the_papers_rows_are_complete_and_its_printed_means_disagree_where_we_sa
     for controller, rows in PAPER_TABLE_II.items():
         assert tuple(rows) == PAPER_REFERENCES
         printed, means = PAPER_PRINTED_MEANS[controller], recomputed_means(controller)
-        far = {name for name, p, m in zip(printed._fields, printed, means, strict=True) if abs(p - m) > 0.0015}
-        assert far == {"single": set(), "grid": {"x_error", "x_std", "y_error", "y_std"}}[controller]
-    assert recomputed_means("grid").y_std == pytest.approx(0.293, abs=0.0005)
+        far = [abs(p - m) > 0.0015 for p, m in zip(printed, means, strict=True)]
+        assert far == [controller == "grid"] * 4
+    assert recomputed_means("grid")[3] == pytest.approx(0.293, abs=0.0005)
 
 
 def late(series, ticks):
@@ -125,16 +124,17 @@ def late(series, ticks):
 
 def test_a_force_that_jumps_with_its_reference_is_delayed_by_the_window_alone():
     (response,) = step_responses(STEP, STEP)
-    assert response.at_s == 5.0
-    assert response.rise_s == (pytest.approx(1.6, abs=0.011), None)
-    assert response.settling_s == pytest.approx(1.6, abs=0.011)
-    assert response.overshoot_percent == (pytest.approx(0, abs=1e-6), None)
+    assert response["at_s"] == 5.0
+    assert (response["rise_x_s"], response["rise_y_s"]) == (pytest.approx(1.6, abs=0.011), None)
+    assert response["settling_s"] == pytest.approx(1.6, abs=0.011)
+    assert response["overshoot_x_percent"] == pytest.approx(0, abs=1e-6)
+    assert response["overshoot_y_percent"] is None
 
 
 def test_a_late_force_settles_later_but_rises_as_fast():
     (response,) = step_responses(late(STEP, 100), STEP)
-    assert response.rise_s[0] == pytest.approx(1.6, abs=0.011)
-    assert response.settling_s == pytest.approx(2.6, abs=0.011)
+    assert response["rise_x_s"] == pytest.approx(1.6, abs=0.011)
+    assert response["settling_s"] == pytest.approx(2.6, abs=0.011)
 
 
 def test_overshoot_is_a_part_of_the_step_whatever_its_sign_and_size():
@@ -142,7 +142,7 @@ def test_overshoot_is_a_part_of_the_step_whatever_its_sign_and_size():
     force = reference.copy()
     force[500:800] += 0.25 * (reference[500] - reference[0])
     (response,) = step_responses(force, reference)
-    np.testing.assert_allclose(response.overshoot_percent, [25, 25], atol=1e-6)
+    np.testing.assert_allclose([response[f"overshoot_{axis}_percent"] for axis in "xy"], 25, atol=1e-6)
 
 
 def test_settling_is_on_both_axes_and_for_good():
@@ -150,15 +150,14 @@ def test_settling_is_on_both_axes_and_for_good():
     # For 200 samples 0.5 N off in y, long after x is there: the average leaves the band of 0.2 N and comes back.
     force[900:1100, 1] = 0.5
     (response,) = step_responses(force, STEP)
-    assert response.settling_s == pytest.approx((1100 + 120 - 500) / 100, abs=0.011)
+    assert response["settling_s"] == pytest.approx((1100 + 120 - 500) / 100, abs=0.011)
 
 
 def test_a_step_that_is_never_reached_has_no_times():
     reference = Step(start_n=(1, 0), to_n=(2, 0), at_s=5).sample(1500).astype(float)
     (response,) = step_responses(np.tile([1.0, 0.0], (1500, 1)), reference)
-    assert response.rise_s == (None, None)
-    assert response.settling_s is None
-    assert response.to_dict()["settling_s"] is None
+    assert response["rise_x_s"] is None
+    assert response["settling_s"] is None
 
 
 def test_one_step_is_scored_up_to_the_next():
@@ -166,9 +165,9 @@ def test_one_step_is_scored_up_to_the_next():
     force = reference.copy()
     force[1000:] = 7
     first, second = step_responses(force, reference)
-    assert first.settling_s == pytest.approx(1.6, abs=0.011)
-    assert (first.at_s, second.at_s, second.settling_s) == (4.0, 9.0, None)
-    assert second.to.tolist() == [2, 2]
+    assert first["settling_s"] == pytest.approx(1.6, abs=0.011)
+    assert (first["at_s"], second["at_s"], second["settling_s"]) == (4.0, 9.0, None)
+    assert second["to_n"] == [2, 2]
 
 
 def test_only_changes_between_forces_held_for_a_window_are_steps():
@@ -178,10 +177,8 @@ def test_only_changes_between_forces_held_for_a_window_are_steps():
     assert steps_of(Sinusoid(centre_n=(1, 0), amplitude_n=(1, 1)).sample(1500)) == []
 
 
-def test_the_two_tracking_errors_differ_by_the_delay_of_the_window():
-    """A force that is its reference, on a ramp of 0.1 N/s: the average over 2 s is 1 s, so 0.1 N, behind it."""
+def test_a_force_that_is_its_reference_has_no_error_on_a_ramp_either():
     reference = Ramp(start_n=(0, 0), to_n=(2, -4), begin_s=0.01, end_s=20.01).sample(2001)[1:].astype(float)
-    np.testing.assert_allclose(instantaneous_error(reference, reference), [0.1, 0.2], atol=2e-3)
     ticks = np.zeros((1, 1, 2000))
     recording = ExperimentRecording(
         reference[None], Command(ticks, ticks), Reading(ticks, ticks, ticks, reference[None, None])

@@ -7,8 +7,7 @@ import numpy as np
 
 from softfin.core.quantities import PAPER_LIMITS
 from softfin.gaits.figure import map_figure
-from softfin.gaits.force_map import MapConfig
-from softfin.gaits.map_store import save_map
+from softfin.gaits.force_map import MapConfig, save_map
 from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.storage.figures import save_figure
 from tests.gaits.test_map_store import KNOWN

@@ -153,20 +153,3 @@ def test_a_damaged_description_is_refused(changes):
 def test_a_description_without_a_part_is_refused():
     with pytest.raises(KeyError, match="radius_n"):
         Reachable.from_dict({"centre_n": [0.0, 0.0]})
-
-
-@given(REGIONS, FORCES)
-@settings(deadline=None, max_examples=60)
-def test_distances_from_any_force_inside_end_on_the_edge(region, force):
-    centre = np.asarray(region.nearest(force))
-    centre = centre + 0.3 * (np.asarray(region.centre) - centre)
-    ends = centre + region.distances_from(centre)[:, None] * directions(len(region.radius))
-    a, b = sides(region)
-    along = np.clip(((ends[:, None] - a) * (b - a)).sum(-1) / ((b - a) ** 2).sum(-1), 0, 1)
-    apart = np.linalg.norm(a + along[..., None] * (b - a) - ends[:, None], axis=-1).min(axis=1)
-    np.testing.assert_allclose(apart, 0, atol=1e-3)
-
-
-def test_distances_from_the_centre_are_the_radii():
-    np.testing.assert_array_equal(SQUARE.distances_from(np.array([1, -1], np.float32)), SQUARE.radius)
-    np.testing.assert_allclose(SQUARE.distances_from(np.array([2, -1], np.float32)), [1, 1, 3, 1], atol=1e-6)

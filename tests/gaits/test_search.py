@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from softfin.gaits.gait import GaitTable
 from softfin.gaits.reachable import Cell, Reachable
 from softfin.gaits.search import GaitConfig, find_gaits
-from softfin.gaits.simulate import families
+from softfin.gaits.simulate import Survey, SurveyConfig, survey, tried_gaits
 from softfin.gaits.simulate import simulate_gait as simulate
-from softfin.gaits.survey import Survey, SurveyConfig, survey
 from softfin.surrogate import import_keras
 from tests.gaits.test_survey import OwnFin
 from tests.learning.mapped import FIN, GAITS, mapped, simulate_gait, surveyed
@@ -135,10 +134,10 @@ def test_a_lattice_for_a_single_force_has_its_gait() -> None:
 @pytest.mark.slow
 def test_a_gait_of_the_published_fin_holds_its_force_in_the_steady_state(published: Path) -> None:
     fin = import_keras(published / "cnn_pos_net.keras", published / "lstm_force_net.keras", published / "scalers.json")
-    strokes = families()[0]._replace(gaits=families()[0].gaits[::9])
-    got = jax.jit(jax.vmap(lambda gait: simulate(fin, gait, 2, KEY)))(jnp.asarray(strokes.gaits))
+    strokes = tried_gaits()[0, :77:9]
+    got = jax.jit(jax.vmap(lambda gait: simulate(fin, gait, 2, KEY)))(jnp.asarray(strokes))
     region = Reachable(np.array([2, 0], np.float32), np.ones(8, np.float32))
-    one = Survey([strokes], np.asarray(got.force)[None], np.asarray(got.smoothness)[None], region, strokes.gaits[:8])
+    one = Survey(strokes[None], np.asarray(got.force)[None], region)
     found = find_gaits(fin, one, GaitTable.empty((1.5, -0.25), (2, 0), (2, 2)), GaitConfig(cycles=2, steps=8))
     response = jax.jit(lambda gait: simulate(fin, gait, 4, KEY))(found.table.gait(jnp.array([2.0, 0.0])))
     np.testing.assert_allclose(response.force, (2, 0), atol=0.02)

@@ -9,7 +9,7 @@ from softfin.gaits.force_map import MapConfig, map_forces
 from softfin.gaits.gait import ForceMap
 from softfin.gaits.reachable import Cell
 from softfin.gaits.search import GaitConfig
-from softfin.gaits.survey import Survey, SurveyConfig, survey
+from softfin.gaits.simulate import Survey, SurveyConfig, survey
 from tests.plants import StrokeFin
 
 FIN = StrokeFin()

@@ -10,11 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.core.errors import ConfigurationError, PlantError, RunError
+from softfin.core.errors import ConfigurationError, PlantError
 from softfin.core.plant import EnsemblePlant, Plant
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import Command
-from softfin.gaits import simulate as beat
 from softfin.gaits.force_map import MapConfig
 from softfin.gaits.reachable import PAPER_REFERENCES, Cell, Reachable
 from softfin.gaits.simulate import missing_gradient
@@ -207,18 +206,6 @@ def test_a_plant_that_fails_is_an_error_and_not_trained_by_another_algorithm(
 ) -> None:
     with pytest.raises(error, match=message):
         choose_preset(plant)
-
-
-@pytest.mark.parametrize("failure", [jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: 9 GiB"), MemoryError()])
-def test_a_want_of_memory_is_an_error_and_not_trained_by_another_algorithm(
-    monkeypatch: pytest.MonkeyPatch, failure: Exception
-) -> None:
-    def exhausted(*_: Any) -> Any:
-        raise failure
-
-    monkeypatch.setattr(beat, "_respond", exhausted)
-    with pytest.raises(RunError, match=r"^StrokeFin: .*(9 GiB|no memory left); --algorithm ppo trains without gradien"):
-        choose_preset(StrokeFin())
 
 
 def test_ctrl_c_is_no_missing_gradient(monkeypatch: pytest.MonkeyPatch) -> None:

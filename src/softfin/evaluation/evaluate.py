@@ -22,7 +22,7 @@ from softfin.core.statistics import CONFIDENCE, interval
 from softfin.evaluation.experiment import MIN_SECONDS, EvaluationTarget, ExperimentRecording, independent, run
 from softfin.evaluation.figures import error_map_figure, experiments_figure, moving_figure
 from softfin.evaluation.moving import MovingScores, plan_moving
-from softfin.evaluation.range_errors import MAX_RANDOM, ErrorMap, RandomErrors, map_errors, random_errors
+from softfin.evaluation.range_errors import MAX_RANDOM, ErrorMap, map_errors, random_errors
 from softfin.evaluation.scores import STILL_RAD_S, Scores, score
 from softfin.evaluation.uncertainty import SurrogateUncertainty, uncertainty_of
 from softfin.gaits.reachable import PAPER_REFERENCES
@@ -33,20 +33,29 @@ from softfin.task.signals import Recorded
 FORMAT = 2
 """Format of ``evaluation.json``; 1 had the keys ``held_n``, ``beyond_data`` and ``spread``."""
 
-Reference = tuple[pydantic.FiniteFloat, pydantic.FiniteFloat]
 
+class ExperimentsConfig(Configuration):
+    """Experiments at constant references."""
 
-class EvaluateConfig(Configuration):
-    """Experiments that a controller is scored by."""
-
-    references: tuple[Reference, ...] = pydantic.Field(default=PAPER_REFERENCES, min_length=1)
+    references: tuple[tuple[pydantic.FiniteFloat, pydantic.FiniteFloat], ...] = pydantic.Field(
+        default=PAPER_REFERENCES, min_length=1
+    )
     """Reference forces (x, y) [N]; the paper's six."""
     seconds: int = pydantic.Field(default=30, ge=MIN_SECONDS)
     """Length of each experiment [s], whole, from rest; the paper's 30. The first 2 s only fill the first window."""
     seeds: int = pydantic.Field(default=5, ge=1)
     """Repetitions, each with its own randomness of the plant; intervals need at least 2."""
     seed: int = pydantic.Field(default=0, ge=0)
-    """The run's seed, from which those of the repetitions are drawn."""
+    """The run's seed, from which those of the repetitions, and whatever else is random, are drawn."""
+
+    def keys(self) -> Key[Array, "seeds"]:
+        """The keys with which every repetition starts a plant."""
+        return jnp.stack([key_of(self.seed, f"evaluate/{repetition}") for repetition in range(self.seeds)])
+
+
+class EvaluateConfig(ExperimentsConfig):
+    """Experiments that a controller is scored by."""
+
     moving: tuple[MovingReference, ...] = ()
     """Kinds of moving references: `softfin.evaluation.moving.SIGNALS`, laid out in the controller's range."""
     recorded: Recorded | None = None
@@ -79,12 +88,11 @@ class Evaluation:
     """Experiments whose reference moves, those of one length together."""
     error_map: ErrorMap | None = None
     """Errors over the controller's range."""
-    random: RandomErrors | None = None
-    """Errors over random references."""
+    random: dict[str, Any] | None = None
+    """Errors over random references, for JSON."""
 
     def summary(self) -> dict[str, Any]:
         """Conditions, scores by reference and their mean; the first part of what `write_evaluation` writes."""
-        still = np.all(self.scores.late_travel < STILL_RAD_S, axis=1).tolist()
         uncertain = None if self.uncertainty is None else self.uncertainty.warning()
         return {
             "format": FORMAT,
@@ -105,31 +113,27 @@ class Evaluation:
                     "reference_n": list(reference),
                     "tracked_reference_n": [round(float(x), 4) for x in self.recording.reference[i]],
                     **_row(Scores(*(field[i] for field in self.scores))),
-                    "still": still[i],
+                    "still": bool((self.scores.late_travel[i] < STILL_RAD_S).all()),
                     **({} if self.uncertainty is None else {"surrogate": self.uncertainty.to_dict(i)}),
                 }
                 for i, reference in enumerate(self.config.references)
             ],
             "mean": _row(Scores(*(field.mean(axis=0) for field in self.scores))),
-            "warning": "; ".join([*self.warnings, *([] if uncertain is None else [uncertain])]) or None,
-            **({"moving": [row for moving in self.moving for row in moving.to_dict()]} if self.moving else {}),
+            "warning": "; ".join([*self.warnings, *([uncertain] if uncertain else [])]) or None,
+            **({"moving": [row for moving in self.moving for row in moving.rows]} if self.moving else {}),
             **({} if self.error_map is None else {"error_map": self.error_map.to_dict()}),
-            **({} if self.random is None else {"random": self.random.to_dict()}),
+            **({} if self.random is None else {"random": self.random}),
         }
 
 
 def _row(scores: Scores) -> dict[str, Any]:
     """Scores of one reference, or the mean of all: fields ``(seeds, 2)`` and ``(seeds,)``."""
-    axes: dict[str, Any] = {axis: {} for axis in AXES}
+    row: dict[str, Any] = {axis: {} for axis in AXES}
     for name in ("error", "std", "raw_std"):
-        for i, axis in enumerate(AXES):
-            values = getattr(scores, name)[:, i]
-            axes[axis] |= {f"{name}_n": float(values.mean()), f"{name}_interval_n": interval(values)}
-    return {
-        **axes,
-        "command_travel_rad_s": float(scores.command_travel.mean()),
-        "shaft_travel_rad_s": float(scores.shaft_travel.mean()),
-    }
+        for axis, values in zip(AXES, getattr(scores, name).T, strict=True):
+            row[axis] |= {f"{name}_n": float(values.mean()), f"{name}_interval_n": interval(values)}
+    travels = {"command": scores.command_travel, "shaft": scores.shaft_travel}
+    return row | {f"{name}_travel_rad_s": float(travel.mean()) for name, travel in travels.items()}
 
 
 def evaluate(controller: Controller, plant: EvaluationTarget, config: EvaluateConfig) -> Evaluation:
@@ -143,31 +147,23 @@ def evaluate(controller: Controller, plant: EvaluationTarget, config: EvaluateCo
     if config.trim is not None:
         controller = DisturbanceObserver(controller, config.trim)
     plans = plan_moving(controller, config.moving, config.recorded, config.strict)
-    keys = repetition_keys(config)
-    evaluation = score_experiments(run(controller, plant, tracked, config.seconds, keys), plant, config)
-    points, count, seconds = config.error_map, config.random, config.seconds
+    keys, seconds = config.keys(), config.seconds
+    evaluation = score_experiments(run(controller, plant, tracked, seconds, keys), plant, config)
+    warnings = [warning for _, warning in resolved if warning is not None]
+    points, count = config.error_map, config.random
     return dataclasses.replace(
         evaluation,
-        warnings=(
-            *(warning for _, warning in resolved if warning is not None),
-            *(warning for plan in plans for warning in plan.warnings),
-        ),
+        warnings=(*warnings, *(warning for plan in plans for warning in plan.warnings)),
         moving=tuple(plan.run(controller, plant, keys) for plan in plans),
         error_map=None if points is None else map_errors(controller, plant, points, seconds, keys[0]),
         random=None if count is None else random_errors(controller, plant, count, config.seed, seconds, keys[0]),
     )
 
 
-def repetition_keys(config: EvaluateConfig) -> Key[Array, "seeds"]:
-    """The keys with which every repetition starts a plant."""
-    return jnp.stack([key_of(config.seed, f"evaluate/{repetition}") for repetition in range(config.seeds)])
-
-
 def score_experiments(recording: ExperimentRecording, plant: EvaluationTarget, config: EvaluateConfig) -> Evaluation:
     """Score experiments of the configuration's references, whatever commanded the plant."""
     recording = independent(recording)
-    first = recording.first()
-    repetitions = recording.reading.angle.shape[1]
+    first, repetitions = recording.first(), recording.reading.angle.shape[1]
     return Evaluation(config, score(recording), repetitions, first, uncertainty_of(plant, first))
 
 
@@ -179,14 +175,11 @@ def write_evaluation(
     It holds `Evaluation.summary`, with the caller's `metadata` in ``conditions``, such as the controller and the plant;
     ``configuration``, of a recorded reference its ``rows`` and ``seconds``; ``provenance``. docs/files.md has the keys.
     """
-    config = evaluation.config
-    recorded = config.recorded
-    summary = evaluation.summary()
+    summary, config = evaluation.summary(), evaluation.config
     summary["conditions"] |= dict(metadata or {})
-    summary["configuration"] = {
-        **config.model_dump(mode="json", exclude={"recorded"}),
-        "recorded": None if recorded is None else {"rows": len(recorded.time_s), "seconds": recorded.seconds},
-    }
+    summary["configuration"] = config.model_dump(mode="json", exclude={"recorded"}) | {"recorded": None}
+    if config.recorded is not None:
+        summary["configuration"]["recorded"] = {"rows": len(config.recorded.time_s), "seconds": config.recorded.seconds}
     summary["provenance"] = artifacts.provenance(seed=config.seed)
 
     def write(folder: Path) -> None:

@@ -4,7 +4,6 @@ Controller, plant and reference forces, constant or moving, go in, a recording o
 and seeds run side by side in one compiled program.
 """
 
-from itertools import accumulate
 from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import jax
@@ -15,23 +14,23 @@ from jaxtyping import Array, Float, Key, PRNGKeyArray
 from softfin.control.controller import Controller, ControllerState, Measured
 from softfin.core.action_clock import ACTION_TICKS, MOST_TICKS, ticks_of
 from softfin.core.compilation import briefly_used
-from softfin.core.errors import ConfigurationError, PlantError
+from softfin.core.errors import PlantError
 from softfin.core.plant import Plant, State, Ticks, counted, hold_action, mean_of
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import RATE_HZ, AnyArray, Command, Limits, Reading
-
-ACTION_STARTS = (0, *accumulate(ACTION_TICKS[:-1]))
-"""Ticks of each second at which a controller acts."""
 
 MIN_SECONDS = 3
 """Least length of an experiment [s]; the first window of the moving average takes 2 s."""
 
 
+References: TypeAlias = Float[AnyArray, "references *ticks 2"]
+"""Reference forces (x, y) [N]: one for the whole experiment, or one a tick, in force until that tick's reading."""
+
+
 class ExperimentRecording(NamedTuple):
     """Series of references, commands and readings of experiments, in ticks of 10 ms."""
 
-    reference: Float[AnyArray, "references *ticks 2"]
-    """Reference forces (x, y) [N]: one for the whole experiment, or one a tick, in force until that tick's reading."""
+    reference: References
     command: Command
     """Fields ``(references, seeds, ticks)``: the command under which the reading of that tick came about."""
     reading: Reading
@@ -52,9 +51,7 @@ class RealTime(Protocol):
         """The commands that it takes."""
         ...
 
-    def experiments(
-        self, references: Float[np.ndarray, "references *ticks 2"], seconds: int, repetitions: int
-    ) -> ExperimentRecording:
+    def experiments(self, references: References, seconds: int, repetitions: int) -> ExperimentRecording:
         """Run every reference so many times, one after the other, each from rest."""
         ...
 
@@ -64,11 +61,7 @@ EvaluationTarget: TypeAlias = Plant | RealTime
 
 
 def run(
-    controller: Controller,
-    plant: EvaluationTarget,
-    references: Float[AnyArray, "references *ticks 2"],
-    seconds: int,
-    keys: Key[Array, "seeds"],
+    controller: Controller, plant: EvaluationTarget, references: References, seconds: int, keys: Key[Array, "seeds"]
 ) -> ExperimentRecording:
     """Run every reference with every key of the plant, each from rest, for whole seconds.
 
@@ -77,17 +70,9 @@ def run(
     asked = np.asarray(references, np.float32)
     if isinstance(plant, RealTime):
         return plant.experiments(asked, seconds, len(keys))
-    if asked.ndim == 2:
-        at_actions = np.tile(asked[:, None], (1, seconds * len(ACTION_TICKS), 1))
-    else:
-        count, ticks = asked.shape[:2]
-        if ticks != seconds * RATE_HZ:
-            raise ConfigurationError(
-                f"references of {ticks} ticks for an experiment of {seconds} s; give {seconds * RATE_HZ} ticks, one "
-                "every 10 ms"
-            )
-        at_actions = asked.reshape(count, seconds, RATE_HZ, 2)[:, :, list(ACTION_STARTS)].reshape(count, -1, 2)
-    command, reading = _program((controller, jit_argument(plant)), jnp.asarray(at_actions), keys)
+    series = np.broadcast_to(asked[:, None] if asked.ndim == 2 else asked, (len(asked), seconds * RATE_HZ, 2))
+    starts = np.cumsum([0, *ticks_of(seconds * len(ACTION_TICKS))])[:-1]
+    command, reading = _program((controller, jit_argument(plant)), jnp.asarray(series[:, starts]), keys)
     return ExperimentRecording(references, command, reading)
 
 
@@ -96,13 +81,13 @@ def independent(recording: ExperimentRecording) -> ExperimentRecording:
     bad = np.argwhere(~np.isfinite(recording.reading.force).all(axis=-1) | ~np.isfinite(recording.reading.angle))
     if bad.size:
         index, seed, tick = bad[0]
-        command = [float(part[index, seed, tick]) for part in recording.command]
+        angle, velocity = (float(part[index, seed, tick]) for part in recording.command)
         asked = np.asarray(recording.reference)[index]
         x, y = asked if asked.ndim == 1 else asked[tick]
         raise PlantError(
             f"reference ({x:g}, {y:g}) N, seed {seed}, {(tick + 1) / RATE_HZ:.2f} s: force or angle is not finite "
-            f"after the command (angle {command[0]:.3f} rad, velocity {command[1]:.3f} rad/s); every reading of a "
-            "plant must be finite"
+            f"after the command (angle {angle:.3f} rad, velocity {velocity:.3f} rad/s); every reading of a plant must "
+            "be finite"
         )
     force = np.asarray(recording.reading.force)
     return recording.first() if (force == force[:, :1]).all() else recording
@@ -115,30 +100,22 @@ def _program(
     """Run experiments; compiled once for controllers and plants that are alike but for their arrays."""
     controller, plant = parties
     actions = references.shape[1]
+    Carry: TypeAlias = tuple[ControllerState, State, Measured]
+
+    def action(carry: Carry, now: tuple[Float[Array, "2"], Ticks]) -> tuple[Carry, tuple[Command, Reading]]:
+        """Act on what was read while the action before was held."""
+        (memory, state, measured), (reference, ticks) = carry, now
+        memory, command = controller.act(memory, measured, reference)
+        state, reading = hold_action(plant, state, command, ticks)
+        measured = Measured(jnp.asarray(reading.angle)[ticks - 1], mean_of(jnp.asarray(reading.force), ticks))
+        held = jax.tree.map(lambda x: jnp.full(MOST_TICKS, x, jnp.float32), command)
+        return (memory, state, measured), (held, reading)
 
     def one(asked: Float[Array, "actions 2"], key: PRNGKeyArray) -> tuple[Command, Reading]:
         carry = (controller.init(), plant.init(key), Measured(jnp.float32(0.0), jnp.zeros(2)))
-        held = (asked, jnp.asarray(ticks_of(actions)))
-        kept: tuple[Command, Reading]
-        _, kept = jax.lax.scan(lambda carry, now: _action(controller, plant, carry, *now), carry, held)
+        _, kept = jax.lax.scan(action, carry, (asked, jnp.asarray(ticks_of(actions))))
         command, reading = jax.tree.map(lambda x: counted(x, actions), kept)
         return command, reading
 
     each: tuple[Command, Reading] = jax.vmap(jax.vmap(one, in_axes=(None, 0)), in_axes=(0, None))(references, keys)
     return each
-
-
-def _action(
-    controller: Controller,
-    plant: Plant,
-    carry: tuple[ControllerState, State, Measured],
-    reference: Float[Array, "2"],
-    ticks: Ticks,
-) -> tuple[tuple[ControllerState, State, Measured], tuple[Command, Reading]]:
-    """Act on what was read while the action before was held."""
-    memory, state, measured = carry
-    memory, command = controller.act(memory, measured, reference)
-    state, reading = hold_action(plant, state, command, ticks)
-    measured = Measured(jnp.asarray(reading.angle)[ticks - 1], mean_of(jnp.asarray(reading.force), ticks))
-    held = jax.tree.map(lambda x: jnp.full(MOST_TICKS, x, jnp.float32), command)
-    return (memory, state, measured), (held, reading)

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patheffects import withStroke
 from matplotlib.projections.polar import PolarAxes
@@ -90,7 +89,7 @@ def _draw_trajectory(axes: Any, angle: Any) -> None:
 
 def moving_figure(experiments: Sequence[MovingScores]) -> Figure:
     """Every moving reference, at its first seed: the moving average beside it, the force, the fin's angle."""
-    each = [(moving, index) for moving in experiments for index in range(len(moving.signals))]
+    each = [(moving, index) for moving in experiments for index in range(len(moving.rows))]
     columns = min(len(each), 2)
     rows = math.ceil(len(each) / columns)
     with styled():
@@ -128,12 +127,11 @@ def _draw_moving(panel: SubFigure, moving: MovingScores, index: int) -> None:
     angles.plot(time, np.degrees(reading.angle[index, 0]), color=BLACK, linewidth=0.8)
     angles.set(ylabel="angle [°]", xlabel="time [s]", xlim=(0, time[-1]))
     panel.align_ylabels([*averages, forces, angles])
-    settling = moving.settling(index)
-    x, y = moving.error[index].mean(axis=0)
-    errors = f"error {x:.2f}, {y:.2f} N"
-    if settling is not None:
-        errors += f"; settles in {settling:.2f} s" if math.isfinite(settling) else "; never settles"
-    averages[0].set_title(with_minus_signs(f"{moving.signals[index]}\n{errors}"), weight="bold")
+    row = moving.rows[index]
+    errors = f"error {row['x']['error_n']:.2f}, {row['y']['error_n']:.2f} N"
+    if row["settles"] is not None:
+        errors += f"; settles in {row['longest_settling_s']:.2f} s" if row["settles"] else "; never settles"
+    averages[0].set_title(with_minus_signs(f"{row['described']}\n{errors}"), weight="bold")
 
 
 def error_map_figure(errors: ErrorMap) -> Figure:
@@ -164,7 +162,13 @@ def error_map_figure(errors: ErrorMap) -> Figure:
                     patch = {"facecolor": colormaps[ERROR_COLOURS](value / greatest), "edgecolor": "none", "pad": 0.8}
                     axes.text(x, y, f"{value:.2f}", ha="center", va="center", fontsize=7, bbox=patch,
                               color="white" if value > 0.6 * greatest else BLACK)  # fmt: skip
-            _draw_marks(axes, errors.reachable)
+            x, y = np.array(PAPER_REFERENCES, float).T
+            axes.plot(x, y, "o", fillstyle="none", color=BLACK, markersize=16, markeredgewidth=1.4,
+                      label="the paper's references")  # fmt: skip
+            if errors.reachable is not None:
+                outline = np.concatenate([errors.reachable, errors.reachable[:1]])
+                axes.plot(*outline.T, color=BLACK, linestyle="--", linewidth=1.4, label="forces that the fin can make",
+                          path_effects=[withStroke(linewidth=3, foreground="white")])  # fmt: skip
             axes.set_title(f"error {axis}: mean {error.mean():.2f} N, worst {error.max():.2f} N", weight="bold")
             axes.set(xlabel="reference force x [N]", aspect="equal")
         panels[0].set_ylabel("reference force y [N]")
@@ -172,14 +176,3 @@ def error_map_figure(errors: ErrorMap) -> Figure:
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure
-
-
-def _draw_marks(axes: Axes, reachable: np.ndarray | None) -> None:
-    x, y = np.array(PAPER_REFERENCES, float).T
-    axes.plot(
-        x, y, "o", fillstyle="none", color=BLACK, markersize=16, markeredgewidth=1.4, label="the paper's references",
-    )  # fmt: skip
-    if reachable is not None:
-        closed = np.concatenate([reachable, reachable[:1]])
-        axes.plot(*closed.T, color=BLACK, linestyle="--", linewidth=1.4, label="forces that the fin can make",
-                  path_effects=[withStroke(linewidth=3, foreground="white")])  # fmt: skip

@@ -3,25 +3,25 @@
 Controller, plant and signals go in; recordings, tracking errors and the responses to every step come out.
 """
 
-import dataclasses
-from collections.abc import Callable, Iterable, Mapping
-from types import MappingProxyType
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Float, Key
 
 from softfin.control.controller import Controller
 from softfin.control.references import reachable_of, resolve_references, unreachable
+from softfin.core.action_clock import WINDOW
 from softfin.core.choices import MovingReference
 from softfin.core.errors import CoverageError
 from softfin.core.quantities import AXES, RATE_HZ
 from softfin.core.statistics import interval
+from softfin.core.window import moving_error
 from softfin.evaluation.experiment import MIN_SECONDS, EvaluationTarget, ExperimentRecording, independent, run
 from softfin.evaluation.range_errors import range_of
-from softfin.evaluation.scores import StepResponse, instantaneous_error, score, step_responses
+from softfin.evaluation.scores import score, step_responses
 from softfin.gaits.reachable import Cell, Reachable
-from softfin.task.signals import Force, Ramp, Recorded, Signal, Sinusoid, Step
+from softfin.task.signals import Force, Ramp, Recorded, Series, Signal, Sinusoid, Step
 
 LOW, MIDDLE, HIGH = 1 / 6, 1 / 2, 5 / 6
 """Places in a controller's range, which goes from 0 (its least reference) to 1 (its greatest) on each axis."""
@@ -40,9 +40,9 @@ def _sine(start_n: Force, to_n: Force) -> Sinusoid:
     return Sinusoid(centre_n=((a + c) / 2, (b + d) / 2), amplitude_n=((c - a) / 2, (d - b) / 2))
 
 
-SIGNALS: Mapping[MovingReference, tuple[Callable[..., Signal], tuple[Any, ...], int]] = MappingProxyType(
-    {"step": (Step, STEPS, 20), "ramp": (Ramp, UP_AND_FORWARDS, 20), "sine": (_sine, UP_AND_FORWARDS, 30)}
-)
+SIGNALS: dict[MovingReference, tuple[Callable[..., Signal], tuple[Any, ...], int]] = {
+    "step": (Step, STEPS, 20), "ramp": (Ramp, UP_AND_FORWARDS, 20), "sine": (_sine, UP_AND_FORWARDS, 30),
+}  # fmt: skip
 """Default signals by kind: from where to where in the range, and length of the experiment [s]; in the paper's range:
 
 ======== ==============================================================================================================
@@ -72,8 +72,16 @@ def signals_of(kind: MovingReference, cell: Cell, reachable: Reachable | None = 
     return tuple(make(start_n=at(*start), to_n=at(*to)) for start, to in places)
 
 
-@dataclasses.dataclass(frozen=True)
-class MovingPlan:
+class MovingScores(NamedTuple):
+    """Experiments of one length whose references move."""
+
+    recording: ExperimentRecording
+    """Recording of the first seed: reference ``(signals, ticks, 2)``, other fields ``(signals, 1, ticks)``."""
+    rows: list[dict[str, Any]]
+    """Scores of each signal, for JSON."""
+
+
+class MovingPlan(NamedTuple):
     """Signals of one length, with the forces that are tracked."""
 
     signals: tuple[Signal, ...]
@@ -95,25 +103,44 @@ class MovingPlan:
         warnings = tuple(warning for _, warning in pairs if warning is not None)
         return cls(signals, seconds, np.stack([series for series, _ in pairs]), warnings)
 
-    def run(self, controller: Controller, plant: EvaluationTarget, keys: Key[Array, "seeds"]) -> "MovingScores":
+    def run(self, controller: Controller, plant: EvaluationTarget, keys: Key[Array, "seeds"]) -> MovingScores:
         """Run and score the signals, each with every key; errors are against the tracked reference."""
         recording = independent(run(controller, plant, self.tracked, self.seconds, keys))
-        force = np.asarray(recording.reading.force, np.float64)
-        each = list(zip(force, self.tracked, strict=True))
-        asked = np.stack([signal.sample(self.seconds * RATE_HZ) for signal in self.signals])
-        return MovingScores(
-            signals=self.signals,
-            recording=recording.first(),
-            error=score(recording).error,
-            instantaneous=np.stack([instantaneous_error(seeds, reference) for seeds, reference in each]),
-            responses=tuple(tuple(tuple(step_responses(seed, asked)) for seed in seeds) for seeds, asked in each),
-            replaced=tuple(np.any(self.tracked != asked, axis=2).sum(axis=1).tolist()),
-        )
+        forces, errors = np.asarray(recording.reading.force, np.float64), score(recording).error
+        each = zip(self.signals, self.tracked, forces, errors, strict=True)
+        return MovingScores(recording.first(), [_row(*signal) for signal in each])
 
 
-def _resolve_signal(
-    controller: Controller, signal: Signal, ticks: int, strict: bool
-) -> tuple[Float[np.ndarray, "ticks 2"], str | None]:
+def _row(signal: Signal, tracked: Series, forces: np.ndarray, error: Float[np.ndarray, "seeds 2"]) -> dict[str, Any]:
+    responses = [step_responses(force, tracked) for force in forces]
+    # Against the reference of that very instant, so the window's own delay counts too.
+    instantaneous = moving_error(forces, np.asarray(tracked, np.float64)[WINDOW - 1 :])
+    axes = {
+        axis: {
+            "error_n": float(error[:, k].mean()),
+            "error_interval_n": interval(error[:, k]),
+            "instantaneous_error_n": float(instantaneous[:, k].mean()),
+        }
+        for k, axis in enumerate(AXES)
+    }
+    times = [step["settling_s"] for seed in responses for step in seed]
+    settles = None not in times if times else None
+    # The rows of a recorded signal may be many; they stand in its file.
+    left_out = {"kind", "time_s", "force_n"} if isinstance(signal, Recorded) else {"kind"}
+    return {
+        "kind": signal.kind,
+        "described": str(signal),
+        "signal": signal.model_dump(mode="json", exclude=left_out),
+        "duration_s": len(tracked) / RATE_HZ,
+        "replaced_s": int(np.any(tracked != signal.sample(len(tracked)), axis=1).sum()) / RATE_HZ,
+        **axes,
+        "settles": settles,
+        "longest_settling_s": max(times) if settles else None,
+        "steps": [list(step) for step in zip(*responses, strict=True)],
+    }
+
+
+def _resolve_signal(controller: Controller, signal: Signal, ticks: int, strict: bool) -> tuple[Series, str | None]:
     """The force to track at each tick, the nearest that the fin can make, and a warning where it is not the signal."""
     references = signal.sample(ticks)
     distinct, places = np.unique(references, axis=0, return_inverse=True)
@@ -143,54 +170,3 @@ def plan_moving(
     if recorded is not None:
         groups.append(((recorded,), max(recorded.seconds, MIN_SECONDS)))
     return [MovingPlan.of(controller, signals, seconds, strict) for signals, seconds in groups]
-
-
-@dataclasses.dataclass(frozen=True)
-class MovingScores:
-    """Scores of experiments of one length whose references move."""
-
-    signals: tuple[Signal, ...]
-    recording: ExperimentRecording
-    """Recording of the first seed: reference ``(signals, ticks, 2)``, other fields ``(signals, 1, ticks)``."""
-    error: Float[np.ndarray, "signals seeds 2"]
-    """Mean |moving average - the reference's mean over the same 200 samples| [N]."""
-    instantaneous: Float[np.ndarray, "signals seeds 2"]
-    """Mean |moving average - the reference at that instant| [N]."""
-    responses: tuple[tuple[tuple[StepResponse, ...], ...], ...]
-    """Responses by signal, seed and step."""
-    replaced: tuple[int, ...]
-    """Ticks of each signal at which another force is tracked, because the fin cannot make the one asked for."""
-
-    def settling(self, index: int) -> float | None:
-        """Longest settling time over a signal's steps and seeds [s]; inf if one never settles; None without steps."""
-        times = [step.settling_s for seed in self.responses[index] for step in seed]
-        return max((np.inf if time is None else time for time in times), default=None)
-
-    def to_dict(self) -> list[dict[str, Any]]:
-        """One row a signal, for JSON."""
-        rows = []
-        for i, signal in enumerate(self.signals):
-            axes = {
-                axis: {
-                    "error_n": float(self.error[i, :, k].mean()),
-                    "error_interval_n": interval(self.error[i, :, k]),
-                    "instantaneous_error_n": float(self.instantaneous[i, :, k].mean()),
-                }
-                for k, axis in enumerate(AXES)
-            }
-            each, longest = self.responses[i], self.settling(i)
-            settles = None if longest is None else bool(np.isfinite(longest))
-            # The rows of a recorded signal may be many; they stand in its file.
-            left_out = {"kind", "time_s", "force_n"} if isinstance(signal, Recorded) else {"kind"}
-            rows.append({
-                "kind": signal.kind,
-                "described": str(signal),
-                "signal": signal.model_dump(mode="json", exclude=left_out),
-                "duration_s": self.recording.reading.angle.shape[-1] / RATE_HZ,
-                "replaced_s": self.replaced[i] / RATE_HZ,
-                **axes,
-                "settles": settles,
-                "longest_settling_s": longest if settles else None,
-                "steps": [[seed[k].to_dict() for seed in each] for k in range(len(each[0]))],
-            })  # fmt: skip
-        return rows

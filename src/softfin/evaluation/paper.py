@@ -1,49 +1,38 @@
-"""The paper's own figures: Table II, as printed.
+"""The paper's own figures: Table II, as printed; of each row x error, x std, y error, y std [N].
 
 Its last row, "Overall mean", is not always the mean of the rows above it (the grid's y std is printed 0.201, its rows
 give 0.293), so both are kept: `PAPER_PRINTED_MEANS` and `recomputed_means`.
 """
 
-from typing import NamedTuple
-
-
-class PaperScores(NamedTuple):
-    """Four cells of Table II [N]: one controller at one reference, or their means."""
-
-    x_error: float
-    x_std: float
-    y_error: float
-    y_std: float
-
+PaperScores = tuple[float, float, float, float]
 
 PAPER_TABLE_II: dict[str, dict[tuple[float, float], PaperScores]] = {
     "single": {
-        (1, -1): PaperScores(1.07, 0.458, 0.871, 0.317),
-        (2, -1): PaperScores(0.953, 0.436, 0.351, 0.274),
-        (2, 0): PaperScores(0.419, 0.281, 0.369, 0.269),
-        (3, 0): PaperScores(0.394, 0.338, 1.12, 0.386),
-        (1, 1): PaperScores(1.11, 0.515, 0.690, 0.381),
-        (2, 1): PaperScores(1.02, 0.421, 0.714, 0.727),
+        (1, -1): (1.07, 0.458, 0.871, 0.317),
+        (2, -1): (0.953, 0.436, 0.351, 0.274),
+        (2, 0): (0.419, 0.281, 0.369, 0.269),
+        (3, 0): (0.394, 0.338, 1.12, 0.386),
+        (1, 1): (1.11, 0.515, 0.690, 0.381),
+        (2, 1): (1.02, 0.421, 0.714, 0.727),
     },
     "grid": {
-        (1, -1): PaperScores(0.532, 0.520, 0.382, 0.362),
-        (2, -1): PaperScores(0.298, 0.218, 0.935, 0.207),
-        (2, 0): PaperScores(0.307, 0.274, 0.520, 0.463),
-        (3, 0): PaperScores(0.467, 0.402, 0.830, 0.331),
-        (1, 1): PaperScores(0.440, 0.220, 0.302, 0.214),
-        (2, 1): PaperScores(0.696, 0.369, 0.269, 0.182),
+        (1, -1): (0.532, 0.520, 0.382, 0.362),
+        (2, -1): (0.298, 0.218, 0.935, 0.207),
+        (2, 0): (0.307, 0.274, 0.520, 0.463),
+        (3, 0): (0.467, 0.402, 0.830, 0.331),
+        (1, 1): (0.440, 0.220, 0.302, 0.214),
+        (2, 1): (0.696, 0.369, 0.269, 0.182),
     },
 }
 """Scores by controller and reference force [N], measured on the real fin."""
 
-PAPER_PRINTED_MEANS = {
-    "single": PaperScores(0.828, 0.408, 0.685, 0.392),
-    "grid": PaperScores(0.435, 0.325, 0.537, 0.201),
+PAPER_PRINTED_MEANS: dict[str, PaperScores] = {
+    "single": (0.828, 0.408, 0.685, 0.392),
+    "grid": (0.435, 0.325, 0.537, 0.201),
 }
 """The row "Overall mean" as printed."""
 
 
-def recomputed_means(controller: str) -> PaperScores:
+def recomputed_means(controller: str) -> list[float]:
     """The means of the six rows of Table II."""
-    rows = PAPER_TABLE_II[controller].values()
-    return PaperScores(*(sum(column) / len(rows) for column in zip(*rows, strict=True)))
+    return [sum(column) / len(column) for column in zip(*PAPER_TABLE_II[controller].values(), strict=True)]

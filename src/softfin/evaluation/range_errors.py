@@ -20,6 +20,9 @@ from softfin.evaluation.scores import score
 from softfin.gaits.reachable import Cell, Force, Reachable, bounding_box
 from softfin.task.references import PAPER_RANGE
 
+Forces = Float[np.ndarray, "references 2"]
+"""(x, y) [N]."""
+
 LATTICE_POINTS = 7
 """Default number of references along each side of the lattice."""
 
@@ -37,9 +40,9 @@ class ErrorMap(NamedTuple):
     """Range of the controller; each reference is the middle of an equal part of it."""
     points: int
     """References along each side."""
-    references: Float[np.ndarray, "references 2"]
+    references: Forces
     """References that the controller covers and the fin can make [N]; the others of ``points ** 2`` are left out."""
-    error: Float[np.ndarray, "references 2"]
+    error: Forces
     """Mean |moving average - reference| [N]."""
     reachable: Float[np.ndarray, "corners 2"] | None = None
     """Outline of the mean forces that the fin can make [N]; None where it is not known."""
@@ -65,40 +68,14 @@ class ErrorMap(NamedTuple):
         }
 
 
-class RandomErrors(NamedTuple):
-    """Errors at random references."""
-
-    references: Float[np.ndarray, "references 2"]
-    """Reference forces (x, y) [N]."""
-    error: Float[np.ndarray, "references 2"]
-    """Mean |moving average - reference| [N]."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Values for JSON; the 95th percentile is over the references."""
-        axes = {
-            axis: {
-                "mean_n": float(self.error[:, i].mean()),
-                "p95_n": float(np.percentile(self.error[:, i], 95)),
-                "worst_n": float(self.error[:, i].max()),
-                "worst_reference_n": self.references[self.error[:, i].argmax()].round(4).tolist(),
-            }
-            for i, axis in enumerate(AXES)
-        }
-        return {"count": len(self.references), "seeds": 1, **axes}
-
-
 def range_of(controller: Controller) -> Cell:
     """The bounding box of a controller's cells; the paper's range for one that has none and covers everything."""
     return bounding_box(cells_of(controller) or (PAPER_RANGE,))
 
 
 def errors_at(
-    controller: Controller,
-    plant: EvaluationTarget,
-    references: Float[np.ndarray, "references 2"],
-    seconds: int,
-    key: PRNGKeyArray,
-) -> Float[np.ndarray, "references 2"]:
+    controller: Controller, plant: EvaluationTarget, references: Forces, seconds: int, key: PRNGKeyArray
+) -> Forces:
     """Mean |moving average - reference| of each reference [N]."""
     recording = run(controller, plant, np.asarray(references, np.float32), seconds, jnp.stack([key]))
     return score(independent(recording)).error[:, 0]
@@ -108,7 +85,7 @@ def map_errors(
     controller: Controller, plant: EvaluationTarget, points: int, seconds: int, key: PRNGKeyArray
 ) -> ErrorMap:
     """Errors over a lattice of the controller's range; raises CoverageError where no reference of it can be tracked."""
-    cell = range_of(controller)
+    cell, reachable = range_of(controller), reachable_of(controller)
     if cell.low[0] == cell.high[0] or cell.low[1] == cell.high[1]:
         raise CoverageError(f"an error map over {cell}: the controller's range has no area; train it for a wider cell")
 
@@ -119,18 +96,14 @@ def map_errors(
             return False
         return True
 
-    covered = [reference for reference in cell.lattice(points) if covers(reference)]
-    references, reachable = np.array(covered).reshape(-1, 2), reachable_of(controller)
-    if reachable is not None:
-        references = references[reachable.contains(references)]
+    covered = np.array([reference for reference in cell.lattice(points) if covers(reference)]).reshape(-1, 2)
+    references = covered if reachable is None else covered[reachable.contains(covered)]
     if not len(references):
-        reason = (
-            "this fin can make none of them; ask for more points, or train the controller within the fin's reach "
+        raise CoverageError(
+            f"an error map of {points} x {points} references over {cell}: the controller covers {len(covered)} of them "
+            "and the fin can make none of those; ask for more points, or train the controller within the fin's reach "
             "(softfin map shows it)"
-            if covered
-            else "the controller covers none of them; ask for more points"
         )
-        raise CoverageError(f"an error map of {points} x {points} references over {cell}: {reason}")
     error = errors_at(controller, plant, references, seconds, key)
     outline = None if reachable is None else reachable.corners()
     return ErrorMap(cell, points, references, error, outline, len(covered) - len(references))
@@ -138,16 +111,29 @@ def map_errors(
 
 def random_errors(
     controller: Controller, plant: EvaluationTarget, count: int, seed: int, seconds: int, key: PRNGKeyArray
-) -> RandomErrors:
-    """Errors at `count` references drawn from `seed` over the controller's cells and the fin's reach."""
+) -> dict[str, Any]:
+    """Errors at references drawn from `seed` over the controller's cells and the fin's reach, for JSON.
+
+    The 95th percentile is over the references.
+    """
     cells = cells_of(controller) or (PAPER_RANGE,)
     references = draw_references(cells, reachable_of(controller), count, generator_of(seed, "evaluate/random"))
-    return RandomErrors(references, errors_at(controller, plant, references, seconds, key))
+    errors = errors_at(controller, plant, references, seconds, key)
+    axes = {
+        axis: {
+            "mean_n": float(error.mean()),
+            "p95_n": float(np.percentile(error, 95)),
+            "worst_n": float(error.max()),
+            "worst_reference_n": references[error.argmax()].round(4).tolist(),
+        }
+        for axis, error in zip(AXES, errors.T, strict=True)
+    }
+    return {"count": count, "seeds": 1, **axes}
 
 
 def draw_references(
     cells: Sequence[Cell], reachable: Reachable | None, count: int, generator: np.random.Generator
-) -> Float[np.ndarray, "references 2"]:
+) -> Forces:
     """Forces uniform over the part of the cells that the fin can make; raises CoverageError where it makes hardly any.
 
     Cells of no area, single references or lines, are drawn from with equal probability if no other has any.

@@ -4,9 +4,10 @@ Results and figures go in; the page needs no network, and a part whose data is a
 """
 
 import importlib.resources
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import cycle
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import jinja2
@@ -14,12 +15,10 @@ import numpy as np
 import yaml
 from jaxtyping import Float
 from markupsafe import Markup
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from softfin.core.quantities import AXES, RATE_HZ
-from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_II, PaperScores, recomputed_means
-from softfin.gaits.reachable import PAPER_REFERENCES
+from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_II, recomputed_means
 from softfin.storage import artifact as artifacts
 from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, inline_svg, new_figure, styled, with_minus_signs
 from softfin.surrogate.compare.scores import PAPER_TABLE_I
@@ -40,14 +39,10 @@ NETS = {
 """Rows of Table I: by key of `table_one`, what the row is, its unit, the paper's row to stand beside."""
 
 
-def write_report(
-    path: Path,
-    results: Mapping[str, Any],
-    surrogate_figures: Figures | None = None,
-    learning_figures: Figures | None = None,
-    experiment_figures: Figures | None = None,
-) -> None:
-    """Write the page. `results` may hold any of these; what it lacks is left out:
+def write_report(path: Path, results: Mapping[str, Any], figures: Mapping[str, Figures] = MappingProxyType({})) -> None:
+    """Write the page, with `figures` of the parts ``surrogate``, ``learning``, ``experiment``.
+
+    `results` may hold any of these; what it lacks is left out:
 
     ================= ===============================================================================================
     ``title``         text of the heading
@@ -62,7 +57,7 @@ def write_report(
     controllers, configuration = results.get("controllers") or {}, results.get("configuration")
     scores = (results.get("surrogate") or {}).get("scores") or {}
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
-    environment.filters |= {"number": _number, "half": _half}
+    environment.filters["number"] = _number
     template = importlib.resources.files("softfin.evaluation").joinpath("report.html.jinja").read_text("utf-8")
     page = environment.from_string(template).render(
         title=results.get("title", "softfin: force control of a soft fin"),
@@ -76,9 +71,7 @@ def write_report(
         in_surrogate={name: _table_two(name, summary) for name, summary in (results.get("in_surrogate") or {}).items()},
         conditions=next((summary["conditions"] for summary in controllers.values()), None),
         table_two_svg=_svgs({"errors": table_two_figure(controllers)})["errors"] if controllers else None,
-        surrogate_figures=_svgs(surrogate_figures),
-        learning_figures=_svgs(learning_figures),
-        experiment_figures=_svgs(experiment_figures),
+        **{f"{part}_figures": _svgs(figures.get(part, {})) for part in ("surrogate", "learning", "experiment")},
         configuration=yaml.safe_dump(configuration, sort_keys=False, allow_unicode=True) if configuration else None,
         provenance=results.get("provenance"),
     )
@@ -90,38 +83,27 @@ def _number(value: float) -> str:
     return f"{value:#.3g}" if 1e-4 <= abs(value) < 1000 else f"{value:.3g}"
 
 
-def _half(cell: Mapping[str, Any]) -> str:
-    """Half of the interval to the digits of its mean; a single digit where those would show zero."""
-    digits = _number(cell["mean"]).partition(".")[2]
-    text = f"{cell['half']:.{len(digits)}f}"
-    return text if float(text) else f"{cell['half']:.1g}"
-
-
 def _table_two(name: str, summary: Mapping[str, Any]) -> dict[str, Any]:
     """Rows of cells in the order of the columns: x and y, error and std of each, then what the paper does not have."""
-    published = PAPER_TABLE_II.get(name, {})
+    published, references = PAPER_TABLE_II.get(name, {}), [tuple(row["reference_n"]) for row in summary["references"]]
+    complete = bool(published) and set(references) == set(published)
+    papers: list[Any] = [*map(published.get, references), recomputed_means(name) if complete else None]
     rows = [
-        _row(_force(row["reference_n"]), row, published.get(tuple(row["reference_n"]))) for row in summary["references"]
+        {
+            "label": label,
+            "cells": [_cell(row[axis], score) | {"paper": next(paper)} for axis in AXES for score in ("error", "std")],
+            "raw": [_cell(row[axis], "raw_std") for axis in AXES],
+            "travel": row["shaft_travel_rad_s"],
+            "still": row.get("still", False),
+        }
+        for label, row, paper in zip(
+            [*map(_force, references), "mean"],
+            [*summary["references"], summary["mean"]],
+            (iter(paper or (None,) * 4) for paper in papers),
+            strict=True,
+        )
     ]
-    complete = {tuple(row["reference_n"]) for row in summary["references"]} == set(PAPER_REFERENCES)
-    mean = _row("mean", summary["mean"], recomputed_means(name) if published and complete else None)
-    return {
-        "rows": [*rows, mean],
-        "paper": any(row["cells"][0]["paper"] is not None for row in rows),
-        "printed": PAPER_PRINTED_MEANS[name] if published and complete else None,
-    }
-
-
-def _row(label: str, row: Mapping[str, Any], paper: PaperScores | None) -> dict[str, Any]:
-    published = iter(paper or (None,) * 4)
-    cells = [{**_cell(row[axis], score), "paper": next(published)} for axis in AXES for score in ("error", "std")]
-    return {
-        "label": label,
-        "cells": cells,
-        "raw": [_cell(row[axis], "raw_std") for axis in AXES],
-        "travel": row["shaft_travel_rad_s"],
-        "still": row.get("still", False),
-    }
+    return {"rows": rows, "paper": any(papers), "printed": PAPER_PRINTED_MEANS[name] if complete else None}
 
 
 def _cell(scores: Mapping[str, Any], name: str) -> dict[str, Any]:
@@ -133,50 +115,48 @@ def _force(reference: Iterable[float | int]) -> str:
     return with_minus_signs(f"({', '.join(f'{value:g}' for value in reference)})")
 
 
-def _svgs(figures: Figures | None) -> dict[str, Markup]:
+def _svgs(figures: Figures) -> dict[str, Markup]:
     # Safe: Matplotlib escapes all text that it draws.
-    return {caption: Markup(inline_svg(figure, caption)) for caption, figure in (figures or {}).items()}
+    return {caption: Markup(inline_svg(figure, caption)) for caption, figure in figures.items()}
 
 
 def table_two_figure(summaries: Mapping[str, Mapping[str, Any]]) -> Figure:
     """Errors by reference: each controller's ``evaluation.json``, beside the paper's figures where it has them."""
     references = [tuple(row["reference_n"]) for row in next(iter(summaries.values()))["references"]]
+    places = np.arange(len(references) + 1)
     with styled():
         figure = new_figure(10, 5.2)
         for index, (axes, axis) in enumerate(zip(figure.subplots(2, 1, sharex=True), AXES, strict=True)):
-            _draw_errors(axes, axis, index, summaries, references)
-        axes.set_xticks(range(len(references) + 1), [*map(_force, references), "mean"])
+            bars = [bar for item in summaries.items() for bar in _bars(*item, axis, index, references)]
+            width = min(0.25, 0.8 / len(bars))
+            for k, (colour, hatch, errors, looks) in enumerate(bars):
+                axes.bar(
+                    places + (k - (len(bars) - 1) / 2) * width, errors, 0.92 * width, hatch=hatch, edgecolor=colour,
+                    facecolor="white" if hatch else colour, ecolor=BLACK, capsize=2, **looks,
+                )  # fmt: skip
+            axes.axvline(len(references) - 0.5, color=GREY, linewidth=0.8)
+            axes.grid(visible=False, axis="x")
+            axes.set_ylabel(f"error {axis} [N]")
+        axes.set_xticks(places, [*map(_force, references), "mean"])
         axes.set_xlabel("reference force (x, y) [N]")
         handles, labels = axes.get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
     return figure
 
 
-def _draw_errors(
-    axes: Axes, axis: str, index: int, summaries: Mapping[str, Mapping[str, Any]], references: list[Any]
-) -> None:
-    bars: list[tuple[str, str, str | None, list[float], Any]] = []
-    for name, summary in summaries.items():
-        rows = [*(row[axis] for row in summary["references"]), summary["mean"][axis]]
-        errors = [row["error_n"] for row in rows]
-        several = rows[0]["error_interval_n"] is not None
-        half = [row["error_interval_n"][1] - row["error_n"] for row in rows] if several else None
-        colour = CONTROLLER_COLOURS.get(name, GREY)
-        bars.append((name, colour, None, errors, half))
-        published = PAPER_TABLE_II.get(name, {})
-        if published and set(references) <= published.keys():
-            values = [published[reference][2 * index] for reference in references]
-            bars.append((f"{name}, paper (real fin)", colour, "////", [*values, float(np.mean(values))], None))
-    width = min(0.25, 0.8 / len(bars))
-    places = np.arange(len(references) + 1)
-    for k, (label, colour, hatch, values, half) in enumerate(bars):
-        axes.bar(
-            places + (k - (len(bars) - 1) / 2) * width, values, 0.92 * width, yerr=half, label=label, hatch=hatch,
-            facecolor="white" if hatch else colour, edgecolor=colour, ecolor=BLACK, capsize=2,
-        )  # fmt: skip
-    axes.axvline(len(references) - 0.5, color=GREY, linewidth=0.8)
-    axes.grid(visible=False, axis="x")
-    axes.set_ylabel(f"error {axis} [N]")
+def _bars(
+    name: str, summary: Mapping[str, Any], axis: str, index: int, references: list[Any]
+) -> Iterator[tuple[str, str | None, list[float], dict[str, Any]]]:
+    """Colour, hatch, errors and looks of a controller's bars, and of the paper's beside them."""
+    rows = [row[axis] for row in (*summary["references"], summary["mean"])]
+    intervals = [row["error_interval_n"] for row in rows]
+    errors, colour = [row["error_n"] for row in rows], CONTROLLER_COLOURS.get(name, GREY)
+    half = None if intervals[0] is None else [high - error for (_, high), error in zip(intervals, errors, strict=True)]
+    yield colour, None, errors, {"label": name, "yerr": half}
+    published = PAPER_TABLE_II.get(name, {})
+    if published and set(references) <= published.keys():
+        values = [published[reference][2 * index] for reference in references]
+        yield colour, "////", [*values, float(np.mean(values))], {"label": f"{name}, paper (real fin)"}
 
 
 def prediction_figure(

@@ -68,68 +68,36 @@ def travel(angle: Float[np.ndarray, "*batch ticks"]) -> Float[np.ndarray, "*batc
     return np.asarray(path / ((ends[-1] - ends[0]) / RATE_HZ))
 
 
-def instantaneous_error(force: Float[np.ndarray, "*batch ticks 2"], reference: Force) -> Float[np.ndarray, "*batch 2"]:
-    """Mean |m(t) - r(t)| against the reference of that very instant, so the window's own delay counts too [N]."""
-    late = np.asarray(reference, np.float64)[WINDOW - 1 :]
-    return np.asarray(moving_error(force, late))
-
-
-class StepResponse(NamedTuple):
-    """Response of the moving average to one step of the reference, up to its next change or the end."""
-
-    at_s: float
-    """Time of the step [s]."""
-    start: Float[np.ndarray, "2"]
-    """Reference before the step [N]."""
-    to: Float[np.ndarray, "2"]
-    """Reference after the step [N]."""
-    rise_s: tuple[float | None, float | None]
-    """Time of each axis from 10% to 90% of the step [s]; None where it does not step or never comes that far."""
-    overshoot_percent: tuple[float | None, float | None]
-    """How far each axis goes beyond the new reference, in parts of the step; None where it does not step."""
-    settling_s: float | None
-    """Time until both axes are within `SETTLED_N` of the new reference and stay there [s]; None if they never do."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Values for JSON."""
-        return {
-            "at_s": self.at_s,
-            "start_n": self.start.tolist(),
-            "to_n": self.to.tolist(),
-            **{f"rise_{axis}_s": self.rise_s[i] for i, axis in enumerate(AXES)},
-            **{f"overshoot_{axis}_percent": self.overshoot_percent[i] for i, axis in enumerate(AXES)},
-            "settling_s": self.settling_s,
-        }
-
-
 def steps_of(reference: Force) -> list[tuple[int, int]]:
     """(first tick, one past the last) after each step between two forces that are both held for 2 s or more."""
     changes = np.flatnonzero((np.diff(reference, axis=0) != 0).any(axis=1)) + 1
-    edges = [0, *changes.tolist(), len(reference)]
-    held = [(start, stop) for start, stop in pairwise(edges) if stop - start >= WINDOW]
+    held = [(start, stop) for start, stop in pairwise([0, *changes.tolist(), len(reference)]) if stop - start >= WINDOW]
     starts = {stop for _, stop in held}
     return [(start, stop) for start, stop in held if start in starts]
 
 
-def step_responses(force: Force, reference: Force) -> list[StepResponse]:
-    """Responses to every step of a reference."""
+def step_responses(force: Force, reference: Force) -> list[dict[str, Any]]:
+    """Responses of the moving average to every step of a reference, up to its next change or the end, for JSON.
+
+    ``rise_x_s`` is the time from 10% to 90% of the step [s], ``overshoot_x_percent`` how far the force goes beyond the
+    new reference in parts of the step, ``settling_s`` the time until both axes are within `SETTLED_N` of the new
+    reference and stay there [s]; None where an axis does not step, or the force never comes that far.
+    """
     average, asked = moving_average(force), np.asarray(reference, np.float64)
-    return [_response(average, asked, *ticks) for ticks in steps_of(reference)]
+    return [_response(average, asked, first, stop) for first, stop in steps_of(reference)]
 
 
-def _response(average: Float[np.ndarray, "windows 2"], reference: Force, first: int, stop: int) -> StepResponse:
+def _response(average: Float[np.ndarray, "windows 2"], reference: Force, first: int, stop: int) -> dict[str, Any]:
     start, to = reference[first - 1], reference[first]
     # Window k ends with tick k + WINDOW - 1, and the force before was held long enough for one.
     after = average[first - WINDOW + 1 : stop - WINDOW + 1]
-    rise: list[float | None] = [None, None]
-    overshoot: list[float | None] = [None, None]
-    for axis in np.flatnonzero(start != to).tolist():
-        part = (after[:, axis] - start[axis]) / (to[axis] - start[axis])
+    response: dict[str, Any] = {"at_s": first / RATE_HZ, "start_n": start.tolist(), "to_n": to.tolist()}
+    response |= {f"rise_{axis}_s": None for axis in AXES} | {f"overshoot_{axis}_percent": None for axis in AXES}
+    for i in np.flatnonzero(start != to).tolist():
+        part = (after[:, i] - start[i]) / (to[i] - start[i])
         low, high = (np.flatnonzero(part >= level) for level in (0.1, 0.9))
-        rise[axis] = (int(high[0]) - int(low[0])) / RATE_HZ if high.size else None
-        overshoot[axis] = 100 * max(float(part.max()) - 1, 0.0)
+        response[f"rise_{AXES[i]}_s"] = (int(high[0]) - int(low[0])) / RATE_HZ if high.size else None
+        response[f"overshoot_{AXES[i]}_percent"] = 100 * max(float(part.max()) - 1, 0.0)
     outside = np.flatnonzero(np.abs(after - to).max(axis=1) > SETTLED_N)
-    settling: float | None = 0.0
-    if outside.size:
-        settling = (int(outside[-1]) + 2) / RATE_HZ if outside[-1] + 1 < len(after) else None
-    return StepResponse(first / RATE_HZ, start, to, (rise[0], rise[1]), (overshoot[0], overshoot[1]), settling)
+    settled = 0 if not outside.size else int(outside[-1]) + 2
+    return response | {"settling_s": settled / RATE_HZ if settled <= len(after) else None}

@@ -4,7 +4,7 @@ An ensemble is run over the recorded commands once more, for its distance from i
 have neither.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -43,12 +43,11 @@ class SurrogateUncertainty(NamedTuple):
     def warning(self) -> str | None:
         """A sentence on how much lies beyond the data; None where hardly anything does."""
         fraction = self.out_of_distribution_fraction.mean()
-        if fraction <= RARELY:
-            return None
-        return (
+        text = (
             f"{fraction:.1%} of the samples lie beyond what the surrogate was fitted to (distance up to "
             f"{self.furthest.max():.1f}, 1 is its edge): its forces there are extrapolated"
         )
+        return text if fraction > RARELY else None
 
 
 def uncertainty_of(plant: EvaluationTarget, recording: ExperimentRecording) -> SurrogateUncertainty | None:
@@ -56,9 +55,7 @@ def uncertainty_of(plant: EvaluationTarget, recording: ExperimentRecording) -> S
     if not isinstance(plant, EnsemblePlant):
         return None
     commands = Command(*(jnp.asarray(part[:, 0]) for part in recording.command))
-    ensemble = jit_argument(plant)
-    assert isinstance(ensemble, EnsemblePlant)
-    distance, force = (np.asarray(part) for part in _run_members(ensemble, commands))
+    distance, force = (np.asarray(part) for part in _run_members(cast(EnsemblePlant, jit_argument(plant)), commands))
     means = np.stack([moving_average(member) for member in np.moveaxis(force, 2, 0)])
     half_width = np.asarray(plant.interval.half_width(means))
     return SurrogateUncertainty((distance > 1).mean(axis=1), distance.max(axis=1), half_width.mean(axis=1))

@@ -1,24 +1,34 @@
-"""The force map of a fin: the mean forces that it can make, their Sobolev terms, and the gaits that make them."""
+"""The force map of a fin: the mean forces that it can make, their Sobolev terms, and the gaits that make them.
 
-from collections.abc import Callable
-from typing import NamedTuple
+Its folder holds ``map.json`` (lattice, region, provenance) and ``weights.safetensors`` (gaits, their forces).
+"""
+
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from pydantic import Field, PositiveFloat
 from scipy.ndimage import map_coordinates
 
 from softfin.core.configuration import Configuration
-from softfin.core.errors import PlantError
+from softfin.core.errors import ArtifactError, PlantError
 from softfin.core.plant import Plant
+from softfin.core.plant_identity import identity
+from softfin.core.quantities import Limits
 from softfin.gaits.gait import ForceMap, GaitSearchResult, GaitTable
 from softfin.gaits.reachable import Cell, Reachable, directions
 from softfin.gaits.search import GaitConfig, find_gaits
-from softfin.gaits.simulate import missing_gradient
-from softfin.gaits.survey import SurveyConfig, survey
+from softfin.gaits.simulate import Report, SurveyConfig, missing_gradient, survey
+from softfin.storage import artifact as artifacts
+
+KIND = "map"
+FORMAT = 1
 
 PARTS = 24
 """Places along the ray to each corner at which the error is interpolated."""
+
+NOT_STAR = 0.05
+"""Fraction from which on a region counts as not star-shaped: a node or two lie on its edge anyway."""
 
 
 class MapConfig(Configuration):
@@ -51,19 +61,17 @@ def empty_map(table: GaitTable, directions: int) -> ForceMap:
     return ForceMap(GaitSearchResult(table, nothing, nothing), nowhere)
 
 
-def map_forces(plant: Plant, config: MapConfig, report: Callable[[float, str], None] | None = None) -> ForceMap:
+def map_forces(plant: Plant, config: MapConfig, report: Report | None = None) -> ForceMap:
     """Survey a plant, search a gait for every node, and determine how far the gaits reach."""
     if (reason := missing_gradient(plant)) is not None:
         raise PlantError(
             "map: the mean force of this plant has no slope against its commands, which the search for gaits follows: "
             f"{reason}; record it (softfin collect), fit a surrogate (softfin fit) and map that"
         )
-
-    def part(begin: float, end: float) -> Callable[[float, str], None] | None:
-        return None if report is None else lambda done, note: report(begin + (end - begin) * done, note)
-
-    surveyed = survey(plant, config.survey, part(0.0, 0.3))
-    gaits = find_gaits(plant, surveyed, config.empty_table(surveyed.reachable), config.gaits, part(0.3, 1.0))
+    told = report or (lambda *_: None)
+    surveyed = survey(plant, config.survey, lambda done, note: told(0.3 * done, note))
+    empty = config.empty_table(surveyed.reachable)
+    gaits = find_gaits(plant, surveyed, empty, config.gaits, lambda done, note: told(0.3 + 0.7 * done, note))
     return ForceMap(gaits, held_region(surveyed.reachable, gaits, config.tolerance_n))
 
 
@@ -71,69 +79,96 @@ def held_region(surveyed: Reachable, gaits: GaitSearchResult, tolerance_n: float
     """Shorten each ray of a region to where the force error of the nodes round it exceeds the tolerance.
 
     A node beyond the fin's reach makes the nearest force that the fin can make, so its error grows with the distance to
-    the edge, and between the nodes it may be interpolated. Beyond the lattice the survey's region is kept. Where no
-    gait makes the force at the centre, as inside a ring, the node from which the largest region is held replaces it.
+    the edge, and between the nodes it may be interpolated. Beyond the lattice, where it is 0, the survey's region is
+    kept.
     """
-    centre = np.asarray(surveyed.centre)
-    if _interpolated_error(gaits, centre[None, None])[0, 0] > tolerance_n:
-        nodes = gaits.table.references()[gaits.force_error() <= tolerance_n]
-        others = [_held_from(node, surveyed, gaits, tolerance_n) for node in nodes[surveyed.contains(nodes)]]
-        if others:
-            return max(others, key=Reachable.area)
-    return _held_from(centre, surveyed, gaits, tolerance_n)
-
-
-def _held_from(
-    centre: Float[np.ndarray, "2"], surveyed: Reachable, gaits: GaitSearchResult, tolerance_n: float
-) -> Reachable:
-    radius = surveyed.distances_from(centre)
+    radius, low, high = np.asarray(surveyed.radius), *(np.asarray(corner, float) for corner in gaits.table[:2])
     parts = np.linspace(0, 1, PARTS + 1)[1:, None, None]
-    error = _interpolated_error(gaits, centre + parts * (radius[:, None] * directions(len(radius))))
+    force = np.asarray(surveyed.centre) + parts * (radius[:, None] * directions(len(radius)))
+    place = (force - low) / np.maximum(high - low, 1e-9) * (np.array(gaits.table.nodes) - 1)
+    error = map_coordinates(gaits.force_error(), np.moveaxis(place, -1, 0), float, order=1, mode="constant")
     good = np.cumprod(error <= tolerance_n, axis=0).sum(axis=0)
-    return Reachable(centre, np.asarray(radius * np.maximum(good, 1) / PARTS, np.float32))
+    return surveyed._replace(radius=np.asarray(radius * np.maximum(good, 1) / PARTS, np.float32))
 
 
-class StarCheck(NamedTuple):
-    """How far the forces that gaits make are from filling the star-shaped region that stands for them."""
+def check_star(force_map: ForceMap, tolerance_n: float) -> tuple[dict[str, float], str | None]:
+    """Compare the nodes of a map with its region: two fractions, and a warning where one of them is large.
 
-    held_outside: float
-    """Fraction of the nodes whose gaits make their force that lie clearly outside the region."""
-    missed_inside: float
-    """Fraction of the nodes within the region whose gaits do not make their force."""
-
-    @property
-    def warning(self) -> str | None:
-        """Warning in a sentence; None where both fractions are small."""
-        if max(self) <= NOT_STAR:
-            return None
-        return (
-            "the region is kept as star-shaped about its centre, which this fin's is not: "
-            f"{self.held_outside:.0%} of the forces that gaits make lie outside it, and no gait was found for "
-            f"{self.missed_inside:.0%} of the forces inside it"
-        )
-
-
-NOT_STAR = 0.05
-"""Fraction from which on a region counts as not star-shaped: a node or two lie on its edge anyway."""
-
-
-def check_star(force_map: ForceMap, tolerance_n: float) -> StarCheck:
-    """Compare the nodes of a map with its region."""
+    ``held_outside`` is the fraction of the nodes whose gaits make their force that lie clearly outside the region,
+    ``missed_inside`` the fraction of the nodes within it whose gaits do not.
+    """
     region, nodes = force_map.reachable, force_map.gaits.table.references().reshape(-1, 2)
     held = force_map.gaits.force_error().reshape(-1) <= tolerance_n
     # A ray ends at the last of its parts that is held, which may be one part short of the edge.
     clearly_outside = ~region.contains(nodes, tolerance_n + float(np.max(region.radius)) / PARTS)
     inside = region.contains(nodes)
-    return StarCheck(
-        float((held & clearly_outside).sum() / max(held.sum(), 1)), float((inside & ~held).sum() / max(inside.sum(), 1))
+    outside = float((held & clearly_outside).sum() / max(held.sum(), 1))
+    missed = float((inside & ~held).sum() / max(inside.sum(), 1))
+    warning = (
+        f"the region is kept as star-shaped about its centre, which this fin's is not: {outside:.0%} of the forces "
+        f"that gaits make lie outside it, and no gait was found for {missed:.0%} of the forces inside it"
     )
+    return {"held_outside": outside, "missed_inside": missed}, warning if max(outside, missed) > NOT_STAR else None
 
 
-def _interpolated_error(
-    gaits: GaitSearchResult, force: Float[np.ndarray, "parts directions 2"]
-) -> Float[np.ndarray, "parts directions"]:
-    """Interpolate the nodes' force error bilinearly; 0 beyond the lattice."""
-    low, width = np.asarray(gaits.table.low, float), np.ptp([gaits.table.low, gaits.table.high], axis=0)
-    place = (force - low) / np.maximum(width, 1e-9) * (np.array(gaits.table.nodes) - 1)
-    error = map_coordinates(gaits.force_error(), np.moveaxis(place, -1, 0), float, order=1, mode="constant")
-    return np.asarray(error)
+class LoadedMap(NamedTuple):
+    """Content of a map's folder."""
+
+    force_map: ForceMap
+    limits: Limits
+    """Limits of the gaits' commands."""
+    config: MapConfig
+    """Configuration that the map was made with."""
+    plant_identity: str | None
+
+
+def save_map(
+    path: Path, force_map: ForceMap, config: MapConfig, limits: Limits, origin: dict[str, Any], overwrite: bool = False
+) -> None:
+    """Write a map with its figure, ``map.svg`` and ``map.png``, whole or not at all."""
+    # Who only reads maps need not wait for Matplotlib.
+    from softfin.gaits.figure import map_figure
+    from softfin.storage.figures import save_figure
+
+    description = {
+        "kind": KIND, "format": FORMAT,
+        "limits": limits.to_dict(),
+        **force_map.to_dict(),
+        "star_shape": check_star(force_map, config.tolerance_n)[0],
+        "configuration": config.model_dump(mode="json"),
+        "provenance": origin,
+    }  # fmt: skip
+    figure = map_figure(force_map, config.tolerance_n)
+    arrays = force_map.arrays()
+    artifacts.save(path, KIND, description, arrays, lambda folder: save_figure(figure, folder, "map"), overwrite)
+
+
+def load_map(path: Path) -> LoadedMap:
+    """Load the map in a folder; raises ArtifactError where there is none, or it is damaged."""
+    description, weights = artifacts.load(path, KIND)
+    source = str(path / f"{KIND}.json")
+    if description.get("format") != FORMAT:
+        raise ArtifactError(f"{source}: format {description.get('format')}; this softfin reads {FORMAT}; update it")
+    try:
+        return LoadedMap(
+            ForceMap.from_dict(description, weights),
+            Limits.of(description["limits"]),
+            MapConfig.model_validate(description["configuration"]),
+            description["provenance"].get("plant_identity"),
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ArtifactError(f"{source}: not a valid map ({' '.join(str(error).split())}); map it again") from None
+
+
+def load_force_map(path: Path, plant: Plant, name: str) -> LoadedMap:
+    """Load the map of a plant, which messages call `name`; raises ArtifactError where it is a map of another plant.
+
+    Gaits are actions over the plant's limits, and another plant makes other forces of them.
+    """
+    loaded, of = load_map(path), identity(plant)
+    if loaded.plant_identity != of or not np.allclose(loaded.limits, [float(x) for x in plant.limits], atol=1e-3):
+        raise ArtifactError(
+            f"{path}: a map of another plant ({loaded.plant_identity}) or for other limits than {name} ({of}) has now; "
+            f"map this one: softfin map {name} --out DIR"
+        )
+    return loaded

@@ -119,10 +119,9 @@ class ForceMap(NamedTuple):
         low, high = (np.asarray(lattice[name], np.float32) for name in ("low_n", "high_n"))
         if low.shape != (2,) or high.shape != (2,) or not (np.isfinite(low) & np.isfinite(high) & (low <= high)).all():
             raise ValueError(f"lattice from {low.tolist()} to {high.tolist()} N; it must be two corners, low <= high")
-        if len(nodes) != 2 or min(nodes) < 2:
-            raise ValueError(f"lattice of {nodes} nodes; it must have two or more in x and in y")
-        if actions.shape != (*nodes, CYCLE_ACTIONS, 2) or force.shape != (*nodes, 2) or smoothness.shape != force.shape:
-            raise ValueError(f"gaits of shape {actions.shape} do not fit a lattice of {nodes}")
+        shapes = (*nodes, CYCLE_ACTIONS, 2), (*nodes, 2), (*nodes, 2)
+        if len(nodes) != 2 or min(nodes) < 2 or (actions.shape, force.shape, smoothness.shape) != shapes:
+            raise ValueError(f"gaits {actions.shape} do not fit a lattice of {nodes} nodes, two or more a side")
         if not (np.isfinite(force).all() and np.isfinite(smoothness).all() and (abs(actions) <= 1 + ROUNDED).all()):
             raise ValueError("gaits or forces are not finite, or gaits are not within [-1, 1], the limits of the plant")
         found = GaitSearchResult(GaitTable(low, high, actions), force, smoothness)

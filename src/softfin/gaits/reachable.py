@@ -6,6 +6,7 @@ force is inside is one division. It works on NumPy arrays and, for `project`, wi
 
 from collections.abc import Sequence
 from functools import cache
+from itertools import product
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -79,11 +80,9 @@ class Cell(Configuration):
 
 def bounding_box(cells: Sequence[Cell]) -> Cell:
     """Build the smallest cell that contains all cells."""
-    (x0, y0), (x1, y1) = (
-        tuple(choose(getattr(cell, corner)[i] for cell in cells) for i in range(2))
-        for corner, choose in (("low", min), ("high", max))
-    )
-    return Cell(low=(x0, y0), high=(x1, y1))
+    low = min(cell.low[0] for cell in cells), min(cell.low[1] for cell in cells)
+    high = max(cell.high[0] for cell in cells), max(cell.high[1] for cell in cells)
+    return Cell(low=low, high=high)
 
 
 class Reachable(NamedTuple):
@@ -156,8 +155,9 @@ class Reachable(NamedTuple):
         It is the nearest force of a cell, of one of the cell's sides or its corners, or lies on the region's edge.
         """
         if len(forces) > CHUNK:
-            parts = [self.nearest_within(cells, forces[i : i + CHUNK]) for i in range(0, len(forces), CHUNK)]
-            return np.concatenate(parts)
+            return np.concatenate(
+                [self.nearest_within(cells, forces[i : i + CHUNK]) for i in range(0, len(forces), CHUNK)]
+            )
         forces = forces.astype(float)
         candidates = np.concatenate(
             [part for cell in cells for part in (self._on_cell(cell, forces), self._on_edge(cell, forces))], axis=1
@@ -165,10 +165,9 @@ class Reachable(NamedTuple):
         return np.asarray(np.take_along_axis(candidates, _nearest_of(candidates, forces)[:, None, None], axis=1)[:, 0])
 
     def _on_cell(self, cell: Cell, forces: Float[np.ndarray, "forces 2"]) -> Float[np.ndarray, "forces candidates 2"]:
-        (x0, y0), (x1, y1) = cell.low, cell.high
-        x, y = np.clip(forces, cell.low, cell.high).T
-        pairs = [(x, y), (x0, y), (x1, y), (x, y0), (x, y1), (x0, y0), (x0, y1), (x1, y0), (x1, y1)]
-        candidates = np.stack([np.stack(np.broadcast_arrays(*pair, x)[:2], axis=1) for pair in pairs], axis=1)
+        x, y = zip(np.clip(forces, cell.low, cell.high).T, cell.low, cell.high, strict=True)
+        points = [np.stack(np.broadcast_arrays(*point, x[0])[:2], axis=1) for point in product(x, y)]
+        candidates = np.stack(points, axis=1)
         return np.where(self.contains(candidates)[..., None], candidates, np.nan)
 
     def _on_edge(self, cell: Cell, forces: Float[np.ndarray, "forces 2"]) -> Float[np.ndarray, "forces candidates 2"]:
@@ -184,25 +183,6 @@ class Reachable(NamedTuple):
         # Rounding must not lead out of the cell.
         return np.where((enter <= leave)[:, None], np.clip(on_side, cell.low, cell.high), np.nan)
 
-    def distances_from(self, centre: Float[np.ndarray, "2"]) -> Float[np.ndarray, "directions"]:
-        """Distance from a force inside to where lines in the directions of the corners first leave the region [N]."""
-        if np.array_equal(centre, self.centre):
-            return np.asarray(self.radius)
-        start = self.corners().astype(float) - centre
-        side = np.roll(start, -1, axis=0) - start
-        way = directions(len(start)).astype(float)[:, None]
-
-        def cross(a: Float[np.ndarray, "*#n 2"], b: Float[np.ndarray, "*#n 2"]) -> Float[np.ndarray, "*n"]:
-            return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
-
-        # The line way * reach meets the side start + side * along.
-        across = cross(way, side)
-        across = np.where(np.abs(across) < 1e-12, np.inf, across)
-        reach, along = cross(start, side) / across, cross(start, way) / across
-        meets = np.isfinite(across) & (reach >= 0) & (along >= -1e-9) & (along <= 1 + 1e-9)
-        least = np.where(meets, reach, np.inf).min(axis=1)
-        return np.asarray(np.where(np.isfinite(least), least, 0), np.float32)
-
     def area(self) -> float:
         """Area of the polygon [N^2]."""
         turn = 2 * np.pi / len(self.radius)
@@ -211,8 +191,7 @@ class Reachable(NamedTuple):
 
     def bounds(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Least and greatest (x, y) [N]."""
-        corners = self.corners()
-        (x0, y0), (x1, y1) = corners.min(0).tolist(), corners.max(0).tolist()
+        (x0, x1), (y0, y1) = ((float(side.min()), float(side.max())) for side in self.corners().T)
         return (x0, y0), (x1, y1)
 
 

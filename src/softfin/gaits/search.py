@@ -6,7 +6,6 @@ ten lower the Sobolev term and keep each gait near those of its neighbours, so t
 (null-space projection, as for redundant manipulators: Siciliano and Khatib, Handbook of Robotics, Sec. 10.3).
 """
 
-from collections.abc import Callable
 from functools import partial
 
 import equinox as eqx
@@ -23,8 +22,13 @@ from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import AnyArray
 from softfin.core.randomness import key_of
 from softfin.gaits.gait import GaitSearchResult, GaitTable
-from softfin.gaits.simulate import CYCLES, GaitSensitivity, gait_sensitivity, pre_tanh_of
-from softfin.gaits.survey import Survey
+from softfin.gaits.simulate import CYCLES, GaitSensitivity, Report, Survey, gait_sensitivity, pre_tanh_of
+
+Gaits = Float[AnyArray, "nodes 12"]
+"""atanh of the actions."""
+Forces = Float[AnyArray, "nodes 2"]
+Scales = Float[AnyArray, "nodes"]
+Shape = tuple[int, int]
 
 
 class GaitConfig(Configuration):
@@ -49,13 +53,16 @@ STUCK_N = 0.05
 FORCE_STEP, FREE_STEP = 0.6, 0.25
 """Longest steps in the atanh of the actions, along the force and across."""
 
+SWEEPS, UNLIKE_N = 10, 0.5
+"""Rounds of choosing the gaits of the start, and the cost of a difference of 1 (rms, in the atanh of the actions) from
+the neighbours [N]."""
+
+ENOUGH_N = 0.02
+"""Before the last steps, errors below this do not matter."""
+
 
 def find_gaits(
-    plant: Plant,
-    survey: Survey,
-    table: GaitTable,
-    config: GaitConfig,
-    report: Callable[[float, str], None] | None = None,
+    plant: Plant, survey: Survey, table: GaitTable, config: GaitConfig, report: Report = lambda *_: None
 ) -> GaitSearchResult:
     """Find a gait for every node of an empty table, beginning with the gaits of a survey of the same plant.
 
@@ -74,56 +81,38 @@ def find_gaits(
         moved = _stepped(nodes, target, scale, shape, config, exact)
         trial = gait_sensitivity(plant, moved, config.cycles, key)
         nodes, scale = _better(nodes, trial, target, scale, 0.0 if exact else config.smoothness)
-        if report is not None:
-            error = np.linalg.norm(np.asarray(nodes.out)[:, :2] - wanted, axis=1)
-            report((step + 1) / config.steps, f"error {np.median(error):.3f} N median, {error.max():.2f} N greatest")
+        error = np.linalg.norm(np.asarray(nodes.out)[:, :2] - wanted, axis=1)
+        report((step + 1) / config.steps, f"error {np.median(error):.3f} N median, {error.max():.2f} N greatest")
     actions = np.tanh(nodes.pre_tanh).reshape(*shape, CYCLE_ACTIONS, 2)
     force, smoothness = (np.asarray(each).reshape(*shape, 2) for each in (nodes.out[:, :2], nodes.smoothness))
     return GaitSearchResult(table._replace(actions=actions), force, smoothness)
 
 
-def _start(survey: Survey, target: Float[AnyArray, "nodes 2"], shape: tuple[int, int]) -> Float[AnyArray, "nodes 12"]:
+def _start(survey: Survey, target: Forces, shape: Shape) -> Gaits:
     """Choose the waveform that comes nearest; of it, gaits that come near and are like those of their neighbours."""
-    best: tuple[float, Float[np.ndarray, "nodes 12"]] | None = None
-    wanted = np.asarray(target)
-    for waveform in dict.fromkeys(family.waveform for family in survey.families):
-        chosen = [i for i, family in enumerate(survey.families) if family.waveform == waveform]
-        force = np.concatenate([survey.force[i] for i in chosen])
-        gaits = np.concatenate([survey.families[i].gaits for i in chosen])
+    starts = []
+    for gaits, force in zip(survey.gaits, survey.force, strict=True):
         pre_tanh = pre_tanh_of(gaits)
-        apart = np.linalg.norm(force[None] - wanted[:, None], axis=-1)
+        apart = np.linalg.norm(force[None] - np.asarray(target)[:, None], axis=-1)
         nearest = np.argmin(apart, axis=1)
         for _ in range(SWEEPS):
             middle = np.asarray(_neighbours(jnp.asarray(pre_tanh[nearest]), shape))
             unlike = np.sqrt(np.mean((pre_tanh[None] - middle[:, None]) ** 2, axis=-1))
             nearest = np.argmin(apart + UNLIKE_N * unlike, axis=1)
-        cost = float(np.mean(apart[np.arange(len(wanted)), nearest]))
-        if best is None or cost < best[0]:
-            best = cost, pre_tanh[nearest]
-    assert best is not None
-    return jnp.asarray(best[1], jnp.float32)
-
-
-SWEEPS = 10
-UNLIKE_N = 0.5
-"""Cost of a difference of 1 (rms, in the atanh of the actions) from the neighbours at the start [N]."""
+        starts.append((float(np.mean(apart[np.arange(len(apart)), nearest])), pre_tanh[nearest]))
+    return jnp.asarray(min(starts, key=lambda start: start[0])[1], jnp.float32)
 
 
 @eqx.filter_jit
 def _stepped(
-    nodes: GaitSensitivity,
-    target: Float[AnyArray, "nodes 2"],
-    scale: Float[AnyArray, "nodes"],
-    shape: tuple[int, int],
-    config: GaitConfig,
-    exact: bool,
-) -> Float[AnyArray, "nodes 12"]:
+    nodes: GaitSensitivity, target: Forces, scale: Scales, shape: Shape, config: GaitConfig, exact: bool
+) -> Gaits:
     """Take one step of every node."""
     across = nodes.slope[:, :2]
     gram = across @ jnp.swapaxes(across, 1, 2)
     gram += (1e-3 * jnp.trace(gram, axis1=1, axis2=2)[:, None, None] + 1e-3) * jnp.eye(2)
 
-    def along(force: Float[AnyArray, "nodes 2"]) -> Float[AnyArray, "nodes 12"]:
+    def along(force: Forces) -> Gaits:
         """Return the smallest change of the actions that changes the force so."""
         return jnp.einsum("nij,ni->nj", across, jnp.linalg.solve(gram, force[..., None])[..., 0])
 
@@ -138,15 +127,11 @@ def _stepped(
 
 @eqx.filter_jit
 def _better(
-    nodes: GaitSensitivity,
-    trial: GaitSensitivity,
-    target: Float[AnyArray, "nodes 2"],
-    scale: Float[AnyArray, "nodes"],
-    smoothness: float,
-) -> tuple[GaitSensitivity, Float[AnyArray, "nodes"]]:
+    nodes: GaitSensitivity, trial: GaitSensitivity, target: Forces, scale: Scales, smoothness: float
+) -> tuple[GaitSensitivity, Scales]:
     """Keep the better one of each node and its trial; the next step is longer after a gain, shorter after none."""
 
-    def merit(nodes: GaitSensitivity) -> Float[AnyArray, "nodes"]:
+    def merit(nodes: GaitSensitivity) -> Scales:
         error = jnp.linalg.norm(nodes.out[:, :2] - target, axis=1)
         return jnp.maximum(error, ENOUGH_N if smoothness else 0) + smoothness * nodes.out[:, 2]
 
@@ -156,35 +141,26 @@ def _better(
     return chosen, jnp.where(better, jnp.minimum(1, 2 * scale), 0.4 * scale)
 
 
-ENOUGH_N = 0.02
-"""Before the last steps, errors below this do not matter."""
-
-
-def _restarted(
-    nodes: GaitSensitivity, target: Float[AnyArray, "nodes 2"], scale: Float[AnyArray, "nodes"], shape: tuple[int, int]
-) -> tuple[GaitSensitivity, Float[AnyArray, "nodes"]]:
+def _restarted(nodes: GaitSensitivity, target: Forces, scale: Scales, shape: Shape) -> tuple[GaitSensitivity, Scales]:
     """Let nodes that are stuck begin again where the best of their neighbours is."""
-    error = np.linalg.norm(np.asarray(nodes.out)[:, :2] - np.asarray(target), axis=1).reshape(shape)
-    source = np.arange(error.size).reshape(shape)
-    for x, y in zip(*np.nonzero(error > STUCK_N), strict=True):
-        beside = [(x + i, y + j) for i, j in ((1, 0), (-1, 0), (0, 1), (0, -1))]
-        beside = [(i, j) for i, j in beside if 0 <= i < shape[0] and 0 <= j < shape[1]]
-        best = min(beside, key=lambda place: error[place])
-        if error[best] < STUCK_N:
-            source[x, y] = best[0] * shape[1] + best[1]
-    moved = source.reshape(-1) != np.arange(error.size)
-    helped: GaitSensitivity = jax.tree.map(lambda leaf: np.asarray(leaf)[source.reshape(-1)], nodes)
+    error = np.linalg.norm(np.asarray(nodes.out)[:, :2] - np.asarray(target), axis=1)
+    padded = np.pad(error.reshape(shape), 1, constant_values=np.inf)
+    beside = np.stack([padded[2:, 1:-1], padded[:-2, 1:-1], padded[1:-1, 2:], padded[1:-1, :-2]]).reshape(4, -1)
+    moved = (error > STUCK_N) & (beside.min(axis=0) < STUCK_N)
+    steps = np.array([shape[1], -shape[1], 1, -1])[beside.argmin(axis=0)]
+    source = np.arange(error.size) + np.where(moved, steps, 0)
+    helped: GaitSensitivity = jax.tree.map(lambda leaf: np.asarray(leaf)[source], nodes)
     return helped, np.where(moved, np.float32(1.0), scale)
 
 
 @partial(jax.jit, static_argnums=1)
-def _neighbours(pre_tanh: Float[AnyArray, "nodes 12"], shape: tuple[int, int]) -> Float[AnyArray, "nodes 12"]:
+def _neighbours(pre_tanh: Gaits, shape: Shape) -> Gaits:
     """Average the four neighbours; at the edge a node stands in for the one that is missing."""
     grid = jnp.pad(pre_tanh.reshape(*shape, -1), ((1, 1), (1, 1), (0, 0)), mode="edge")
     mean = (grid[2:, 1:-1] + grid[:-2, 1:-1] + grid[1:-1, 2:] + grid[1:-1, :-2]) / 4
     return mean.reshape(pre_tanh.shape)
 
 
-def _shortened(step: Float[AnyArray, "nodes 12"], longest: float) -> Float[AnyArray, "nodes 12"]:
+def _shortened(step: Gaits, longest: float) -> Gaits:
     length = jnp.linalg.norm(step, axis=1, keepdims=True)
     return step * jnp.minimum(1, longest / (length + 1e-9))

@@ -31,11 +31,12 @@ def baselines(
     searched = plant if surrogate is None else surrogate
     search_in = moving if surrogate is None else find_plant(surrogate) if isinstance(surrogate, str) else surrogate
     report = (lambda *_: None) if progress is None else partial(progress, "baselines")
-    found = evaluate_baselines(moving, search_in, config, report)
-    metadata = {
+    result = {
+        **evaluate_baselines(moving, search_in, config, report),
         "plant": name_of(plant),
         "searched_in": name_of(searched),
         "configuration": config.model_dump(mode="json"),
         "provenance": artifacts.provenance(seed=config.seed),
     }
-    return write_baselines(found, out, metadata, overwrite)
+    write_baselines(result, out, overwrite)
+    return result

@@ -89,15 +89,14 @@ def reproduce(
         "configuration": config.model_dump(mode="json"),
         "provenance": artifacts.provenance(seed=seed, plant=plant),
     }
-    write_report(
-        out / "report.html",
-        results,
-        surrogate_figures=run.surrogate_figures() if scores is not None else None,
-        learning_figures=run.learning_figures(),
-        experiment_figures={
+    figures = {
+        "surrogate": run.surrogate_figures() if scores is not None else {},
+        "learning": run.learning_figures(),
+        "experiment": {
             f"{kind} controller, seed {seed}": experiments_figure(e.recording) for kind, (_, e) in evaluated.items()
         },
-    )
+    }
+    write_report(out / "report.html", results, figures)
     # Last: it says that the run is complete.
     artifacts.write_file(out / RESULTS, artifacts.dump_json(results))
     shutil.rmtree(run.replaced, ignore_errors=True)

@@ -12,9 +12,8 @@ from softfin.core.plant import Plant
 from softfin.core.plant_identity import identity
 from softfin.core.progress import Progress
 from softfin.core.quantities import Limits
-from softfin.gaits.force_map import MapConfig, check_star
+from softfin.gaits.force_map import MapConfig, check_star, load_force_map, save_map
 from softfin.gaits.force_map import map_forces as _map_forces
-from softfin.gaits.map_store import load_force_map, save_map
 from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.learning.configuration import TrainConfig, check, choose_preset
 from softfin.learning.controllers import save_controller
@@ -42,7 +41,7 @@ def map_forces(
     moving = find_plant(plant) if isinstance(plant, str) else plant
     found = _map_forces(moving, config, None if progress is None else partial(progress, "map"))
     save_map(out, found, config, Limits(*map(float, moving.limits)), origin_of(plant, moving), overwrite)
-    errors, star = found.gaits.force_error(), check_star(found, config.tolerance_n)
+    errors, (star, warning) = found.gaits.force_error(), check_star(found, config.tolerance_n)
     return {
         "map": str(out),
         "box_n": found.reachable.bounds(),
@@ -50,8 +49,8 @@ def map_forces(
         "nodes": errors.size,
         "held": int((errors <= config.tolerance_n).sum()),
         "beyond": [list(force) for force in PAPER_REFERENCES if not found.reachable.contains(force)],
-        "star_shape": star._asdict(),
-        "warning": star.warning,
+        "star_shape": star,
+        "warning": warning,
     }
 
 

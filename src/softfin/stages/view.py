@@ -9,7 +9,7 @@ from softfin.core.errors import ConfigurationError
 from softfin.core.plant import Plant
 from softfin.core.progress import Progress
 from softfin.core.quantities import Limits
-from softfin.evaluation.view.video import ticks_of
+from softfin.evaluation.view.files import ticks_of
 from softfin.evaluation.view.view import ViewConfig, draw, footage_of, title_of
 from softfin.stages.evaluate import check_limits
 from softfin.storage.paths import check_view

@@ -6,17 +6,8 @@ import pytest
 from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.errors import ConfigurationError, PlantError
 from softfin.core.quantities import PAPER_LIMITS, Command, Limits
-from softfin.core.randomness import key_of
 from softfin.evaluation.baselines.baselines import BaselinesConfig, evaluate_baselines, shared_limits, write_baselines
-from softfin.evaluation.baselines.search import (
-    OpenLoop,
-    RandomGait,
-    SearchConfig,
-    best_gaits,
-    best_sines,
-    fitted_constant,
-    force_errors,
-)
+from softfin.evaluation.baselines.search import OpenLoopSearch, SearchConfig, force_errors, repeated
 from tests.plants import AnalyticFin
 
 SEARCH = SearchConfig(seconds=4, centres=5, amplitudes=3, frequencies_hz=(1.0,), kept=2, refinements=1, gaits=40)
@@ -24,9 +15,9 @@ REFERENCES = ((1, -1), (1.5, 0))
 CONFIG = BaselinesConfig(references=REFERENCES, seconds=4, seeds=2, search=SEARCH)
 
 
-@pytest.fixture(scope="module")
-def player():
-    return OpenLoop(AnalyticFin(noise_n=0.0), PAPER_LIMITS)
+def searching(seed=0, gain=0.5, **changes):
+    fin = AnalyticFin(gain=gain, noise_n=0.0)
+    return OpenLoopSearch(fin, PAPER_LIMITS, SEARCH.model_copy(update=changes), seed)
 
 
 @pytest.fixture(scope="module")
@@ -40,21 +31,21 @@ def found():
 
 
 def mean_error(found, name):
-    mean = found.summaries[name]["mean"]
+    mean = found["baselines"][name]["mean"]
     return mean["x"]["error_n"] + mean["y"]["error_n"]
 
 
 def test_every_baseline_has_the_layout_of_an_evaluation(found):
     inverses = {f"{kind}_{f}_hz" for kind in ("inverse", "recalibrated") for f in ("2.1", "1.1", "1")}
-    assert set(found.summaries) == {"still", "sine", "random_search"} | inverses
-    assert found.left_out == {}
-    for summary in found.summaries.values():
+    assert set(found["baselines"]) == {"still", "sine", "random_search"} | inverses
+    assert found["left_out"] == {}
+    for summary in found["baselines"].values():
         assert [tuple(row["reference_n"]) for row in summary["references"]] == list(REFERENCES)
         assert {"conditions", "references", "mean", "warning"} <= set(summary)
 
 
 def test_a_still_fin_misses_each_reference_by_its_size(found):
-    for row in found.summaries["still"]["references"]:
+    for row in found["baselines"]["still"]["references"]:
         assert row["still"]
         for axis, wanted in zip("xy", row["reference_n"], strict=True):
             assert row[axis]["error_n"] == pytest.approx(abs(wanted), abs=1e-6)
@@ -68,28 +59,26 @@ def test_what_is_searched_beats_what_is_not(found):
 
 def test_what_the_limits_clip_is_said_for_each_reference(found):
     """A sine of 1.2 rad and 1.1 Hz turns at 8 rad/s; the fin may be told 3.1."""
-    rows = [row["commanded"] for row in found.summaries["inverse_1.1_hz"]["references"]]
+    rows = [row["commanded"] for row in found["baselines"]["inverse_1.1_hz"]["references"]]
     assert all(row["velocity_clipped"] > 0.5 for row in rows)
-    rows = [row["commanded"] for row in found.summaries["inverse_2.1_hz"]["references"]]
+    rows = [row["commanded"] for row in found["baselines"]["inverse_2.1_hz"]["references"]]
     assert [row["amplitude_limited"] for row in rows] == [False, False]
     assert [row["centre_rad"] for row in rows] == [pytest.approx(np.pi / 4, abs=1e-4), 0.0]
 
 
-def test_each_round_refines_the_sine_for_each_reference(player):
+def test_each_round_refines_the_sine_for_each_reference():
     references = np.array([(0.6, -0.5), (0.8, 0.1)])
 
     def losses(refinements):
-        sine = best_sines(player, references, SEARCH.changed([f"refinements={refinements}"]), 0)
-        command, *_ = sine.commands(player.limits, 400)
-        forces = player.forces(Command(*(np.asarray(part) for part in command)), key_of(0, "any"))
+        search = searching(refinements=refinements)
+        forces = search.forces_of_sines(np.stack(search.best_sines(references), axis=1))
         return np.diag(force_errors(forces, references))
 
     assert (losses(3) < 0.5 * losses(0)).all()
 
 
 def test_a_gait_is_six_actions_on_the_clock_again_and_again():
-    gait = RandomGait(np.arange(6.0), np.arange(6.0) + 1)
-    command = gait.commands(5)
+    command = repeated(Command(np.arange(6.0), np.arange(6.0) + 1), 5)
     assert command.angle.shape == (500,)
     starts = np.concatenate([[0], np.cumsum(ACTION_TICKS * 2)])
     for i in range(6):
@@ -97,29 +86,27 @@ def test_a_gait_is_six_actions_on_the_clock_again_and_again():
     np.testing.assert_array_equal(command.angle[400:], command.angle[:100])
 
 
-def test_more_gaits_are_never_worse_and_the_same_seed_gives_the_same(player):
+def test_more_gaits_are_never_worse_and_the_same_seed_gives_the_same():
     references = np.array(REFERENCES, np.float64)
 
     def gaits(count, seed=0):
-        return best_gaits(player, references, SEARCH.changed([f"gaits={count}"]), seed)
+        return searching(seed, gaits=count).best_gaits(references)
 
     np.testing.assert_array_equal(gaits(40).angle, gaits(40).angle)
     assert not np.array_equal(gaits(40).angle, gaits(40, seed=1).angle)
-    forces = player.forces(gaits(40).commands(4), key_of(0, "any"))
-    few = player.forces(gaits(1).commands(4), key_of(0, "any"))
-    assert (np.diag(force_errors(forces, references)) <= np.diag(force_errors(few, references))).all()
+    many, few = (np.diag(force_errors(searching().forces(repeated(gaits(n), 4)), references)) for n in (40, 1))
+    assert (many <= few).all()
 
 
 def test_a_stronger_fin_has_a_greater_constant():
-    weak, strong = (OpenLoop(AnalyticFin(gain=gain, noise_n=0.0), PAPER_LIMITS) for gain in (0.5, 1.0))
-    constants = [fitted_constant(fin, 1.0, (0.1, 1.2), SEARCH, 0) for fin in (weak, strong)]
+    constants = [searching(gain=gain).fitted_constant(1.0, (0.1, 1.2)) for gain in (0.5, 1.0)]
     assert constants[1] == pytest.approx(2 * constants[0], rel=1e-3)
 
 
 def test_a_fin_that_pulls_is_left_out_in_words():
     fin = AnalyticFin(gain=-0.5, noise_n=0.0)
     config = CONFIG.changed(["inverse_frequencies_hz=[1.0]"])
-    left_out = evaluate_baselines(fin, fin, config).left_out
+    left_out = evaluate_baselines(fin, fin, config)["left_out"]
     assert "against the zero direction" in left_out["recalibrated_1_hz"]
 
 
@@ -128,7 +115,7 @@ def test_recurrent_ppo_is_not_trained_where_it_would_learn_what_the_plant_does_n
         limits = PAPER_LIMITS._replace(velocity_max=2.0)
 
     config = CONFIG.changed(["inverse_frequencies_hz=[1.0]", "recurrent_steps=128"])
-    left_out = evaluate_baselines(Slow(), AnalyticFin(), config).left_out
+    left_out = evaluate_baselines(Slow(), AnalyticFin(), config)["left_out"]
     assert "it would learn commands that the plant does not take" in left_out["recurrent_ppo"]
 
 
@@ -140,9 +127,9 @@ def test_commands_are_those_that_both_plants_take():
 
 
 def test_the_file_holds_all_of_it(found, tmp_path):
-    write_baselines(found, tmp_path / "out", {"plant": "analytic"})
+    write_baselines(found | {"plant": "analytic"}, tmp_path / "out")
     written = json.loads((tmp_path / "out" / "baselines.json").read_text())
-    assert written["baselines"] == found.summaries
+    assert written["baselines"] == found["baselines"]
     assert (written["left_out"], written["plant"]) == ({}, "analytic")
 
 

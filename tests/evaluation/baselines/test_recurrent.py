@@ -8,7 +8,7 @@ import pytest
 from softfin.core.errors import ConfigurationError
 from softfin.core.quantities import PAPER_LIMITS, command_of
 from softfin.evaluation.baselines.recurrent import run_recurrent, train_recurrent
-from softfin.evaluation.evaluate import EvaluateConfig, repetition_keys
+from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.evaluation.experiment import run
 from softfin.task.references import PAPER_RANGE
 from softfin.task.task import TaskConfig, observation, remember, rest_actions
@@ -47,7 +47,7 @@ class Same(eqx.Module):
 def test_a_model_outside_jax_meets_the_experiment_that_a_controller_meets():
     plant = AnalyticFin(noise_n=0.1)
     ours = run_recurrent(Model(), TASK, PAPER_LIMITS, plant, CONFIG)
-    theirs = run(Same(), plant, np.asarray(CONFIG.references, np.float32), CONFIG.seconds, repetition_keys(CONFIG))
+    theirs = run(Same(), plant, np.asarray(CONFIG.references, np.float32), CONFIG.seconds, CONFIG.keys())
     assert ours.reading.force.shape == (2, 2, 300, 2)
     np.testing.assert_allclose(ours.command.angle, theirs.command.angle, atol=1e-3)
     np.testing.assert_allclose(ours.reading.force, theirs.reading.force, atol=1e-2)

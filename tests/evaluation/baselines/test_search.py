@@ -6,8 +6,7 @@ from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.errors import PlantError
 from softfin.core.quantities import PAPER_LIMITS, Command
 from softfin.evaluation.baselines.baselines import evaluate_commands
-from softfin.evaluation.baselines.search import CHUNK, OpenLoop, force_errors
-from softfin.evaluation.baselines.sines import ShaftSine
+from softfin.evaluation.baselines.search import CHUNK, OpenLoopSearch, SearchConfig, ShaftSine, force_errors
 from softfin.evaluation.evaluate import EvaluateConfig, evaluate
 from softfin.tank import Tank
 from tests.plants import AnalyticFin, Flapper, PlainFin
@@ -25,7 +24,7 @@ def flapping(seconds):
 def test_the_same_commands_score_the_same_as_from_a_controller():
     plant = AnalyticFin(noise_n=0.3)
     commands = jax.tree.map(lambda x: np.stack([x, x]), flapping(4))
-    ours = evaluate_commands(OpenLoop(plant, PAPER_LIMITS), commands, CONFIG)
+    ours = evaluate_commands(plant, commands, CONFIG)
     theirs = evaluate(Flapper(), plant, CONFIG)
     for mine, other in zip(ours.scores, theirs.scores, strict=True):
         np.testing.assert_allclose(mine, other, atol=1e-4)
@@ -35,16 +34,16 @@ def test_the_same_commands_score_the_same_as_from_a_controller():
 
 def test_a_plant_without_randomness_counts_as_one_repetition():
     commands = jax.tree.map(lambda x: np.stack([x, x]), flapping(4))
-    assert evaluate_commands(OpenLoop(AnalyticFin(noise_n=0.0), PAPER_LIMITS), commands, CONFIG).repetitions == 1
+    assert evaluate_commands(AnalyticFin(noise_n=0.0), commands, CONFIG).repetitions == 1
 
 
 def test_forces_of_more_cases_than_run_side_by_side_are_those_one_by_one():
     sines = ShaftSine(np.linspace(-1, 1, CHUNK + 3), np.full(CHUNK + 3, 0.4), np.full(CHUNK + 3, 1.0))
     commands = jax.tree.map(np.asarray, sines.commands(PAPER_LIMITS, 50)[0])
-    player, key = OpenLoop(PlainFin(), PAPER_LIMITS), jax.random.key(0)
-    forces = player.forces(commands, key)
+    search = OpenLoopSearch(PlainFin(), PAPER_LIMITS, SearchConfig(), 0)
+    forces = search.forces(commands)
     assert forces.shape == (CHUNK + 3, 50, 2)
-    last = player.forces(jax.tree.map(lambda x: x[-1:], commands), key)
+    last = search.forces(jax.tree.map(lambda x: x[-1:], commands))
     np.testing.assert_allclose(forces[-1:], last, atol=1e-6)
 
 
@@ -62,7 +61,7 @@ def test_a_force_that_is_no_number_is_named():
 
     commands = jax.tree.map(lambda x: np.stack([x, x]), flapping(4))
     with pytest.raises(PlantError, match=r"reference \(1, -1\) N, seed 0, 0\.01 s"):
-        evaluate_commands(OpenLoop(Broken(), PAPER_LIMITS), commands, CONFIG)
+        evaluate_commands(Broken(), commands, CONFIG)
 
 
 def test_in_the_tank_a_sine_about_a_positive_angle_pushes_towards_minus_y():
@@ -71,9 +70,5 @@ def test_in_the_tank_a_sine_about_a_positive_angle_pushes_towards_minus_y():
     sines = ShaftSine(np.array([0.7854, -0.7854]), np.full(2, 0.7), np.full(2, 1.0))
     commands = jax.tree.map(np.asarray, sines.commands(tank.limits, 300)[0])
     config = EvaluateConfig(references=((1, -1), (1, 1)), seconds=3, seeds=1)
-    force = (
-        evaluate_commands(OpenLoop(tank, tank.limits), commands, config)
-        .recording.reading.force[:, 0, 100:]
-        .mean(axis=1)
-    )
+    force = evaluate_commands(tank, commands, config).recording.reading.force[:, 0, 100:].mean(axis=1)
     np.testing.assert_allclose(force, [[1, -1], [1, 1]], atol=0.25)

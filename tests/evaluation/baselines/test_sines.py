@@ -5,14 +5,8 @@ from hypothesis import strategies as st
 
 from softfin.core.errors import ConfigurationError, RunError
 from softfin.core.quantities import PAPER_LIMITS, Limits
-from softfin.evaluation.baselines.sines import (
-    InverseConfig,
-    ShaftSine,
-    amplitude_for,
-    fit_constant,
-    inverse,
-    mean_force,
-)
+from softfin.evaluation.baselines.search import InverseConfig, OpenLoopSearch, SearchConfig, ShaftSine, inverse
+from tests.plants import AnalyticFin
 
 LIMITS = Limits(-1.5, 1.5, 1.0, 3.0)
 
@@ -72,47 +66,65 @@ def test_the_constant_is_that_of_the_u_cat_fins():
     assert CONFIG.constant == pytest.approx(0.24 * np.pi**2, rel=1e-12)
 
 
+def amplitude_for(force_n, frequency_hz):
+    free = InverseConfig(amplitude_min_rad=0, amplitude_max_rad=np.pi)
+    return inverse(np.array([[force_n, 0.0]]), frequency_hz, PAPER_LIMITS, free, free.constant)[0].amplitude[0]
+
+
 @pytest.mark.parametrize(
     ("force_n", "frequency_hz", "amplitude_rad"),
     # A right angle takes K f^2, 60 degrees take half of that.
     [(10.44599, 2.1, np.pi / 2), (5.222995, 2.1, np.pi / 3), (2.866133, 1.1, np.pi / 2), (0.0, 1.1, 0.0)],
 )
 def test_the_amplitude_has_its_known_values(force_n, frequency_hz, amplitude_rad):
-    assert amplitude_for(np.array(force_n), frequency_hz, CONFIG.constant) == pytest.approx(amplitude_rad, abs=1e-5)
+    assert amplitude_for(force_n, frequency_hz) == pytest.approx(amplitude_rad, abs=1e-5)
 
 
 @given(st.floats(0.0, 20.0), st.floats(0.5, 4.0))
 def test_the_force_of_the_amplitude_for_a_force_is_that_force(force, frequency):
     most = 2 * CONFIG.constant * frequency**2
-    found = mean_force(amplitude_for(np.array(force), frequency, CONFIG.constant), frequency, CONFIG.constant)
-    assert float(found) == pytest.approx(min(force, most), abs=1e-6)
+    found = CONFIG.constant * frequency**2 * (1 - np.cos(amplitude_for(force, frequency)))
+    assert found == pytest.approx(min(force, most), abs=1e-6)
 
 
 def test_a_force_towards_minus_y_is_made_at_a_positive_angle():
-    centre = sines((0, -1), (1, -1), (2, 0), (1, 1), (0, 1)).sine.centre
+    centre = sines((0, -1), (1, -1), (2, 0), (1, 1), (0, 1))[0].centre
     np.testing.assert_allclose(centre, [np.pi / 2, np.pi / 4, 0, -np.pi / 4, -np.pi / 2])
 
 
 def test_amplitudes_are_kept_within_the_drivers_range_and_marked():
-    found = sines((2, 0), (0.01, 0), (30, 0))
-    np.testing.assert_array_equal(found.amplitude_limited, [False, True, True])
-    np.testing.assert_allclose(found.sine.amplitude[1:], [0.1, 1.2])
+    found, limited = sines((2, 0), (0.01, 0), (30, 0))
+    assert [row["amplitude_limited"] for row in limited] == [False, True, True]
+    np.testing.assert_allclose(found.amplitude[1:], [0.1, 1.2])
 
 
 def test_a_direction_that_the_plant_cannot_take_is_kept_at_its_edge_and_marked():
-    found = sines((-1, -1), (1, -1))
-    np.testing.assert_array_equal(found.direction_limited, [True, False])
-    assert found.sine.centre[0] == PAPER_LIMITS.angle_max
+    found, limited = sines((-1, -1), (1, -1))
+    assert [row["direction_limited"] for row in limited] == [True, False]
+    assert found.centre[0] == PAPER_LIMITS.angle_max
+
+
+class Obedient(OpenLoopSearch):
+    """A fin whose mean forces are those of the model, with a constant of its own."""
+
+    gain = 5.0
+
+    def forces_of_sines(self, sines):
+        _, amplitude, frequency = sines.T
+        force = self.gain * frequency**2 * (1 - np.cos(amplitude))
+        return np.repeat(np.stack([force, 0 * force], axis=1)[:, None], 300, axis=1)
 
 
 def test_recalibration_finds_the_constant_of_a_fin_that_obeys_the_model():
-    angles = np.linspace(0.1, 1.2, 6)
-    assert fit_constant(angles, 1.1, mean_force(angles, 1.1, 5.0)) == pytest.approx(5.0)
+    fin = Obedient(AnalyticFin(), PAPER_LIMITS, SearchConfig(), 0)
+    assert fin.fitted_constant(1.1, (0.1, 1.2)) == pytest.approx(5.0)
 
 
 def test_a_fin_that_pulls_has_no_constant():
-    with pytest.raises(RunError, match=r"at 2\.1 Hz: the trials' mean force is -0\.5 N.*give another frequency"):
-        fit_constant(np.array([0.5, 1.0]), 2.1, np.array([-0.25, -0.75]))
+    fin = Obedient(AnalyticFin(), PAPER_LIMITS, SearchConfig(trials=1), 0)
+    fin.gain = -1.0
+    with pytest.raises(RunError, match=r"at 2\.1 Hz: the trials' mean force is -0\.54 N.*give another frequency"):
+        fin.fitted_constant(2.1, (0.5, 1.0))
 
 
 def test_amplitudes_in_the_wrong_order_are_refused():

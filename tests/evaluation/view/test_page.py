@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from softfin.evaluation.view.page import SHAPE_UNIT_M, embedded, to_dict, write_page
+from softfin.evaluation.view.files import SHAPE_UNIT_M, to_dict, write_page
 from tests.evaluation.test_report import Page
 from tests.evaluation.view.fins import BendingFin, beating
 from tests.plants import AnalyticFin
@@ -50,8 +50,6 @@ def test_no_text_closes_the_script_or_becomes_an_element(html):
     assert html.count("</script>") == 2
     assert Page(html).tags.count("b") == 0
     assert "<title>A fin &lt;/script&gt;&lt;b&gt;&amp; more</title>" in html
-    assert json.loads(embedded({"name": "</script><!--"})) == {"name": "</script><!--"}
-    assert "<" not in embedded({"name": "</script><!--"})
 
 
 def test_every_control_has_a_name_and_every_element_of_the_script_is_there(html):
@@ -79,4 +77,4 @@ def test_the_page_says_whether_the_shape_is_known(html, tmp_path):
 
 
 def test_ten_seconds_of_a_fin_of_eight_plates_take_less_than_a_fifth_of_a_megabyte(footage):
-    assert len(embedded(to_dict(footage))) / 230 * 1000 < 200_000
+    assert len(json.dumps(to_dict(footage), separators=(",", ":"))) / 230 * 1000 < 200_000

@@ -3,31 +3,27 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softfin.evaluation.view.scale import Greatest, round_up
+from softfin.evaluation.view.footage import greatest_of, round_down, scale_of
 from tests.evaluation.view.fins import LENGTH_M, BendingFin, beating
 
 
 @given(st.floats(1e-6, 1e6))
-def test_a_number_is_rounded_up_to_the_next_of_1_2_5(value):
-    rounded = round_up(value)
-    assert value <= rounded * (1 + 1e-9)
-    assert rounded < 2.5 * value * (1 + 1e-9)
+def test_a_number_is_rounded_down_to_the_last_of_1_2_5(value):
+    rounded = round_down(value)
+    assert rounded <= value * (1 + 1e-9)
+    assert rounded > value / 2.5 * (1 - 1e-9)
     assert f"{rounded:e}"[:8] in ("1.000000", "2.000000", "5.000000")
 
 
-def test_room_grows_with_the_footage_and_never_shrinks():
-    footage = beating(BendingFin(), 220, reference=(2.0, -1.0))
-    had = Greatest(force_n=1.0, mean_n=50.0, stream_m_s=0.05)
-    room = had.including(footage)
-    greatest = np.linalg.norm(footage.reading.force, axis=1).max()
-    assert greatest <= room.force_n < 2.5 * greatest
-    assert (room.mean_n, room.stream_m_s) == (50.0, 0.05)
-    assert room.including(footage) == room
+def test_the_greatest_are_those_of_force_reference_or_mean_and_stream():
+    footage = beating(BendingFin(), 220, reference=(20.0, -1.0))
+    force = np.linalg.norm(footage.reading.force, axis=1).max()
+    np.testing.assert_allclose(greatest_of(footage), [force, np.hypot(20, 1), 0], rtol=1e-6)
 
 
 def test_the_scale_of_a_growing_footage_holds_every_shape_and_arrow():
     footage = beating(BendingFin(), 220, reference=(2.0, -1.0))
-    scale = Greatest(0.1, 0.1, 0.1).including(footage).scale(footage.length_m, (-1.6, 1.6))
+    scale = scale_of(footage, greatest_of(footage) + 0.1, (-1.6, 1.6))
     assert scale.length_m == pytest.approx(LENGTH_M)
     arrows = [footage.reading.force * scale.metres_per_newton, footage.average * scale.metres_per_mean_newton]
     for points in (footage.shape.reshape(-1, 2), *arrows, footage.reference * scale.metres_per_mean_newton):

@@ -7,7 +7,7 @@ import pytest
 import softfin
 from softfin.cli import main
 from softfin.core.action_clock import ACTION_TICKS
-from softfin.core.errors import ConfigurationError, CoverageError
+from softfin.core.errors import CommandError, ConfigurationError, CoverageError
 from softfin.core.quantities import PAPER_LIMITS, Command, Limits
 from softfin.core.randomness import key_of
 from softfin.evaluation import experiment
@@ -104,7 +104,7 @@ def test_the_stage_writes_a_gif_with_the_frames_that_it_tells(tmp_path):
         (["--out", "fin.gif", "--seconds", "0"], "seconds = 0.0: Input should be greater than or equal to 0.1"),
         (["--out", "fin.gif", "--set", "frames_per_second=30"], "Input should be 10, 20, 25 or 50"),
         (["--out", "fin.gif", "--set", "dots_per_inch=75"], "Input should be a multiple of 10"),
-        (["--out", "fin.gif", "--centre", "1.4"], "reaches 0.9 .. 1.9 rad; the plant takes -1.57 .. 1.57"),
+        (["--out", "fin.gif", "--centre", "1.4"], "command angle = 1.9 rad: the plant takes -1.5708 to 1.5708 rad"),
         (["--out", "fin.gif", "--reference=1,1"], "a controller and a reference belong together"),
         (["--out", "fin.gif", "--next-reference=1,1"], "no first one; give a controller and a reference"),
         (
@@ -179,11 +179,11 @@ def test_the_velocity_fills_two_thirds_of_an_action_where_the_plant_is_fast_enou
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"centre_rad": 1.3}, "reaches 0.8 .. 1.8 rad; the plant takes -1.57 .. 1.57; ask for a centre nearer"),
-        ({"velocity_rad_s": 30.0}, "gait.velocity_rad_s = 30: the plant takes 1 .. 3.14 rad/s"),
+        ({"centre_rad": 1.3}, "command angle = 1.8 rad: the plant takes -1.5708 to 1.5708 rad"),
+        ({"velocity_rad_s": 30.0}, "command velocity = 30 rad/s: the plant takes 1 to 3.14159 rad/s"),
     ],
 )
 def test_commands_outside_the_limits_are_refused_in_one_line(values, words):
-    with pytest.raises(ConfigurationError, match=r"^[^\n]+$") as error:
+    with pytest.raises(CommandError, match=r"^[^\n]+$") as error:
         stroke_gait(StrokeGaitConfig(**values), PAPER_LIMITS, 10)
     assert words in str(error.value)

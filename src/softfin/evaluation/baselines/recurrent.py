@@ -17,7 +17,7 @@ from softfin.core.errors import ConfigurationError
 from softfin.core.gym_registration import ID, register
 from softfin.core.plant import Plant, State, Ticks, hold_action
 from softfin.core.quantities import Command, Limits, Reading, command_of
-from softfin.evaluation.evaluate import EvaluateConfig, repetition_keys
+from softfin.evaluation.evaluate import ExperimentsConfig
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.gaits.reachable import Cell
 from softfin.task.task import TaskConfig, observation, remember, rest_actions
@@ -38,11 +38,10 @@ def train_recurrent(plant: Plant, steps: int, seed: int, task: TaskConfig, refer
 
 
 def run_recurrent(
-    model: Any, task: TaskConfig, limits: Limits, plant: Plant, config: EvaluateConfig
+    model: Any, task: TaskConfig, limits: Limits, plant: Plant, config: ExperimentsConfig
 ) -> ExperimentRecording:
     """Run the experiments of `config` with the model's mean actions, in the units of the `limits` that it learnt in."""
     references = np.repeat(np.asarray(config.references, np.float32), config.seeds, axis=0)
-    keys = jnp.tile(repetition_keys(config), len(config.references))
     count = len(references)
 
     @jax.jit
@@ -56,18 +55,17 @@ def run_recurrent(
         return state, (jax.tree.map(lambda x: jnp.full(MOST_TICKS, x), command), reading)
 
     advance = jax.jit(jax.vmap(hold, (0, 0, None)))
-    state = jax.vmap(plant.init)(keys)
-    angle = jnp.zeros(count)
-    actions = jnp.tile(rest_actions(task, limits), (count, 1, 1))
-    memory, starts = None, np.ones(count, bool)
-    kept = []
+    state = jax.vmap(plant.init)(jnp.tile(config.keys(), len(config.references)))
+    angle, actions = jnp.zeros(count), jnp.tile(rest_actions(task, limits), (count, 1, 1))
+    memory, kept = None, []
     held = ticks_of(config.seconds * len(ACTION_TICKS))
     for age, ticks in enumerate(held):
         observed = np.asarray(observe(angle, actions, jnp.int32(age)))
+        starts = np.full(count, age == 0)
         predicted, memory = model.predict(observed, state=memory, episode_start=starts, deterministic=True)
         action = jnp.asarray(predicted, jnp.float32)
         state, (issued, reading) = advance(state, action, ticks)
-        angle, actions, starts = reading.angle[:, ticks - 1], jax.vmap(remember)(actions, action), np.zeros(count, bool)
+        angle, actions = reading.angle[:, ticks - 1], jax.vmap(remember)(actions, action)
         kept.append(jax.tree.map(np.asarray, (issued, reading)))
 
     def together(*parts: Any) -> Any:

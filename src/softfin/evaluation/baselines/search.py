@@ -1,30 +1,126 @@
-"""How open-loop baselines are found: sines and gaits tried on a plant, as a rule a surrogate, for each reference.
+"""Open-loop commands, tried on a plant, as a rule a surrogate: sines of the shaft, the U-CAT robots' model, gaits.
 
 Commands are issued one a tick, so that a sine can be commanded; an action held for 33 ticks is 33 equal commands.
+
+The drive runs a velocity profile to its target angle, so the target goes along the sine and the profile velocity, which
+is a ceiling, stays at the sine's greatest speed. A ceiling that follows the sine's own speed holds the profile back at
+each turn: on the virtual tank a sine of 0.4 rad and 2 Hz then comes out as one of 0.25 rad, and as 0.39 rad this way.
+
+The inverse model chooses a sine for a force:
+
+    |F| = K f^2 (1 - cos A),  K = 8 rho C_d S r_c^2 pi^2,  about the direction of the wanted force
+
+is `forceToAmplitude` of the WrenchDriver in the ROS 1 package ``tut_arrows`` of Tallinn University of Technology, with
+its coefficients.
 """
 
-import itertools
-from typing import NamedTuple
+from itertools import product
+from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Key, PRNGKeyArray
-from pydantic import Field, PositiveFloat, PositiveInt
+from jaxtyping import Array, Float, Key, PRNGKeyArray
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from softfin.core.action_clock import CYCLE_ACTIONS, ticks_of
 from softfin.core.configuration import Configuration
+from softfin.core.errors import RunError
 from softfin.core.plant import Plant, roll
-from softfin.core.quantities import RATE_HZ, Command, Limits, Reading
+from softfin.core.plant_identity import jit_argument
+from softfin.core.quantities import RATE_HZ, TICK_S, AnyArray, Command, Limits, Reading
 from softfin.core.randomness import generator_of, key_of
 from softfin.core.window import moving_error
-from softfin.evaluation.baselines.sines import ShaftSine, fit_constant
 
 Forces = Float[np.ndarray, "cases ticks 2"]
 References = Float[np.ndarray, "references 2"]
+Sines = Float[np.ndarray, "cases 3"]
+"""Centre [rad], amplitude [rad] and frequency [Hz]."""
 
 CHUNK = 256
 """Cases that run side by side at most: one compiled program serves any greater number of them."""
+
+OFFSETS = np.array(list(product(range(-2, 3), repeat=2)))
+"""Steps of centre and amplitude to the 5 x 5 sines round one that is refined."""
+
+ROUNDING = 1e-6
+"""Rounding of single precision about the greatest angles [rad] and velocities [rad/s]."""
+
+
+class ShaftSine(NamedTuple):
+    """angle(t) = centre + amplitude sin(2 pi frequency t)."""
+
+    centre: Float[AnyArray, "*shape"]
+    """Angle in the middle [rad]."""
+    amplitude: Float[AnyArray, "*shape"]
+    """Greatest distance from the middle [rad]."""
+    frequency: Float[AnyArray, "*shape"]
+    """Periods a second [Hz]."""
+
+    def commands(self, limits: Limits, ticks: int) -> tuple[Command, Float[Array, "*shape"], Float[Array, "*shape"]]:
+        """Commands ``(*shape, ticks)`` within the limits, and fractions of ticks of which these clip angle and speed.
+
+        A profile velocity that is raised to the plant's least one clips nothing: the target angle still sets the pace.
+        """
+        centre, amplitude, frequency = (jnp.asarray(part, jnp.float32)[..., None] for part in self)
+        # The command of a tick shows in the reading at its end.
+        turn = 2 * jnp.pi * frequency * (jnp.arange(ticks) + 1) * TICK_S
+        angle = centre + amplitude * jnp.sin(turn)
+        fastest = 2 * jnp.pi * frequency * amplitude
+        outside = (angle < limits.angle_min - ROUNDING) | (angle > limits.angle_max + ROUNDING)
+        too_fast = fastest * jnp.abs(jnp.cos(turn)) > limits.velocity_max + ROUNDING
+        velocity = jnp.broadcast_to(jnp.clip(fastest, limits.velocity_min, limits.velocity_max), angle.shape)
+        command = Command(jnp.clip(angle, limits.angle_min, limits.angle_max), velocity)
+        return command, outside.mean(axis=-1), too_fast.mean(axis=-1)
+
+
+class InverseConfig(Configuration):
+    """Coefficients of the U-CAT robots."""
+
+    density_kg_m3: PositiveFloat = 1000.0
+    """Density rho of fresh water [kg/m3]."""
+    drag_coefficient: PositiveFloat = 0.15
+    """Drag coefficient C_d of the flapping fin."""
+    area_m2: PositiveFloat = 0.02
+    """Area S of the fin [m2]."""
+    arm_m: PositiveFloat = 0.1
+    """Distance r_c from the shaft to the fin's centre [m]."""
+    amplitude_min_rad: float = Field(default=0.1, ge=0)
+    """Least amplitude that their driver asks for [rad]."""
+    amplitude_max_rad: float = Field(default=1.2, gt=0, le=np.pi)
+    """Greatest amplitude that their driver asks for [rad]."""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "InverseConfig":
+        if self.amplitude_min_rad > self.amplitude_max_rad:
+            raise ValueError(f"amplitude_min_rad must not be above amplitude_max_rad = {self.amplitude_max_rad:g}")
+        return self
+
+    @property
+    def constant(self) -> float:
+        """The model's constant K [N s2]."""
+        return 8 * self.density_kg_m3 * self.drag_coefficient * self.area_m2 * self.arm_m**2 * np.pi**2
+
+
+def inverse(
+    force: Float[np.ndarray, "forces 2"], frequency: float, limits: Limits, config: InverseConfig, constant: float
+) -> tuple[ShaftSine, list[dict[str, Any]]]:
+    """The sine that should give each force (x, y) [N] on average; `constant` is K [N s2], the config's or a fitted one.
+
+    Also returns, for JSON, whether the amplitude was clipped to the driver's range (to pi where no amplitude gives as
+    much) and the centre to the angles that the plant takes. Thrust at angle theta points along (cos theta, -sin theta),
+    so a force towards -y is made at a positive angle.
+    """
+    wanted = np.arctan2(-force[:, 1], force[:, 0])
+    centre = np.clip(wanted, limits.angle_min, limits.angle_max)
+    exact = np.arccos(np.maximum(1 - np.linalg.norm(force, axis=1) / (constant * frequency**2), -1.0))
+    amplitude = np.clip(exact, config.amplitude_min_rad, config.amplitude_max_rad)
+    limited = [
+        {"amplitude_limited": bool(size), "direction_limited": bool(direction), "constant_n_s2": constant}
+        for size, direction in zip(amplitude != exact, centre != wanted, strict=True)
+    ]
+    return ShaftSine(centre, amplitude, np.full_like(amplitude, frequency)), limited
 
 
 class SearchConfig(Configuration):
@@ -50,51 +146,25 @@ class SearchConfig(Configuration):
     """Sines straight ahead that the inverse model's constant is fitted to, over the driver's amplitudes."""
 
 
-class RandomGait(NamedTuple):
-    """Six actions on the 33/33/34 clock, again and again."""
+@eqx.filter_jit
+def run_commands(plant: Plant, commands: Command, keys: Key[Array, "seeds"]) -> Reading:
+    """Readings of every series of commands with every key of the plant, each from rest: ``(cases, seeds, ticks)``.
 
-    angle: Float[np.ndarray, "*shape actions"]
-    """Target angles [rad]."""
-    velocity: Float[np.ndarray, "*shape actions"]
-    """Target velocities [rad/s]."""
+    `plant` as `jit_argument` makes it.
+    """
 
-    def commands(self, seconds: int) -> Command:
-        """One command a tick: fields ``(*shape, ticks)``."""
-        actions = np.arange(CYCLE_ACTIONS * seconds) % CYCLE_ACTIONS
-        rows = np.repeat(actions, ticks_of(len(actions)))[: seconds * RATE_HZ]
-        return Command(*(part[..., rows].astype(np.float32) for part in self))
+    def one(command: Command, key: PRNGKeyArray) -> Reading:
+        return roll(plant, plant.init(key), command)[1]
+
+    readings: Reading = jax.vmap(jax.vmap(one, in_axes=(None, 0)), in_axes=(0, None))(commands, keys)
+    return readings
 
 
-class OpenLoop:
-    """A plant under series of commands, each from rest; `limits` are those that commands are to keep."""
-
-    def __init__(self, plant: Plant, limits: Limits) -> None:
-        self.plant, self.limits = plant, limits
-
-        def one(command: Command, key: PRNGKeyArray) -> Reading:
-            return roll(plant, plant.init(key), command)[1]
-
-        self._each = jax.jit(jax.vmap(jax.vmap(one, in_axes=(None, 0)), in_axes=(0, None)))
-        self._force = jax.jit(jax.vmap(lambda command, key: one(command, key).force, in_axes=(0, None)))
-
-    def readings(self, commands: Command, keys: Key[jax.Array, "seeds"]) -> Reading:
-        """Readings of every series with every key of the plant: fields ``(cases, seeds, ticks)``."""
-        readings: Reading = jax.tree.map(np.asarray, self._each(commands, keys))
-        return readings
-
-    def forces(self, commands: Command, key: PRNGKeyArray) -> Forces:
-        """Forces of many series, all with one key."""
-        count = len(commands.angle)
-        size = min(CHUNK, count)
-        # Filled up with repetitions of the last case, whose forces are dropped again.
-        padded = Command(*(jnp.pad(part, ((0, -count % size), (0, 0)), mode="edge") for part in commands))
-        parts = [self._force(Command(*(part[i : i + size] for part in padded)), key) for i in range(0, count, size)]
-        return np.concatenate([np.asarray(part) for part in parts])[:count]
-
-    def forces_of_sines(self, sines: Float[np.ndarray, "cases 3"], seconds: int, seed: int) -> Forces:
-        """Forces of sines given by centre, amplitude and frequency."""
-        command, *_ = ShaftSine(*sines.T).commands(self.limits, seconds * RATE_HZ)
-        return self.forces(jax.tree.map(np.asarray, command), key_of(seed, "baselines/search"))
+def repeated(gaits: Command, seconds: int) -> Command:
+    """Hold gaits of six actions on the 33/33/34 clock, again and again: one command a tick."""
+    actions = np.arange(CYCLE_ACTIONS * seconds) % CYCLE_ACTIONS
+    rows = np.repeat(actions, ticks_of(len(actions)))[: seconds * RATE_HZ]
+    return Command(*(np.asarray(part)[..., rows].astype(np.float32) for part in gaits))
 
 
 def force_errors(forces: Forces, references: References) -> Float[np.ndarray, "cases references"]:
@@ -102,62 +172,74 @@ def force_errors(forces: Forces, references: References) -> Float[np.ndarray, "c
     return np.stack([moving_error(forces, reference).sum(axis=1) for reference in references], axis=1)
 
 
-def best_sines(player: OpenLoop, references: References, config: SearchConfig, seed: int) -> ShaftSine:
-    """The sine of least error for each reference: a lattice for all, then finer ones round the best of each."""
-    limits = player.limits
-    low = np.array([limits.angle_min, 0.0])
-    high = np.array([limits.angle_max, config.amplitude_max_rad])
-    step = (high - low) / [config.centres - 1, config.amplitudes]
-    centres = np.linspace(limits.angle_min, limits.angle_max, config.centres)
-    amplitudes = np.linspace(0, config.amplitude_max_rad, config.amplitudes + 1)[1:]
-    lattice = np.array(list(itertools.product(centres, amplitudes, config.frequencies_hz)))
-    errors = force_errors(player.forces_of_sines(lattice, config.seconds, seed), references)
-    tried = [(lattice, error) for error in errors.T]
-    for _ in range(config.refinements):
-        step = step / 2
-        near = [_around(points[np.argsort(error)[: config.kept]], step, low, high) for points, error in tried]
-        forces = player.forces_of_sines(np.concatenate(near), config.seconds, seed)
-        each = np.split(forces, np.cumsum([len(points) for points in near])[:-1])
-        tried = [
-            (np.concatenate([points, new]), np.concatenate([error, force_errors(force, reference[None])[:, 0]]))
-            for (points, error), new, force, reference in zip(tried, near, each, references, strict=True)
-        ]
-    return ShaftSine(*np.stack([points[error.argmin()] for points, error in tried], axis=1))
+class OpenLoopSearch(NamedTuple):
+    """Sines and gaits tried on a plant."""
 
+    plant: Plant
+    limits: Limits
+    """Limits that the commands keep."""
+    config: SearchConfig
+    seed: int
 
-def _around(
-    points: Float[np.ndarray, "kept 3"],
-    step: Float[np.ndarray, "2"],
-    low: Float[np.ndarray, "2"],
-    high: Float[np.ndarray, "2"],
-) -> Float[np.ndarray, "near 3"]:
-    """The 5 x 5 sines round each point, inside the box, at the point's frequency."""
-    offsets = np.array(list(itertools.product(range(-2, 3), repeat=2))) * step
-    near = np.clip(points[:, None, :2] + offsets, low, high)
-    frequency = np.broadcast_to(points[:, None, 2:], (*near.shape[:2], 1))
-    return np.concatenate([near, frequency], axis=2).reshape(-1, 3)
+    def forces(self, commands: Command) -> Forces:
+        """Forces of many series of commands, all with one key."""
+        count = len(commands.angle)
+        size = min(CHUNK, count)
+        # Filled up with repetitions of the last case, whose forces are dropped again.
+        padded = Command(*(np.pad(part, ((0, -count % size), (0, 0)), mode="edge") for part in commands))
+        plant, keys = jit_argument(self.plant), key_of(self.seed, "baselines/search")[None]
+        parts = (Command(*(part[i : i + size] for part in padded)) for i in range(0, count, size))
+        return np.concatenate([np.asarray(run_commands(plant, part, keys).force[:, 0]) for part in parts])[:count]
 
+    def forces_of_sines(self, sines: Sines) -> Forces:
+        """Forces of many sines."""
+        return self.forces(ShaftSine(*sines.T).commands(self.limits, self.config.seconds * RATE_HZ)[0])
 
-def best_gaits(player: OpenLoop, references: References, config: SearchConfig, seed: int) -> RandomGait:
-    """The gait of least error for each reference, of the same few random ones."""
-    limits = player.limits
-    generator = generator_of(seed, "baselines/gaits")
-    shape = (config.gaits, CYCLE_ACTIONS)
-    gaits = RandomGait(
-        generator.uniform(limits.angle_min, limits.angle_max, shape),
-        generator.uniform(limits.velocity_min, limits.velocity_max, shape),
-    )
-    forces = player.forces(gaits.commands(config.seconds), key_of(seed, "baselines/search"))
-    best = force_errors(forces, references).argmin(axis=0)
-    return RandomGait(*(part[best] for part in gaits))
+    def best_sines(self, references: References) -> ShaftSine:
+        """Find the sine of least error for each reference: in a lattice, then in finer ones round the best of each."""
+        config = self.config
+        low, high = np.array([(self.limits.angle_min, 0.0), (self.limits.angle_max, config.amplitude_max_rad)])
+        step = (high - low) / [config.centres - 1, config.amplitudes]
+        centres = np.linspace(low[0], high[0], config.centres)
+        amplitudes = np.linspace(low[1], high[1], config.amplitudes + 1)[1:]
+        lattice = np.array(list(product(centres, amplitudes, config.frequencies_hz)))
+        tried = [(lattice, error) for error in force_errors(self.forces_of_sines(lattice), references).T]
+        for _ in range(config.refinements):
+            step = step / 2
+            near = []
+            for points, error in tried:
+                best = points[np.argsort(error)[: config.kept]].repeat(len(OFFSETS), axis=0)
+                best[:, :2] = np.clip(best[:, :2] + np.tile(OFFSETS * step, (len(best) // len(OFFSETS), 1)), low, high)
+                near.append(best)
+            forces = np.split(self.forces_of_sines(np.concatenate(near)), np.cumsum([len(new) for new in near])[:-1])
+            tried = [
+                (np.concatenate([points, new]), np.concatenate([error, force_errors(force, reference[None])[:, 0]]))
+                for (points, error), new, force, reference in zip(tried, near, forces, references, strict=True)
+            ]
+        return ShaftSine(*np.stack([points[error.argmin()] for points, error in tried], axis=1))
 
+    def best_gaits(self, references: References) -> Command:
+        """Find the gait of least error for each reference, ``(references, 6)``, of the same few random ones."""
+        limits, generator = self.limits, generator_of(self.seed, "baselines/gaits")
+        shape = (self.config.gaits, CYCLE_ACTIONS)
+        gaits = Command(
+            generator.uniform(limits.angle_min, limits.angle_max, shape),
+            generator.uniform(limits.velocity_min, limits.velocity_max, shape),
+        )
+        best = force_errors(self.forces(repeated(gaits, self.config.seconds)), references).argmin(axis=0)
+        return Command(*(part[best] for part in gaits))
 
-def fitted_constant(
-    player: OpenLoop, frequency: float, amplitudes: tuple[float, float], config: SearchConfig, seed: int
-) -> float:
-    """The inverse model's constant for the fin at hand [N s2]; raises RunError where the fin pulls."""
-    amplitude = np.linspace(*amplitudes, config.trials)
-    sines = np.stack([np.zeros_like(amplitude), amplitude, np.full_like(amplitude, frequency)], axis=1)
-    forces = player.forces_of_sines(sines, config.seconds, seed)
-    # At angle 0 thrust is along x. The first window shows how the fin starts.
-    return fit_constant(amplitude, frequency, forces[:, 2 * RATE_HZ :, 0].mean(axis=1, dtype=np.float64))
+    def fitted_constant(self, frequency: float, amplitudes: tuple[float, float]) -> float:
+        """Fit the inverse model's constant [N s2] to the fin by least squares; raises RunError where it pulls."""
+        amplitude = np.linspace(*amplitudes, self.config.trials)
+        forces = self.forces_of_sines(np.stack([0 * amplitude, amplitude, np.full_like(amplitude, frequency)], axis=1))
+        # At angle 0 thrust is along x. The first window shows how the fin starts.
+        force = forces[:, 2 * RATE_HZ :, 0].mean(axis=1, dtype=np.float64)
+        unit = frequency**2 * (1 - np.cos(amplitude))
+        constant = float(unit @ force / (unit @ unit))
+        if not constant > 0:
+            raise RunError(
+                f"inverse model at {frequency:g} Hz: the trials' mean force is {force.mean():.3g} N, against the zero "
+                "direction; the model holds for fins that push along it; give another frequency"
+            )
+        return constant

@@ -1,7 +1,7 @@
 """Record of what can be seen of a plant: rolled tick by tick, with the fin's shape wherever the plant computes it.
 
-Commands go in, a Footage comes out, from which film and page are drawn. A plant may have a method ``shape(state)``, as
-the virtual tank does: points ``(points, 2)`` from the shaft to the tip [m], in the axes of the tank.
+Commands go in, a Footage comes out, and the Scale by which film and page draw it. A plant may have a method
+``shape(state)``, as the virtual tank does: points ``(points, 2)`` from the shaft to the tip [m], in the tank's axes.
 """
 
 from collections.abc import Callable
@@ -18,6 +18,13 @@ from softfin.core.plant import Plant, State
 from softfin.core.quantities import Command, Reading
 from softfin.core.window import moving_average
 from softfin.tank import Tank, TankConfig, TankState
+
+LONGEST, MEAN_LONGEST = 0.65, 0.4
+"""Length of the arrows of the greatest force, and of the greatest reference or mean force, over that of the fin; the
+second would be too short to see beside the peaks of a stroke."""
+
+Range = tuple[float, float]
+NONE = np.zeros((1, 2))
 
 
 class Footage(NamedTuple):
@@ -46,14 +53,8 @@ class Footage(NamedTuple):
         return float(np.linalg.norm(np.diff(self.shape[0], axis=0), axis=1).sum())
 
 
-class Shots(NamedTuple):
-    """Readings of a plant and what else can be seen of it, in ticks of 10 ms."""
-
-    reading: Reading
-    shape: Any
-    """Shapes ``(ticks, points, 2)`` [m], or None where the plant does not compute them."""
-    stream: Any
-    """Velocities of the water ``(ticks, 2)`` [m/s], or None where the plant has none."""
+Shots = tuple[Reading, Any, Any]
+"""Readings, shapes ``(ticks, points, 2)`` [m], velocities of the water ``(ticks, 2)`` [m/s]; None where not known."""
 
 
 def film(
@@ -68,46 +69,121 @@ def film(
 
 def shoot(plant: Plant, state: State, commands: Command) -> Shots:
     """Roll the plant from a state, one command a tick, ``(ticks,)``, and keep what can be seen; traceable."""
-    shape_of: Callable[[State], Array] | None = getattr(plant, "shape", None)
+    shape_of: Callable[[State], Array | None] = getattr(plant, "shape", lambda state: None)
 
     def tick(state: State, command: Command) -> tuple[State, Shots]:
         state, reading = plant.advance(state, command, 1)
         stream = state.flow.stream if isinstance(state, TankState) else None
-        return state, Shots(
-            jax.tree.map(lambda x: x[0], reading), None if shape_of is None else shape_of(state), stream
-        )
+        return state, (jax.tree.map(lambda x: x[0], reading), shape_of(state), stream)
 
-    return jax.lax.scan(tick, state, commands)[1]
+    shots: Shots = jax.lax.scan(tick, state, commands)[1]
+    return shots
 
 
 def develop(plant: Plant, command: Command, shots: Shots, reference: Float[np.ndarray, "ticks 2"] | None) -> Footage:
     """The footage of what was shot under the commands, all as NumPy arrays; raises PlantError for wrong shapes."""
     reading, shape, stream = shots
-    name = type(plant).__name__
+    name, fin = type(plant).__name__, TankConfig().fin
     for field, values in reading._asdict().items():
         if not np.isfinite(values).all():
             raise PlantError(f"{name}: reading.{field} is not finite; softfin.testing.check_plant says where")
-    if shape is not None and (shape.ndim != 3 or shape.shape[1] < 2 or shape.shape[2] != 2):
+    known = shape is not None
+    if known and (shape.ndim != 3 or shape.shape[1] < 2 or shape.shape[2] != 2):
         raise PlantError(f"{name}: shape(state) has shape {shape.shape[1:]}; it must be (points, 2), 2 points or more")
-    force = np.asarray(reading.force, np.float64)
+    force, angle = np.asarray(reading.force, np.float64), np.asarray(reading.angle)
+    if not known:
+        tip = fin.length_m * np.stack([-np.cos(angle), np.sin(angle)], axis=-1)
+        shape = np.stack([np.zeros_like(tip), tip], axis=1)
     footage = Footage(
         command=command,
         reading=reading,
         average=moving_average(force) if len(force) >= WINDOW else np.zeros((0, 2)),
-        shape=straight(np.asarray(reading.angle), TankConfig().fin.length_m) if shape is None else shape,
-        shape_known=shape is not None,
-        thickness=np.zeros(0),
+        shape=shape,
+        shape_known=known,
+        thickness=np.asarray(plant.fin.thickness) if isinstance(plant, Tank) else np.zeros(0),
         stream=stream if stream is not None and stream.any() else None,
         reference=reference,
     )
     if isinstance(plant, Tank):
-        return footage._replace(thickness=np.asarray(plant.fin.thickness))
-    fin = TankConfig().fin
-    default = fin.thickness(np.linspace(0, fin.length_m, footage.shape.shape[1]))
+        return footage
+    default = fin.thickness(np.linspace(0, fin.length_m, shape.shape[1]))
     return footage._replace(thickness=default * footage.length_m / fin.length_m)
 
 
-def straight(angle: Float[np.ndarray, " ticks"], length_m: float) -> Float[np.ndarray, "ticks 2 2"]:
-    """A blade along (-cos, +sin) of the angle."""
-    tip = length_m * np.stack([-np.cos(angle), np.sin(angle)], axis=-1)
-    return np.stack([np.zeros_like(tip), tip], axis=1)
+class Scale(NamedTuple):
+    """Scale of one drawing, the same for all its frames: what is seen of the tank, and how long a newton is drawn."""
+
+    length_m: float
+    """Length of the fin [m]."""
+    metres_per_newton: float
+    """Scale of the force's arrow."""
+    key_n: float
+    """A round force for the key [N]."""
+    metres_per_mean_newton: float
+    """Scale of the reference and the mean force."""
+    mean_key_n: float
+    """A round force for their key [N]."""
+    x: Range
+    """Seen part of the tank [m]."""
+    y: Range
+    force: Range
+    """Axis of the force traces [N]."""
+    angle: Range
+    """Axis of the angle's trace [rad]."""
+    stream_m_s: float
+    """The fastest stream [m/s]."""
+
+
+def greatest_of(footage: Footage) -> Float[np.ndarray, "3"]:
+    """Return the sizes of the greatest force [N], reference or mean force [N], stream [m/s]; 0 where it has none."""
+    asked, stream = (NONE if part is None else part for part in (footage.reference, footage.stream))
+    vectors = (footage.reading.force, np.concatenate([footage.average, asked]), stream)
+    return np.array([np.linalg.norm(each, axis=1).max() for each in vectors], float)
+
+
+def scale_of(footage: Footage, greatest: Float[np.ndarray, "3"] | None = None, angle: Range | None = None) -> Scale:
+    """Return the scale by which fin and arrows stay in the picture at every tick.
+
+    Of a footage that is still growing, up to the `greatest` sizes, wherever the fin turns within the `angle` [rad].
+    """
+    length, force = footage.length_m, np.asarray(footage.reading.force, float)
+    asked = NONE if footage.reference is None else np.unique(footage.reference, axis=0)
+    shown, angles = np.concatenate([force, asked]), np.concatenate([footage.reading.angle, footage.command.angle])
+    force_n, mean_n, stream_m_s = (greatest_of(footage) if greatest is None else greatest).tolist()
+    axis = (-force_n, force_n)
+    if greatest is None:
+        axis = (min(float(shown.min()), 0.0), max(float(shown.max()), 0.0))
+        # Half a newton at least, so that the noise of a fin at rest is not blown up.
+        force_n = max(float(np.linalg.norm(shown, axis=1).max()), 0.5)
+        mean_n = force_n if footage.reference is None else max(mean_n, 0.25)
+    per_newton = LONGEST * length / force_n
+    per_mean_newton = max(MEAN_LONGEST * length / mean_n, per_newton)
+    seen = np.array([[-length, -length], [LONGEST * length, length]])
+    if greatest is None:
+        means = np.concatenate([footage.average, asked])
+        seen = np.concatenate([footage.shape.reshape(-1, 2), force * per_newton, means * per_mean_newton, NONE])
+    margin = 0.12 * length
+    (left, bottom), (right, top) = (seen.min(axis=0) - margin).tolist(), (seen.max(axis=0) + margin).tolist()
+    return Scale(
+        length_m=length,
+        metres_per_newton=per_newton,
+        key_n=round_down(force_n / 2),
+        metres_per_mean_newton=per_mean_newton,
+        mean_key_n=round_down(mean_n / 2),
+        x=(left, right),
+        y=(bottom, top),
+        force=_padded(*axis),
+        angle=_padded(*(angle or (float(angles.min()), float(angles.max())))),
+        stream_m_s=stream_m_s,
+    )
+
+
+def round_down(value: float) -> float:
+    """Return the last of 1, 2, 5, 10, 20 .. that is not above a value."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(max(step for step in (1, 2, 5) if step * power <= value * (1 + 1e-9)) * power)
+
+
+def _padded(low: float, high: float) -> Range:
+    pad = 0.06 * max(high - low, 1e-3)
+    return low - pad, high + pad

@@ -1,33 +1,41 @@
-"""One frame after the other of a footage, drawn by Matplotlib: what stays is drawn once, what moves over a copy of it.
+"""Frames of a footage, drawn by Matplotlib: what stays is drawn once, what moves over a copy of it.
 
-A footage goes in, images of ``(height, width, 3)`` bytes come out; `video` writes them.
+A footage goes in, images of ``(height, width, 3)`` bytes come out; `files` writes them. An EpisodeFilm is the picture
+of an episode of the Gymnasium environment while it goes on.
 """
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, cast
+from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, UInt8
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Polygon
+from scipy.interpolate import CubicHermiteSpline
 
-from softfin.core.action_clock import WINDOW
-from softfin.core.quantities import AXES, TICK_S
-from softfin.evaluation.view.footage import Footage
-from softfin.evaluation.view.scale import TRAIL_TICKS, Range, Scale, scale_of
-from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, styled
+from softfin.core.action_clock import MOST_TICKS, WINDOW
+from softfin.core.plant import Plant, State, rest_command
+from softfin.core.quantities import AXES, TICK_S, Command, Limits
+from softfin.evaluation.view.footage import Footage, Range, Scale, develop, greatest_of, scale_of, shoot
+from softfin.storage.figures import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, styled
+from softfin.tank import Tank
 
 Image = UInt8[np.ndarray, "height width 3"]
 Points = Float[np.ndarray, "points 2"]
 
 WIDTH_IN, HEIGHT_IN = 9.6, 5.2
 
-FIN, WATER, STREAM = "#3E4C59", "#F1F6FA", "#009E73"
+FIN, WATER = "#3E4C59", "#F1F6FA"
 
 LEGEND = {"asked for": ORANGE, "measured": BLUE, "mean over 2 s": BLACK}
+
+TRAIL_TICKS = (5, 10, 15, 20, 25)
+"""How long ago the faint shapes behind the fin were [10 ms]."""
 
 PANEL = 0.92
 """Width over height of the part of the tank that is seen, about that of its place in the figure."""
@@ -42,56 +50,42 @@ PIECES = 6
 class Picture:
     """A figure whose moving parts are set to one tick after the other.
 
-    Of a footage that is still growing, `scale` and the `seconds` of the time axis are given; nothing lies ahead then.
+    Of a footage that is still `growing`, its scale and the seconds of the time axis are given; nothing lies ahead then.
     """
 
     def __init__(
-        self,
-        footage: Footage,
-        title: str,
-        dots_per_inch: int = 100,
-        scale: Scale | None = None,
-        seconds: float | None = None,
+        self, footage: Footage, title: str, dots_per_inch: int = 100, growing: tuple[Scale, float] | None = None
     ) -> None:
-        self.footage, self.scale = footage, scale or scale_of(footage)
-        self._growing, self._seconds = seconds is not None, seconds or len(footage.shape) * TICK_S
+        # As Any: what a footage may lack is drawn only where it is there.
+        self.footage: Any = footage
+        self._growing = growing is not None
+        self.scale, self._seconds = growing or (scale_of(footage), len(footage.shape) * TICK_S)
         self._moving: list[tuple[Any, Callable[[int], Any]]] = []
         with styled():
             self.figure = new_figure(WIDTH_IN, HEIGHT_IN)
             self.figure.set_dpi(dots_per_inch)
             # As Any, because Matplotlib's canvas has no types.
-            self._canvas = cast(Any, FigureCanvasAgg(self.figure))
+            self._canvas: Any = FigureCanvasAgg(self.figure)
             grid = self.figure.add_gridspec(3, 2, width_ratios=(1.05, 1))
             self._draw_tank(self.figure.add_subplot(grid[:, 0]), title)
             self._draw_traces([self.figure.add_subplot(grid[row, 1]) for row in range(3)])
-            # Laid out once: what moves must not shift what stays.
-            self._canvas.draw()
-            self.figure.set_layout_engine("none")
             for artist, _ in self._moving:
-                artist.set_visible(False)
+                artist.set_animated(True)
             self._canvas.draw()
         self._still = self._canvas.copy_from_bbox(self.figure.bbox)
-        for artist, _ in self._moving:
-            artist.set_visible(True)
 
     def frame(self, tick: int) -> Image:
-        """The picture at a tick, counted from 0."""
+        """The picture at a tick, counted from 0; -1 is the last one."""
         self._canvas.restore_region(self._still)
         for artist, update in self._moving:
-            update(tick)
+            update(tick % len(self.footage.shape))
             artist.axes.draw_artist(artist)
         return np.array(self._canvas.buffer_rgba())[..., :3]
 
-    def last_frame(self, footage: Footage) -> Image:
-        """The picture at the last tick of a footage that has grown."""
-        self.footage = footage
-        return self.frame(len(footage.shape) - 1)
-
-    def _add(self, axes: Axes, artist: Any, update: Callable[[int], Any]) -> Any:
+    def _add(self, axes: Axes, artist: Any, update: Callable[[int], Any]) -> None:
         """Add an artist that moves, and how it is set to a tick."""
         axes.add_artist(artist)
         self._moving.append((artist, update))
-        return artist
 
     def _add_polygon(self, axes: Axes, colour: str, outline: Callable[[int], Points], alpha: float = 1.0) -> Polygon:
         polygon = Polygon(np.zeros((3, 2)), closed=True, facecolor=colour, edgecolor="none", alpha=alpha)
@@ -112,22 +106,25 @@ class Picture:
         def fin(ago: int, tick: int) -> Points:
             return fin_outline(self.footage.shape[max(tick - ago, 0)], self.footage.thickness)
 
-        def arrow(vector: Callable[[int], Any], metres: float, tick: int, width: float = 1.0) -> Points:
-            return arrow_outline(np.asarray(vector(tick) * metres, float), width * ARROW * length)
-
         def mean(tick: int) -> Any:
             return self.footage.average[tick + 1 - WINDOW] if tick + 1 >= WINDOW else np.zeros(2)
 
-        alphas = [*np.linspace(0.16, 0.04, len(TRAIL_TICKS)).tolist(), 1.0]
-        for ago, alpha in zip((*TRAIL_TICKS, 0), alphas, strict=True):
-            self._add_polygon(axes, FIN, partial(fin, ago), alpha)
+        def arrow(vector: Callable[[int], Any], metres: float, width: float, tick: int) -> Points:
+            return arrow_outline(np.asarray(vector(tick) * metres, float), width * ARROW * length)
+
+        for ago, alpha in zip((*TRAIL_TICKS, 0), (*np.linspace(0.16, 0.04, len(TRAIL_TICKS)), 1.0), strict=True):
+            self._add_polygon(axes, FIN, partial(fin, ago), float(alpha))
         per_newton, per_mean = scale.metres_per_newton, scale.metres_per_mean_newton
-        if footage.reference is not None:
-            asked = partial(arrow, lambda tick: cast(Any, self.footage.reference)[tick], per_mean)
-            self._asked = self._add_polygon(axes, ORANGE, asked)
-        force = partial(arrow, lambda tick: self.footage.reading.force[tick], per_newton)
-        self._force = self._add_polygon(axes, BLUE, force, 0.9)
-        self._mean = self._add_polygon(axes, BLACK, partial(arrow, mean, per_mean, width=0.5))
+        arrows = {
+            "asked": (ORANGE, 1.0, partial(arrow, lambda tick: self.footage.reference[tick], per_mean, 1.0)),
+            "force": (BLUE, 0.9, partial(arrow, lambda tick: self.footage.reading.force[tick], per_newton, 1.0)),
+            "mean": (BLACK, 1.0, partial(arrow, mean, per_mean, 0.5)),
+        }
+        self.arrows = {
+            name: self._add_polygon(axes, colour, outline, alpha)
+            for name, (colour, alpha, outline) in arrows.items()
+            if name != "asked" or footage.reference is not None
+        }
         shaft = Circle((0, 0), 0.025 * length, facecolor="white", edgecolor=BLACK, linewidth=1.4)
         self._add(axes, shaft, lambda tick: None)
         corner: dict[str, Any] = {"transform": axes.transAxes, "fontsize": 10}
@@ -138,16 +135,14 @@ class Picture:
             axes.text(0.03, 0.03, "shape not known: drawn straight", color=GREY, **corner)
         if footage.stream is not None:
             start = (xlim[0] + 0.3 * length, ylim[0] + 0.36 * length)
-            longest = 0.2 * length / scale.stream_m_s
-
-            def stream(tick: int) -> Any:
-                return np.asarray(cast(Any, self.footage.stream)[tick], float)
-
-            self._add_polygon(
-                axes, STREAM, lambda tick: arrow_outline(stream(tick) * longest, 0.5 * ARROW * length, start)
+            drawn = 0.2 * length / scale.stream_m_s
+            self._add_polygon(axes, GREEN, lambda tick: arrow_outline(
+                np.asarray(self.footage.stream[tick], float) * drawn, 0.5 * ARROW * length, start
+            ))  # fmt: skip
+            text = axes.text(0.03, 0.03, "", color=GREEN, **corner)
+            self._moving.append(
+                (text, lambda tick: text.set_text(f"stream {np.hypot(*self.footage.stream[tick]):.2f} m/s"))
             )
-            text = axes.text(0.03, 0.03, "", color=STREAM, **corner)
-            self._moving.append((text, lambda tick: text.set_text(f"stream {np.hypot(*stream(tick)):.2f} m/s")))
 
     def _draw_key(self, axes: Axes, right: float, top: float) -> None:
         """Draw round forces, to measure the arrows by."""
@@ -171,9 +166,8 @@ class Picture:
         angle.set(ylabel="angle [rad]", ylim=self.scale.angle)
         for i, axes in enumerate(forces):
             if self.footage.reference is not None:
-                self._trace(
-                    axes, partial(lambda i, footage: footage.reference[:, i], i), ORANGE, 1.6, style="steps-pre"
-                )
+                asked = partial(lambda i, footage: footage.reference[:, i], i)
+                self._trace(axes, asked, ORANGE, 1.6, style="steps-pre")
             self._trace(axes, partial(lambda i, footage: footage.reading.force[:, i], i), BLUE, 0.9)
             self._trace(axes, partial(lambda i, footage: footage.average[:, i], i), BLACK, 1.8, WINDOW - 1)
             axes.set(ylabel=f"force {AXES[i]} [N]", ylim=self.scale.force)
@@ -206,6 +200,52 @@ class Picture:
         self._moving.append((line, update))
 
 
+class EpisodeFilm:
+    """Picture of a plant that is recorded action by action.
+
+    For that the plant is rolled a second time, tick by tick: it is pure, so it moves as it did for the task.
+    """
+
+    def __init__(self, plant: Plant, seconds: float, greatest_reference_n: float) -> None:
+        self._plant, self._limits, self._seconds = plant, Limits(*plant.limits), seconds
+        self._shoot = jax.jit(partial(shoot, plant))
+        self._greatest = np.array([greatest_reference_n, greatest_reference_n, 0.05])
+        self._rest: Any = None
+        self._actions: list[Any] = []
+        self._picture: Picture | None = None
+
+    def reset(self, state: State, reference: Float[np.ndarray, "2"]) -> None:
+        """Begin with a fin at rest, as it is one tick later; the first action takes the place of that tick."""
+        self._rest, self._actions = self._roll(state, rest_command(self._limits), 1, reference), []
+
+    def add(self, state: State, command: Command, ticks: int, reference: Float[np.ndarray, "2"]) -> None:
+        """Add an action: the plant before it, its command, how long it is held, the reference [N]."""
+        self._actions.append(self._roll(state, command, ticks, reference))
+
+    def _roll(self, state: State, command: Command, ticks: int, reference: Float[np.ndarray, "2"]) -> Any:
+        # One compiled program, for the longest: a tick does not depend on those that follow.
+        commands = Command(*(jnp.full(MOST_TICKS, field, jnp.float32) for field in command))
+        rolled = jax.tree.map(lambda x: np.asarray(x)[:ticks], (commands, self._shoot(state, commands)))
+        return *rolled, np.tile(np.asarray(reference, np.float32), (ticks, 1))
+
+    def frame(self) -> Image:
+        """The picture of this moment."""
+        parts = self._actions or [self._rest]
+        command, shots, reference = jax.tree.map(lambda *parts: np.concatenate(parts), *parts)
+        # With the stream even where the water is still, so that what is drawn stays in its place.
+        footage = develop(self._plant, command, shots, reference)._replace(stream=shots[2])
+        greatest = greatest_of(footage)
+        outgrown = greatest > self._greatest
+        if self._picture is None or outgrown.any():
+            # Twice as much as is needed, so that the scale seldom changes.
+            self._greatest = np.where(outgrown, 2 * greatest, self._greatest)
+            scale = scale_of(footage, self._greatest, (self._limits.angle_min, self._limits.angle_max))
+            where = "the virtual tank" if isinstance(self._plant, Tank) else type(self._plant).__name__
+            self._picture = Picture(footage, f"A soft fin in {where}", growing=(scale, self._seconds))
+        self._picture.footage = footage
+        return self._picture.frame(-1)
+
+
 def _filling(x: Range, y: Range) -> tuple[Range, Range]:
     """Both ranges, the one that is too short for the shape of the panel made longer at both ends."""
     width, height = x[1] - x[0], y[1] - y[0]
@@ -214,21 +254,10 @@ def _filling(x: Range, y: Range) -> tuple[Range, Range]:
 
 
 def smooth(points: Points) -> Float[np.ndarray, "pieces 2"]:
-    """A curve through the points (Catmull and Rom 1974); a line of two points stays as it is."""
-    if len(points) < 3:
-        return points
-    before = np.concatenate([2 * points[:1] - points[1:2], points[:-1]])[:-1]
-    after = np.concatenate([points[1:], 2 * points[-1:] - points[-2:-1]])[1:]
-    start, stop = points[:-1], points[1:]
-    u = np.linspace(0, 1, PIECES, endpoint=False)[None, :, None]
-    leave, arrive = ((stop - before) / 2)[:, None], ((after - start) / 2)[:, None]
-    curve = (
-        (2 * u**3 - 3 * u**2 + 1) * start[:, None]
-        + (3 * u**2 - 2 * u**3) * stop[:, None]
-        + (u**3 - 2 * u**2 + u) * leave
-        + (u**3 - u**2) * arrive
-    )
-    return np.concatenate([curve.reshape(-1, 2), points[-1:]])
+    """A curve through the points (Catmull and Rom 1974)."""
+    places = np.arange(len(points))
+    curve = CubicHermiteSpline(places, points, np.gradient(points, axis=0))
+    return np.asarray(curve(np.linspace(0, places[-1], places[-1] * PIECES + 1)))
 
 
 def fin_outline(middle: Points, thickness: Float[np.ndarray, " points"]) -> Float[np.ndarray, "corners 2"]:
@@ -237,10 +266,10 @@ def fin_outline(middle: Points, thickness: Float[np.ndarray, " points"]) -> Floa
     half = np.interp(np.linspace(0, 1, len(line)), np.linspace(0, 1, len(thickness)), thickness) / 2
     along = np.gradient(line, axis=0)
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
-    offset = half[:, None] * np.stack([-along[:, 1], along[:, 0]], axis=1)
+    normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    offset = half[:, None] * normal
     turn = np.linspace(np.pi / 2, -np.pi / 2, 9)[1:-1, None]
-    normal = np.stack([-along[-1, 1], along[-1, 0]])
-    tip = line[-1] + half[-1] * (np.sin(turn) * normal + np.cos(turn) * along[-1])
+    tip = line[-1] + half[-1] * (np.sin(turn) * normal[-1] + np.cos(turn) * along[-1])
     return np.concatenate([line + offset, tip, (line - offset)[::-1]])
 
 
@@ -250,10 +279,7 @@ def arrow_outline(
     """Outline of an arrow from `start`; a short one is narrower, so that it keeps its look and vanishes at zero."""
     length = float(np.linalg.norm(vector))
     along = vector / length if length > 0 else np.zeros(2)
-    across = np.array([-along[1], along[0]])
     head = min(3.2 * width_m, 0.6 * length)
-    width = head / 3.2
-    steps = [(0, 0.5), (length - head, 0.5), (length - head, 1.5), (length, 0.0)]
-    side = [along * far + across * width * wide for far, wide in steps]
-    other = [along * far - across * width * wide for far, wide in reversed(steps[:-1])]
-    return np.asarray(start) + np.stack([*side, *other])
+    far, wide = np.array([(0, 0.5), (length - head, 0.5), (length - head, 1.5), (length, 0)]).T[:, :, None]
+    across = head / 3.2 * wide * np.array([-along[1], along[0]])
+    return np.asarray(start) + np.concatenate([along * far + across, (along * far - across)[2::-1]])

@@ -12,15 +12,14 @@ from softfin.control.controller import Controller
 from softfin.core.action_clock import ACTION_RATE_HZ, ACTION_TICKS, ticks_of
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
-from softfin.core.plant import Plant
+from softfin.core.plant import Plant, check_commands
 from softfin.core.quantities import RATE_HZ, Command, Limits
 from softfin.core.randomness import key_of
 from softfin.data.excitation import ExcitationConfig
 from softfin.evaluation import experiment
+from softfin.evaluation.view.files import write_gif, write_mp4, write_page, write_png
 from softfin.evaluation.view.footage import Footage, film
-from softfin.evaluation.view.page import write_page
 from softfin.evaluation.view.picture import Picture
-from softfin.evaluation.view.video import write_gif, write_mp4, write_png
 from softfin.storage.figures import with_minus_signs
 from softfin.task.signals import Recorded
 
@@ -39,27 +38,14 @@ class StrokeGaitConfig(Configuration):
 
 
 def stroke_gait(config: StrokeGaitConfig, limits: Limits, ticks: int) -> Command:
-    """One command a tick, fields ``(ticks,)``; raises ConfigurationError for what the plant does not take."""
-    low, high = config.centre_rad - config.amplitude_rad, config.centre_rad + config.amplitude_rad
-    if low < limits.angle_min or high > limits.angle_max:
-        raise ConfigurationError(
-            f"gait: {config.centre_rad:g} rad with strokes of {config.amplitude_rad:g} rad either side reaches "
-            f"{low:.3g} .. {high:.3g} rad; the plant takes {limits.angle_min:.3g} .. {limits.angle_max:.3g}; "
-            "ask for a centre nearer to the middle, or for a smaller gait.amplitude_rad"
-        )
-    velocity = config.velocity_rad_s
-    if velocity is None:
-        strokes = 2 * config.amplitude_rad * ACTION_RATE_HZ / (2 / 3)
-        velocity = min(max(strokes, limits.velocity_min), limits.velocity_max)
-    if not limits.velocity_min <= velocity <= limits.velocity_max:
-        raise ConfigurationError(
-            f"gait.velocity_rad_s = {velocity:g}: the plant takes {limits.velocity_min:.3g} .. "
-            f"{limits.velocity_max:.3g} rad/s; ask within it"
-        )
+    """One command a tick, fields ``(ticks,)``; raises CommandError for what the plant does not take."""
+    filling = min(max(2 * config.amplitude_rad * ACTION_RATE_HZ / (2 / 3), limits.velocity_min), limits.velocity_max)
     actions = -(-ticks // min(ACTION_TICKS))
     sides = np.repeat(np.resize((1.0, -1.0), actions), ticks_of(actions))[:ticks]
     angle = config.centre_rad + config.amplitude_rad * sides
-    return Command(angle.astype(np.float32), np.full(ticks, velocity, np.float32))
+    command = Command(angle.astype(np.float32), np.full(ticks, config.velocity_rad_s or filling, np.float32))
+    check_commands(limits, command)
+    return command
 
 
 class ViewConfig(Configuration):
@@ -91,8 +77,7 @@ def footage_of(
     Raises CoverageError where the controller was not trained for one of those that follow.
     """
     ticks = round(config.seconds * RATE_HZ)
-    key = key_of(config.seed, "view/plant")
-    limits = Limits(*plant.limits)
+    key, limits = key_of(config.seed, "view/plant"), Limits(*plant.limits)
     if controller is not None and reference is not None:
         for following in config.next_references:
             controller.check(following)

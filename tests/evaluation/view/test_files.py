@@ -7,9 +7,9 @@ import PIL.Image
 import pytest
 
 from softfin.core.errors import ConfigurationError, RunError
+from softfin.evaluation.view.files import ticks_of, write_gif, write_mp4, write_png
+from softfin.evaluation.view.footage import scale_of
 from softfin.evaluation.view.picture import BLUE, FIN, Picture
-from softfin.evaluation.view.scale import scale_of
-from softfin.evaluation.view.video import ticks_of, write_gif, write_mp4, write_png
 from tests.evaluation.view.fins import BendingFin, beating
 
 DPI = 50
@@ -48,10 +48,11 @@ def test_a_footage_that_grows_is_drawn_up_to_now_with_nothing_ahead():
         average = whole.average[: max(ticks - 199, 0)]
         return cut._replace(shape_known=True, thickness=whole.thickness, average=average)
 
-    growing = Picture(first(1), "a fin", DPI, scale=scale_of(whole), seconds=2.2)
+    growing = Picture(first(1), "a fin", DPI, growing=(scale_of(whole), 2.2))
     known = Picture(whole, "a fin", DPI)
     for ticks in (1, 50, 210):
-        np.testing.assert_array_equal(growing.last_frame(first(ticks))[:, :240], known.frame(ticks - 1)[:, :240])
+        growing.footage = first(ticks)
+        np.testing.assert_array_equal(growing.frame(-1)[:, :240], known.frame(ticks - 1)[:, :240])
     np.testing.assert_allclose(growing._moving[-1][0].get_ydata(), whole.average[:11, 1])
     assert (growing.frame(49)[:, 300:] != known.frame(49)[:, 300:]).any()
 
@@ -78,7 +79,7 @@ def test_the_arrow_of_the_force_is_as_long_as_its_scale_says(picture):
     per_metre = axes.bbox.width / np.ptp(axes.get_xlim())
     assert axes.bbox.height / np.ptp(axes.get_ylim()) == pytest.approx(per_metre, rel=1e-6)
     picture.frame(tick)
-    drawn = picture._force.get_xy()
+    drawn = picture.arrows["force"].get_xy()
     np.testing.assert_allclose(drawn[3], force[tick] * scale.metres_per_newton, rtol=1e-5)
 
 
@@ -93,10 +94,12 @@ def test_reference_and_mean_share_a_longer_scale_and_the_reference_moves_with_it
     assert scale.metres_per_mean_newton * greatest == pytest.approx(0.4 * scale.length_m, rel=1e-3)
     for tick, asked in ((99, (2.0, -1.0)), (100, (1.0, 1.0))):
         picture.frame(tick)
-        drawn = picture._asked.get_xy()
+        drawn = picture.arrows["asked"].get_xy()
         np.testing.assert_allclose(drawn[3], np.multiply(asked, scale.metres_per_mean_newton), rtol=1e-5)
     picture.frame(219)
-    np.testing.assert_allclose(picture._mean.get_xy()[3], footage.average[-1] * scale.metres_per_mean_newton, rtol=1e-5)
+    np.testing.assert_allclose(
+        picture.arrows["mean"].get_xy()[3], footage.average[-1] * scale.metres_per_mean_newton, rtol=1e-5
+    )
 
 
 def test_without_a_reference_force_and_mean_have_one_scale():
@@ -178,7 +181,7 @@ def test_an_ffmpeg_that_fails_is_one_line_and_nothing_is_left(picture, tmp_path,
     out = tmp_path / "films" / "fin.mp4"
     with pytest.raises(RunError, match=r"fin.mp4: ffmpeg failed \(no such encoder\); write a .gif or .html instead$"):
         write_mp4(out, picture, 10, silent)
-    assert list(out.parent.iterdir()) == []
+    assert not list(tmp_path.rglob("*.mp4"))
 
 
 def test_without_ffmpeg_the_ways_out_are_named(picture, tmp_path, monkeypatch):
