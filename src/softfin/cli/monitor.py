@@ -4,7 +4,7 @@ import contextlib
 import json
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -42,7 +42,7 @@ class Arguments(CommandOptions):
                 follower.poll()
                 while (summary := follower.summary()).state == "reading" and summary.problem is None:
                     follower.poll()
-                sys.stdout.write(json.dumps(summary.to_dict(), indent=2, allow_nan=False) + "\n")
+                sys.stdout.write(json.dumps(asdict(summary), indent=2, allow_nan=False) + "\n")
             elif self.web:
                 server = Server(follower, self.host, self.port)
                 if self.host not in (LOOPBACK, "::1", "localhost"):

@@ -93,7 +93,7 @@ def _check_drive(rig: Rig) -> Iterator[CheckResult]:
 
 
 def _check_loop(rig: Rig, seconds: float) -> Iterator[CheckResult]:
-    pace = Pace(clock=rig.clock)
+    pace = Pace(rig.clock)
     rig.open()
     pace.start()
     complaints: tuple[str, ...] = ()

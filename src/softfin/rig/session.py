@@ -46,10 +46,9 @@ class Session:
         *,
         stop: StopRequest | None = None,
         observers: Sequence[Observer] = (),
-        pace: Pace | None = None,
     ) -> None:
         self.machine, self.guard, self.stop_request = machine, guard, stop or StopRequest()
-        self.observers, self.pace = observers, pace or Pace(clock=clock_of(machine))
+        self.observers, self.pace = observers, Pace(clock_of(machine))
         self.recorder: BagRecorder | None = None
         self.state: State = "unconfigured"
         self.target: Target | None = None

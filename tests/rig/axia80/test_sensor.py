@@ -82,13 +82,13 @@ def test_nothing_is_lost_and_the_time_goes_on(pair):
     readings = read_for(client, 0.5)
     times = [reading.force_time for reading in readings]
     assert times == sorted(times)
-    assert times[-1] <= sensor.clock() - client.delay_s
+    assert times[-1] <= sensor.clock() - client.stream.delay_s
     counters = client.counters()
     assert counters.pop("sensor_records") > 100
     assert counters.pop("sensor_streams") == 1
     assert not any(counters.values())
     assert client.complaints() == client.notes() == ()
-    assert client.rate_hz == pytest.approx(sensor.rate_hz, rel=0.01)
+    assert client.stream.times.rate_hz == pytest.approx(sensor.rate_hz, rel=0.01)
 
 
 def test_a_process_that_was_held_up_for_long_does_not_take_the_sensor_for_silent(pair):
@@ -149,7 +149,6 @@ def test_an_error_status_is_a_complaint_as_long_as_it_lasts(pair):
     )
     sensor.status(0)
     read_until(client, lambda: not client.complaints())
-    assert client.counters()["sensor_error_records"] > 0
 
 
 def test_an_error_of_a_single_record_is_not_missed(pair):
@@ -218,7 +217,6 @@ def test_the_zero_is_set_to_what_is_felt_now_and_what_changes_from_then_on_is_me
         measured = client.measured(0.3)
     assert measured.mean == pytest.approx((0,) * 6, abs=0.005)
     assert measured.std == pytest.approx((0.01, 0, 0, 0, 0, 0), abs=0.001)
-    assert measured.records > 100
 
 
 def test_the_zero_is_set_at_the_opening_where_that_is_asked_for():

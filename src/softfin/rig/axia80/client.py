@@ -19,7 +19,7 @@ class RdtClient:
     """Never blocks; the socket is connected, so that the kernel passes only what comes from the sensor's port."""
 
     def __init__(self, host: str, port: int, clock: Clock) -> None:
-        self.refused = self.unsent = 0
+        self.refused = 0
         self._clock = clock
         self._socket: socket.socket | SimulatedSocket
         if isinstance(clock, SimulatedClock):
@@ -43,11 +43,10 @@ class RdtClient:
         return self._socket.fileno() == -1
 
     def send(self, command: RdtCommand) -> bool:
-        """Send a command; False, and counted, where the network does not take it."""
+        """Send a command; False where the network does not take it."""
         try:
             self._socket.send(encode_request(command))
         except OSError:
-            self.unsent += 1
             return False
         return True
 

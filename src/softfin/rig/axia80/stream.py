@@ -9,11 +9,9 @@ from jaxtyping import Float
 from softfin.core.clock import Clock
 from softfin.rig.axia80.client import RdtClient
 from softfin.rig.axia80.config import Axia80Config
-from softfin.rig.axia80.pages import SensorSettings
-from softfin.rig.axia80.rdt import RdtRecord, decode_status
+from softfin.rig.axia80.rdt import RdtRecord
 from softfin.rig.filter import AntiAlias
-from softfin.rig.frame import rotated, rotation
-from softfin.rig.machine import Wrench
+from softfin.rig.machine import Wrench, rotated, rotation
 
 LATE_RECORDS = 64
 """Records by which one may be overtaken; one that comes later than that begins another stream."""
@@ -79,34 +77,25 @@ def _difference(after: int, before: int) -> int:
 
 
 class StreamClock:
-    """Monotonic times of places in an even stream, from noisy stamps: no record can be stamped too early."""
+    """Monotonic times of places in one even stream, from noisy stamps: no record can be stamped too early."""
 
     def __init__(self, rate_hz: float) -> None:
         self.rate_hz = rate_hz
-        """Measured rate, once the stream has lasted `BASE_S`; until then the configured one [Hz]."""
+        """Measured rate, once the stream has lasted `BASE_S`; until then the expected one [Hz]."""
+        self.measured_s = 0.0
+        """Duration of the stream so far [s]."""
         self._stamps: deque[tuple[int, float]] = deque(maxlen=KEPT_STAMPS)
         self._base: tuple[int, float] | None = None
 
-    def begin(self) -> None:
-        """Another stream begins, at the old one's rate until its own is measured."""
-        self._stamps.clear()
-        self._base = None
-
     def stamp(self, place: int, time: float) -> None:
         """The record at a place was received at a time."""
-        if self._base is None:
-            self._base = (place, time)
-        first, began = self._base
-        if time - began >= BASE_S and place > first:
-            self.rate_hz = (place - first) / (time - began)
+        first, began = self._base = self._base or (place, time)
+        self.measured_s = time - began
+        if self.measured_s >= BASE_S and place > first:
+            self.rate_hz = (place - first) / self.measured_s
         if self._stamps and time - self._stamps[-1][1] > PAUSE_S:
             self._stamps.clear()
         self._stamps.append((place, time))
-
-    @property
-    def measured_s(self) -> float:
-        """Duration of the stream so far [s]."""
-        return self._stamps[-1][1] - self._base[1] if self._base and self._stamps else 0.0
 
     def time_of(self, place: int) -> float:
         """The monotonic time of a place near the newest ones [s]."""
@@ -126,13 +115,14 @@ class ForceReading(NamedTuple):
 class ForceStream:
     """Everything received since the sensor was opened; several streams, where it had to be asked again."""
 
-    def __init__(self, config: Axia80Config, settings: SensorSettings, clock: Clock) -> None:
+    def __init__(self, config: Axia80Config, scale: list[float], clock: Clock) -> None:
+        """`scale` is newton or newton metre per count, of the six channels."""
         self.client = RdtClient(config.address, config.rdt_port, clock)
         self._clock = clock
         self.sequence = SequenceCounter()
         self.filter = AntiAlias(config.rate_hz, config.cutoff_hz)
         self.times = StreamClock(config.rate_hz)
-        self.records = self.error_records = 0
+        self.records = 0
         self.status = 0
         """Every status bit that a record of the newest arrivals had set."""
         self.taken = clock()
@@ -141,18 +131,13 @@ class ForceStream:
         """A list that every record is appended to, in the sensor's axes [N, N m], if a caller sets one."""
         self.rotation = rotation(config.frame)
         self._force: tuple[float, Wrench] | None = None
-        self._scale = np.repeat([settings.newton_per_count, settings.newton_metre_per_count], 3)
+        self._scale = np.array(scale)
         self._peak = np.zeros(6)
 
     @property
     def delay_s(self) -> float:
         """Delay of the filter [s]."""
         return self.filter.delay / self.times.rate_hz
-
-    @property
-    def full(self) -> bool:
-        """Whether enough records came without a gap for a filtered force."""
-        return self.filter.full(self.filter.newest)
 
     def take(self) -> None:
         """Take all that has arrived."""
@@ -166,7 +151,8 @@ class ForceStream:
 
     def reading(self) -> ForceReading | None:
         """The newest force; the old one during a gap. None before there was any."""
-        if self.full and (output := self.filter.at(self.filter.newest)) is not None:
+        output = self.filter.output()
+        if output is not None:
             moment = self.times.time_of(self.filter.newest) - self.delay_s
             # The measured rate still settles; a time that was reported is not taken back.
             latest = moment if self._force is None else max(moment, self._force[0])
@@ -181,15 +167,14 @@ class ForceStream:
         """Place of the record, where it is newer than all before."""
         self.records += 1
         self.status |= record.status
-        if record.status:
-            self.error_records += any(bit.is_error for bit in decode_status(record.status))
         taken = self.sequence.take(record.rdt_sequence, record.ft_sequence)
         if taken is None:
             return None
         place, begins = taken
         if begins:
             self.filter.clear()
-            self.times.begin()
+            # At the old rate until its own is measured.
+            self.times = StreamClock(self.times.rate_hz)
         values = self._scale * record.counts
         self.filter.put(place, values)
         np.maximum(self._peak, np.abs(values), out=self._peak)

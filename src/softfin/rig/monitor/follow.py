@@ -15,8 +15,7 @@ from mcap.records import Channel, Footer, Message, Schema
 
 from softfin.core.errors import LogError
 from softfin.core.printable import printable
-from softfin.rig.monitor.summary import State, Summary, summarize
-from softfin.rig.monitor.trace import MOST_CHARACTERS, ROLES, Trace
+from softfin.rig.monitor.summary import MOST_CHARACTERS, ROLES, State, Summary, Trace, summarize
 from softfin.storage.bag.records import MAGIC, RawRecord, decode, read_records
 from softfin.storage.paths import check_monitored
 
@@ -61,13 +60,11 @@ class Follower:
         self._chosen_at = -float("inf")
         self._bag: Path | None = None if self.follows_folder else path
         self._restart()
-        self._choose()
 
     def _restart(self) -> None:
         """Begin with nothing read yet."""
         self._number += 1
         self.traces = {role: Trace(role) for role in ROLES}
-        self._traces_by_topic = {ROLES[role].topic: trace for role, trace in self.traces.items()}
         self._types: dict[int, str] = {}
         self._channels: dict[int, tuple[Trace, str]] = {}
         self._offset = self._size = self._damaged = self._start_ns = 0
@@ -79,8 +76,9 @@ class Follower:
 
     def poll(self) -> None:
         """Take in what was written since."""
-        if self._choose():
-            self._restart()
+        if self.follows_folder and self._clock() - self._chosen_at >= CHOOSE_S:
+            self._chosen_at = self._clock()
+            self._choose()
         if self._bag is None or self._ended or self._broken:
             return
         self._problem = None
@@ -94,7 +92,7 @@ class Follower:
 
     def summary(self) -> Summary:
         """Summarize the recording as of the last look."""
-        times = [newest.time for role in ("joint", "wrench") if (newest := self.traces[role].newest)]
+        times = [rows[-1].time for role in ("joint", "wrench") if (rows := self.traces[role].rows)]
         time_s = max(times, default=None)
         # What is recorded in simulated time runs ahead of the day.
         age = None if time_s is None else max(0.0, self._wall() - (self._start_ns * 1e-9 + time_s))
@@ -103,23 +101,18 @@ class Follower:
             size_bytes=self._size, damaged=self._damaged, age_s=age, time_s=time_s,
         )  # fmt: skip
 
-    def _choose(self) -> bool:
-        """Whether there is another bag to follow: the one written to last, if it is clearly newer."""
-        if not self.follows_folder or self._clock() - self._chosen_at < CHOOSE_S:
-            return False
-        self._chosen_at = self._clock()
+    def _choose(self) -> None:
+        """Follow the bag of the folder that was written to last, if it is clearly newer than the one followed."""
         times: dict[Path, float] = {}
         for path in itertools.chain.from_iterable(map(self.path.glob, PATTERNS)):
             # A file may be renamed or removed meanwhile.
             with contextlib.suppress(OSError):
                 if path.is_file() and not path.name.startswith("."):
                     times[path] = path.stat().st_mtime
-        newest = max(times, key=lambda path: (times[path], path.name), default=None)
-        is_newer = newest is not None and (self._bag not in times or times[newest] > times[self._bag] + NEWER_S)
-        if newest == self._bag or not is_newer:
-            return False
-        self._bag = newest
-        return True
+        newest = max(times, key=lambda path: (times[path], path.name), default=self._bag)
+        if newest != self._bag and (self._bag not in times or times[newest] > times[self._bag] + NEWER_S):
+            self._bag = newest
+            self._restart()
 
     def _read(self, file: io.BufferedIOBase) -> None:
         status = os.fstat(file.fileno())
@@ -167,6 +160,7 @@ class Follower:
         except LogError:
             self._damaged += 1
             return
+        roles = {topic: role for role, topic in ROLES.items()}
         for record in records:
             if isinstance(record, Message):
                 if record.channel_id in self._channels:
@@ -176,9 +170,9 @@ class Follower:
             elif isinstance(record, Schema):
                 self._types[record.id] = record.name
             elif isinstance(record, Channel):
-                if record.topic in self._traces_by_topic:
+                if record.topic in roles:
                     type_name = self._types.get(record.schema_id, "") if record.message_encoding == "cdr" else ""
-                    self._channels[record.id] = (self._traces_by_topic[record.topic], type_name)
+                    self._channels[record.id] = (self.traces[roles[record.topic]], type_name)
             elif isinstance(record, Footer):
                 self._ended = True
 

@@ -1,7 +1,6 @@
-"""A recording on the terminal: a screen of 80 columns and 24 lines, or lines where the output is piped."""
+"""A recording on the terminal: a screen of 80 columns and 24 lines; its last state where the output is piped."""
 
-import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from jaxtyping import Float64
@@ -12,13 +11,9 @@ from rich.text import Text
 
 from softfin.core.printable import printable
 from softfin.rig.monitor.follow import Follower
-from softfin.rig.monitor.summary import LARGEST, STATES, Summary
-from softfin.rig.monitor.trace import Trace
+from softfin.rig.monitor.summary import LARGEST, STATES, Summary, Trace
 
 REFRESH_S = 0.25
-
-LINE_S = 5.0
-"""Time between two lines where the output is piped [s]."""
 
 SHOWN_S = 20.0
 """Time that the traces span [s]."""
@@ -34,63 +29,22 @@ LETTERS = "_.-~=+*#"
 COLOURS = {"recording": "bold green", "silent": "bold yellow", "damaged": "bold red"}
 
 
-def watch(
-    follower: Follower, console: Console, *, clock: Callable[[], float] = time.monotonic, sleep: Callable[[float], None]
-) -> None:
+def watch(follower: Follower, console: Console, *, sleep: Callable[[float], None]) -> None:
     """Show a recording until it ends, or for ever where a newer one may come."""
-    if console.is_terminal:
-        with Live(console=console, auto_refresh=False, vertical_overflow="crop") as live:
-            for summary, _ in _looks(follower, sleep):
-                screen = render(summary, follower.traces, ascii_only=console.options.ascii_only)
-                live.update(screen, refresh=True)
-        return
-
-    def say(text: str) -> None:
-        console.print(printable(text), markup=False, highlight=False, soft_wrap=True)
-
-    due, last_serial, before = clock(), 0, ""
-    for summary, is_over in _looks(follower, sleep):
-        for event in follower.traces["event"].after(last_serial):
-            say(f"{event.time:9.2f} s  {event.values[0]}")
-            last_serial = event.serial
-        if is_over or clock() >= due:
-            # Of a recording that has ended nothing changes any more.
-            if (now := _describe(summary)) != before:
-                say(now)
-            due, before = clock() + LINE_S, now
-
-
-def _looks(follower: Follower, sleep: Callable[[float], None]) -> Iterator[tuple[Summary, bool]]:
-    """Yield a summary after each look, and whether it is the last one."""
-    is_over = False
-    while not is_over:
-        follower.poll()
-        summary = follower.summary()
-        is_over = summary.state in ("ended", "damaged") and not follower.follows_folder
-        yield summary, is_over
-        if not is_over:
+    with Live(console=console, auto_refresh=False, vertical_overflow="crop") as live:
+        while True:
+            follower.poll()
+            summary = follower.summary()
+            screen = render(summary, follower.traces, ascii_only=console.options.ascii_only)
+            live.update(screen, refresh=True)
+            if summary.state in ("ended", "damaged") and not follower.follows_folder:
+                return
             sleep(REFRESH_S)
 
 
-def _describe(summary: Summary) -> str:
-    """Describe the recording at one moment, in a line."""
-    parts = [
-        summary.state if summary.state != "silent" or summary.age_s is None else f"silent ({_ago(summary.age_s)})",
-        "" if summary.time_s is None else f"{summary.time_s:.1f} s",
-        f"angle {_number(summary.angle_rad)} rad",
-        f"force {_vector(summary.force_n)} N",
-        f"2 s mean {_vector(summary.mean_force_n)} N",
-        f"asked for {_vector(summary.reference_n)} N" if summary.reference_n else "",
-        f"current {_number(summary.current_a)} A" if summary.current_a is not None else "",
-        summary.counts(),
-        summary.problem or "",
-    ]
-    return ", ".join(filter(None, parts))
-
-
-def render(summary: Summary, traces: Mapping[str, Trace], *, ascii_only: bool = False) -> Group:
-    """Draw the screen."""
-    age = "" if summary.age_s is None or summary.state == "ended" else f"; newest row {_ago(summary.age_s)}"
+def render(summary: Summary, traces: Mapping[str, Trace], ascii_only: bool = False) -> Group:
+    """Return the whole screen."""
+    age = f", newest {_ago(summary.age_s)}" if summary.state == "silent" and summary.age_s is not None else ""
     at = "" if summary.time_s is None else f", {summary.time_s:.1f} s"
     events = [_line(f"{event_time:9.2f} s  {text}") for event_time, text in summary.events[-6:]]
     return Group(
@@ -127,10 +81,9 @@ def _table(summary: Summary, traces: Mapping[str, Trace], levels: str) -> Table:
         ("force y [N]", force[1], mean[1], asked[1], traces["wrench"], 2),
         ("current [A]", summary.current_a, None, None, traces["current"], 1),
     ]
-    for name, now, average, wanted, trace, column in rows:
+    for name, *numbers, trace, column in rows:
         values = trace.array()
-        line = sparkline(values[:, 0], values[:, column], levels)
-        table.add_row(Text(name), _number(now), _number(average), _number(wanted), *line)
+        table.add_row(Text(name), *map(_number, numbers), *sparkline(values[:, 0], values[:, column], levels))
     return table
 
 
@@ -160,7 +113,3 @@ def _number(value: float | None) -> str:
     if value is None:
         return "-"
     return f"{value:.2e}" if abs(value) >= 1e4 else f"{value + 0.0:.2f}".replace("-0.00", "0.00")
-
-
-def _vector(values: tuple[float, float] | None) -> str:
-    return "(-, -)" if values is None else f"({_number(values[0])}, {_number(values[1])})"

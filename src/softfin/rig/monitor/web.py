@@ -13,6 +13,7 @@ import socketserver
 import sys
 import threading
 from collections.abc import Callable
+from dataclasses import asdict
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler
 from typing import Any
@@ -23,7 +24,6 @@ from softfin.core.choices import LOOPBACK
 from softfin.core.errors import ConfigurationError
 from softfin.rig.monitor.follow import Follower
 from softfin.rig.monitor.summary import STATES, WINDOW_S, finite
-from softfin.rig.monitor.trace import ROLES
 
 REFRESH_S = 0.2
 
@@ -83,14 +83,14 @@ class Server(socketserver.ThreadingTCPServer):
         """Return rows whose serial number is above `since`, the summary, and the number to ask with next, as JSON."""
         with self._reading:
             summary, traces = self._follower.summary(), self._follower.traces
-            rows = {role: trace.after(since) for role, trace in traces.items() if role != "event"}
+            rows = {role: [row for row in trace.rows if row.serial > since] for role, trace in traces.items()
+                    if role != "event"}  # fmt: skip
+        told = {"says": STATES[summary.state], "counts": summary.counts(), "window_s": WINDOW_S}
         answer = {
             "next": max((row.serial for found in rows.values() for row in found), default=since),
-            "columns": {role: ("time_s", *ROLES[role].columns) for role in rows},
             "rows": {role: [[_rounded(value) for value in (row.time, *row.values)] for row in found]
                      for role, found in rows.items()},
-            "summary": summary.to_dict()
-            | {"says": STATES[summary.state], "counts": summary.counts(), "window_s": WINDOW_S},
+            "summary": asdict(summary) | told,
         }  # fmt: skip
         return json.dumps(answer, separators=(",", ":"), allow_nan=False).encode()
 

@@ -7,9 +7,8 @@ import time
 from collections.abc import Callable
 
 from softfin.core.errors import DeviceError, SoftfinError
-from softfin.rig.loop import Force, References
+from softfin.rig.loop import Force, References, ResolveReference
 from softfin.rig.machine import Sample, Target
-from softfin.rig.references import ResolveReference
 from softfin.rig.ros2.config import NodeConfig
 from softfin.rig.ros2.connection import Stamped, Subscription
 from softfin.rig.ros2.messages import BOOL, JOINT, VECTOR, WRENCH, Messages, reference_of

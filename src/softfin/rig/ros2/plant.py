@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 from softfin.core.errors import CommandError, DeviceError
 from softfin.core.quantities import Limits
-from softfin.rig.frame import rotated, rotation
-from softfin.rig.machine import Sample, Target, Wrench
+from softfin.rig.machine import Sample, Target, Wrench, rotated, rotation
 from softfin.rig.ros2.config import Ros2PlantConfig, TransportConfig
 from softfin.rig.ros2.connection import Stamped, Subscription, open_transport
 from softfin.rig.ros2.flipper import FlipperCommands
