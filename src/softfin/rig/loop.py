@@ -7,12 +7,12 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import count
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import TypeAlias
 
-from softfin.control.controller import Measured
+from softfin.control.controller import Controller, Measured
 from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.errors import SoftfinError
-from softfin.core.quantities import RATE_HZ, Command
+from softfin.core.quantities import RATE_HZ
 from softfin.rig.machine import Sample, Target
 from softfin.rig.safety import Trip
 from softfin.rig.session import Session, in_one_line
@@ -27,17 +27,6 @@ ResolveReference = Callable[[Force], tuple[Force, str | None]]
 """A reference to the one that is tracked, and a warning where it is another; raises CoverageError."""
 
 
-@runtime_checkable
-class RealTimeController(Protocol):
-    """A controller of one of `softfin.load_controller`, or one's own; its commands are numbers."""
-
-    def init(self) -> Any:
-        """Return the state before the first action."""
-
-    def act(self, state: Any, measured: Measured, reference: Force) -> tuple[Any, Command]:
-        """Compute the next state and command for a reference [N]."""
-
-
 @dataclass(frozen=True)
 class ActionResult:
     """The command of one action, and the samples while it was held."""
@@ -48,7 +37,7 @@ class ActionResult:
 
 
 def run_controller(
-    session: Session, controller: RealTimeController, references: References, actions: int | None = None
+    session: Session, controller: Controller, references: References, actions: int | None = None
 ) -> Iterator[ActionResult]:
     """Act so many times, or until a stop; the session is active and its fin at rest."""
     state = controller.init()

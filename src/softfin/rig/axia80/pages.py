@@ -107,8 +107,8 @@ def read_settings(host: str, port: int, fetch: Callable[[str, int, str], bytes |
 def parse_settings(page: bytes, calibration: bytes | None, source: str) -> SensorSettings:
     """Settings from the bytes of both pages; raises RigError that names the field, its value and what is allowed."""
     found = {name: text for name, text in _fields(page, source).items() if name in SensorSettings.model_fields}
-    if calibration is not None:
-        found |= {"calsn": _fields(calibration, source).get("calsn")}
+    if calibration is not None and (serial := _fields(calibration, source).get("calsn")):
+        found["calsn"] = serial
     try:
         return SensorSettings.build(found, source)
     except ConfigurationError as error:

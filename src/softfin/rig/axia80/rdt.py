@@ -101,12 +101,10 @@ def decode_status(status: int) -> tuple[StatusBit, ...]:
     Bit 31 is the summary of all errors: it counts by itself only where no other bit explains it.
     """
     summary = bool(status >> SUMMARY_BIT & 1)
-    numbers = [number for number in range(SUMMARY_BIT) if status >> number & 1]
-    bits = [STATUS_BITS[number] for number in numbers if number in STATUS_BITS]
-    unknown = ", ".join(str(number) for number in numbers if number not in STATUS_BITS)
-    remedy = "look at the sensor's web page, switch it off and on"
-    if unknown:
-        bits.append(StatusBit(f"unknown status bits are set ({unknown} of 0x{status:08X})", summary, remedy))
-    if summary and BUSY_BIT not in numbers and not any(bit.is_error for bit in bits):
-        bits.append(StatusBit(f"it reports an unspecified error (0x{status:08X})", True, remedy))
+    numbers = {number for number in range(SUMMARY_BIT) if status >> number & 1}
+    bits = [bit for number, bit in STATUS_BITS.items() if number in numbers]
+    is_explained = BUSY_BIT in numbers or any(bit.is_error for bit in bits)
+    if numbers - set(STATUS_BITS) or (summary and not is_explained):
+        remedy = "look at the sensor's web page, switch it off and on"
+        bits.append(StatusBit(f"its status 0x{status:08X} has unspecified bits", summary, remedy))
     return tuple(bits)

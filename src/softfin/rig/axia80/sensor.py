@@ -6,7 +6,6 @@ the emulator, which another program's client reads too; not against a real senso
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
@@ -23,32 +22,14 @@ from softfin.rig.simulated_network import fetch_simulated_page
 FIRST_RECORD_S = 2.0
 """Longest wait for the stream to begin; the request is sent four times meanwhile, as UDP may lose it."""
 
-RETRY_S = 1.0
-"""Time without a new record after which the stream is requested again."""
-
 SILENT_S = 1.5
 """Time without a new record after which its stream has ended; the loop judges the age of the force long before."""
 
 MEASURED_S = 0.5
 """Stretch of the stream that shows its rate and fills the filter."""
 
-LONGEST_MEASURED_S = 5.0
-"""Longest wait for a rate that fits: a busy computer delivers in bursts, whose mean rate fits in the end."""
-
 RATE_TOLERANCE = 0.1
 """Relative tolerance of the rate; the filter is built for the configured one, and its delay is counted in records."""
-
-BIAS_S = 0.1
-"""Wait after the zero was set: records on their way still have the old one."""
-
-POLL_S = 0.002
-
-
-class WrenchStatistics(NamedTuple):
-    """The unfiltered stream over a while, in softfin's axes."""
-
-    mean: Wrench
-    std: Wrench
 
 
 class Axia80:
@@ -61,8 +42,6 @@ class Axia80:
         self._clock = clock
         self._name = f"force sensor {config.address}"
         self._stream: ForceStream | None = None
-        self._requested = 0.0
-        self._retries = self._restarts_seen = 0
 
     @property
     def stream(self) -> ForceStream:
@@ -86,7 +65,6 @@ class Axia80:
             if value not in (None, found):
                 raise RigError(f"{self._name}: {name} must be {value!r}, got {found!r}; check address or {name}")
         self._stream = ForceStream(config, settings.scale, clock)
-        self._retries = self._restarts_seen = 0
         try:
             self._await_stream(self._stream)
             if config.bias_on_open:
@@ -103,9 +81,6 @@ class Axia80:
         """
         stream = self.stream
         stream.take()
-        if self._clock() - max(stream.taken, self._requested) >= RETRY_S:
-            self._retries += 1
-            self._request(stream)
         reading = stream.reading()
         if reading is None:
             raise DeviceError(f"{self._name}: sent {stream.records} records, too few for a force; check the network")
@@ -119,14 +94,14 @@ class Axia80:
         stream = self.stream
         if not stream.client.send(RdtCommand.BIAS):
             raise DeviceError(f"{self._name}: the network does not take the request to set its zero; check the cable")
-        self._wait(lambda: False, BIAS_S)
+        # Records on their way still have the old zero.
+        self._wait(lambda: False, 0.1)
         stream.filter.clear()
         if not self._wait(lambda: stream.filter.full, FIRST_RECORD_S):
             raise DeviceError(f"{self._name}: its stream stopped while its zero was set; check its power and cable")
-        self._restarts_seen = stream.sequence.restarts
 
-    def measured(self, seconds: float) -> WrenchStatistics:
-        """Mean and standard deviation of all records over a while; waits for it."""
+    def measured(self, seconds: float) -> tuple[Wrench, Wrench]:
+        """Mean and standard deviation of all records over a while, unfiltered, in softfin's axes; waits for it."""
         stream = self.stream
         stream.take()
         collected = stream.collected = []
@@ -137,7 +112,7 @@ class Axia80:
         if not collected:
             raise DeviceError(f"{self._name}: sent nothing in {seconds:g} s; check its power and cable")
         values, turn = np.stack(collected), stream.rotation
-        return WrenchStatistics(rotated(values.mean(0), turn), rotated(values.std(0), np.abs(turn)))
+        return rotated(values.mean(0), turn), rotated(values.std(0), np.abs(turn))
 
     def complaints(self) -> tuple[str, ...]:
         """Errors as of the latest read, each one line that ends in the way out."""
@@ -145,13 +120,11 @@ class Axia80:
         if stream is None:
             return ()
         lines = [str(bit) for bit in decode_status(stream.status) if bit.is_error]
-        if stream.sequence.restarts > self._restarts_seen:
-            lines.append("it was switched off and on, its zero is lost; set it with the fin at rest")
         silent = self._clock() - stream.taken
         if silent > SILENT_S:
             lines.append(
-                f"nothing new for {silent:.1f} s, requests repeated so far: {self._retries}; check its power and "
-                "cable, and that no other program reads it"
+                f"nothing new for {silent:.1f} s; check its power and cable, and that no other program reads it; if it "
+                "was off, its zero is lost: softfin rig zero --force"
             )
         return tuple(f"{self._name}: {line}" for line in lines)
 
@@ -166,13 +139,10 @@ class Axia80:
         stream = self._stream
         if stream is None:
             return {}
-        sequence = stream.sequence
         return {
             "sensor_records": stream.records,
-            **{f"sensor_{name}": getattr(sequence, name) for name in ("lost", "late", "streams", "restarts")},
-            "sensor_bridged": stream.filter.bridged,
-            "sensor_gaps": stream.filter.interrupted,
-            "sensor_asked_again": self._retries,
+            "sensor_lost": stream.lost,
+            "sensor_late": stream.late,
             "sensor_refused_datagrams": stream.client.refused,
         }
 
@@ -186,7 +156,7 @@ class Axia80:
         """Wait until it sends, at the rate that it is set to."""
         config = self.config
         for _ in range(4):
-            self._request(stream)
+            stream.request()
             if self._wait(lambda: stream.records > 0, FIRST_RECORD_S / 4):
                 break
         else:
@@ -200,22 +170,18 @@ class Axia80:
             is_measured = stream.times.measured_s >= MEASURED_S and stream.filter.full
             return is_measured and abs(stream.times.rate_hz / config.rate_hz - 1) <= RATE_TOLERANCE
 
-        if not self._wait(fits, LONGEST_MEASURED_S):
+        # A busy computer delivers in bursts, whose mean rate fits in the end.
+        if not self._wait(fits, 5.0):
             raise RigError(
                 f"{self._name}: sends {stream.times.rate_hz:.0f} records a second, rate_hz is {config.rate_hz:g}; "
                 "set the RDT rate on the sensor's communication page, or rate_hz to what it sends"
             )
-
-    def _request(self, stream: ForceStream) -> None:
-        stream.client.send(RdtCommand.START)
-        stream.sequence.begin()
-        self._requested = self._clock()
 
     def _wait(self, done: Callable[[], bool], seconds: float) -> bool:
         stream, end = self.stream, self._clock() + seconds
         while not done():
             if self._clock() >= end:
                 return False
-            self._clock.sleep(POLL_S)
+            self._clock.sleep(0.002)
             stream.take()
         return True

@@ -15,7 +15,7 @@ from mcap.records import Channel, Footer, Message, Schema
 
 from softfin.core.errors import LogError
 from softfin.core.printable import printable
-from softfin.rig.monitor.summary import MOST_CHARACTERS, ROLES, State, Summary, Trace, summarize
+from softfin.rig.monitor.summary import MOST_CHARACTERS, ROLES, Summary, Trace, summarize
 from softfin.storage.bag.records import MAGIC, RawRecord, decode, read_records
 from softfin.storage.paths import check_monitored
 
@@ -109,8 +109,12 @@ class Follower:
             with contextlib.suppress(OSError):
                 if path.is_file() and not path.name.startswith("."):
                     times[path] = path.stat().st_mtime
-        newest = max(times, key=lambda path: (times[path], path.name), default=self._bag)
-        if newest != self._bag and (self._bag not in times or times[newest] > times[self._bag] + NEWER_S):
+        if not times:
+            return
+        newest = max(times, key=lambda path: (times[path], path.name))
+        # A bag that is gone gives way to any other.
+        followed = -float("inf") if self._bag is None else times.get(self._bag, -float("inf"))
+        if newest != self._bag and times[newest] > followed + NEWER_S:
             self._bag = newest
             self._restart()
 
@@ -142,9 +146,8 @@ class Follower:
             raise LogError(f"damaged ({error}); softfin bag recover saves what is whole") from None
         finally:
             # The joint's time counts where there is one: no other topic's wrong stamps empty all traces.
-            lasts = [trace.last for trace in self.traces.values() if trace.last is not None]
-            newest = self.traces["joint"].last
-            newest = max(lasts, default=0.0) if newest is None else newest
+            lasts = (trace.last for trace in (self.traces["joint"], *self.traces.values()))
+            newest = next((last for last in lasts if last is not None), 0.0)
             for role, trace in self.traces.items():
                 trace.settle(-float("inf") if role == "event" else newest - self._window, self._serials)
             if was_caught_up and self._count() > before:
@@ -166,7 +169,7 @@ class Follower:
                 if record.channel_id in self._channels:
                     trace, type_name = self._channels[record.channel_id]
                     self._start_ns = self._start_ns or record.log_time
-                    trace.offer((record.log_time - self._start_ns) * 1e-9, type_name, record.data)
+                    trace.offer((record.log_time - self._start_ns) / 1e9, type_name, record.data)
             elif isinstance(record, Schema):
                 self._types[record.id] = record.name
             elif isinstance(record, Channel):
@@ -176,7 +179,7 @@ class Follower:
             elif isinstance(record, Footer):
                 self._ended = True
 
-    def _state(self, age: float | None) -> State:
+    def _state(self, age: float | None) -> str:
         if self._broken:
             return "damaged"
         if self._ended:

@@ -2,8 +2,7 @@
 
 from collections import deque
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float64
@@ -38,9 +37,7 @@ ROLES = {
 }
 """The topic of each role."""
 
-State = Literal["waiting", "reading", "recording", "silent", "ended", "damaged"]
-
-STATES: dict[State, str] = {
+STATES = {
     "waiting": "no rows yet",
     "reading": "reading what was recorded before",
     "recording": "recording",
@@ -48,6 +45,9 @@ STATES: dict[State, str] = {
     "ended": "the recording has ended",
     "damaged": "damaged: nothing more can be read",
 }
+
+Summary: TypeAlias = dict[str, Any]
+"""A recording at one moment, ready for JSON; None is what is not known, or not yet."""
 
 Values: TypeAlias = tuple[float | str, ...]
 """Angle [rad] and velocity [rad/s] of a joint or command; force x and y [N]; a current [A]; a text."""
@@ -127,62 +127,6 @@ class Trace:
         return np.array([(row.time, *row.values) for row in self.rows] or np.zeros((0, 3)), np.float64)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Summary:
-    """A recording at one moment; None is what is not known, or not yet."""
-
-    path: str
-    number: int
-    """Number of the recording, among all that were followed."""
-    state: State
-    problem: str | None
-    """What went wrong with the reading, in one line that ends in the way out."""
-    size_bytes: int
-    damaged: int
-    """Chunks and records that could not be read and were passed over."""
-    age_s: float | None
-    """Age of the newest row, by this computer's clock."""
-    time_s: float | None
-    """Time of the newest row, since the recording's first."""
-    rows: int
-    """Rows of the joint."""
-    rate_hz: float | None
-    """Rate of the joint's rows, over the last 2 s."""
-    gaps: int
-    """Places of the joint's rows where some are missing at 100 Hz, and how many are."""
-    missing: int
-    force_gaps: int
-    """Gaps in the rows of the force."""
-    force_missing: int
-    unreadable: int
-    """Messages that could not be decoded as their type."""
-    angle_rad: float | None
-    velocity_rad_s: float | None
-    command_angle_rad: float | None
-    command_velocity_rad_s: float | None
-    current_a: float | None
-    force_n: tuple[float, float] | None
-    mean_force_n: tuple[float, float] | None
-    """Mean force over the last 2 s; None where a force in them is not a number."""
-    reference_n: tuple[float, float] | None
-    events: tuple[tuple[float, str], ...]
-    """Time since the recording's first row [s] and text, the newest last."""
-
-    def counts(self) -> str:
-        """Describe rows, rate, gaps, size and damage in a line."""
-        gaps = (("joint", self.gaps, self.missing), ("force", self.force_gaps, self.force_missing))
-        found = ", ".join(f"{name} {count:,} ({rows:,} rows)" for name, count, rows in gaps if count)
-        parts = [
-            f"{self.rows:,} rows",
-            "" if self.rate_hz is None else f"{self.rate_hz:.1f} Hz",
-            f"gaps: {found}" if found else "no gaps",
-            f"{self.size_bytes / 1e6:.1f} MB",
-            f"{self.damaged:,} damaged records" if self.damaged else "",
-            f"{self.unreadable:,} unreadable messages" if self.unreadable else "",
-        ]
-        return ", ".join(filter(None, parts))
-
-
 def summarize(traces: Mapping[str, Trace], **about_the_file: Any) -> Summary:
     """Summarize a recording from its traces and from what is known of its file."""
     joint, wrench = traces["joint"], traces["wrench"]
@@ -193,25 +137,44 @@ def summarize(traces: Mapping[str, Trace], **about_the_file: Any) -> Summary:
     span = recent[-1, 0] - recent[0, 0] if len(recent) else 0.0
     is_whole = len(forces) > 0 and wrench.rows[0].time <= forces[-1, 0] - WINDOW_S + 1.5 * TICK_S
     has_mean = is_whole and bool((np.abs(forces[:, 1:]) < LARGEST).all())
-    return Summary(
-        rows=joint.count,
-        rate_hz=float((len(recent) - 1) / span) if span > 0 else None,
-        gaps=joint.gaps,
-        missing=joint.missing,
-        force_gaps=wrench.gaps,
-        force_missing=wrench.missing,
-        unreadable=sum(trace.unreadable for trace in traces.values()),
-        angle_rad=angle,
-        velocity_rad_s=velocity,
-        command_angle_rad=command_angle,
-        command_velocity_rad_s=command_velocity,
-        current_a=traces["current"].newest()[0],
-        force_n=_pair(wrench.newest()),
-        mean_force_n=_pair(forces[:, 1:].mean(axis=0).tolist()) if has_mean else None,
-        reference_n=_pair(traces["reference"].newest()),
-        events=tuple((row.time, str(row.values[0])) for row in list(traces["event"].rows)[-SHOWN_EVENTS:]),
+    return {
         **about_the_file,
-    )
+        # Of the joint; the rate is that of the last 2 s, gaps are places where rows are missing at 100 Hz.
+        "rows": joint.count,
+        "rate_hz": float((len(recent) - 1) / span) if span > 0 else None,
+        "gaps": joint.gaps,
+        "missing": joint.missing,
+        "force_gaps": wrench.gaps,
+        "force_missing": wrench.missing,
+        # Messages that could not be decoded as their type.
+        "unreadable": sum(trace.unreadable for trace in traces.values()),
+        "angle_rad": angle,
+        "velocity_rad_s": velocity,
+        "command_angle_rad": command_angle,
+        "command_velocity_rad_s": command_velocity,
+        "current_a": traces["current"].newest()[0],
+        "force_n": _pair(wrench.newest()),
+        # Over the last 2 s; None where a force in them is not a number.
+        "mean_force_n": _pair(forces[:, 1:].mean(axis=0).tolist()) if has_mean else None,
+        "reference_n": _pair(traces["reference"].newest()),
+        # Time since the recording's first row [s] and text, the newest last.
+        "events": [(row.time, str(row.values[0])) for row in list(traces["event"].rows)[-SHOWN_EVENTS:]],
+    }
+
+
+def counts(summary: Summary) -> str:
+    """Describe rows, rate, gaps, size and damage in a line."""
+    gaps = (("joint", summary["gaps"], summary["missing"]), ("force", summary["force_gaps"], summary["force_missing"]))
+    found = ", ".join(f"{name} {count:,} ({rows:,} rows)" for name, count, rows in gaps if count)
+    parts = [
+        f"{summary['rows']:,} rows",
+        "" if summary["rate_hz"] is None else f"{summary['rate_hz']:.1f} Hz",
+        f"gaps: {found}" if found else "no gaps",
+        f"{summary['size_bytes'] / 1e6:.1f} MB",
+        f"{summary['damaged']:,} damaged records" if summary["damaged"] else "",
+        f"{summary['unreadable']:,} unreadable messages" if summary["unreadable"] else "",
+    ]
+    return ", ".join(filter(None, parts))
 
 
 def finite(value: Any) -> float | None:

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from softfin.core.printable import printable
 from softfin.rig.monitor.follow import Follower
-from softfin.rig.monitor.summary import LARGEST, STATES, Summary, Trace
+from softfin.rig.monitor.summary import LARGEST, STATES, Summary, Trace, counts
 
 REFRESH_S = 0.25
 
@@ -23,9 +23,6 @@ COLUMNS = 20
 
 BLOCKS = "▁▂▃▄▅▆▇█"
 
-LETTERS = "_.-~=+*#"
-"""Levels of a trace where a terminal has no blocks."""
-
 COLOURS = {"recording": "bold green", "silent": "bold yellow", "damaged": "bold red"}
 
 
@@ -35,61 +32,52 @@ def watch(follower: Follower, console: Console, *, sleep: Callable[[float], None
         while True:
             follower.poll()
             summary = follower.summary()
-            screen = render(summary, follower.traces, ascii_only=console.options.ascii_only)
-            live.update(screen, refresh=True)
-            if summary.state in ("ended", "damaged") and not follower.follows_folder:
+            live.update(render(summary, follower.traces), refresh=True)
+            if summary["state"] in ("ended", "damaged") and not follower.follows_folder:
                 return
             sleep(REFRESH_S)
 
 
-def render(summary: Summary, traces: Mapping[str, Trace], ascii_only: bool = False) -> Group:
+def render(summary: Summary, traces: Mapping[str, Trace]) -> Group:
     """Return the whole screen."""
-    age = f", newest {_ago(summary.age_s)}" if summary.state == "silent" and summary.age_s is not None else ""
-    at = "" if summary.time_s is None else f", {summary.time_s:.1f} s"
-    events = [_line(f"{event_time:9.2f} s  {text}") for event_time, text in summary.events[-6:]]
+    state, path, age = summary["state"], summary["path"], summary["age_s"]
+    at = "" if summary["time_s"] is None else f", {summary['time_s']:.1f} s"
+    at += f", newest {age:.0f} s ago" if state == "silent" and age is not None else ""
+    events = [_line(f"{event_time:9.2f} s  {text}") for event_time, text in summary["events"][-6:]]
     return Group(
         # The end of a path says more than its beginning.
-        _line(summary.path if len(summary.path) <= 79 else "…" + summary.path[-78:]),
-        _line(f"{STATES[summary.state]}{at}{age}", COLOURS.get(summary.state, "bold"), wrap=True),
+        _line(path if len(path) <= 79 else "…" + path[-78:]),
+        _line(STATES[state] + at, COLOURS.get(state, "bold"), wrap=True),
         Text(),
-        _table(summary, traces, LETTERS if ascii_only else BLOCKS),
+        _table(summary, traces),
         Text(),
-        _line(summary.counts()),
-        *([_line(summary.problem, "red", wrap=True)] if summary.problem else []),
+        _line(counts(summary)),
+        *([_line(summary["problem"], "red", wrap=True)] if summary["problem"] else []),
         Text(),
         *(events or [_line("no events yet", "dim")]),
     )
 
 
-def _ago(age_s: float) -> str:
-    """Describe an age by a clock that may differ from the recorder's."""
-    if age_s < -1:
-        return f"{-age_s:.0f} s ahead of this computer's clock"
-    return f"{max(age_s, 0):.1f} s ago" if age_s < 100 else f"{age_s / 60:,.0f} minutes ago"
-
-
-def _table(summary: Summary, traces: Mapping[str, Trace], levels: str) -> Table:
+def _table(summary: Summary, traces: Mapping[str, Trace]) -> Table:
     table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
     last = f"last {SHOWN_S:.0f} s"
     for title in ("", "now", "2 s mean", "asked for", "least", last, "most"):
         table.add_column(title, justify="left" if title in ("", last) else "right", no_wrap=True)
-    force, mean, asked = (pair or (None, None) for pair in (summary.force_n, summary.mean_force_n, summary.reference_n))
+    pairs = [summary[name] or (None, None) for name in ("force_n", "mean_force_n", "reference_n")]
     rows = [
-        ("angle [rad]", summary.angle_rad, None, summary.command_angle_rad, traces["joint"], 1),
-        ("velocity [rad/s]", summary.velocity_rad_s, None, None, traces["joint"], 2),
-        ("force x [N]", force[0], mean[0], asked[0], traces["wrench"], 1),
-        ("force y [N]", force[1], mean[1], asked[1], traces["wrench"], 2),
-        ("current [A]", summary.current_a, None, None, traces["current"], 1),
+        ("angle [rad]", "joint", 1, (summary["angle_rad"], None, summary["command_angle_rad"])),
+        ("velocity [rad/s]", "joint", 2, (summary["velocity_rad_s"], None, None)),
+        ("force x [N]", "wrench", 1, [x for x, _ in pairs]),
+        ("force y [N]", "wrench", 2, [y for _, y in pairs]),
+        ("current [A]", "current", 1, (summary["current_a"], None, None)),
     ]
-    for name, *numbers, trace, column in rows:
-        values = trace.array()
-        table.add_row(Text(name), *map(_number, numbers), *sparkline(values[:, 0], values[:, column], levels))
+    for name, role, column, numbers in rows:
+        values = traces[role].array()
+        table.add_row(Text(name), *map(_number, numbers), *sparkline(values[:, 0], values[:, column]))
     return table
 
 
-def sparkline(
-    times: Float64[np.ndarray, " rows"], values: Float64[np.ndarray, " rows"], levels: str
-) -> tuple[str, str, str]:
+def sparkline(times: Float64[np.ndarray, " rows"], values: Float64[np.ndarray, " rows"]) -> tuple[str, str, str]:
     """Return least value, means over equal times as one letter each, most; a space where rows are missing."""
     shown = (np.abs(values) < LARGEST) & (times > (times.max(initial=0.0) - SHOWN_S))
     times, values = times[shown], values[shown]
@@ -97,11 +85,11 @@ def sparkline(
         return "-", " " * COLUMNS, "-"
     low, high = float(values.min()), float(values.max())
     bins = np.clip(((times - times.max() + SHOWN_S) * COLUMNS / SHOWN_S).astype(int), 0, COLUMNS - 1)
-    counts = np.bincount(bins, minlength=COLUMNS)
-    means = np.bincount(bins, values, COLUMNS) / np.maximum(counts, 1)
+    filled = np.bincount(bins, minlength=COLUMNS)
+    means = np.bincount(bins, values, COLUMNS) / np.maximum(filled, 1)
     heights = np.zeros(COLUMNS) if high == low else (means - low) / (high - low)
-    indices = np.clip((heights * len(levels)).astype(int), 0, len(levels) - 1)
-    letters = (levels[index] if count else " " for index, count in zip(indices, counts, strict=True))
+    indices = np.clip((heights * len(BLOCKS)).astype(int), 0, len(BLOCKS) - 1)
+    letters = (BLOCKS[index] if count else " " for index, count in zip(indices, filled, strict=True))
     return _number(low), "".join(letters), _number(high)
 
 

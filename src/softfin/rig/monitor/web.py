@@ -10,10 +10,8 @@ import json
 import re
 import socket
 import socketserver
-import sys
 import threading
 from collections.abc import Callable
-from dataclasses import asdict
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler
 from typing import Any
@@ -23,14 +21,12 @@ from softfin.core.canvas import with_canvas
 from softfin.core.choices import LOOPBACK
 from softfin.core.errors import ConfigurationError
 from softfin.rig.monitor.follow import Follower
-from softfin.rig.monitor.summary import STATES, WINDOW_S, finite
+from softfin.rig.monitor.summary import STATES, WINDOW_S, counts, finite
 
 REFRESH_S = 0.2
 
 REQUEST_S = 3.0
 """Longest silence of a client within its request or its answer [s]."""
-
-DIGITS = 4
 
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
@@ -44,9 +40,7 @@ HEADERS = {
 class Server(socketserver.ThreadingTCPServer):
     """Serves a recording until it is closed; raises ConfigurationError where it cannot listen."""
 
-    # A port that another program listens to is not shared with it.
-    allow_reuse_address = sys.platform != "win32"
-    daemon_threads = True
+    allow_reuse_address = daemon_threads = True
     request_queue_size = 128
     """Connections that wait to be accepted; too few cost a burst of clients a second."""
 
@@ -85,12 +79,12 @@ class Server(socketserver.ThreadingTCPServer):
             summary, traces = self._follower.summary(), self._follower.traces
             rows = {role: [row for row in trace.rows if row.serial > since] for role, trace in traces.items()
                     if role != "event"}  # fmt: skip
-        told = {"says": STATES[summary.state], "counts": summary.counts(), "window_s": WINDOW_S}
+        told = {"says": STATES[summary["state"]], "counts": counts(summary), "window_s": WINDOW_S}
         answer = {
             "next": max((row.serial for found in rows.values() for row in found), default=since),
-            "rows": {role: [[_rounded(value) for value in (row.time, *row.values)] for row in found]
+            "rows": {role: [[finite(value) for value in (row.time, *row.values)] for row in found]
                      for role, found in rows.items()},
-            "summary": asdict(summary) | told,
+            "summary": summary | told,
         }  # fmt: skip
         return json.dumps(answer, separators=(",", ":"), allow_nan=False).encode()
 
@@ -142,11 +136,6 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
         if self.command == "GET":
             self.wfile.write(body)
-
-
-def _rounded(value: float | str) -> float | None:
-    number = finite(value)
-    return None if number is None else round(number, DIGITS)
 
 
 def _is_known(host: str, own: str) -> bool:
