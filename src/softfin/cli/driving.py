@@ -12,7 +12,7 @@ from softfin.cli.kinds import Controller, File, LivePlant
 from softfin.control.controller import LoadedController
 from softfin.control.disturbance_observer import DisturbanceObserver
 from softfin.control.store import load_controller
-from softfin.core.action_clock import CYCLE_ACTIONS
+from softfin.core.action_clock import ACTION_TICKS, CYCLE_ACTIONS
 from softfin.core.errors import ConfigurationError
 from softfin.core.printable import printable
 from softfin.core.quantities import RATE_HZ
@@ -21,7 +21,6 @@ from softfin.rig.loop import (
     References,
     mean_force,
     run_controller,
-    seconds_to_actions,
 )
 from softfin.rig.robot_setup import RobotSetup, find_robot
 from softfin.rig.safety import Guard
@@ -120,7 +119,7 @@ def _follow(
     """Run the controller and print a line every second; returns the errors of the last window."""
     window: list[ActionResult] = []
     ticks = printed = 0
-    actions = None if seconds is None else seconds_to_actions(seconds)
+    actions = None if seconds is None else seconds * len(ACTION_TICKS)
     for result in run_controller(session, controller, references, actions):
         window = [*window[-CYCLE_ACTIONS + 1 :], result]
         x, y = mean_force([sample for each in window for sample in each.samples])

@@ -17,14 +17,10 @@ BRIDGED_S = 0.01
 """Longest gap that is bridged; a signal below 50 Hz is close to straight for as long."""
 
 
-def transition_hz(cutoff_hz: float) -> float:
-    """Half the width of the transition: down to 50 Hz, or to a third of the cut-off where that is nearer."""
-    return min(RATE_HZ / 2 - cutoff_hz, 2 / 3 * cutoff_hz)
-
-
 def design(rate_hz: float, cutoff_hz: float) -> Float[np.ndarray, " taps"]:
     """Taps whose gain is 1/2 at the cut-off; an odd number, symmetric, their sum is 1."""
-    width = 2 * transition_hz(cutoff_hz) / rate_hz
+    # The transition reaches down to a third of the cut-off, or as far up as 50 Hz where that is nearer.
+    width = 2 * min(RATE_HZ / 2 - cutoff_hz, 2 / 3 * cutoff_hz) / rate_hz
     half = int(np.ceil((ATTENUATION_DB - 7.95) / (14.36 * width) / 2))
     beta = 0.5842 * (ATTENUATION_DB - 21) ** 0.4 + 0.07886 * (ATTENUATION_DB - 21)
     taps = np.sinc(2 * cutoff_hz / rate_hz * np.arange(-half, half + 1)) * np.kaiser(2 * half + 1, beta)

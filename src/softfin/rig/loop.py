@@ -62,11 +62,6 @@ def mean_force(samples: list[Sample]) -> Force:
     return sum(s.wrench[0] for s in samples) / len(samples), sum(s.wrench[1] for s in samples) / len(samples)
 
 
-def seconds_to_actions(seconds: int) -> int:
-    """Return the number of actions in whole seconds."""
-    return seconds * len(ACTION_TICKS)
-
-
 class LiveReference:
     """The newest reference of a person or a topic, set from any thread; one that cannot be tracked changes nothing."""
 

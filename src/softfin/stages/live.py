@@ -17,6 +17,7 @@ from jaxtyping import Float
 from softfin.control.controller import Controller
 from softfin.control.disturbance_observer import DisturbanceObserver
 from softfin.control.store import load_controller
+from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.errors import ArtifactError, DeviceError
 from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading
@@ -25,7 +26,7 @@ from softfin.data.collect import CollectConfig
 from softfin.data.importing.resample import held, interpolated
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.evaluation.experiment import ExperimentRecording
-from softfin.rig.loop import run_controller, seconds_to_actions
+from softfin.rig.loop import run_controller
 from softfin.rig.machine import Sample, Target
 from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import Guard
@@ -169,7 +170,7 @@ class LiveFin:
             x, y = asked[round(at * RATE_HZ)].tolist()
             return x, y
 
-        results = list(run_controller(session, self._controller, reference, seconds_to_actions(seconds)))
+        results = list(run_controller(session, self._controller, reference, seconds * len(ACTION_TICKS)))
         samples = [first, *(sample for result in results for sample in result.samples)]
         tail = [session.tick() for _ in range(EXTRA_TICKS)]
         # A tick's reading is the one at its end: the rest before the first action is row 0, and left out.

@@ -28,9 +28,6 @@ SILENT_S = 1.5
 MEASURED_S = 0.5
 """Stretch of the stream that shows its rate and fills the filter."""
 
-RATE_TOLERANCE = 0.1
-"""Relative tolerance of the rate; the filter is built for the configured one, and its delay is counted in records."""
-
 
 class Axia80:
     """One sensor; one thread calls it."""
@@ -167,8 +164,9 @@ class Axia80:
             )
 
         def fits() -> bool:
+            # The filter is built for the configured rate, and its delay is counted in records.
             is_measured = stream.times.measured_s >= MEASURED_S and stream.filter.full
-            return is_measured and abs(stream.times.rate_hz / config.rate_hz - 1) <= RATE_TOLERANCE
+            return is_measured and abs(stream.times.rate_hz / config.rate_hz - 1) <= 0.1
 
         # A busy computer delivers in bursts, whose mean rate fits in the end.
         if not self._wait(fits, 5.0):

@@ -16,22 +16,6 @@ from softfin.rig.machine import Wrench, rotated, rotation
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.simulated_network import SimulatedSocket
 
-BUFFER_BYTES = 4 * 1024 * 1024
-"""Size of the kernel's buffer: seconds of the stream, should the process be held up. Linux gives twice
-`net.core.rmem_max` at most."""
-
-DATAGRAM_BYTES = 4096
-
-KEPT_STAMPS = 12
-"""Number of stamps among which the earliest counts; a tenth of a second at 100 Hz. A packet that was held up moves no
-time."""
-
-PAUSE_S = 0.2
-"""Silence after which earlier stamps no longer count [s]."""
-
-BASE_S = 0.3
-"""Shortest stretch of a stream from which its rate is measured [s]."""
-
 
 class RdtClient:
     """Never blocks; the socket is connected, so that the kernel passes only what comes from the sensor's port."""
@@ -46,7 +30,8 @@ class RdtClient:
             return
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
+            # Seconds of the stream, should the process be held up. Linux gives twice `net.core.rmem_max` at most.
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4 * 1024 * 1024)
             self._socket.connect((host, port))
             self._socket.setblocking(False)
         except (OSError, UnicodeError) as error:
@@ -77,7 +62,7 @@ class RdtClient:
                 if isinstance(self._socket, SimulatedSocket):
                     data, stamp, _ = self._socket.receive()
                 else:
-                    data, stamp = self._socket.recv(DATAGRAM_BYTES), self._clock()
+                    data, stamp = self._socket.recv(4096), self._clock()
             except (BlockingIOError, InterruptedError):
                 return records, arrived
             except OSError:
@@ -101,19 +86,21 @@ class StreamClock:
 
     def __init__(self, rate_hz: float) -> None:
         self.rate_hz = rate_hz
-        """Measured rate, once the stream has lasted `BASE_S`; until then the configured one [Hz]."""
+        """Measured rate, once the stream has lasted 0.3 s; until then the configured one [Hz]."""
         self.measured_s = 0.0
         """Duration of the stream so far [s]."""
-        self._stamps: deque[tuple[int, float]] = deque(maxlen=KEPT_STAMPS)
+        # Of a tenth of a second at 100 Hz the earliest counts: a packet that was held up moves no time.
+        self._stamps: deque[tuple[int, float]] = deque(maxlen=12)
         self._base: tuple[int, float] | None = None
 
     def stamp(self, place: int, time: float) -> None:
         """The record at a place was received at a time."""
         first, began = self._base = self._base or (place, time)
         self.measured_s = time - began
-        if self.measured_s >= BASE_S and place > first:
+        if self.measured_s >= 0.3 and place > first:
             self.rate_hz = (place - first) / self.measured_s
-        if self._stamps and time - self._stamps[-1][1] > PAUSE_S:
+        if self._stamps and time - self._stamps[-1][1] > 0.2:
+            # After a silence earlier stamps no longer count.
             self._stamps.clear()
         self._stamps.append((place, time))
 

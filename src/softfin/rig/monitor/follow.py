@@ -25,12 +25,6 @@ READ_BYTES = 4 * 2**20
 SILENT_S = 3.0
 """Time without a new row after which a recording is silent [s]; a recorder writes twice a second."""
 
-CHOOSE_S = 1.0
-"""Time between two looks for a newer bag [s]."""
-
-NEWER_S = 1.0
-"""Another bag must have been written to this much later: two recordings at once do not take turns [s]."""
-
 PATTERNS = ("*.mcap", "*/*.mcap", "*/*/*.mcap")
 """A folder of bags, of bag folders, or of runs that hold them; no deeper, for a monitor should not read whole disks."""
 
@@ -76,7 +70,7 @@ class Follower:
 
     def poll(self) -> None:
         """Take in what was written since."""
-        if self.follows_folder and self._clock() - self._chosen_at >= CHOOSE_S:
+        if self.follows_folder and self._clock() - self._chosen_at >= 1.0:
             self._chosen_at = self._clock()
             self._choose()
         if self._bag is None or self._ended or self._broken:
@@ -112,9 +106,8 @@ class Follower:
         if not times:
             return
         newest = max(times, key=lambda path: (times[path], path.name))
-        # A bag that is gone gives way to any other.
-        followed = -float("inf") if self._bag is None else times.get(self._bag, -float("inf"))
-        if newest != self._bag and times[newest] > followed + NEWER_S:
+        # Two recordings at once do not take turns: another one must have been written to 1 s later.
+        if newest != self._bag and (self._bag is None or times[newest] > times.get(self._bag, -float("inf")) + 1.0):
             self._bag = newest
             self._restart()
 

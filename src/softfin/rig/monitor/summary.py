@@ -22,8 +22,6 @@ MOST_CHARACTERS = 300
 WINDOW_S = WINDOW * TICK_S
 """Window of the mean force, the same as in an evaluation [s]."""
 
-SHOWN_EVENTS = 8
-
 LARGEST = 1e100
 """Numbers beyond it, in any unit, come from damage, and their sums are not finite."""
 
@@ -158,7 +156,7 @@ def summarize(traces: Mapping[str, Trace], **about_the_file: Any) -> Summary:
         "mean_force_n": _pair(forces[:, 1:].mean(axis=0).tolist()) if has_mean else None,
         "reference_n": _pair(traces["reference"].newest()),
         # Time since the recording's first row [s] and text, the newest last.
-        "events": [(row.time, str(row.values[0])) for row in list(traces["event"].rows)[-SHOWN_EVENTS:]],
+        "events": [(row.time, str(row.values[0])) for row in list(traces["event"].rows)[-8:]],
     }
 
 

@@ -13,8 +13,6 @@ from softfin.core.printable import printable
 from softfin.rig.monitor.follow import Follower
 from softfin.rig.monitor.summary import LARGEST, STATES, Summary, Trace, counts
 
-REFRESH_S = 0.25
-
 SHOWN_S = 20.0
 """Time that the traces span [s]."""
 
@@ -35,7 +33,7 @@ def watch(follower: Follower, console: Console, *, sleep: Callable[[float], None
             live.update(render(summary, follower.traces), refresh=True)
             if summary["state"] in ("ended", "damaged") and not follower.follows_folder:
                 return
-            sleep(REFRESH_S)
+            sleep(0.25)
 
 
 def render(summary: Summary, traces: Mapping[str, Trace]) -> Group:

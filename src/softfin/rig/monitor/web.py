@@ -23,8 +23,6 @@ from softfin.core.errors import ConfigurationError
 from softfin.rig.monitor.follow import Follower
 from softfin.rig.monitor.summary import STATES, WINDOW_S, counts, finite
 
-REFRESH_S = 0.2
-
 REQUEST_S = 3.0
 """Longest silence of a client within its request or its answer [s]."""
 
@@ -95,7 +93,7 @@ class Server(socketserver.ThreadingTCPServer):
         try:
             while True:
                 self.poll()
-                sleep(REFRESH_S)
+                sleep(0.2)
         finally:
             self.shutdown()
             self.server_close()
