@@ -44,10 +44,10 @@ class Arguments(CommandOptions):
                     follower.poll()
                 sys.stdout.write(json.dumps(summary, indent=2, allow_nan=False) + "\n")
             elif self.web:
-                server = Server(follower, self.host, self.port)
-                if self.host not in (LOOPBACK, "::1", "localhost"):
-                    sys.stderr.write(f"warning: {self.host}: others can watch too; no password\n")
-                sys.stderr.write(f"{server.address} shows the recording; Ctrl-C ends\n")
-                server.run(sleep=time.sleep)
+                with Server(follower, self.host, self.port) as server:
+                    if self.host not in (LOOPBACK, "::1", "localhost"):
+                        sys.stderr.write(f"warning: {self.host}: others can watch too; no password\n")
+                    sys.stderr.write(f"{server.address} shows the recording; Ctrl-C ends\n")
+                    server.serve_forever()
             else:
                 watch(follower, Console(), sleep=time.sleep)

@@ -11,7 +11,6 @@ import re
 import socket
 import socketserver
 import threading
-from collections.abc import Callable
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler
 from typing import Any
@@ -23,9 +22,6 @@ from softfin.core.errors import ConfigurationError
 from softfin.rig.monitor.follow import Follower
 from softfin.rig.monitor.summary import STATES, WINDOW_S, counts, finite
 
-REQUEST_S = 3.0
-"""Longest silence of a client within its request or its answer [s]."""
-
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
     "connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
@@ -36,7 +32,7 @@ HEADERS = {
 
 
 class Server(socketserver.ThreadingTCPServer):
-    """Serves a recording until it is closed; raises ConfigurationError where it cannot listen."""
+    """Serves a recording, which it follows while a page asks; raises ConfigurationError where it cannot listen."""
 
     allow_reuse_address = daemon_threads = True
     request_queue_size = 128
@@ -45,7 +41,7 @@ class Server(socketserver.ThreadingTCPServer):
     def __init__(self, follower: Follower, host: str, port: int) -> None:
         self.host, self._follower = host, follower
         self._reading = threading.Lock()
-        """Held by the thread that reads, and by those that answer."""
+        """Held by the thread of the request that reads."""
         page = importlib.resources.files("softfin.rig.monitor").joinpath("page.html").read_text("utf-8")
         self.page = with_canvas(page).encode()
         try:
@@ -66,14 +62,10 @@ class Server(socketserver.ThreadingTCPServer):
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"http://{host}:{self.server_address[1]}/"
 
-    def poll(self) -> None:
-        """Take in what was recorded since."""
-        with self._reading:
-            self._follower.poll()
-
     def data(self, since: int) -> bytes:
         """Return rows whose serial number is above `since`, the summary, and the number to ask with next, as JSON."""
         with self._reading:
+            self._follower.poll()
             summary, traces = self._follower.summary(), self._follower.traces
             rows = {role: [row for row in trace.rows if row.serial > since] for role, trace in traces.items()
                     if role != "event"}  # fmt: skip
@@ -86,26 +78,14 @@ class Server(socketserver.ThreadingTCPServer):
         }  # fmt: skip
         return json.dumps(answer, separators=(",", ":"), allow_nan=False).encode()
 
-    def run(self, *, sleep: Callable[[float], None]) -> None:
-        """Follow and answer until interrupted; the server is closed at the end."""
-        thread = threading.Thread(target=self.serve_forever, name="monitor page", daemon=True)
-        thread.start()
-        try:
-            while True:
-                self.poll()
-                sleep(0.2)
-        finally:
-            self.shutdown()
-            self.server_close()
-            thread.join(REQUEST_S)
-
 
 class _Handler(BaseHTTPRequestHandler):
     """Answers one request for the page or its data, and refuses everything else."""
 
     server: Server
     server_version, sys_version = "softfin", ""
-    timeout = REQUEST_S
+    timeout = 3.0
+    """Longest silence of a client within its request or its answer [s]."""
 
     def do_GET(self) -> None:
         """Answer with the page, or the data."""
