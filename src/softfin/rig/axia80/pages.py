@@ -40,12 +40,12 @@ TORQUE_UNITS = {
 
 
 def _factor_of(units: dict[str, float]) -> pydantic.BeforeValidator:
-    known = {unit.casefold(): value for unit, value in units.items()}
+    factors = {unit.casefold(): value for unit, value in units.items()}
 
     def factor(text: str) -> float:
-        if text.casefold() not in known:
+        if text.casefold() not in factors:
             raise ValueError(f"not a known unit; use one of {', '.join(units)}")
-        return known[text.casefold()]
+        return factors[text.casefold()]
 
     return pydantic.BeforeValidator(factor)
 
