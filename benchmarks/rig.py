@@ -207,7 +207,7 @@ def _filter_delay() -> float:
     with EmulatedRig(fin=SimpleFin(), clock=REAL) as emulated:
         rig = Rig(emulated.config())
         rig.sensor.open()
-        delay = rig.sensor.delay_s
+        delay = rig.sensor.stream.delay_s
         rig.sensor.close()
         return delay
 

@@ -1,7 +1,4 @@
-"""Conformance kits: `check_plant` holds a plant against the Plant contract, here and in the tests of its users.
-
-`check_machine` does so with a Machine, on which it moves the fin.
-"""
+"""Conformance kit: `check_plant` holds a plant against the Plant contract, here and in the tests of its users."""
 
 from collections.abc import Callable
 from typing import Any
@@ -15,9 +12,6 @@ from softfin.core.errors import PlantError
 from softfin.core.plant import Plant, State, roll
 from softfin.core.plant_identity import identity
 from softfin.core.quantities import ALLOWED_LIMITS, TICK_S, Command, Limits, Reading
-from softfin.rig.conformance import check_machine
-
-__all__ = ["check_machine", "check_plant"]
 
 STROKE_TICKS = ACTION_TICKS[0]
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from softfin.data.importing.importing import FORCE_FRAMES
-from softfin.rig.frame import rotated, rotation
+from softfin.rig.machine import rotated, rotation
 
 
 @pytest.mark.parametrize("frame", FORCE_FRAMES)

@@ -2,7 +2,7 @@ import pytest
 
 from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.errors import RunError, SafetyStop
-from softfin.rig.loop import run_controller, seconds_to_actions
+from softfin.rig.loop import run_controller
 from tests.rig.machines import Wagging
 from tests.rig.test_session import Made
 
@@ -18,7 +18,6 @@ def test_three_actions_take_a_second_to_the_tick():
     _, acted = held(Wagging())
     assert [len(one.samples) for one in acted] == [*ACTION_TICKS, *ACTION_TICKS]
     assert sum(ACTION_TICKS) == 100
-    assert seconds_to_actions(4) == 12
 
 
 def test_the_controller_sees_the_mean_force_since_its_last_action():

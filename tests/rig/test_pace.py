@@ -3,12 +3,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from softfin.rig.pace import Pace
-from tests.rig.machines import Hours, quick_pace
+from tests.rig.machines import Hours
 
 
 def test_ticks_are_ten_milliseconds_apart_and_none_is_late():
     hours = Hours()
-    pace = quick_pace(hours)
+    pace = Pace(hours)
     times = [(pace.wait(), hours.now)[1] for _ in range(100)]
     assert times == pytest.approx([100.01 + 0.01 * k for k in range(100)], abs=1e-6)
     assert pace.to_dict()["skipped_ticks"] == 0
@@ -17,7 +17,7 @@ def test_ticks_are_ten_milliseconds_apart_and_none_is_late():
 
 def test_a_late_tick_does_not_move_the_next_ones():
     hours = Hours()
-    pace = quick_pace(hours)
+    pace = Pace(hours)
     pace.wait()
     hours.now += 0.014
     assert pace.wait() == pytest.approx(0.004, abs=1e-6)
@@ -28,7 +28,7 @@ def test_a_late_tick_does_not_move_the_next_ones():
 @given(st.lists(st.floats(0, 0.3), min_size=1, max_size=30))
 def test_whole_periods_that_passed_are_counted_and_not_made_up_for(pauses):
     hours = Hours()
-    pace = quick_pace(hours)
+    pace = Pace(hours)
     pace.start()
     for pause in pauses:
         hours.now += pause
@@ -41,7 +41,7 @@ def test_whole_periods_that_passed_are_counted_and_not_made_up_for(pauses):
 @given(st.lists(st.floats(0, 0.2), min_size=1, max_size=50))
 def test_the_histogram_tells_quantiles_to_a_tenth_of_a_millisecond(lates):
     hours = Hours()
-    pace = quick_pace(hours)
+    pace = Pace(hours)
     seen = []
     for late in lates:
         pace.start()

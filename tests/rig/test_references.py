@@ -3,7 +3,7 @@ import threading
 import pytest
 
 from softfin.core.errors import CoverageError
-from softfin.rig.references import LiveReference, RecordedReference
+from softfin.rig.loop import LiveReference, recorded_reference
 
 
 def admit(force):
@@ -45,7 +45,7 @@ def test_a_reference_that_cannot_be_held_is_told_and_not_taken(line):
 def test_the_nearest_is_held_with_a_warning():
     references, told = said((0.0, 3.0))
     assert references(0.0) == (0.0, 2.0)
-    references.set((1.0, 4.0))
+    references.set_from_text("1,4")
     assert references(0.0) == (1.0, 2.0)
     assert told == ["nearest is held"] * 2
 
@@ -60,7 +60,7 @@ def test_references_from_another_thread_are_whole():
 
     def say():
         for k in range(2000):
-            references.set((k / 1000, -k / 1000))
+            references.set_from_text(f"{k / 1000},{-k / 1000}")
 
     thread = threading.Thread(target=say)
     thread.start()
@@ -72,7 +72,7 @@ def test_references_from_another_thread_are_whole():
 
 def test_each_row_of_a_file_holds_from_its_time_on():
     told = []
-    references = RecordedReference([0.0, 1.0, 2.5], [(0.0, 0.0), (1.0, 3.0), (2.0, 3.0)], admit, told.append)
+    references = recorded_reference([0.0, 1.0, 2.5], [(0.0, 0.0), (1.0, 3.0), (2.0, 3.0)], admit, told.append)
     assert [references(at)[0] for at in (0.0, 0.99, 1.0, 2.0, 2.5, 99.0)] == [0, 0, 1, 1, 2, 2]
     assert references(1.0)[1] == 2.0
     assert told == ["nearest is held (and 1 more rows)"]
@@ -80,4 +80,4 @@ def test_each_row_of_a_file_holds_from_its_time_on():
 
 def test_a_file_with_a_row_that_cannot_be_held_is_refused_before_anything_moves():
     with pytest.raises(CoverageError):
-        RecordedReference([0.0, 1.0], [(0.0, 0.0), (9.0, 0.0)], admit, print)
+        recorded_reference([0.0, 1.0], [(0.0, 0.0), (9.0, 0.0)], admit, print)

@@ -8,7 +8,7 @@ from softfin.rig.machine import Machine, Target
 from softfin.rig.rig import zero_angle, zero_force
 from softfin.rig.safety import Guard
 from softfin.rig.session import Session
-from softfin.testing import check_machine
+from tests.rig.conformance import check_machine
 from tests.rig.rigs import emulated
 
 

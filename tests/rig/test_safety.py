@@ -195,8 +195,9 @@ def test_a_configuration_that_makes_no_sense_is_refused(values, words):
         SafetyConfig.build(values, "safety")
 
 
-def test_a_following_error_before_a_pause_is_not_one_that_lasts_after_it():
+def test_a_following_error_before_a_restart_is_not_one_that_lasts_after_it():
     watched = guard()
     assert watched.check(sample(50.0, following_error=0.4), 50.0) is None
+    watched.restart()
     assert watched.check(sample(60.0, following_error=0.4), 60.0) is None
     assert watched.check(sample(60.2, following_error=0.4), 60.2).cause == "following"

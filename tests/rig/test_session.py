@@ -13,7 +13,7 @@ from softfin.rig.safety import Guard, SafetyConfig
 from softfin.rig.session import Session
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import StopRequest
-from tests.rig.machines import FreeFin, Hours, Notes, quick_pace
+from tests.rig.machines import FreeFin, Hours, Notes
 
 CURRENTS = {"current_peak_a": 4.0, "current_sustained_a": 2.0}
 
@@ -26,7 +26,7 @@ class Made:
         self.machine = FreeFin(self.hours)
         self.stop = StopRequest()
         guard = Guard(SafetyConfig.build({**CURRENTS, **safety}, "safety"), self.machine.limits)
-        self.session = Session(self.machine, guard, stop=self.stop, observers=observers, pace=quick_pace(self.hours))
+        self.session = Session(self.machine, guard, stop=self.stop, observers=observers)
         self.notes = Notes(self.machine)
         self.session.recorder = self.notes
 

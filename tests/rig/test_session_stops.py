@@ -142,7 +142,7 @@ def test_a_rig_tells_the_notes_of_its_sensor():
         assert rig.notes == ()
 
 
-def test_one_reading_after_a_pause_is_no_average():
+def test_one_reading_after_a_restart_is_no_average():
     machine = FreeFin(SimulatedClock())
     guard = Guard(CALM, machine.limits)
 
@@ -151,6 +151,7 @@ def test_one_reading_after_a_pause_is_no_average():
 
     for tick in range(100):
         assert guard.check(felt(tick / 100, 1.0), tick / 100) is None
+    guard.restart()
     later = [guard.check(felt(20 + tick / 100, 20.0), 20 + tick / 100) for tick in range(60)]
     assert later[:45] == [None] * 45
     assert later[-1].cause == "force_sustained"

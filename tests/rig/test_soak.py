@@ -120,7 +120,7 @@ STOPS: dict[str, tuple[Inject, str]] = {
     "over-range": (lambda at: setattr(at.emulated.sensor, "status", 0xC0000000), "force sensor 127.0.0.1"),
     "broken gage": (lambda at: setattr(at.emulated.sensor, "status", 0x88000000), "force sensor 127.0.0.1"),
     "sensor silent": (lambda at: at.emulated.sensor.silence(), "nothing new|no new force"),
-    "sensor starts anew": (lambda at: at.emulated.sensor.reboot(0.1), "switched off and on|nothing new|no new force"),
+    "sensor starts anew": (lambda at: at.emulated.sensor.reboot(0.1), "nothing new|no new force"),
     "all packets lost": (network(drop=1.0), "nothing new|no new force"),
     "disk full": (disk_full, "No space left on device"),
 }

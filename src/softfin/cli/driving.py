@@ -12,17 +12,15 @@ from softfin.cli.kinds import Controller, File, LivePlant
 from softfin.control.controller import LoadedController
 from softfin.control.disturbance_observer import DisturbanceObserver
 from softfin.control.store import load_controller
-from softfin.core.action_clock import CYCLE_ACTIONS
+from softfin.core.action_clock import ACTION_TICKS, CYCLE_ACTIONS
 from softfin.core.errors import ConfigurationError
 from softfin.core.printable import printable
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.loop import (
     ActionResult,
-    RealTimeController,
     References,
     mean_force,
     run_controller,
-    seconds_to_actions,
 )
 from softfin.rig.robot_setup import RobotSetup, find_robot
 from softfin.rig.safety import Guard
@@ -82,7 +80,7 @@ class Driving(Armed, Common):
             Guard(robot.safety, robot.machine.limits, controller.artifact.training_range),
             stop or StopRequest(),
         )
-        acting: RealTimeController = DisturbanceObserver(controller) if self.trim else controller
+        acting: LoadedController | DisturbanceObserver = DisturbanceObserver(controller) if self.trim else controller
         with Session(robot.machine, guard, stop=stop, observers=observers) as session:
             self.confirm(robot)
             if not any(controller.artifact.training_range or ()):
@@ -116,12 +114,12 @@ def say(text: str) -> None:
 
 
 def _follow(
-    session: Session, controller: RealTimeController, references: References, seconds: int | None
+    session: Session, controller: LoadedController | DisturbanceObserver, references: References, seconds: int | None
 ) -> dict[str, Any]:
     """Run the controller and print a line every second; returns the errors of the last window."""
     window: list[ActionResult] = []
     ticks = printed = 0
-    actions = None if seconds is None else seconds_to_actions(seconds)
+    actions = None if seconds is None else seconds * len(ACTION_TICKS)
     for result in run_controller(session, controller, references, actions):
         window = [*window[-CYCLE_ACTIONS + 1 :], result]
         x, y = mean_force([sample for each in window for sample in each.samples])

@@ -40,14 +40,14 @@ class Arguments(CommandOptions):
         with contextlib.suppress(KeyboardInterrupt):
             if self.json:
                 follower.poll()
-                while (summary := follower.summary()).state == "reading" and summary.problem is None:
+                while (summary := follower.summary())["state"] == "reading" and summary["problem"] is None:
                     follower.poll()
-                sys.stdout.write(json.dumps(summary.to_dict(), indent=2, allow_nan=False) + "\n")
+                sys.stdout.write(json.dumps(summary, indent=2, allow_nan=False) + "\n")
             elif self.web:
-                server = Server(follower, self.host, self.port)
-                if self.host not in (LOOPBACK, "::1", "localhost"):
-                    sys.stderr.write(f"warning: {self.host}: others can watch too; no password\n")
-                sys.stderr.write(f"{server.address} shows the recording; Ctrl-C ends\n")
-                server.run(sleep=time.sleep)
+                with Server(follower, self.host, self.port) as server:
+                    if self.host not in (LOOPBACK, "::1", "localhost"):
+                        sys.stderr.write(f"warning: {self.host}: others can watch too; no password\n")
+                    sys.stderr.write(f"{server.address} shows the recording; Ctrl-C ends\n")
+                    server.serve_forever()
             else:
                 watch(follower, Console(), sleep=time.sleep)

@@ -6,7 +6,7 @@ from softfin.cli.driving import Driving, say
 from softfin.cli.kinds import Force, ReferenceFile
 from softfin.control.references import resolve_reference
 from softfin.core.errors import ConfigurationError
-from softfin.rig.references import LiveReference, RecordedReference
+from softfin.rig.loop import LiveReference, recorded_reference
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,7 @@ class Arguments(Driving):
         from softfin.task.reference_file import read_reference_file
 
         rows = read_reference_file(self.reference_file)
-        recorded = RecordedReference(rows.time_s, [(float(x), float(y)) for x, y in rows.force_n], resolve, say)
+        recorded = recorded_reference(rows.time_s, [(float(x), float(y)) for x, y in rows.force_n], resolve, say)
 
         def line(_: str) -> None:
             say("references come from the file; Enter alone stops the fin")

@@ -1,9 +1,9 @@
 """Configuration of a real fin, read from YAML: which drive on which bus, which sensor, and the safety limits."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import AfterValidator, Field, PrivateAttr, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 
 from softfin.core.configuration import Config, Configuration, read_yaml
 from softfin.core.errors import ConfigurationError, RigError
@@ -16,16 +16,10 @@ from softfin.rig.safety import SafetyConfig
 from softfin.storage.paths import RIG_FILE, check_readable
 
 
-def _check_printable(name: str) -> str:
-    if not name.isprintable():
-        raise ValueError("a name is of letters that can be printed")
-    return name
-
-
 class RealFinConfig(Configuration):
     """The settings that every kind of real fin has."""
 
-    fin: Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_check_printable)]
+    fin: str = Field(min_length=1, max_length=100)
     """Name of this fin; datasets, surrogates and controllers carry it on."""
     safety: SafetyConfig = SafetyConfig()
     """Safety limits."""
@@ -69,12 +63,10 @@ class RigConfig(RealFinConfig):
                 "safety.current_peak_a and current_sustained_a are missing: the motor's data sheet has them (the most "
                 "for a moment, the most that it bears for long) [A]"
             )
-        ramp, most = self.drive.acceleration_rad_s2, self.safety.acceleration_rad_s2
-        if ramp > most:
-            raise ValueError(f"drive.acceleration_rad_s2 = {ramp:g} is above safety.acceleration_rad_s2 = {most:g}")
-        fastest, most = self.drive.fastest_rad_s, self.safety.velocity_rad_s
-        if fastest > most:
-            raise ValueError(f"drive.fastest_rad_s = {fastest:g} is above safety.velocity_rad_s = {most:g}")
+        for own, limit in (("acceleration_rad_s2", "acceleration_rad_s2"), ("fastest_rad_s", "velocity_rad_s")):
+            value, most = getattr(self.drive, own), getattr(self.safety, limit)
+            if value > most:
+                raise ValueError(f"drive.{own} = {value:g} is above safety.{limit} = {most:g}")
         delay = len(design(self.sensor.rate_hz, self.sensor.cutoff_hz)) // 2 / self.sensor.rate_hz
         if delay + 2 * TICK_S > self.safety.force_stale_s:
             raise ValueError(

@@ -1,16 +1,18 @@
 """A controller on a machine: three actions a second on the 33/33/34 clock, each on what was measured since the last.
 
-References come live, from a constant, a recorded signal or any function that returns the newest one.
+References come live, from a person, a topic, the rows of a file or any function that returns the newest one.
 """
 
-from collections.abc import Callable, Iterator
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import count
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import TypeAlias
 
-from softfin.control.controller import Measured
+from softfin.control.controller import Controller, Measured
 from softfin.core.action_clock import ACTION_TICKS
-from softfin.core.quantities import RATE_HZ, Command, Limits
+from softfin.core.errors import SoftfinError
+from softfin.core.quantities import RATE_HZ
 from softfin.rig.machine import Sample, Target
 from softfin.rig.safety import Trip
 from softfin.rig.session import Session, in_one_line
@@ -21,23 +23,8 @@ Force: TypeAlias = tuple[float, float]
 References: TypeAlias = Callable[[float], Force]
 """Function that returns the reference [N] at so many seconds since the start; called at each action."""
 
-
-@runtime_checkable
-class RealTimeController(Protocol):
-    """A controller with the limits of its commands: one of `softfin.load_controller`, or one's own."""
-
-    @property
-    def limits(self) -> Limits:
-        """Limits of its commands."""
-        ...
-
-    def init(self) -> Any:
-        """Return the state before the first action."""
-        ...
-
-    def act(self, state: Any, measured: Measured, reference: Force) -> tuple[Any, Command]:
-        """Compute the next state and command, as numbers, for a reference [N]."""
-        ...
+ResolveReference = Callable[[Force], tuple[Force, str | None]]
+"""A reference to the one that is tracked, and a warning where it is another; raises CoverageError."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +37,7 @@ class ActionResult:
 
 
 def run_controller(
-    session: Session, controller: RealTimeController, references: References, actions: int | None = None
+    session: Session, controller: Controller, references: References, actions: int | None = None
 ) -> Iterator[ActionResult]:
     """Act so many times, or until a stop; the session is active and its fin at rest."""
     state = controller.init()
@@ -64,9 +51,8 @@ def run_controller(
         except Exception as error:
             session.abort(Trip("controller", in_one_line(error, "the controller failed")))
         session.record_reference(reference)
-        length = ACTION_TICKS[index % len(ACTION_TICKS)]
-        samples = session.hold(target, length)
-        ticks += length
+        samples = session.hold(target, ACTION_TICKS[index % len(ACTION_TICKS)])
+        ticks += len(samples)
         angle, force = samples[-1].angle, mean_force(samples)
         yield ActionResult(reference, target, samples)
 
@@ -76,6 +62,39 @@ def mean_force(samples: list[Sample]) -> Force:
     return sum(s.wrench[0] for s in samples) / len(samples), sum(s.wrench[1] for s in samples) / len(samples)
 
 
-def seconds_to_actions(seconds: int) -> int:
-    """Return the number of actions in whole seconds."""
-    return seconds * len(ACTION_TICKS)
+class LiveReference:
+    """The newest reference of a person or a topic, set from any thread; one that cannot be tracked changes nothing."""
+
+    def __init__(self, first: Force, resolve: ResolveReference, report: Callable[[str], None]) -> None:
+        self._resolve, self._report = resolve, report
+        self._force, warning = resolve(first)
+        if warning:
+            report(warning)
+
+    def __call__(self, at: float) -> Force:
+        """Return the newest reference [N]."""
+        return self._force
+
+    def set_from_text(self, text: str) -> None:
+        """Track the force in a line of the terminal from now on, such as ``2,-1``."""
+        try:
+            x, y = (float(part) for part in text.split(","))
+            # One assignment of a whole pair: no lock is needed.
+            self._force, warning = self._resolve((x, y))
+        except ValueError:
+            warning = f"{text!r}: not a reference; write X,Y in newton, as 2,-1; Enter alone stops the fin"
+        except SoftfinError as error:
+            warning = f"{error}; the reference stays as it is"
+        if warning:
+            self._report(warning)
+
+
+def recorded_reference(
+    time: Sequence[float], force: Sequence[Force], resolve: ResolveReference, report: Callable[[str], None]
+) -> References:
+    """Return references that are the rows of a file, each from its time on; all are resolved before anything moves."""
+    resolved = [resolve(each) for each in force]
+    warnings = [warning for _, warning in resolved if warning is not None]
+    if warnings:
+        report(warnings[0] + (f" (and {len(warnings) - 1} more rows)" if len(warnings) > 1 else ""))
+    return lambda at: resolved[max(0, bisect_right(time, at + 1e-6) - 1)][0]

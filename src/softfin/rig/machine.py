@@ -4,7 +4,11 @@ All times are of `time.monotonic` [s], or of the machine's own `clock` where it 
 calls everything but `stop`.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.quantities import Limits
@@ -52,53 +56,60 @@ class Machine(Protocol):
     @property
     def name(self) -> str:
         """Name of the machine in records and messages."""
-        ...
 
     @property
     def limits(self) -> Limits:
         """Range of the commands that it takes [rad, rad/s]."""
-        ...
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes for the person beside it before it moves, each one line: how it is connected, what is odd."""
-        ...
 
     @property
     def stop_unconfirmed(self) -> str | None:
         """Reason why the motor may still be on after `stop`, with the way out; None where it is known to be off."""
-        ...
 
     def open(self) -> None:
         """Connect and configure, without moving; on failure it is closed again and raises RigError or DeviceError."""
-        ...
 
     def read(self) -> Sample:
         """Return the newest sample; called once a tick, waits a few milliseconds at most."""
-        ...
 
     def enable(self) -> None:
         """Power the motor, which holds where it is; raises DeviceError where the drive does not follow."""
-        ...
 
     def command(self, target: Target) -> None:
         """Go there from now on; returns at once, raises where it is not enabled since the last `stop`."""
-        ...
 
     def stop(self) -> None:
         """Brake as fast as the drive may, disable the motor; from any thread, any number of times; never raises."""
-        ...
 
     def close(self) -> None:
         """Stop, and release both devices; any number of times, never raises."""
-        ...
 
     def counters(self) -> dict[str, int]:
         """Return what was counted since `open`, by name: packets lost, late, doubled, heartbeats missed .."""
-        ...
 
 
 def clock_of(machine: Any) -> Clock:
     """Return the clock of a machine's times: its own `clock`, as in simulated time, else the real one."""
-    clock = getattr(machine, "clock", None)
-    return clock if isinstance(clock, Clock) else REAL
+    clock: Clock = getattr(machine, "clock", REAL)
+    return clock
+
+
+def rotation(frame: str) -> Float[np.ndarray, "3 3"]:
+    """Rotation from the sensor's axes into softfin's; `frame` is +x and +y in the sensor's own axes, as ``y,-x``.
+
+    It is a rotation whatever the frame: where x and y are mirrored, as in ``y,x``, the sensor looks the other way, so
+    its z is reversed.
+    """
+    rows = np.zeros((2, 3))
+    for row, axis in zip(rows, frame.split(","), strict=True):
+        row["xy".index(axis[-1])] = -1.0 if axis.startswith("-") else 1.0
+    return np.vstack([rows, np.cross(*rows)])
+
+
+def rotated(wrench: Sequence[float] | Float[np.ndarray, " 6"], turn: Float[np.ndarray, "3 3"]) -> Wrench:
+    """Force and torque after a rotation."""
+    fx, fy, fz, tx, ty, tz = (np.reshape(wrench, (2, 3)) @ turn.T).ravel().tolist()
+    return fx, fy, fz, tx, ty, tz

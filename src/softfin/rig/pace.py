@@ -13,28 +13,27 @@ BINS = 1000
 class Pace:
     """Sleeps until each tick; a tick that comes late does not delay the next ones."""
 
-    def __init__(self, period: float = TICK_S, clock: Clock = REAL) -> None:
-        self.period, self.clock = period, clock
+    def __init__(self, clock: Clock = REAL) -> None:
+        self.clock = clock
         self.ticks = 0
         """Ticks waited for so far."""
         self.skipped = 0
         """Whole periods that passed without a tick; they are not made up for."""
         self._late = np.zeros(BINS, int)
         self._latest = 0.0
-        self._next: float | None = None
+        self.start()
 
     def start(self) -> None:
         """Put the first tick one period from now."""
-        self._next = self.clock() + self.period
+        self._next = self.clock() + TICK_S
 
     def wait(self) -> float:
         """Sleep until the next tick; returns how late it is [s], skipped ticks included."""
-        due = self.clock() + self.period if self._next is None else self._next
-        while (left := due - self.clock()) > 0:
+        while (left := self._next - self.clock()) > 0:
             self.clock.sleep(left)
-        late = self.clock() - due
-        skipped = int(late / self.period)
-        self._next = due + (1 + skipped) * self.period
+        late = self.clock() - self._next
+        skipped = int(late / TICK_S)
+        self._next += (1 + skipped) * TICK_S
         self.ticks += 1
         self.skipped += skipped
         self._late[min(BINS - 1, int(late / BIN_S))] += 1
@@ -48,10 +47,7 @@ class Pace:
             min((int(np.searchsorted(reached, max(1.0, part * self.ticks))) + 1) * BIN_S, self._latest)
             for part in (0.5, 0.99)
         )
-        return {
-            "ticks": self.ticks,
-            "skipped_ticks": self.skipped,
-            "late_p50_ms": round(p50 * 1e3, 3),
-            "late_p99_ms": round(p99 * 1e3, 3),
-            "late_max_ms": round(self._latest * 1e3, 3),
+        milliseconds = {"late_p50_ms": p50, "late_p99_ms": p99, "late_max_ms": self._latest}
+        return {"ticks": self.ticks, "skipped_ticks": self.skipped} | {
+            name: round(late * 1e3, 3) for name, late in milliseconds.items()
         }

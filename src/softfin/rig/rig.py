@@ -1,6 +1,5 @@
 """The rig as a Machine: one EPOS2 and one Axia80, read together at each tick."""
 
-import contextlib
 from collections.abc import Callable
 from typing import Any
 
@@ -26,21 +25,19 @@ class Rig:
 
     def __init__(self, config: RigConfig, clock: Clock | None = None) -> None:
         """Use the clock of the rig's emulation where it has one, else the real one."""
-        self._save: Callable[[], None] | None = None
+        self._save: Callable[[], None] = lambda: None
         if clock is None and config.emulation is not None:
             # Imported here: a real rig needs no tank.
             from softfin.rig.emulation.rig import kept_rig
 
             emulated = kept_rig(config)
             clock, self._save = emulated.clock, emulated.save
-        clock = clock or REAL
-        self.config, self.clock = config, clock
-        drive = config.drive
+        self.config, self.clock, drive = config, clock or REAL, config.drive
         self.name = f"rig of {config.fin}"
         self.limits = drive.limits
         # A fault of the drive does not wait for the next tick.
-        self.drive = Epos2(config.bus, drive, clock, on_fault=lambda _: self.stop())
-        self.sensor = Axia80(config.sensor, clock)
+        self.drive = Epos2(config.bus, drive, self.clock, on_fault=lambda _: self.stop())
+        self.sensor = Axia80(config.sensor, self.clock)
         self._ticks = 0
 
     @property
@@ -67,18 +64,15 @@ class Rig:
         if self._ticks % BEAT_TICKS == 0:
             self.drive.send_heartbeat()
         self._ticks += 1
-        drive = self.drive.sync_and_read(ANSWER_S)
-        force = self.sensor.read()
+        drive, force = self.drive.sync_and_read(ANSWER_S), self.sensor.read()
         return Sample(
             time=drive.time,
             angle=drive.angle,
             velocity=drive.velocity,
             current=drive.current,
             following_error=drive.following_error,
-            force_time=force.force_time,
-            wrench=force.wrench,
-            peak=force.peak,
             complaints=(*self.drive.complaints(), *self.sensor.complaints()),
+            **force._asdict(),
         )
 
     def enable(self) -> None:
@@ -96,10 +90,8 @@ class Rig:
     def close(self) -> None:
         """Stop and release both; raises RunError where the state of an emulated rig cannot be written."""
         self.drive.close()
-        with contextlib.suppress(OSError, SoftfinError):
-            self.sensor.close()
-        if self._save is not None:
-            self._save()
+        self.sensor.close()
+        self._save()
 
     def counters(self) -> dict[str, int]:
         """Return the counters of both devices."""
@@ -110,18 +102,17 @@ class Rig:
 def zero_force(config: RigConfig, seconds: float = 2.0, clock: Clock | None = None) -> dict[str, Any]:
     """Set the sensor's zero to the force at rest; raises DeviceError where the fin is not at rest."""
     rig = Rig(config, clock)
-    sensor = rig.sensor
     try:
-        sensor.open()
-        before = sensor.measured(seconds)
-        worst = max(before.std[:3])
+        rig.sensor.open()
+        before, deviation = rig.sensor.measured(seconds)
+        worst = max(deviation[:3])
         if worst > MOVING_N:
             raise DeviceError(f"force varies by {worst:.2f} N (deviation): at most {MOVING_N:g} N; let the water rest")
-        sensor.bias()
-        after = sensor.measured(seconds)
+        rig.sensor.bias()
+        after, noise = rig.sensor.measured(seconds)
     finally:
         rig.close()
-    results = {"force_before_n": before.mean, "force_after_n": after.mean, "noise_n": after.std}
+    results = {"force_before_n": before, "force_after_n": after, "noise_n": noise}
     return {name: [round(value, 4) for value in values[:3]] for name, values in results.items()}
 
 

@@ -82,9 +82,6 @@ class Trip(NamedTuple):
 
 ACCELERATION_TICKS = 3
 
-PAUSE_S = 1.0
-"""Two checks further apart than this are not of one motion [s]; within one, `overrun_s` allows no such gap."""
-
 
 def check_target(target: Target, limits: Limits) -> Trip | None:
     """Check a command that is about to be issued."""
@@ -110,18 +107,14 @@ class Guard:
 
     def restart(self) -> None:
         """Forget the samples so far: what lasted before a pause of the motor has not lasted through it."""
-        self._force, self._torque, self._current = (_Mean(self.config.sustained_s) for _ in range(3))
+        self._means = {name: _Mean(self.config.sustained_s) for name in ("force", "torque", "current")}
         self._outside = _Mean(1.0)
         self._velocities: deque[tuple[float, float]] = deque(maxlen=ACCELERATION_TICKS + 1)
         self._followed: float | None = None
-        self._checked: float | None = None
 
     def check(self, sample: Sample, now: float, late: float = 0.0) -> Trip | None:
         """Check a sample that has just been read, `late` after its tick was due [s]."""
         config = self.config
-        if self._checked is not None and now - self._checked > PAUSE_S:
-            self.restart()
-        self._checked = now
         if sample.complaints:
             return Trip("device", sample.complaints[0])
         numbers = (sample.time, sample.angle, sample.velocity, sample.force_time, *sample.wrench, *(sample.peak or ()),
@@ -129,20 +122,16 @@ class Guard:
         if not all(map(math.isfinite, numbers)):
             return Trip("reading", f"a reading is not a finite number ({sample}); check cables and sensor")
         if late > config.overrun_s:
-            return Trip(
-                "overrun",
-                f"the loop came {late * 1e3:.0f} ms late: at most {config.overrun_s * 1e3:.0f} ms (safety.overrun_s); "
-                "end other programs on this computer",
-            )
+            return Trip("overrun", f"the loop came {late * 1e3:.0f} ms late: at most {config.overrun_s * 1e3:.0f} ms "
+                        "(safety.overrun_s); end other programs on this computer")  # fmt: skip
         for what, age, most, way_out in (
             ("angle", now - sample.time, config.stale_s, "check the drive's cable and supply"),
             ("force", now - sample.force_time, config.force_stale_s, "check the sensor's cable and network"),
         ):
             # A time that lies ahead is as bad: it would never grow old.
             if abs(age) > most:
-                return Trip(
-                    f"{what}_stale", f"no new {what} for {age * 1e3:.0f} ms: at most {most * 1e3:.0f} ms; {way_out}"
-                )
+                return Trip(f"{what}_stale", f"no new {what} for {age * 1e3:.0f} ms: at most {most * 1e3:.0f} ms; "
+                            f"{way_out}")  # fmt: skip
         return self._check_motion(sample) or self._check_loads(sample, now) or self._check_range(sample, now)
 
     def _check_motion(self, sample: Sample) -> Trip | None:
@@ -173,12 +162,12 @@ class Guard:
         return None
 
     def _check_loads(self, sample: Sample, now: float) -> Trip | None:
-        config, sizes, wrench = self.config, sample.peak or sample.wrench, sample.wrench
+        config, peaks, wrench = self.config, sample.peak or sample.wrench, sample.wrench
         current = () if sample.current is None else (sample.current,)
-        for name, unit, largest, values, mean, peak, sustained in (
-            ("force", "N", sizes[:3], wrench[:3], self._force, config.force_peak_n, config.force_sustained_n),
-            ("torque", "N m", sizes[3:], wrench[3:], self._torque, config.torque_peak_nm, config.torque_sustained_nm),
-            ("current", "A", current, current, self._current, config.current_peak_a, config.current_sustained_a),
+        for name, unit, largest, values, peak, sustained in (
+            ("force", "N", peaks[:3], wrench[:3], config.force_peak_n, config.force_sustained_n),
+            ("torque", "N m", peaks[3:], wrench[3:], config.torque_peak_nm, config.torque_sustained_nm),
+            ("current", "A", current, current, config.current_peak_a, config.current_sustained_a),
         ):
             if not values or peak is None or sustained is None:
                 continue
@@ -186,7 +175,7 @@ class Guard:
             if worst > peak:
                 return Trip(f"{name}_peak", f"{name} {worst:.2f} {unit}: at most {peak:g} {unit} at any time; "
                             "look for what the fin touches")  # fmt: skip
-            average = mean.after(now, math.hypot(*values))
+            average = self._means[name].after(now, math.hypot(*values))
             if average > sustained:
                 return Trip(f"{name}_sustained", f"{name} {average:.2f} {unit} on average over "
                             f"{config.sustained_s:g} s: at most {sustained:g} {unit}; ask for less")  # fmt: skip
@@ -196,15 +185,15 @@ class Guard:
         margin = self.config.training_margin
         if self.trained is None or margin is None:
             return None
-        values = (sample.angle, sample.velocity, *sample.wrench[:2])
-        names = ("angle", "velocity", "force x", "force y")
-        beyond = [
-            (max(bounds[0] - value, value - bounds[1], 0.0) / max(bounds[1] - bounds[0], 1e-6), name)
-            for name, value, bounds in zip(names, values, self.trained, strict=True)
+        values = {"angle": sample.angle, "velocity": sample.velocity, "force x": sample.wrench[0],
+                  "force y": sample.wrench[1]}  # fmt: skip
+        beyond = {
+            name: max(bounds[0] - value, value - bounds[1], 0.0) / max(bounds[1] - bounds[0], 1e-6)
+            for (name, value), bounds in zip(values.items(), self.trained, strict=True)
             if bounds
-        ]
-        furthest, channel = max(beyond, key=lambda each: each[0], default=(0.0, ""))
-        average = self._outside.after(now, furthest)
+        }
+        channel = max(beyond, key=beyond.__getitem__, default="")
+        average = self._outside.after(now, beyond.get(channel, 0.0))
         if average > margin:
             return Trip("beyond_training", f"{channel} was {average:.2f} of its range beyond the surrogate's training "
                         f"data, for 1 s: at most {margin:g} (safety.training_margin); fit anew")  # fmt: skip
@@ -215,15 +204,13 @@ class _Mean:
     """Mean over the last seconds; 0 until so many have passed."""
 
     def __init__(self, seconds: float) -> None:
-        self._seconds, self._began = seconds, 0.0
+        self._seconds = seconds
+        self._began: float | None = None
         self._items: deque[tuple[float, float]] = deque()
 
     def after(self, now: float, value: float) -> float:
         """Return the mean with one more value."""
-        if not self._items or now - self._items[-1][0] > self._seconds:
-            # After a pause, as between two logs, the values before it do not count.
-            self._items.clear()
-            self._began = now
+        self._began = now if self._began is None else self._began
         self._items.append((now, value))
         while self._items[0][0] < now - self._seconds:
             self._items.popleft()

@@ -40,16 +40,10 @@ class Session:
     """A context: whatever happens, the machine is stopped and closed at its end."""
 
     def __init__(
-        self,
-        machine: Machine,
-        guard: Guard,
-        *,
-        stop: StopRequest | None = None,
-        observers: Sequence[Observer] = (),
-        pace: Pace | None = None,
+        self, machine: Machine, guard: Guard, *, stop: StopRequest | None = None, observers: Sequence[Observer] = ()
     ) -> None:
         self.machine, self.guard, self.stop_request = machine, guard, stop or StopRequest()
-        self.observers, self.pace = observers, pace or Pace(clock=clock_of(machine))
+        self.observers, self.pace = observers, Pace(clock_of(machine))
         self.recorder: BagRecorder | None = None
         self.state: State = "unconfigured"
         self.target: Target | None = None
@@ -140,8 +134,6 @@ class Session:
         try:
             for observe in self.observers:
                 observe(sample, self.target)
-        except SafetyStop:
-            raise
         except Exception as error:
             self.abort(Trip("observer", in_one_line(error, "an observer of the loop failed")))
         self.newest = sample
@@ -158,14 +150,10 @@ class Session:
         self.pace.start()
         self.guard.restart()
         # Devices that were not read need a moment to be fresh.
-        for _ in range(round(FRESH_S * RATE_HZ)):
-            sample = self.tick()
-            trip = self.guard.check(sample, self.pace.clock())
-            if trip is None:
-                break
-        else:
-            assert trip is not None
-            self.abort(trip)
+        latest = self.pace.clock() + FRESH_S
+        while (trip := self.guard.check(sample := self.tick(), self.pace.clock())) is not None:
+            if self.pace.clock() >= latest:
+                self.abort(trip)
         limits = self.machine.limits
         here = min(max(sample.angle, limits.angle_min), limits.angle_max)
         self.machine.enable()

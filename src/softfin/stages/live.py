@@ -14,8 +14,10 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from softfin.control.controller import Controller
 from softfin.control.disturbance_observer import DisturbanceObserver
 from softfin.control.store import load_controller
+from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.errors import ArtifactError, DeviceError
 from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading
@@ -24,7 +26,7 @@ from softfin.data.collect import CollectConfig
 from softfin.data.importing.resample import held, interpolated
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.evaluation.experiment import ExperimentRecording
-from softfin.rig.loop import RealTimeController, run_controller, seconds_to_actions
+from softfin.rig.loop import run_controller
 from softfin.rig.machine import Sample, Target
 from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import Guard
@@ -119,7 +121,7 @@ def evaluate_live(
     artifacts.check_vacant(out, overwrite)
     loaded = load_controller(controller)
     robot.check_fits(str(controller), loaded.limits, loaded.artifact.fin)
-    acting: RealTimeController = loaded if config.trim is None else DisturbanceObserver(loaded, config.trim)
+    acting: Controller = loaded if config.trim is None else DisturbanceObserver(loaded, config.trim)
     guard = Guard(robot.safety, robot.machine.limits, loaded.artifact.training_range)
     bag = bags_of(out) / f"session-{datetime.now().astimezone():%Y%m%d-%H%M%S}.mcap"
     with Session(robot.machine, guard, stop=stop) as session:
@@ -134,7 +136,7 @@ class LiveFin:
     """A real fin and the controller on it, as the evaluation's `RealTime`."""
 
     def __init__(
-        self, session: Session, controller: RealTimeController, robot: RobotSetup, progress: Progress | None = None
+        self, session: Session, controller: Controller, robot: RobotSetup, progress: Progress | None = None
     ) -> None:
         self.limits = Limits(*robot.machine.limits)
         self._session, self._controller, self._robot = session, controller, robot
@@ -168,7 +170,7 @@ class LiveFin:
             x, y = asked[round(at * RATE_HZ)].tolist()
             return x, y
 
-        results = list(run_controller(session, self._controller, reference, seconds_to_actions(seconds)))
+        results = list(run_controller(session, self._controller, reference, seconds * len(ACTION_TICKS)))
         samples = [first, *(sample for result in results for sample in result.samples)]
         tail = [session.tick() for _ in range(EXTRA_TICKS)]
         # A tick's reading is the one at its end: the rest before the first action is row 0, and left out.

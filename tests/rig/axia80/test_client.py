@@ -5,8 +5,8 @@ import pytest
 
 from softfin.core.clock import REAL
 from softfin.core.errors import DeviceError
-from softfin.rig.axia80.client import RdtClient
 from softfin.rig.axia80.rdt import RdtCommand, RdtRecord, encode_record
+from softfin.rig.axia80.stream import RdtClient
 
 
 class Sensor:

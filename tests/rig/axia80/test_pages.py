@@ -60,7 +60,7 @@ def serving(content):
 )
 def test_forces_of_any_unit_become_newton(unit, newton):
     settings = parse_settings(page(scfgfu=unit, cfgcpf="500"), None, "")
-    assert settings.newton_per_count == pytest.approx(newton / 500)
+    assert settings.scale[0] == pytest.approx(newton / 500)
 
 
 @pytest.mark.parametrize(
@@ -69,12 +69,12 @@ def test_forces_of_any_unit_become_newton(unit, newton):
 )
 def test_torques_of_any_unit_become_newton_metre(unit, newton_metre):
     settings = parse_settings(page(scfgtu=f" {unit.upper()}\n"), None, "")
-    assert settings.newton_metre_per_count * 1e6 == pytest.approx(newton_metre)
+    assert settings.scale[5] * 1e6 == pytest.approx(newton_metre)
 
 
 def test_the_serial_number_may_be_missing():
-    assert parse_settings(page(), None, "").serial is None
-    assert parse_settings(page(), b"<netftCalibration/>", "").serial is None
+    assert parse_settings(page(), None, "").calsn is None
+    assert parse_settings(page(), b"<netftCalibration/>", "").calsn is None
 
 
 @pytest.mark.parametrize("name", FIELDS)
@@ -130,19 +130,19 @@ def test_any_bytes_are_settings_or_refused():
             data[at : at + draw.randrange(3)] = draw.randbytes(draw.randrange(3)) or whole[: draw.randrange(40)]
         with contextlib.suppress(RigError):
             settings = parse_settings(bytes(data), bytes(data), "")
-            assert settings.newton_per_count > 0
+            assert settings.scale[0] > 0
 
 
 def test_the_pages_of_the_emulator_are_read():
     with serving(sensor_pages(("N", "N-mm"), (1e6, 1e3), serial="FT12345")) as port:
         settings = read_settings("127.0.0.1", port)
-    assert settings.serial == "FT12345"
-    assert settings.newton_metre_per_count == pytest.approx(1e-6)
+    assert settings.calsn == "FT12345"
+    assert settings.scale[5] == pytest.approx(1e-6)
 
 
 def test_a_sensor_without_the_second_page_is_read_all_the_same():
     with serving({SETTINGS: page()}) as port:
-        assert read_settings("127.0.0.1", port).serial is None
+        assert read_settings("127.0.0.1", port).calsn is None
 
 
 def test_another_device_is_told_from_a_sensor():

@@ -81,10 +81,10 @@ def test_any_bytes_are_records_or_refused():
         (0x80000008, [], ["it is busy with its settings"]),
         (0x10000000, [], ["its forces are simulated"]),
         (0x80000001 | 0x2, ["its temperature is out of range", "its supply voltage is out of range"], []),
-        (0x80000000, ["it reports an unspecified error (0x80000000)"], []),
-        (0x90000000, ["it reports an unspecified error (0x90000000)"], ["its forces are simulated"]),
-        (0x80000200, ["unknown status bits are set (9 of 0x80000200)"], []),
-        (0x00000200, [], ["unknown status bits are set (9 of 0x00000200)"]),
+        (0x80000000, ["its status 0x80000000 has unspecified bits"], []),
+        (0x90000000, ["its status 0x90000000 has unspecified bits"], ["its forces are simulated"]),
+        (0x80000200, ["its status 0x80000200 has unspecified bits"], []),
+        (0x00000200, [], ["its status 0x00000200 has unspecified bits"]),
     ],
 )
 def test_a_status_of_the_manual_says_what_it_means(status, errors, notes):

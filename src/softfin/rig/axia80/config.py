@@ -6,7 +6,6 @@ import pydantic
 
 from softfin.core.configuration import Configuration
 from softfin.data.importing.importing import FORCE_FRAMES
-from softfin.rig import filter as anti_alias
 
 
 class Axia80Config(Configuration):
@@ -33,9 +32,3 @@ class Axia80Config(Configuration):
     """Serial number of its calibration that the sensor must report; None accepts any."""
     bias_on_open: bool = False
     """Set the sensor's zero when it is opened: only with the fin at rest in still water."""
-
-    @pydantic.model_validator(mode="after")
-    def _filterable(self) -> "Axia80Config":
-        if len(anti_alias.design(self.rate_hz, self.cutoff_hz)) / self.rate_hz > 0.25:
-            raise ValueError(f"cutoff_hz = {self.cutoff_hz} delays the force too much; use 12 to 40")
-        return self

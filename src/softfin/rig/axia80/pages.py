@@ -7,8 +7,8 @@ of the serial number is from memory; none was seen on a real Axia80.
 
 import contextlib
 import http.client
-from collections.abc import Callable, Iterable
-from typing import Annotated, Any, NamedTuple
+from collections.abc import Callable
+from typing import Annotated
 from xml.etree.ElementTree import ParseError
 
 import defusedxml.ElementTree
@@ -39,14 +39,36 @@ TORQUE_UNITS = {
 """Units of torque in newton metre."""
 
 
-class SensorSettings(NamedTuple):
+def _factor_of(units: dict[str, float]) -> pydantic.BeforeValidator:
+    factors = {unit.casefold(): value for unit, value in units.items()}
+
+    def factor(text: str) -> float:
+        if text.casefold() not in factors:
+            raise ValueError(f"not a known unit; use one of {', '.join(units)}")
+        return factors[text.casefold()]
+
+    return pydantic.BeforeValidator(factor)
+
+
+class SensorSettings(Configuration):
     """Product, scale and serial number, as the sensor's pages state them."""
 
-    product: str
-    serial: str | None
+    prodname: str
+    calsn: str | None = None
     """Serial number of its calibration; None where it has no such page or field."""
-    newton_per_count: float
-    newton_metre_per_count: float
+    cfgcpf: float = pydantic.Field(ge=1, le=1e12)
+    """Counts for one unit of force."""
+    cfgcpt: float = pydantic.Field(ge=1, le=1e12)
+    """Counts for one unit of torque."""
+    scfgfu: Annotated[float, _factor_of(FORCE_UNITS)]
+    """Unit of force [N]."""
+    scfgtu: Annotated[float, _factor_of(TORQUE_UNITS)]
+    """Unit of torque [N m]."""
+
+    @property
+    def scale(self) -> list[float]:
+        """Newton and newton metre per count, of the six channels of a record."""
+        return [self.scfgfu / self.cfgcpf] * 3 + [self.scfgtu / self.cfgcpt] * 3
 
 
 def fetch_page(host: str, port: int, path: str) -> bytes | None:
@@ -84,50 +106,22 @@ def read_settings(host: str, port: int, fetch: Callable[[str, int, str], bytes |
 
 def parse_settings(page: bytes, calibration: bytes | None, source: str) -> SensorSettings:
     """Settings from the bytes of both pages; raises RigError that names the field, its value and what is allowed."""
+    found = {name: text for name, text in _fields(page, source).items() if name in SensorSettings.model_fields}
+    if calibration is not None and (serial := _fields(calibration, source).get("calsn")):
+        found["calsn"] = serial
     try:
-        values = _SettingsPage.build(_fields(page, source, _SettingsPage.model_fields), source)
+        return SensorSettings.build(found, source)
     except ConfigurationError as error:
         raise RigError(f"{error}; correct it on the sensor's configuration page, or check the address") from None
-    return SensorSettings(
-        product=values.prodname,
-        serial=None if calibration is None else _fields(calibration, source, ["calsn"]).get("calsn"),
-        newton_per_count=values.scfgfu / values.cfgcpf,
-        newton_metre_per_count=values.scfgtu / values.cfgcpt,
-    )
 
 
-def _factor_of(units: dict[str, float]) -> pydantic.BeforeValidator:
-    def factor(text: Any) -> float:
-        for unit, value in units.items():
-            if unit.casefold() == str(text).casefold():
-                return value
-        raise ValueError(f"not a known unit; use one of {', '.join(units)}")
-
-    return pydantic.BeforeValidator(factor)
-
-
-class _SettingsPage(Configuration):
-    """The fields that every client needs."""
-
-    prodname: str
-    cfgcpf: float = pydantic.Field(ge=1, le=1e12)
-    """Counts for one unit of force."""
-    cfgcpt: float = pydantic.Field(ge=1, le=1e12)
-    """Counts for one unit of torque."""
-    scfgfu: Annotated[float, _factor_of(FORCE_UNITS)]
-    """Unit of force [N]."""
-    scfgtu: Annotated[float, _factor_of(TORQUE_UNITS)]
-    """Unit of torque [N m]."""
-
-
-def _fields(page: bytes, source: str, names: Iterable[str]) -> dict[str, str]:
-    """Text of the elements of these names, where it is not empty."""
+def _fields(page: bytes, source: str) -> dict[str, str]:
+    """Text of the elements by name, where it is not empty."""
     try:
         root = defusedxml.ElementTree.fromstring(page, forbid_dtd=True)
     except (ParseError, ValueError, LookupError, RecursionError) as error:
         # Of defusedxml, too, whose errors are ValueErrors: a document type or entities.
         reason = " ".join(str(error).split())
         raise RigError(f"{source}: not a page of an Axia80 ({reason}); check the address") from None
-    found = {name: next(root.iter(name), None) for name in names}
-    texts = {name: " ".join((element.text or "").split()) for name, element in found.items() if element is not None}
+    texts = {element.tag: " ".join((element.text or "").split()) for element in root.iter()}
     return {name: text for name, text in texts.items() if text}

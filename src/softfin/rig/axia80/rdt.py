@@ -6,7 +6,7 @@ was seen on a real sensor). Every field is big-endian.
 
 import enum
 import struct
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 HEADER = 0x1234
 
@@ -17,9 +17,6 @@ OVER_RANGE = 0xC0000000
 """Status of a record whose force or torque is out of range."""
 
 SUMMARY_BIT, BUSY_BIT = 31, 3
-
-Counts: TypeAlias = tuple[int, int, int, int, int, int]
-"""Fx, Fy, Fz, Tx, Ty, Tz in the sensor's counts."""
 
 
 class RdtCommand(enum.IntEnum):
@@ -41,7 +38,8 @@ class RdtRecord(NamedTuple):
     ft_sequence: int
     """Number since the sensor was switched on; a request does not reset it."""
     status: int
-    counts: Counts
+    counts: tuple[int, int, int, int, int, int]
+    """Fx, Fy, Fz, Tx, Ty, Tz in the sensor's counts."""
 
 
 def encode_request(command: RdtCommand, count: int = 0) -> bytes:
@@ -66,8 +64,8 @@ def decode_record(datagram: bytes) -> RdtRecord | None:
     """The record in a datagram; None if its size is another one."""
     if len(datagram) != RECORD.size:
         return None
-    rdt, ft, status, fx, fy, fz, tx, ty, tz = RECORD.unpack(datagram)
-    return RdtRecord(rdt, ft, status, (fx, fy, fz, tx, ty, tz))
+    rdt, ft, status, *counts = RECORD.unpack(datagram)
+    return RdtRecord(rdt, ft, status, tuple(counts))
 
 
 class StatusBit(NamedTuple):
@@ -103,12 +101,10 @@ def decode_status(status: int) -> tuple[StatusBit, ...]:
     Bit 31 is the summary of all errors: it counts by itself only where no other bit explains it.
     """
     summary = bool(status >> SUMMARY_BIT & 1)
-    bits = [bit for number, bit in STATUS_BITS.items() if status >> number & 1]
-    unknown = [number for number in range(SUMMARY_BIT) if status >> number & 1 and number not in STATUS_BITS]
-    remedy = "look at the sensor's web page, switch it off and on"
-    if unknown:
-        numbers = ", ".join(map(str, unknown))
-        bits.append(StatusBit(f"unknown status bits are set ({numbers} of 0x{status:08X})", summary, remedy))
-    if summary and not status >> BUSY_BIT & 1 and not any(bit.is_error for bit in bits):
-        bits.append(StatusBit(f"it reports an unspecified error (0x{status:08X})", True, remedy))
+    numbers = {number for number in range(SUMMARY_BIT) if status >> number & 1}
+    bits = [bit for number, bit in STATUS_BITS.items() if number in numbers]
+    is_explained = BUSY_BIT in numbers or any(bit.is_error for bit in bits)
+    if numbers - set(STATUS_BITS) or (summary and not is_explained):
+        remedy = "look at the sensor's web page, switch it off and on"
+        bits.append(StatusBit(f"its status 0x{status:08X} has unspecified bits", summary, remedy))
     return tuple(bits)

@@ -6,7 +6,6 @@ the emulator, which another program's client reads too; not against a real senso
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
@@ -16,41 +15,18 @@ from softfin.rig.axia80.config import Axia80Config
 from softfin.rig.axia80.pages import SensorSettings, fetch_page, read_settings
 from softfin.rig.axia80.rdt import RdtCommand, decode_status
 from softfin.rig.axia80.stream import ForceReading, ForceStream
-from softfin.rig.frame import rotated
-from softfin.rig.machine import Wrench
+from softfin.rig.machine import Wrench, rotated
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.simulated_network import fetch_simulated_page
 
 FIRST_RECORD_S = 2.0
 """Longest wait for the stream to begin; the request is sent four times meanwhile, as UDP may lose it."""
 
-RETRY_S = 1.0
-"""Time without a new record after which the stream is requested again."""
-
 SILENT_S = 1.5
 """Time without a new record after which its stream has ended; the loop judges the age of the force long before."""
 
 MEASURED_S = 0.5
 """Stretch of the stream that shows its rate and fills the filter."""
-
-LONGEST_MEASURED_S = 5.0
-"""Longest wait for a rate that fits: a busy computer delivers in bursts, whose mean rate fits in the end."""
-
-RATE_TOLERANCE = 0.1
-"""Relative tolerance of the rate; the filter is built for the configured one, and its delay is counted in records."""
-
-BIAS_S = 0.1
-"""Wait after the zero was set: records on their way still have the old one."""
-
-POLL_S = 0.002
-
-
-class WrenchStatistics(NamedTuple):
-    """The unfiltered stream over a while, in softfin's axes."""
-
-    mean: Wrench
-    std: Wrench
-    records: int
 
 
 class Axia80:
@@ -63,18 +39,13 @@ class Axia80:
         self._clock = clock
         self._name = f"force sensor {config.address}"
         self._stream: ForceStream | None = None
-        self._requested = 0.0
-        self._retries = self._restarts_seen = 0
 
     @property
-    def delay_s(self) -> float:
-        """Delay of the filter [s]."""
-        return self._opened().delay_s
-
-    @property
-    def rate_hz(self) -> float:
-        """Measured rate of records [Hz]."""
-        return self._opened().times.rate_hz
+    def stream(self) -> ForceStream:
+        """Its stream while it is open; raises DeviceError else."""
+        if self._stream is None or self._stream.client.closed:
+            raise DeviceError(f"{self._name}: not open; open it first")
+        return self._stream
 
     def open(self) -> None:
         """Read its pages, start the stream, measure its rate: half a second where all is well.
@@ -86,15 +57,13 @@ class Axia80:
         config, clock = self.config, self._clock
         fetch = partial(fetch_simulated_page, clock) if isinstance(clock, SimulatedClock) else fetch_page
         self.settings = settings = read_settings(config.address, config.http_port, fetch)
-        for name in ("product", "serial"):
-            wanted, found = getattr(config, name), getattr(settings, name)
-            if wanted is not None and wanted != found:
-                raise RigError(f"{self._name}: {name} must be {wanted!r}, got {found!r}; check address or {name}")
-        self._stream = ForceStream(config, settings, clock)
-        self._retries = self._restarts_seen = 0
+        wanted = {"product": (config.product, settings.prodname), "serial": (config.serial, settings.calsn)}
+        for name, (value, found) in wanted.items():
+            if value not in (None, found):
+                raise RigError(f"{self._name}: {name} must be {value!r}, got {found!r}; check address or {name}")
+        self._stream = ForceStream(config, settings.scale, clock)
         try:
-            self._await_stream()
-            self._check_rate()
+            self._await_stream(self._stream)
             if config.bias_on_open:
                 self.bias()
             self.read()
@@ -107,11 +76,8 @@ class Axia80:
 
         During a gap or in silence the reading is the old one and so is its time.
         """
-        stream = self._opened()
+        stream = self.stream
         stream.take()
-        if self._clock() - max(stream.taken, self._requested) >= RETRY_S:
-            self._retries += 1
-            self._request()
         reading = stream.reading()
         if reading is None:
             raise DeviceError(f"{self._name}: sent {stream.records} records, too few for a force; check the network")
@@ -122,18 +88,18 @@ class Axia80:
 
         Takes about 0.2 s; only with the fin at rest.
         """
-        stream = self._opened()
+        stream = self.stream
         if not stream.client.send(RdtCommand.BIAS):
             raise DeviceError(f"{self._name}: the network does not take the request to set its zero; check the cable")
-        self._wait(lambda: False, BIAS_S)
+        # Records on their way still have the old zero.
+        self._wait(lambda: False, 0.1)
         stream.filter.clear()
-        if not self._wait(lambda: stream.full, FIRST_RECORD_S):
+        if not self._wait(lambda: stream.filter.full, FIRST_RECORD_S):
             raise DeviceError(f"{self._name}: its stream stopped while its zero was set; check its power and cable")
-        self._restarts_seen = stream.sequence.restarts
 
-    def measured(self, seconds: float) -> WrenchStatistics:
-        """Mean and standard deviation of all records over a while; waits for it."""
-        stream = self._opened()
+    def measured(self, seconds: float) -> tuple[Wrench, Wrench]:
+        """Mean and standard deviation of all records over a while, unfiltered, in softfin's axes; waits for it."""
+        stream = self.stream
         stream.take()
         collected = stream.collected = []
         try:
@@ -143,30 +109,27 @@ class Axia80:
         if not collected:
             raise DeviceError(f"{self._name}: sent nothing in {seconds:g} s; check its power and cable")
         values, turn = np.stack(collected), stream.rotation
-        return WrenchStatistics(rotated(values.mean(0), turn), rotated(values.std(0), np.abs(turn)), len(collected))
+        return rotated(values.mean(0), turn), rotated(values.std(0), np.abs(turn))
 
     def complaints(self) -> tuple[str, ...]:
         """Errors as of the latest read, each one line that ends in the way out."""
         stream = self._stream
         if stream is None:
             return ()
-        lines = [f"{self._name}: {bit}" for bit in decode_status(stream.status) if bit.is_error]
-        if stream.sequence.restarts > self._restarts_seen:
-            lines.append(f"{self._name}: it was switched off and on, its zero is lost; set it with the fin at rest")
+        lines = [str(bit) for bit in decode_status(stream.status) if bit.is_error]
         silent = self._clock() - stream.taken
         if silent > SILENT_S:
             lines.append(
-                f"{self._name}: nothing new for {silent:.1f} s, requests repeated so far: {self._retries}; "
-                "check its power and cable, and that no other program reads it"
+                f"nothing new for {silent:.1f} s; check its power and cable, and that no other program reads it; if it "
+                "was off, its zero is lost: softfin rig zero --force"
             )
-        return tuple(lines)
+        return tuple(f"{self._name}: {line}" for line in lines)
 
     def notes(self) -> tuple[str, ...]:
         """Remarks of its status that do not stop the fin: busy, simulated."""
-        stream = self._stream
-        if stream is None or stream.client.closed:
+        if self._stream is None or self._stream.client.closed:
             return ()
-        return tuple(f"{self._name}: {bit}" for bit in decode_status(stream.status) if not bit.is_error)
+        return tuple(f"{self._name}: {bit}" for bit in decode_status(self._stream.status) if not bit.is_error)
 
     def counters(self) -> dict[str, int]:
         """Counts since it was opened; none before."""
@@ -175,16 +138,9 @@ class Axia80:
             return {}
         return {
             "sensor_records": stream.records,
-            "sensor_lost": stream.sequence.lost,
-            "sensor_late": stream.sequence.late,
-            "sensor_streams": stream.sequence.streams,
-            "sensor_restarts": stream.sequence.restarts,
-            "sensor_bridged": stream.filter.bridged,
-            "sensor_gaps": stream.filter.interrupted,
-            "sensor_error_records": stream.error_records,
-            "sensor_asked_again": self._retries,
+            "sensor_lost": stream.lost,
+            "sensor_late": stream.late,
             "sensor_refused_datagrams": stream.client.refused,
-            "sensor_unsent_requests": stream.client.unsent,
         }
 
     def close(self) -> None:
@@ -193,50 +149,37 @@ class Axia80:
             self._stream.client.send(RdtCommand.STOP)
             self._stream.client.close()
 
-    def _await_stream(self) -> None:
-        stream = self._opened()
-        for _ in range(4):
-            self._request()
-            if self._wait(lambda: stream.records > 0, FIRST_RECORD_S / 4):
-                return
+    def _await_stream(self, stream: ForceStream) -> None:
+        """Wait until it sends, at the rate that it is set to."""
         config = self.config
-        raise DeviceError(
-            f"{self._name}: its page at port {config.http_port} answers, but no record came from UDP port "
-            f"{config.rdt_port} in {FIRST_RECORD_S:g} s ({stream.client.refused} malformed datagrams); check rdt_port, "
-            "RDT on the sensor's communication page, and the firewall"
-        )
-
-    def _check_rate(self) -> None:
-        config, stream = self.config, self._opened()
-        times = stream.times
+        for _ in range(4):
+            stream.request()
+            if self._wait(lambda: stream.records > 0, FIRST_RECORD_S / 4):
+                break
+        else:
+            raise DeviceError(
+                f"{self._name}: its page at port {config.http_port} answers, but no record came from UDP port "
+                f"{config.rdt_port} in {FIRST_RECORD_S:g} s ({stream.client.refused} malformed datagrams); check "
+                "rdt_port, RDT on the sensor's communication page, and the firewall"
+            )
 
         def fits() -> bool:
-            is_measured = times.measured_s >= MEASURED_S and stream.full
-            return is_measured and abs(times.rate_hz / config.rate_hz - 1) <= RATE_TOLERANCE
+            # The filter is built for the configured rate, and its delay is counted in records.
+            is_measured = stream.times.measured_s >= MEASURED_S and stream.filter.full
+            return is_measured and abs(stream.times.rate_hz / config.rate_hz - 1) <= 0.1
 
-        if not self._wait(fits, LONGEST_MEASURED_S):
+        # A busy computer delivers in bursts, whose mean rate fits in the end.
+        if not self._wait(fits, 5.0):
             raise RigError(
-                f"{self._name}: sends {times.rate_hz:.0f} records a second, rate_hz is {config.rate_hz:g}; "
+                f"{self._name}: sends {stream.times.rate_hz:.0f} records a second, rate_hz is {config.rate_hz:g}; "
                 "set the RDT rate on the sensor's communication page, or rate_hz to what it sends"
             )
 
-    def _opened(self) -> ForceStream:
-        if self._stream is None or self._stream.client.closed:
-            raise DeviceError(f"{self._name}: not open; open it first")
-        return self._stream
-
-    def _request(self) -> None:
-        stream = self._opened()
-        stream.client.send(RdtCommand.START)
-        stream.sequence.begin()
-        self._requested = self._clock()
-
     def _wait(self, done: Callable[[], bool], seconds: float) -> bool:
-        stream = self._opened()
-        end = self._clock() + seconds
+        stream, end = self.stream, self._clock() + seconds
         while not done():
             if self._clock() >= end:
                 return False
-            self._clock.sleep(POLL_S)
+            self._clock.sleep(0.002)
             stream.take()
         return True

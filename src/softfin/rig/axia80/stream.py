@@ -1,5 +1,6 @@
-"""The stream of an Axia80's records: counted, put in order, timed, scaled, filtered, rotated into softfin's axes."""
+"""The stream of an Axia80's records over UDP: counted, timed, scaled, filtered, rotated into softfin's axes."""
 
+import socket
 from collections import deque
 from typing import NamedTuple
 
@@ -7,75 +8,77 @@ import numpy as np
 from jaxtyping import Float
 
 from softfin.core.clock import Clock
-from softfin.rig.axia80.client import RdtClient
+from softfin.core.errors import DeviceError
 from softfin.rig.axia80.config import Axia80Config
-from softfin.rig.axia80.pages import SensorSettings
-from softfin.rig.axia80.rdt import RdtRecord, decode_status
+from softfin.rig.axia80.rdt import RdtCommand, RdtRecord, decode_record, encode_request
 from softfin.rig.filter import AntiAlias
-from softfin.rig.frame import rotated, rotation
-from softfin.rig.machine import Wrench
-
-LATE_RECORDS = 64
-"""Records by which one may be overtaken; one that comes later than that begins another stream."""
-
-MAX_GAP = 1 << 20
-"""Longest gap in records; two minutes at the sensor's fastest. A longer jump begins another stream."""
-
-KEPT_STAMPS = 12
-"""Number of stamps among which the earliest counts; a tenth of a second at 100 Hz. A packet that was held up moves no
-time."""
-
-PAUSE_S = 0.2
-"""Silence after which earlier stamps no longer count [s]."""
-
-BASE_S = 0.3
-"""Shortest stretch of a stream from which its rate is measured [s]."""
+from softfin.rig.machine import Wrench, rotated, rotation
+from softfin.rig.simulated_clock import SimulatedClock
+from softfin.rig.simulated_network import SimulatedSocket
 
 
-class SequenceCounter:
-    """Gives each record a place in one row of integers that never rolls over; counts what is lost, late or doubled.
+class RdtClient:
+    """Never blocks; the socket is connected, so that the kernel passes only what comes from the sensor's port."""
 
-    A stream's own numbers show gaps; the sensor's, which only its power switch resets, show a restart. Both are modulo
-    2^32.
-    """
+    def __init__(self, host: str, port: int, clock: Clock) -> None:
+        self.refused = 0
+        self._clock = clock
+        self._socket: socket.socket | SimulatedSocket
+        if isinstance(clock, SimulatedClock):
+            self._socket = SimulatedSocket(clock, host)
+            self._socket.connect((host, port))
+            return
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            # Seconds of the stream, should the process be held up. Linux gives twice `net.core.rmem_max` at most.
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4 * 1024 * 1024)
+            self._socket.connect((host, port))
+            self._socket.setblocking(False)
+        except (OSError, UnicodeError) as error:
+            self._socket.close()
+            raise DeviceError(
+                f"the force sensor at {host}:{port} cannot be reached ({error}); check its address and the network"
+            ) from None
 
-    def __init__(self) -> None:
-        self.lost = self.late = self.streams = self.restarts = 0
-        self._newest: tuple[int, int] | None = None
-        """Both numbers of the newest record."""
-        self._is_requested = True
-        self._place = 0
+    @property
+    def closed(self) -> bool:
+        """Whether `close` was called."""
+        return self._socket.fileno() == -1
 
-    def begin(self) -> None:
-        """A stream was requested: the next record is its first."""
-        self._is_requested = True
+    def send(self, command: RdtCommand) -> bool:
+        """Send a command; False where the network does not take it."""
+        try:
+            self._socket.send(encode_request(command))
+        except OSError:
+            return False
+        return True
 
-    def take(self, rdt_sequence: int, ft_sequence: int) -> tuple[int, bool] | None:
-        """Place of a record, and whether it begins a stream; None for one that is not newer than all before.
+    def drain(self) -> tuple[list[RdtRecord], float]:
+        """All records that have arrived, and when the last of them did [s]: not earlier, at most a record later."""
+        records: list[RdtRecord] = []
+        arrived = self._clock()
+        while True:
+            try:
+                if isinstance(self._socket, SimulatedSocket):
+                    data, stamp, _ = self._socket.receive()
+                else:
+                    data, stamp = self._socket.recv(4096), self._clock()
+            except (BlockingIOError, InterruptedError):
+                return records, arrived
+            except OSError:
+                # The answer to an earlier request that found no listener; the silence will tell.
+                self.refused += 1
+                return records, arrived
+            record = decode_record(data)
+            if record is None:
+                self.refused += 1
+            else:
+                records.append(record)
+                arrived = stamp
 
-        On one cable nothing is overtaken or doubled; where it is, it stays lost, and is counted as late.
-        """
-        rdt, ft = self._newest or (rdt_sequence, ft_sequence)
-        step, age = _difference(rdt_sequence, rdt), _difference(ft_sequence, ft)
-        is_next = not self._is_requested and 0 < step <= MAX_GAP and age >= 0
-        if is_next:
-            self.lost += step - 1
-            self._place += step
-        elif not self._is_requested and -LATE_RECORDS < step <= 0 and age <= 0:
-            self.late += 1
-            return None
-        else:
-            self.streams += 1
-            self.restarts += age < 0
-            self._place += 1
-            self._is_requested = False
-        self._newest = rdt_sequence, ft_sequence
-        return self._place, not is_next
-
-
-def _difference(after: int, before: int) -> int:
-    """Steps from one number to another the short way round [-2^31, 2^31)."""
-    return (after - before + (1 << 31)) % (1 << 32) - (1 << 31)
+    def close(self) -> None:
+        """Close the socket; any number of times."""
+        self._socket.close()
 
 
 class StreamClock:
@@ -83,30 +86,23 @@ class StreamClock:
 
     def __init__(self, rate_hz: float) -> None:
         self.rate_hz = rate_hz
-        """Measured rate, once the stream has lasted `BASE_S`; until then the configured one [Hz]."""
-        self._stamps: deque[tuple[int, float]] = deque(maxlen=KEPT_STAMPS)
+        """Measured rate, once the stream has lasted 0.3 s; until then the configured one [Hz]."""
+        self.measured_s = 0.0
+        """Duration of the stream so far [s]."""
+        # Of a tenth of a second at 100 Hz the earliest counts: a packet that was held up moves no time.
+        self._stamps: deque[tuple[int, float]] = deque(maxlen=12)
         self._base: tuple[int, float] | None = None
-
-    def begin(self) -> None:
-        """Another stream begins, at the old one's rate until its own is measured."""
-        self._stamps.clear()
-        self._base = None
 
     def stamp(self, place: int, time: float) -> None:
         """The record at a place was received at a time."""
-        if self._base is None:
-            self._base = (place, time)
-        first, began = self._base
-        if time - began >= BASE_S and place > first:
-            self.rate_hz = (place - first) / (time - began)
-        if self._stamps and time - self._stamps[-1][1] > PAUSE_S:
+        first, began = self._base = self._base or (place, time)
+        self.measured_s = time - began
+        if self.measured_s >= 0.3 and place > first:
+            self.rate_hz = (place - first) / self.measured_s
+        if self._stamps and time - self._stamps[-1][1] > 0.2:
+            # After a silence earlier stamps no longer count.
             self._stamps.clear()
         self._stamps.append((place, time))
-
-    @property
-    def measured_s(self) -> float:
-        """Duration of the stream so far [s]."""
-        return self._stamps[-1][1] - self._base[1] if self._base and self._stamps else 0.0
 
     def time_of(self, place: int) -> float:
         """The monotonic time of a place near the newest ones [s]."""
@@ -124,24 +120,28 @@ class ForceReading(NamedTuple):
 
 
 class ForceStream:
-    """Everything received since the sensor was opened; several streams, where it had to be asked again."""
+    """Everything received since the sensor was opened."""
 
-    def __init__(self, config: Axia80Config, settings: SensorSettings, clock: Clock) -> None:
+    def __init__(self, config: Axia80Config, scale: list[float], clock: Clock) -> None:
+        """`scale` is newton or newton metre per count, of the six channels."""
         self.client = RdtClient(config.address, config.rdt_port, clock)
         self._clock = clock
-        self.sequence = SequenceCounter()
         self.filter = AntiAlias(config.rate_hz, config.cutoff_hz)
         self.times = StreamClock(config.rate_hz)
-        self.records = self.error_records = 0
+        self.records = self.lost = 0
+        self.late = 0
+        """Records that were overtaken or doubled; on one cable none is. They stay lost."""
         self.status = 0
         """Every status bit that a record of the newest arrivals had set."""
         self.taken = clock()
-        """When it was taken from the socket [s]: later, if the process was held up. Silence counts from here."""
+        """When the newest record was taken from the socket [s]: later, if the process was held up."""
         self.collected: list[Float[np.ndarray, " 6"]] | None = None
         """A list that every record is appended to, in the sensor's axes [N, N m], if a caller sets one."""
         self.rotation = rotation(config.frame)
+        self._scale = np.array(scale)
+        self._sequence: int | None = None
+        """Number of the newest record in its stream."""
         self._force: tuple[float, Wrench] | None = None
-        self._scale = np.repeat([settings.newton_per_count, settings.newton_metre_per_count], 3)
         self._peak = np.zeros(6)
 
     @property
@@ -149,24 +149,27 @@ class ForceStream:
         """Delay of the filter [s]."""
         return self.filter.delay / self.times.rate_hz
 
-    @property
-    def full(self) -> bool:
-        """Whether enough records came without a gap for a filtered force."""
-        return self.filter.full(self.filter.newest)
+    def request(self) -> None:
+        """Request a stream: the next record is its first."""
+        self.client.send(RdtCommand.START)
+        self._sequence = None
 
     def take(self) -> None:
         """Take all that has arrived."""
         records, arrived = self.client.drain()
         if records:
             self.status = 0
-        places = [place for record in records if (place := self._put(record)) is not None]
-        if places:
+        before = self.filter.newest
+        for record in records:
+            self._put(record)
+        if self.filter.newest > before:
             self.taken = self._clock()
-            self.times.stamp(places[-1], arrived)
+            self.times.stamp(self.filter.newest, arrived)
 
     def reading(self) -> ForceReading | None:
         """The newest force; the old one during a gap. None before there was any."""
-        if self.full and (output := self.filter.at(self.filter.newest)) is not None:
+        output = self.filter.output()
+        if output is not None:
             moment = self.times.time_of(self.filter.newest) - self.delay_s
             # The measured rate still settles; a time that was reported is not taken back.
             latest = moment if self._force is None else max(moment, self._force[0])
@@ -177,22 +180,18 @@ class ForceStream:
         peak, self._peak = rotated(self._peak, np.abs(self.rotation)), np.zeros(6)
         return ForceReading(*self._force, peak)
 
-    def _put(self, record: RdtRecord) -> int | None:
-        """Place of the record, where it is newer than all before."""
+    def _put(self, record: RdtRecord) -> None:
         self.records += 1
         self.status |= record.status
-        if record.status:
-            self.error_records += any(bit.is_error for bit in decode_status(record.status))
-        taken = self.sequence.take(record.rdt_sequence, record.ft_sequence)
-        if taken is None:
-            return None
-        place, begins = taken
-        if begins:
-            self.filter.clear()
-            self.times.begin()
+        # Numbers roll over: the short way round counts.
+        step = 1 if self._sequence is None else (record.rdt_sequence - self._sequence + 2**31) % 2**32 - 2**31
+        if step <= 0:
+            self.late += 1
+            return
+        self._sequence = record.rdt_sequence
+        self.lost += step - 1
         values = self._scale * record.counts
-        self.filter.put(place, values)
+        self.filter.put(values, step - 1)
         np.maximum(self._peak, np.abs(values), out=self._peak)
         if self.collected is not None:
             self.collected.append(values)
-        return place

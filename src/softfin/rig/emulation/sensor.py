@@ -19,7 +19,7 @@ from softfin.core.clock import REAL, Clock
 from softfin.rig.axia80.pages import CALIBRATION, FORCE_UNITS, SETTINGS, TORQUE_UNITS
 from softfin.rig.axia80.rdt import OVER_RANGE, RdtCommand, RdtRecord, decode_request, encode_record
 from softfin.rig.emulation.fin import EmulatedFin
-from softfin.rig.frame import rotated, rotation
+from softfin.rig.machine import rotated, rotation
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.simulated_network import SimulatedSocket
 

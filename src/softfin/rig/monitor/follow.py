@@ -15,8 +15,7 @@ from mcap.records import Channel, Footer, Message, Schema
 
 from softfin.core.errors import LogError
 from softfin.core.printable import printable
-from softfin.rig.monitor.summary import State, Summary, summarize
-from softfin.rig.monitor.trace import MOST_CHARACTERS, ROLES, Trace
+from softfin.rig.monitor.summary import MOST_CHARACTERS, ROLES, Summary, Trace, summarize
 from softfin.storage.bag.records import MAGIC, RawRecord, decode, read_records
 from softfin.storage.paths import check_monitored
 
@@ -25,12 +24,6 @@ READ_BYTES = 4 * 2**20
 
 SILENT_S = 3.0
 """Time without a new row after which a recording is silent [s]; a recorder writes twice a second."""
-
-CHOOSE_S = 1.0
-"""Time between two looks for a newer bag [s]."""
-
-NEWER_S = 1.0
-"""Another bag must have been written to this much later: two recordings at once do not take turns [s]."""
 
 PATTERNS = ("*.mcap", "*/*.mcap", "*/*/*.mcap")
 """A folder of bags, of bag folders, or of runs that hold them; no deeper, for a monitor should not read whole disks."""
@@ -61,13 +54,11 @@ class Follower:
         self._chosen_at = -float("inf")
         self._bag: Path | None = None if self.follows_folder else path
         self._restart()
-        self._choose()
 
     def _restart(self) -> None:
         """Begin with nothing read yet."""
         self._number += 1
         self.traces = {role: Trace(role) for role in ROLES}
-        self._traces_by_topic = {ROLES[role].topic: trace for role, trace in self.traces.items()}
         self._types: dict[int, str] = {}
         self._channels: dict[int, tuple[Trace, str]] = {}
         self._offset = self._size = self._damaged = self._start_ns = 0
@@ -79,8 +70,9 @@ class Follower:
 
     def poll(self) -> None:
         """Take in what was written since."""
-        if self._choose():
-            self._restart()
+        if self.follows_folder and self._clock() - self._chosen_at >= 1.0:
+            self._chosen_at = self._clock()
+            self._choose()
         if self._bag is None or self._ended or self._broken:
             return
         self._problem = None
@@ -94,7 +86,7 @@ class Follower:
 
     def summary(self) -> Summary:
         """Summarize the recording as of the last look."""
-        times = [newest.time for role in ("joint", "wrench") if (newest := self.traces[role].newest)]
+        times = [rows[-1].time for role in ("joint", "wrench") if (rows := self.traces[role].rows)]
         time_s = max(times, default=None)
         # What is recorded in simulated time runs ahead of the day.
         age = None if time_s is None else max(0.0, self._wall() - (self._start_ns * 1e-9 + time_s))
@@ -103,23 +95,21 @@ class Follower:
             size_bytes=self._size, damaged=self._damaged, age_s=age, time_s=time_s,
         )  # fmt: skip
 
-    def _choose(self) -> bool:
-        """Whether there is another bag to follow: the one written to last, if it is clearly newer."""
-        if not self.follows_folder or self._clock() - self._chosen_at < CHOOSE_S:
-            return False
-        self._chosen_at = self._clock()
+    def _choose(self) -> None:
+        """Follow the bag of the folder that was written to last, if it is clearly newer than the one followed."""
         times: dict[Path, float] = {}
         for path in itertools.chain.from_iterable(map(self.path.glob, PATTERNS)):
             # A file may be renamed or removed meanwhile.
             with contextlib.suppress(OSError):
                 if path.is_file() and not path.name.startswith("."):
                     times[path] = path.stat().st_mtime
-        newest = max(times, key=lambda path: (times[path], path.name), default=None)
-        is_newer = newest is not None and (self._bag not in times or times[newest] > times[self._bag] + NEWER_S)
-        if newest == self._bag or not is_newer:
-            return False
-        self._bag = newest
-        return True
+        if not times:
+            return
+        newest = max(times, key=lambda path: (times[path], path.name))
+        # Two recordings at once do not take turns: another one must have been written to 1 s later.
+        if newest != self._bag and (self._bag is None or times[newest] > times.get(self._bag, -float("inf")) + 1.0):
+            self._bag = newest
+            self._restart()
 
     def _read(self, file: io.BufferedIOBase) -> None:
         status = os.fstat(file.fileno())
@@ -149,9 +139,8 @@ class Follower:
             raise LogError(f"damaged ({error}); softfin bag recover saves what is whole") from None
         finally:
             # The joint's time counts where there is one: no other topic's wrong stamps empty all traces.
-            lasts = [trace.last for trace in self.traces.values() if trace.last is not None]
-            newest = self.traces["joint"].last
-            newest = max(lasts, default=0.0) if newest is None else newest
+            lasts = (trace.last for trace in (self.traces["joint"], *self.traces.values()))
+            newest = next((last for last in lasts if last is not None), 0.0)
             for role, trace in self.traces.items():
                 trace.settle(-float("inf") if role == "event" else newest - self._window, self._serials)
             if was_caught_up and self._count() > before:
@@ -167,22 +156,23 @@ class Follower:
         except LogError:
             self._damaged += 1
             return
+        roles = {topic: role for role, topic in ROLES.items()}
         for record in records:
             if isinstance(record, Message):
                 if record.channel_id in self._channels:
                     trace, type_name = self._channels[record.channel_id]
                     self._start_ns = self._start_ns or record.log_time
-                    trace.offer((record.log_time - self._start_ns) * 1e-9, type_name, record.data)
+                    trace.offer((record.log_time - self._start_ns) / 1e9, type_name, record.data)
             elif isinstance(record, Schema):
                 self._types[record.id] = record.name
             elif isinstance(record, Channel):
-                if record.topic in self._traces_by_topic:
+                if record.topic in roles:
                     type_name = self._types.get(record.schema_id, "") if record.message_encoding == "cdr" else ""
-                    self._channels[record.id] = (self._traces_by_topic[record.topic], type_name)
+                    self._channels[record.id] = (self.traces[roles[record.topic]], type_name)
             elif isinstance(record, Footer):
                 self._ended = True
 
-    def _state(self, age: float | None) -> State:
+    def _state(self, age: float | None) -> str:
         if self._broken:
             return "damaged"
         if self._ended:

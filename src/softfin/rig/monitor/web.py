@@ -10,9 +10,7 @@ import json
 import re
 import socket
 import socketserver
-import sys
 import threading
-from collections.abc import Callable
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler
 from typing import Any
@@ -22,15 +20,7 @@ from softfin.core.canvas import with_canvas
 from softfin.core.choices import LOOPBACK
 from softfin.core.errors import ConfigurationError
 from softfin.rig.monitor.follow import Follower
-from softfin.rig.monitor.summary import STATES, WINDOW_S, finite
-from softfin.rig.monitor.trace import ROLES
-
-REFRESH_S = 0.2
-
-REQUEST_S = 3.0
-"""Longest silence of a client within its request or its answer [s]."""
-
-DIGITS = 4
+from softfin.rig.monitor.summary import STATES, WINDOW_S, counts, finite
 
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
@@ -42,18 +32,16 @@ HEADERS = {
 
 
 class Server(socketserver.ThreadingTCPServer):
-    """Serves a recording until it is closed; raises ConfigurationError where it cannot listen."""
+    """Serves a recording, which it follows while a page asks; raises ConfigurationError where it cannot listen."""
 
-    # A port that another program listens to is not shared with it.
-    allow_reuse_address = sys.platform != "win32"
-    daemon_threads = True
+    allow_reuse_address = daemon_threads = True
     request_queue_size = 128
     """Connections that wait to be accepted; too few cost a burst of clients a second."""
 
     def __init__(self, follower: Follower, host: str, port: int) -> None:
         self.host, self._follower = host, follower
         self._reading = threading.Lock()
-        """Held by the thread that reads, and by those that answer."""
+        """Held by the thread of the request that reads."""
         page = importlib.resources.files("softfin.rig.monitor").joinpath("page.html").read_text("utf-8")
         self.page = with_canvas(page).encode()
         try:
@@ -74,38 +62,21 @@ class Server(socketserver.ThreadingTCPServer):
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"http://{host}:{self.server_address[1]}/"
 
-    def poll(self) -> None:
-        """Take in what was recorded since."""
-        with self._reading:
-            self._follower.poll()
-
     def data(self, since: int) -> bytes:
         """Return rows whose serial number is above `since`, the summary, and the number to ask with next, as JSON."""
         with self._reading:
+            self._follower.poll()
             summary, traces = self._follower.summary(), self._follower.traces
-            rows = {role: trace.after(since) for role, trace in traces.items() if role != "event"}
+            rows = {role: [row for row in trace.rows if row.serial > since] for role, trace in traces.items()
+                    if role != "event"}  # fmt: skip
+        told = {"says": STATES[summary["state"]], "counts": counts(summary), "window_s": WINDOW_S}
         answer = {
             "next": max((row.serial for found in rows.values() for row in found), default=since),
-            "columns": {role: ("time_s", *ROLES[role].columns) for role in rows},
-            "rows": {role: [[_rounded(value) for value in (row.time, *row.values)] for row in found]
+            "rows": {role: [[finite(value) for value in (row.time, *row.values)] for row in found]
                      for role, found in rows.items()},
-            "summary": summary.to_dict()
-            | {"says": STATES[summary.state], "counts": summary.counts(), "window_s": WINDOW_S},
+            "summary": summary | told,
         }  # fmt: skip
         return json.dumps(answer, separators=(",", ":"), allow_nan=False).encode()
-
-    def run(self, *, sleep: Callable[[float], None]) -> None:
-        """Follow and answer until interrupted; the server is closed at the end."""
-        thread = threading.Thread(target=self.serve_forever, name="monitor page", daemon=True)
-        thread.start()
-        try:
-            while True:
-                self.poll()
-                sleep(REFRESH_S)
-        finally:
-            self.shutdown()
-            self.server_close()
-            thread.join(REQUEST_S)
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -113,7 +84,8 @@ class _Handler(BaseHTTPRequestHandler):
 
     server: Server
     server_version, sys_version = "softfin", ""
-    timeout = REQUEST_S
+    timeout = 3.0
+    """Longest silence of a client within its request or its answer [s]."""
 
     def do_GET(self) -> None:
         """Answer with the page, or the data."""
@@ -142,11 +114,6 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
         if self.command == "GET":
             self.wfile.write(body)
-
-
-def _rounded(value: float | str) -> float | None:
-    number = finite(value)
-    return None if number is None else round(number, DIGITS)
 
 
 def _is_known(host: str, own: str) -> bool:

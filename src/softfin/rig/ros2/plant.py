@@ -14,8 +14,7 @@ from rosbags.typesys.store import Typestore
 
 from softfin.core.errors import CommandError, DeviceError
 from softfin.core.quantities import Limits
-from softfin.rig.frame import rotated, rotation
-from softfin.rig.machine import Sample, Target, Wrench
+from softfin.rig.machine import Sample, Target, Wrench, rotated, rotation
 from softfin.rig.ros2.config import Ros2PlantConfig, TransportConfig
 from softfin.rig.ros2.connection import BOOL, Stamped, Subscription, joint_of, open_transport, wrench_of
 from softfin.rig.ros2.flipper import define_types, encode_flipper

@@ -1,4 +1,4 @@
-"""Check whether a machine of one's own meets the Machine contract: it is tried out, with its fin free to move."""
+"""Whether a machine meets the Machine contract: it is tried out, with its fin free to move."""
 
 from typing import Any, NoReturn
 
@@ -21,7 +21,7 @@ QUICK_S = 0.02
 """Longest that `read` may take in the median [s]."""
 
 
-def check_machine(machine: Any, pace: Pace | None = None) -> None:
+def check_machine(machine: Any) -> None:
     """Raise RigError, with what is wrong and what is asked, unless `machine` meets the contract; THE FIN MOVES.
 
     Checked: the members, that it stays still until it is enabled and then holds, that readings are finite, fresh and in
@@ -32,7 +32,7 @@ def check_machine(machine: Any, pace: Pace | None = None) -> None:
         members = [name for name in dir(Machine) if not name.startswith("_")]
         missing = [name for name in members if not hasattr(machine, name)]
         _fail(machine, f"has no {', '.join(missing)}", "softfin.rig.machine.Machine describes them")
-    pace = pace or Pace(clock=clock_of(machine))
+    pace = Pace(clock_of(machine))
     machine.stop()
     machine.close()
     try:
