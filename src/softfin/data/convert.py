@@ -13,7 +13,6 @@ import numpy as np
 from softfin.core.errors import ConfigurationError, LogError
 from softfin.core.quantities import Log
 from softfin.data.importing.importing import ImportConfig
-from softfin.data.issues import check_issues
 from softfin.data.recordings import open_logs
 from softfin.storage import artifact as artifacts
 from softfin.storage.bag.messages import COMMAND, JOINT, SECOND_NS, WRENCH, BagWriter, Row
@@ -30,7 +29,7 @@ def convert(
         raise ConfigurationError(f"--out {out}: must end in {' or '.join(KINDS)}, which chooses what is written")
     artifacts.check_writable(out)
     opened = open_logs(source, config or ImportConfig())
-    check_issues(opened.issues, str(source), ignore_errors)
+    opened.check_issues(str(source), ignore_errors)
     count = len(opened.logs)
     files = [out] if count == 1 else [out.with_name(f"{out.stem}-{n}{out.suffix}") for n in range(1, count + 1)]
     for file in files:
