@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from softfin.core.errors import ConfigurationError
 from softfin.gaits.reachable import Cell, bounding_box
-from softfin.task.cells import area, cells_of, check_cells, lattice, overlap, range_of
-from softfin.task.references import PAPER_CELLS, PAPER_RANGE
+from softfin.task.references import PAPER_CELLS, PAPER_RANGE, area, cells_of, check_cells, lattice, overlap, range_of
 
 QUARTERS = lattice(2, 2, PAPER_RANGE)
 

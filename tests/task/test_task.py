@@ -13,8 +13,7 @@ from softfin.core.plant import roll
 from softfin.core.quantities import PAPER_LIMITS, Command, Reading, command_of
 from softfin.gaits.reachable import Cell
 from softfin.task.references import References
-from softfin.task.reward import RewardConfig
-from softfin.task.task import ForceTracking, Outcome, SensingConfig, TaskConfig, TaskState, action_of
+from softfin.task.task import ForceTracking, Outcome, RewardConfig, SensingConfig, TaskConfig, TaskState, action_of
 from tests.plants import AnalyticFin, PlainFin
 
 BOX = References.of(Cell(low=(1, -1), high=(3, 1)))
