@@ -103,14 +103,14 @@ def open_to_extend(path: Path, metadata: dict[str, Any]) -> Dataset:
         ConfigurationError: it is of another plant, or its plant is not known.
     """
     before = Dataset.open(path)
-    known = {name: before.description.get(name) for name in ("plant", "plant_identity")}
+    recorded = {name: before.description.get(name) for name in ("plant", "plant_identity")}
     # Names may differ for one plant, and one name, as that of a file, may come to stand for another.
-    decisive = "plant" if known["plant_identity"] is None else "plant_identity"
-    if known[decisive] != metadata[decisive]:
+    decisive = "plant" if recorded["plant_identity"] is None else "plant_identity"
+    if recorded[decisive] != metadata[decisive]:
         now = str(metadata["plant"])
         raise ConfigurationError(
-            f"{path}: recorded of {known['plant'] or 'a plant without a name'}, not of {now} as it is now; logs of two "
-            f'plants do not mix: collect anew (or, if its dataset.json has no name, write "plant": "{now}" into it)'
+            f"{path}: recorded of {recorded['plant'] or 'a plant without a name'}, not of {now} as it is now; logs of "
+            f'two plants do not mix: collect anew (or, if its dataset.json has no name, write "plant": "{now}" into it)'
         )
     return before
 

@@ -16,7 +16,7 @@ from softfin.core.quantities import Log
 from softfin.data.checks.inspection import Inspection, inspect
 from softfin.data.importing.clocks import logs_of
 from softfin.data.importing.importing import ImportConfig
-from softfin.data.importing.recording import NamedLog, Part, Recording
+from softfin.data.importing.recording import NamedLog, Part
 from softfin.data.importing.tables import read_table
 from softfin.data.issues import Issue
 from softfin.storage import artifact as artifacts
@@ -75,7 +75,14 @@ def open_logs(path: Path, config: ImportConfig | None = None, progress: Progress
     logs: list[NamedLog] = []
     issues: list[Issue] = []
     for index, (file, name) in enumerate(files.items()):
-        for recording in _read(file, name, parts[name], config):
+        if is_bag(file):
+            # Without bags, what reads them need not be loaded.
+            from softfin.data.importing.rosbag import read_bag
+
+            recordings = [read_bag(file, name, parts[name], config)]
+        else:
+            recordings = read_table(file, name, parts[name], config)
+        for recording in recordings:
             some, found = logs_of(recording, config)
             logs += some
             issues += found
@@ -112,15 +119,6 @@ def _parts(names: list[str], pattern: str | None) -> dict[str, Part]:
     if pattern is not None and "test" not in parts.values():
         raise ConfigurationError(f"--test {pattern}: matches none of the files: {', '.join(names[:6])}")
     return parts
-
-
-def _read(file: Path, name: str, part: Part, config: ImportConfig) -> list[Recording]:
-    if not is_bag(file):
-        return read_table(file, name, part, config)
-    # Without bags, what reads them need not be loaded.
-    from softfin.data.importing.rosbag import read_bag
-
-    return [read_bag(file, name, part, config)]
 
 
 def _name(file: Path, path: Path) -> str:

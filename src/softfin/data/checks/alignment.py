@@ -29,17 +29,8 @@ OFFSETS = np.arange(-2 * SEARCHED_TICKS, 4 * SEARCHED_TICKS)
 FOLLOWING_TICKS = 15
 """Number of ticks after which an angle goes the way of its command."""
 
-ONSET = 0.2
-"""Fraction of the response's peak at which the drive has begun to obey."""
-
-LEAST_STEPS = 50
-"""Number of commands from which a lag is computed."""
-
 SHORTEST_S = 10
 """Length of a recording from which the force's lag and axes are computed [s]."""
-
-LEAST_EXPLAINED = 0.1
-"""Fraction of the force that the angle must explain for a lag."""
 
 
 def rate_of(values: Series) -> Series:
@@ -57,30 +48,32 @@ def command_lag(command: Series, angle: Series) -> float | None:
     """Compute the lag from a command to the angle [ms]: where the response to its steps rises, in the median.
 
     The median weighs all steps alike: an encoder that jumps now and then makes no response of its own. None where there
-    are too few steps.
+    are fewer than 50 steps.
     """
     steps = np.flatnonzero(np.abs(np.diff(command, prepend=command[0])) > 1e-4)
     steps = steps[(steps >= -OFFSETS[0]) & (steps < len(angle) - OFFSETS[-1])]
-    if not LEAST_STEPS <= len(steps) <= 0.5 * len(command):
+    if not 50 <= len(steps) <= 0.5 * len(command):
         return None
     mirrored = np.cov(command[:-FOLLOWING_TICKS], angle[FOLLOWING_TICKS:])[0, 1] < 0
     # Towards the new target: a slow drive may be on its way there already.
     side = np.sign((-command if mirrored else command) - angle)[steps]
     response = np.median(side[:, None] * np.gradient(angle)[steps[:, None] + OFFSETS], axis=0)
     response = response - np.median(response[:SEARCHED_TICKS])
-    peak = int(response.argmax())
-    below = np.flatnonzero(response[:peak] < ONSET * response[peak])
+    # The drive has begun to obey where a fifth of the peak is reached.
+    onset = 0.2 * response.max()
+    below = np.flatnonzero(response[: response.argmax()] < onset)
     if not below.size:
         return None
     low, high = response[below[-1] : below[-1] + 2]
-    place = OFFSETS[below[-1]] + (ONSET * response[peak] - low) / (high - low)
+    place = OFFSETS[below[-1]] + (onset - low) / (high - low)
     return float(place * TICK_S * 1e3)
 
 
 def force_lag(angle: Series, force: Float[np.ndarray, "ticks 2"]) -> float | None:
     """Compute the lag at which a linear model of the motion explains most of the force [ms], whatever its axes.
 
-    None where the recording is too short or the best lag lies at the end of those that were searched.
+    None where the recording is too short, the best lag lies at the end of those that were searched, or the motion
+    explains less than a tenth of the force.
     """
     ticks = SEARCHED_TICKS
     if len(angle) < SHORTEST_S * RATE_HZ:
@@ -99,7 +92,7 @@ def force_lag(angle: Series, force: Float[np.ndarray, "ticks 2"]) -> float | Non
         part = part - part.mean(axis=0)
         explained[index] = ((basis.T @ part) ** 2).sum() / ((part**2).sum() + 1e-12)
     best = int(explained.argmax())
-    if best in (0, 2 * ticks) or explained[best] < LEAST_EXPLAINED:
+    if best in (0, 2 * ticks) or explained[best] < 0.1:
         return None
     # The peak of the parabola through the best lag and its neighbours.
     left, middle, right = explained[best - 1 : best + 2]

@@ -1,4 +1,4 @@
-"""Checks of logs: each is a function that yields issues, and stands in one of the lists at the end of this file."""
+"""Checks of logs: each is a function that yields issues, and the list at the end of this file has those of one log."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
@@ -15,15 +15,9 @@ from softfin.data.issues import Issue, Severity, counted
 STUCK_S = 1.0
 """Shortest constant run that is reported [s]."""
 
-JUMP_RAD = 2.0
-"""Largest plausible step of the angle: 200 rad/s; the published nets' own jumps reach 1.5."""
-
 PLAUSIBLE_LAG_MS = {"command": (0.0, 100.0), "force": (0.0, 60.0)}
 """Lags from a command to the angle, the way through computer, bus and drive (32 ms in the virtual tank, 5 ms in the
 published fin), and from the angle to the force (20 ms in the tank, 45 ms in the published fin)."""
-
-LAG_TOLERANCE_MS = 10.0
-"""Accuracy of a lag: a tick."""
 
 LAG_SPREAD_MS = {"command": 40.0, "force": 25.0}
 """Largest plausible difference of a log's lag from the median."""
@@ -33,9 +27,6 @@ USUAL_LAG_MS = 30.0
 
 FRAME_LEAST = 0.12
 """Least correlation of a fin's force in any frame; the roughest log of the published nets has 0.2."""
-
-COVERED_STEPS = 300
-"""Number of commands from which empty cells mean something: 36 random cells then stay empty with odds of 1 in 4000."""
 
 UNITS = {"angle": "rad", "force_x": "N", "force_y": "N"}
 
@@ -88,7 +79,8 @@ def check_spikes(log: CheckedLog) -> Iterator[Issue]:
 def check_jumps(log: CheckedLog) -> Iterator[Issue]:
     """Angles that no fin can have between two samples: the seam of two logs, or an encoder that lost its count."""
     steps = np.abs(np.diff(log.calm.angle))
-    rows = np.flatnonzero(steps > JUMP_RAD)
+    # 200 rad/s; the published nets' own jumps reach 1.5 rad.
+    rows = np.flatnonzero(steps > 2.0)
     if rows.size:
         message = f"{counted(rows.size, 'jump')} of up to {steps.max():.2f} rad from one sample to the next"
         fix = "--rows-per-log 20000, if logs of so many rows stand end to end; else cut the file at these rows"
@@ -215,7 +207,8 @@ def check_lags(statistics: Sequence[LogStatistics], config: ImportConfig) -> Ite
     """Clocks that lie where no fin and drive put them, and clocks that differ between logs."""
     for name, (least, most) in PLAUSIBLE_LAG_MS.items():
         measured = [(lag, one.name) for one in statistics if (lag := getattr(one, f"{name}_lag_ms")) is not None]
-        low, high = least - LAG_TOLERANCE_MS, most + LAG_TOLERANCE_MS
+        # A lag is accurate to a tick.
+        low, high = least - 10.0, most + 10.0
         usual = np.median([lag for lag, _ in measured] or [USUAL_LAG_MS])
         for lag, log in measured:
             is_far, is_plausible = abs(lag - usual) > LAG_SPREAD_MS[name], low <= lag <= high
@@ -234,12 +227,16 @@ def check_lags(statistics: Sequence[LogStatistics], config: ImportConfig) -> Ite
             yield Issue("warning" if is_plausible else "error", f"{name} lag", log, message, fix, column)
 
 
-def check_coverage(logs: Sequence[NamedLog]) -> Iterator[Issue]:
-    """Commands of the training logs that leave much of their own range empty."""
+def check_dataset(logs: Sequence[NamedLog]) -> Iterator[Issue]:
+    """Recordings without test logs, and commands of the training logs that leave much of their own range empty."""
+    if not any(one.part == "test" for one in logs):
+        fix = "choose some: --test PATTERN; or put them into a folder test"
+        yield Issue("note", "no test logs", "all logs", "no test logs", fix)
     commands = [one.log.command for one in logs if one.part == "train"]
     pairs = [np.stack([command.angle, command.velocity], axis=1).astype(np.float64) for command in commands]
     steps = [pair[1:][(np.diff(pair, axis=0) != 0).any(axis=1)] for pair in pairs]
-    if sum(map(len, steps)) < COVERED_STEPS:
+    # Under 300 random commands hardly any of 36 cells stays empty.
+    if sum(map(len, steps)) < 300:
         return
     angle, velocity = np.concatenate(steps).T
     filled = float((np.histogram2d(angle, velocity, bins=6)[0] > 0).mean())
@@ -247,13 +244,6 @@ def check_coverage(logs: Sequence[NamedLog]) -> Iterator[Issue]:
         message = f"{filled:.0%} of the commands' range of angle and velocity, in 36 cells, has been commanded at all"
         fix = "excite with random angles and velocities: softfin collect shows how"
         yield Issue("warning", "coverage", "all logs", message, fix, "command_angle")
-
-
-def check_test_logs(logs: Sequence[NamedLog]) -> Iterator[Issue]:
-    """Recordings without test logs."""
-    if not any(one.part == "test" for one in logs):
-        fix = "choose some: --test PATTERN; or put them into a folder test"
-        yield Issue("note", "no test logs", "all logs", "no test logs", fix)
 
 
 def _is_mirrored(found: LogStatistics) -> bool:
@@ -265,6 +255,3 @@ LOG_CHECKS: tuple[Callable[[CheckedLog], Iterator[Issue]], ...] = (
     check_following, check_force_axes, check_force_offset,
 )  # fmt: skip
 """Checks of one log."""
-
-DATASET_CHECKS: tuple[Callable[[Sequence[NamedLog]], Iterator[Issue]], ...] = (check_coverage, check_test_logs)
-"""Checks of all logs beside one another."""

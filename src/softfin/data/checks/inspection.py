@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from softfin.core.progress import Progress
-from softfin.data.checks.checks import DATASET_CHECKS, LOG_CHECKS, CheckedLog, check_lags
+from softfin.data.checks.checks import LOG_CHECKS, CheckedLog, check_dataset, check_lags
 from softfin.data.checks.statistics import LogStatistics, channels_in_degrees, columns_of, measure, without_spikes
 from softfin.data.importing.importing import FORCE_FRAMES, ImportConfig
 from softfin.data.importing.recording import NamedLog
@@ -62,8 +62,8 @@ def inspect(
         found += [issue for check in LOG_CHECKS for issue in check(log)]
         if progress is not None:
             progress("inspect", (index + 1) / len(logs), f"{index + 1:,} of {len(logs):,} logs")
-    found += [*check_lags(statistics, config), *(issue for check in DATASET_CHECKS for issue in check(logs))]
-    return Inspection(merge_issues(found), statistics)
+    issues = [*found, *check_lags(statistics, config), *check_dataset(logs)]
+    return Inspection(merge_issues(issues), statistics)
 
 
 def _spread(lags: Sequence[float | None]) -> dict[str, float] | None:

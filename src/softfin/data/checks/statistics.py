@@ -22,17 +22,8 @@ MOST_RADIANS = {"command_angle": 2 * np.pi, "angle": 2 * np.pi, "command_velocit
 """Sizes beyond which values are degrees: a fin does not turn round, and no drive of one makes 6 turns a second. The
 size of a measured velocity proves nothing: the published nets' own jumps reach 145 rad/s."""
 
-SPIKE = 1.2
-"""Least height of a spike over half the span of 98% of the samples; the published nets' own jumps reach 0.8."""
-
-SPIKE_Z = 8.0
-"""Least robust z of the second difference of a spike: in a series that is rough anyway there are no spikes."""
-
 STILL_RAD_S = 0.05
 """Rate of the angle below which the fin is at rest."""
-
-SETTLED_S = 0.5
-"""Time at rest after which the water is still, too."""
 
 
 class Columns(NamedTuple):
@@ -91,7 +82,11 @@ def velocity_slope(columns: Columns) -> tuple[float, float]:
 
 
 def without_spikes(values: Series) -> Series:
-    """Put the median of five in the place of outliers of one or two samples."""
+    """Put the median of five in the place of outliers of one or two samples.
+
+    A spike is 1.2 times as high as half the span of 98% of the samples, where the published nets' own jumps reach 0.8
+    times; its second difference has a robust z of 8, since there are no spikes in a series that is rough anyway.
+    """
     if len(values) < SHORTEST_S * RATE_HZ:
         return values
     middle = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(values, 2, mode="edge"), 5), axis=1)
@@ -99,7 +94,7 @@ def without_spikes(values: Series) -> Series:
     # Most of a fin at rest bends by nothing at all: the scale is that of the bends there are.
     scale = 1.4826 * float(np.median(bend[bend > 0])) if (bend > 0).any() else 0.0
     half = 0.5 * float(np.ptp(np.percentile(values, [1, 99])))
-    return np.where((np.abs(values - middle) > SPIKE * max(half, 1e-9)) & (bend > SPIKE_Z * scale), middle, values)
+    return np.where((np.abs(values - middle) > 1.2 * max(half, 1e-9)) & (bend > 8.0 * scale), middle, values)
 
 
 def true_runs(flags: Bool[np.ndarray, "ticks"]) -> list[tuple[int, int]]:
@@ -118,7 +113,8 @@ def measure(columns: Columns, named: NamedLog) -> LogStatistics:
         following = float(np.corrcoef(earlier, later)[0, 1]) if earlier.std() > 0 and later.std() > 0 else 0.0
     settled = np.zeros(rows, bool)
     for start, end in true_runs(np.abs(rate_of(columns.angle)) < STILL_RAD_S):
-        settled[start + round(SETTLED_S * RATE_HZ) : end] = True
+        # Half a second later the water is still, too.
+        settled[start + RATE_HZ // 2 : end] = True
     return LogStatistics(
         name=named.name,
         part=named.part,
