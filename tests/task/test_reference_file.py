@@ -8,9 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from softfin.core.errors import ConfigurationError
-from softfin.task import reference_file
-from softfin.task.reference_file import read_reference_file
-from softfin.task.signals import Recorded
+from softfin.task import signals
+from softfin.task.signals import Recorded, read_reference_file
 
 HEAD = "time_s,force_x_n,force_y_n\n"
 
@@ -113,7 +112,7 @@ def test_a_reference_of_more_rows_than_an_hour_has_is_refused(tmp_path, monkeypa
         (tmp_path / name).write_text("time_s,force_x_n,force_y_n\n" + "0,0,0\n" * 101)
     else:
         pq.write_table(pa.table(columns), tmp_path / name)
-    assert reference_file.MOST_ROWS == 360_000
-    monkeypatch.setattr(reference_file, "MOST_ROWS", 100)
+    assert signals.MOST_ROWS == 360_000
+    monkeypatch.setattr(signals, "MOST_ROWS", 100)
     with pytest.raises(ConfigurationError, match="has 101 rows; 1 to 100 are followed"):
         read_reference_file(tmp_path / name)

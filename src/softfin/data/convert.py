@@ -18,15 +18,13 @@ from softfin.storage import artifact as artifacts
 from softfin.storage.bag.messages import COMMAND, JOINT, SECOND_NS, WRENCH, BagWriter, Row
 from softfin.storage.log_file import write_log
 
-KINDS = (".mcap", ".parquet")
-
 
 def convert(
     source: Path, out: Path, config: ImportConfig | None = None, *, ignore_errors: bool = False, overwrite: bool = False
 ) -> dict[str, Any]:
     """Write each log, several as ``NAME-1``, ``NAME-2`` ..; raises LogError where they have errors, unless ignored."""
-    if out.suffix not in KINDS:
-        raise ConfigurationError(f"--out {out}: must end in {' or '.join(KINDS)}, which chooses what is written")
+    if out.suffix not in (".mcap", ".parquet"):
+        raise ConfigurationError(f"--out {out}: must end in .mcap or .parquet, which chooses what is written")
     artifacts.check_writable(out)
     opened = open_logs(source, config or ImportConfig())
     opened.check_issues(str(source), ignore_errors)

@@ -124,7 +124,9 @@ def check_width(cell: Cell, named: str) -> None:
 def check_apart(cells: Sequence[Cell], source: str) -> None:
     """Raise ConfigurationError where two cells overlap."""
     for (i, one), (j, other) in combinations(enumerate(cells, 1), 2):
-        if (shared := overlap(one, other)) is not None:
+        low, high = np.maximum(one.low, other.low), np.minimum(one.high, other.high)
+        if (high - low > TOLERANCE_N).all():
+            shared = Cell(low=tuple(low.tolist()), high=tuple(high.tolist()))
             raise ConfigurationError(
                 f"{source}: cells {i} ({one}) and {j} ({other}) overlap in {shared}; move an edge, so that each "
                 "reference has one cell"
@@ -150,11 +152,3 @@ def check_cells(cells: Sequence[Cell], allow_gaps: bool, source: str) -> None:
 def area(cell: Cell) -> float:
     """Area of a cell [N^2]."""
     return float((cell.high[0] - cell.low[0]) * (cell.high[1] - cell.low[1]))
-
-
-def overlap(one: Cell, other: Cell) -> Cell | None:
-    """The box that both cells cover; None where they touch at most."""
-    (x0, y0), (x1, y1) = np.maximum(one.low, other.low).tolist(), np.minimum(one.high, other.high).tolist()
-    if x1 - x0 <= TOLERANCE_N or y1 - y0 <= TOLERANCE_N:
-        return None
-    return Cell(low=(x0, y0), high=(x1, y1))

@@ -181,11 +181,15 @@ class ForceTracking:
         key, noise_key, reference_key = jax.random.split(state.key, 3)
         noise = sensing.noise_rad * jax.random.normal(noise_key)
         age = state.age + 1
-        reference, drift = self._next_reference(state, reference_key, age % self.config.reference_actions == 0)
+        # The next reference, where one is due: a step or a ramp. One draw: each takes a quarter of a second to compile.
+        is_due, chance = age % self.config.reference_actions == 0, jax.random.uniform(reference_key, (3,))
+        sampled, ramp = state.references.at(chance[:2]), chance[2] < self.config.ramps
+        towards = (sampled - state.reference) / self.config.reference_actions
+        drift = jnp.where(is_due, jnp.where(ramp, towards, 0), state.drift)
         return TaskState(
             plant=plant,
             angle=jnp.asarray(reading.angle)[ticks - 1 - sensing.delay_ticks] + noise,
-            reference=reference,
+            reference=jnp.where(is_due & ~ramp, sampled, state.reference + drift),
             drift=drift,
             references=state.references,
             actions=remember(state.actions, action),
@@ -199,17 +203,6 @@ class ForceTracking:
     def truncated(self, state: TaskState) -> Bool[Array, ""]:
         """Whether the episode is over: truncated, not terminated, since the fin could go on."""
         return state.age >= self.config.episode_actions
-
-    def _next_reference(
-        self, state: TaskState, key: PRNGKeyArray, is_due: Bool[Array, ""]
-    ) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
-        """The reference of the next action and its drift; where another one is due, a step or a ramp to it."""
-        # One draw for all: each takes a quarter of a second to compile.
-        chance = jax.random.uniform(key, (3,))
-        sampled, ramp = state.references.at(chance[:2]), chance[2] < self.config.ramps
-        towards = (sampled - state.reference) / self.config.reference_actions
-        drift = jnp.where(is_due, jnp.where(ramp, towards, 0), state.drift)
-        return jnp.where(is_due & ~ramp, sampled, state.reference + drift), drift
 
 
 def _last(before: Float[Array, "window 2"], rows: Float[Array, "34 2"], ticks: Ticks) -> Float[Array, "window 2"]:
