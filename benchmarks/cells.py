@@ -16,8 +16,7 @@ from softfin.core.randomness import key_of
 from softfin.learning.configuration import GRID
 from softfin.learning.policy import memory_of
 from softfin.learning.ppo import PPO
-from softfin.task.cells import lattice
-from softfin.task.references import PAPER_RANGE, stack_references
+from softfin.task.references import PAPER_RANGE, lattice, stack_references
 from softfin.task.task import ForceTracking
 
 SIDES = (1, 2, 3, 5, 7)

@@ -29,8 +29,7 @@ from softfin.learning.controllers import save_controller
 from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.rollout import PolicyEvaluation
 from softfin.learning.run import TrainingResult
-from softfin.task.cells import lattice
-from softfin.task.references import PAPER_RANGE
+from softfin.task.references import PAPER_RANGE, lattice
 
 WARM, STEPS = 300, 3000
 

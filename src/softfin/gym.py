@@ -4,9 +4,8 @@ gymnasium.make("softfin:softfin/ForceTracking-v0", plant=surrogate, render_mode=
 """
 
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import equinox as eqx
 import gymnasium
 import jax
 import jax.numpy as jnp
@@ -18,15 +17,11 @@ from softfin.core.action_clock import ACTION_RATE_HZ, ACTION_TICKS
 from softfin.core.errors import InputError
 from softfin.core.gym_registration import ID
 from softfin.core.plant import Plant
-from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import command_of
 from softfin.gaits.reachable import Cell
 from softfin.storage.registry import find_plant
 from softfin.task.references import PAPER_RANGE, References
 from softfin.task.task import ForceTracking, TaskConfig, TaskState
-
-if TYPE_CHECKING:
-    from softfin.evaluation.view.picture import EpisodeFilm
 
 Observation = Float[np.ndarray, "observations"]
 
@@ -37,8 +32,9 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
     Observations and actions are those of `ForceTracking`; `info` holds the window's ``error_n``, its Sobolev term
     ``smoothness_n``, the ``reference_n`` (each x, y) and the ``force_n`` of every tick that the action was held.
 
-    `plant` is a Plant or the name of one: tank, a tank's YAML file, a surrogate's folder, package.module:plant. In the
-    render mode ``rgb_array``, `render` draws the fin, its force, the reference and the traces of the episode so far.
+    `plant` is a Plant or the name of one: tank, a tank's YAML file, a surrogate's folder, package.module:plant. An
+    environment keeps to what it is when it is made; make another one where it has changed. In the render mode
+    ``rgb_array``, `render` draws the fin, its force, the reference and the traces of the episode so far.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": round(ACTION_RATE_HZ)}  # noqa: RUF012
@@ -61,8 +57,17 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         high = np.array([np.pi / ANGLE_SCALE_RAD, *greatest / self.task.config.force_scale_n, *actions], np.float32)
         self.observation_space = gymnasium.spaces.Box(-high, high, dtype=np.float32)
         self.action_space = gymnasium.spaces.Box(-1, 1, (2,), np.float32)
-        self._compile(jit_argument(self.task.plant))
-        self._film = None if render_mode is None else self._new_film(float(np.linalg.norm(greatest)))
+        # New functions, since JAX keeps what it traced of those of a task that is equal.
+        self._reset = jax.jit(partial(self.task.reset))
+        self._observe = jax.jit(partial(self.task.observe))
+        self._step = jax.jit(partial(self.task.step))
+        self._film: Any = None
+        if render_mode is not None:
+            # Who does not look at it need not wait for Matplotlib.
+            from softfin.evaluation.view.picture import EpisodeFilm
+
+            seconds = self.task.config.episode_actions / ACTION_RATE_HZ
+            self._film = EpisodeFilm(self.task.plant, seconds, float(np.linalg.norm(greatest)))
         self._state: TaskState | None = None
         self._actions = 0
 
@@ -71,13 +76,14 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Put the fin at rest; ``options={"reference": (x, y)}`` sets the reference, else it is drawn."""
         super().reset(seed=seed)
-        if not isinstance(self.task.plant, eqx.Module):
-            # A simulator in plain Python may have been changed since the last episode; a Module is frozen.
-            plant = jit_argument(self.task.plant)
-            if not eqx.tree_equal(plant, self._compiled_for):
-                self._compile(plant)
+        references = self.references
+        if options and "reference" in options:
+            x, y = (float(value) for value in options["reference"])
+            if references.distance((x, y)) > 0:
+                raise InputError(f"{ID}: reference ({x:g}, {y:g}) N is outside {references}; make a wider environment")
+            references = Cell(low=(x, y), high=(x, y))
         key = jax.random.key(self.np_random.integers(2**31))
-        self._state = self._reset(key, self._drawn_from(options or {}))
+        self._state = self._reset(key, References.of(references))
         self._actions = 0
         if self._film is not None:
             self._film.reset(self._state.plant, np.array(self._state.reference))
@@ -109,24 +115,3 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         if self._film is None or self._state is None:
             raise InputError(f'{ID}: make it with render_mode="rgb_array", and reset it before it is rendered')
         return self._film.frame()
-
-    def _compile(self, plant: Plant) -> None:
-        """Programs for the plant as it is now; new functions, since JAX keeps what it traced of an old one."""
-        self._compiled_for = plant
-        self._reset = jax.jit(partial(self.task.reset))
-        self._observe = jax.jit(partial(self.task.observe))
-        self._step = jax.jit(partial(self.task.step))
-
-    def _new_film(self, most_n: float) -> "EpisodeFilm":
-        # Who does not look at it need not wait for Matplotlib.
-        from softfin.evaluation.view.picture import EpisodeFilm
-
-        return EpisodeFilm(self.task.plant, self.task.config.episode_actions / ACTION_RATE_HZ, most_n)
-
-    def _drawn_from(self, options: dict[str, Any]) -> References:
-        if "reference" not in options:
-            return References.of(self.references)
-        x, y = (float(value) for value in options["reference"])
-        if self.references.distance((x, y)) > 0:
-            raise InputError(f"{ID}: reference ({x:g}, {y:g}) N is outside {self.references}; make a wider environment")
-        return References.of(Cell(low=(x, y), high=(x, y)))

@@ -1,6 +1,7 @@
 """Conformance kit: `check_plant` holds a plant against the Plant contract, here and in the tests of its users."""
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Iterator
 from typing import Any
 
 import jax
@@ -15,6 +16,9 @@ from softfin.core.quantities import ALLOWED_LIMITS, TICK_S, Command, Limits, Rea
 
 STROKE_TICKS = ACTION_TICKS[0]
 
+Problem = tuple[str, str]
+"""What is wrong, and what is asked."""
+
 
 def check_plant(plant: Any) -> None:
     """Raise PlantError, with what is wrong and what is asked, unless `plant` meets the contract.
@@ -24,86 +28,48 @@ def check_plant(plant: Any) -> None:
     (`softfin.core.plant_identity.identity`), that ticks held are ticks one by one, that `jit`, `vmap`, `scan` and
     `grad` go through, and that `hold_action`, where it has one, does what `advance` does.
     """
-    if not isinstance(plant, Plant):
-        missing = [name for name in ("limits", "init", "advance") if not hasattr(plant, name)]
-        _fail(plant, f"has no {', '.join(missing)}", "a plant has limits, init(key) and advance(state, command, ticks)")
-    limits = _check_limits(plant)
-    key = jax.random.key(0)
-    state = _ask(plant, "init", key)
-    _check_purity(plant, state)
-    _check_batches(plant)
-    _check_identity(plant)
-    stroke = jax.jit(lambda state, command: plant.advance(state, command, STROKE_TICKS))
-    for angle in (limits.angle_min, limits.angle_max):
-        for velocity in (limits.velocity_min, limits.velocity_max):
-            state = _check_stroke(plant, stroke, state, Command(jnp.float32(angle), jnp.float32(velocity)))
-    _check_gradient(plant)
-    _check_held_action(plant)
+    checks = (_members, _purity, _batches, _identity, _strokes, _gradient, _held_action)
+    problem = next((found for check in checks for found in check(plant)), None)
+    if problem is not None:
+        raise PlantError(f"{type(plant).__name__}: {'; '.join(problem)}")
 
 
-def _check_limits(plant: Plant) -> Limits:
+def _members(plant: Any) -> Iterator[Problem]:
+    if missing := [name for name in ("limits", "init", "advance") if not hasattr(plant, name)]:
+        yield f"has no {', '.join(missing)}", "a plant has limits, init(key) and advance(state, command, ticks)"
     try:
         limits = Limits(*(float(value) for value in plant.limits))
     except (TypeError, ValueError):
-        _fail(plant, f"limits = {plant.limits!r}", "limits is a softfin.Limits of four numbers")
-    if limits.problem():
-        _fail(plant, f"limits = {limits}", ALLOWED_LIMITS)
-    return limits
+        yield f"limits = {plant.limits!r}", "limits is a softfin.Limits of four numbers"
+    else:
+        if limits.problem():
+            yield f"limits = {limits}", ALLOWED_LIMITS
 
 
-def _check_stroke(plant: Plant, stroke: Callable[..., Any], state: State, command: Command) -> State:
-    after, reading = stroke(state, command)
-    for name, values in reading._asdict().items():
-        if not jnp.isfinite(values).all():
-            _fail(plant, f"reading.{name} is not finite under {command}", "readings are finite within the limits")
-    return after
-
-
-def _check_purity(plant: Plant, state: State) -> None:
+def _purity(plant: Plant) -> Iterator[Problem]:
     """Not compiled, because what a plant keeps outside its state would be frozen into the program."""
     command = Command(jnp.float32(0.5), jnp.float32(plant.limits.velocity_max))
+    state = _ask(plant, "init", jax.random.key(0))
     results = [_ask(plant, "advance", state, command, STROKE_TICKS) for _ in range(2)]
     if not all(isinstance(result, tuple) and isinstance(result[-1], Reading) for result in results):
-        _fail(plant, "advance does not return a Reading", "it must return (state, softfin.Reading)")
+        yield "advance does not return a Reading", "it must return (state, softfin.Reading)"
     if str(jax.tree.structure(results[0][0])) != str(jax.tree.structure(state)):
-        _fail(plant, "advance changes the structure of the state", "init and advance return the same structure")
+        yield "advance changes the structure of the state", "init and advance return the same structure"
     first, second = (reading for _, reading in results)
-    _check_shapes(plant, first)
-    if not all(np.array_equal(a, b) for a, b in zip(first, second, strict=True)):
-        _fail(plant, "the same state and command give other readings the second time",
-              "a plant keeps everything, random keys too, in its state")  # fmt: skip
-    if not np.allclose(first.time, TICK_S * np.arange(1, STROKE_TICKS + 1), atol=TICK_S / 4):
-        _fail(plant, f"time goes {np.asarray(first.time)[:3]} ...", "each tick is 0.01 s and time starts at 0")
-
-
-def _check_identity(plant: Plant) -> None:
-    if identity(plant) != identity(plant):
-        _fail(plant, "is another program each time it is traced",
-              "init and advance neither draw numbers nor count calls outside the state")  # fmt: skip
-
-
-def _check_shapes(plant: Plant, reading: Reading) -> None:
-    for name, values in reading._asdict().items():
+    for name, values in first._asdict().items():
         shape = (STROKE_TICKS, 2) if name == "force" else (STROKE_TICKS,)
         if jnp.shape(values) != shape:
-            _fail(
-                plant, f"reading.{name} has shape {jnp.shape(values)} for {STROKE_TICKS} ticks", f"it must be {shape}"
-            )
+            yield f"reading.{name} has shape {jnp.shape(values)} for {STROKE_TICKS} ticks", f"it must be {shape}"
         if jnp.asarray(values).dtype != jnp.float32:
-            _fail(plant, f"reading.{name} is {jnp.asarray(values).dtype}", "readings are float32")
+            yield f"reading.{name} is {jnp.asarray(values).dtype}", "readings are float32"
+    if not all(np.array_equal(a, b) for a, b in zip(first, second, strict=True)):
+        asked = "a plant keeps everything, random keys too, in its state"
+        yield "the same state and command give other readings the second time", asked
+    if not np.allclose(first.time, TICK_S * np.arange(1, STROKE_TICKS + 1), atol=TICK_S / 4):
+        yield f"time goes {np.asarray(first.time)[:3]} ...", "each tick is 0.01 s and time starts at 0"
 
 
-def _check_gradient(plant: Plant) -> None:
-    def mean_force(angle: Any) -> Any:
-        command = Command(angle, jnp.float32(plant.limits.velocity_max))
-        return plant.advance(plant.init(jax.random.key(0)), command, STROKE_TICKS)[1].force.mean()
-
-    slope = jax.jit(jax.grad(mean_force))(jnp.float32(0.3))
-    if not jnp.isfinite(slope):
-        _fail(plant, f"the gradient of the force by the command is {slope}", "it must be finite; look for sqrt at 0")
-
-
-def _check_batches(plant: Plant) -> None:
+def _batches(plant: Plant) -> Iterator[Problem]:
     keys = jax.random.split(jax.random.key(1), 2)
     angles = jnp.asarray([[0.5, -0.5, 0.2], [-0.5, 0.5, 0.0]], jnp.float32)
     velocities = jnp.full_like(angles, plant.limits.velocity_max)
@@ -114,39 +80,63 @@ def _check_batches(plant: Plant) -> None:
     try:
         together = jax.jit(jax.vmap(strokes))(keys, Command(angles, velocities))
     except Exception as error:
-        _fail(plant, f"jit, vmap or scan does not go through it ({str(error).splitlines()[0]})",
-              "write init and advance in jax.numpy, with no Python branches on values")  # fmt: skip
+        asked = "write init and advance in jax.numpy, with no Python branches on values"
+        yield f"jit, vmap or scan does not go through it ({str(error).splitlines()[0]})", asked
+        return
     commands = Command(*(jnp.repeat(x[0], STROKE_TICKS) for x in (angles, velocities)))
     alone = jax.jit(lambda: roll(plant, plant.init(keys[0]), commands))()[1].force.reshape(together[0].shape)
     if not np.allclose(together[0], alone, rtol=1e-2, atol=1e-2):
-        _fail(plant, "a fin in a batch whose commands are held differs from the same fin alone, tick by tick",
-              "advance by n ticks is n times advance by one, and nothing is shared between fins")  # fmt: skip
+        asked = "advance by n ticks is n times advance by one, and nothing is shared between fins"
+        yield "a fin in a batch whose commands are held differs from the same fin alone, tick by tick", asked
 
 
-def _check_held_action(plant: Plant) -> None:
-    own = getattr(plant, "hold_action", None)
-    if own is None:
-        return
+def _identity(plant: Plant) -> Iterator[Problem]:
+    if identity(plant) != identity(plant):
+        asked = "init and advance neither draw numbers nor count calls outside the state"
+        yield "is another program each time it is traced", asked
+
+
+def _strokes(plant: Plant) -> Iterator[Problem]:
+    stroke = jax.jit(lambda state, command: plant.advance(state, command, STROKE_TICKS))
+    state, limits = plant.init(jax.random.key(0)), np.asarray(plant.limits, np.float32)
+    for angle, velocity in itertools.product(limits[:2], limits[2:]):
+        command = Command(jnp.asarray(angle), jnp.asarray(velocity))
+        state, reading = stroke(state, command)
+        for name, values in reading._asdict().items():
+            if not jnp.isfinite(values).all():
+                yield f"reading.{name} is not finite under {command}", "readings are finite within the limits"
+
+
+def _gradient(plant: Plant) -> Iterator[Problem]:
+    def mean_force(angle: Any) -> Any:
+        command = Command(angle, jnp.float32(plant.limits.velocity_max))
+        return plant.advance(plant.init(jax.random.key(0)), command, STROKE_TICKS)[1].force.mean()
+
+    slope = jax.jit(jax.grad(mean_force))(jnp.float32(0.3))
+    if not jnp.isfinite(slope):
+        yield f"the gradient of the force by the command is {slope}", "it must be finite; look for sqrt at 0"
+
+
+def _held_action(plant: Plant) -> Iterator[Problem]:
+    own: Any = getattr(plant, "hold_action", None)
     command = Command(jnp.float32(0.5), jnp.float32(plant.limits.velocity_max))
     whole = jax.jit(lambda state, ticks: own(state, command, ticks))
-    for ticks in sorted(set(ACTION_TICKS)):
-        state = plant.init(jax.random.key(0))
+    for ticks in sorted(set(ACTION_TICKS)) if own is not None else ():
+        state: State = plant.init(jax.random.key(0))
         after, reading = whole(state, ticks)
         expected_after, expected = plant.advance(state, command, ticks)
         if jnp.shape(reading.force) != (MOST_TICKS, 2):
-            _fail(
-                plant, f"hold_action gives forces of shape {jnp.shape(reading.force)}", f"it must be ({MOST_TICKS}, 2)"
-            )
-        pairs = zip(jax.tree.leaves((after, reading.force[:ticks], reading.angle[:ticks])),
-                    jax.tree.leaves((expected_after, expected.force, expected.angle)), strict=True)  # fmt: skip
-        if not all(_close(*pair) for pair in pairs):
-            _fail(plant, f"hold_action for {ticks} ticks differs from advance by as many",
-                  "it gives 34 rows, and the state after the first `ticks` of them")  # fmt: skip
-
-
-def _close(one: Any, other: Any) -> bool:
-    is_key = jnp.issubdtype(one.dtype, jax.dtypes.prng_key)
-    return is_key or bool(np.allclose(one, other, rtol=1e-3, atol=1e-4))
+            yield f"hold_action gives forces of shape {jnp.shape(reading.force)}", f"it must be ({MOST_TICKS}, 2)"
+        pairs = zip(
+            jax.tree.leaves((after, reading.force[:ticks], reading.angle[:ticks])),
+            jax.tree.leaves((expected_after, expected.force, expected.angle)),
+            strict=True,
+        )
+        # Keys are not compared.
+        numbers = [pair for pair in pairs if not jnp.issubdtype(pair[0].dtype, jax.dtypes.prng_key)]
+        if not all(np.allclose(one, other, rtol=1e-3, atol=1e-4) for one, other in numbers):
+            asked = "it gives 34 rows, and the state after the first `ticks` of them"
+            yield f"hold_action for {ticks} ticks differs from advance by as many", asked
 
 
 def _ask(plant: Plant, name: str, *words: Any) -> Any:
@@ -154,7 +144,3 @@ def _ask(plant: Plant, name: str, *words: Any) -> Any:
         return getattr(plant, name)(*words)
     except Exception as error:
         raise PlantError(f"{type(plant).__name__}: {name} raises {type(error).__name__}: {error}") from error
-
-
-def _fail(plant: Any, what: str, allowed: str) -> Any:
-    raise PlantError(f"{type(plant).__name__}: {what}; {allowed}")

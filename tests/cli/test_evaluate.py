@@ -66,7 +66,10 @@ def test_random_references_are_one_line_and_the_configuration_is_kept(controller
     ("rows", "words"),
     [
         ("time_s,force_x_n,force_y_n\n0,1,nan\n", "row 1, column force_y_n: nan is not a finite number"),
-        ("time_s,force_x_kn,force_y_n\n0,1,1\n", "column force_x_kn is not in newton"),
+        (
+            "time_s,force_x_kn,force_y_n\n0,1,1\n",
+            "no column force_x_n, or several, among time_s, force_x_kn, force_y_n; it needs one in newton",
+        ),
         ("time_s,force_x_n,force_y_n\n0,9,1\n", "reference (9.0, 1.0): not covered"),
     ],
 )

@@ -68,7 +68,7 @@ def test_inspect_writes_json_and_a_figure(authors, tmp_path, capsys):
 
 def test_what_cannot_be_read_is_exit_code_2_in_one_line(authors, tmp_path, capsys):
     assert softfin("inspect", authors) == 2
-    assert "no column of time in a known unit" in capsys.readouterr().err
+    assert "which column is time?" in capsys.readouterr().err
     assert softfin("inspect", authors, "--rate", "100", "--columns", "angle=-") == 2
     assert "which column is angle?" in capsys.readouterr().err
     assert softfin("inspect", tmp_path / "nowhere") == 2
@@ -95,7 +95,7 @@ def test_import_writes_a_dataset_that_says_what_was_done(authors, tmp_path, caps
     right = options("--angles", "deg", "--force", "y,x", "--out", tmp_path / "d")
     assert softfin("import-logs", authors, *right) == 0
     printed = capsys.readouterr().out
-    assert "final_dataset.csv: by --columns: command_angle='command angle' in deg, " in printed
+    assert "final_dataset.csv: command_angle='command angle' in deg, " in printed
     assert "2 + 1 logs, 18,000 rows; 0 errors, 0 warnings, 2 notes" in printed
     data = Dataset.open(tmp_path / "d")
     log, _ = data.load(data.train)

@@ -15,7 +15,7 @@ from softfin.core.action_clock import CYCLE_ACTIONS
 from softfin.core.quantities import PAPER_LIMITS
 from softfin.gaits.reachable import Cell
 from softfin.learning.policy import Policy, PolicyConfig, named
-from softfin.task.cells import lattice
+from softfin.task.references import lattice
 from softfin.task.task import TaskConfig
 
 TASK = TaskConfig(phase=True)

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.core.errors import ConfigurationError, PlantError
+from softfin.core.errors import PlantError
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Log
 from softfin.data.collect import CollectConfig, collect
 from softfin.data.simulate import CHUNK_ROWS
@@ -73,7 +73,7 @@ def test_a_log_does_not_depend_on_what_is_simulated_beside_it(dataset, config, t
 def test_test_logs_are_recorded_from_the_plants_given_for_them(dataset, config, tmp_path):
     silent = AnalyticFin(gain=0.0, noise_n=0.0)
     strong = AnalyticFin(gain=5.0, noise_n=0.0)
-    other = collect(AnalyticFin(), config, tmp_path / "data", test_plant=[silent, strong])
+    other = collect(AnalyticFin(), config, tmp_path / "data", test_plants=[silent, strong])
     first, second = other.load(other.test)
     assert not first.reading.force.any()
     assert np.abs(second.reading.force).max() > 5
@@ -83,8 +83,8 @@ def test_test_logs_are_recorded_from_the_plants_given_for_them(dataset, config, 
 
 def test_plants_that_cannot_be_stacked_run_one_after_another(tmp_path):
     config = CollectConfig(logs=1, test_logs=2, rows=300)
-    stacked = collect(AnalyticFin(), config, tmp_path / "one", test_plant=[AnalyticFin(gain=g) for g in (0.1, 0.9)])
-    mixed = collect(AnalyticFin(), config, tmp_path / "two", test_plant=[AnalyticFin(gain=0.1), PlainFin(0.9)])
+    stacked = collect(AnalyticFin(), config, tmp_path / "one", test_plants=[AnalyticFin(gain=g) for g in (0.1, 0.9)])
+    mixed = collect(AnalyticFin(), config, tmp_path / "two", test_plants=[AnalyticFin(gain=0.1), PlainFin(0.9)])
     for one, other in zip(logs_of(stacked), logs_of(mixed), strict=True):
         assert_same(one, other, tolerance=1e-5)
 
@@ -98,32 +98,19 @@ def test_plants_that_differ_in_what_is_compiled_keep_their_difference(tmp_path):
         np.testing.assert_allclose(log.reading.velocity[1:], expected[:-1], atol=1e-4)
 
 
-def test_each_training_log_may_have_its_own_plant(tmp_path):
-    config = CollectConfig(logs=5, test_logs=0, rows=300, batch=2)
-    gains = [0.1, 0.2, 0.3, 0.4, 0.5]
-    dataset = collect([AnalyticFin(gain=gain, noise_n=0.0) for gain in gains], config, tmp_path / "data")
-    for log, gain in zip(dataset.load(dataset.train), gains, strict=True):
-        force = np.linalg.norm(log.reading.force, axis=1)
-        np.testing.assert_allclose(force, gain * log.reading.velocity**2, atol=1e-4)
-
-
-def test_a_number_of_plants_that_fits_no_logs_is_refused(config, tmp_path):
-    with pytest.raises(ConfigurationError, match="test_plant: 3 plants for 2 logs; give one plant, or one for each"):
-        collect(AnalyticFin(), config, tmp_path / "data", test_plant=[AnalyticFin()] * 3)
-
-
 def test_progress_grows_to_all_rows(config, tmp_path):
     seen = []
     collect(AnalyticFin(), config.changed(["batch=3"]), tmp_path / "data", progress=lambda *counts: seen.append(counts))
-    done, of = zip(*seen, strict=True)
-    assert set(of) == {6 * ROWS}
-    assert done[-1] == 6 * ROWS
+    stages, done, notes = zip(*seen, strict=True)
+    assert set(stages) == {"collect"}
+    assert notes[-1] == f"{6 * ROWS:,} of {6 * ROWS:,} rows"
+    assert done[-1] == 1
     assert all(np.diff(done) > 0)
     assert len(seen) == 4
 
 
 def test_an_interrupt_leaves_nothing(config, tmp_path):
-    def interrupt(done: int, of: int) -> None:
+    def interrupt(stage: str, done: float, note: str) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

@@ -56,7 +56,7 @@ def test_the_limits_of_the_plant_are_kept():
     ("values", "words"),
     [
         ({"hold_min_s": 0.5, "hold_max_s": 0.3}, "hold_max_s = 0.3 must be at least hold_min_s = 0.5"),
-        ({"hold_min_s": 0.205}, "whole number of 10 ms"),
+        ({"hold_min_s": 0.205}, "multiple of 0.01"),
         ({"hold_min_s": 0.0}, "greater than 0"),
         ({"hold_minimum_s": 0.2}, "did you mean 'hold_min_s'"),
     ],

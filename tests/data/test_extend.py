@@ -31,23 +31,27 @@ def test_the_same_plant_under_another_name_is_the_same(recorded):
 
 def test_where_only_a_name_is_known_the_name_counts(recorded):
     assert open_to_extend(recorded(plant="tank"), TANK)
-    with pytest.raises(ConfigurationError, match="data: recorded of pool, not of tank; logs of two plants do not mix"):
+    with pytest.raises(
+        ConfigurationError, match="data: recorded of pool, not of tank as it is now; logs of two plants do not mix"
+    ):
         open_to_extend(recorded(plant="pool"), TANK)
 
 
 def test_another_plant_is_refused(recorded):
-    with pytest.raises(ConfigurationError, match=r"data: recorded of pool, not of tank; .* do not mix: collect anew"):
+    with pytest.raises(
+        ConfigurationError, match=r"data: recorded of pool, not of tank as it is now; .* do not mix: collect anew"
+    ):
         open_to_extend(recorded(plant="pool", plant_identity="pool 3"), TANK)
 
 
 def test_a_plant_that_has_changed_under_its_name_is_refused(recorded):
-    with pytest.raises(ConfigurationError, match="data: recorded of tank, but that has changed since; logs of two"):
+    with pytest.raises(ConfigurationError, match="data: recorded of tank, not of tank as it is now; logs of two"):
         open_to_extend(recorded(plant="tank", plant_identity="softfin.tank 2"), TANK)
 
 
 def test_a_dataset_that_names_no_plant_says_how_to_name_it(recorded):
     path = recorded()
-    with pytest.raises(ConfigurationError, match=r'if it is of tank, write "plant": "tank" into it'):
+    with pytest.raises(ConfigurationError, match=r'has no name, write "plant": "tank" into it'):
         open_to_extend(path, TANK)
     description = json.loads((path / "dataset.json").read_text())
     (path / "dataset.json").write_text(json.dumps(description | {"plant": "tank"}))

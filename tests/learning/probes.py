@@ -11,8 +11,7 @@ from softfin.gaits.reachable import Cell
 from softfin.learning.policy import PolicyConfig
 from softfin.learning.ppo import PPO, PPOConfig
 from softfin.task.references import References
-from softfin.task.reward import RewardConfig
-from softfin.task.task import ForceTracking, TaskConfig
+from softfin.task.task import ForceTracking, RewardConfig, TaskConfig
 
 GAIN = 3.0
 

@@ -10,8 +10,7 @@ from softfin.core.errors import ConfigurationError
 from softfin.learning.configuration import GRADIENT_GRID
 from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.refine import check_refinable, inherited, refine
-from softfin.task.cells import check_cells, lattice
-from softfin.task.references import PAPER_RANGE
+from softfin.task.references import PAPER_RANGE, check_cells, lattice
 
 FOUR = lattice(2, 2, PAPER_RANGE)
 ERROR = np.array([[0.1, 0.1], [0.5, 0.2], [0.2, 0.1], [0.1, 0.4]])

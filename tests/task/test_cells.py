@@ -1,5 +1,6 @@
 """Cells of a grid: lattices and files; every area and overlap is found and said where."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,16 @@ from hypothesis import strategies as st
 
 from softfin.core.errors import ConfigurationError
 from softfin.gaits.reachable import Cell, bounding_box
-from softfin.task.cells import area, cells_of, check_cells, lattice, overlap, range_of
-from softfin.task.references import PAPER_CELLS, PAPER_RANGE
+from softfin.task.references import (
+    PAPER_CELLS,
+    PAPER_RANGE,
+    area,
+    cells_of,
+    check_apart,
+    check_cells,
+    lattice,
+    range_of,
+)
 
 QUARTERS = lattice(2, 2, PAPER_RANGE)
 
@@ -145,5 +154,6 @@ def test_what_is_no_range_is_refused(text: str, message: str) -> None:
 
 
 def test_touching_cells_do_not_overlap() -> None:
-    assert all(overlap(one, other) is None for one in QUARTERS for other in QUARTERS if one is not other)
-    assert overlap(QUARTERS[0], PAPER_RANGE) == QUARTERS[0]
+    check_apart(QUARTERS, "quarters")
+    with pytest.raises(ConfigurationError, match=re.escape(f"overlap in {QUARTERS[0]}; move an edge")):
+        check_apart([QUARTERS[0], PAPER_RANGE], "both")

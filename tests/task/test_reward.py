@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from softfin.core.window import moving_average, sobolev, window_error
-from softfin.task.reward import RewardConfig, RewardTerms
+from softfin.task.task import RewardConfig, RewardTerms
 
 FORCES = np.random.default_rng(0).normal(0, 4, (200, 2)).astype(np.float32)
 

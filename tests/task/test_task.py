@@ -13,8 +13,7 @@ from softfin.core.plant import roll
 from softfin.core.quantities import PAPER_LIMITS, Command, Reading, command_of
 from softfin.gaits.reachable import Cell
 from softfin.task.references import References
-from softfin.task.reward import RewardConfig
-from softfin.task.task import ForceTracking, Outcome, SensingConfig, TaskConfig, TaskState, action_of
+from softfin.task.task import ForceTracking, Outcome, RewardConfig, SensingConfig, TaskConfig, TaskState, action_of
 from tests.plants import AnalyticFin, PlainFin
 
 BOX = References.of(Cell(low=(1, -1), high=(3, 1)))
@@ -106,7 +105,8 @@ def test_whether_a_reference_is_jumped_to_says_nothing_of_where_it_lies() -> Non
     task = ForceTracking(Echo(), config)
     start, _ = played(task, [])
     keys = jax.random.split(jax.random.key(3), 2000)
-    reference, drift = jax.vmap(lambda key: task._next_reference(start, key, jnp.bool_(True)))(keys)
+    after, _ = jax.vmap(lambda key: task.step(start._replace(key=key), STROKE, 33))(keys)
+    reference, drift = after.reference, after.drift
     ramps = np.any(np.asarray(drift) != 0, axis=1)
     assert ramps.mean() == pytest.approx(0.5, abs=0.05)
     low, high = np.asarray(start.references.low), np.asarray(start.references.high)

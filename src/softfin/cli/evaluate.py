@@ -65,7 +65,7 @@ class Arguments(Armed, Configured):
         from softfin.rig.robot_setup import find_robot
         from softfin.stages.evaluate import evaluate, kind_of
         from softfin.stages.live import evaluate_live
-        from softfin.task.reference_file import read_reference_file
+        from softfin.task.signals import read_reference_file
 
         recorded = None if self.reference_file is None else read_reference_file(self.reference_file).model_dump()
         config = self.configured(

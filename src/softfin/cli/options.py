@@ -147,7 +147,8 @@ def _fields(field: "dataclasses.Field[Any]", hint: Any, text: str) -> list[Field
 
 def _inner(hint: Any) -> Any:
     """Kind of an option for a configuration's field; the configuration itself reads what is neither of these."""
-    inner = next((part for part in get_args(hint) if part is not type(None)), hint)
+    parts = () if get_origin(hint) in (dict, tuple) else get_args(hint)
+    inner = next((part for part in parts if part is not type(None)), hint)
     kind = hint if get_origin(hint) is Literal else inner
     return kind if kind in NUMBERS or get_origin(kind) is Literal else str
 

@@ -36,7 +36,7 @@ class Arguments(Driving):
             return self.tell_errors(self.drive(controller, robot, live, self.seconds, live.set_from_text))
         assert self.reference_file is not None
         # Imported here: the file's reader needs more than a robot's computer may have.
-        from softfin.task.reference_file import read_reference_file
+        from softfin.task.signals import read_reference_file
 
         rows = read_reference_file(self.reference_file)
         recorded = recorded_reference(rows.time_s, [(float(x), float(y)) for x, y in rows.force_n], resolve, say)

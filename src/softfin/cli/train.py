@@ -145,8 +145,7 @@ def asked_seeds(first: int, text: str | None) -> tuple[int, ...]:
 def asked_cells(controller: str, cells: str | None, span: str | None) -> "tuple[Cell, ...] | None":
     """Return the cells of ``--cells`` and ``--range``, one cell unless it is a grid; None where neither is given."""
     from softfin.gaits.reachable import bounding_box
-    from softfin.task.cells import cells_of, range_of
-    from softfin.task.references import PAPER_RANGE
+    from softfin.task.references import PAPER_RANGE, cells_of, range_of
 
     within = PAPER_RANGE if span is None else range_of(span)
     if controller != "grid":

@@ -4,7 +4,7 @@ A plant goes in; a dataset folder comes out, whole or not at all. Log number i o
 ``collect/PART/i``, so it does not depend on what is simulated beside it.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ import pydantic
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError, PlantError
 from softfin.core.plant import Plant
+from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ, TICK_S, Log
 from softfin.core.randomness import key_of
 from softfin.data.excitation import Commands, ExcitationConfig
@@ -22,9 +23,6 @@ from softfin.data.simulate import simulate
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.storage.paths import PARTS
-
-Progress = Callable[[int, int], None]
-"""Function that is called with (rows done, all rows)."""
 
 
 class CollectConfig(Configuration):
@@ -45,10 +43,10 @@ class CollectConfig(Configuration):
 
 
 def collect(
-    plant: Plant | Sequence[Plant],
+    plant: Plant,
     config: CollectConfig,
     out: Path,
-    test_plant: Plant | Sequence[Plant] | None = None,
+    test_plants: Sequence[Plant] | None = None,
     progress: Progress | None = None,
     metadata: dict[str, Any] | None = None,
     commands: Commands | None = None,
@@ -57,27 +55,24 @@ def collect(
 ) -> Dataset:
     """Record `plant` into the new dataset folder `out`; `metadata`, such as its name, goes into ``dataset.json``.
 
-    One plant serves all logs; a sequence gives each log its own, such as tanks under different conditions. `test_plant`
-    is for the test logs; without it they are recorded from `plant` too, from the first of a sequence. `commands` are
+    `test_plants` are for the test logs, one for each; without them these are recorded from `plant`, too. `commands` are
     for the training logs, instead of random ones; test logs are always under random ones.
 
     `before` is a dataset whose logs are taken over. The new logs are numbered on from them, so that the same seed gives
     others, but the new training logs stand first: a fit holds out the last ones, so the same ones stay held out.
     """
-    train = _one_per_log(plant, config.logs, "plant")
-    test = _one_per_log(train[0] if test_plant is None else test_plant, config.test_logs, "test_plant")
-    all_rows = (config.logs + config.test_logs) * config.rows
-    done = 0
+    train, test = [plant] * config.logs, list(test_plants or [plant] * config.test_logs)
+    all_rows, done = (config.logs + config.test_logs) * config.rows, 0
 
     def report(rows: int) -> None:
         nonlocal done
         done += rows
         if progress:
-            progress(done, all_rows)
+            progress("collect", done / all_rows, f"{done:,} of {all_rows:,} rows")
 
     first, first_test = (0, 0) if before is None else (len(before.train), len(before.test))
-    train_keys = [key_of(config.seed, f"collect/train/{first + index}") for index in range(len(train))]
-    test_keys = [key_of(config.seed, f"collect/test/{first_test + index}") for index in range(len(test))]
+    train_keys = [key_of(config.seed, f"collect/train/{first + index}") for index in range(config.logs)]
+    test_keys = [key_of(config.seed, f"collect/test/{first_test + index}") for index in range(config.test_logs)]
     random = config.excitation
     if commands in (None, random):
         # One program for all.
@@ -88,7 +83,7 @@ def collect(
     new_train, new_test = _with_exact_time(islice(logs, len(train)), "train"), _with_exact_time(test_logs, "test")
     description = {
         "configuration": config.model_dump(),
-        "plant": type(train[0]).__name__,
+        "plant": type(plant).__name__,
         "provenance": artifacts.provenance(seed=config.seed),
     }
     if before is not None:
@@ -108,26 +103,16 @@ def open_to_extend(path: Path, metadata: dict[str, Any]) -> Dataset:
         ConfigurationError: it is of another plant, or its plant is not known.
     """
     before = Dataset.open(path)
-    now, plant = str(metadata["plant"]), before.description.get("plant")
-    identity = before.description.get("plant_identity")
-    if plant is None:
-        raise ConfigurationError(
-            f"{path}: its dataset.json does not name a plant, so nothing is added to it; "
-            f'if it is of {now}, write "plant": "{now}" into it'
-        )
+    recorded = {name: before.description.get(name) for name in ("plant", "plant_identity")}
     # Names may differ for one plant, and one name, as that of a file, may come to stand for another.
-    if identity != metadata["plant_identity"] if identity is not None else plant != now:
-        changed = f"{now}, but that has changed since" if plant == now else f"{plant}, not of {now}"
-        raise ConfigurationError(f"{path}: recorded of {changed}; logs of two plants do not mix: collect anew")
+    decisive = "plant" if recorded["plant_identity"] is None else "plant_identity"
+    if recorded[decisive] != metadata[decisive]:
+        now = str(metadata["plant"])
+        raise ConfigurationError(
+            f"{path}: recorded of {recorded['plant'] or 'a plant without a name'}, not of {now} as it is now; logs of "
+            f'two plants do not mix: collect anew (or, if its dataset.json has no name, write "plant": "{now}" into it)'
+        )
     return before
-
-
-def _one_per_log(plant: Plant | Sequence[Plant], count: int, name: str) -> list[Plant]:
-    if isinstance(plant, Plant):
-        return [plant] * count
-    if len(plant) != count:
-        raise ConfigurationError(f"{name}: {len(plant)} plants for {count} logs; give one plant, or one for each log")
-    return list(plant)
 
 
 def _with_exact_time(logs: Iterator[Log], part: str) -> Iterator[Log]:

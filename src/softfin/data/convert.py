@@ -13,24 +13,21 @@ import numpy as np
 from softfin.core.errors import ConfigurationError, LogError
 from softfin.core.quantities import Log
 from softfin.data.importing.importing import ImportConfig
-from softfin.data.issues import check_issues
 from softfin.data.recordings import open_logs
 from softfin.storage import artifact as artifacts
 from softfin.storage.bag.messages import COMMAND, JOINT, SECOND_NS, WRENCH, BagWriter
 from softfin.storage.log_file import write_log
-
-KINDS = (".mcap", ".parquet")
 
 
 def convert(
     source: Path, out: Path, config: ImportConfig | None = None, *, ignore_errors: bool = False, overwrite: bool = False
 ) -> dict[str, Any]:
     """Write each log, several as ``NAME-1``, ``NAME-2`` ..; raises LogError where they have errors, unless ignored."""
-    if out.suffix not in KINDS:
-        raise ConfigurationError(f"--out {out}: must end in {' or '.join(KINDS)}, which chooses what is written")
+    if out.suffix not in (".mcap", ".parquet"):
+        raise ConfigurationError(f"--out {out}: must end in .mcap or .parquet, which chooses what is written")
     artifacts.check_writable(out)
     opened = open_logs(source, config or ImportConfig())
-    check_issues(opened.issues, str(source), ignore_errors)
+    opened.check_issues(str(source), ignore_errors)
     count = len(opened.logs)
     files = [out] if count == 1 else [out.with_name(f"{out.stem}-{n}{out.suffix}") for n in range(1, count + 1)]
     for file in files:

@@ -11,7 +11,7 @@ import pydantic
 from jaxtyping import PRNGKeyArray
 
 from softfin.core.configuration import Configuration
-from softfin.core.quantities import RATE_HZ, Command, Limits
+from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits
 
 Commands = Callable[[PRNGKeyArray, int, Limits], Command]
 """Function that makes the commands of a log from a key, their number and limits: one command per tick, traceable."""
@@ -20,17 +20,10 @@ Commands = Callable[[PRNGKeyArray, int, Limits], Command]
 class ExcitationConfig(Configuration):
     """How long each random command is held."""
 
-    hold_min_s: float = pydantic.Field(default=0.2, gt=0)
+    hold_min_s: float = pydantic.Field(default=0.2, gt=0, multiple_of=TICK_S)
     """Shortest hold [s], on the 10 ms grid; below the 0.33 s of a 3 Hz controller, so that strokes are cut as short."""
-    hold_max_s: float = pydantic.Field(default=1.5, gt=0)
+    hold_max_s: float = pydantic.Field(default=1.5, gt=0, multiple_of=TICK_S)
     """Longest hold [s], on the 10 ms grid; most strokes end within it, so that the fin at rest is learnt too."""
-
-    @pydantic.field_validator("hold_min_s", "hold_max_s")
-    @classmethod
-    def _on_the_grid(cls, value: float) -> float:
-        if abs(value * RATE_HZ - round(value * RATE_HZ)) > 1e-6:
-            raise ValueError("a hold is a whole number of 10 ms samples, such as 0.2")
-        return value
 
     @pydantic.model_validator(mode="after")
     def _in_order(self) -> "ExcitationConfig":

@@ -1,10 +1,8 @@
 """What is wrong with recordings: how grave it is, where it is, and what to do about it."""
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any, Literal
-
-from softfin.core.errors import LogError
 
 Severity = Literal["error", "warning", "note"]
 
@@ -29,19 +27,12 @@ class Issue:
     """First row, counted from 0 in the log."""
     logs: tuple[str, ...] = ()
     """All logs that have the issue, once `merge_issues` has joined them."""
-    group: str = ""
-    """Issues that differ in this are not merged, because the message of one does not hold for the other."""
 
     @property
     def place(self) -> str:
         """Log, row and column as a message names them."""
         row = [] if self.row is None else [f"row {self.row}"]
         return ", ".join([self.log, *row, *([] if self.column is None else [f"column {self.column}"])])
-
-    def to_dict(self) -> dict[str, Any]:
-        """The issue for JSON."""
-        names = ("severity", "name", "log", "column", "row", "message", "fix")
-        return {name: getattr(self, name) for name in names} | {"logs": list(self.logs) or [self.log]}
 
 
 def counted(number: int, noun: str) -> str:
@@ -50,25 +41,15 @@ def counted(number: int, noun: str) -> str:
 
 
 def merge_issues(issues: Iterable[Issue]) -> list[Issue]:
-    """Join issues of one kind, column and group over all logs, gravest first; the first one's message stands."""
+    """Join issues of one kind and column over all logs, gravest first; the first one's message stands.
+
+    Notes are joined where they are alike, because what was done to one log does not hold for the other.
+    """
     kinds: dict[Any, list[Issue]] = {}
     for issue in issues:
-        kinds.setdefault((issue.severity, issue.name, issue.column, issue.group), []).append(issue)
+        message = issue.message if issue.severity == "note" else ""
+        kinds.setdefault((issue.severity, issue.name, issue.column, message), []).append(issue)
     merged = [
-        dataclasses.replace(same[0], logs=tuple(dict.fromkeys(log for one in same for log in one.logs or (one.log,))))
-        for same in kinds.values()
+        dataclasses.replace(same[0], logs=tuple(dict.fromkeys(one.log for one in same))) for same in kinds.values()
     ]
     return sorted(merged, key=lambda issue: SEVERITIES.index(issue.severity))
-
-
-def check_issues(issues: Sequence[Issue], source: str, ignore_errors: bool = False) -> None:
-    """Raise LogError with the first error and the count of the others, unless errors are ignored."""
-    errors = [issue for issue in issues if issue.severity == "error"]
-    if not errors or ignore_errors:
-        return
-    first = errors[0]
-    others = "" if len(errors) == 1 else f"; and {len(errors) - 1} more: softfin inspect lists them"
-    fix = f"; {first.fix}" if first.fix else ""
-    raise LogError(
-        f"{source}: {first.place}: {first.message}{fix}{others}; --ignore-errors takes these logs in spite of it"
-    )

@@ -16,9 +16,9 @@ from softfin.core.quantities import Log
 from softfin.data.checks.inspection import Inspection, inspect
 from softfin.data.importing.clocks import logs_of
 from softfin.data.importing.importing import ImportConfig
-from softfin.data.importing.recording import NamedLog, Part, Recording
+from softfin.data.importing.recording import NamedLog, Part
 from softfin.data.importing.tables import read_table
-from softfin.data.issues import Issue, counted
+from softfin.data.issues import Issue
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset
 from softfin.storage.paths import find_recordings, is_bag
@@ -50,6 +50,20 @@ class OpenedLogs:
         """Issues of all logs, gravest first."""
         return self.inspection.issues
 
+    def check_train(self, source: str) -> None:
+        """Raise LogError where all logs are test logs."""
+        if not self.train:
+            raise LogError(f"{source}: no training logs: all of its {len(self.logs)} logs are test logs; see --test")
+
+    def check_issues(self, source: str, ignore_errors: bool) -> None:
+        """Raise LogError with the first error and the count of the others, unless errors are ignored."""
+        errors = [issue for issue in self.issues if issue.severity == "error"]
+        if not errors or ignore_errors:
+            return
+        more = f"; and {len(errors) - 1} more: softfin inspect lists them" if len(errors) > 1 else ""
+        parts = [f"{errors[0].place}: {errors[0].message}", *filter(None, [errors[0].fix])]
+        raise LogError(f"{source}: {'; '.join(parts)}{more}; --ignore-errors takes these logs in spite of it")
+
 
 def open_logs(path: Path, config: ImportConfig | None = None, progress: Progress | None = None) -> OpenedLogs:
     """Read and inspect everything at `path`; raises LogError or ArtifactError where it cannot be read at all."""
@@ -61,7 +75,14 @@ def open_logs(path: Path, config: ImportConfig | None = None, progress: Progress
     logs: list[NamedLog] = []
     issues: list[Issue] = []
     for index, (file, name) in enumerate(files.items()):
-        for recording in _read(file, name, parts[name], config):
+        if is_bag(file):
+            # Without bags, what reads them need not be loaded.
+            from softfin.data.importing.rosbag import read_bag
+
+            recordings = [read_bag(file, name, parts[name], config)]
+        else:
+            recordings = read_table(file, name, parts[name], config)
+        for recording in recordings:
             some, found = logs_of(recording, config)
             logs += some
             issues += found
@@ -72,13 +93,6 @@ def open_logs(path: Path, config: ImportConfig | None = None, progress: Progress
             f"{path}: no logs: all pieces between gaps are shorter than {config.shortest_s:g} s; "
             "--shortest 1 would keep more, --gap bridges longer gaps"
         )
-    others = 0 if dataset or path.is_file() else sum(
-        not entry.is_dir() and not entry.name.startswith(".") and not files.keys() & {entry, *entry.parents}
-        for entry in path.rglob("*")
-    )  # fmt: skip
-    if others:
-        text = f"{counted(others, 'file')} not read: no CSV, Parquet or ROS 2 bag"
-        issues.append(Issue("note", "other files", str(path), text))
     inspection = inspect(logs, issues, config, progress)
     options = config.model_dump(mode="json", exclude_defaults=True)
     data_hash = dataset.data_hash if dataset and not options else _hash(files, path, options)
@@ -89,15 +103,9 @@ def open_logs(path: Path, config: ImportConfig | None = None, progress: Progress
             {"log": one.name, "part": one.part, "rows": len(one.log.reading.time), "start_s": one.start_s}
             for one in logs
         ],
-        "issues": [issue.to_dict() for issue in inspection.issues],
+        "issues": [dataclasses.asdict(issue) for issue in inspection.issues],
     }
     return OpenedLogs(tuple(logs), inspection, data_hash, metadata)
-
-
-def check_train(opened: OpenedLogs, source: str) -> None:
-    """Raise LogError where all logs are test logs."""
-    if not opened.train:
-        raise LogError(f"{source}: no training logs: all of its {len(opened.logs)} logs are test logs; see --test")
 
 
 def _parts(names: list[str], pattern: str | None) -> dict[str, Part]:
@@ -109,18 +117,8 @@ def _parts(names: list[str], pattern: str | None) -> dict[str, Part]:
 
     parts: dict[str, Part] = {name: "test" if is_test(name) else "train" for name in names}
     if pattern is not None and "test" not in parts.values():
-        some = f"{', '.join(names[:6])}{' ...' * (len(names) > 6)}"
-        raise ConfigurationError(f"--test {pattern}: matches none of the files: {some}")
+        raise ConfigurationError(f"--test {pattern}: matches none of the files: {', '.join(names[:6])}")
     return parts
-
-
-def _read(file: Path, name: str, part: Part, config: ImportConfig) -> list[Recording]:
-    if not is_bag(file):
-        return read_table(file, name, part, config)
-    # Without bags, what reads them need not be loaded.
-    from softfin.data.importing.rosbag import read_bag
-
-    return [read_bag(file, name, part, config)]
 
 
 def _name(file: Path, path: Path) -> str:

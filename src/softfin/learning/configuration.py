@@ -20,8 +20,7 @@ from softfin.gaits.simulate import missing_gradient
 from softfin.learning.gradient import GradientConfig
 from softfin.learning.policy import PolicyConfig
 from softfin.learning.ppo import PPOConfig
-from softfin.task.cells import check_apart
-from softfin.task.references import PAPER_CELLS, PAPER_RANGE
+from softfin.task.references import PAPER_CELLS, PAPER_RANGE, check_apart
 from softfin.task.task import TaskConfig
 
 EDGE_N = 1e-3

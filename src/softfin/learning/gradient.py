@@ -24,8 +24,7 @@ from softfin.learning.layers import cleared
 from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.rollout import AgentState, EnvState, Metrics, clipped_adam, reset_truncated, start_episodes
 from softfin.task.references import References
-from softfin.task.reward import RewardTerms
-from softfin.task.task import ForceTracking
+from softfin.task.task import ForceTracking, RewardTerms
 
 
 class SharedPretraining(Configuration):

@@ -20,7 +20,7 @@ from softfin.learning.policy import Policy
 from softfin.learning.run import TrainingResult
 from softfin.learning.train import train
 from softfin.storage.run_directory import RunDirectory
-from softfin.task.cells import lattice
+from softfin.task.references import lattice
 
 
 class RefinedGrid(NamedTuple):

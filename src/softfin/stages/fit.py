@@ -8,8 +8,7 @@ from softfin.core.errors import LogError
 from softfin.core.plant import EnsemblePlant
 from softfin.core.progress import Progress
 from softfin.data.importing.importing import ImportConfig
-from softfin.data.issues import check_issues
-from softfin.data.recordings import OpenedLogs, check_train, open_logs
+from softfin.data.recordings import OpenedLogs, open_logs
 from softfin.storage import artifact as artifacts
 from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate import (
@@ -82,11 +81,11 @@ def fit(
 
 def _opened(dataset: Path, config: ImportConfig | None, ignore_errors: bool, progress: Progress | None) -> OpenedLogs:
     opened = open_logs(dataset, config, progress)
-    check_train(opened, str(dataset))
+    opened.check_train(str(dataset))
     description = artifacts.load_description(dataset, "dataset") if artifacts.is_kind(dataset, "dataset") else None
     # Datasets of softfin before 0.2 have "accepted" in place of "ignore_errors".
     were_ignored = description is not None and True in (description.get("ignore_errors"), description.get("accepted"))
-    check_issues(opened.issues, str(dataset), ignore_errors or were_ignored)
+    opened.check_issues(str(dataset), ignore_errors or were_ignored)
     # A dataset's own folder has its metadata.
     return dataclasses.replace(opened, metadata={"logs": opened.metadata} if description is None else {})
 

@@ -23,7 +23,7 @@ from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading
 from softfin.core.randomness import key_of
 from softfin.data.collect import CollectConfig
-from softfin.data.importing.resample import held, interpolated
+from softfin.data.importing.clocks import held, interpolated
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.rig.loop import run_controller

@@ -7,8 +7,7 @@ from softfin.core.progress import Progress
 from softfin.data.checks.inspection import Inspection
 from softfin.data.checks.report import write_inspection
 from softfin.data.importing.importing import ImportConfig
-from softfin.data.issues import check_issues
-from softfin.data.recordings import check_train, open_logs
+from softfin.data.recordings import open_logs
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
 
@@ -48,7 +47,7 @@ def import_logs(
     """Turn recordings of any kind into a dataset; raises LogError where they have errors, unless these are ignored."""
     artifacts.check_vacant(out, overwrite)
     opened = open_logs(path, config or ImportConfig(), progress)
-    check_train(opened, str(path))
-    check_issues(opened.issues, str(path), ignore_errors)
+    opened.check_train(str(path))
+    opened.check_issues(str(path), ignore_errors)
     metadata = {**opened.metadata, "ignore_errors": ignore_errors, "provenance": artifacts.provenance()}
     return write_dataset(out, opened.train, opened.test, metadata, overwrite), opened.inspection

@@ -1,19 +1,42 @@
-"""Reference forces to train for: the paper's cells and range, and boxes from which references are drawn at random."""
+"""Reference forces to train for: the paper's, cells of a grid, and boxes from which references are drawn at random.
+
+On a command line the cells are ``paper``, a lattice such as ``3x3`` over a range, or a YAML file of boxes:
+
+    cells: [{low: [0, -1], high: [1, 1]}, {low: [1, -1], high: [3, 1]}]
+    allow_gaps: false
+
+Cells never overlap: a reference must have one policy. Those of a file fill their bounding box unless it allows gaps;
+the paper's six leave a third of it uncovered.
+"""
 
 from collections.abc import Sequence
+from itertools import combinations, pairwise
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from softfin.gaits.reachable import PAPER_REFERENCES, Cell, Reachable
+from softfin.core.configuration import Configuration, read_yaml
+from softfin.core.errors import ConfigurationError
+from softfin.gaits.reachable import PAPER_REFERENCES, Cell, Reachable, bounding_box
+from softfin.task.notation import read_cells, read_range
 
 PAPER_CELLS = tuple(Cell.around(reference) for reference in PAPER_REFERENCES)
 """The grid: squares of 1 N round the six references; they touch and do not overlap."""
 
 PAPER_RANGE = Cell(low=(0.5, -1.5), high=(3.5, 1.5))
 """What one controller is trained for: the bounding box of the grid."""
+
+TOLERANCE_N = 1e-6
+"""Edges nearer than this are the same edge."""
+
+GAP_N2 = 1e-5
+"""Area in all that counts as a gap: edges come from decimals."""
+
+MOST = 1024
+"""Cells of a lattice; each is a policy to train, so more are a typing error."""
 
 
 class References(NamedTuple):
@@ -44,3 +67,88 @@ def stack_references(cells: Sequence[Cell], reachable: Reachable | None = None) 
     each = [References.of(cell, jax.tree.map(jnp.asarray, reachable)) for cell in cells]
     stacked: References = jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
     return stacked
+
+
+class CellsFile(Configuration):
+    """Content of a file of cells."""
+
+    cells: tuple[Cell, ...]
+    """Boxes of references [N], in the order of the policies."""
+    allow_gaps: bool = False
+    """Whether references between the cells may go without a policy of their own; the nearest cell answers these."""
+
+
+def cells_of(text: str, within: Cell) -> tuple[Cell, ...]:
+    """The cells of a text; a lattice fills `within`, the others have places of their own.
+
+    Raises:
+        ConfigurationError: not a lattice or file, or cells that overlap, have no width, or leave gaps without leave.
+    """
+    source = read_cells(text)
+    if source is None:
+        return PAPER_CELLS
+    if isinstance(source, tuple):
+        return lattice(*source, within)
+    values = CellsFile.build(read_yaml(source), f"--cells {text}")
+    check_cells(values.cells, values.allow_gaps, f"--cells {text}")
+    return values.cells
+
+
+def range_of(text: str) -> Cell:
+    """The box of ``X0,Y0,X1,Y1`` [N]; raises ConfigurationError for any other text."""
+    x0, y0, x1, y1 = read_range(text)
+    return Cell.build({"low": (x0, y0), "high": (x1, y1)}, f"--range {text}")
+
+
+def lattice(columns: int, rows: int, within: Cell) -> tuple[Cell, ...]:
+    """Equal cells, `columns` along x and `rows` along y, that fill a range; those of the least x first."""
+    asked = f"--cells {columns}x{rows}"
+    if not 1 <= columns * rows <= MOST:
+        raise ConfigurationError(f"{asked}: {columns * rows} cells; give 1 .. {MOST}, one or more along each axis")
+    check_width(within, f"{asked}: the range ({within})")
+    # Neighbours share an edge to the last bit.
+    xs, ys = (
+        np.linspace(low, high, count + 1).tolist()
+        for low, high, count in zip(within.low, within.high, (columns, rows), strict=True)
+    )
+    return tuple(Cell(low=(x0, y0), high=(x1, y1)) for x0, x1 in pairwise(xs) for y0, y1 in pairwise(ys))
+
+
+def check_width(cell: Cell, named: str) -> None:
+    """Raise ConfigurationError where a box has no width."""
+    for axis, low, high in zip("xy", cell.low, cell.high, strict=True):
+        if high - low <= TOLERANCE_N:
+            raise ConfigurationError(f"{named} has no width in {axis}; let it reach from a lesser to a greater force")
+
+
+def check_apart(cells: Sequence[Cell], source: str) -> None:
+    """Raise ConfigurationError where two cells overlap."""
+    for (i, one), (j, other) in combinations(enumerate(cells, 1), 2):
+        low, high = np.maximum(one.low, other.low), np.minimum(one.high, other.high)
+        if (high - low > TOLERANCE_N).all():
+            shared = Cell(low=tuple(low.tolist()), high=tuple(high.tolist()))
+            raise ConfigurationError(
+                f"{source}: cells {i} ({one}) and {j} ({other}) overlap in {shared}; move an edge, so that each "
+                "reference has one cell"
+            )
+
+
+def check_cells(cells: Sequence[Cell], allow_gaps: bool, source: str) -> None:
+    """Raise ConfigurationError where there are none, one has no width, two overlap, or gaps are not allowed."""
+    if not cells:
+        raise ConfigurationError(f"{source}: no cells; give at least one {{low: [x, y], high: [x, y]}}")
+    for number, cell in enumerate(cells, 1):
+        check_width(cell, f"{source}: cell {number} ({cell})")
+    check_apart(cells, source)
+    # They do not overlap.
+    gaps = area(bounding_box(cells)) - sum(map(area, cells))
+    if not allow_gaps and gaps > GAP_N2:
+        raise ConfigurationError(
+            f"{source}: the cells leave {gaps:.3g} N^2 of their bounding box ({bounding_box(cells)}) uncovered; add "
+            "cells there, or write allow_gaps: true in the file"
+        )
+
+
+def area(cell: Cell) -> float:
+    """Area of a cell [N^2]."""
+    return float((cell.high[0] - cell.low[0]) * (cell.high[1] - cell.low[1]))

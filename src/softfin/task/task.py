@@ -8,7 +8,7 @@ holds the task once: all actions have 34 rows, and the last one of a shorter act
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,13 +23,43 @@ from softfin.core.plant import Plant, State, Ticks, hold_action, rest_command
 from softfin.core.quantities import Command, Limits, command_of
 from softfin.core.window import sobolev, window_error, window_mean
 from softfin.task.references import References
-from softfin.task.reward import RewardConfig, RewardTerms
 
 Action = Float[Array, "2"]
 """(angle, velocity) normalised to [-1, 1], the plant's limits."""
 
 FORCE_BLOCKS = 8
 """Parts of the window whose mean forces the critic observes, which shows what forces are about to leave the window."""
+
+
+class RewardTerms(NamedTuple):
+    """What the reward weighs, for each axis [N]."""
+
+    error: Float[Array, "*batch 2"]
+    """|F_e|: distance of the window's mean force from its target."""
+    smoothness: Float[Array, "*batch 2"]
+    """Sobolev term of the window."""
+
+
+class RewardConfig(Configuration):
+    """Weights of the reward (paper Sec. III-C2): mean force against its reference, and smoothness.
+
+    The paper names them and gives no values. Another term is another field of `RewardTerms`, with its weight here.
+    """
+
+    weight: tuple[NonNegativeFloat, NonNegativeFloat] = (1.0, 1.0)
+    """Weight w of x and y."""
+    smoothness: tuple[NonNegativeFloat, NonNegativeFloat] = (0.01, 0.01)
+    """Weight lambda of x and y; for a full window 0.01 in the form `sum` weighs as much as 0.14 in the form `mean`."""
+    sobolev: Literal["sum", "mean"] = "sum"
+    """Form of the Sobolev term: the paper's sum of squared steps or the published code's mean."""
+    target: Literal["now", "window"] = "now"
+    """Target of the window's mean force: the reference of this moment, as in the paper, or the mean of the references
+    over the window, which does not reward making up for earlier ones."""
+
+    def value(self, terms: RewardTerms) -> Float[Array, "*batch"]:
+        """The reward r = -sum_d w_d (|F_e^d| + lambda_d S_d) [N]."""
+        weight, smoothness = jnp.asarray(self.weight), jnp.asarray(self.smoothness)
+        return -jnp.sum(weight * (terms.error + smoothness * terms.smoothness), axis=-1)
 
 
 class SensingConfig(Configuration):
@@ -151,11 +181,15 @@ class ForceTracking:
         key, noise_key, reference_key = jax.random.split(state.key, 3)
         noise = sensing.noise_rad * jax.random.normal(noise_key)
         age = state.age + 1
-        reference, drift = self._next_reference(state, reference_key, age % self.config.reference_actions == 0)
+        # The next reference, where one is due: a step or a ramp. One draw: each takes a quarter of a second to compile.
+        is_due, chance = age % self.config.reference_actions == 0, jax.random.uniform(reference_key, (3,))
+        sampled, ramp = state.references.at(chance[:2]), chance[2] < self.config.ramps
+        towards = (sampled - state.reference) / self.config.reference_actions
+        drift = jnp.where(is_due, jnp.where(ramp, towards, 0), state.drift)
         return TaskState(
             plant=plant,
             angle=jnp.asarray(reading.angle)[ticks - 1 - sensing.delay_ticks] + noise,
-            reference=reference,
+            reference=jnp.where(is_due & ~ramp, sampled, state.reference + drift),
             drift=drift,
             references=state.references,
             actions=remember(state.actions, action),
@@ -169,17 +203,6 @@ class ForceTracking:
     def truncated(self, state: TaskState) -> Bool[Array, ""]:
         """Whether the episode is over: truncated, not terminated, since the fin could go on."""
         return state.age >= self.config.episode_actions
-
-    def _next_reference(
-        self, state: TaskState, key: PRNGKeyArray, is_due: Bool[Array, ""]
-    ) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
-        """The reference of the next action and its drift; where another one is due, a step or a ramp to it."""
-        # One draw for all: each takes a quarter of a second to compile.
-        chance = jax.random.uniform(key, (3,))
-        sampled, ramp = state.references.at(chance[:2]), chance[2] < self.config.ramps
-        towards = (sampled - state.reference) / self.config.reference_actions
-        drift = jnp.where(is_due, jnp.where(ramp, towards, 0), state.drift)
-        return jnp.where(is_due & ~ramp, sampled, state.reference + drift), drift
 
 
 def _last(before: Float[Array, "window 2"], rows: Float[Array, "34 2"], ticks: Ticks) -> Float[Array, "window 2"]:

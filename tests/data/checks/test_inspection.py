@@ -87,17 +87,6 @@ def degrees(columns: Columns) -> None:
         columns[name] = np.degrees(columns[name])
 
 
-def test_a_velocity_that_was_told_is_not_taken_for_degrees():
-    def change(columns: Columns) -> None:
-        for name in ("command_angle_rad", "angle_rad", "velocity_rad_s"):
-            columns[name] = np.degrees(columns[name])
-        columns["command_velocity_rad_s"][:] = 3.1
-
-    told = inspected(change, ImportConfig(velocity_rad_s=3.1)).issues[0]
-    assert told.fix == "--angles command_angle=deg,angle=deg,velocity=deg"
-    assert inspected(change).issues[0].fix == "--angles deg"
-
-
 def angle_in_degrees(columns: Columns) -> None:
     columns["angle_rad"] = np.degrees(columns["angle_rad"])
     columns["velocity_rad_s"] = np.degrees(columns["velocity_rad_s"])
@@ -245,7 +234,7 @@ def test_a_fault_is_not_taken_for_others(fault):
 def test_messages_hold_the_numbers():
     assert "angle spans -8" in message(inspected(degrees), "degrees")
     assert "follows the angle by 7" in message(inspected(late_force), "force lag")
-    assert "angle is 2" in message(inspected(late_command), "command lag")
+    assert "angle is 19 ms ahead of its command" in message(inspected(late_command), "command lag")
     assert "correlation with the force of a model fin 0.0" in message(inspected(swap), "force axes")
     assert message(inspected(spikes), "spikes").startswith("3 spikes, up to 30")
     assert "for 4.00 s" in message(inspected(stuck_force), "stuck")

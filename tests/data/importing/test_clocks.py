@@ -1,5 +1,3 @@
-import re
-
 import numpy as np
 import pytest
 
@@ -93,12 +91,11 @@ def test_a_long_gap_splits_and_is_never_bridged():
         encode_log(piece.log, "a piece is a whole log")
 
 
-def test_a_short_gap_is_bridged_by_interpolation_and_counted():
+def test_a_short_gap_is_bridged_by_interpolation():
     one = track()
     (log,), issues = logs(rows_of(one, np.r_[0:400, 403:1000]))
     assert len(log.log.reading.time) == 1000
-    assert kinds(issues) == ["short gaps"]
-    assert "1 gap of up to 40 ms" in issues[0].message
+    assert not issues
     angle = one.channels["angle"]
     np.testing.assert_allclose(log.log.reading.angle[401], angle[399] + (angle[403] - angle[399]) / 2, atol=1e-6)
     np.testing.assert_allclose(log.log.reading.angle[600:], angle[600:], atol=1e-6)
@@ -135,7 +132,7 @@ def test_repeated_and_backward_times_are_errors_and_left_out():
     assert len(log.log.reading.time) == 1000
     (error, *_) = issues
     assert (error.severity, error.name, error.row) == ("error", "repeated time", 500)
-    assert "repeats in 1 and goes back in 1 of 1,000 rows" in error.message
+    assert "repeats or goes back in 2 of 1,000 rows" in error.message
 
 
 def test_a_clock_that_starts_anew_begins_another_log():
@@ -152,7 +149,7 @@ def test_a_fast_source_is_resampled_and_that_is_noted():
     channels = {name: np.sin(time + i) for i, name in enumerate(NAMES)}
     (log,), issues = logs(Track(time, channels))
     assert kinds(issues) == ["resampled"]
-    assert "from 1000.0 Hz" in issues[0].message
+    assert "faster than 100 Hz" in issues[0].message
     np.testing.assert_allclose(log.log.reading.time[:3], [0, 0.01, 0.02])
     np.testing.assert_allclose(log.log.reading.force[20:-20, 0], np.sin(log.log.reading.time[20:-20] + 4), atol=1e-3)
 
@@ -163,10 +160,10 @@ def test_a_slow_source_is_a_warning():
     assert len(log.log.reading.time) == 999
 
 
-@pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms (100 Hz)"), (1e-4, "min (1.667e+04 Hz)"), (1e-9, "s or ms")])
-def test_a_clock_in_another_unit_is_refused_with_the_option(factor, unit):
+@pytest.mark.parametrize("factor", [1e3, 1e-4, 1e-9])
+def test_a_clock_in_another_unit_is_refused_with_the_option(factor):
     one = track()
-    with pytest.raises(LogError, match=re.escape(f"give its unit: --time-unit {unit}")):
+    with pytest.raises(LogError, match=r"is it in another unit.* --time-unit ms"):
         logs(one._replace(time=one.time * factor))
 
 

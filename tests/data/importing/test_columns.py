@@ -43,19 +43,19 @@ def test_names_without_units_are_taken_as_si_and_shown():
     found = choose_columns(names, ImportConfig(), "log.csv")
     assert {channel: column.name for channel, column in found.items()} == {name: name for name in names}
     assert describe_columns(found) == (
-        "by the names: time='time' in s (assumed), command_angle='command_angle' in rad (assumed), "
+        "time='time' in s (assumed), command_angle='command_angle' in rad (assumed), "
         "command_velocity='command_velocity' in rad/s (assumed), angle='angle' in rad (assumed), "
         "force_x='force_x' in N (assumed), force_y='force_y' in N (assumed)"
     )
 
 
-def test_what_was_mapped_and_what_was_guessed_is_shown_apart_with_its_unit():
+def test_what_was_mapped_and_what_was_guessed_is_shown_with_its_unit():
     names = ["t [ms]", "cmd (deg)", "cmd vel", "blade, deg", "Fx [N]", "F_y_mN"]
     config = ImportConfig.build({"columns": '"angle=blade, deg"', "angles": "command_velocity=rpm"})
     found = choose_columns(names, config, "log.csv")
     assert describe_columns(found) == (
-        "by the names: time='t [ms]' in ms, command_angle='cmd (deg)' in deg, command_velocity='cmd vel' in rpm, "
-        "force_x='Fx [N]' in N, force_y='F_y_mN' in mN; by --columns: angle='blade, deg' in deg"
+        "time='t [ms]' in ms, command_angle='cmd (deg)' in deg, command_velocity='cmd vel' in rpm, "
+        "angle='blade, deg' in deg, force_x='Fx [N]' in N, force_y='F_y_mN' in mN"
     )
 
 
@@ -136,18 +136,18 @@ def test_a_mapping_to_a_column_that_is_not_there_names_the_nearest():
 
 
 def test_without_a_column_of_time_the_rate_must_be_told():
-    with pytest.raises(LogError, match="give --rate 100"):
+    with pytest.raises(LogError, match="--rate 100 takes the place of time"):
         choose_columns(AUTHORS, ImportConfig.build({"columns": MAPPED}), "x.csv")
-    with pytest.raises(LogError, match=r"no column of time in a known unit \(s, ms, us, ns, min\)"):
+    with pytest.raises(LogError, match=r"which column is time\? .* \(s, ms, us, ns, min\)"):
         choose_columns(["time [h]", *AUTHORS], ImportConfig(), "x.csv")
 
 
 @pytest.mark.parametrize(
     ("option", "message"),
     [
-        ({"columns": "angel=position"}, "did you mean 'angle'"),
+        ({"columns": "angel=position"}, "columns.angel.* Input should be 'time', .*'angle'"),
         ({"columns": "angle"}, "write NAME=VALUE"),
-        ({"topics": "wrnch=/w"}, "did you mean 'wrench'"),
+        ({"topics": "wrnch=/w"}, "topics.wrnch.* Input should be 'command', 'joint' or 'wrench'"),
         ({"angles": "grad"}, "'grad' is not a unit of angles; allowed are rad, mrad, deg, turn, "),
         ({"angles": "angle=grad"}, "'grad' is not a unit of angles; allowed are rad, mrad, deg, turn, or"),
         ({"angles": "angle=rpm"}, "'rpm' is not a unit of angles"),

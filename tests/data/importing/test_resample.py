@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from softfin.data.importing.resample import held, interpolated
+from softfin.data.importing.clocks import held, interpolated
 
 FAST = np.arange(0, 5, 0.001)
 GRID = np.arange(0.5, 4.5, 0.01)

@@ -45,7 +45,7 @@ def test_the_authors_csv_is_read_with_a_mapping_and_a_rate(tmp_path, columns):
     np.testing.assert_allclose(track.channels["angle"], columns["angle_rad"])
     np.testing.assert_allclose(track.time, np.arange(6000) / 100)
     assert kinds(recording) == ["columns", "velocity derived"]
-    assert recording.issues[0].message.startswith("by --columns: command_angle='command angle' in rad (assumed), ")
+    assert recording.issues[0].message.startswith("command_angle='command angle' in rad (assumed), ")
 
 
 @pytest.mark.parametrize("delimiter", [",", ";", "\t"])
@@ -92,7 +92,6 @@ def test_a_time_in_milliseconds_is_told(tmp_path, columns):
     write_csv(tmp_path / "a.csv", columns | {"time_s": 1000 * columns["time_s"]})
     (recording,) = read(tmp_path / "a.csv", time_unit="ms")
     np.testing.assert_allclose(recording.tracks[0].time, columns["time_s"])
-    assert recording.time_unit == "ms"
 
 
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
@@ -115,7 +114,7 @@ def test_units_in_the_names_are_converted_and_a_velocity_may_be_told(tmp_path, c
     assert set(track.channels["command_velocity"]) == {3.1}
     assert kinds(recording) == ["columns", "unread columns", "velocity derived"]
     assert recording.issues[0].message == (
-        "by the names: time='t [ms]' in ms, command_angle='Cmd Angle (deg)' in deg, angle='theta_deg' in deg, "
+        "time='t [ms]' in ms, command_angle='Cmd Angle (deg)' in deg, angle='theta_deg' in deg, "
         "force_x='Fx [mN]' in mN, force_y='F_y (mN)' in mN; "
         "command_velocity = 3.1 rad/s throughout, by --velocity"
     )

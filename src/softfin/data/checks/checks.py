@@ -1,4 +1,4 @@
-"""Checks of logs: each is a function that yields issues, and stands in one of the lists at the end of this file."""
+"""Checks of logs: each is a function that yields issues, and the list at the end of this file has those of one log."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
@@ -6,54 +6,29 @@ from typing import NamedTuple
 import numpy as np
 
 from softfin.core.quantities import AXES, RATE_HZ, TICK_S
-from softfin.data.checks.alignment import COMMAND_LAG_MS, FORCE_LAG_MS, SHORTEST_S, motion
-from softfin.data.checks.channels import Columns, channels_in_degrees, constant_runs, find_spikes, velocity_slope
-from softfin.data.checks.statistics import LogStatistics
+from softfin.data.checks.alignment import SHORTEST_S, rate_of
+from softfin.data.checks.statistics import Columns, LogStatistics, channels_in_degrees, true_runs, velocity_slope
 from softfin.data.importing.importing import ANGLES, ImportConfig, compose_frames
 from softfin.data.importing.recording import NamedLog
 from softfin.data.issues import Issue, Severity, counted
 
-MANY_SPIKES = 1e-3
-"""Fraction of samples from which spikes are an error."""
-
 STUCK_S = 1.0
 """Shortest constant run that is reported [s]."""
 
-MOVING_RAD_S = 0.2
-"""Rate of a fin above which the force on it cannot be constant."""
-
-JUMP_RAD = 2.0
-"""Largest plausible step of the angle: 200 rad/s; the published nets' own jumps reach 1.5."""
-
-DRIVEN_RAD = 0.1
-"""Distance from the target at which a drive must be moving."""
-
-LAG_TOLERANCE_MS = 10.0
-"""Accuracy of a lag: a tick."""
+PLAUSIBLE_LAG_MS = {"command": (0.0, 100.0), "force": (0.0, 60.0)}
+"""Lags from a command to the angle, the way through computer, bus and drive (32 ms in the virtual tank, 5 ms in the
+published fin), and from the angle to the force (20 ms in the tank, 45 ms in the published fin)."""
 
 LAG_SPREAD_MS = {"command": 40.0, "force": 25.0}
-"""Largest plausible difference of a log's lag from the median. A log of a minute shows the command's lag to within 8 ms
-where the fin moves as roughly as the published nets do."""
+"""Largest plausible difference of a log's lag from the median."""
 
 USUAL_LAG_MS = 30.0
 """Either lag in a fin whose clocks agree."""
 
-LAGGING = {"command": "command_angle", "force": "force_x, force_y"}
-"""Columns that the issue of a lag names."""
-
-FRAME_MARGIN = 0.1
-"""Least advantage in correlation at which another frame is taken for the right one."""
-
 FRAME_LEAST = 0.12
 """Least correlation of a fin's force in any frame; the roughest log of the published nets has 0.2."""
 
-FEW_CELLS = 0.5
-"""Fraction of a 6 x 6 grid of commanded angles and velocities that must be filled."""
-
 UNITS = {"angle": "rad", "force_x": "N", "force_y": "N"}
-
-COVERED_STEPS = 300
-"""Number of commands from which empty cells mean something: 36 random cells then stay empty with odds of 1 in 4000."""
 
 
 class CheckedLog(NamedTuple):
@@ -71,7 +46,7 @@ class CheckedLog(NamedTuple):
     """Options with which the log was read: fixes go on from them."""
 
     def issue(
-        self, severity: Severity, name: str, column: str | None, message: str, fix: str, row: int | None = None
+        self, severity: Severity, name: str, column: str, message: str, fix: str, row: int | None = None
     ) -> Issue:
         """Make an issue of this log."""
         return Issue(severity, name, self.statistics.name, message, fix, column, row)
@@ -79,8 +54,7 @@ class CheckedLog(NamedTuple):
 
 def check_degrees(log: CheckedLog) -> Iterator[Issue]:
     """Angles in degrees that were read as radians."""
-    wrong = channels_in_degrees(log.raw, log.config.velocity_rad_s is not None)
-    if wrong:
+    if wrong := channels_in_degrees(log.raw):
         ranges = {name: getattr(log.raw, name) for name in wrong}
         spans = "; ".join(f"{name} spans {values.min():.4g} .. {values.max():.4g}" for name, values in ranges.items())
         option = "deg" if set(wrong) == set(ANGLES) else ",".join(f"{channel}=deg" for channel in wrong)
@@ -90,22 +64,23 @@ def check_degrees(log: CheckedLog) -> Iterator[Issue]:
 def check_spikes(log: CheckedLog) -> Iterator[Issue]:
     """Outliers of one or two samples."""
     for channel, unit in UNITS.items():
-        values = getattr(log.columns, channel)
-        rows, calm = find_spikes(values)
+        values, calm = getattr(log.columns, channel), getattr(log.calm, channel)
+        rows = np.flatnonzero(values != calm)
         if rows.size:
             message = (
                 f"{counted(rows.size, 'spike')}, up to {np.abs(values - calm)[rows].max():.3g} {unit} "
                 f"off the samples beside, where 98% of all lie within {np.ptp(np.percentile(values, [1, 99])):.3g}"
             )
             fix = "check the cable and the sensor's range; repair these samples in the file, or record again"
-            severity: Severity = "error" if rows.size > MANY_SPIKES * len(values) else "warning"
+            severity: Severity = "error" if rows.size > 1e-3 * len(values) else "warning"
             yield log.issue(severity, "spikes", channel, message, fix, int(rows[0]))
 
 
 def check_jumps(log: CheckedLog) -> Iterator[Issue]:
     """Angles that no fin can have between two samples: the seam of two logs, or an encoder that lost its count."""
     steps = np.abs(np.diff(log.calm.angle))
-    rows = np.flatnonzero(steps > JUMP_RAD)
+    # 200 rad/s; the published nets' own jumps reach 1.5 rad.
+    rows = np.flatnonzero(steps > 2.0)
     if rows.size:
         message = f"{counted(rows.size, 'jump')} of up to {steps.max():.2f} rad from one sample to the next"
         fix = "--rows-per-log 20000, if logs of so many rows stand end to end; else cut the file at these rows"
@@ -115,21 +90,24 @@ def check_jumps(log: CheckedLog) -> Iterator[Issue]:
 def check_stuck(log: CheckedLog) -> Iterator[Issue]:
     """Runs of one value in a channel that should have changed."""
     columns = log.columns
-    moving = np.abs(motion(columns.angle).velocity) > MOVING_RAD_S
-    behind = np.abs(columns.command_angle - columns.angle) > DRIVEN_RAD
+    # The force on a fin that moves at 0.2 rad/s changes; a drive that is 0.1 rad from its target moves.
+    moving = np.abs(rate_of(columns.angle)) > 0.2
+    behind = np.abs(columns.command_angle - columns.angle) > 0.1
     for channel, unit in UNITS.items():
         driven, cause = (behind, "the command is elsewhere") if channel == "angle" else (moving, "the fin moves")
+        values = getattr(columns, channel)
         # A fifth of a second for the dead time, and for the force a drive may press in vain.
         runs = [
-            (start, end)
-            for start, end in constant_runs(getattr(columns, channel), round(STUCK_S * RATE_HZ))
-            if driven[start + round(0.2 * RATE_HZ) : end].sum() > 0.5 * STUCK_S * RATE_HZ
+            (start, end + 1)
+            for start, end in true_runs(np.diff(values) == 0)
+            if end + 1 - start >= STUCK_S * RATE_HZ
+            and driven[start + round(0.2 * RATE_HZ) : end + 1].sum() > 0.5 * STUCK_S * RATE_HZ
         ]
         if runs:
             start, end = max(runs, key=lambda run: run[1] - run[0])
             message = (
-                f"stuck at {getattr(columns, channel)[start]:.4g} {unit} for {(end - start) * TICK_S:.2f} s "
-                f"while {cause}; {counted(len(runs), 'such run')}, {sum(b - a for a, b in runs) * TICK_S:.2f} s in all"
+                f"stuck at {values[start]:.4g} {unit} for {(end - start) * TICK_S:.2f} s while {cause}; "
+                f"{counted(len(runs), 'such run')}, {sum(b - a for a, b in runs) * TICK_S:.2f} s in all"
             )
             fix = "check sensor and drive; cut these rows off, or record again"
             yield log.issue("error", "stuck", channel, message, fix, start)
@@ -140,7 +118,7 @@ def check_saturation(log: CheckedLog) -> Iterator[Issue]:
     for channel in ("force_x", "force_y"):
         values = getattr(log.columns, channel)
         for extreme in sorted({float(values.min()), float(values.max())}):
-            runs = constant_runs(np.where(values == extreme, extreme, np.arange(len(values)) + extreme + 1.0), 3)
+            runs = [(start, end) for start, end in true_runs(values == extreme) if end - start >= 3]
             rows = sum(end - start for start, end in runs)
             if len(runs) >= 2 and 10 <= rows < len(values):
                 message = f"clipped at {extreme:.4g} N: {rows:,} samples in {len(runs):,} runs of 3 or more stay there"
@@ -160,9 +138,8 @@ def check_velocity(log: CheckedLog) -> Iterator[Issue]:
         fix = "map another column, or none, so that it is derived: --columns velocity=-"
         yield log.issue("warning", "velocity", "velocity", f"{message}: it is something else", fix)
     elif not 0.5 < slope < 2:
-        unit = "degrees" if 30 < slope < 100 else "degrees in the angle" if 0.01 < slope < 0.03 else "another unit"
-        fix = "--angles velocity=deg, or map another"
-        yield log.issue("error", "velocity unit", "velocity", f"{message}: {unit}", fix)
+        fix = "give its unit, as --angles velocity=deg for 57 times, or map another"
+        yield log.issue("error", "velocity unit", "velocity", f"{message}: another unit", fix)
 
 
 def check_commanded_velocity(log: CheckedLog) -> Iterator[Issue]:
@@ -176,24 +153,23 @@ def check_commanded_velocity(log: CheckedLog) -> Iterator[Issue]:
 
 def check_following(log: CheckedLog) -> Iterator[Issue]:
     """An angle that does not follow its command."""
-    found, column = log.statistics, "command_angle"
-    if found.rows < SHORTEST_S * RATE_HZ:
+    following, command, column = log.statistics.following, log.calm.command_angle, "command_angle"
+    if len(command) < SHORTEST_S * RATE_HZ:
         return
-    if found.command_steps == 0:
-        message = f"the commanded angle is {found.command_angle_rad[0]:.3g} rad throughout"
+    if np.ptp(command) == 0:
         fix = "map the column of the commanded angle; nothing is learnt from a log without commands"
+        message = f"the commanded angle is {command[0]:.3g} rad throughout"
         yield log.issue("error", "constant command", column, message, fix)
-    elif found.following < -0.3:
-        message = f"the angle goes against its command: correlation {found.following:.2f}"
-        if _is_mirrored(found):
+    elif following < -0.3:
+        message = f"the angle goes against its command: correlation {following:.2f}"
+        if _is_mirrored(log.statistics):
             column, message = "angle", f"{message}, and the force fits the mirrored angle"
         # The option as it must be now: a channel that is negated already is so no more.
-        negated = set(log.config.negate) ^ {column}
-        names = ",".join(name for name in (*log.config.negate, column) if name in negated)
-        fix = f"--negate {names}" if names else "leave --negate out"
+        names = [name for name in ANGLES if (name in log.config.negate) != (name == column)]
+        fix = f"--negate {','.join(names)}" if names else "leave --negate out"
         yield log.issue("error", "command sign", column, message, fix)
-    elif found.following < 0.3:
-        message = f"the angle hardly follows its command: correlation {found.following:.2f} after 150 ms"
+    elif following < 0.3:
+        message = f"the angle hardly follows its command: correlation {following:.2f} after 150 ms"
         fix = "map other columns for angle and command_angle, or check the clocks"
         yield log.issue("warning", "not following", column, message, fix)
 
@@ -204,12 +180,9 @@ def check_force_axes(log: CheckedLog) -> Iterator[Issue]:
     if frames is None or (log.statistics.following < -0.3 and _is_mirrored(log.statistics)):
         return
     best, given = max(frames, key=frames.__getitem__), frames["x,y"]
-    if frames[best] > max(given + FRAME_MARGIN, FRAME_LEAST):
-        x, y = best.split(",")
-        negated = [axis for axis, term in zip(AXES, (x, y), strict=True) if term.startswith("-")]
-        words = ["swapped"] * (x[-1] == "y") + [f"negated ({', '.join(negated)})"] * bool(negated)
+    if frames[best] > max(given + 0.1, FRAME_LEAST):
         message = (
-            f"axes {' and '.join(words)}: correlation with the force of a model fin {given:.2f} as they are, "
+            f"axes swapped or negated: correlation with the force of a model fin {given:.2f} as they are, "
             f"{frames[best]:.2f} as {best}"
         )
         fix = f"--force={compose_frames(log.config.force, best)}"
@@ -232,69 +205,53 @@ def check_force_offset(log: CheckedLog) -> Iterator[Issue]:
 
 def check_lags(statistics: Sequence[LogStatistics], config: ImportConfig) -> Iterator[Issue]:
     """Clocks that lie where no fin and drive put them, and clocks that differ between logs."""
-    for name, (least, most) in (("command", COMMAND_LAG_MS), ("force", FORCE_LAG_MS)):
-        lags = [(one.command_lag if name == "command" else one.force_lag, one.name) for one in statistics]
-        measured = [(lag.milliseconds, log) for lag, log in lags if lag is not None]
-        low, high, usual = (
-            least - LAG_TOLERANCE_MS,
-            most + LAG_TOLERANCE_MS,
-            np.median([lag for lag, _ in measured] or [0]),
-        )
-        far = [one for one in measured if abs(one[0] - usual) > LAG_SPREAD_MS[name]]
-        # A log is wrong where all are, or where it stands out; a rough one may show its lag badly.
-        wrong = [one for one in measured if not low <= one[0] <= high and (one in far or not low <= usual <= high)]
-        for lag, log in wrong:
+    for name, (least, most) in PLAUSIBLE_LAG_MS.items():
+        measured = [(lag, one.name) for one in statistics if (lag := getattr(one, f"{name}_lag_ms")) is not None]
+        # A lag is accurate to a tick.
+        low, high = least - 10.0, most + 10.0
+        usual = np.median([lag for lag, _ in measured] or [USUAL_LAG_MS])
+        for lag, log in measured:
+            is_far, is_plausible = abs(lag - usual) > LAG_SPREAD_MS[name], low <= lag <= high
+            # A log is wrong where all are, or where it stands out; a rough one may show its lag badly.
+            if not is_far and (is_plausible or low <= usual <= high):
+                continue
             first, second = ("the angle", "its command") if name == "command" else ("the force", "the angle")
             relation = f"follows {second} by {lag:.0f} ms" if lag >= 0 else f"is {-lag:.0f} ms ahead of {second}"
-            message = f"{first} {relation}; plausible are {least:.0f} to {most:.0f} ms: a clock is off"
+            beside = "" if len(measured) == 1 else f", {usual:.0f} ms in the median of {len(measured)} logs"
+            message = f"{first} {relation}{beside}; plausible are {least:.0f} to {most:.0f} ms: a clock is off"
             # A command that is stamped late makes the angle early, a force that is stamped late is late itself.
             late = lag - USUAL_LAG_MS if name == "force" else USUAL_LAG_MS - lag
-            late += config.command_lag_ms if name == "command" else config.force_lag_ms
+            late += getattr(config, f"{name}_lag_ms")
             fix = f"--{name}-lag {10 * round(late / 10):d} moves the {name} so that about {USUAL_LAG_MS:.0f} ms remain"
-            yield Issue("error", f"{name} lag", log, message, fix, LAGGING[name])
-        if others := [one for one in far if one not in wrong]:
-            lag, log = max(others, key=lambda one: abs(one[0] - usual))
-            message = f"the {name}'s lag is {lag:.0f} ms, where the median of {len(measured)} logs is {usual:.0f} ms"
-            fix = f"import these logs by themselves with --{name}-lag, or leave them out"
-            names = tuple(log for _, log in others)
-            yield Issue("warning", "lags differ", log, message, fix, LAGGING[name], logs=names)
+            column = "command_angle" if name == "command" else "force_x, force_y"
+            yield Issue("warning" if is_plausible else "error", f"{name} lag", log, message, fix, column)
 
 
-def check_coverage(logs: Sequence[NamedLog]) -> Iterator[Issue]:
-    """Commands of the training logs that leave much of their own range empty."""
-    commands = [one.log.command for one in logs if one.part == "train"]
-    pairs = [np.stack([command.angle, command.velocity], axis=1).astype(np.float64) for command in commands]
-    steps = [pair[1:][(np.diff(pair, axis=0) != 0).any(axis=1)] for pair in pairs]
-    if sum(map(len, steps)) < COVERED_STEPS:
-        return
-    angle, velocity = np.concatenate(steps).T
-    filled = float((np.histogram2d(angle, velocity, bins=6)[0] > 0).mean())
-    if filled < FEW_CELLS:
-        message = f"{filled:.0%} of the commands' range of angle and velocity, in 36 cells, has been commanded at all"
-        fix = "excite with random angles and velocities: softfin collect shows how"
-        yield Issue("warning", "coverage", "all logs", message, fix, "command_angle")
-
-
-def check_test_logs(logs: Sequence[NamedLog]) -> Iterator[Issue]:
-    """Recordings without test logs."""
+def check_dataset(logs: Sequence[NamedLog]) -> Iterator[Issue]:
+    """Recordings without test logs, and commands of the training logs that leave much of their own range empty."""
     if not any(one.part == "test" for one in logs):
         fix = "choose some: --test PATTERN; or put them into a folder test"
         yield Issue("note", "no test logs", "all logs", "no test logs", fix)
+    commands = [one.log.command for one in logs if one.part == "train"]
+    pairs = [np.stack([command.angle, command.velocity], axis=1).astype(np.float64) for command in commands]
+    steps = [pair[1:][(np.diff(pair, axis=0) != 0).any(axis=1)] for pair in pairs]
+    # Under 300 random commands hardly any of 36 cells stays empty.
+    if sum(map(len, steps)) < 300:
+        return
+    angle, velocity = np.concatenate(steps).T
+    filled = float((np.histogram2d(angle, velocity, bins=6)[0] > 0).mean())
+    if filled < 0.5:
+        message = f"{filled:.0%} of the commands' range of angle and velocity, in 36 cells, has been commanded at all"
+        fix = "excite with random angles and velocities: softfin collect shows how"
+        yield Issue("warning", "coverage", "all logs", message, fix, "command_angle")
 
 
 def _is_mirrored(found: LogStatistics) -> bool:
     return found.frames is not None and max(found.frames, key=found.frames.__getitem__) == "x,-y"
 
 
-LogCheck = Callable[[CheckedLog], Iterator[Issue]]
-
-CHANNEL_CHECKS: tuple[LogCheck, ...] = (
+LOG_CHECKS: tuple[Callable[[CheckedLog], Iterator[Issue]], ...] = (
     check_degrees, check_spikes, check_jumps, check_stuck, check_saturation, check_velocity, check_commanded_velocity,
+    check_following, check_force_axes, check_force_offset,
 )  # fmt: skip
-"""Checks of the channels of one log."""
-
-STATISTICS_CHECKS: tuple[LogCheck, ...] = (check_following, check_force_axes, check_force_offset)
-"""Checks of the statistics of one log; of logs that are too short by themselves, they see all together."""
-
-DATASET_CHECKS: tuple[Callable[[Sequence[NamedLog]], Iterator[Issue]], ...] = (check_coverage, check_test_logs)
-"""Checks of all logs beside one another."""
+"""Checks of one log."""

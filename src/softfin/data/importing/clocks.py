@@ -1,10 +1,11 @@
 """Conversion of a recording to logs at 100 Hz: rows without a valid time or value are left out, gaps split it.
 
-Time begins at 0. A piece on a steady 100 Hz clock passes unchanged otherwise; any other is
-resampled.
+Time begins at 0. A piece on a steady 100 Hz clock passes unchanged otherwise; in any other readings are interpolated,
+behind a low-pass where the source is faster, and commands are held.
 """
 
 import itertools
+from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Float
@@ -12,20 +13,23 @@ from jaxtyping import Float
 from softfin.core.errors import LogError
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Log, Reading
 from softfin.data.importing.importing import ImportConfig
-from softfin.data.importing.names import UNITS
 from softfin.data.importing.recording import Channels, NamedLog, Recording, Track
-from softfin.data.importing.resample import EARLY_S, held, interpolated
 from softfin.data.issues import Issue, counted
-from softfin.storage.log_file import RATE_TOLERANCE
+from softfin.storage.log_file import RATE_TOLERANCE, check_columns
 
-COMMANDS = ("command_angle", "command_velocity")
-
-RESTART_S = 1.0
-"""Step back of a clock that counts as a restart: another log begins [s]."""
+COMMANDS = {"command_angle", "command_velocity"}
 
 RATES_HZ = (5.0, 20_000.0)
 """Plausible rates; beyond them the unit of the time must be wrong."""
 
+CUTOFF_HZ = 40.0
+"""Frequency at which half of the amplitude is left: below the 50 Hz that 100 Hz can show, above all that a fin does."""
+
+KERNEL_S = 0.1
+"""Length of the filter [s]: 25 Hz pass and 56 Hz are gone."""
+
+EARLY_S = 1e-6
+"""Lateness at which a stamp is still on time [s]: clocks in double precision are no better."""
 
 Span = tuple[float, float]
 """Time from one gap to the next [s]."""
@@ -35,41 +39,35 @@ def logs_of(recording: Recording, config: ImportConfig) -> tuple[list[NamedLog],
     """Make the logs at 100 Hz of a recording; raises LogError where it has no usable clock."""
     logs: list[NamedLog] = []
     issues = list(recording.issues)
-    for run in _split_at_restarts(recording):
+    for name, run in _split_at_restarts(recording):
         # Time from the first row of any track on: on a Unix clock doubles are coarse.
-        starts = [
-            float(track.time[np.isfinite(track.time)][0]) for track in run.tracks if np.isfinite(track.time).any()
-        ]
-        start = min(starts, default=0.0)
+        times = [track.time[np.isfinite(track.time)] for track in run]
+        start = min((float(time[0]) for time in times if len(time)), default=0.0)
         tracks = []
-        for track in run.tracks:
-            valid, found = _valid_rows(track._replace(time=track.time - start), run, config)
-            issues += found
+        for track in run:
+            valid, found = _valid_rows(track._replace(time=track.time - start), name, config)
+            issues += [*found, *_check_rate(valid, name)]
             tracks += _shifted(valid, config)
-        spans, found = _split_at_gaps(tracks, run.name, config)
+        spans, found = _split_at_gaps(tracks, name, config)
         issues += found
         for number, span in enumerate(spans):
-            name = f"{run.name}, piece {number + 1} of {len(spans)}" if len(spans) > 1 else run.name
-            logs.append(NamedLog(name, run.part, _at_100_hz(tracks, span), start))
+            piece = f"{name}, piece {number + 1} of {len(spans)}" if len(spans) > 1 else name
+            logs.append(NamedLog(piece, recording.part, _at_100_hz(tracks, span), start))
     return logs, issues
 
 
-def _split_at_restarts(recording: Recording) -> list[Recording]:
-    """Split a table whose clock starts anew: it is several logs end to end."""
-    track = recording.tracks[0]
-    edges = [0, *(np.flatnonzero(np.diff(track.time) < -RESTART_S) + 1).tolist(), len(track.time)]
-    if len(recording.tracks) > 1 or len(edges) == 2:
-        return [recording]
-    return [
-        recording._replace(name=f"{recording.name} rows {a}..{b - 1}", tracks=(track.take(slice(a, b)),), issues=())
-        for a, b in itertools.pairwise(edges)
-    ]
+def _split_at_restarts(recording: Recording) -> list[tuple[str, tuple[Track, ...]]]:
+    """Split a table whose clock goes back by more than a second: it is several logs end to end."""
+    name, (track, *others) = recording.name, recording.tracks
+    edges = [0, *(np.flatnonzero(np.diff(track.time) < -1.0) + 1).tolist(), len(track.time)]
+    if others or len(edges) == 2:
+        return [(name, recording.tracks)]
+    return [(f"{name} rows {a}..{b - 1}", (track.take(slice(a, b)),)) for a, b in itertools.pairwise(edges)]
 
 
-def _valid_rows(track: Track, recording: Recording, config: ImportConfig) -> tuple[Track, list[Issue]]:
+def _valid_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, list[Issue]]:
     """Leave out rows that hold no value or whose time repeats or goes back."""
-    name, issues = recording.name, []
-    good = np.ones(len(track.time), bool)
+    issues, good = [], np.ones(len(track.time), bool)
     for channel, values in {"time": track.time, **track.channels}.items():
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
@@ -85,39 +83,33 @@ def _valid_rows(track: Track, recording: Recording, config: ImportConfig) -> tup
         raise LogError(f"{name}: {len(finite.time)} rows with a time and values; record it again")
     latest = np.maximum.accumulate(finite.time)
     forward = np.append(True, finite.time[1:] > latest[:-1])
-    if not forward.all():
-        first = int(np.flatnonzero(~forward)[0])
-        repeats, late = int((np.diff(finite.time) == 0).sum()), int((~forward).sum())
+    late = np.flatnonzero(~forward)
+    if late.size:
         message = (
-            f"time repeats in {repeats:,} and goes back in {late - repeats:,} of {len(forward):,} rows, "
-            f"first at {finite.time[first]:.4f} s after {latest[first]:.4f} s"
+            f"time repeats or goes back in {late.size:,} of {len(forward):,} rows, first at "
+            f"{finite.time[late[0]]:.4f} s after {latest[late[0]]:.4f} s"
         )
         fix = "sort by time and remove repeated rows; with errors ignored, rows not later than all before are left out"
-        row = int(np.flatnonzero(good)[first])
+        row = int(np.flatnonzero(good)[late[0]])
         issues.append(Issue("error", "repeated time", name, message, fix, "time", row))
-    valid = finite.take(forward)
-    return valid, issues + _rate(valid, name, recording.time_unit)
+    return finite.take(forward), issues
 
 
-def _rate(track: Track, name: str, time_unit: str) -> list[Issue]:
-    if not track.channels.keys() - set(COMMANDS):
-        return []
-    steps = np.diff(track.time)
-    rate = 1 / float(np.median(steps)) if len(steps) else 0.0
-    if not RATES_HZ[0] <= rate <= RATES_HZ[1]:
-        rates = {unit: rate * UNITS["time"][time_unit] / seconds for unit, seconds in UNITS["time"].items()}
-        fitting = [f"{unit} ({r:.4g} Hz)" for unit, r in rates.items() if RATES_HZ[0] <= r <= RATES_HZ[1]]
+def _check_rate(track: Track, name: str) -> Iterator[Issue]:
+    if track.channels.keys() <= COMMANDS:
+        return
+    step = float(np.median(np.diff(track.time)))
+    if not RATES_HZ[0] <= 1 / step <= RATES_HZ[1]:
         raise LogError(
-            f"{name}: column time: a row every {1 / rate if rate else 0:g} s ({rate:g} Hz) in {time_unit}; allowed are "
-            f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz; give its unit: --time-unit {' or '.join(fitting or rates)}"
+            f"{name}: column time: a row every {step:g} s ({1 / step:g} Hz); allowed are {RATES_HZ[0]:g} to "
+            f"{RATES_HZ[1]:g} Hz; is it in another unit? Then give it, as --time-unit ms"
         )
-    if rate < (1 - RATE_TOLERANCE) * RATE_HZ:
-        message = f"{rate:.1f} Hz, less than {RATE_HZ} Hz: rows between are interpolated"
-        return [Issue("warning", "slow rate", name, message, f"record at {RATE_HZ} Hz or faster", "time")]
-    if rate > (1 + RATE_TOLERANCE) * RATE_HZ:
-        message = f"from {rate:.1f} Hz to {RATE_HZ} Hz, behind a low-pass at 40 Hz"
-        return [Issue("note", "resampled", name, message, column="time")]
-    return []
+    if 1 / step < (1 - RATE_TOLERANCE) * RATE_HZ:
+        message = f"{1 / step:.1f} Hz, less than {RATE_HZ} Hz: rows between are interpolated"
+        yield Issue("warning", "slow rate", name, message, f"record at {RATE_HZ} Hz or faster", "time")
+    elif 1 / step > (1 + RATE_TOLERANCE) * RATE_HZ:
+        message = f"faster than {RATE_HZ} Hz: resampled behind a low-pass at {CUTOFF_HZ:g} Hz"
+        yield Issue("note", "resampled", name, message, column="time")
 
 
 def _shifted(track: Track, config: ImportConfig) -> list[Track]:
@@ -131,83 +123,64 @@ def _shifted(track: Track, config: ImportConfig) -> list[Track]:
 
 def _split_at_gaps(tracks: list[Track], name: str, config: ImportConfig) -> tuple[list[Span], list[Issue]]:
     """Find where all clocks have readings; only gaps in readings count, since a command holds until the next."""
-    reading = [track for track in tracks if track.channels.keys() - set(COMMANDS)]
+    reading = [track for track in tracks if not track.channels.keys() <= COMMANDS]
     begin = max(float(track.time[0]) for track in tracks)
     end = min(float(track.time[-1]) for track in reading)
     if end - begin < TICK_S:
-        times = "; ".join(
-            f"{'/'.join(track.channels)} {track.time[0]:.2f} .. {track.time[-1]:.2f} s" for track in tracks
-        )
-        raise LogError(f"{name}: no time in common: {times}; stamp all with one clock")
-    gaps = [gap for track in reading for gap in _gaps(track.time) if gap[1] > begin and gap[0] < end]
-    wide = sorted(gap for gap in gaps if gap[1] - gap[0] > config.gap_s + 1e-9)
-    narrow = [b - a for a, b, _ in gaps if b - a <= config.gap_s + 1e-9]
-    issues = []
-    if narrow:
-        message = f"{counted(len(narrow), 'gap')} of up to {1e3 * max(narrow):.0f} ms, bridged by interpolation"
-        issues.append(Issue("note", "short gaps", name, message, column="time"))
-    if wide:
-        a, b, row = wide[0]
-        message = (
-            f"{counted(len(wide), 'gap')} over {1e3 * config.gap_s:.0f} ms, the first of {b - a:.3f} s after "
-            f"{a:.2f} s; {sum(b - a for a, b, _ in wide):.2f} s are missing: the log is split there"
-        )
-        fix = f"record again if much is lost; --gap {1.01 * (b - a):.2g} would bridge the first"
-        issues.append(Issue("warning", "gap", name, message, fix, "time", row))
+        times = (f"{'/'.join(track.channels)} {track.time[0]:.2f} .. {track.time[-1]:.2f} s" for track in tracks)
+        raise LogError(f"{name}: no time in common: {'; '.join(times)}; stamp all with one clock")
+    gaps = []
+    for time in (track.time for track in reading):
+        steps = np.diff(time)
+        rows = np.flatnonzero(steps > max(1.5 * TICK_S, 1.5 * float(np.median(steps)), config.gap_s + 1e-9))
+        gaps += [(float(time[k]), float(time[k + 1]), int(k)) for k in rows if time[k + 1] > begin and time[k] < end]
+    if not gaps:
+        return [(begin, end)], []
     spans, edge = list[Span](), begin
-    for a, b, _ in wide:
+    for a, b, _ in sorted(gaps):
         spans.append((edge, a))
         edge = max(edge, b)
     spans.append((edge, end))
-    kept = [(a, b) for a, b in spans if len(spans) == 1 or b - a >= config.shortest_s]
-    dropped = [b - a for a, b in spans if (a, b) not in kept and b > a]
+    kept = [(a, b) for a, b in spans if b - a >= config.shortest_s]
+    dropped = [b - a for a, b in spans if 0 < b - a < config.shortest_s]
+    a, b, row = min(gaps)
+    message = (
+        f"{counted(len(gaps), 'gap')} over {1e3 * config.gap_s:.0f} ms, the first of {b - a:.3f} s after {a:.2f} s; "
+        f"{sum(b - a for a, b, _ in gaps):.2f} s are missing: the log is split there"
+    )
+    fix = f"record again if much is lost; --gap {1.01 * (b - a):.2g} would bridge the first"
     if dropped:
-        message = (
-            f"{counted(len(dropped), 'piece')} between gaps, shorter than {config.shortest_s:g} s, left out: "
+        message += (
+            f"; {counted(len(dropped), 'piece')} between gaps, shorter than {config.shortest_s:g} s, left out: "
             f"{sum(dropped):.2f} s in all"
         )
-        issues.append(Issue("warning", "short piece", name, message, "--shortest 1 would keep more"))
-    return kept, issues
-
-
-def _gaps(time: Float[np.ndarray, "rows"]) -> list[tuple[float, float, int]]:
-    """Find steps longer than the usual one, and than 15 ms: their beginning, end, and the row before."""
-    steps = np.diff(time)
-    usual = float(np.median(steps)) if len(steps) else TICK_S
-    rows = np.flatnonzero(steps > 1.5 * max(TICK_S, usual))
-    return [(float(time[row]), float(time[row + 1]), int(row)) for row in rows]
+        fix += "; --shortest 1 would keep more"
+    return kept, [Issue("warning", "gap", name, message, fix, "time", row)]
 
 
 def _at_100_hz(tracks: list[Track], span: Span) -> Log:
     columns = _unchanged(tracks, span) or _resampled(tracks, span)
     if "velocity" not in columns:
-        columns["velocity"] = (
-            np.gradient(columns["angle"], TICK_S) if len(columns["angle"]) > 1 else columns["angle"] * 0
-        )
+        columns["velocity"] = np.gradient(columns["angle"], TICK_S)
     single = {name: values.astype(np.float32) for name, values in columns.items()}
     force = np.stack([single["force_x"], single["force_y"]], axis=1)
     reading = Reading(columns["time"], single["angle"], single["velocity"], force)
     return Log(Command(single["command_angle"], single["command_velocity"]), reading)
 
 
-def _unchanged(tracks: list[Track], span: Span) -> dict[str, Float[np.ndarray, "rows"]] | None:
-    """Take the rows themselves, where they share one steady clock of 100 Hz."""
-    if len(tracks) > 1:
+def _unchanged(tracks: list[Track], span: Span) -> Channels | None:
+    """Take the rows themselves, where they share one clock that a log may have."""
+    time, channels = tracks[0].take((tracks[0].time >= span[0]) & (tracks[0].time <= span[1]))
+    try:
+        check_columns({"time_s": time}, "")
+    except LogError:
         return None
-    track = tracks[0]
-    rows = slice(int(np.searchsorted(track.time, span[0])), int(np.searchsorted(track.time, span[1], "right")))
-    time, channels = track.take(rows)
-    steps = np.diff(time)
-    even = len(steps) > 0 and bool((np.abs(steps - TICK_S) <= 0.5 * TICK_S).all())
-    # As `read_log`: a handful of rows on a clock with jitter does not show a rate.
-    is_100_hz = len(steps) < RATE_HZ or abs(len(steps) / float(time[-1] - time[0]) / RATE_HZ - 1) <= RATE_TOLERANCE
-    return {"time": time, **channels} if even and is_100_hz else None
+    return {"time": time, **channels} if len(tracks) == 1 else None
 
 
-def _resampled(tracks: list[Track], span: Span) -> dict[str, Float[np.ndarray, "ticks"]]:
+def _resampled(tracks: list[Track], span: Span) -> Channels:
     start, end = span
-    count = int((end - start + EARLY_S) * RATE_HZ) + 1
-    grid = start + np.arange(count) / RATE_HZ
+    grid = start + np.arange(int((end - start + EARLY_S) * RATE_HZ) + 1) / RATE_HZ
     columns = {"time": grid}
     for track in tracks:
         # The low-pass must see nothing from beyond a gap: from the last row by the start to the first from its
@@ -221,3 +194,31 @@ def _resampled(tracks: list[Track], span: Span) -> dict[str, Float[np.ndarray, "
                 else interpolated(within.time, within.channels[name], grid)
             )
     return columns
+
+
+def interpolated(
+    time: Float[np.ndarray, "rows"], values: Float[np.ndarray, "rows"], grid: Float[np.ndarray, "ticks"]
+) -> Float[np.ndarray, "ticks"]:
+    """Interpolate a reading at other times; `time` rises strictly.
+
+    The low-pass before a faster source is a windowed sinc, which delays nothing; at the ends it sees what there is.
+    """
+    step = float(np.median(np.diff(time))) if len(time) > 1 else TICK_S
+    if step < 0.67 * TICK_S:
+        even = np.linspace(time[0], time[-1], max(2, round((time[-1] - time[0]) / step) + 1))
+        values = np.interp(even, time, values)
+        half = round(KERNEL_S / 2 / step)
+        offset = np.arange(-half, half + 1) * step
+        kernel = np.sinc(2 * CUTOFF_HZ * offset) * np.cos(np.pi * offset / (KERNEL_S + 2 * step)) ** 2
+        if len(values) < len(kernel):
+            return np.full_like(grid, values.mean())
+        weight = np.convolve(np.ones_like(values), kernel, "same")
+        time, values = even, np.convolve(values, kernel, "same") / weight
+    return np.asarray(np.interp(grid, time, values))
+
+
+def held(
+    time: Float[np.ndarray, "rows"], values: Float[np.ndarray, "rows"], grid: Float[np.ndarray, "ticks"]
+) -> Float[np.ndarray, "ticks"]:
+    """Take the last value issued by each time; none of `grid` lies before the first."""
+    return np.asarray(values[np.searchsorted(time, grid + EARLY_S, side="right") - 1])

@@ -1,26 +1,24 @@
 """Options of `open_logs`: which column is which, units, signs, clocks of recordings that somebody else made."""
 
 import csv
-import difflib
 import itertools
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import pydantic
 
 from softfin.core.choices import ForceUnit, TimeUnit
 from softfin.core.configuration import Configuration
-from softfin.data.importing.names import KINDS, UNITS
-
-CHANNELS = ("time", "command_angle", "command_velocity", "angle", "velocity", "force_x", "force_y")
-"""Channels of a log. A recording may lack the velocity, and time and commanded velocity where an option gives them."""
+from softfin.data.importing.names import KINDS, UNITS, Channel
 
 NO_COLUMN = "-"
 """Given as a column's name where the file has none for this channel, whatever its names look like."""
 
-ANGLES = ("command_angle", "command_velocity", "angle", "velocity")
+AngleChannel = Literal["command_angle", "command_velocity", "angle", "velocity"]
+
+ANGLES: tuple[AngleChannel, ...] = get_args(AngleChannel)
 """Channels that may be in degrees, or of the wrong sign."""
 
-TOPICS = ("command", "joint", "wrench")
+Topic = Literal["command", "joint", "wrench"]
 
 FORCE_FRAMES = tuple(
     f"{sx}{x},{sy}{y}" for (x, y), sx, sy in itertools.product((("x", "y"), ("y", "x")), ("", "-"), ("", "-"))
@@ -31,10 +29,10 @@ FORCE_FRAMES = tuple(
 class ImportConfig(Configuration):
     """How recordings are read; the defaults suit softfin's own logs."""
 
-    columns: dict[str, str] = pydantic.Field(default_factory=dict)
+    columns: dict[Channel, str] = pydantic.Field(default_factory=dict)
     """Name of each channel's column, as ``angle=position,force_x=Fx``, or ``-`` for none; columns whose names are
     understood need no such pair."""
-    topics: dict[str, str] = pydantic.Field(default_factory=dict)
+    topics: dict[Topic, str] = pydantic.Field(default_factory=dict)
     """Topics of a ROS 2 bag: command, joint, wrench; by default /fin/command, /fin/joint_states, /fin/wrench. A joint
     among several is named behind a colon, as ``joint=/joint_states:fin``."""
     rate_hz: float | None = pydantic.Field(default=None, gt=0)
@@ -43,14 +41,14 @@ class ImportConfig(Configuration):
     """Velocity of all commands [rad/s], where no column holds it."""
     time_unit: TimeUnit | None = None
     """Unit of the column of time; by default the one in its name, else s."""
-    angles: dict[str, str] = pydantic.Field(default_factory=dict)
+    angles: dict[AngleChannel, str] = pydantic.Field(default_factory=dict)
     """Unit of the angle's channels, as ``deg`` for all or ``command_angle=deg,command_velocity=rpm``; by default
     the ones in their names, else rad. For a velocity, deg means deg/s."""
     force_unit: ForceUnit | None = None
     """Unit of both columns of force; by default the one in their names, else N."""
     force: Literal[FORCE_FRAMES] = "x,y"  # type: ignore[valid-type]
     """Axes of the recording that are +x (thrust that pushes the robot forward) and +y: ``y,-x``."""
-    negate: tuple[str, ...] = ()
+    negate: tuple[AngleChannel, ...] = ()
     """Angle channels of the wrong sign, as ``command_angle``; the velocity goes with its angle where it has a sign."""
     command_lag_ms: float = pydantic.Field(default=0.0, ge=-1000, le=1000)
     """Time by which the commands were stamped later than the angle [ms]; they are moved earlier by it."""
@@ -71,41 +69,39 @@ class ImportConfig(Configuration):
     def _parsed(cls, value: Any, info: Any) -> Any:
         if not isinstance(value, str):
             return value
-        if info.field_name == "negate":
-            return tuple(name.strip() for name in value.split(",") if name.strip())
         if info.field_name == "angles" and "=" not in value:
             return dict.fromkeys(ANGLES, value)
-        return _pairs(value)
+        # As in a CSV file, a pair with a comma of its own stands in quotes.
+        parts = [part.strip() for part in next(csv.reader([value], skipinitialspace=True), []) if part.strip()]
+        if info.field_name == "negate":
+            return tuple(parts)
+        pairs = [part.partition("=") for part in parts]
+        for name, _, text in pairs:
+            if not text.strip():
+                raise ValueError(f"{name.strip()!r} has no value; write NAME=VALUE,NAME=VALUE")
+        return {name.strip(): text.strip() for name, _, text in pairs}
 
-    @pydantic.field_validator("columns", "topics", "angles", "negate")
+    @pydantic.field_validator("angles")
     @classmethod
-    def _allowed(cls, value: Any, info: Any) -> Any:
-        allowed = {"columns": CHANNELS, "topics": TOPICS}.get(info.field_name or "", ANGLES)
-        for name in value:
-            if name not in allowed:
-                near = difflib.get_close_matches(name, allowed, n=1)
-                hint = f"did you mean {near[0]!r}?" if near else f"allowed are {', '.join(allowed)}"
-                raise ValueError(f"{name!r} is not known; {hint}")
-            units = [*UNITS["angle"], *(UNITS["velocity"] if KINDS.get(name) == "velocity" else ())]
-            if info.field_name == "angles" and value[name] not in units:
+    def _in_known_units(cls, value: dict[AngleChannel, str]) -> dict[AngleChannel, str]:
+        for channel, unit in value.items():
+            units = [*UNITS["angle"], *(UNITS["velocity"] if KINDS[channel] == "velocity" else ())]
+            if unit not in units:
                 raise ValueError(
-                    f"{value[name]!r} is not a unit of angles; allowed are {', '.join(units)}, or of each, as "
+                    f"{unit!r} is not a unit of angles; allowed are {', '.join(units)}, or of each, as "
                     "angle=deg,velocity=rpm"
                 )
         return value
 
 
+def turned(x: Any, y: Any, frame: str) -> list[Any]:
+    """Take a force in another frame: its +x and +y."""
+    source = {"x": x, "y": y, "-x": -x, "-y": -y}
+    return [source[term] for term in frame.split(",")]
+
+
 def compose_frames(given: str, then: str) -> str:
     """Frame of force that does what two frames do, one after the other."""
-    terms = {"x": given.split(",")[0], "y": given.split(",")[1]}
-    signed = [("-" if term.startswith("-") else "", terms[term[-1]]) for term in then.split(",")]
-    return ",".join((sign + term).replace("--", "") for sign, term in signed)
-
-
-def _pairs(text: str) -> dict[str, str]:
-    # As in a CSV file, a pair with a comma of its own stands in quotes.
-    pairs = [pair.partition("=") for pair in next(csv.reader([text], skipinitialspace=True), []) if pair.strip()]
-    for name, sign, value in pairs:
-        if not sign or not value.strip():
-            raise ValueError(f"{name.strip()!r} has no value; write NAME=VALUE,NAME=VALUE")
-    return {name.strip(): value.strip() for name, _, value in pairs}
+    x, y = turned(1, 2, given)
+    both = turned(x, y, then)
+    return next(frame for frame in FORCE_FRAMES if turned(1, 2, frame) == both)

@@ -6,17 +6,14 @@ count: ``cmd angle [deg]``, ``CmdAngle_deg`` and ``COMMAND-ANGLE (deg)`` are the
 
 import math
 import re
-from typing import NamedTuple
+from typing import Literal, get_args
 
-KINDS = {
-    "time": "time",
-    "command_angle": "angle",
-    "command_velocity": "velocity",
-    "angle": "angle",
-    "velocity": "velocity",
-    "force_x": "force",
-    "force_y": "force",
-}
+Channel = Literal["time", "command_angle", "command_velocity", "angle", "velocity", "force_x", "force_y"]
+
+CHANNELS: tuple[str, ...] = get_args(Channel)
+"""Channels of a log. A recording may lack the velocity, and time and commanded velocity where an option gives them."""
+
+KINDS: dict[str, str] = {channel: re.sub("command_|_x|_y", "", channel) for channel in CHANNELS}
 """Physical quantity of each channel."""
 
 UNITS: dict[str, dict[str, float]] = {
@@ -45,9 +42,7 @@ SPELLINGS = {
     "N": "n newton newtons",
     "mN": "mn millinewton millinewtons",
     "kN": "kn kilonewton kilonewtons",
-    "gf": "gf",
-    "kgf": "kgf",
-    "lbf": "lbf",
+    **{unit: unit for unit in ("gf", "kgf", "lbf")},
 }
 """Ways to write each unit, in lower case; those of a velocity are an angle's, a slash and a second's."""
 
@@ -79,8 +74,6 @@ NEUTRAL_WORDS = {
 
 _PHRASES = {tuple(sorted(phrase.split())): channel for channel, some in PHRASES.items() for phrase in some}
 
-_BRACKETS = re.compile(r"[\[({<]([^\])}>]*)[\])}>]")
-
 
 def _spellings(kind: str) -> dict[str, str]:
     spelled = {text: unit for unit, texts in SPELLINGS.items() if unit in UNITS[kind] for text in texts.split()}
@@ -96,74 +89,38 @@ SPELLED = {kind: _spellings(kind) for kind in UNITS}
 """Unit of each way to write one, in lower case, by quantity."""
 
 
-class ColumnName(NamedTuple):
-    """What a name states."""
-
-    channel: str
-    unit: str | None
-    """None where the name has none."""
-
-
-def read_name(name: str) -> ColumnName | None:
-    """Find the channel and unit of a name; None unless every word of it is understood."""
+def read_name(name: str) -> tuple[str, str | None] | None:
+    """Find the channel of a name, and its unit or None; None for both unless every word of it is understood."""
     for kind in UNITS:
-        words, unit = _split(name, kind)
-        channel = _channel(words, kind, unit)
-        if channel is not None:
-            return ColumnName(channel, unit)
+        words, unit = split_unit(name, kind)
+        commanded = COMMAND_WORDS.intersection(words)
+        core = tuple(sorted(word for word in words if word not in COMMAND_WORDS | NEUTRAL_WORDS))
+        channel = _PHRASES.get(core)
+        if not core and commanded - {"ref", "reference"} and (kind == "angle" or (kind == "velocity" and unit)):
+            channel = kind
+        # Milliseconds are a time without any other word, but "min" is more often something else.
+        if not words and kind == "time" and unit in ("s", "ms", "us", "ns"):
+            channel = "time"
+        if channel in ("angle", "velocity") and commanded:
+            channel = f"command_{channel}"
+        elif commanded and channel != "command_velocity":
+            channel = None
+        if channel is not None and KINDS[channel] == kind:
+            return channel, unit
     return None
 
 
-def unit_in(name: str, kind: str) -> str | None:
-    """Find the unit of a quantity in a name; None where there is none."""
-    return _split(name, kind)[1]
-
-
-def _channel(words: list[str], kind: str, unit: str | None) -> str | None:
-    core = tuple(sorted(word for word in words if word not in COMMAND_WORDS | NEUTRAL_WORDS))
-    commanded = COMMAND_WORDS.intersection(words)
-    channel = _PHRASES.get(core)
-    if not core and commanded - {"ref", "reference"} and (kind == "angle" or (kind == "velocity" and unit is not None)):
-        channel = kind
-    # Milliseconds are a time without any other word, but "s", "n" and "min" are more often something else.
-    if not words and kind == "time" and unit in ("s", "ms", "us", "ns"):
-        channel = "time"
-    if channel in ("angle", "velocity") and commanded:
-        channel = f"command_{channel}"
-    elif commanded and channel != "command_velocity":
-        return None
-    return channel if channel is not None and KINDS[channel] == kind else None
-
-
-def _split(name: str, kind: str) -> tuple[list[str], str | None]:
-    """Split a name into its words, without its unit, and the unit, in brackets or at the end."""
-    unit, inside = None, []
-    for text in _BRACKETS.findall(name):
-        if unit is None and _normalised(text) in SPELLED[kind]:
-            unit = SPELLED[kind][_normalised(text)]
-        else:
-            # "(t)" as in "angle(t)" only states that it is a function of time.
-            inside += [word for word in _words(text) or text.split() if word != "t"]
-    outside = _words(_BRACKETS.sub(" ", name))
-    if unit is None:
-        for start in range(max(len(outside) - 3, 0), len(outside)):
-            ending = [word for word in outside[start:] if word != "per"]
-            if "/".join(ending) in SPELLED[kind] and (start > 0 or inside or len(ending[0]) > 1):
-                return outside[:start] + inside, SPELLED[kind]["/".join(ending)]
-    return outside + inside, unit
-
-
-def _normalised(text: str) -> str:
-    """Write a unit as `SPELLED` does: ``Rad s^-1``, ``rad per sec`` become ``rad/s``, ``rad/sec``."""
-    plain = re.sub(r"(?<=[\s.·*_])s(\^|\*\*)?(-1|⁻¹)$", "s", _lower(text).strip())
-    return "/".join(part for part in re.split(r"[\s/_.·*-]+", plain) if part != "per")
-
-
-def _words(text: str) -> list[str]:
-    """Words in lower case: parted by anything but letters, and where capitals begin, but not within mN."""
-    parted = re.sub(r"(?<=[^\W\d_A-Z]{2})(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", text)
-    return re.findall(r"[^\W\d_]+|\d+|°", _lower(parted))
-
-
-def _lower(text: str) -> str:
-    return text.lower().replace("µ", "u").replace("μ", "u")
+def split_unit(name: str, kind: str) -> tuple[list[str], str | None]:
+    """Split a name into its words in lower case, and the unit of a quantity in which it ends, or None."""
+    # "(t)" only states that it is a function of time; a second to the power of -1 is one below a slash.
+    plain = re.sub(r"\(t\)|(?<=[\s.·*_]s)(\^|\*\*)?(-1|⁻¹)", " ", name, flags=re.IGNORECASE)
+    # Words are parted by anything but letters, and where capitals begin, but not within mN.
+    parted = re.sub(r"(?<=[^\W\d_A-Z]{2})(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", plain)
+    lower = parted.lower().replace("µ", "u").replace("μ", "u")
+    words = re.findall(r"[^\W\d_]+|\d+|[°%]|-(?=[\])}>])", lower)
+    for start in range(max(len(words) - 3, 0), len(words)):
+        ending = [word for word in words[start:] if word != "per"]
+        # A lone letter is a name.
+        if "/".join(ending) in SPELLED[kind] and (start > 0 or len(ending[0]) > 1):
+            return words[:start], SPELLED[kind]["/".join(ending)]
+    return words, None

@@ -35,8 +35,6 @@ class Recording(NamedTuple):
     tracks: tuple[Track, ...]
     issues: tuple[Issue, ...] = ()
     """Issues that were met in reading it."""
-    time_unit: str = "s"
-    """Unit in which its clock was read; the tracks' times are in seconds."""
 
 
 class NamedLog(NamedTuple):

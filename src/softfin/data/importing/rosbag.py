@@ -3,7 +3,6 @@
 A message's own stamp counts where every message of the topic has one, else the time at which it was logged.
 """
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,17 +12,19 @@ from rosbags.rosbag2 import Reader
 from softfin.core.errors import LogError
 from softfin.core.printable import printable
 from softfin.data.importing.columns import converted
-from softfin.data.importing.importing import TOPICS, ImportConfig
+from softfin.data.importing.importing import ImportConfig, Topic
 from softfin.data.importing.recording import Part, Recording, Track
 from softfin.data.importing.tables import derived_velocity
-from softfin.data.issues import Issue
-from softfin.storage.bag.messages import DEFAULT_TOPICS, type_store
+from softfin.data.issues import Issue, Severity
+from softfin.storage.bag.messages import DEFAULT_TOPICS, JOINT_STATE, WRENCH_STAMPED, type_store
 from softfin.storage.bag.records import check_bag
 
-TYPES = {
-    "command": ("sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"),
-    "joint": ("sensor_msgs/msg/JointState",),
-    "wrench": ("geometry_msgs/msg/WrenchStamped", "geometry_msgs/msg/Wrench"),
+ARRAY = "std_msgs/msg/Float64MultiArray"
+
+TYPES: dict[Topic, tuple[str, ...]] = {
+    "command": (JOINT_STATE, ARRAY),
+    "joint": (JOINT_STATE,),
+    "wrench": (WRENCH_STAMPED, "geometry_msgs/msg/Wrench"),
 }
 
 CHANNELS = {
@@ -35,31 +36,18 @@ CHANNELS = {
 LISTED = 12
 """Most topics that a message lists."""
 
-Values = Callable[[Any], tuple[float, float]]
-
 
 def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recording:
     """Read one bag; raises LogError where it is damaged, lacks a topic, or a topic has messages of another type."""
     try:
-        for file in [path] if not path.is_dir() else sorted(path.iterdir()):
-            if file.suffix == ".mcap":
-                check_bag(file)
+        for file in [path] if not path.is_dir() else sorted(path.glob("*.mcap")):
+            check_bag(file)
         with Reader(path) as reader:
             tracks, issues = [], []
-            for role, (topic, joint) in _choose_topics(reader, config, path).items():
-                track, found = _read_topic(reader, role, topic, joint, f"{path}: {topic}", name)
-                channels = converted(track.channels, config)
+            for role in TYPES:
+                track, found = _read_topic(reader, role, config, path, name)
+                tracks.append(track)
                 issues += found
-                if role == "command" and "command_velocity" not in channels:
-                    if config.velocity_rad_s is None:
-                        raise LogError(
-                            f"{path}: {topic}: no velocity in the commands; --velocity 3.1 takes its place, "
-                            "if all had that one [rad/s]"
-                        )
-                    channels["command_velocity"] = np.full(len(track.time), config.velocity_rad_s)
-                    text = f"{topic}: no velocity: {config.velocity_rad_s:g} rad/s throughout, by --velocity"
-                    issues.append(Issue("note", "columns", name, text, group=text))
-                tracks.append(Track(track.time, channels))
     except LogError:
         raise
     except Exception as error:
@@ -79,29 +67,18 @@ def _plain(text: str) -> str:
     return printable(text, most=500)
 
 
-def _choose_topics(reader: Reader, config: ImportConfig, path: Path) -> dict[str, tuple[str, str]]:
-    """Find the topic of each role, and the joint's name or ""."""
+def _read_topic(reader: Reader, role: Topic, config: ImportConfig, path: Path, name: str) -> tuple[Track, list[Issue]]:
+    topic, _, joint = config.topics.get(role, DEFAULT_TOPICS[role]).partition(":")
     there = {connection.topic: connection.msgtype for connection in reader.connections}
-    listed = _plain(", ".join(f"{topic} ({kind})" for topic, kind in sorted(there.items())[:LISTED])) or "no topics"
-    chosen = {}
-    for role in TOPICS:
-        topic, _, joint = config.topics.get(role, DEFAULT_TOPICS[role]).partition(":")
-        if topic not in there:
-            fitting = [name for name, kind in there.items() if kind in TYPES[role]]
-            hint = f"--topics {role}={_plain(fitting[0]) if len(fitting) == 1 else 'TOPIC'}"
-            raise LogError(f"{path}: no topic {topic} for the {role}; it has {listed}; name it: {hint}")
-        if there[topic] not in TYPES[role]:
-            raise LogError(f"{path}: {topic} is {_plain(there[topic])}; a {role} must be {' or '.join(TYPES[role])}")
-        chosen[role] = (topic, joint)
-    return chosen
-
-
-def _read_topic(reader: Reader, role: str, topic: str, joint: str, where: str, name: str) -> tuple[Track, list[Issue]]:
     connections = [connection for connection in reader.connections if connection.topic == topic]
-    kind = connections[0].msgtype
-    if any(connection.msgtype != kind for connection in connections):
-        raise LogError(f"{where}: messages of several types; record one type on each topic")
-    values_of = _values(kind, joint, where)
+    where, kind = f"{path}: {topic}", there.get(topic, "")
+    if not connections:
+        listed = _plain(", ".join(f"{topic} ({kind})" for topic, kind in sorted(there.items())[:LISTED])) or "no topics"
+        fitting = [other for other, kind in there.items() if kind in TYPES[role]]
+        hint = f"--topics {role}={_plain(fitting[0]) if len(fitting) == 1 else 'TOPIC'}"
+        raise LogError(f"{path}: no topic {topic} for the {role}; it has {listed}; name it: {hint}")
+    if kind not in TYPES[role] or any(connection.msgtype != kind for connection in connections):
+        raise LogError(f"{where} is {_plain(kind)}; a {role} must be {' or '.join(TYPES[role])}, all of one type")
     logged, stamped, rows = [], [], []
     for _, stamp, data in reader.messages(connections):
         # ROS 2's own definitions, not the bag's: the reader makes code of definitions, and a bag is anybody's.
@@ -109,35 +86,41 @@ def _read_topic(reader: Reader, role: str, topic: str, joint: str, where: str, n
         header = getattr(message, "header", None)
         logged.append(stamp)
         stamped.append(0 if header is None else header.stamp.sec * 10**9 + header.stamp.nanosec)
-        rows.append(values_of(message))
+        rows.append(_values(message, kind, joint, where))
     if not rows:
         raise LogError(f"{where}: no messages; record the {role} too")
     issues = []
     if not (all(stamped) or stamped == logged):
         text = f"{topic}: {stamped.count(0):,} of {len(stamped):,} messages have no stamp: the time of logging counts"
         fix = "stamp each message where it is measured: logging adds a delay that varies"
-        severity: Any = "note" if "Stamped" not in kind and "JointState" not in kind else "warning"
+        severity: Severity = "warning" if kind in (JOINT_STATE, WRENCH_STAMPED) else "note"
         issues.append(Issue(severity, "no stamps", name, text, fix, role))
         stamped = logged
     # Nanoseconds since 1970 as integers first: in double precision they are exact to a quarter of a microsecond.
     time, pairs = np.array(stamped, np.int64) / 1e9, np.array(rows, np.float64)
     # What a log cannot hold counts as a missing value, which is reported later.
     pairs[np.abs(pairs) > np.finfo(np.float32).max] = np.inf
-    channels = {channel: pairs[:, i] for i, channel in enumerate(CHANNELS[role])}
+    first, second = CHANNELS[role]
+    channels = converted({first: pairs[:, 0], second: pairs[:, 1]}, config)
     if role != "wrench" and np.isnan(pairs[:, 1]).all():
-        del channels[CHANNELS[role][1]]
+        del channels[second]
+    if role == "command" and second not in channels:
+        if config.velocity_rad_s is None:
+            way_out = "--velocity 3.1 takes its place, if all had that one [rad/s]"
+            raise LogError(f"{where}: no velocity in the commands; {way_out}")
+        channels[second] = np.full(len(time), config.velocity_rad_s)
+        text = f"{topic}: no velocity: {config.velocity_rad_s:g} rad/s throughout, by --velocity"
+        issues.append(Issue("note", "columns", name, text))
     return Track(time, channels), issues
 
 
-def _values(kind: str, joint: str, where: str) -> Values:
-    """Function that takes the two values of a role from a message of this type."""
-
-    def of_array(message: Any) -> tuple[float, float]:
+def _values(message: Any, kind: str, joint: str, where: str) -> tuple[float, float]:
+    """Angle and velocity, or force x and y."""
+    if kind == ARRAY:
         if len(message.data) != 2:
             raise LogError(f"{where}: an array of {len(message.data)} numbers; a command is [angle, velocity]")
         return float(message.data[0]), float(message.data[1])
-
-    def of_joint(message: Any) -> tuple[float, float]:
+    if kind == JOINT_STATE:
         names = list(message.name)
         if joint not in names and (joint or len(message.position) != 1):
             listed = _plain(", ".join(names[:LISTED])) or f"{len(message.position)} without names"
@@ -145,9 +128,5 @@ def _values(kind: str, joint: str, where: str) -> Values:
         index = names.index(joint) if joint in names else 0
         velocity = float(message.velocity[index]) if len(message.velocity) > index else float("nan")
         return float(message.position[index]), velocity
-
-    def of_wrench(message: Any) -> tuple[float, float]:
-        force = getattr(message, "wrench", message).force
-        return float(force.x), float(force.y)
-
-    return of_array if "Array" in kind else of_joint if "JointState" in kind else of_wrench
+    force = getattr(message, "wrench", message).force
+    return float(force.x), float(force.y)

@@ -1,6 +1,7 @@
 """Tables on disk, CSV or Parquet with any column names: files in, recordings out."""
 
 import csv
+import re
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +17,6 @@ from softfin.data.issues import Issue
 from softfin.storage.log_file import read_parquet
 from softfin.storage.paths import CSV
 
-EMPTY = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", "None", "-"]
-"""Cells of a CSV file that hold no value."""
-
 
 def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[Recording]:
     """Read the logs of one file; raises LogError for a file that is not such a table or lacks a channel."""
@@ -27,8 +25,7 @@ def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[
         found = choose_columns(names, config, str(path))
         table = _read_csv(path, names, delimiter, [column.name for column in found.values()])
     else:
-        table = read_parquet(path)
-        names = table.schema.names
+        names = (table := read_parquet(path)).schema.names
         found = choose_columns(names, config, str(path))
     rows = table.num_rows
     if not rows:
@@ -38,41 +35,35 @@ def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[
     time = values.pop("time") if "time" in found else np.arange(rows) / (config.rate_hz or 1)
     if "command_velocity" not in values and config.velocity_rad_s is not None:
         values["command_velocity"] = np.full(rows, config.velocity_rad_s)
-    whole = Track(time, values)
-    issues = tuple(_notes(name, names, found, config))
-    time_unit = found["time"].unit if "time" in found else "s"
-    length = config.rows_per_log or rows
-    if length >= rows:
-        return [Recording(name, part, (whole,), issues, time_unit)]
+    whole, issues, length = Track(time, values), tuple(_notes(name, names, found, config)), config.rows_per_log or rows
     return [
         Recording(
-            f"{name} rows {start}..{min(start + length, rows) - 1}", part, (whole.take(slice(start, start + length)),),
-            () if start else issues, time_unit,
+            f"{name} rows {start}..{min(start + length, rows) - 1}" if length < rows else name,
+            part,
+            (whole.take(slice(start, start + length)),),
+            () if start else issues,
         )
         for start in range(0, rows, length)
-    ]  # fmt: skip
+    ]
 
 
 def _notes(name: str, names: list[str], found: dict[str, Column], config: ImportConfig) -> list[Issue]:
-    """Which column was taken for what, in which unit and why, wherever softfin's own names do not state it."""
+    """Which column was taken for what and in which unit, wherever softfin's own names do not state it."""
     texts = [describe_columns(found)]
     fix = "if that is wrong: --columns CHANNEL=NAME (- for none), --angles, --force-unit, --time-unit" * bool(texts[0])
-    for channel, value, option in (
-        ("command_velocity", config.velocity_rad_s, "--velocity"), ("time", config.rate_hz, "--rate"),
-    ):  # fmt: skip
+    options = {"command_velocity": (config.velocity_rad_s, "--velocity"), "time": (config.rate_hz, "--rate")}
+    for channel, (value, option) in options.items():
         if value is not None and channel in found:
             texts.append(f"{option} {value:g} not used: {found[channel].name!r} holds it")
     if config.velocity_rad_s is not None and "command_velocity" not in found:
         texts.append(f"command_velocity = {config.velocity_rad_s:g} rad/s throughout, by --velocity")
     text = "; ".join(filter(None, texts))
-    notes = [Issue("note", "columns", name, text, fix, group=text)] if text else []
+    notes = [Issue("note", "columns", name, text, fix)] if text else []
     read = {column.name for column in found.values()}
     if unused := [column for column in names if column not in read]:
         text = f"columns that were not read: {', '.join(map(repr, unused[:12]))}"
-        notes.append(Issue("note", "unread columns", name, text, group=repr(unused)))
-    if "velocity" not in found:
-        notes.append(derived_velocity(name))
-    return notes
+        notes.append(Issue("note", "unread columns", name, text))
+    return notes if "velocity" in found else [*notes, derived_velocity(name)]
 
 
 def derived_velocity(name: str) -> Issue:
@@ -86,28 +77,17 @@ def _read_header(path: Path) -> tuple[list[str], str]:
     try:
         with path.open(encoding="utf-8-sig") as file:
             line = file.readline()
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read ({error.strerror or error}); give a CSV file") from None
-    except UnicodeDecodeError as error:
+    except (OSError, UnicodeDecodeError) as error:
         raise LogError(f"{path}: cannot be read as text ({error}); give a CSV file") from None
     if not line.strip():
         raise LogError(f"{path}: empty: it has no header; the first line must name the columns")
     delimiter = max(",;\t", key=line.count)
     names = [name.strip() for name in next(csv.reader([line], delimiter=delimiter))]
-    if all(_is_number(name) for name in names):
+    if all(re.fullmatch(r"[-+.eE\d]*\d[-+.eE\d]*", name) for name in names):
         raise LogError(f"{path}: its first line holds numbers ({line.strip()[:60]}); write the columns' names above it")
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise LogError(f"{path}: column {twice!r} is there twice; rename one of them")
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise LogError(f"{path}: column {twice[0]!r} is there twice; rename one of them")
     return names, delimiter
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _read_csv(path: Path, names: list[str], delimiter: str, columns: list[str]) -> pa.Table:
@@ -117,7 +97,9 @@ def _read_csv(path: Path, names: list[str], delimiter: str, columns: list[str]) 
             read_options=pyarrow.csv.ReadOptions(column_names=names, skip_rows=1),
             parse_options=pyarrow.csv.ParseOptions(delimiter=delimiter),
             convert_options=pyarrow.csv.ConvertOptions(
-                include_columns=columns, column_types=dict.fromkeys(columns, pa.float64()), null_values=EMPTY
+                include_columns=columns,
+                column_types=dict.fromkeys(columns, pa.float64()),
+                null_values=["", "nan", "NaN", "NAN", "NA", "N/A", "null", "None", "-"],
             ),
         )
     except (pa.ArrowException, OSError) as error:
