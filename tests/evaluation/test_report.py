@@ -81,7 +81,7 @@ def page(results, evaluation, tmp_path_factory) -> Page:
         path,
         results,
         {"Prediction": prediction_figure(force, {"free-running": force})},
-        {"Learning": learning_figure({"single": [([0, 1], [0, 1])]})},
+        {"Learning": learning_figure({"single": [([0, 1], [0, 1])]}, "reward")},
         {"Single": trajectory, "Single again": trajectory},
     )
     return Page(path.read_text())

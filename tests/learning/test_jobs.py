@@ -10,8 +10,7 @@ from softfin.core.errors import ConfigurationError
 from softfin.gaits.force_map import MapConfig, empty_map
 from softfin.gaits.reachable import Reachable
 from softfin.learning import jobs
-from softfin.learning.engine import Engine
-from softfin.learning.jobs import default_split, split_run, train_jobs
+from softfin.learning.jobs import Engine, default_split, split_run, train_jobs
 from softfin.learning.run import TrainingResult
 from softfin.learning.train import train
 from softfin.storage.run_directory import CHECKPOINT, read_log
@@ -26,7 +25,7 @@ ONE_CELL = SMALL.model_copy(update={"cells": SMALL.cells[:1]})
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> TrainingResult:
     """Both cells, of the first seed."""
-    return train(AnalyticFin(), SMALL, (0,), run_directory(tmp_path_factory.mktemp("whole"), seeds=(0,)))
+    return train(AnalyticFin(), SMALL, (0,), run_directory(tmp_path_factory.mktemp("whole"), seeds=(0,)), None, None)
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +38,7 @@ def test_jobs_are_named_after_their_seeds_and_cells():
     assert list(split_run(SMALL, (4, 7), "seed")) == ["seed-4", "seed-7"]
     cells = split_run(SMALL, (4, 7), "cell")
     assert list(cells) == ["seed-4-cell-0", "seed-4-cell-1", "seed-7-cell-0", "seed-7-cell-1"]
-    assert cells["seed-7-cell-1"] == (SMALL.model_copy(update={"cells": SMALL.cells[1:]}), (7,))
+    assert cells["seed-7-cell-1"] == (slice(1, 2), slice(1, 2))
 
 
 @pytest.mark.parametrize(
@@ -67,7 +66,7 @@ def test_jobs_of_single_cells_learn_what_the_whole_learns_but_for_rounding(
 
 
 def test_jobs_of_seeds_learn_what_the_whole_learns_but_for_rounding(tmp_path: Path):
-    whole = train(AnalyticFin(), ONE_CELL, SEEDS, run_directory(tmp_path / "whole"))
+    whole = train(AnalyticFin(), ONE_CELL, SEEDS, run_directory(tmp_path / "whole"), None, None)
     by_seed = train_jobs(AnalyticFin(), ONE_CELL, SEEDS, run_directory(tmp_path / "seeds"), split="seed")
     assert by_seed.seeds == whole.seeds
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-3), by_seed.policies, whole.policies)
@@ -129,9 +128,9 @@ def test_the_fin_is_mapped_once_over_all_cells_for_all_jobs(monkeypatch: pytest.
     asked, given = [], []
     found = empty_map(MapConfig(box=PAPER_RANGE).empty_table(Reachable(np.zeros(2), np.ones(8))), 8)
 
-    def remembered(*arguments, force_map, start):
-        given.append(force_map)
-        return train(*arguments)
+    def remembered(*arguments):
+        given.append(arguments[5])
+        return train(*arguments[:5], None)
 
     monkeypatch.setattr(jobs, "find_map", lambda plant, config, *_: asked.append(config.cells) or found)
     monkeypatch.setattr(jobs, "train", remembered)

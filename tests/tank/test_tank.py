@@ -1,5 +1,3 @@
-import re
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +11,7 @@ from softfin.core.plant import Plant, hold, roll
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command
 from softfin.tank import IDEAL, PhysicalParameters, SensorConfig, Tank, TankConfig, with_parameters
 from softfin.tank.drive import DriveConfig
-from softfin.tank.geometry import FinConfig
+from softfin.tank.fin import FinConfig
 from softfin.tank.hydrodynamics import WaterConfig
 
 KEY = jax.random.key(0)
@@ -235,18 +233,6 @@ def test_commands_beyond_the_limits_are_refused_before_anything_moves():
 def test_numbers_that_make_no_tank_are_refused_by_name(values, words):
     with pytest.raises(ConfigurationError, match=words):
         TankConfig.build(values)
-
-
-def test_a_step_too_coarse_for_the_fins_vibration_is_refused_with_the_number_that_would_do():
-    stiff = FinConfig(plates=8, length_m=0.2, youngs_modulus_pa=1e10, damping_s=1e-4)
-    with pytest.raises(
-        ConfigurationError, match=r"steps_per_tick = 2: too coarse .* at least \d, or a lower"
-    ) as refusal:
-        Tank(TankConfig(fin=stiff))
-    enough = int(re.search(r"at least (\d)", str(refusal.value))[1])
-    Tank(TankConfig(fin=stiff, steps_per_tick=enough))
-    with pytest.raises(ConfigurationError):
-        Tank(TankConfig(fin=stiff, steps_per_tick=enough - 1))
 
 
 TANKS = {

@@ -16,9 +16,7 @@ import jax
 
 from softfin.core.errors import ConfigurationError, RunError, SoftfinError
 from softfin.core.progress import Progress
-from softfin.learning.engine import Engine, Item, Result, Work
-
-INSTALL = "--engine ray needs the extra: pip install 'softfin[ray]'"
+from softfin.learning.jobs import Engine, Work
 
 ATTEMPTS = 3
 """Times that a part is begun before it is given up."""
@@ -49,15 +47,12 @@ class RayEngine(Engine):
     def __init__(self, cluster: str | None = None, attempts: int = ATTEMPTS) -> None:
         self.cluster, self.attempts, self._ray = cluster, attempts, _installed(own=cluster is None)
 
-    def map(
-        self, stage: str, work: Work[Item, Result], parts: Mapping[str, Item], progress: Progress | None
-    ) -> list[Result]:
+    def map(self, stage: str, work: Work, parts: Mapping[str, Any], progress: Progress | None) -> list[Any]:
         """The result of every part, in their order; raises what the first failing part raised, or RunError."""
-        tell = progress or (lambda *_: None)
         with self._connected():
-            return self._results(stage, work, parts, tell)
+            return self._results(stage, work, parts, progress or (lambda *_: None))
 
-    def _results(self, stage: str, work: Work[Item, Result], parts: Mapping[str, Item], tell: Progress) -> list[Result]:
+    def _results(self, stage: str, work: Work, parts: Mapping[str, Any], tell: Progress) -> list[Any]:
         ray = self._ray
         # A task without a graphics card is shown none, and would compute on the processor what others compute on cards.
         cards = 1 if jax.default_backend() == "gpu" else 0
@@ -70,7 +65,7 @@ class RayEngine(Engine):
         task = ray.remote(num_cpus=1, num_gpus=cards, max_retries=0)(_worked)
         shared = ray.put(work)
         running = {task.remote(shared, item): (name, 1) for name, item in parts.items()}
-        results: dict[str, Result] = {}
+        results: dict[str, Any] = {}
         failed: list[SoftfinError] = []
         while running:
             (ready,), _ = ray.wait(list(running), num_returns=1)
@@ -129,7 +124,7 @@ def _started() -> Iterator[str]:
         yield address
 
 
-def _worked(work: Work[Item, Result], item: Item) -> Result | SoftfinError:
+def _worked(work: Work, item: Any) -> Any:
     """Runs on the worker; errors of ours come back as they are, not within a traceback."""
     try:
         return work(item, None)
@@ -151,13 +146,9 @@ def _installed(own: bool) -> Any:
     for name in ("RAY_USAGE_STATS_ENABLED", "RAY_ENABLE_UV_RUN_RUNTIME_ENV"):
         os.environ.setdefault(name, "0")
     if own and "RAY_AUTH_MODE" not in os.environ:
-        if "ray" in sys.modules and not sys.modules["ray"].is_initialized():
-            raise ConfigurationError(
-                "ray was imported before a cluster of this machine could be set up; ray.init() first"
-            )
         os.environ |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32)}
     try:
         import ray
     except ImportError:
-        raise ConfigurationError(INSTALL) from None
+        raise ConfigurationError("--engine ray needs the extra: pip install 'softfin[ray]'") from None
     return ray

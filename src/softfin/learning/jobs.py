@@ -7,10 +7,10 @@ round differently.
 
 import copy
 import tempfile
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 from uuid import uuid4
 
 import jax
@@ -23,8 +23,8 @@ from softfin.core.progress import Progress
 from softfin.core.quantities import Limits
 from softfin.gaits.gait import ForceMap
 from softfin.learning.configuration import TrainConfig, check
-from softfin.learning.engine import Engine
 from softfin.learning.policy import Policy
+from softfin.learning.rollout import PolicyEvaluation
 from softfin.learning.run import TrainingResult
 from softfin.learning.train import find_map, pretrain_shared_policy, train
 from softfin.storage.artifact import write_file
@@ -33,17 +33,24 @@ from softfin.storage.run_directory import RunDirectory
 TOKEN = "here"
 """File by which a worker recognises the driver's folder, and not one of the same name."""
 
+Work: TypeAlias = Callable[[Any, Progress | None], Any]
+"""Work on one part, which reports its progress where it can; it gives the same result wherever it runs."""
 
-class Job(NamedTuple):
-    """A part of a run, and where its unfinished work lies."""
 
-    config: TrainConfig
-    """Configuration of the whole run, without the cells of other jobs."""
-    seeds: tuple[int, ...]
-    run_directory: RunDirectory
-    token: str
-    start: Policy | None
-    """Policies that the job begins from."""
+class Engine:
+    """Works on one part after the other in this process; other engines override `map`."""
+
+    def map(self, stage: str, work: Work, parts: Mapping[str, Any], progress: Progress | None) -> list[Any]:
+        """The result of every part, in their order; `stage` names the whole in the progress.
+
+        Here an error of a part ends the run, and the parts after it are not begun.
+        """
+
+        def report(index: int, name: str, _: str, fraction: float, note: str) -> None:
+            if progress is not None:
+                progress(stage, (index + fraction) / len(parts), note if len(parts) == 1 else f"{name}: {note}")
+
+        return [work(item, partial(report, i, name)) for i, (name, item) in enumerate(parts.items())]
 
 
 def find_engine(name: EngineName, cluster: str | None = None) -> Engine:
@@ -65,18 +72,28 @@ def default_split(engine: EngineName, seeds: Sequence[int]) -> Split:
     return "seed" if len(seeds) > 1 else "cell"
 
 
-def split_run(
-    config: TrainConfig, seeds: Sequence[int], split: Split
-) -> dict[str, tuple[TrainConfig, tuple[int, ...]]]:
-    """The parts of a run by name, seeds before cells."""
+class Job(NamedTuple):
+    """A part of a run, and where its unfinished work lies."""
+
+    config: TrainConfig
+    """Configuration of the whole run, without the cells of other jobs."""
+    seeds: tuple[int, ...]
+    run_directory: RunDirectory
+    token: str
+    start: Policy | None
+    """Policies that the job begins from."""
+
+
+def split_run(config: TrainConfig, seeds: Sequence[int], split: Split) -> dict[str, tuple[slice, slice]]:
+    """Seeds and cells of each job by its name, seeds before cells."""
     if split == "none":
-        return {"all": (config, tuple(seeds))}
+        return {"all": (slice(None), slice(None))}
     if split == "seed":
-        return {f"seed-{seed}": (config, (seed,)) for seed in seeds}
+        return {f"seed-{seed}": (slice(i, i + 1), slice(None)) for i, seed in enumerate(seeds)}
     return {
-        f"seed-{seed}-cell-{i}": (config.model_copy(update={"cells": (cell,)}), (seed,))
-        for seed in seeds
-        for i, cell in enumerate(config.cells)
+        f"seed-{seed}-cell-{j}": (slice(i, i + 1), slice(j, j + 1))
+        for i, seed in enumerate(seeds)
+        for j in range(len(config.cells))
     }
 
 
@@ -91,68 +108,53 @@ def train_jobs(
     split: Split = "none",
     force_map: ForceMap | None = None,
 ) -> TrainingResult:
-    """Train as `train` does, in jobs on an engine; without a `force_map` the fin is mapped once for all of them.
+    """Train a policy for every seed and cell, in jobs on an engine; goes on from their checkpoints where there are any.
+
+    Without a `force_map` the fin is mapped, where a map is needed, once for all jobs.
 
     Raises:
-        ConfigurationError: as `train`.
+        ConfigurationError: the budget is smaller than one rollout, a seed comes twice, or the plant or its map does
+            not fit the configuration.
         RunError: a job failed; the last good checkpoints of all are left in the run_directory.
     """
     check(plant, config, seeds, force_map)
     force_map = find_map(plant, config, run_directory, progress) if force_map is None else force_map
     start = pretrain_shared_policy(plant, config, seeds, run_directory, progress, force_map)
-    parts, token, jobs = split_run(config, seeds, split), uuid4().hex, {}
-    rows = 1 if split == "none" else len(seeds)
-    for index, (name, (part, its_seeds)) in enumerate(parts.items()):
-        folder = run_directory if split == "none" else run_directory.part(name)
-        write_file(folder.folder / TOKEN, token)
-        seed, cell = divmod(index, len(parts) // rows)
-        chosen = (slice(None) if split == "none" else slice(seed, seed + 1),
-                  slice(cell, cell + 1) if split == "cell" else slice(None))  # fmt: skip
-        jobs[name] = Job(part, its_seeds, folder, token, jax.tree.map(lambda leaf, at=chosen: leaf[at], start))
-    done = (engine or Engine()).map(f"train {config.controller}", _Training(plant, force_map), jobs, progress)
+    token, jobs = uuid4().hex, {}
+    for name, at in split_run(config, seeds, split).items():
+        part = run_directory if split == "none" else run_directory.part(name)
+        write_file(part.folder / TOKEN, token)
+        own = config.model_copy(update={"cells": config.cells[at[1]]})
+        jobs[name] = Job(own, tuple(seeds)[at[0]], part, token, jax.tree.map(lambda leaf, at=at: leaf[at], start))
+    work = partial(_train_job, plant, force_map)
+    done = (engine or Engine()).map(f"train {config.controller}", work, jobs, progress)
     for job, (_, files) in zip(jobs.values(), done, strict=True):
         for file, data in files.items():
             write_file(job.run_directory.folder / file, data)
-    policies, evaluation = _together([(result.policies, result.evaluation) for result, _ in done], rows)
+    policies, evaluation = jax.tree.map(
+        lambda *x: np.concatenate(x).reshape(len(seeds), -1, *x[0].shape[2:]), *(result for result, _ in done)
+    )
     return TrainingResult(config, Limits(*map(float, plant.limits)), tuple(seeds), policies, evaluation, force_map)
 
 
-def _together(parts: Sequence[Any], rows: int) -> Any:
-    """Trees of leaves ``(seeds, cells, ...)``, put together by `rows` of seeds."""
-    cells = len(parts) // rows
-    across = [jax.tree.map(lambda *x: np.concatenate(x, axis=1), *parts[i * cells : (i + 1) * cells])
-              for i in range(rows)]  # fmt: skip
-    return jax.tree.map(lambda *x: np.concatenate(x, axis=0), *across)
+def _train_job(
+    plant: Plant, force_map: ForceMap | None, job: Job, progress: Progress | None
+) -> tuple[tuple[Policy, PolicyEvaluation], dict[str, bytes]]:
+    """Train, from the last checkpoint where the driver's folder is the same here.
 
+    Elsewhere the work is done in a folder of this machine's own, whose files are sent back with the result.
+    """
 
-@dataclass(frozen=True)
-class _Training:
-    """The work on a job; the plant travels as arrays and the name of its class."""
+    def trained(run_directory: RunDirectory) -> tuple[Policy, PolicyEvaluation]:
+        result = train(plant, job.config, job.seeds, run_directory, progress, force_map, job.start)
+        return result.policies, result.evaluation
 
-    plant: Plant
-    force_map: ForceMap | None
-
-    def __call__(self, job: Job, progress: Progress | None) -> tuple[TrainingResult, Mapping[str, bytes]]:
-        """Train, from the last checkpoint where the driver's folder is the same here.
-
-        Elsewhere the work is done in a folder of this machine's own, whose files are sent back with the result.
-        """
-        try:
-            is_here = (job.run_directory.folder / TOKEN).read_text() == job.token
-        except OSError:
-            is_here = False
-        if is_here:
-            return self._train(job, job.run_directory, progress), {}
-        own = copy.copy(job.run_directory)
-        with tempfile.TemporaryDirectory(prefix="softfin-", ignore_cleanup_errors=True) as name:
-            own.folder = folder = Path(name)
-            result = self._train(job, own, progress)
-            files = (path for path in folder.rglob("*") if path.is_file())
-            return result, {str(path.relative_to(folder)): path.read_bytes() for path in files}
-
-    def _train(self, job: Job, run_directory: RunDirectory, progress: Progress | None) -> TrainingResult:
-        result = train(
-            self.plant, job.config, job.seeds, run_directory, progress, force_map=self.force_map, start=job.start
-        )
-        # The driver has the map.
-        return result._replace(force_map=None)
+    file = job.run_directory.folder / TOKEN
+    if file.is_file() and file.read_text() == job.token:
+        return trained(job.run_directory), {}
+    own = copy.copy(job.run_directory)
+    with tempfile.TemporaryDirectory(prefix="softfin-", ignore_cleanup_errors=True) as name:
+        own.folder = folder = Path(name)
+        result = trained(own)
+        files = (path for path in folder.rglob("*") if path.is_file())
+        return result, {str(path.relative_to(folder)): path.read_bytes() for path in files}

@@ -1,4 +1,4 @@
-"""Training runs: a plant, a configuration and seeds in; one deterministic policy per seed and cell out.
+"""One job of a training run: a plant, a configuration and seeds in; one deterministic policy per seed and cell out.
 
 Every few updates the policies are evaluated without their noise, the best ones so far kept, and a checkpoint written; a
 resumed run ends with the same weights as one that was never stopped.
@@ -16,7 +16,7 @@ from softfin.core.progress import Progress
 from softfin.gaits.force_map import empty_map, map_forces
 from softfin.gaits.gait import ForceMap
 from softfin.gaits.reachable import Reachable, bounding_box
-from softfin.learning.configuration import TrainConfig, check
+from softfin.learning.configuration import TrainConfig
 from softfin.learning.figure import SHARED
 from softfin.learning.policy import Policy
 from softfin.learning.run import TrainingResult, TrainingRun, keep_best, summary, with_keys, without_keys
@@ -28,26 +28,16 @@ def train(
     config: TrainConfig,
     seeds: Sequence[int],
     run_directory: RunDirectory,
-    progress: Progress | None = None,
-    force_map: ForceMap | None = None,
+    progress: Progress | None,
+    force_map: ForceMap | None,
     start: Policy | None = None,
 ) -> TrainingResult:
     """Train a policy for every seed and cell; goes on from the run_directory's checkpoint where there is one.
 
-    The fin is mapped where a map is needed and no `force_map` given. Agents that `start` from policies, leaves
-    ``(seeds, cells, ...)``, never end with a greater error than these.
-
-    Raises:
-        ConfigurationError: the budget is smaller than one rollout, a seed comes twice, or the plant or its map does
-            not fit the configuration.
-        RunError: a loss is no longer finite; the last good checkpoint is left in the run_directory.
+    Agents that `start` from policies, leaves ``(seeds, cells, ...)``, never end with a greater error than these.
+    Raises RunError where a loss is no longer finite; the last good checkpoint is left in the run_directory.
     """
-    check(plant, config, seeds, force_map)
-    force_map = find_map(plant, config, run_directory, progress) if force_map is None else force_map
-    if start is None:
-        start = pretrain_shared_policy(plant, config, seeds, run_directory, progress, force_map)
-    used = config if start is None else config.merged({"gradient": {"warm_start": False}}, "start")
-    run = TrainingRun(plant, used, tuple(seeds), force_map)
+    run = TrainingRun(plant, config, tuple(seeds), force_map)
     state, done, steps_per_update = run.start(start), 0, config.learning.steps_per_update
     if (resumed := run_directory.load(without_keys(state))) is not None:
         state, done = with_keys(resumed[0], state), resumed[1]["updates"]
@@ -69,7 +59,7 @@ def train(
         if progress is not None:
             progress(f"train {config.controller}", done / config.num_updates, run.note(metrics, state))
     record.close()
-    return run.result(state)._replace(config=config)
+    return run.result(state)
 
 
 def pretrain_shared_policy(
@@ -88,13 +78,16 @@ def pretrain_shared_policy(
     shared = config.gradient.shared_pretraining
     if config.algorithm != "gradient" or config.controller != "grid" or shared is None:
         return None
-    settings = {"num_envs": shared.num_envs, "learning_rate": shared.learning_rate, "shared_pretraining": None}
     whole = config.merged(
-        {"controller": "single", "cells": [bounding_box(config.cells).model_dump()], "gradient": settings,
-         "lattice": shared.lattice},
+        {
+            "controller": "single", "cells": [bounding_box(config.cells).model_dump()], "lattice": shared.lattice,
+            "steps": shared.num_updates * shared.num_envs * config.gradient.num_steps,
+            "gradient": {
+                "num_envs": shared.num_envs, "learning_rate": shared.learning_rate, "shared_pretraining": None,
+            },
+        },
         "shared_pretraining",
     )  # fmt: skip
-    whole = whole.merged({"steps": shared.num_updates * whole.learning.steps_per_update}, "shared_pretraining")
     result = train(plant, whole, seeds, run_directory.part(SHARED), progress, force_map)
     policies: Policy = jax.tree.map(lambda leaf: jnp.repeat(leaf, len(config.cells), axis=1), result.policies)
     return policies

@@ -5,7 +5,7 @@ Sampling is traceable: `jax.vmap` over keys gives one tank that holds a batch of
 """
 
 import zlib
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -28,10 +28,6 @@ class DomainRandomization(Configuration):
     """Temperature of the water, either side of the tank's [degrees Celsius]."""
     stiffness: float = Field(0.1, ge=0, lt=1)
     """Stiffness, relative: silicone of another batch, age and temperature [-]."""
-    length: float = Field(0.0, ge=0, lt=1)
-    """Length of the fin, relative [-]; as a rule it is one fin that is tested under several conditions."""
-    thickness: float = Field(0.0, ge=0, lt=1)
-    """Thickness of the fin, relative [-]."""
     drag: float = Field(0.1, ge=0, lt=1)
     """Drag, relative [-]."""
     added_mass: float = Field(0.05, ge=0, lt=1)
@@ -67,8 +63,6 @@ class PhysicalParameters(NamedTuple):
 
     temperature_c: Float[Array, ""]
     stiffness: Float[Array, ""]
-    length: Float[Array, ""]
-    thickness: Float[Array, ""]
     drag: Float[Array, ""]
     added_mass: Float[Array, ""]
     lag: Float[Array, ""]
@@ -92,18 +86,23 @@ def sample_parameters(key: PRNGKeyArray, widths: DomainRandomization | None = No
 
 def with_parameters(tank: Tank, parameters: PhysicalParameters) -> Tank:
     """Return the tank with those parameters."""
-    water = tank.water.at(tank.water.temperature + parameters.temperature_c)
+    water, fin = tank.water, tank.fin
     changed: Tank = eqx.tree_at(
-        lambda tank: (tank.fin, tank.water, tank.drive.lag, tank.sensor.drift, tank.sensor.misalignment),
+        lambda tank: (
+            tank.fin.stiffness, tank.fin.damping, tank.water, tank.drive.lag, tank.sensor.drift,
+            tank.sensor.misalignment,
+        ),
         tank,
         (
-            tank.fin.scaled(parameters.stiffness, parameters.length, parameters.thickness),
-            water.scaled(drag=parameters.drag, added_mass=parameters.added_mass, length=parameters.length),
+            fin.stiffness * parameters.stiffness,
+            # Damping keeps its time.
+            fin.damping * parameters.stiffness,
+            water.varied(water.temperature + parameters.temperature_c, parameters.added_mass, parameters.drag),
             tank.drive.lag * parameters.lag,
             tank.sensor.drift * parameters.drift,
             tank.sensor.misalignment + parameters.misalignment_rad,
         ),
-    )
+    )  # fmt: skip
     return changed
 
 
@@ -112,11 +111,8 @@ def sample_tank(tank: Tank, key: PRNGKeyArray, widths: DomainRandomization | Non
     return tank if widths is not None and widths.is_none else with_parameters(tank, sample_parameters(key, widths))
 
 
-class RandomizedTankState(NamedTuple):
-    """The sampled tank, and its state."""
-
-    tank: Tank
-    state: TankState
+RandomizedTankState: TypeAlias = tuple[Tank, TankState]
+"""The sampled tank, and its state."""
 
 
 class RandomizedTank(eqx.Module):
@@ -138,13 +134,15 @@ class RandomizedTank(eqx.Module):
         """Sample a tank, its fin at rest at angle 0."""
         parameters, own = jax.random.split(key)
         tank = sample_tank(self.tank, parameters, self.widths)
-        return RandomizedTankState(tank, tank.init(own))
+        return tank, tank.init(own)
 
     def advance(self, state: RandomizedTankState, command: Command, ticks: int) -> tuple[RandomizedTankState, Reading]:
         """Advance the sampled tank."""
-        moved, reading = state.tank.advance(state.state, command, ticks)
-        return RandomizedTankState(state.tank, moved), reading
+        tank, inner = state
+        inner, reading = tank.advance(inner, command, ticks)
+        return (tank, inner), reading
 
     def shape(self, state: RandomizedTankState) -> Float[Array, "points 2"]:
         """Return where the fin is; see `Tank.shape`."""
-        return state.tank.shape(state.state)
+        tank, inner = state
+        return tank.shape(inner)

@@ -5,20 +5,25 @@ show what the logs determine.
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+import yaml
 from jaxtyping import Float
 
 from softfin.core.errors import ConfigurationError, LogError
 from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ, Command, Log
+from softfin.storage import artifact as artifacts
+from softfin.storage.figures import save_figure
 from softfin.storage.run_directory import RunDirectory
 from softfin.tank import TankConfig
 from softfin.tank.calibration.config import CalibrateConfig, Point, RecordingConfig, parameters_of
 from softfin.tank.calibration.determination import determination
+from softfin.tank.calibration.figure import Scores, calibration_figure
 from softfin.tank.calibration.model import Space, read, stacked
 from softfin.tank.calibration.search import Losses, Weights, misfits, polish, search
 from softfin.tank.calibration.segments import CHANNELS, Segments, cut
@@ -38,14 +43,43 @@ class Calibration:
         """Return what the log of the found tank would have under commands ``(segments, ticks)`` of a log."""
         return np.asarray(read(stacked([(self.tank, self.recording)]), command)[0])
 
-    def summary(self) -> dict[str, Any]:
-        """Return scores on both parts, parameters and their determination, the recording."""
-        parts = {"train": self.train, "test": self.test}
-        return {
-            "scores": {name: scores(self.read(segments.command), segments) for name, segments in parts.items()},
+    def write(
+        self, out: Path, metadata: dict[str, Any], extra_files: Callable[[Path], None], overwrite: bool
+    ) -> dict[str, Any]:
+        """Write the folder, whole or not at all; returns the content of its ``calibration.json``.
+
+        ============== ============================================================================================
+        ``scores``     of ``train`` and ``test`` by channel: pooled ``r2``, ``rmse``, means and standard deviations of
+                       what is measured and modelled [rad, N, N]
+        ``parameters`` by name: ``value``, ``unit``, ``range``; ``standard_error``, 95% ``interval``, ``left``: the
+                       standard error over the deviation of the whole range; ``determined``: well, roughly, poorly;
+                       or low end, high end of the range, no effect
+        ``trades``     pairs of parameters whose errors are correlated by more than 0.9
+        ``recording``  what lies between tank and logs
+        ============== ============================================================================================
+        """
+        modelled = self.read(self.test.command)
+        judged = scores(modelled, self.test)
+        summary = {
+            "scores": {"train": scores(self.read(self.train.command), self.train), "test": judged},
             **self.determination,
             "recording": self.recording.model_dump(),
+            **metadata,
         }
+
+        def write(folder: Path) -> None:
+            (folder / "calibration.json").write_text(artifacts.dump_json(summary))
+            for name, config, head in (
+                ("tank", self.tank, "The tank that was found."),
+                ("recording", self.recording, "How the logs differ from what that tank reads."),
+            ):
+                text = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
+                (folder / f"{name}.yaml").write_text(f"# {head}\n{text}")
+            save_figure(calibration_figure(self.test, modelled, judged), folder, "calibration")
+            extra_files(folder)
+
+        artifacts.write_folder(out, write, overwrite)
+        return summary
 
 
 def prepared(config: CalibrateConfig, train: Sequence[Log], test: Sequence[Log]) -> tuple[Space, Segments, Segments]:
@@ -81,13 +115,13 @@ def calibrate(
         LogError: logs too short for one segment, or too few for so many parameters.
         RunError: no tank has finite readings.
     """
-    progress = progress or (lambda stage, fraction, note: None)
+    tell = progress or (lambda stage, fraction, note: None)
     space, fitted, unseen = prepared(config, train, test)
     weights = normalised([getattr(config.weights, channel) for channel in CHANNELS])
-    point = _global(config, space, fitted, weights, seed, run_directory, progress)
+    point = _global(config, space, fitted, weights, seed, run_directory, tell)
 
     def report(iteration: int, loss: float) -> None:
-        progress("polish", iteration / config.iterations, f"1 - R2 {loss:.4f}")
+        tell("polish", iteration / config.iterations, f"1 - R2 {loss:.4f}")
 
     linear = polish(space.errors(fitted, config.population), point, weights, config.iterations, report)
     report(config.iterations, linear.loss)
@@ -100,13 +134,12 @@ def normalised(weights: Sequence[float]) -> Weights:
     return np.asarray(np.asarray(weights) / np.sum(weights))
 
 
-def scores(modelled: Float[np.ndarray, "segments ticks channels"], segments: Segments) -> dict[str, dict[str, float]]:
+def scores(modelled: Float[np.ndarray, "segments ticks channels"], segments: Segments) -> Scores:
     """Return for each channel the pooled R2, RMSE, and mean and standard deviation of what is measured and modelled."""
-    measured = np.asarray(segments.compared, np.float64)
-    ours = np.asarray(modelled[:, segments.warm_up :], np.float64)
     rows = {}
     for index, channel in enumerate(CHANNELS):
-        true, predicted = measured[..., index], ours[..., index]
+        true = np.asarray(segments.compared, np.float64)[..., index]
+        predicted = np.asarray(modelled, np.float64)[:, segments.warm_up :, index]
         square = float(np.mean((predicted - true) ** 2))
         rows[channel] = {
             "r2": 1 - square / float(np.var(true)),
@@ -132,7 +165,9 @@ def _global(
     if generations == 0:
         run_directory.log().close()
         return space.start
-    errors = space.errors(segments, config.population, (config.search_plates, config.search_steps))
+    plates, steps = config.search_plates, config.search_steps
+    coarse = config.tank.merged({"fin": {"plates": plates}, "steps_per_tick": steps}, "calibration")
+    errors = Space(space.parameters, coarse, config.recording).errors(segments, config.population)
     losses, done = np.full((generations, config.population), np.nan, np.float32), 0
     if (resumed := run_directory.load(jnp.asarray(losses))) is not None:
         losses, done = np.asarray(resumed[0]), resumed[1]["generation"]

@@ -7,6 +7,7 @@ errors without correlation. A parameter that sits on an end of its range is take
 effect, such as a limit that is never met, is left out.
 """
 
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -31,12 +32,9 @@ RANGE_DEVIATION = 1 / np.sqrt(12)
 
 
 def determination(linear: Linear, block_ticks: int, parameters: tuple[Parameter, ...]) -> dict[str, Any]:
-    """Return ``parameters`` by name, ``trades``, ``correlation``, ``singular_values``, ``weakest``, ``blocks``.
-
-    `weakest` is the direction of the least singular value, of length 1: what the logs tell least about.
-    """
+    """Return ``parameters`` by name, ``trades`` of pairs, and the number of ``blocks``."""
     normal, gradient = linear.normal()
-    at, count = linear.point, len(parameters)
+    at = linear.point
     low, high = (at <= DIFFERENCE) & (gradient > 0), (at >= 1 - DIFFERENCE) & (gradient < 0)
     idle = np.diag(normal) < IDLE
     free = np.flatnonzero(~(low | high | idle))
@@ -60,16 +58,15 @@ def determination(linear: Linear, block_ticks: int, parameters: tuple[Parameter,
     ])  # fmt: skip
     covariance = moved.T @ moved * (len(blocks) - 1) / len(blocks)
 
-    error, correlation, weakest = np.full(count, np.nan), np.full((count, count), np.nan), np.zeros(count)
     jackknife = np.sqrt(np.diag(covariance))
     # Without correlation, each channel has the variance of its own errors.
     shares = (inverse @ jacobian.reshape(free.size, -1)).reshape(jacobian.shape)
     uncorrelated = (shares**2 * np.mean(residuals**2, axis=(0, 1))).sum(axis=(1, 2, 3))
+    error = np.full(len(parameters), np.nan)
     error[free] = np.maximum(jackknife, np.sqrt(uncorrelated))
-    correlation[np.ix_(free, free)] = covariance / np.outer(jackknife, jackknife)
-    weakest[free] = directions[:, 0] if free.size else 0.0
-    pairs = np.argwhere(np.triu(np.abs(np.nan_to_num(correlation)), 1) > TRADING).tolist()
-    names = [parameter.name for parameter in parameters]
+    correlation = covariance / np.outer(jackknife, jackknife)
+    names = [parameters[i].name for i in free]
+    pairs = [(float(correlation[i, j]), [names[i], names[j]]) for i, j in combinations(range(free.size), 2)]
     rows = {}
     for i, parameter in enumerate(parameters):
         undetermined = "no effect" if idle[i] else "low end" if low[i] else "high end" if high[i] else None
@@ -77,12 +74,10 @@ def determination(linear: Linear, block_ticks: int, parameters: tuple[Parameter,
     return {
         "parameters": rows,
         "trades": [
-            {"parameters": [names[i], names[j]], "correlation": float(correlation[i, j])}
-            for i, j in sorted(pairs, key=lambda pair: -abs(correlation[pair[0], pair[1]]))
+            {"parameters": pair, "correlation": value}
+            for value, pair in sorted(pairs, key=lambda pair: -abs(pair[0]))
+            if abs(value) > TRADING
         ],
-        "correlation": [[None if np.isnan(c) else float(c) for c in row] for row in correlation],
-        "singular_values": np.sqrt(np.maximum(values[::-1], 0.0)).tolist(),
-        "weakest": {names[i]: float(weakest[i]) for i in np.argsort(-np.abs(weakest)) if abs(weakest[i]) > 0.1},
         "blocks": len(blocks),
     }
 

@@ -42,10 +42,8 @@ def search(
 ) -> Point:
     """Return the best point that was tried; `losses` are those known from before, NaN from there on.
 
-    `report` is called with the generations done and all losses so far.
-
-    Raises:
-        RunError: no tank of a generation has finite readings.
+    `report` is called with the generations done and all losses so far. Raises RunError where no tank of a generation
+    has finite readings.
     """
     random = generator_of(seed, "calibrate/search")
     strategy = cma_es(np.clip(start, 1e-3, 1 - 1e-3), step, random, popsize=losses.shape[1], bounds=[0.0, 1.0])
@@ -93,11 +91,8 @@ def linearised(errors: Errors, point: Point, weights: Weights) -> Linear:
     up, down = (np.clip(point + sign * DIFFERENCE * np.eye(len(point)), 0.0, 1.0) for sign in (1, -1))
     middle, *sides = errors([point, *up, *down])
     scale = _scale(middle, weights)
-    widths = (up - down).sum(axis=1)
-    rise = [
-        (high - low) / np.float32(width) * scale
-        for high, low, width in zip(sides[: len(point)], sides[len(point) :], widths, strict=True)
-    ]
+    highs, lows, widths = sides[: len(point)], sides[len(point) :], (up - down).sum(axis=1).astype(np.float32)
+    rise = [(high - low) / width * scale for high, low, width in zip(highs, lows, widths, strict=True)]
     return Linear(point, middle * scale, np.stack(rise))
 
 
