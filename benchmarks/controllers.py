@@ -16,7 +16,7 @@ from benchmarks.nets import published_layout
 from softfin.core.plant import Plant
 from softfin.gaits.force_map import MapConfig, map_forces
 from softfin.learning.configuration import TRAIN_PRESETS, TrainConfig
-from softfin.learning.jobs import train_jobs
+from softfin.learning.train import train_jobs
 from softfin.stages.fit import import_keras
 from softfin.storage.run_directory import LOG, RunDirectory, read_log
 from softfin.surrogate import Surrogate

@@ -14,7 +14,7 @@ from benchmarks.measure import entry
 from benchmarks.nets import published_layout
 from softfin.core.gym_registration import register
 from softfin.learning.configuration import GRID, SINGLE, TrainConfig
-from softfin.learning.jobs import train_jobs
+from softfin.learning.train import train_jobs
 from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate import Surrogate
 

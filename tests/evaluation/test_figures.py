@@ -9,7 +9,7 @@ from matplotlib.colors import to_rgb
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, evaluate
 from softfin.evaluation.figures import experiments_figure
 from softfin.evaluation.report import prediction_figure, table_two_figure
-from softfin.learning.figure import learning_figure
+from softfin.learning.controllers import learning_figure
 from softfin.storage import figures as style
 from softfin.storage.figures import inline_svg, save_figure
 from tests.plants import AnalyticFin, Flapper

@@ -10,7 +10,7 @@ from softfin.evaluation.evaluate import EvaluateConfig, evaluate
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.figures import experiments_figure
 from softfin.evaluation.report import prediction_figure, write_report
-from softfin.learning.figure import learning_figure
+from softfin.learning.controllers import learning_figure
 from tests.plants import AnalyticFin, Flapper
 
 

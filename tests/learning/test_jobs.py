@@ -9,10 +9,11 @@ import pytest
 from softfin.core.errors import ConfigurationError
 from softfin.gaits.force_map import MapConfig, empty_map
 from softfin.gaits.reachable import Reachable
-from softfin.learning import jobs
-from softfin.learning.jobs import Engine, default_split, split_run, train_jobs
+from softfin.learning import train as train_module
+from softfin.learning.configuration import TrainConfig
+from softfin.learning.engine import Engine
 from softfin.learning.run import TrainingResult
-from softfin.learning.train import train
+from softfin.learning.train import default_split, split_run, train, train_jobs
 from softfin.storage.run_directory import CHECKPOINT, read_log
 from softfin.task.references import PAPER_RANGE
 from tests.learning.ray_cluster import SEEDS, SMALL, alike, run_directory
@@ -22,10 +23,16 @@ ONE_CELL = SMALL.model_copy(update={"cells": SMALL.cells[:1]})
 """Two seeds of it are as many lanes as the two cells of `SMALL` with one seed: one compiled program does both."""
 
 
+def in_one(config: TrainConfig, seeds: tuple[int, ...], folder: Path) -> TrainingResult:
+    """Trained in this process, as no job of a run."""
+    best = train(AnalyticFin(), config, seeds, run_directory(folder, seeds=seeds), None, None)
+    return TrainingResult(config, AnalyticFin().limits, seeds, *best)
+
+
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> TrainingResult:
     """Both cells, of the first seed."""
-    return train(AnalyticFin(), SMALL, (0,), run_directory(tmp_path_factory.mktemp("whole"), seeds=(0,)), None, None)
+    return in_one(SMALL, (0,), tmp_path_factory.mktemp("whole"))
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +73,7 @@ def test_jobs_of_single_cells_learn_what_the_whole_learns_but_for_rounding(
 
 
 def test_jobs_of_seeds_learn_what_the_whole_learns_but_for_rounding(tmp_path: Path):
-    whole = train(AnalyticFin(), ONE_CELL, SEEDS, run_directory(tmp_path / "whole"), None, None)
+    whole = in_one(ONE_CELL, SEEDS, tmp_path / "whole")
     by_seed = train_jobs(AnalyticFin(), ONE_CELL, SEEDS, run_directory(tmp_path / "seeds"), split="seed")
     assert by_seed.seeds == whole.seeds
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-3), by_seed.policies, whole.policies)
@@ -132,8 +139,8 @@ def test_the_fin_is_mapped_once_over_all_cells_for_all_jobs(monkeypatch: pytest.
         given.append(arguments[5])
         return train(*arguments[:5], None)
 
-    monkeypatch.setattr(jobs, "find_map", lambda plant, config, *_: asked.append(config.cells) or found)
-    monkeypatch.setattr(jobs, "train", remembered)
+    monkeypatch.setattr(train_module, "find_map", lambda plant, config, *_: asked.append(config.cells) or found)
+    monkeypatch.setattr(train_module, "train", remembered)
     trained = train_jobs(AnalyticFin(), SMALL, (0,), run_directory(tmp_path), split="cell")
     assert asked == [SMALL.cells]
     assert len(given) == 2

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 
 from softfin.core.errors import ConfigurationError
 from softfin.core.quantities import PAPER_LIMITS
-from softfin.learning import refine as refine_module
+from softfin.learning import train as train_module
 from softfin.learning.configuration import GRADIENT_GRID
 from softfin.learning.policy import Policy, PolicyConfig
-from softfin.learning.refine import check_refinable, refine, train_refined
 from softfin.learning.rollout import PolicyEvaluation
 from softfin.learning.run import TrainingResult
+from softfin.learning.train import check_refinable, refine, train_refined
 from softfin.storage.run_directory import RunDirectory
 from softfin.task.cells import check_cells, lattice
 from softfin.task.references import PAPER_RANGE
@@ -67,7 +67,7 @@ def test_each_part_begins_with_its_parents_policy_seed_by_seed(monkeypatch: pyte
     policies, config = stacked(2, 4), GRADIENT_GRID.model_copy(update={"cells": FOUR})
     error = np.stack([ERROR, ERROR])[:, :, None]
     trained = TrainingResult(config, PAPER_LIMITS, (0, 1), policies, PolicyEvaluation(error, error))
-    monkeypatch.setattr(refine_module, "train", lambda *given: trained._replace(policies=given[-1]))
+    monkeypatch.setattr(train_module, "train", lambda *given: (given[-1], trained.evaluation))
     space = RunDirectory(tmp_path / "out", {})
     handed, parents = train_refined(AnalyticFin(), trained, 3, space, None)
     assert parents == [0, 1, 1, 1, 1, 2, 3]

@@ -14,11 +14,11 @@ from softfin.core.errors import ConfigurationError, RunError
 from softfin.gaits.reachable import Cell
 from softfin.learning import run as run_module
 from softfin.learning.configuration import GRID, SINGLE, TrainConfig
-from softfin.learning.jobs import train_jobs
 from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.ppo import PPOConfig
 from softfin.learning.rollout import PolicyEvaluation
 from softfin.learning.run import TrainingResult, TrainingRun
+from softfin.learning.train import train_jobs
 from softfin.storage.run_directory import CHECKPOINT, RunDirectory, read_log
 from softfin.task.task import TaskConfig
 from tests.plants import AnalyticFin, PlainFin

@@ -4,7 +4,7 @@ Seeds x cells are the agents. Agents need no data of each other, so devices do n
 """
 
 from functools import partial
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, TypeAlias, TypeVar, cast
 
 import equinox as eqx
 import jax
@@ -21,9 +21,9 @@ from softfin.core.quantities import AXES, Command, Limits, Reading
 from softfin.core.randomness import key_of
 from softfin.gaits.gait import ForceMap, GaitTable
 from softfin.learning.configuration import TrainConfig
-from softfin.learning.gradient import Gradient, GradientConfig
-from softfin.learning.policy import Policy, PolicyConfig
-from softfin.learning.ppo import PPO, PPOConfig
+from softfin.learning.gradient import Gradient
+from softfin.learning.policy import Policy
+from softfin.learning.ppo import PPO
 from softfin.learning.rollout import AgentState, Metrics, PolicyEvaluation, evaluate_policy
 from softfin.task.references import References, stack_references
 from softfin.task.task import ForceTracking, TaskConfig
@@ -38,6 +38,10 @@ class RunState(NamedTuple):
     best: Policy
     best_evaluation: PolicyEvaluation
     """Errors and deviations of `best`, ``(agents, references, 2)``."""
+
+
+BestPolicies: TypeAlias = tuple[Policy, PolicyEvaluation]
+"""Each agent's policy of the smallest deterministic error, and its evaluation; leaves ``(seeds, cells, ...)``."""
 
 
 class TrainingResult(NamedTuple):
@@ -81,29 +85,19 @@ class OneMember(eqx.Module):
         return (index, inner), reading
 
 
-class Program(NamedTuple):
-    """What is compiled into the programs of a run; jobs that differ by their cells and seeds alone share them."""
-
-    learning: PPOConfig | GradientConfig
-    policy: PolicyConfig
-    task: TaskConfig
-    ensemble: str
-    num_updates: int
-
-    def learner(self, plant: Plant, table: GaitTable | None) -> PPO | Gradient:
-        """The learner in a plant."""
-        if self.ensemble == "each" and isinstance(plant, EnsemblePlant):
-            plant = OneMember(plant)
-        task = ForceTracking(plant, self.task)
-        if isinstance(self.learning, PPOConfig):
-            return PPO(task, self.learning, self.policy, self.num_updates)
-        return Gradient(task, self.learning, self.policy, self.num_updates, table)
+def _learner(config: TrainConfig, plant: Plant, table: GaitTable | None) -> PPO | Gradient:
+    if config.ensemble == "each" and isinstance(plant, EnsemblePlant):
+        plant = OneMember(plant)
+    task = ForceTracking(plant, config.task)
+    if config.algorithm == "ppo":
+        return PPO(task, config.ppo, config.policy, config.num_updates)
+    return Gradient(task, config.gradient, config.policy, config.num_updates, table)
 
 
 def _init(
-    program: Program, plant: Plant, table: GaitTable | None, keys: Key[Array, "agents"], boxes: References
+    config: TrainConfig, plant: Plant, table: GaitTable | None, keys: Key[Array, "agents"], boxes: References
 ) -> AgentState:
-    return jax.vmap(program.learner(plant, table).init)(keys, boxes)
+    return jax.vmap(_learner(config, plant, table).init)(keys, boxes)
 
 
 _init_new = used_once(_init)
@@ -112,8 +106,8 @@ _init_cloned = eqx.filter_jit(_init)
 
 
 @eqx.filter_jit
-def _update(program: Program, plant: Plant, agents: AgentState) -> tuple[AgentState, Metrics]:
-    return jax.vmap(program.learner(plant, None).update)(agents)
+def _update(config: TrainConfig, plant: Plant, agents: AgentState) -> tuple[AgentState, Metrics]:
+    return jax.vmap(_learner(config, plant, None).update)(agents)
 
 
 @eqx.filter_jit
@@ -126,12 +120,12 @@ class TrainingRun:
     """One run over its agents."""
 
     def __init__(self, plant: Plant, config: TrainConfig, seeds: tuple[int, ...], force_map: ForceMap | None) -> None:
-        self.config, self.seeds, self.limits = config, seeds, Limits(*map(float, plant.limits))
+        self.config, self.seeds, self.force_map = config, seeds, force_map
         self.agents = [(seed, cell) for seed in seeds for cell in config.cells]
-        self.force_map = force_map
         self.reachable = None if force_map is None else force_map.reachable
         self.plant = jit_argument(plant)
-        self.program = Program(config.learning, config.policy, config.task, config.ensemble, config.num_updates)
+        # Jobs that differ by their cells and seeds alone share their programs.
+        self.compiled = config.model_copy(update={"cells": ()})
         self.references = jnp.asarray(np.tile(config.evaluation_references(self.reachable), (len(seeds), 1, 1)))
 
     def start(self, policies: Policy | None = None) -> RunState:
@@ -144,7 +138,7 @@ class TrainingRun:
         init, table = _init_new, None
         if policies is None and self.force_map is not None and self.config.begins_as_gaits:
             init, table = _init_cloned, self.force_map.gaits.table
-        agents = init(self.program, self.plant, table, *self.over_devices((keys, boxes)))
+        agents = init(self.compiled, self.plant, table, *self.over_devices((keys, boxes)))
         if policies is not None:
             agents = agents._replace(policy=jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), policies))
             return RunState(agents, agents.policy, self.evaluate(agents.policy, 0))
@@ -164,7 +158,7 @@ class TrainingRun:
 
     def update(self, agents: AgentState, number: int) -> tuple[AgentState, Metrics]:
         """Update every agent, the `number`-th time; raises RunError where a loss or its gradient is not finite."""
-        agents, metrics = _update(self.program, self.plant, agents)
+        agents, metrics = _update(self.compiled, self.plant, agents)
         self._check_finite("the loss", np.asarray(metrics["loss"]) + np.asarray(metrics["gradient_norm"]), number)
         return agents, metrics
 
@@ -195,12 +189,13 @@ class TrainingRun:
         x, y = np.mean(state.best_evaluation.error, axis=(0, 1))
         return f"{note}, best deterministic {x:.2f}/{y:.2f} N" if np.isfinite(x + y) else note
 
-    def result(self, state: RunState) -> TrainingResult:
-        """The best policies, by seed and cell; NumPy arrays."""
-        policies, evaluation = jax.tree.map(
-            lambda x: np.asarray(x).reshape(len(self.seeds), -1, *x.shape[1:]), (state.best, state.best_evaluation)
+    def result(self, state: RunState) -> BestPolicies:
+        """The best policies and their evaluation, by seed and cell; NumPy arrays."""
+        shape = (len(self.seeds), len(self.config.cells))
+        best: BestPolicies = jax.tree.map(
+            lambda x: np.asarray(x).reshape(*shape, *x.shape[1:]), (state.best, state.best_evaluation)
         )
-        return TrainingResult(self.config, self.limits, self.seeds, policies, evaluation, self.force_map)
+        return best
 
 
 def summary(evaluation: PolicyEvaluation) -> Metrics:

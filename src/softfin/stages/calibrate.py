@@ -9,7 +9,7 @@ from softfin.storage import artifact as artifacts
 from softfin.storage.run_directory import RunDirectory
 from softfin.tank.calibration.calibrate import calibrate as _calibrate
 from softfin.tank.calibration.config import CalibrateConfig
-from softfin.tank.calibration.segments import material
+from softfin.tank.calibration.model import material
 
 
 def calibrate(

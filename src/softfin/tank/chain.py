@@ -30,10 +30,6 @@ class Motion(NamedTuple):
     along: PerPlate
     turning: PerPlate
 
-    def less(self, other: "Motion") -> "Motion":
-        """Return the motion relative to another one of the same plates."""
-        return Motion(self.normal - other.normal, self.along - other.along, self.turning - other.turning)
-
 
 class Wrench(NamedTuple):
     """On each plate: force along n and d [N], moment about the inner end [N m]. Likewise momenta [N s, N m s]."""

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from softfin.core.configuration import Configuration
 from softfin.tank import chain
@@ -51,12 +51,6 @@ class FinConfig(Configuration):
     """Density of the silicone [kg/m3]; addition silicones have 1050 to 1200."""
     damping_s: float = Field(0.0273, ge=0)
     """Kelvin-Voigt time: damping over stiffness of each joint [s]; a loss factor of 0.27 at 1.6 Hz."""
-
-    @model_validator(mode="after")
-    def _within(self) -> "FinConfig":
-        if self.root_length_m > self.length_m:
-            raise ValueError(f"root_length_m must not be above length_m = {self.length_m:g}")
-        return self
 
     def span(self, along: Series) -> Series:
         """Return the span of the fin at distances from the shaft [m]."""
@@ -130,10 +124,6 @@ class Shaft(NamedTuple):
     """Function from load and drag to the shaft's mean rate [rad/s], where the fin exerts load - drag * rate on it."""
 
 
-Loads = Callable[[Motion], tuple[Moments, Wrench]]
-"""What water does besides its inertia to plates that move in it: resists [kg/s], and exerts forces [N]."""
-
-
 class Surroundings(NamedTuple):
     """What the fin moves in."""
 
@@ -141,7 +131,8 @@ class Surroundings(NamedTuple):
     """Inertia of the water that each plate carries [kg, kg m, kg m2]."""
     stream: Float[Array, "2"]
     """Velocity (x, y) of the water far from the fin [m/s]; inertia and loads are those of the motion relative to it."""
-    loads: Loads
+    loads: Callable[[Motion], tuple[Moments, Wrench]]
+    """What water does besides its inertia to plates that move in it: resists [kg/s], and exerts forces [N]."""
 
 
 class Fin(eqx.Module):
@@ -180,7 +171,9 @@ class Fin(eqx.Module):
 
     def relative(self, state: FinState, around: Surroundings) -> Motion:
         """Return the motion of each plate relative to the stream."""
-        return self._motion(state).less(chain.components(state.angles, around.stream))
+        stream = chain.components(state.angles, around.stream)
+        relative: Motion = jax.tree.map(jnp.subtract, self._motion(state), stream)
+        return relative
 
     def momenta(self, state: FinState, around: Surroundings) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
         """Return the momenta of the fin itself and of the water that it carries, in the axes of the tank [N s]."""
@@ -200,7 +193,7 @@ class Fin(eqx.Module):
         pose = chain.pose(angles, self.plate_length)
         stream = chain.components(angles, around.stream)
         motion = chain.motion(pose, predicted)
-        relative = motion.less(stream)
+        relative = jax.tree.map(jnp.subtract, motion, stream)
         resistance, push = around.loads(relative)
         push = jax.tree.map(jnp.add, push, resistance.times(stream))
         inertia = jax.tree.map(jnp.add, self.inertia, around.inertia)

@@ -25,7 +25,7 @@ from softfin.core.configuration import Configuration
 from softfin.core.quantities import TICK_S
 from softfin.tank.chain import Moments, Motion, PerPlate, Scalar, Wrench
 from softfin.tank.fin import FinConfig, Surroundings, plate_moments
-from softfin.tank.sampling import remaining
+from softfin.tank.sensor import remaining
 
 
 class WaterConfig(Configuration):

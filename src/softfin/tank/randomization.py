@@ -5,7 +5,7 @@ Sampling is traceable: `jax.vmap` over keys gives one tank that holds a batch of
 """
 
 import zlib
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import equinox as eqx
 import jax
@@ -15,10 +15,14 @@ from pydantic import Field
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
 from softfin.core.quantities import Command, Limits, Reading
+from softfin.tank.chain import Scalar
 from softfin.tank.tank import Tank, TankState
 
 USUAL_PART = 0.15
 """Relative half-width from which on temperature, drift and mount have their usual ranges [-]."""
+
+OFFSETS = ("temperature_c", "misalignment_rad")
+"""Parameters that are added to the tank's own; the others multiply them."""
 
 
 class DomainRandomization(Configuration):
@@ -58,34 +62,18 @@ class DomainRandomization(Configuration):
         return not any(self.model_dump().values())
 
 
-class PhysicalParameters(NamedTuple):
-    """Differences of a tank from the one it was sampled from: offsets where the name has a unit, else factors."""
-
-    temperature_c: Float[Array, ""]
-    stiffness: Float[Array, ""]
-    drag: Float[Array, ""]
-    added_mass: Float[Array, ""]
-    lag: Float[Array, ""]
-    drift: Float[Array, ""]
-    misalignment_rad: Float[Array, ""]
-
-
-_OFFSETS = {"temperature_c", "misalignment_rad"}
-
-
-def sample_parameters(key: PRNGKeyArray, widths: DomainRandomization | None = None) -> PhysicalParameters:
-    """Sample parameters within `widths`, by default the documented ones."""
-    ranges = (widths or DomainRandomization()).model_dump()
-
-    def one(name: str) -> Float[Array, ""]:
-        own = jax.random.fold_in(key, zlib.crc32(name.encode()))
-        return (name not in _OFFSETS) + jax.random.uniform(own, minval=-ranges[name], maxval=ranges[name])
-
-    return PhysicalParameters(**{name: one(name) for name in PhysicalParameters._fields})
-
-
-def with_parameters(tank: Tank, parameters: PhysicalParameters) -> Tank:
-    """Return the tank with those parameters."""
+def with_parameters(
+    tank: Tank,
+    *,
+    temperature_c: Scalar | float = 0.0,
+    stiffness: Scalar | float = 1.0,
+    drag: Scalar | float = 1.0,
+    added_mass: Scalar | float = 1.0,
+    lag: Scalar | float = 1.0,
+    drift: Scalar | float = 1.0,
+    misalignment_rad: Scalar | float = 0.0,
+) -> Tank:
+    """Return the tank with other parameters: offsets where the name has a unit, else factors."""
     water, fin = tank.water, tank.fin
     changed: Tank = eqx.tree_at(
         lambda tank: (
@@ -94,21 +82,29 @@ def with_parameters(tank: Tank, parameters: PhysicalParameters) -> Tank:
         ),
         tank,
         (
-            fin.stiffness * parameters.stiffness,
+            fin.stiffness * stiffness,
             # Damping keeps its time.
-            fin.damping * parameters.stiffness,
-            water.varied(water.temperature + parameters.temperature_c, parameters.added_mass, parameters.drag),
-            tank.drive.lag * parameters.lag,
-            tank.sensor.drift * parameters.drift,
-            tank.sensor.misalignment + parameters.misalignment_rad,
+            fin.damping * stiffness,
+            water.varied(water.temperature + temperature_c, added_mass, drag),
+            tank.drive.lag * lag,
+            tank.sensor.drift * drift,
+            tank.sensor.misalignment + misalignment_rad,
         ),
     )  # fmt: skip
     return changed
 
 
 def sample_tank(tank: Tank, key: PRNGKeyArray, widths: DomainRandomization | None = None) -> Tank:
-    """Return the tank with sampled parameters; the same tank, to the last bit, where all widths are 0."""
-    return tank if widths is not None and widths.is_none else with_parameters(tank, sample_parameters(key, widths))
+    """Return the tank with parameters sampled within `widths`; the same tank, to the last bit, where all are 0."""
+    widths = widths or DomainRandomization()
+    if widths.is_none:
+        return tank
+
+    def one(name: str, width: float) -> Scalar:
+        own = jax.random.fold_in(key, zlib.crc32(name.encode()))
+        return (name not in OFFSETS) + jax.random.uniform(own, minval=-width, maxval=width)
+
+    return with_parameters(tank, **{name: one(name, width) for name, width in widths.model_dump().items()})
 
 
 RandomizedTankState: TypeAlias = tuple[Tank, TankState]

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from softfin.tank.calibration.config import Parameter
-from softfin.tank.calibration.determination import _row, determination
-from softfin.tank.calibration.search import Linear
+from softfin.tank.calibration.search import Linear, _row, determination
 
 PARAMETERS = tuple(Parameter(f"fin.{name}", 1.0, 2.0) for name in ("length_m", "span_m", "density_kg_m3"))
 

@@ -2,9 +2,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from softfin.core.quantities import Command
-from softfin.tank.calibration.calibrate import scores
-from softfin.tank.calibration.figure import calibration_figure
-from softfin.tank.calibration.segments import Segments
+from softfin.tank.calibration.calibrate import calibration_figure, scores
+from softfin.tank.calibration.model import Segments
 
 
 def test_the_figure_shows_both_sides_with_units():

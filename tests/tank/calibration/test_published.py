@@ -7,8 +7,7 @@ from softfin.core.configuration import read_yaml
 from softfin.surrogate import import_keras
 from softfin.tank.calibration.calibrate import scores
 from softfin.tank.calibration.config import CalibrateConfig
-from softfin.tank.calibration.model import read, stacked
-from softfin.tank.calibration.segments import cut, material
+from softfin.tank.calibration.model import cut, material, read, stacked
 
 CONFIG = Path(__file__).parents[3] / "docs" / "calibration.yaml"
 
