@@ -44,12 +44,10 @@ def write_learning(folder: Path) -> None:
 def curves(entries: Sequence[Mapping[str, Any]]) -> list[Curve]:
     """The error of each seed against the steps, where the policies were evaluated."""
     first, second = (f"/score_{axis}_n" for axis in AXES)
-    seeds = dict.fromkeys(name.removesuffix(first) for entry in entries for name in entry if name.endswith(first))
-    scored = {seed: [entry for entry in entries if entry.get(seed + first) is not None] for seed in seeds}
-    return [
-        ([entry["step"] for entry in each], [(entry[seed + first] + entry[seed + second]) / 2 for entry in each])
-        for seed, each in scored.items()
-    ]
+    scored = [entry for entry in entries if any(name.endswith(first) for name in entry)]
+    seeds = [name.removesuffix(first) for name in scored[0] if name.endswith(first)] if scored else []
+    steps = [entry["step"] for entry in scored]
+    return [(steps, [(entry[seed + first] + entry[seed + second]) / 2 for entry in scored]) for seed in seeds]
 
 
 def learning_figure(runs: Mapping[str, Sequence[Curve]], quantity: str) -> Figure:
@@ -82,10 +80,7 @@ def save_controller(
     learnt: Mapping[str, Any] = UNKNOWN,
     overwrite: bool = False,
 ) -> None:
-    """Write the controller of one seed, whole or not at all; `extra_files` adds to the folder.
-
-    `learnt` tells what its plant has learnt from (`softfin.surrogate.channels.learnt_from`).
-    """
+    """Write the controller of one seed, whole or not at all; `learnt` tells what its plant has learnt from."""
     config, index = trained.config, trained.seeds.index(seed)
     # Those of a grid have a leading axis of cells.
     one = (index, 0) if config.controller == "single" else (index,)

@@ -44,10 +44,7 @@ class Engine:
     """Works on one part after the other in this process; other engines override `map`."""
 
     def map(self, stage: str, work: Work, parts: Mapping[str, Any], progress: Progress | None) -> list[Any]:
-        """The result of every part, in their order; `stage` names the whole in the progress.
-
-        Here an error of a part ends the run, and the parts after it are not begun.
-        """
+        """The result of every part, in their order; an error ends the run. `stage` names the whole in the progress."""
 
         def report(index: int, name: str, _: str, fraction: float, note: str) -> None:
             if progress is not None:

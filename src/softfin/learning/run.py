@@ -129,10 +129,8 @@ class TrainingRun:
         self.references = jnp.asarray(np.tile(config.evaluation_references(self.reachable), (len(seeds), 1, 1)))
 
     def start(self, policies: Policy | None = None) -> RunState:
-        """New agents; or agents that go on from policies ``(seeds, cells, ...)``, which count as the best so far.
-
-        The key of an agent depends on its seed and cell alone, not on the agents beside it.
-        """
+        """New agents; or agents that go on from policies ``(seeds, cells, ...)``, which count as the best so far."""
+        # The key of an agent depends on its seed and cell alone, not on the agents beside it.
         keys = jnp.stack([key_of(seed, f"train/{cell}") for seed, cell in self.agents])
         boxes = stack_references([cell.expanded(self.config.margin_n) for _, cell in self.agents], self.reachable)
         init, table = _init_new, None

@@ -4,14 +4,5 @@ from softfin.tank.randomization import DomainRandomization, RandomizedTank, samp
 from softfin.tank.sensor import IDEAL, SensorConfig
 from softfin.tank.tank import Tank, TankConfig, TankState
 
-__all__ = [
-    "IDEAL",
-    "DomainRandomization",
-    "RandomizedTank",
-    "SensorConfig",
-    "Tank",
-    "TankConfig",
-    "TankState",
-    "sample_tank",
-    "with_parameters",
-]
+__all__ = ["IDEAL", "DomainRandomization", "RandomizedTank", "SensorConfig", "Tank", "TankConfig", "TankState",
+           "sample_tank", "with_parameters"]  # fmt: skip

@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 import equinox as eqx
 import jax
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import PRNGKeyArray
 from pydantic import Field
 
 from softfin.core.configuration import Configuration
@@ -112,10 +112,7 @@ RandomizedTankState: TypeAlias = tuple[Tank, TankState]
 
 
 class RandomizedTank(eqx.Module):
-    """A plant that is another tank after every `init`: its key samples the physical parameters.
-
-    Whatever runs a plant over several keys so runs over as many tanks, side by side in one program.
-    """
+    """A plant that is another tank after every `init`: its key samples the physical parameters."""
 
     tank: Tank
     """The tank about which the others are sampled."""
@@ -137,8 +134,3 @@ class RandomizedTank(eqx.Module):
         tank, inner = state
         inner, reading = tank.advance(inner, command, ticks)
         return (tank, inner), reading
-
-    def shape(self, state: RandomizedTankState) -> Float[Array, "points 2"]:
-        """Return where the fin is; see `Tank.shape`."""
-        tank, inner = state
-        return tank.shape(inner)

@@ -76,10 +76,7 @@ class Tank(eqx.Module):
         )
 
     def advance(self, state: TankState, command: Command, ticks: int) -> tuple[TankState, Reading]:
-        """Hold the command for `ticks` samples of 10 ms and read after each: fields ``(ticks,)``.
-
-        Raises CommandError for a command beyond the limits.
-        """
+        """Hold the command for `ticks` samples of 10 ms and read after each: fields ``(ticks,)``."""
         check_commands(self.limits, command)
         dtype = state.fin.angles.dtype
         command = Command(jnp.asarray(command.angle, dtype), jnp.asarray(command.velocity, dtype))

@@ -79,10 +79,7 @@ class Calibration:
 
 
 def prepared(config: CalibrateConfig, train: Sequence[Log], test: Sequence[Log]) -> tuple[Space, Segments, Segments]:
-    """Return what is searched, what it is fitted to and what it is judged on.
-
-    Raises ConfigurationError for parameters that cannot be searched, LogError for logs too short or too few for them.
-    """
+    """Return what is searched, what it is fitted to and what it is judged on; raises where either is not usable."""
     parameters = parameters_of(config.parameters)
     if not parameters:
         raise ConfigurationError("parameters: all are null; give at least one a range, such as fin.span_m: [0.03, 0.2]")
@@ -107,10 +104,7 @@ def calibrate(
     run_directory: RunDirectory,
     progress: Progress | None = None,
 ) -> Calibration:
-    """Fit a tank to the training logs; goes on from the run directory's checkpoint where there is one.
-
-    Raises ConfigurationError or LogError as `prepared`, RunError where no tank has finite readings.
-    """
+    """Fit a tank to the training logs; goes on from the run directory's checkpoint where there is one."""
     tell = progress or (lambda stage, fraction, note: None)
     space, fitted, unseen = prepared(config, train, test)
     weights = np.array([getattr(config.weights, channel) for channel in CHANNELS])

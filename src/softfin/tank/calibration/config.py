@@ -64,11 +64,7 @@ _UNITS = {
 
 
 class RecordingConfig(Configuration):
-    """How a log's commands and readings relate to those of a tank: gains, offsets and units of the recording itself.
-
-    In the tank a command of 1 rad at 2 rad/s means that; by default it does so in the log, too. Another unit, an
-    encoder's zero or a sensor's offset belong here, and never to the tank.
-    """
+    """How a log's commands and readings relate to those of a tank: gains, offsets and units of the recording itself."""
 
     angle_gain: float = Field(1.0, gt=0)
     """Target angle over commanded angle [-]."""

@@ -55,10 +55,7 @@ class Segments(eqx.Module):
 
 
 def cut(logs: Sequence[Log], count: int, rows: int, warm_up: int, part: str) -> Segments:
-    """Cut segments of `rows` readings, from all logs in turn; fewer than `count` where the logs hold no more.
-
-    Raises LogError where no log is long enough for one segment, or a channel never changes.
-    """
+    """Cut segments of `rows` readings, from all logs in turn; fewer than `count` where the logs hold no more."""
     places = [
         (log, slice(start, start + rows))
         for start in range(0, max((len(log.reading.time) for log in logs), default=0) - rows, rows)
@@ -123,10 +120,7 @@ def _of_plant(plant: Plant, config: CalibrateConfig, seed: int) -> tuple[list[Lo
 Errors = Callable[[Sequence[Point]], Iterator[Float[np.ndarray, "segments compared channels"]]]
 """Function from points to the errors of each, divided by each channel's standard deviation."""
 
-QUIET = {
-    "sensor": {"noise_n": 0.0, "drift_n": 0.0, "resolution_n": 0.0},
-    "drive": {"encoder_step_rad": 0.0},
-}
+QUIET = {"sensor": {"noise_n": 0.0, "drift_n": 0.0, "resolution_n": 0.0}, "drive": {"encoder_step_rad": 0.0}}
 """A tank without what is random or stepped in the readings: neither can be fitted."""
 
 
