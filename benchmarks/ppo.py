@@ -14,7 +14,7 @@ from benchmarks.measure import entry
 from benchmarks.nets import published_layout
 from softfin.core.gym_registration import register
 from softfin.learning.configuration import GRID, SINGLE, TrainConfig
-from softfin.learning.train import train
+from softfin.learning.train import train_jobs
 from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate import Surrogate
 
@@ -27,7 +27,7 @@ def softfin_speed(plant: Surrogate, config: TrainConfig) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
         start = time.perf_counter()
         run_directory = RunDirectory(Path(folder) / "controller", {})
-        train(plant, config, (0,), run_directory, lambda _, done, __: moments.append((time.perf_counter(), done)))
+        train_jobs(plant, config, (0,), run_directory, lambda _, done, __: moments.append((time.perf_counter(), done)))
     # The first scoring compiles too, so the clock starts behind it.
     first = max(1, round(len(moments) / config.num_evaluations))
     (begin, before), (end, after) = moments[first], moments[-1]

@@ -27,7 +27,7 @@ NAMES = {
     "beyond_data": "out_of_distribution_fraction", "Doubt": "SurrogateUncertainty", "doubt":
     "stop_unconfirmed, uncertainty", "Place": "Segment", "Piece": "Segment", "Stretch": "Segment", "Subject":
     "EvaluationTarget", "Spread": "DomainRandomization", "drawn": "sample_tank", "randomised": "sample_tank",
-    "Conditions": "PhysicalParameters", "under": "with_parameters", "Facts": "LogStatistics", "facts": "metadata",
+    "Conditions": "DomainRandomization", "under": "with_parameters", "Facts": "LogStatistics", "facts": "metadata",
     "Finding": "Issue", "also": "extra_files", "described": "to_dict", "Workspace": "RunDirectory", "workspace":
     "run_directory", "Bench": "RobotSetup", "TrimState": "DisturbanceObserverState", "TrimConfig":
     "DisturbanceObserverConfig", "TrimmedController": "DisturbanceObserver",

@@ -9,7 +9,7 @@ from softfin.core.errors import ConfigurationError
 from softfin.core.quantities import PAPER_LIMITS
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.tank import Tank, TankConfig
-from softfin.tank.geometry import FinConfig
+from softfin.tank.fin import FinConfig
 from tests.evaluation.test_moving import Covering
 
 QUICK = ("--plant", "tests.plants:AnalyticFin", "--seconds", "3", "--seeds", "1", "--reference=1,1")

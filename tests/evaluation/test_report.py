@@ -10,7 +10,7 @@ from softfin.evaluation.evaluate import EvaluateConfig, evaluate
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.figures import experiments_figure
 from softfin.evaluation.report import prediction_figure, write_report
-from softfin.learning.figure import learning_figure
+from softfin.learning.controllers import learning_figure
 from tests.plants import AnalyticFin, Flapper
 
 
@@ -79,7 +79,7 @@ def page(results, evaluation, tmp_path_factory) -> Page:
     trajectory = experiments_figure(ExperimentRecording(*one))
     figures = {
         "surrogate": {"Prediction": prediction_figure(force, {"free-running": force})},
-        "learning": {"Learning": learning_figure({"single": [([0, 1], [0, 1])]})},
+        "learning": {"Learning": learning_figure({"single": [([0, 1], [0, 1])]}, "reward")},
         "experiment": {"Single": trajectory, "Single again": trajectory},
     }
     write_report(path, results, figures)

@@ -22,11 +22,11 @@ import pytest
 from softfin.core.errors import RunError, SoftfinError
 from softfin.gaits.reachable import Cell
 from softfin.learning.configuration import TrainConfig
-from softfin.learning.engine_ray import RayEngine
-from softfin.learning.jobs import find_engine, train_jobs
+from softfin.learning.engine import RayEngine, find_engine
 from softfin.learning.policy import PolicyConfig
 from softfin.learning.ppo import PPOConfig
 from softfin.learning.run import TrainingResult
+from softfin.learning.train import train_jobs
 from softfin.storage.run_directory import LOG, RunDirectory, read_log
 from softfin.task.task import TaskConfig
 from tests.plants import AnalyticFin
@@ -128,7 +128,8 @@ def cells(folder: Path) -> dict[str, Any]:
 
 def failures(folder: Path) -> dict[str, Any]:
     """What goes wrong for good, while the part beside it is done."""
-    engine = RayEngine(_two_nodes(), attempts=2)
+    engine = RayEngine(_two_nodes())
+    engine.attempts = 2
     told: dict[str, Any] = {work.__name__: _failure(engine, work, folder) for work in (_refuse, _fail, _die)}
     told["finished"] = sorted(path.name for path in folder.glob("*-other"))
     told["nowhere"] = _failure(RayEngine("127.0.0.1:9"), _refuse, folder)

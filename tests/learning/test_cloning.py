@@ -10,7 +10,7 @@ import numpy as np
 from softfin.core.action_clock import CYCLE_ACTIONS, ticks_of
 from softfin.core.plant import counted
 from softfin.gaits.reachable import Cell
-from softfin.learning.cloning import CloningConfig, Demonstrations, clone_gaits, record_demonstrations
+from softfin.learning.gradient import CloningConfig, Demonstrations, clone_gaits, record_demonstrations
 from softfin.learning.policy import Policy, PolicyConfig
 from softfin.task.references import References
 from softfin.task.task import ForceTracking, TaskConfig

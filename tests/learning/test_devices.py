@@ -24,7 +24,7 @@ FORCED = "--xla_force_host_platform_device_count=2"
 @pytest.mark.parametrize(("agents", "devices", "used"), [(6, 4, 3), (8, 4, 4), (5, 4, 1), (1, 8, 1), (49, 8, 7)])
 def test_as_many_devices_share_the_agents_as_get_equal_parts(agents, devices, used, monkeypatch):
     run, tree = TrainingRun(AnalyticFin(), SMALL, (0,), None), (jnp.zeros(agents),)
-    run.agents = [(0, 0)] * agents
+    run.agents = [(0, SMALL.cells[0])] * agents
     chosen: list[Any] = []
     monkeypatch.setattr(jax, "devices", lambda: list(range(devices)))
     monkeypatch.setattr(run_module, "Mesh", lambda found, _: chosen.extend(found))

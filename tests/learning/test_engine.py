@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from softfin.core.errors import ConfigurationError, RunError
-from softfin.learning.engine import Engine
-from softfin.learning.jobs import find_engine
+from softfin.learning.engine import Engine, find_engine
 from tests.learning.ray_cluster import SMALL, within
 
 

@@ -17,15 +17,14 @@ from softfin.core.quantities import Command
 from softfin.gaits.force_map import MapConfig
 from softfin.gaits.reachable import PAPER_REFERENCES, Cell, Reachable
 from softfin.gaits.simulate import missing_gradient
-from softfin.learning.cloning import CloningConfig
 from softfin.learning.configuration import GRADIENT_SINGLE, GRID, TRAIN_PRESETS, TrainConfig, check, choose_preset
-from softfin.learning.gradient import Gradient, GradientConfig
+from softfin.learning.gradient import CloningConfig, Gradient, GradientConfig
 from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.rollout import AgentState, EnvState
 from softfin.learning.run import TrainingResult, TrainingRun
-from softfin.learning.train import train
+from softfin.learning.train import train_jobs
 from softfin.storage.run_directory import RunDirectory
-from softfin.task.references import PAPER_RANGE, stack_references
+from softfin.task.references import stack_references
 from softfin.task.task import ForceTracking, TaskConfig
 from tests.learning.mapped import GAITS, SURVEY, WITHIN, mapped
 from tests.learning.probes import Delayed, Direct
@@ -234,7 +233,7 @@ def test_the_gradient_is_compiled_once_for_all_who_ask() -> None:
 
 def trained(folder: Path, resume: bool = False, progress: Any = None) -> TrainingResult:
     run_directory = RunDirectory(folder / "out", {"of": "this"}, resume=resume)
-    return train(StrokeFin(), QUICK, SEEDS, run_directory, progress)
+    return train_jobs(StrokeFin(), QUICK, SEEDS, run_directory, progress)
 
 
 @pytest.fixture(scope="module")
@@ -289,12 +288,6 @@ def test_the_table_reaches_over_all_that_is_taught() -> None:
     check(StrokeFin(), QUICK, (0,), mapped())
     with pytest.raises(ConfigurationError, match=r"map of x 0.5 .. 1.5, y -0.5 .. 0.5 N: its gaits do not reach over"):
         check(StrokeFin(), wide, (0,), mapped())
-
-
-def test_a_box_of_ones_own_for_the_table_is_refused() -> None:
-    config = QUICK.merged({"gradient": {"map": {"box": PAPER_RANGE.model_dump()}}}, "mine")
-    with pytest.raises(ConfigurationError, match=r"gradient.map.box = x 0.5 .. 3.5.*leave it out, and give --range"):
-        check(StrokeFin(), config, (0,))
 
 
 def test_a_run_begins_from_gradients_where_the_plant_has_them() -> None:
@@ -358,6 +351,6 @@ def test_an_ensemble_of_ones_own_takes_what_only_an_ensemble_can_do(tmp_path: Pa
     assert isinstance(Twins(), EnsemblePlant)
     assert isinstance(jit_argument(Twins()), EnsemblePlant)
     config = QUICK.changed(("ensemble=each", "steps=24", "num_evaluations=1", "gradient.warm_start=false"))
-    result = train(Twins(), config, (0,), RunDirectory(tmp_path / "out", {}))
+    result = train_jobs(Twins(), config, (0,), RunDirectory(tmp_path / "out", {}))
     assert np.isfinite(result.evaluation.error).all()
     np.testing.assert_array_equal(result.evaluation.out_of_distribution_fraction, 1)

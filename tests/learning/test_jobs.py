@@ -9,11 +9,11 @@ import pytest
 from softfin.core.errors import ConfigurationError
 from softfin.gaits.force_map import MapConfig, empty_map
 from softfin.gaits.reachable import Reachable
-from softfin.learning import jobs
+from softfin.learning import train as train_module
+from softfin.learning.configuration import TrainConfig
 from softfin.learning.engine import Engine
-from softfin.learning.jobs import default_split, split_run, train_jobs
 from softfin.learning.run import TrainingResult
-from softfin.learning.train import train
+from softfin.learning.train import default_split, split_run, train, train_jobs
 from softfin.storage.run_directory import CHECKPOINT, read_log
 from softfin.task.references import PAPER_RANGE
 from tests.learning.ray_cluster import SEEDS, SMALL, alike, run_directory
@@ -23,10 +23,16 @@ ONE_CELL = SMALL.model_copy(update={"cells": SMALL.cells[:1]})
 """Two seeds of it are as many lanes as the two cells of `SMALL` with one seed: one compiled program does both."""
 
 
+def in_one(config: TrainConfig, seeds: tuple[int, ...], folder: Path) -> TrainingResult:
+    """Trained in this process, as no job of a run."""
+    best = train(AnalyticFin(), config, seeds, run_directory(folder, seeds=seeds), None, None)
+    return TrainingResult(config, AnalyticFin().limits, seeds, *best)
+
+
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> TrainingResult:
     """Both cells, of the first seed."""
-    return train(AnalyticFin(), SMALL, (0,), run_directory(tmp_path_factory.mktemp("whole"), seeds=(0,)))
+    return in_one(SMALL, (0,), tmp_path_factory.mktemp("whole"))
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +45,7 @@ def test_jobs_are_named_after_their_seeds_and_cells():
     assert list(split_run(SMALL, (4, 7), "seed")) == ["seed-4", "seed-7"]
     cells = split_run(SMALL, (4, 7), "cell")
     assert list(cells) == ["seed-4-cell-0", "seed-4-cell-1", "seed-7-cell-0", "seed-7-cell-1"]
-    assert cells["seed-7-cell-1"] == (SMALL.model_copy(update={"cells": SMALL.cells[1:]}), (7,))
+    assert cells["seed-7-cell-1"] == (slice(1, 2), slice(1, 2))
 
 
 @pytest.mark.parametrize(
@@ -67,7 +73,7 @@ def test_jobs_of_single_cells_learn_what_the_whole_learns_but_for_rounding(
 
 
 def test_jobs_of_seeds_learn_what_the_whole_learns_but_for_rounding(tmp_path: Path):
-    whole = train(AnalyticFin(), ONE_CELL, SEEDS, run_directory(tmp_path / "whole"))
+    whole = in_one(ONE_CELL, SEEDS, tmp_path / "whole")
     by_seed = train_jobs(AnalyticFin(), ONE_CELL, SEEDS, run_directory(tmp_path / "seeds"), split="seed")
     assert by_seed.seeds == whole.seeds
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-3), by_seed.policies, whole.policies)
@@ -129,12 +135,12 @@ def test_the_fin_is_mapped_once_over_all_cells_for_all_jobs(monkeypatch: pytest.
     asked, given = [], []
     found = empty_map(MapConfig(box=PAPER_RANGE).empty_table(Reachable(np.zeros(2), np.ones(8))), 8)
 
-    def remembered(*arguments, force_map, start):
-        given.append(force_map)
-        return train(*arguments)
+    def remembered(*arguments):
+        given.append(arguments[5])
+        return train(*arguments[:5], None)
 
-    monkeypatch.setattr(jobs, "find_map", lambda plant, config, *_: asked.append(config.cells) or found)
-    monkeypatch.setattr(jobs, "train", remembered)
+    monkeypatch.setattr(train_module, "find_map", lambda plant, config, *_: asked.append(config.cells) or found)
+    monkeypatch.setattr(train_module, "train", remembered)
     trained = train_jobs(AnalyticFin(), SMALL, (0,), run_directory(tmp_path), split="cell")
     assert asked == [SMALL.cells]
     assert len(given) == 2

@@ -1,7 +1,6 @@
 """Training runs: lanes, checkpoints, resuming, logs, what stops them."""
 
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +12,13 @@ import safetensors
 
 from softfin.core.errors import ConfigurationError, RunError
 from softfin.gaits.reachable import Cell
+from softfin.learning import run as run_module
 from softfin.learning.configuration import GRID, SINGLE, TrainConfig
 from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.ppo import PPOConfig
 from softfin.learning.rollout import PolicyEvaluation
-from softfin.learning.run import Programs, TrainingResult, TrainingRun, programs_of
-from softfin.learning.train import train
+from softfin.learning.run import TrainingResult, TrainingRun
+from softfin.learning.train import train_jobs
 from softfin.storage.run_directory import CHECKPOINT, RunDirectory, read_log
 from softfin.task.task import TaskConfig
 from tests.plants import AnalyticFin, PlainFin
@@ -41,7 +41,7 @@ class Cut(Exception):
 def trained(folder: Path, seeds: tuple[int, ...] = (0,), config: TrainConfig = SMALL, **options: Any) -> TrainingResult:
     metadata = {"configuration": config.model_dump(mode="json"), "seeds": list(seeds)}
     run_directory = RunDirectory(folder / "out", metadata, resume=options.pop("resume", False))
-    return train(options.pop("plant", AnalyticFin()), config, seeds, run_directory, **options)
+    return train_jobs(options.pop("plant", AnalyticFin()), config, seeds, run_directory, **options)
 
 
 def log_of(folder: Path) -> list[dict[str, Any]]:
@@ -117,13 +117,13 @@ def test_a_loss_that_is_not_finite_stops_with_its_place_and_the_last_good_checkp
         assert json.loads(file.metadata()["facts"])["updates"] == 1
 
 
-def test_scores_that_are_not_finite_stop_it_as_a_loss_does() -> None:
+def test_scores_that_are_not_finite_stop_it_as_a_loss_does(monkeypatch: pytest.MonkeyPatch) -> None:
     """Else a run of hours would end with policies that were never any good."""
     run = object.__new__(TrainingRun)
-    run.config, run.agents = SMALL, [(5, 0), (5, 1)]
+    run.config, run.agents = SMALL, [(5, cell) for cell in SMALL.cells]
     worst = PolicyEvaluation(jnp.array([[[0.5, 0.5]], [[jnp.nan, 0.5]]]), jnp.zeros((2, 1, 2)))
-    run.programs = Programs(None, None, lambda *given: worst)
-    run.given, run.references = None, jnp.zeros((2, 1, 2))
+    monkeypatch.setattr(run_module, "_evaluate", lambda *given: worst)
+    run.plant, run.references = None, jnp.zeros((2, 1, 2))
     words = (
         r"^train: the force while the policies are evaluated is not finite in update 3 of 4, seed 5, cell x 1.5 .. 2.5"
     )
@@ -160,11 +160,8 @@ def test_the_log_says_how_often_policies_leave_the_data_of_a_surrogate_that_know
     whole: tuple[TrainingResult, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is the scoring that says so: here nothing is learnt, as learning in a surrogate takes long to compile."""
-    idle = {"loss": jnp.zeros(1), "gradient_norm": jnp.zeros(1)}
-    monkeypatch.setattr(
-        sys.modules[TrainingRun.__module__], "programs_of",
-        lambda *asked: programs_of(*asked)._replace(update=lambda given, lanes: (lanes, idle)),
-    )  # fmt: skip
+    idle = dict.fromkeys(("loss", "gradient_norm", "error_x_n", "error_y_n"), jnp.zeros(1))
+    monkeypatch.setattr(run_module, "_update", lambda program, plant, lanes: (lanes, idle))
     one = SMALL.model_copy(update={"cells": SMALL.cells[:1], "num_evaluations": 1})
     trained(tmp_path, config=one, plant=streaming.surrogate())
     (entry,) = [entry for entry in log_of(tmp_path) if "seed0/score_x_n" in entry]

@@ -118,7 +118,8 @@ def test_the_unrolled_solve_is_numpys_with_what_holds_the_root(size):
     half = rng.normal(size=(size, size))
     matrix, right = half @ half.T + 0.1 * np.eye(size), rng.normal(size=size)
     # The root is held by a damper of 0.5, pushed by 0.3.
-    found = chain.solve(*map(jnp.asarray, (matrix, right)), lambda inertia, impulse: (impulse + 0.3) / (inertia + 0.5))
+    inertia, impulse, expand = chain.condense(*map(jnp.asarray, (matrix, right)))
+    found = expand((impulse + 0.3) / (inertia + 0.5))
     first = np.eye(size)[0]
     expected = np.linalg.solve(matrix + 0.5 * np.outer(first, first), right + 0.3 * first)
     np.testing.assert_allclose(found, expected, rtol=1e-9)

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 from softfin.core.quantities import TICK_S
 from softfin.tank import chain
 from softfin.tank.chain import Motion
-from softfin.tank.fin import Fin, Shaft
-from softfin.tank.geometry import FinConfig
+from softfin.tank.fin import Fin, FinConfig, Shaft
 from softfin.tank.hydrodynamics import REFERENCE_STROKE, Water, WaterConfig
 
 RIGID = FinConfig(plates=4, length_m=0.2, span_m=0.08, youngs_modulus_pa=1e11)
@@ -207,7 +206,7 @@ def test_density_and_viscosity_are_those_of_fresh_water(temperature, density, vi
 
 
 def test_water_brought_to_a_temperature_is_water_configured_at_it(water):
-    warm = water.at(jnp.asarray(30.0))
+    warm = water.varied(jnp.asarray(30.0))
     configured = Water(CONFIG.model_copy(update={"temperature_c": 30.0}), RIGID)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-12), warm, configured)
 

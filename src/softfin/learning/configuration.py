@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import NonNegativeFloat, PositiveInt, model_validator
+from pydantic import Field, NonNegativeFloat, PositiveInt, model_validator
 
 from softfin.control.grid import SwitchingConfig
 from softfin.core.action_clock import ACTION_TICKS
@@ -34,7 +34,7 @@ class TrainConfig(Configuration):
     """One policy for a whole range of references, or one for each cell of a grid."""
     steps: PositiveInt = 10_000
     """Actions in the plant for each policy, over all its environments: the paper's 10,000 a cell, 30,000 single."""
-    cells: tuple[Cell, ...] = PAPER_CELLS
+    cells: tuple[Cell, ...] = Field(PAPER_CELLS, min_length=1)
     """References [N] that each policy is trained for; one cell for `single`."""
     margin_n: NonNegativeFloat = 0.0
     """Distance beyond their cells for which policies are trained, too [N]: a grid switches with a hysteresis."""
@@ -63,8 +63,6 @@ class TrainConfig(Configuration):
     def _fits(self) -> "TrainConfig":
         if self.controller == "single" and len(self.cells) != 1:
             raise ValueError(f"a single controller has one cell, not {len(self.cells)}; give one, or controller=grid")
-        if not self.cells:
-            raise ValueError("no cells; give at least one")
         check_apart(self.cells, "cells")
         return self
 
@@ -88,12 +86,25 @@ class TrainConfig(Configuration):
         """The box round all references that policies are trained for."""
         return bounding_box(self.cells).expanded(self.margin_n)
 
+    @property
+    def shared_pretraining(self) -> "TrainConfig | None":
+        """Training of one policy for all cells of a grid, which its policies begin as; None without."""
+        shared = self.gradient.shared_pretraining
+        if self.algorithm != "gradient" or self.controller != "grid" or shared is None:
+            return None
+        learning = {"num_envs": shared.num_envs, "learning_rate": shared.learning_rate, "shared_pretraining": None}
+        return self.merged(
+            {
+                "controller": "single", "cells": [bounding_box(self.cells).model_dump()], "lattice": shared.lattice,
+                "steps": shared.num_updates * shared.num_envs * self.gradient.num_steps, "gradient": learning,
+            },
+            "shared_pretraining",
+        )  # fmt: skip
+
     def evaluation_references(self, reachable: Reachable | None) -> Float[np.ndarray, "cells references 2"]:
         """The lattice of references of each cell [N], each as the nearest force that the fin can make."""
         lattices = [cell.lattice(self.lattice) for cell in self.cells]
-        if reachable is not None:
-            return reachable.nearest(lattices).astype(np.float32)
-        return np.asarray(lattices, np.float32)
+        return np.asarray(lattices if reachable is None else reachable.nearest(lattices), np.float32)
 
 
 GRID = TrainConfig()
@@ -164,22 +175,11 @@ def check(plant: Plant, config: TrainConfig, seeds: Sequence[int], force_map: Fo
             "ensemble = each: the plant is not an ensemble of two members or more; leave it out, or fit a streaming "
             "surrogate with --set members=5"
         )
-    if config.begins_as_gaits:
-        _check_map(config, force_map)
-
-
-def _check_map(config: TrainConfig, force_map: ForceMap | None) -> None:
-    box = config.training_range
-    if config.gradient.map.box is not None:
-        raise ConfigurationError(
-            f"gradient.map.box = {config.gradient.map.box}: gaits are found for all cells ({box}); leave it out, and "
-            "give --range or --cells"
-        )
-    if force_map is None:
+    if not config.begins_as_gaits or force_map is None:
         return
-    table, (least, greatest) = force_map.gaits.table, force_map.reachable.bounds()
-    low, high = np.maximum(box.low, least), np.minimum(box.high, greatest)
-    if (np.asarray(table.low) > low + EDGE_N).any() or (np.asarray(table.high) < high - EDGE_N).any():
+    box, table, (least, greatest) = config.training_range, force_map.gaits.table, force_map.reachable.bounds()
+    low, high = np.maximum(box.low, least) + EDGE_N, np.minimum(box.high, greatest) - EDGE_N
+    if np.any(table.low > low) or np.any(table.high < high):
         between = Cell(low=tuple(map(float, table.low)), high=tuple(map(float, table.high)))
         raise ConfigurationError(
             f"map of {between}: its gaits do not reach over the references to train for ({box}); map these too, or "

@@ -1,16 +1,74 @@
-"""Trained policies as controllers' folders, with their scores."""
+"""Trained policies as controllers' folders, with their scores and the figure of their errors over the training."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import Float
+from matplotlib.figure import Figure
 
 from softfin.control.store import write_controller
+from softfin.core.quantities import AXES
+from softfin.learning.configuration import TrainConfig
 from softfin.learning.policy import Policy, memory_of, named
+from softfin.learning.rollout import PolicyEvaluation
 from softfin.learning.run import TrainingResult
+from softfin.storage.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, save_figure, styled
+from softfin.storage.run_directory import LOG, read_log
 from softfin.surrogate.channels import UNKNOWN
+
+Curve = tuple[Sequence[int | float] | np.ndarray, Sequence[int | float] | np.ndarray]
+"""(steps, values) of one run, steps increasing."""
+
+REFINED, SHARED = "refined", "shared"
+"""Folders of the logs of a refinement, and of the training of one policy for all cells."""
+GROUPS = {REFINED: "refined cells", SHARED: "one policy for all cells"}
+"""Runs of their own, which count their steps from 0, by the folder of their logs."""
+
+
+def write_learning(folder: Path) -> None:
+    """Draw ``learning.svg`` beside the logs of a run and of its jobs, a curve for every seed of each log."""
+    runs: dict[str, list[Curve]] = {}
+    for log in sorted(folder.rglob(LOG)):
+        within = [GROUPS[part] for part in log.relative_to(folder).parts if part in GROUPS]
+        group = within[-1] if within else "error without exploration noise"
+        runs.setdefault(group, []).extend(curves(read_log(log)))
+    if found := {group: each for group, each in runs.items() if each}:
+        figure = learning_figure(found, "mean error of both axes [N]")
+        save_figure(figure, folder, "learning", ("svg",))
+
+
+def curves(entries: Sequence[Mapping[str, Any]]) -> list[Curve]:
+    """The error of each seed against the steps, where the policies were evaluated."""
+    first, second = (f"/score_{axis}_n" for axis in AXES)
+    scored = [entry for entry in entries if any(name.endswith(first) for name in entry)]
+    seeds = [name.removesuffix(first) for name in scored[0] if name.endswith(first)] if scored else []
+    steps = [entry["step"] for entry in scored]
+    return [(steps, [(entry[seed + first] + entry[seed + second]) / 2 for entry in scored]) for seed in seeds]
+
+
+def learning_figure(runs: Mapping[str, Sequence[Curve]], quantity: str) -> Figure:
+    """One line a group of runs, such as seeds: their mean, over each run in faint."""
+    styles = zip(cycle((BLUE, ORANGE, GREEN, BLACK)), cycle(("-", "--", "-.", ":")), strict=False)
+    with styled():
+        figure = new_figure(7, 3.4)
+        axes = figure.subplots()
+        for (name, curves), (colour, line) in zip(runs.items(), styles, strict=False):
+            # On the steps of the first run, as far as all go.
+            reach = min(steps[-1] for steps, _ in curves)
+            steps = [step for step in curves[0][0] if step <= reach]
+            values = np.stack([np.interp(steps, *curve) for curve in curves])
+            if len(curves) > 1:
+                axes.plot(steps, values.T, color=colour, linewidth=0.5, alpha=0.5)
+                name = f"{name}, mean of {len(curves)}"
+            axes.plot(steps, values.mean(axis=0), line, color=colour, label=name)
+        axes.set(xlabel="environment steps (actions at 3 Hz)", ylabel=quantity)
+        axes.xaxis.set_major_formatter("{x:,.0f}")
+        axes.legend()
+    return figure
 
 
 def save_controller(
@@ -22,45 +80,40 @@ def save_controller(
     learnt: Mapping[str, Any] = UNKNOWN,
     overwrite: bool = False,
 ) -> None:
-    """Write the controller of one seed, whole or not at all; `extra_files` adds to the folder.
-
-    `learnt` tells what its plant has learnt from (`softfin.surrogate.channels.learnt_from`).
-    """
+    """Write the controller of one seed, whole or not at all; `learnt` tells what its plant has learnt from."""
     config, index = trained.config, trained.seeds.index(seed)
     # Those of a grid have a leading axis of cells.
     one = (index, 0) if config.controller == "single" else (index,)
     policies: Policy = jax.tree.map(lambda leaf: np.asarray(leaf)[one], trained.policies)
+    reachable = None if trained.force_map is None else trained.force_map.reachable
     keys = {
         "cells": [cell.model_dump(mode="json") for cell in config.cells],
         "task": config.task.model_dump(mode="json"),
-        "reachable": None if trained.force_map is None else trained.force_map.reachable.to_dict(),
+        "reachable": None if reachable is None else reachable.to_dict(),
         "switching": config.switching.model_dump(mode="json") if config.controller == "grid" else None,
         **learnt,
         "policy": config.policy.model_dump(mode="json"),
         "memory": memory_of(policies),
-        "scores": _scores(trained, index),
+        "scores": _scores(config, config.evaluation_references(reachable), trained.evaluation, index),
         "configuration": config.model_dump(mode="json"),
         "provenance": provenance,
     }
     write_controller(path, config.controller, trained.limits, keys, named(policies), extra_files, overwrite)
 
 
-def _scores(trained: TrainingResult, index: int) -> list[dict[str, Any]]:
+def _scores(
+    config: TrainConfig, tracked: Float[np.ndarray, "cells references 2"], scored: PolicyEvaluation, index: int
+) -> list[dict[str, Any]]:
     """List, for each cell, its references and the force errors in the plant that it was trained in.
 
     Errors are against ``held_n``, the nearest force that the fin can make, where its reach is known. ``beyond_data`` is
     the share of actions that left the training data of the plant, where that is a surrogate with such a measure.
     """
-    tracked, scored, rows = trained.evaluation_references(), trained.evaluation, []
-    error, std, outside = np.asarray(scored.error)[index], np.asarray(scored.std)[index], None
-    if scored.out_of_distribution_fraction is not None:
-        outside = scored.out_of_distribution_fraction[index]
-    for i, cell in enumerate(trained.config.cells):
-        for j, reference in enumerate(cell.lattice(trained.config.lattice)):
-            forces = {"held_n": tracked[i, j], "error_n": error[i, j], "std_n": std[i, j]}
-            rows.append(
-                {"cell": i, "reference_n": list(reference)}
-                | {name: [round(float(x), 4) for x in force] for name, force in forces.items()}
-                | ({} if outside is None else {"beyond_data": float(outside[i, j])})
-            )
+    rows, outside = [], scored.out_of_distribution_fraction
+    for i, cell in enumerate(config.cells):
+        for j, reference in enumerate(cell.lattice(config.lattice)):
+            forces = {"held_n": tracked[i, j], "error_n": scored.error[index, i, j], "std_n": scored.std[index, i, j]}
+            rounded = {name: [round(float(x), 4) for x in force] for name, force in forces.items()}
+            beyond = {} if outside is None else {"beyond_data": float(outside[index, i, j])}
+            rows.append({"cell": i, "reference_n": list(reference), **rounded, **beyond})
     return rows

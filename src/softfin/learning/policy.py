@@ -157,12 +157,6 @@ class ActorCritic(eqx.Module):
     policy: Policy
     critic: Critic
 
-    @classmethod
-    def create(cls, key: PRNGKeyArray, config: PolicyConfig, observations: int, privileged: int) -> "ActorCritic":
-        """New weights."""
-        actor, critic = jax.random.split(key)
-        return cls(Policy.create(actor, config, observations), Critic.create(critic, privileged, config.critic_width))
-
 
 def named(policy: Any) -> dict[str, Any]:
     """The leaves of a policy by their names in files, such as ``net.lstm.kernel``."""
@@ -176,10 +170,7 @@ STORED_NAMES = {"log_std": "log_deviation", "normalisation.std": "normalisation.
 
 
 def memory_of(policy: Policy) -> dict[str, int]:
-    """Memory of one policy or of a stack of them, for JSON: weights, and what training holds of them besides.
-
-    What only training needs is left out: the critic of LSTM-PPO with its optimiser, and the rollouts.
-    """
+    """Memory of one policy or of a stack of them, for JSON: weights and optimiser, without critic and rollouts."""
     count = math.prod(policy.log_std.shape[:-1])
     leaves = jax.tree.leaves(policy)
     weights, size = sum(leaf.size for leaf in leaves) // count, sum(leaf.nbytes for leaf in leaves) // count

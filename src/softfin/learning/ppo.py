@@ -112,8 +112,9 @@ class PPO:
         network_key, environment_key, key = jax.random.split(key, 3)
         state = jax.eval_shape(self.task.reset, environment_key, references)
         privileged = jax.eval_shape(self.task.privileged_observation, state)
-        networks = ActorCritic.create(network_key, self.policy, self.task.config.observations, len(privileged))
-        policy = networks.policy
+        actor_key, critic_key = jax.random.split(network_key)
+        policy = Policy.create(actor_key, self.policy, self.task.config.observations)
+        networks = ActorCritic(policy, Critic.create(critic_key, len(privileged), self.policy.critic_width))
         env_state = start_episodes(self.task, policy, references, environment_key, self.config.num_envs)
         return AgentState(networks, policy, self._optimiser().init(networks), env_state, key, jnp.int32(0))
 

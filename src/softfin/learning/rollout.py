@@ -34,10 +34,7 @@ class EnvState(NamedTuple):
 
 
 class AgentState(NamedTuple):
-    """Everything that the training of one policy carries from update to update: its key and environments, too.
-
-    PPO and Gradient start and update it; both are pure, and `vmap` adds agents.
-    """
+    """Everything that the training of one policy carries from update to update: its key and environments, too."""
 
     networks: ActorCritic | None
     """Networks that act and learn; None where the policy itself does."""
@@ -107,11 +104,7 @@ def collect(
 
 
 def _act(
-    task: ForceTracking,
-    policy: Policy,
-    env_state: EnvState,
-    noise: Float[Array, "environments actions"],
-    ticks: Ticks,
+    task: ForceTracking, policy: Policy, env_state: EnvState, noise: Float[Array, "environments actions"], ticks: Ticks
 ) -> tuple[EnvState, Rollout]:
     memories = jax.vmap(cleared)(env_state.memories, env_state.is_first)
     observation = jax.vmap(task.observe)(env_state.states)

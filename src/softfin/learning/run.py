@@ -3,16 +3,15 @@
 Seeds x cells are the agents. Agents need no data of each other, so devices do not communicate.
 """
 
-from collections.abc import Callable
-from functools import lru_cache, partial
-from typing import Any, NamedTuple, TypeVar, cast
+from functools import partial
+from typing import Any, NamedTuple, TypeAlias, TypeVar, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Int, Key, PRNGKeyArray
 
 from softfin.core.compilation import used_once
 from softfin.core.errors import RunError
@@ -22,9 +21,9 @@ from softfin.core.quantities import AXES, Command, Limits, Reading
 from softfin.core.randomness import key_of
 from softfin.gaits.gait import ForceMap, GaitTable
 from softfin.learning.configuration import TrainConfig
-from softfin.learning.gradient import Gradient, GradientConfig
-from softfin.learning.policy import Policy, PolicyConfig
-from softfin.learning.ppo import PPO, PPOConfig
+from softfin.learning.gradient import Gradient
+from softfin.learning.policy import Policy
+from softfin.learning.ppo import PPO
 from softfin.learning.rollout import AgentState, Metrics, PolicyEvaluation, evaluate_policy
 from softfin.task.references import References, stack_references
 from softfin.task.task import ForceTracking, TaskConfig
@@ -41,6 +40,10 @@ class RunState(NamedTuple):
     """Errors and deviations of `best`, ``(agents, references, 2)``."""
 
 
+BestPolicies: TypeAlias = tuple[Policy, PolicyEvaluation]
+"""Each agent's policy of the smallest deterministic error, and its evaluation; leaves ``(seeds, cells, ...)``."""
+
+
 class TrainingResult(NamedTuple):
     """Policies of a finished run."""
 
@@ -53,10 +56,6 @@ class TrainingResult(NamedTuple):
     """Evaluation of these policies, ``(seeds, cells, references, 2)``."""
     force_map: ForceMap | None = None
     """Map of the fin, where there is one."""
-
-    def evaluation_references(self) -> Float[np.ndarray, "cells references 2"]:
-        """The forces at which the policies were evaluated [N]."""
-        return self.config.evaluation_references(None if self.force_map is None else self.force_map.reachable)
 
 
 class OneMember(eqx.Module):
@@ -86,77 +85,63 @@ class OneMember(eqx.Module):
         return (index, inner), reading
 
 
-class ProgramInputs(NamedTuple):
-    """Arguments of the programs: arrays, not constants in them."""
-
-    plant: Plant
-    """The plant as `jit_argument` makes it."""
-    table: GaitTable | None
-
-
-class Programs(NamedTuple):
-    """Programs for all agents at once."""
-
-    init: Callable[[ProgramInputs, PRNGKeyArray, References], AgentState]
-    update: Callable[[ProgramInputs, AgentState], tuple[AgentState, Metrics]]
-    evaluate: Callable[[ProgramInputs, Policy, Array], PolicyEvaluation]
+def _learner(config: TrainConfig, plant: Plant, table: GaitTable | None) -> PPO | Gradient:
+    if config.ensemble == "each" and isinstance(plant, EnsemblePlant):
+        plant = OneMember(plant)
+    task = ForceTracking(plant, config.task)
+    if config.algorithm == "ppo":
+        return PPO(task, config.ppo, config.policy, config.num_updates)
+    return Gradient(task, config.gradient, config.policy, config.num_updates, table)
 
 
-@lru_cache(maxsize=4)
-def programs_of(
-    learning: PPOConfig | GradientConfig, policy: PolicyConfig, task: TaskConfig, ensemble: str, updates: int
-) -> Programs:
-    """Compiled programs, kept for the next jobs of a run, which differ by their cells and seeds alone."""
+def _init(
+    config: TrainConfig, plant: Plant, table: GaitTable | None, keys: Key[Array, "agents"], boxes: References
+) -> AgentState:
+    return jax.vmap(_learner(config, plant, table).init)(keys, boxes)
 
-    def learner(given: ProgramInputs) -> PPO | Gradient:
-        plant = given.plant
-        if ensemble == "each" and isinstance(plant, EnsemblePlant):
-            plant = OneMember(plant)
-        tracking = ForceTracking(plant, task)
-        if isinstance(learning, PPOConfig):
-            return PPO(tracking, learning, policy, updates)
-        return Gradient(tracking, learning, policy, updates, given.table)
 
-    def evaluate(given: ProgramInputs, policy: Policy, references: Array) -> PolicyEvaluation:
-        return evaluate_policy(ForceTracking(given.plant, task), policy, references, key_of(0, "score"))
+_init_new = used_once(_init)
+_init_cloned = eqx.filter_jit(_init)
+"""Cloning takes much longer than compiling it."""
 
-    # Cloning takes much longer than compiling it.
-    jit_init = eqx.filter_jit if isinstance(learning, GradientConfig) and learning.warm_start else used_once
-    return Programs(
-        jit_init(lambda given, keys, boxes: jax.vmap(learner(given).init)(keys, boxes)),
-        eqx.filter_jit(lambda given, agents: jax.vmap(learner(given).update)(agents)),
-        eqx.filter_jit(lambda given, policies, references: jax.vmap(partial(evaluate, given))(policies, references)),
-    )
+
+@eqx.filter_jit
+def _update(config: TrainConfig, plant: Plant, agents: AgentState) -> tuple[AgentState, Metrics]:
+    return jax.vmap(_learner(config, plant, None).update)(agents)
+
+
+@eqx.filter_jit
+def _evaluate(task: TaskConfig, plant: Plant, policies: Policy, references: Array) -> PolicyEvaluation:
+    evaluate = partial(evaluate_policy, ForceTracking(plant, task), key=key_of(0, "score"))
+    return jax.vmap(evaluate)(policies, references)
 
 
 class TrainingRun:
     """One run over its agents."""
 
     def __init__(self, plant: Plant, config: TrainConfig, seeds: tuple[int, ...], force_map: ForceMap | None) -> None:
-        self.config, self.seeds, self.limits = config, seeds, Limits(*map(float, plant.limits))
-        self.is_ensemble = isinstance(plant, EnsemblePlant)
-        self.agents = [(seed, index) for seed in seeds for index in range(len(config.cells))]
-        self.force_map = force_map
+        self.config, self.seeds, self.force_map = config, seeds, force_map
+        self.agents = [(seed, cell) for seed in seeds for cell in config.cells]
         self.reachable = None if force_map is None else force_map.reachable
-        table = force_map.gaits.table if force_map is not None and config.begins_as_gaits else None
-        self.given = ProgramInputs(jit_argument(plant), table)
-        self.programs = programs_of(config.learning, config.policy, config.task, config.ensemble, config.num_updates)
+        self.plant = jit_argument(plant)
+        # Jobs that differ by their cells and seeds alone share their programs.
+        self.compiled = config.model_copy(update={"cells": ()})
         self.references = jnp.asarray(np.tile(config.evaluation_references(self.reachable), (len(seeds), 1, 1)))
 
     def start(self, policies: Policy | None = None) -> RunState:
-        """New agents; or agents that go on from policies ``(seeds, cells, ...)``, which count as the best so far.
-
-        The key of an agent depends on its seed and cell alone, not on the agents beside it.
-        """
-        keys = jnp.stack([key_of(seed, f"train/{self.config.cells[index]}") for seed, index in self.agents])
-        cells = [self.config.cells[index].expanded(self.config.margin_n) for _, index in self.agents]
-        boxes = stack_references(cells, self.reachable)
-        agents = self.programs.init(self.given, *self.over_devices((keys, boxes)))
+        """New agents; or agents that go on from policies ``(seeds, cells, ...)``, which count as the best so far."""
+        # The key of an agent depends on its seed and cell alone, not on the agents beside it.
+        keys = jnp.stack([key_of(seed, f"train/{cell}") for seed, cell in self.agents])
+        boxes = stack_references([cell.expanded(self.config.margin_n) for _, cell in self.agents], self.reachable)
+        init, table = _init_new, None
+        if policies is None and self.force_map is not None and self.config.begins_as_gaits:
+            init, table = _init_cloned, self.force_map.gaits.table
+        agents = init(self.compiled, self.plant, table, *self.over_devices((keys, boxes)))
         if policies is not None:
             agents = agents._replace(policy=jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), policies))
             return RunState(agents, agents.policy, self.evaluate(agents.policy, 0))
         worst = np.full(self.references.shape, np.inf, np.float32)
-        outside = worst[..., 0] if self.is_ensemble else None
+        outside = worst[..., 0] if isinstance(self.plant, EnsemblePlant) else None
         return RunState(agents, agents.policy, PolicyEvaluation(worst, worst, outside))
 
     def over_devices(self, tree: Tree) -> Tree:
@@ -171,13 +156,13 @@ class TrainingRun:
 
     def update(self, agents: AgentState, number: int) -> tuple[AgentState, Metrics]:
         """Update every agent, the `number`-th time; raises RunError where a loss or its gradient is not finite."""
-        agents, metrics = self.programs.update(self.given, agents)
+        agents, metrics = _update(self.compiled, self.plant, agents)
         self._check_finite("the loss", np.asarray(metrics["loss"]) + np.asarray(metrics["gradient_norm"]), number)
         return agents, metrics
 
     def evaluate(self, policies: Policy, update: int) -> PolicyEvaluation:
         """Evaluate every agent's policy without noise; raises RunError where the plant's forces are not finite."""
-        evaluation = self.programs.evaluate(self.given, policies, self.references)
+        evaluation = _evaluate(self.config.task, self.plant, policies, self.references)
         errors = np.asarray(evaluation.error).sum(axis=(1, 2))
         self._check_finite("the force while the policies are evaluated", errors, update)
         return evaluation
@@ -185,32 +170,30 @@ class TrainingRun:
     def _check_finite(self, what: str, of_agents: np.ndarray, update: int) -> None:
         bad = np.flatnonzero(~np.isfinite(of_agents))
         if bad.size:
-            seed, index = self.agents[bad[0]]
+            seed, cell = self.agents[bad[0]]
             raise RunError(
                 f"train: {what} is not finite in update {update} of {self.config.num_updates}, seed {seed}, cell "
-                f"{self.config.cells[index]}; lower {self.config.algorithm}.learning_rate "
-                "(the last good checkpoint is kept)"
+                f"{cell}; lower {self.config.algorithm}.learning_rate (the last good checkpoint is kept)"
             )
 
     def by_seed(self, metrics: Metrics) -> dict[str, float]:
         """Means over the cells, named ``seedN/...``."""
-        shape = (len(self.seeds), len(self.config.cells))
-        means = {name: np.asarray(values).reshape(shape).mean(axis=1) for name, values in metrics.items()}
+        means = {name: np.reshape(values, (len(self.seeds), -1)).mean(axis=1) for name, values in metrics.items()}
         return {f"seed{s}/{n}": float(values[i]) for n, values in means.items() for i, s in enumerate(self.seeds)}
 
     def note(self, metrics: Metrics, state: RunState) -> str:
         """The newest figures, for a progress bar."""
-        best = summary(state.best_evaluation)
-        figures = [float(np.mean(best[f"score_{axis}_n"])) for axis in AXES]
         note = f"error {np.mean(metrics['error_x_n']):.2f}/{np.mean(metrics['error_y_n']):.2f} N"
-        return f"{note}, best deterministic {figures[0]:.2f}/{figures[1]:.2f} N" if np.isfinite(figures).all() else note
+        x, y = np.mean(state.best_evaluation.error, axis=(0, 1))
+        return f"{note}, best deterministic {x:.2f}/{y:.2f} N" if np.isfinite(x + y) else note
 
-    def result(self, state: RunState) -> TrainingResult:
-        """The best policies, by seed and cell; NumPy arrays."""
-        policies, evaluation = jax.tree.map(
-            lambda x: np.asarray(x).reshape(len(self.seeds), -1, *x.shape[1:]), (state.best, state.best_evaluation)
+    def result(self, state: RunState) -> BestPolicies:
+        """The best policies and their evaluation, by seed and cell; NumPy arrays."""
+        shape = (len(self.seeds), len(self.config.cells))
+        best: BestPolicies = jax.tree.map(
+            lambda x: np.asarray(x).reshape(*shape, *x.shape[1:]), (state.best, state.best_evaluation)
         )
-        return TrainingResult(self.config, self.limits, self.seeds, policies, evaluation, self.force_map)
+        return best
 
 
 def summary(evaluation: PolicyEvaluation) -> Metrics:
@@ -223,9 +206,8 @@ def summary(evaluation: PolicyEvaluation) -> Metrics:
 def keep_best(state: RunState, evaluation: PolicyEvaluation) -> RunState:
     """The state with each agent's policy as its best, where its mean error is less than before; NumPy arrays."""
     new, old = (np.asarray(each.error).mean(axis=(1, 2)) for each in (evaluation, state.best_evaluation))
-    better = new < old
     best, best_evaluation = jax.tree.map(
-        lambda a, b: np.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b),
+        lambda a, b: np.where((new < old).reshape(-1, *[1] * (a.ndim - 1)), a, b),
         (state.agents.policy, evaluation), (state.best, state.best_evaluation),
     )  # fmt: skip
     return state._replace(best=best, best_evaluation=best_evaluation)

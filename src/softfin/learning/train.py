@@ -1,26 +1,132 @@
 """Training runs: a plant, a configuration and seeds in; one deterministic policy per seed and cell out.
 
-Every few updates the policies are evaluated without their noise, the best ones so far kept, and a checkpoint written; a
-resumed run ends with the same weights as one that was never stopped.
+A run is trained in jobs, a part of its seeds and cells each, on any engine. A job is a run of its own with its own
+checkpoints; resumed, it ends with the same weights as one that was never stopped. Its result depends on its seeds and
+cells alone, so with the same split all engines give the same bits. Another split gives agents of the same keys in
+programs of another width, which round differently.
 """
 
+import copy
+import tempfile
 from collections.abc import Sequence
 from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+from uuid import uuid4
 
 import jax
-import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
+from softfin.core.choices import EngineName, Split
+from softfin.core.errors import ConfigurationError
 from softfin.core.plant import Plant
 from softfin.core.progress import Progress
+from softfin.core.quantities import Limits
 from softfin.gaits.force_map import empty_map, map_forces
 from softfin.gaits.gait import ForceMap
-from softfin.gaits.reachable import Reachable, bounding_box
+from softfin.gaits.reachable import Cell, Reachable
 from softfin.learning.configuration import TrainConfig, check
-from softfin.learning.figure import SHARED
+from softfin.learning.controllers import SHARED
+from softfin.learning.engine import Engine
 from softfin.learning.policy import Policy
-from softfin.learning.run import TrainingResult, TrainingRun, keep_best, summary, with_keys, without_keys
+from softfin.learning.run import BestPolicies, TrainingResult, TrainingRun, keep_best, summary, with_keys, without_keys
+from softfin.storage.artifact import write_file
 from softfin.storage.run_directory import RunDirectory
+from softfin.task.cells import lattice
+
+TOKEN = "here"
+"""File by which a worker recognises the driver's folder, and not one of the same name."""
+
+
+def default_split(engine: EngineName, seeds: Sequence[int]) -> Split:
+    """One program is fastest on one machine; on many, all of a seed goes to one as long as there are several seeds."""
+    if engine == "local":
+        return "none"
+    return "seed" if len(seeds) > 1 else "cell"
+
+
+class Job(NamedTuple):
+    """A part of a run, and where its unfinished work lies."""
+
+    config: TrainConfig
+    """Configuration of the whole run, without the cells of other jobs."""
+    seeds: tuple[int, ...]
+    run_directory: RunDirectory
+    token: str
+    start: Policy | None
+    """Policies that the job begins from."""
+
+
+def split_run(config: TrainConfig, seeds: Sequence[int], split: Split) -> dict[str, tuple[slice, slice]]:
+    """Seeds and cells of each job by its name, seeds before cells."""
+    if split == "none":
+        return {"all": (slice(None), slice(None))}
+    if split == "seed":
+        return {f"seed-{seed}": (slice(i, i + 1), slice(None)) for i, seed in enumerate(seeds)}
+    return {
+        f"seed-{seed}-cell-{j}": (slice(i, i + 1), slice(j, j + 1))
+        for i, seed in enumerate(seeds)
+        for j in range(len(config.cells))
+    }
+
+
+def train_jobs(
+    plant: Plant,
+    config: TrainConfig,
+    seeds: Sequence[int],
+    run_directory: RunDirectory,
+    progress: Progress | None = None,
+    *,
+    engine: Engine | None = None,
+    split: Split = "none",
+    force_map: ForceMap | None = None,
+) -> TrainingResult:
+    """Train a policy for every seed and cell, in jobs on an engine; goes on from their checkpoints where there are any.
+
+    Without a `force_map` the fin is mapped, where a map is needed, once for all jobs. Raises ConfigurationError
+    as `check`, RunError where a job failed; the last good checkpoints of all are left.
+    """
+    check(plant, config, seeds, force_map)
+    force_map = find_map(plant, config, run_directory, progress) if force_map is None else force_map
+    start = None
+    if (shared := config.shared_pretraining) is not None:
+        # Cells specialise from there: neighbours move in phase, and what holds for all cells is learnt once.
+        policy, _ = train(plant, shared, seeds, run_directory.part(SHARED), progress, force_map)
+        start = jax.tree.map(lambda leaf: np.repeat(leaf, len(config.cells), axis=1), policy)
+    token, jobs = uuid4().hex, {}
+    for name, at in split_run(config, seeds, split).items():
+        part = run_directory if split == "none" else run_directory.part(name)
+        write_file(part.folder / TOKEN, token)
+        own = config.model_copy(update={"cells": config.cells[at[1]]})
+        jobs[name] = Job(own, tuple(seeds)[at[0]], part, token, jax.tree.map(lambda leaf, at=at: leaf[at], start))
+    work = partial(_train_job, plant, force_map)
+    done = (engine or Engine()).map(f"train {config.controller}", work, jobs, progress)
+    for job, (_, files) in zip(jobs.values(), done, strict=True):
+        for file, data in files.items():
+            write_file(job.run_directory.folder / file, data)
+    policies, evaluation = jax.tree.map(
+        lambda *x: np.concatenate(x).reshape(len(seeds), -1, *x[0].shape[2:]), *(result for result, _ in done)
+    )
+    return TrainingResult(config, Limits(*map(float, plant.limits)), tuple(seeds), policies, evaluation, force_map)
+
+
+def _train_job(
+    plant: Plant, force_map: ForceMap | None, job: Job, progress: Progress | None
+) -> tuple[BestPolicies, dict[str, bytes]]:
+    """Train, from the last checkpoint where the driver's folder is the same here.
+
+    Elsewhere the work is done in a folder of this machine's own, whose files are sent back with the result.
+    """
+    file = job.run_directory.folder / TOKEN
+    if file.is_file() and file.read_text() == job.token:
+        return train(plant, job.config, job.seeds, job.run_directory, progress, force_map, job.start), {}
+    own = copy.copy(job.run_directory)
+    with tempfile.TemporaryDirectory(prefix="softfin-", ignore_cleanup_errors=True) as name:
+        own.folder = folder = Path(name)
+        result = train(plant, job.config, job.seeds, own, progress, force_map, job.start)
+        files = (path for path in folder.rglob("*") if path.is_file())
+        return result, {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
 def train(
@@ -28,26 +134,16 @@ def train(
     config: TrainConfig,
     seeds: Sequence[int],
     run_directory: RunDirectory,
-    progress: Progress | None = None,
-    force_map: ForceMap | None = None,
+    progress: Progress | None,
+    force_map: ForceMap | None,
     start: Policy | None = None,
-) -> TrainingResult:
+) -> BestPolicies:
     """Train a policy for every seed and cell; goes on from the run_directory's checkpoint where there is one.
 
-    The fin is mapped where a map is needed and no `force_map` given. Agents that `start` from policies, leaves
-    ``(seeds, cells, ...)``, never end with a greater error than these.
-
-    Raises:
-        ConfigurationError: the budget is smaller than one rollout, a seed comes twice, or the plant or its map does
-            not fit the configuration.
-        RunError: a loss is no longer finite; the last good checkpoint is left in the run_directory.
+    Agents that `start` from policies, leaves ``(seeds, cells, ...)``, never end with a greater error than these.
+    Raises RunError where a loss is no longer finite; the last good checkpoint is left in the run_directory.
     """
-    check(plant, config, seeds, force_map)
-    force_map = find_map(plant, config, run_directory, progress) if force_map is None else force_map
-    if start is None:
-        start = pretrain_shared_policy(plant, config, seeds, run_directory, progress, force_map)
-    used = config if start is None else config.merged({"gradient": {"warm_start": False}}, "start")
-    run = TrainingRun(plant, used, tuple(seeds), force_map)
+    run = TrainingRun(plant, config, tuple(seeds), force_map)
     state, done, steps_per_update = run.start(start), 0, config.learning.steps_per_update
     if (resumed := run_directory.load(without_keys(state))) is not None:
         state, done = with_keys(resumed[0], state), resumed[1]["updates"]
@@ -69,35 +165,7 @@ def train(
         if progress is not None:
             progress(f"train {config.controller}", done / config.num_updates, run.note(metrics, state))
     record.close()
-    return run.result(state)._replace(config=config)
-
-
-def pretrain_shared_policy(
-    plant: Plant,
-    config: TrainConfig,
-    seeds: Sequence[int],
-    run_directory: RunDirectory,
-    progress: Progress | None,
-    force_map: ForceMap | None,
-) -> Policy | None:
-    """Train one policy for all cells of a grid, which its policies begin as; leaves ``(seeds, cells, ...)``.
-
-    They specialise from there, so neighbours move in phase, and what holds for all cells is learnt once. None where
-    the configuration has no such training.
-    """
-    shared = config.gradient.shared_pretraining
-    if config.algorithm != "gradient" or config.controller != "grid" or shared is None:
-        return None
-    settings = {"num_envs": shared.num_envs, "learning_rate": shared.learning_rate, "shared_pretraining": None}
-    whole = config.merged(
-        {"controller": "single", "cells": [bounding_box(config.cells).model_dump()], "gradient": settings,
-         "lattice": shared.lattice},
-        "shared_pretraining",
-    )  # fmt: skip
-    whole = whole.merged({"steps": shared.num_updates * whole.learning.steps_per_update}, "shared_pretraining")
-    result = train(plant, whole, seeds, run_directory.part(SHARED), progress, force_map)
-    policies: Policy = jax.tree.map(lambda leaf: jnp.repeat(leaf, len(config.cells), axis=1), result.policies)
-    return policies
+    return run.result(state)
 
 
 def find_map(
@@ -115,3 +183,50 @@ def find_map(
     found = map_forces(plant, settings, None if progress is None else partial(progress, "map"))
     part.save(found, {})
     return found
+
+
+def check_refinable(config: TrainConfig, more: int) -> None:
+    """Raise ConfigurationError unless the run's grid can have `more` cells more."""
+    if more and (config.controller != "grid" or config.algorithm != "gradient"):
+        raise ConfigurationError(
+            f"--refine {more}: only a grid that is trained by gradients is refined, not {config.controller} by "
+            f"{config.algorithm}; leave it out, or give --controller grid --algorithm gradient"
+        )
+    if not 0 <= more <= 3 * len(config.cells):
+        raise ConfigurationError(
+            f"--refine {more}: {len(config.cells)} cells are split once, into four each, so 0 .. "
+            f"{3 * len(config.cells)} can be added; give as many, or more --cells"
+        )
+
+
+def train_refined(
+    plant: Plant, trained: TrainingResult, more: int, run_directory: RunDirectory, progress: Progress | None
+) -> tuple[TrainingResult, list[int]]:
+    """Train a finer grid, in this process and with the same budget a policy; and the index of each cell's parent.
+
+    No cell ends with a greater error than its parent's policy had in it.
+    """
+    cells, parents = refine(trained.config.cells, np.asarray(trained.evaluation.error).mean(axis=(0, 2)), more)
+    config = trained.config.model_copy(update={"cells": cells})
+    start = jax.tree.map(lambda leaf: leaf[:, np.asarray(parents)], trained.policies)
+    policies, evaluation = train(plant, config, trained.seeds, run_directory, progress, trained.force_map, start)
+    return trained._replace(config=config, policies=policies, evaluation=evaluation), parents
+
+
+def refine(
+    cells: Sequence[Cell], errors: Float[np.ndarray, "cells 2"], more: int
+) -> tuple[tuple[Cell, ...], list[int]]:
+    """Add up to `more` cells; return all in their order, parts where their cell stood, and the index of each's parent.
+
+    Those with the greatest mean errors [N] are split first, into four each. Where fewer than three are left to add, a
+    cell is split in two across the axis of its greater error, as a policy for a shorter range errs less along it.
+    """
+    parts: list[tuple[Cell, ...]] = [(cell,) for cell in cells]
+    for index in np.argsort(-errors.mean(axis=1), kind="stable").tolist():
+        if more == 0:
+            break
+        two = (1, 2) if np.argmax(errors[index]) else (2, 1)
+        parts[index] = lattice(*((2, 2) if more >= 3 else two), cells[index])
+        more -= len(parts[index]) - 1
+    parents = [index for index, part in enumerate(parts) for _ in part]
+    return tuple(cell for part in parts for cell in part), parents

@@ -9,8 +9,7 @@ from softfin.storage import artifact as artifacts
 from softfin.storage.run_directory import RunDirectory
 from softfin.tank.calibration.calibrate import calibrate as _calibrate
 from softfin.tank.calibration.config import CalibrateConfig
-from softfin.tank.calibration.report import write_calibration
-from softfin.tank.calibration.segments import material
+from softfin.tank.calibration.model import material
 
 
 def calibrate(
@@ -26,16 +25,16 @@ def calibrate(
     """Fit the virtual tank to a dataset or to a plant; writes ``calibration.json``, ``tank.yaml`` and figures."""
     config = config or CalibrateConfig()
     artifacts.check_vacant(out, overwrite or resume)
-    found = material(data, config, seed)
-    metadata = {"configuration": config.model_dump(mode="json"), "seed": seed, **found.metadata}
+    train, test, source = material(data, config, seed)
+    metadata = {"configuration": config.model_dump(mode="json"), "seed": seed, **source}
     run_directory = RunDirectory(out, metadata, resume, overwrite)
     if run_directory.complete:
         run_directory.finish()
         return artifacts.load_description(out, "calibration")
-    calibration = _calibrate(config, found.train, found.test, seed, run_directory, progress)
+    calibration = _calibrate(config, train, test, seed, run_directory, progress)
     named = str(data) if isinstance(data, str | Path) else type(data).__name__
-    origin = artifacts.provenance(seed=seed, data=named, **found.metadata)
+    origin = artifacts.provenance(seed=seed, data=named, **source)
     written = {"configuration": metadata["configuration"], "provenance": origin}
-    summary = write_calibration(calibration, found.gaits, out, written, run_directory.keep_log, overwrite)
+    summary = calibration.write(out, written, run_directory.keep_log, overwrite)
     run_directory.finish()
     return summary

@@ -23,7 +23,7 @@ from softfin.evaluation.figures import experiments_figure
 from softfin.evaluation.report import prediction_figure, write_report
 from softfin.evaluation.scores import Scores
 from softfin.evaluation.uncertainty import SurrogateUncertainty
-from softfin.learning.figure import learning_figure
+from softfin.learning.controllers import learning_figure
 from softfin.stages.collect import collect
 from softfin.stages.evaluate import evaluation_of
 from softfin.stages.fit import fit

@@ -16,10 +16,9 @@ from softfin.gaits.force_map import MapConfig, check_star, load_force_map, save_
 from softfin.gaits.force_map import map_forces as _map_forces
 from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.learning.configuration import TrainConfig, check, choose_preset
-from softfin.learning.controllers import save_controller
-from softfin.learning.figure import REFINED, write_learning
-from softfin.learning.jobs import default_split, find_engine, train_jobs
-from softfin.learning.refine import check_refinable, train_refined
+from softfin.learning.controllers import REFINED, save_controller, write_learning
+from softfin.learning.engine import find_engine
+from softfin.learning.train import check_refinable, default_split, train_jobs, train_refined
 from softfin.storage import artifact as artifacts
 from softfin.storage.registry import find_plant
 from softfin.storage.run_directory import TRAINING_LOG, RunDirectory

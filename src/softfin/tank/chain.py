@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 PerPlate = Float[Array, " plates"]
-Scale = Float[Array, ""] | float
+Scalar = Float[Array, ""]
 
 
 class Pose(NamedTuple):
@@ -29,10 +29,6 @@ class Motion(NamedTuple):
     normal: PerPlate
     along: PerPlate
     turning: PerPlate
-
-    def less(self, other: "Motion") -> "Motion":
-        """Return the motion relative to another one of the same plates."""
-        return Motion(self.normal - other.normal, self.along - other.along, self.turning - other.turning)
 
 
 class Wrench(NamedTuple):
@@ -53,15 +49,6 @@ class Moments(NamedTuple):
     first: PerPlate
     second: PerPlate
     along: PerPlate
-
-    def stretched(self, length: Scale, density: Scale = 1.0) -> "Moments":
-        """Return the moments of plates longer by a factor, with all per length multiplied by another."""
-        return Moments(
-            self.zeroth * (density * length),
-            self.first * (density * length**2),
-            self.second * (density * length**3),
-            self.along * (density * length),
-        )
 
     def times(self, motion: Motion) -> Wrench:
         """Return the momentum of that motion, or the force that resists it."""
@@ -130,30 +117,26 @@ def resultant(angles: PerPlate, wrench: Wrench) -> Float[Array, "2"]:
     )
 
 
-Root = Callable[[Float[Array, ""], Float[Array, ""]], Float[Array, ""]]
-"""The first plate's rate of turning [rad/s], where it is impulse / inertia as long as nothing holds the root."""
+def condense(
+    matrix: Float[Array, "plates plates"], right: PerPlate
+) -> tuple[Scalar, Scalar, Callable[[Scalar], PerPlate]]:
+    """Eliminate all plates but the first from ``matrix @ rates = right``, the matrix symmetric positive definite.
 
-
-def solve(matrix: Float[Array, "plates plates"], right: PerPlate, root: Root) -> PerPlate:
-    """Rates of the plates, whose own equations are ``matrix @ rates = right``.
-
-    All plates but the first are eliminated, as the matrix is symmetric positive definite; what is left at the root is
-    one scalar equation, ``inertia * rate = impulse``, which `root` may solve with whatever holds the fin.
+    What is left at the root is ``inertia * rate = impulse``, to be solved with whatever holds the fin. Returns inertia,
+    impulse, and the function from the first plate's rate to those of all.
     """
     if len(right) == 1:
-        return root(matrix[0, 0], right[0])[None]
-    column = matrix[1:, 0]
-    free, dragged = _solved(matrix[1:, 1:], jnp.stack([right[1:], column]))
-    first = root(matrix[0, 0] - column @ dragged, right[0] - column @ free)
-    return jnp.concatenate([first[None], free - first * dragged])
-
-
-def _solved(matrix: Float[Array, "n n"], rights: Float[Array, "rights n"]) -> Float[Array, "rights n"]:
-    """Solve ``matrix @ x = right`` for each right side; the derivative is one more solution, not that of each step."""
-    solution: Float[Array, "rights n"] = jax.lax.custom_linear_solve(
-        lambda x: x @ matrix, rights, lambda _, b: _eliminated(matrix, b), symmetric=True
+        return matrix[0, 0], right[0], lambda first: first[None]
+    column, inner = matrix[1:, 0], matrix[1:, 1:]
+    # Its derivative is one more solution, not that of each step of the elimination.
+    free, dragged = jax.lax.custom_linear_solve(
+        lambda x: x @ inner, jnp.stack([right[1:], column]), lambda _, b: _eliminated(inner, b), symmetric=True
     )
-    return solution
+
+    def expand(first: Scalar) -> PerPlate:
+        return jnp.concatenate([first[None], free - first * dragged])
+
+    return matrix[0, 0] - column @ dragged, right[0] - column @ free, expand
 
 
 def _eliminated(matrix: Float[Array, "n n"], rights: Float[Array, "rights n"]) -> Float[Array, "rights n"]:

@@ -11,12 +11,12 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import TICK_S, Command
 from softfin.tank.fin import Shaft
-from softfin.tank.sampling import arrays_of, to_multiple
+from softfin.tank.sensor import arrays_of, to_multiple
 
 DEAD_TICKS = 20
 """Longest dead time, in ticks of 10 ms."""
@@ -49,12 +49,6 @@ class DriveConfig(Configuration):
     """Play of the gearbox, from end to end [rad]; catalogues give 0.003 to 0.017."""
     encoder_step_rad: float = Field(2.83e-5, ge=0)
     """Readings of the shaft are multiples of this [rad]: 2000 counts a turn at 111:1; 0: not quantised."""
-
-    @model_validator(mode="after")
-    def _ordered(self) -> "DriveConfig":
-        if self.slowest_rad_s > self.fastest_rad_s:
-            raise ValueError(f"slowest_rad_s must not be above fastest_rad_s = {self.fastest_rad_s:g}")
-        return self
 
 
 class DriveState(NamedTuple):

@@ -7,7 +7,7 @@ unstable; turning far in one step does (docs/tank.md, "Step of time").
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -15,11 +15,89 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import NDArray
+from pydantic import Field
 
-from softfin.core.compilation import used_once
+from softfin.core.configuration import Configuration
 from softfin.tank import chain
-from softfin.tank.chain import Moments, Motion, PerPlate, Scale, Wrench
-from softfin.tank.geometry import FinConfig, compliance, plate_moments
+from softfin.tank.chain import Moments, Motion, PerPlate, Scalar, Wrench
+
+Series: TypeAlias = NDArray[np.floating[Any]]
+
+
+class FinConfig(Configuration):
+    """Geometry and material; thickness and span change linearly from root to tip.
+
+    Length, bracket, modulus and damping are a calibration's against the published fin (docs/tank.md); span and
+    thickness were held, as no recording tells them from modulus and drag.
+    """
+
+    plates: int = Field(8, ge=1, le=32)
+    """Rigid plates in the chain [-]; the error of the force falls at least as their number squared."""
+    length_m: float = Field(0.187, gt=0)
+    """Length from the shaft to the tip [m]."""
+    root_length_m: float = Field(0.0195, ge=0)
+    """Length of the aluminium bracket that stiffens the root, from the shaft [m]."""
+    span_m: float = Field(0.081, gt=0)
+    """Span across the plane of beating, at the shaft [m]."""
+    tip_span_ratio: float = Field(1.0, gt=0)
+    """Span at the tip over that at the shaft [-]."""
+    root_thickness_m: float = Field(0.019, gt=0)
+    """Thickness at the shaft [m]."""
+    tip_thickness_ratio: float = Field(1.0, gt=0)
+    """Thickness at the tip over that at the shaft [-]."""
+    youngs_modulus_pa: float = Field(2.72e6, gt=0)
+    """Young's modulus in bending [Pa]; by the hardness, Shore A 22, 0.8e6 (Gent 1958), 1.1e6 in a plate."""
+    density_kg_m3: float = Field(1150.0, gt=0)
+    """Density of the silicone [kg/m3]; addition silicones have 1050 to 1200."""
+    damping_s: float = Field(0.0273, ge=0)
+    """Kelvin-Voigt time: damping over stiffness of each joint [s]; a loss factor of 0.27 at 1.6 Hz."""
+
+    def span(self, along: Series) -> Series:
+        """Return the span of the fin at distances from the shaft [m]."""
+        return self.span_m * (1 - (1 - self.tip_span_ratio) * along / self.length_m)
+
+    def thickness(self, along: Series) -> Series:
+        """Return the thickness of the fin at distances from the shaft [m]."""
+        return self.root_thickness_m * (1 - (1 - self.tip_thickness_ratio) * along / self.length_m)
+
+
+BRACKET_BENDING_N_M = 70e9 * 0.003**3 / 12
+"""Bending stiffness over span of the aluminium bracket [N m]: 70 GPa, taken to be 3 mm thick."""
+
+
+def plate_moments(config: FinConfig, density: Callable[[Series], Series]) -> tuple[PerPlate, PerPlate, PerPlate]:
+    """Integrals of a density per length, times distance from the inner end to the power 0, 1, 2, over each plate."""
+    plate = config.length_m / config.plates
+    # Exact for the cubic densities of a linear taper.
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+    inside = (nodes[:, None] + 1) / 2 * plate
+    mass = weights[:, None] / 2 * plate * density(np.arange(config.plates) * plate + inside)
+    zeroth, first, second = (jnp.asarray((mass * inside**order).sum(0)) for order in range(3))
+    return zeroth, first, second
+
+
+def compliance(config: FinConfig) -> Series:
+    """Return the compliance of each joint [rad/(N m)]: the beam's, from the middle of one plate to that of the next.
+
+    The joints bend where their plates meet, the beam all along between. So each part of beam counts by the work that a
+    load on the tip does in bending it, which makes the deflection under such a load that of the beam, however few the
+    plates.
+    """
+    plate = config.length_m / config.plates
+    joints = np.arange(config.plates) * plate
+    middles = joints[:-1] + plate / 2
+    start, stop = np.append(0.0, middles), np.append(middles, config.length_m)
+
+    def work(start: Series, stop: Series, bracket: float) -> Series:
+        nodes, weights = np.polynomial.legendre.leggauss(8)
+        along = start + (nodes[:, None] + 1) / 2 * (stop - start)
+        bending = config.span(along) * (config.youngs_modulus_pa * config.thickness(along) ** 3 / 12 + bracket)
+        shares = weights[:, None] / 2 * (config.length_m - along) ** 2 / bending
+        return np.asarray((stop - start) * shares.sum(axis=0))
+
+    edge = np.clip(config.root_length_m, start, stop)
+    whole = work(start, edge, BRACKET_BENDING_N_M) + work(edge, stop, 0.0)
+    return np.asarray(whole / (config.length_m - joints) ** 2)
 
 
 class FinState(NamedTuple):
@@ -35,23 +113,15 @@ class FinState(NamedTuple):
     """Accelerations in the step before that [rad/s2]."""
 
 
-Turn = Callable[[Float[Array, ""], Float[Array, ""]], Float[Array, ""]]
-"""The shaft's mean rate of turning [rad/s], where the fin exerts load - drag * rate on it."""
-
-
 class Shaft(NamedTuple):
     """What the fin hangs on, at the start of a step."""
 
-    angle: Float[Array, ""]
+    angle: Scalar
     """Angle of the shaft [rad]."""
-    play: Float[Array, ""]
+    play: Scalar
     """Angle over which the joint between shaft and fin transmits nothing [rad]: the gearbox's backlash."""
-    turn: Turn
-    """Mean rate of the shaft over the step, by the moment with which the fin loads it."""
-
-
-Loads = Callable[[Motion], tuple[Moments, Wrench]]
-"""What water does besides its inertia to plates that move in it: resists [kg/s], and exerts forces [N]."""
+    turn: Callable[[Scalar, Scalar], Scalar]
+    """Function from load and drag to the shaft's mean rate [rad/s], where the fin exerts load - drag * rate on it."""
 
 
 class Surroundings(NamedTuple):
@@ -61,7 +131,8 @@ class Surroundings(NamedTuple):
     """Inertia of the water that each plate carries [kg, kg m, kg m2]."""
     stream: Float[Array, "2"]
     """Velocity (x, y) of the water far from the fin [m/s]; inertia and loads are those of the motion relative to it."""
-    loads: Loads
+    loads: Callable[[Motion], tuple[Moments, Wrench]]
+    """What water does besides its inertia to plates that move in it: resists [kg/s], and exerts forces [N]."""
 
 
 class Fin(eqx.Module):
@@ -89,22 +160,6 @@ class Fin(eqx.Module):
         self.inertia = Moments(zeroth, first, second, along=zeroth)
         self.thickness = jnp.asarray(config.thickness(np.arange(config.plates + 1) * plate))
 
-    def scaled(self, stiffness: Scale = 1.0, length: Scale = 1.0, thickness: Scale = 1.0) -> "Fin":
-        """Return another casting of the same fin, its bracket in proportion; damping keeps its time."""
-        bending = stiffness * thickness**3 / length
-        changed: Fin = eqx.tree_at(
-            lambda fin: (fin.plate_length, fin.stiffness, fin.damping, fin.inertia, fin.thickness),
-            self,
-            (
-                self.plate_length * length,
-                self.stiffness * bending,
-                self.damping * bending,
-                self.inertia.stretched(length, thickness),
-                self.thickness * thickness,
-            ),
-        )
-        return changed
-
     def rest(self) -> FinState:
         """Return the state straight along angle 0, still."""
         return FinState(*(jnp.zeros_like(self.stiffness) for _ in FinState._fields))
@@ -116,7 +171,9 @@ class Fin(eqx.Module):
 
     def relative(self, state: FinState, around: Surroundings) -> Motion:
         """Return the motion of each plate relative to the stream."""
-        return self._motion(state).less(chain.components(state.angles, around.stream))
+        stream = chain.components(state.angles, around.stream)
+        relative: Motion = jax.tree.map(jnp.subtract, self._motion(state), stream)
+        return relative
 
     def momenta(self, state: FinState, around: Surroundings) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
         """Return the momenta of the fin itself and of the water that it carries, in the axes of the tank [N s]."""
@@ -125,23 +182,9 @@ class Fin(eqx.Module):
             chain.resultant(state.angles, around.inertia.times(self.relative(state, around))),
         )
 
-    def energy(self, state: FinState, shaft_angle: Float[Array, ""], inertia: Moments) -> Float[Array, ""]:
-        """Return the kinetic and elastic energy [J], in still water and without play."""
-        motion = self._motion(state)
-        momentum = inertia.times(motion)
-        kinetic = sum((p * v).sum() for p, v in zip(momentum, motion, strict=True)) / 2
-        bends = _bends(state.angles, shaft_angle)
-        return kinetic + (self.stiffness * bends**2).sum() / 2
-
-    def frequencies(self, inertia: Moments) -> NDArray[np.floating[Any]]:
-        """Return natural frequencies about straight with that inertia, clamped and undamped, lowest first [rad/s]."""
-        mass, stiffness = _vibrating(self.plate_length, self.stiffness, inertia)
-        factor = np.linalg.inv(np.linalg.cholesky(mass))
-        return np.sqrt(np.linalg.eigvalsh(factor @ stiffness @ factor.T))
-
     def step(
         self, state: FinState, shaft: Shaft, around: Surroundings, seconds: float
-    ) -> tuple[FinState, Float[Array, ""], Float[Array, "2"]]:
+    ) -> tuple[FinState, Scalar, Float[Array, "2"]]:
         """Take one step of time; return also the shaft's mean rate in it [rad/s] and the loads' mean force [N]."""
         half = seconds / 2
         # The midpoint rule leaves stiff modes ringing from step to step; over two steps their accelerations cancel.
@@ -150,7 +193,7 @@ class Fin(eqx.Module):
         pose = chain.pose(angles, self.plate_length)
         stream = chain.components(angles, around.stream)
         motion = chain.motion(pose, predicted)
-        relative = motion.less(stream)
+        relative = jax.tree.map(jnp.subtract, motion, stream)
         resistance, push = around.loads(relative)
         push = jax.tree.map(jnp.add, push, resistance.times(stream))
         inertia = jax.tree.map(jnp.add, self.inertia, around.inertia)
@@ -162,76 +205,49 @@ class Fin(eqx.Module):
             push,
         )
         grips = half * (self.damping + half * self.stiffness)
-        strains = half * self.stiffness * _bends(state.angles, shaft.angle)
+        bends = state.angles - jnp.concatenate([shaft.angle[None], state.angles[:-1]])
+        strains = half * self.stiffness * bends
         left = chain.matrix(pose, jax.tree.map(lambda m, r: m + half * r, inertia, resistance))
         right = chain.project(pose, impulse) - _between(strains)
-        rates: list[Float[Array, ""]] = []
-
-        def root(inertia: Float[Array, ""], impulse: Float[Array, ""]) -> Float[Array, ""]:
-            first, rate = _held(
-                inertia, impulse, shaft, Joint(self.stiffness[0], grips[0], state.angles[0] - shaft.angle), half
-            )
-            rates.append(rate)
-            return first
-
-        mean = chain.solve(left + _joint_matrix(grips), right, root)
+        root_inertia, root_impulse, expand = chain.condense(left + _joint_matrix(grips), right)
+        bend = state.angles[0] - shaft.angle
+        first, rate = _held(root_inertia, root_impulse, shaft, self.stiffness[0], grips[0], bend, half)
+        mean = expand(first)
         force = jax.tree.map(lambda f, r: f - r, push, resistance.times(chain.motion(pose, mean)))
         after = FinState(
             state.angles + seconds * mean, 2 * mean - state.rates, (mean - state.rates) / half, state.accelerations
         )
-        return after, rates[0], chain.resultant(angles, force)
+        return after, rate, chain.resultant(angles, force)
 
     def _motion(self, state: FinState) -> Motion:
         return chain.motion(chain.pose(state.angles, self.plate_length), state.rates)
 
 
-class Joint(NamedTuple):
-    """Joint between the shaft and the first plate."""
-
-    stiffness: Float[Array, ""]
-    """Stiffness of the joint [N m/rad]."""
-    grip: Float[Array, ""]
-    """Angular impulse over relative rate in a step, where the joint is tight [N m s2/rad]."""
-    bend: Float[Array, ""]
-    """Bend of the joint at the start of the step [rad]."""
-
-
 def _held(
-    inertia: Float[Array, ""], impulse: Float[Array, ""], shaft: Shaft, joint: Joint, half: float
-) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    inertia: Scalar, impulse: Scalar, shaft: Shaft, stiffness: Scalar, grip: Scalar, bend: Scalar, half: float
+) -> tuple[Scalar, Scalar]:
     """Mean rates of the first plate and of the shaft over a step.
 
-    Where the step's midpoint would be within the joint's play if it were loose, it is loose; beyond, it is strained
-    from that edge of the play. So a contact is found in the step in which it happens, and takes the motion up softly.
+    The joint between them has a stiffness [N m/rad], a bend at the start [rad] and, where it is tight, a grip: angular
+    impulse over relative rate [N m s2/rad]. Where the step's midpoint would be within the joint's play if it were
+    loose, it is loose; beyond, it is strained from that edge of the play. So a contact is found in the step in which it
+    happens, and takes the motion up softly.
     """
 
-    def rates(strain: Float[Array, ""], grip: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    def rates(strain: Scalar, grip: Scalar) -> tuple[Scalar, Scalar]:
         total = inertia + grip
         load = (strain * inertia + grip * impulse) / total
         rate = shaft.turn(load / half, grip * inertia / total / half)
         return (impulse - strain + grip * rate) / total, rate
 
-    nothing = jnp.zeros_like(joint.grip)
+    nothing = jnp.zeros_like(grip)
     first, rate = rates(nothing, nothing)
     edge = shaft.play / 2
-    middle = joint.bend + half * (first - rate)
+    middle = bend + half * (first - rate)
     for beyond, slack in ((middle >= edge, edge), (middle <= -edge, -edge)):
-        tight = rates(half * joint.stiffness * (joint.bend - slack), joint.grip)
+        tight = rates(half * stiffness * (bend - slack), grip)
         first, rate = jnp.where(beyond, tight[0], first), jnp.where(beyond, tight[1], rate)
     return first, rate
-
-
-@used_once
-def _vibrating(
-    plate_length: Float[Array, ""], stiffness: PerPlate, inertia: Moments
-) -> tuple[Float[Array, "plates plates"], Float[Array, "plates plates"]]:
-    """Mass and stiffness matrices about straight, clamped."""
-    straight = chain.pose(jnp.zeros_like(stiffness), plate_length)
-    return chain.matrix(straight, inertia), _joint_matrix(stiffness).at[0, 0].add(stiffness[0])
-
-
-def _bends(angles: PerPlate, shaft_angle: Float[Array, ""]) -> PerPlate:
-    return angles - jnp.concatenate([shaft_angle[None], angles[:-1]])
 
 
 def _between(torques: PerPlate) -> PerPlate:

@@ -15,6 +15,7 @@ Left out: free surface and walls, history (Basset) forces, and the pressure of a
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -22,10 +23,9 @@ from pydantic import Field
 
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import TICK_S
-from softfin.tank.chain import Moments, Motion, PerPlate, Scale, Wrench
-from softfin.tank.fin import Surroundings
-from softfin.tank.geometry import FinConfig, plate_moments
-from softfin.tank.sampling import remaining
+from softfin.tank.chain import Moments, Motion, PerPlate, Scalar, Wrench
+from softfin.tank.fin import FinConfig, Surroundings, plate_moments
+from softfin.tank.sensor import remaining
 
 
 class WaterConfig(Configuration):
@@ -97,11 +97,8 @@ class Water(eqx.Module):
     """Span at the middle of each plate [m]."""
     drag_exponent: Float[Array, ""]
     wake_memory: Float[Array, ""]
-    """[s]"""
     stream_mass: Float[Array, ""]
-    """[kg]"""
     stream_decay: Float[Array, ""]
-    """[s]"""
 
     def __init__(self, config: WaterConfig, fin: FinConfig):
         rho, nu = _density(config.temperature_c), _viscosity(config.temperature_c)
@@ -123,27 +120,17 @@ class Water(eqx.Module):
         self.stream_mass = jnp.asarray(config.stream_mass_kg, float)
         self.stream_decay = jnp.asarray(config.stream_decay_s, float)
 
-    def at(self, temperature: Float[Array, ""]) -> "Water":
-        """Return the loads on the same fin in water of another temperature [degrees Celsius]."""
+    def varied(self, temperature: Scalar, added_mass: Scalar | float = 1.0, drag: Scalar | float = 1.0) -> "Water":
+        """Return water of another temperature [degrees Celsius], its loads multiplied; the tip goes with added mass."""
         density = _density(temperature) / _density(self.temperature)
-        friction = jnp.sqrt(_viscosity(temperature) / _viscosity(self.temperature))
-        water = self.scaled(added_mass=density, drag=density, friction=density * friction)
-        changed: Water = eqx.tree_at(lambda water: water.temperature, water, temperature)
-        return changed
-
-    def scaled(self, added_mass: Scale = 1.0, drag: Scale = 1.0, friction: Scale = 1.0, length: Scale = 1.0) -> "Water":
-        """Return the water with its loads multiplied, round a longer fin; the tip goes with the added mass."""
+        friction = density * jnp.sqrt(_viscosity(temperature) / _viscosity(self.temperature))
+        inertia = jax.tree.map(lambda moment: moment * density * added_mass, self.inertia)
         changed: Water = eqx.tree_at(
-            lambda water: (water.plate_length, water.inertia, water.tip, water.drag, water.friction),
+            lambda water: (water.temperature, water.inertia, water.tip, water.drag, water.friction),
             self,
-            (
-                self.plate_length * length,
-                self.inertia.stretched(length, added_mass),
-                self.tip * added_mass,
-                self.drag * drag,
-                self.friction * (friction * length**-0.5),
-            ),
-        )
+            (temperature, inertia, self.tip * density * added_mass, self.drag * density * drag,
+             self.friction * friction),
+        )  # fmt: skip
         return changed
 
     def rest(self) -> Flow:
@@ -188,12 +175,12 @@ class Water(eqx.Module):
         return resistance, suction
 
 
-def _density(temperature_c: Scale) -> Scale:
+def _density(temperature_c: Scalar | float) -> Scalar | float:
     """Density of fresh water at 1 atm [kg/m3], 0 to 40 degrees Celsius (Tanaka et al. 2001, Metrologia 38, 301)."""
     t = temperature_c
     return 999.974950 * (1 - (t - 3.983035) ** 2 * (t + 301.797) / (522528.9 * (t + 69.34881)))
 
 
-def _viscosity(temperature_c: Scale) -> Scale:
+def _viscosity(temperature_c: Scalar | float) -> Scalar | float:
     """Kinematic viscosity of fresh water [m2/s] (Vogel's equation)."""
     return 2.414e-5 * 10 ** (247.8 / (temperature_c + 133.15)) / _density(temperature_c)

@@ -5,20 +5,24 @@ Sampling is traceable: `jax.vmap` over keys gives one tank that holds a batch of
 """
 
 import zlib
-from typing import NamedTuple
+from typing import TypeAlias
 
 import equinox as eqx
 import jax
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import PRNGKeyArray
 from pydantic import Field
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
 from softfin.core.quantities import Command, Limits, Reading
+from softfin.tank.chain import Scalar
 from softfin.tank.tank import Tank, TankState
 
 USUAL_PART = 0.15
 """Relative half-width from which on temperature, drift and mount have their usual ranges [-]."""
+
+OFFSETS = ("temperature_c", "misalignment_rad")
+"""Parameters that are added to the tank's own; the others multiply them."""
 
 
 class DomainRandomization(Configuration):
@@ -28,10 +32,6 @@ class DomainRandomization(Configuration):
     """Temperature of the water, either side of the tank's [degrees Celsius]."""
     stiffness: float = Field(0.1, ge=0, lt=1)
     """Stiffness, relative: silicone of another batch, age and temperature [-]."""
-    length: float = Field(0.0, ge=0, lt=1)
-    """Length of the fin, relative [-]; as a rule it is one fin that is tested under several conditions."""
-    thickness: float = Field(0.0, ge=0, lt=1)
-    """Thickness of the fin, relative [-]."""
     drag: float = Field(0.1, ge=0, lt=1)
     """Drag, relative [-]."""
     added_mass: float = Field(0.05, ge=0, lt=1)
@@ -62,68 +62,57 @@ class DomainRandomization(Configuration):
         return not any(self.model_dump().values())
 
 
-class PhysicalParameters(NamedTuple):
-    """Differences of a tank from the one it was sampled from: offsets where the name has a unit, else factors."""
-
-    temperature_c: Float[Array, ""]
-    stiffness: Float[Array, ""]
-    length: Float[Array, ""]
-    thickness: Float[Array, ""]
-    drag: Float[Array, ""]
-    added_mass: Float[Array, ""]
-    lag: Float[Array, ""]
-    drift: Float[Array, ""]
-    misalignment_rad: Float[Array, ""]
-
-
-_OFFSETS = {"temperature_c", "misalignment_rad"}
-
-
-def sample_parameters(key: PRNGKeyArray, widths: DomainRandomization | None = None) -> PhysicalParameters:
-    """Sample parameters within `widths`, by default the documented ones."""
-    ranges = (widths or DomainRandomization()).model_dump()
-
-    def one(name: str) -> Float[Array, ""]:
-        own = jax.random.fold_in(key, zlib.crc32(name.encode()))
-        return (name not in _OFFSETS) + jax.random.uniform(own, minval=-ranges[name], maxval=ranges[name])
-
-    return PhysicalParameters(**{name: one(name) for name in PhysicalParameters._fields})
-
-
-def with_parameters(tank: Tank, parameters: PhysicalParameters) -> Tank:
-    """Return the tank with those parameters."""
-    water = tank.water.at(tank.water.temperature + parameters.temperature_c)
+def with_parameters(
+    tank: Tank,
+    *,
+    temperature_c: Scalar | float = 0.0,
+    stiffness: Scalar | float = 1.0,
+    drag: Scalar | float = 1.0,
+    added_mass: Scalar | float = 1.0,
+    lag: Scalar | float = 1.0,
+    drift: Scalar | float = 1.0,
+    misalignment_rad: Scalar | float = 0.0,
+) -> Tank:
+    """Return the tank with other parameters: offsets where the name has a unit, else factors."""
+    water, fin = tank.water, tank.fin
     changed: Tank = eqx.tree_at(
-        lambda tank: (tank.fin, tank.water, tank.drive.lag, tank.sensor.drift, tank.sensor.misalignment),
+        lambda tank: (
+            tank.fin.stiffness, tank.fin.damping, tank.water, tank.drive.lag, tank.sensor.drift,
+            tank.sensor.misalignment,
+        ),
         tank,
         (
-            tank.fin.scaled(parameters.stiffness, parameters.length, parameters.thickness),
-            water.scaled(drag=parameters.drag, added_mass=parameters.added_mass, length=parameters.length),
-            tank.drive.lag * parameters.lag,
-            tank.sensor.drift * parameters.drift,
-            tank.sensor.misalignment + parameters.misalignment_rad,
+            fin.stiffness * stiffness,
+            # Damping keeps its time.
+            fin.damping * stiffness,
+            water.varied(water.temperature + temperature_c, added_mass, drag),
+            tank.drive.lag * lag,
+            tank.sensor.drift * drift,
+            tank.sensor.misalignment + misalignment_rad,
         ),
-    )
+    )  # fmt: skip
     return changed
 
 
 def sample_tank(tank: Tank, key: PRNGKeyArray, widths: DomainRandomization | None = None) -> Tank:
-    """Return the tank with sampled parameters; the same tank, to the last bit, where all widths are 0."""
-    return tank if widths is not None and widths.is_none else with_parameters(tank, sample_parameters(key, widths))
+    """Return the tank with parameters sampled within `widths`; the same tank, to the last bit, where all are 0."""
+    widths = widths or DomainRandomization()
+    if widths.is_none:
+        return tank
+
+    def one(name: str, width: float) -> Scalar:
+        own = jax.random.fold_in(key, zlib.crc32(name.encode()))
+        return (name not in OFFSETS) + jax.random.uniform(own, minval=-width, maxval=width)
+
+    return with_parameters(tank, **{name: one(name, width) for name, width in widths.model_dump().items()})
 
 
-class RandomizedTankState(NamedTuple):
-    """The sampled tank, and its state."""
-
-    tank: Tank
-    state: TankState
+RandomizedTankState: TypeAlias = tuple[Tank, TankState]
+"""The sampled tank, and its state."""
 
 
 class RandomizedTank(eqx.Module):
-    """A plant that is another tank after every `init`: its key samples the physical parameters.
-
-    Whatever runs a plant over several keys so runs over as many tanks, side by side in one program.
-    """
+    """A plant that is another tank after every `init`: its key samples the physical parameters."""
 
     tank: Tank
     """The tank about which the others are sampled."""
@@ -138,13 +127,10 @@ class RandomizedTank(eqx.Module):
         """Sample a tank, its fin at rest at angle 0."""
         parameters, own = jax.random.split(key)
         tank = sample_tank(self.tank, parameters, self.widths)
-        return RandomizedTankState(tank, tank.init(own))
+        return tank, tank.init(own)
 
     def advance(self, state: RandomizedTankState, command: Command, ticks: int) -> tuple[RandomizedTankState, Reading]:
         """Advance the sampled tank."""
-        moved, reading = state.tank.advance(state.state, command, ticks)
-        return RandomizedTankState(state.tank, moved), reading
-
-    def shape(self, state: RandomizedTankState) -> Float[Array, "points 2"]:
-        """Return where the fin is; see `Tank.shape`."""
-        return state.tank.shape(state.state)
+        tank, inner = state
+        inner, reading = tank.advance(inner, command, ticks)
+        return (tank, inner), reading

@@ -1,9 +1,11 @@
 """The force sensor under the fin, after an ATI Axia80-M20: the true force in, what it reports at 100 Hz out.
 
 Low-pass filter, mounting misalignment, slow drift (Ornstein-Uhlenbeck), white noise, resolution, range, in this order.
-The numbers are assumptions of the right order, not a datasheet's; `IDEAL` turns every one of them off.
+The numbers are assumptions of the right order, not a datasheet's; `IDEAL` turns every one of them off. Drive and water
+use what is here of sampling: relaxation within a sample, rounding to a resolution.
 """
 
+from collections.abc import Collection, Iterator
 from typing import NamedTuple
 
 import equinox as eqx
@@ -15,7 +17,26 @@ from pydantic import Field
 
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import TICK_S
-from softfin.tank.sampling import arrays_of, remaining, to_multiple
+
+SHORTEST_S = 1e-6
+"""Shortest time constant [s] in computations; it keeps derivatives finite where one is zero."""
+
+
+def arrays_of(config: Configuration, without: Collection[str] = ()) -> Iterator[Float[Array, ""]]:
+    """Yield the numbers of a configuration as arrays, in the order of its fields."""
+    return (jnp.asarray(value, float) for name, value in config.model_dump().items() if name not in without)
+
+
+def remaining(time_constant: Float[Array, ""]) -> Float[Array, ""]:
+    """Return the fraction of a deviation that is left after a sample of 10 ms; 0 where the time constant [s] is 0."""
+    return jnp.exp(-TICK_S / jnp.maximum(time_constant, SHORTEST_S))
+
+
+def to_multiple(value: Float[Array, "*shape"], step: Float[Array, ""]) -> Float[Array, "*shape"]:
+    """Return the nearest multiple of `step`, or `value` itself where the step is 0; its derivative is 1 either way."""
+    positive = jnp.where(step > 0, step, 1.0)
+    rounded = jnp.where(step > 0, jnp.round(value / positive) * positive, value)
+    return value + jax.lax.stop_gradient(rounded - value)
 
 
 class SensorConfig(Configuration):

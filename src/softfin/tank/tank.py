@@ -3,7 +3,6 @@
 A `Tank` is a pytree of arrays, so tanks that differ in their parameters can be stacked and run side by side by `vmap`.
 """
 
-import math
 from typing import NamedTuple
 
 import equinox as eqx
@@ -13,12 +12,10 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from pydantic import Field
 
 from softfin.core.configuration import Configuration
-from softfin.core.errors import ConfigurationError
 from softfin.core.plant import check_commands
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Limits, Reading
 from softfin.tank.drive import Drive, DriveConfig, DriveState
-from softfin.tank.fin import Fin, FinState
-from softfin.tank.geometry import FinConfig
+from softfin.tank.fin import Fin, FinConfig, FinState
 from softfin.tank.hydrodynamics import Flow, Water, WaterConfig
 from softfin.tank.sensor import Sensor, SensorConfig, SensorState
 
@@ -70,7 +67,6 @@ class Tank(eqx.Module):
         self.limits = PAPER_LIMITS._replace(
             velocity_min=config.drive.slowest_rad_s, velocity_max=config.drive.fastest_rad_s
         )
-        self._check_step(config)
 
     def init(self, key: PRNGKeyArray) -> TankState:
         """The fin at rest at angle 0; the key draws the sensor's drift and its noise."""
@@ -80,10 +76,7 @@ class Tank(eqx.Module):
         )
 
     def advance(self, state: TankState, command: Command, ticks: int) -> tuple[TankState, Reading]:
-        """Hold the command for `ticks` samples of 10 ms and read after each: fields ``(ticks,)``.
-
-        Raises CommandError for a command beyond the limits.
-        """
+        """Hold the command for `ticks` samples of 10 ms and read after each: fields ``(ticks,)``."""
         check_commands(self.limits, command)
         dtype = state.fin.angles.dtype
         command = Command(jnp.asarray(command.angle, dtype), jnp.asarray(command.velocity, dtype))
@@ -92,17 +85,6 @@ class Tank(eqx.Module):
     def shape(self, state: TankState) -> Float[Array, "points 2"]:
         """Return where the fin is: the shaft and the outer end of each plate, in the axes of the tank [m]."""
         return self.fin.shape(state.fin)
-
-    def _check_step(self, config: TankConfig) -> None:
-        """Beyond a radian of the first bending in a step there is no vibration left in what the tank shows."""
-        inertia = jax.tree.map(jnp.add, self.fin.inertia, self.water.inertia)
-        frequency = float(self.fin.frequencies(inertia)[0])
-        needed = math.ceil(frequency * TICK_S)
-        if config.steps_per_tick < needed and frequency * config.fin.damping_s / 2 < 1:
-            raise ConfigurationError(
-                f"tank: steps_per_tick = {config.steps_per_tick}: too coarse for a fin that bends at "
-                f"{frequency / (2 * math.pi):.0f} Hz in water; at least {needed}, or a lower fin.youngs_modulus_pa"
-            )
 
     def _tick(self, state: TankState, command: Command) -> tuple[TankState, Reading]:
         seconds = TICK_S / self.steps_per_tick

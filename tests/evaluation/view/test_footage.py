@@ -11,7 +11,7 @@ from softfin.core.randomness import key_of
 from softfin.evaluation.view.footage import film
 from softfin.evaluation.view.view import StrokeGaitConfig, stroke_gait
 from softfin.tank import Tank, TankConfig
-from softfin.tank.geometry import FinConfig
+from softfin.tank.fin import FinConfig
 from softfin.tank.hydrodynamics import WaterConfig
 from tests.evaluation.view.fins import LENGTH_M, BendingFin, beating
 from tests.plants import AnalyticFin, PlainFin

@@ -82,7 +82,7 @@ def test_parameters_are_given_by_dotted_names_or_by_groups_and_freed_or_fixed_by
     ("ranges", "message"),
     [
         ({"fin.lenght_m": (0.1, 0.4)}, "there is no 'fin.lenght_m'; did you mean 'fin.length_m'?"),
-        ({"sail.area": (0.1, 0.4)}, "there is no 'sail.area'"),
+        ({"sail.area": (0.1, 0.4)}, "there is no 'sail.area'; did you mean '"),
         ({"fin.length_m": (0.4, 0.1)}, r"parameters.fin.length_m = \[0.4, 0.1\]: write \[low, high\]"),
     ],
 )

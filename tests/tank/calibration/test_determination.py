@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from softfin.tank.calibration.config import Parameter
-from softfin.tank.calibration.determination import _row, determination
-from softfin.tank.calibration.search import Linear
+from softfin.tank.calibration.search import Linear, _row, determination
 
 PARAMETERS = tuple(Parameter(f"fin.{name}", 1.0, 2.0) for name in ("length_m", "span_m", "density_kg_m3"))
 
@@ -59,7 +58,6 @@ def test_parameters_that_do_the_same_trade_against_each_other(slopes):
     text = determination(linear(slopes, white), 20, PARAMETERS)
     assert text["trades"][0]["parameters"] == ["fin.length_m", "fin.span_m"]
     assert text["trades"][0]["correlation"] < -0.99
-    assert {*text["weakest"]} == {"fin.length_m", "fin.span_m"}
     assert len(text["trades"]) == 1
 
 

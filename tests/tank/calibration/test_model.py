@@ -1,19 +1,38 @@
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.core.quantities import Command, Reading
+from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Reading
+from softfin.tank import TankConfig
 from softfin.tank.calibration.config import RecordingConfig
-from softfin.tank.calibration.model import RecordingArrays
+from softfin.tank.calibration.model import Model
 
 COMMAND = Command(jnp.asarray([-1.0, 0.5]), jnp.asarray([1.0, 3.0]))
-READING = Reading(jnp.arange(2.0), jnp.asarray([0.0, 1.0]), jnp.asarray([2.0, 0.0]), jnp.ones((2, 2)))
+
+
+class Echo:
+    """Its shaft stands where it is commanded to, and its force is the commanded velocity, either way."""
+
+    limits = PAPER_LIMITS._replace(velocity_max=9.0)
+
+    def init(self, key):
+        return jnp.zeros(())
+
+    def advance(self, state, command, ticks):
+        def tick(time, _):
+            time = time + TICK_S
+            return time, Reading(time, command.angle, jnp.zeros(()), jnp.stack([command.velocity, -command.velocity]))
+
+        return jax.lax.scan(tick, state, length=ticks)
+
+
+def read(config):
+    return Model(Echo(), Model.build(TankConfig(), config).recording).read(COMMAND)
 
 
 def test_by_default_a_log_means_what_it_says():
-    recording = RecordingArrays.build(RecordingConfig())
-    assert all((ours == theirs).all() for ours, theirs in zip(recording.issued(COMMAND), COMMAND, strict=True))
-    assert (recording.written(READING).force == READING.force).all()
+    np.testing.assert_array_equal(read(RecordingConfig()), [[-1.0, 1.0, -1.0], [0.5, 3.0, -3.0]])
 
 
 def test_angles_are_scaled_and_shifted_velocities_scaled_and_limited_forces_shifted():
@@ -27,13 +46,7 @@ def test_angles_are_scaled_and_shifted_velocities_scaled_and_limited_forces_shif
         force_x_n=0.5,
         force_y_n=-1.0,
     )
-    issued = RecordingArrays.build(config).issued(COMMAND)
-    np.testing.assert_allclose(issued.angle, [-0.7, 0.5], rtol=1e-6)
-    np.testing.assert_allclose(issued.velocity, [2.0, 5.0], rtol=1e-6)
-    written = RecordingArrays.build(config).written(READING)
-    np.testing.assert_allclose(written.angle, [-0.1, 0.4], rtol=1e-6)
-    np.testing.assert_allclose(written.velocity, [1.0, 0.0])
-    np.testing.assert_allclose(written.force, [[1.5, 0.0]] * 2)
+    np.testing.assert_allclose(read(config), [[-0.45, 2.5, -3.0], [0.15, 5.5, -6.0]], rtol=1e-6)
 
 
 def test_a_velocity_that_would_not_move_the_drive_is_refused():

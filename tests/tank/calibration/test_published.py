@@ -7,8 +7,7 @@ from softfin.core.configuration import read_yaml
 from softfin.surrogate import import_keras
 from softfin.tank.calibration.calibrate import scores
 from softfin.tank.calibration.config import CalibrateConfig
-from softfin.tank.calibration.model import read, stacked
-from softfin.tank.calibration.segments import cut, material
+from softfin.tank.calibration.model import cut, material, read, stacked
 
 CONFIG = Path(__file__).parents[3] / "docs" / "calibration.yaml"
 
@@ -18,7 +17,7 @@ def test_the_default_tank_does_what_the_published_fin_does_under_commands_it_was
     names = ("cnn_pos_net.keras", "lstm_force_net.keras", "scalers.json")
     fin = import_keras(*(published / name for name in names))
     config = CalibrateConfig.build(read_yaml(CONFIG)).merged({"velocity_rad_s": [0.5, 1.57], "segments": 2}, "test")
-    logs = material(fin, config, seed=11).test
+    _, logs, _ = material(fin, config, seed=11)
     unseen = cut(logs, config.test_segments, 1200, 200, "test")
     row = scores(np.asarray(read(stacked([(config.tank, config.recording)]), unseen.command)[0]), unseen)
     assert row["angle"]["r2"] > 0.95

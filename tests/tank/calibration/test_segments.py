@@ -3,7 +3,7 @@ import pytest
 
 from softfin.core.errors import LogError
 from softfin.core.quantities import Command, Log, Reading
-from softfin.tank.calibration.segments import cut
+from softfin.tank.calibration.model import cut
 
 
 def log(rows, shift=0.0):

@@ -5,23 +5,35 @@ show what the logs determine.
 """
 
 import dataclasses
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
 
 import jax.numpy as jnp
 import numpy as np
+import yaml
 from jaxtyping import Float
+from matplotlib.figure import Figure
 
 from softfin.core.errors import ConfigurationError, LogError
 from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ, Command, Log
+from softfin.storage import artifact as artifacts
+from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, save_figure, styled
 from softfin.storage.run_directory import RunDirectory
 from softfin.tank import TankConfig
 from softfin.tank.calibration.config import CalibrateConfig, Point, RecordingConfig, parameters_of
-from softfin.tank.calibration.determination import determination
-from softfin.tank.calibration.model import Space, read, stacked
-from softfin.tank.calibration.search import Losses, Weights, misfits, polish, search
-from softfin.tank.calibration.segments import CHANNELS, Segments, cut
+from softfin.tank.calibration.model import CHANNELS, Segments, Space, cut, read, stacked
+from softfin.tank.calibration.search import Losses, determination, misfits, polish, search
+
+Scores: TypeAlias = dict[str, dict[str, float]]
+"""For each channel ``r2``, ``rmse``, means and standard deviations."""
+
+TRACE_S = 10
+"""Duration of a test segment that the figure shows [s]."""
+
+WINDOW = 2 * RATE_HZ
+"""Ticks over which means are taken: those of the paper's moving average."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,14 +50,32 @@ class Calibration:
         """Return what the log of the found tank would have under commands ``(segments, ticks)`` of a log."""
         return np.asarray(read(stacked([(self.tank, self.recording)]), command)[0])
 
-    def summary(self) -> dict[str, Any]:
-        """Return scores on both parts, parameters and their determination, the recording."""
-        parts = {"train": self.train, "test": self.test}
-        return {
-            "scores": {name: scores(self.read(segments.command), segments) for name, segments in parts.items()},
+    def write(
+        self, out: Path, metadata: dict[str, Any], extra_files: Callable[[Path], None], overwrite: bool
+    ) -> dict[str, Any]:
+        """Write the folder, whole or not at all; returns the content of its ``calibration.json`` (docs/files.md)."""
+        modelled = self.read(self.test.command)
+        unseen = scores(modelled, self.test)
+        summary = {
+            "scores": {"train": scores(self.read(self.train.command), self.train), "test": unseen},
             **self.determination,
             "recording": self.recording.model_dump(),
+            **metadata,
         }
+
+        def write(folder: Path) -> None:
+            (folder / "calibration.json").write_text(artifacts.dump_json(summary))
+            for name, config, head in (
+                ("tank", self.tank, "The tank that was found."),
+                ("recording", self.recording, "How the logs differ from what that tank reads."),
+            ):
+                text = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
+                (folder / f"{name}.yaml").write_text(f"# {head}\n{text}")
+            save_figure(calibration_figure(self.test, modelled, unseen), folder, "calibration")
+            extra_files(folder)
+
+        artifacts.write_folder(out, write, overwrite)
+        return summary
 
 
 def prepared(config: CalibrateConfig, train: Sequence[Log], test: Sequence[Log]) -> tuple[Space, Segments, Segments]:
@@ -74,39 +104,48 @@ def calibrate(
     run_directory: RunDirectory,
     progress: Progress | None = None,
 ) -> Calibration:
-    """Fit a tank to the training logs; goes on from the run directory's checkpoint where there is one.
-
-    Raises:
-        ConfigurationError: a parameter that does not exist, or a range without its starting point.
-        LogError: logs too short for one segment, or too few for so many parameters.
-        RunError: no tank has finite readings.
-    """
-    progress = progress or (lambda stage, fraction, note: None)
+    """Fit a tank to the training logs; goes on from the run directory's checkpoint where there is one."""
+    tell = progress or (lambda stage, fraction, note: None)
     space, fitted, unseen = prepared(config, train, test)
-    weights = normalised([getattr(config.weights, channel) for channel in CHANNELS])
-    point = _global(config, space, fitted, weights, seed, run_directory, progress)
+    weights = np.array([getattr(config.weights, channel) for channel in CHANNELS])
+    weights /= weights.sum()
+    coarse = {"fin": {"plates": config.search_plates}, "steps_per_tick": config.search_steps}
+    errors = Space(space.parameters, config.tank.merged(coarse, "calibration"), config.recording).errors(
+        fitted, config.population
+    )
+    generations, done = -(-config.evaluations // config.population), 0
+    losses = np.full((generations, config.population), np.nan, np.float32)
+    if (resumed := run_directory.load(jnp.asarray(losses))) is not None:
+        losses, done = np.asarray(resumed[0]), resumed[1]["generation"]
+    record = run_directory.log(rewind_to=done)
 
-    def report(iteration: int, loss: float) -> None:
-        progress("polish", iteration / config.iterations, f"1 - R2 {loss:.4f}")
+    def loss(points: Sequence[Point]) -> Float[np.ndarray, "population"]:
+        return np.asarray(misfits(errors, points) @ weights, np.float32)
 
-    linear = polish(space.errors(fitted, config.population), point, weights, config.iterations, report)
-    report(config.iterations, linear.loss)
+    def searched(generation: int, losses: Losses) -> None:
+        least = float(np.nanmin(losses))
+        record.write(generation, loss=float(losses[generation - 1].min()), best=least)
+        run_directory.save(jnp.asarray(losses), {"generation": generation})
+        tell("search", generation / generations, f"1 - R2 {least:.4f}")
+
+    point = search(loss, space.start, config.step, losses, seed, searched)
+    record.close()
+
+    def polished(iteration: int, loss: float) -> None:
+        tell("polish", iteration / config.iterations, f"1 - R2 {loss:.4f}")
+
+    linear = polish(space.errors(fitted, config.population), point, weights, config.iterations, polished)
+    polished(config.iterations, linear.loss)
     found = determination(linear, round(config.block_s * RATE_HZ), space.parameters)
     return Calibration(*space.configs(linear.point), found, fitted, unseen)
 
 
-def normalised(weights: Sequence[float]) -> Weights:
-    """Return the weights divided by their sum."""
-    return np.asarray(np.asarray(weights) / np.sum(weights))
-
-
-def scores(modelled: Float[np.ndarray, "segments ticks channels"], segments: Segments) -> dict[str, dict[str, float]]:
+def scores(modelled: Float[np.ndarray, "segments ticks channels"], segments: Segments) -> Scores:
     """Return for each channel the pooled R2, RMSE, and mean and standard deviation of what is measured and modelled."""
-    measured = np.asarray(segments.compared, np.float64)
-    ours = np.asarray(modelled[:, segments.warm_up :], np.float64)
     rows = {}
     for index, channel in enumerate(CHANNELS):
-        true, predicted = measured[..., index], ours[..., index]
+        true = np.asarray(segments.compared, np.float64)[..., index]
+        predicted = np.asarray(modelled, np.float64)[:, segments.warm_up :, index]
         square = float(np.mean((predicted - true) ** 2))
         rows[channel] = {
             "r2": 1 - square / float(np.var(true)),
@@ -119,34 +158,40 @@ def scores(modelled: Float[np.ndarray, "segments ticks channels"], segments: Seg
     return rows
 
 
-def _global(
-    config: CalibrateConfig,
-    space: Space,
-    segments: Segments,
-    weights: Weights,
-    seed: int,
-    run_directory: RunDirectory,
-    progress: Progress,
-) -> Point:
-    generations = -(-config.evaluations // config.population)
-    if generations == 0:
-        run_directory.log().close()
-        return space.start
-    errors = space.errors(segments, config.population, (config.search_plates, config.search_steps))
-    losses, done = np.full((generations, config.population), np.nan, np.float32), 0
-    if (resumed := run_directory.load(jnp.asarray(losses))) is not None:
-        losses, done = np.asarray(resumed[0]), resumed[1]["generation"]
-    record = run_directory.log(rewind_to=done)
-
-    def loss(points: Sequence[Point]) -> Float[np.ndarray, "population"]:
-        return np.asarray(misfits(errors, points) @ weights, np.float32)
-
-    def report(generation: int, losses: Losses) -> None:
-        least = float(np.nanmin(losses))
-        record.write(generation, loss=float(losses[generation - 1].min()), best=least)
-        run_directory.save(jnp.asarray(losses), {"generation": generation})
-        progress("search", generation / generations, f"1 - R2 {least:.4f}")
-
-    point = search(loss, space.start, config.step, losses, seed, report)
-    record.close()
-    return point
+def calibration_figure(
+    test: Segments, modelled: Float[np.ndarray, "segments ticks channels"], scores: Scores
+) -> Figure:
+    """Draw the test segment of median error, and the mean forces over 2 s of all."""
+    measured, ticks = np.asarray(test.measured), slice(test.warm_up, test.warm_up + TRACE_S * RATE_HZ)
+    error = (modelled - measured)[:, test.warm_up :] / np.asarray(test.deviation)
+    shown = int(np.argsort(np.mean(error**2, axis=(1, 2)))[len(error) // 2])
+    command = np.asarray(test.command.angle)[shown, ticks]
+    time = np.arange(len(command)) / RATE_HZ
+    with styled():
+        figure = new_figure(11, 9.5)
+        parts: Any = figure.subfigures(2, 1, height_ratios=(1.75, 1))
+        panels = parts[0].subplots(3, 1, sharex=True)
+        panels[0].step(time, command, where="post", color=GREY, linewidth=0.8, linestyle=":", label="commanded")
+        titles = ("angle [rad]", "force x [N]", "force y [N]")
+        for index, (axes, title, channel) in enumerate(zip(panels, titles, CHANNELS, strict=True)):
+            axes.plot(time, measured[shown, ticks, index], color=BLACK, linewidth=1.6, label="measured")
+            axes.plot(time, modelled[shown, ticks, index], color=ORANGE, linewidth=1.3, linestyle="--", label="tank")
+            axes.set(ylabel=title, xlim=(0, len(command) / RATE_HZ))
+            axes.set_title(f"R² {scores[channel]['r2']:.3f} over all unseen segments", loc="right")
+        panels[0].set_title("The unseen segment of median error", weight="bold")
+        panels[0].legend(ncols=3, loc="lower left", bbox_to_anchor=(0.25, 0.98), borderaxespad=0)
+        panels[-1].set_xlabel("time [s]")
+        axes = parts[1].subplots()
+        for readings, filled, source in ((measured, True, "measured"), (modelled, False, "tank")):
+            compared = readings[:, test.warm_up :]
+            whole = compared[:, : compared.shape[1] // WINDOW * WINDOW]
+            angle, *forces = whole.reshape(-1, WINDOW, len(CHANNELS)).mean(axis=1).T
+            for force, colour, marker, name in zip(forces, (BLUE, ORANGE), "os", "xy", strict=True):
+                face = colour if filled else "white"
+                axes.plot(angle, force, marker, markersize=3, color=colour, markerfacecolor=face,
+                          label=f"force {name}, {source}")  # fmt: skip
+        axes.axhline(0, color=GREY, linewidth=0.8)
+        axes.set(xlabel="mean angle [rad]", ylabel="mean force [N]")
+        axes.set_title("Means over 2 s of random commands", fontsize=8)
+        axes.legend(fontsize=7, loc="best")
+    return figure

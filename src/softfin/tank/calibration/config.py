@@ -6,7 +6,7 @@ one.
 """
 
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -64,11 +64,7 @@ _UNITS = {
 
 
 class RecordingConfig(Configuration):
-    """How a log's commands and readings relate to those of a tank: gains, offsets and units of the recording itself.
-
-    In the tank a command of 1 rad at 2 rad/s means that; by default it does so in the log, too. Another unit, an
-    encoder's zero or a sensor's offset belong here, and never to the tank.
-    """
+    """How a log's commands and readings relate to those of a tank: gains, offsets and units of the recording itself."""
 
     angle_gain: float = Field(1.0, gt=0)
     """Target angle over commanded angle [-]."""
@@ -129,19 +125,15 @@ def every_range(free: Mapping[str, Range] = FREE) -> Ranges:
 
 def parameters_of(ranges: Ranges) -> list[Parameter]:
     """Return the free parameters; raises ConfigurationError for an unknown name or a range that is not ascending."""
-    allowed = {f"{group}.{name}" for group, names in every_range().items() for name in names}
-    parameters = []
-    for name, limits in ((f"{group}.{field}", limits) for group in ranges for field, limits in ranges[group].items()):
+    allowed = [f"{group}.{name}" for group, names in every_range().items() for name in names]
+    given = {f"{group}.{name}": limits for group, names in ranges.items() for name, limits in names.items()}
+    for name, limits in given.items():
         if name not in allowed:
-            close = difflib.get_close_matches(name, sorted(allowed), n=1)
-            hint = f"; did you mean {close[0]!r}?" if close else f"; the groups are {', '.join(every_range())}"
-            raise ConfigurationError(f"parameters: there is no {name!r}{hint}")
-        if limits is None:
-            continue
-        if not limits[0] < limits[1]:
+            (close,) = difflib.get_close_matches(name, allowed, n=1, cutoff=0)
+            raise ConfigurationError(f"parameters: there is no {name!r}; did you mean {close!r}?")
+        if limits is not None and not limits[0] < limits[1]:
             raise ConfigurationError(f"parameters.{name} = {list(limits)}: write [low, high] with low below high")
-        parameters.append(Parameter(name, *map(float, limits)))
-    return parameters
+    return [Parameter(name, *map(float, limits)) for name, limits in given.items() if limits is not None]
 
 
 class Weights(Configuration):
@@ -153,12 +145,6 @@ class Weights(Configuration):
     """Weight of 1 - R2 of the force along x."""
     force_y: float = Field(1.0, ge=0)
     """Weight of 1 - R2 of the force along y."""
-
-    @model_validator(mode="after")
-    def _some(self) -> "Weights":
-        if self.angle + self.force_x + self.force_y == 0:
-            raise ValueError("at least one channel must weigh something")
-        return self
 
 
 class CalibrateConfig(Configuration):
@@ -218,17 +204,13 @@ class CalibrateConfig(Configuration):
         return self
 
 
-def _ranges(names: Sequence[str]) -> Ranges:
-    return every_range({name: FREE[name] for name in names})
-
-
 PRESETS: dict[CalibratePreset, CalibrateConfig] = {
     "full": CalibrateConfig(),
     "quick": CalibrateConfig(
-        parameters=_ranges((
+        parameters=every_range({name: FREE[name] for name in (
             "drive.acceleration_rad_s2", "drive.lag_s", "fin.length_m", "fin.youngs_modulus_pa",
             "water.added_mass_coefficient", "water.drag_coefficient",
-        )),
+        )}),
         evaluations=800, iterations=8, segments=12, test_segments=6,
     ),
 }  # fmt: skip

@@ -1,11 +1,15 @@
-"""Many tanks over many segments in one compiled program: points of a search in, readings and residuals out.
+"""What a tank is fitted to, and many tanks over it in one compiled program: points of a search in, residuals out.
 
-R2 of a channel is pooled: 1 - (sum of squared errors) / (sum of squared deviations from the mean), both sums and the
-mean over all compared ticks of all segments together.
+Logs of a dataset, or of a plant that is moved for the purpose, are cut into equal segments. R2 of a channel is pooled:
+1 - (sum of squared errors) / (sum of squared deviations from the mean), both sums and the mean over all compared ticks
+of all segments together.
 """
 
+import copy
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -13,76 +17,140 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from softfin.core.errors import ConfigurationError
-from softfin.core.plant import roll
-from softfin.core.quantities import Command, Reading
+from softfin.core.errors import ArtifactError, ConfigurationError, LogError
+from softfin.core.plant import Plant, roll
+from softfin.core.plant_identity import identity
+from softfin.core.quantities import RATE_HZ, Command, Limits, Log
+from softfin.core.randomness import key_of
+from softfin.data.simulate import simulate
+from softfin.storage import artifact as artifacts
+from softfin.storage.dataset import Dataset
+from softfin.storage.registry import find_plant
 from softfin.tank import Tank, TankConfig
-from softfin.tank.calibration.config import Parameter, Point, RecordingConfig
-from softfin.tank.calibration.segments import Segments
-from softfin.tank.sampling import arrays_of
+from softfin.tank.calibration.config import CalibrateConfig, Parameter, Point, RecordingConfig
+from softfin.tank.sensor import arrays_of
+
+CHANNELS = ("angle", "force_x", "force_y")
+
+
+class Segments(eqx.Module):
+    """Commands, and the readings that follow them: ``measured[:, k]`` comes one tick after ``command.angle[:, k]``."""
+
+    command: Command
+    """Fields ``(segments, ticks)``."""
+    measured: Float[Array, "segments ticks channels"]
+    """Readings in the order of `CHANNELS` [rad, N, N]."""
+    warm_up: int = eqx.field(static=True)
+    """Ticks at the start of each segment that are not compared."""
+
+    @property
+    def compared(self) -> Float[Array, "segments compared channels"]:
+        """Readings behind the warm-up."""
+        return self.measured[:, self.warm_up :]
+
+    @property
+    def deviation(self) -> Float[Array, "channels"]:
+        """Standard deviation of each channel over all segments, about one mean."""
+        return jnp.std(self.compared, axis=(0, 1))
+
+
+def cut(logs: Sequence[Log], count: int, rows: int, warm_up: int, part: str) -> Segments:
+    """Cut segments of `rows` readings, from all logs in turn; fewer than `count` where the logs hold no more."""
+    places = [
+        (log, slice(start, start + rows))
+        for start in range(0, max((len(log.reading.time) for log in logs), default=0) - rows, rows)
+        for log in logs
+        if start + rows < len(log.reading.time)
+    ][:count]
+    if not places:
+        raise LogError(f"{part} logs: none has {rows + 1} rows, one segment of {rows / RATE_HZ:g} s; lower segment_s")
+    command = (jnp.stack([np.asarray(log.command[i][rows], np.float32) for log, rows in places]) for i in range(2))
+    readings = [np.column_stack([log.reading.angle, log.reading.force])[1:][rows] for log, rows in places]
+    segments = Segments(Command(*command), jnp.asarray(np.stack(readings), np.float32), warm_up)
+    for channel, deviation in zip(CHANNELS, np.asarray(segments.deviation).tolist(), strict=True):
+        if deviation == 0:
+            raise LogError(f"{part} logs: {channel} never changes, so nothing can be fitted to it; record motion")
+    return segments
+
+
+def material(
+    data: str | Path | Plant, config: CalibrateConfig, seed: int
+) -> tuple[list[Log], list[Log], dict[str, Any]]:
+    """Return training logs, test logs and what tells them from others: the data's hash or the plant's identity.
+
+    They are those of a dataset's folder, or of a plant: a surrogate's folder, its name, or itself. Raises ArtifactError
+    for other folders, ConfigurationError for velocities that the plant does not take, or velocities for logs.
+    """
+    if not isinstance(data, str | Path):
+        return _of_plant(data, config, seed)
+    path = Path(data)
+    if not path.is_dir() or artifacts.is_kind(path, "surrogate"):
+        return _of_plant(find_plant(str(data)), config, seed)
+    if config.velocity_rad_s is not None:
+        raise ConfigurationError(f"--velocity: {path} is a dataset, which brings its own commands; leave it out")
+    dataset = Dataset.open(path)
+    if not dataset.test:
+        raise ArtifactError(
+            f"{path}: holds no test logs to judge the fit on; put some of the logs into {path / 'test'}"
+        )
+    train, test = (list(dataset.load(part)) for part in (dataset.train, dataset.test))
+    return train, test, {"data_hash": dataset.data_hash}
+
+
+def _of_plant(plant: Plant, config: CalibrateConfig, seed: int) -> tuple[list[Log], list[Log], dict[str, Any]]:
+    limits = Limits(*plant.limits)
+    if config.velocity_rad_s is not None:
+        low, high = config.velocity_rad_s
+        if not limits.velocity_min - 1e-6 <= low < high <= limits.velocity_max + 1e-3:
+            raise ConfigurationError(
+                f"velocity_rad_s = {low:g}, {high:g}: the plant takes {limits.velocity_min:g} to "
+                f"{limits.velocity_max:g} rad/s; give a range within, the lower first"
+            )
+        limits = limits._replace(velocity_min=low, velocity_max=min(high, limits.velocity_max))
+    within = cast(Plant, SimpleNamespace(init=plant.init, advance=plant.advance, limits=limits))
+
+    def excited(part: str, count: int) -> list[Log]:
+        keys = [key_of(seed, f"calibrate/{part}/{index}") for index in range(count)]
+        rows = round(config.segment_s * RATE_HZ) + 1
+        return list(simulate([within] * count, keys, rows, config.excitation, count, lambda done: None))
+
+    return excited("train", config.segments), excited("test", config.test_segments), {"plant": identity(plant)}
+
 
 Errors = Callable[[Sequence[Point]], Iterator[Float[np.ndarray, "segments compared channels"]]]
 """Function from points to the errors of each, divided by each channel's standard deviation."""
 
+QUIET = {"sensor": {"noise_n": 0.0, "drift_n": 0.0, "resolution_n": 0.0}, "drive": {"encoder_step_rad": 0.0}}
+"""A tank without what is random or stepped in the readings: neither can be fitted."""
 
-class RecordingArrays(NamedTuple):
-    """A recording's configuration as arrays, so that recordings can be stacked beside tanks."""
 
-    angle_gain: Float[Array, "*models"]
-    angle_offset: Float[Array, "*models"]
-    velocity_factor: Float[Array, "*models"]
-    velocity_limit: Float[Array, "*models"]
-    reading_gain: Float[Array, "*models"]
-    reading_offset: Float[Array, "*models"]
-    force_x: Float[Array, "*models"]
-    force_y: Float[Array, "*models"]
+class Model(NamedTuple):
+    """A tank, and by the names of `RecordingConfig` what lies between it and the logs."""
+
+    tank: Plant
+    recording: dict[str, Float[Array, "*models"]]
 
     @classmethod
-    def build(cls, config: RecordingConfig) -> "RecordingArrays":
-        """Return the arrays of a configuration, whose fields are in the same order."""
-        return cls(*arrays_of(config))
-
-    def issued(self, command: Command) -> Command:
-        """Return what a tank must be commanded where the log has `command`."""
-        angle = self.angle_gain * command.angle + self.angle_offset
-        return Command(angle, jnp.minimum(self.velocity_factor * command.velocity, self.velocity_limit))
-
-    def written(self, reading: Reading) -> Reading:
-        """Return what the log has where a tank reads `reading`."""
-        return reading._replace(
-            angle=self.reading_gain * reading.angle + self.reading_offset,
-            velocity=self.reading_gain * reading.velocity,
-            force=reading.force + jnp.stack([self.force_x, self.force_y]),
-        )
-
-
-class Model(eqx.Module):
-    """A tank, and what lies between it and the logs."""
-
-    tank: Tank
-    recording: RecordingArrays
+    def build(cls, tank: TankConfig, recording: RecordingConfig) -> "Model":
+        """Return the model of a quiet tank."""
+        arrays = dict(zip(RecordingConfig.model_fields, arrays_of(recording), strict=True))
+        return cls(Tank(tank.merged(QUIET, "calibration")), arrays)
 
     def read(self, command: Command) -> Float[Array, "ticks channels"]:
         """Return what the log of this tank would have, from rest, after each command ``(ticks,)`` of a log."""
+        by = self.recording
+        angle = by["angle_gain"] * command.angle + by["angle_offset_rad"]
+        velocity = jnp.minimum(by["velocity_factor"] * command.velocity, by["velocity_limit_rad_s"])
         # No noise is drawn that counts: the key does not matter.
-        _, reading = roll(self.tank, self.tank.init(jax.random.key(0)), self.recording.issued(command))
-        reading = self.recording.written(reading)
-        return jnp.concatenate([reading.angle[:, None], reading.force], axis=1)
+        _, reading = roll(self.tank, self.tank.init(jax.random.key(0)), Command(angle, velocity))
+        angle = by["reading_gain"] * reading.angle + by["reading_offset_rad"]
+        force = reading.force + jnp.stack([by["force_x_n"], by["force_y_n"]])
+        return jnp.concatenate([angle[:, None], force], axis=1)
 
 
 def stacked(configs: Sequence[tuple[TankConfig, RecordingConfig]]) -> Model:
-    """Return the models side by side, along a new first axis of each array.
-
-    They are without what is random or stepped in the readings: neither can be fitted.
-    """
-    quiet = {
-        "sensor": {"noise_n": 0.0, "drift_n": 0.0, "resolution_n": 0.0},
-        "drive": {"encoder_step_rad": 0.0},
-    }
-    models = [
-        Model(Tank(tank.merged(quiet, "calibration")), RecordingArrays.build(recording)) for tank, recording in configs
-    ]
-    side_by_side: Model = jax.tree.map(lambda *leaves: jnp.stack(leaves), *models)
+    """Return the models side by side, along a new first axis of each array."""
+    side_by_side: Model = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(Model.build(*each) for each in configs))
     return side_by_side
 
 
@@ -106,56 +174,44 @@ class Space:
     def __init__(self, parameters: Sequence[Parameter], tank: TankConfig, recording: RecordingConfig) -> None:
         """Raise ConfigurationError where the box reaches beyond what is valid, or leaves out its starting point."""
         self.parameters = tuple(parameters)
-        self.tank = tank
-        self.recording = recording
-        self.start = np.array([parameter.scaled(self._present(parameter)) for parameter in self.parameters])
+        self._fixed = {**tank.model_dump(), "recording": recording.model_dump()}
         for parameter in self.parameters:
+            value, name = self._present(parameter), parameter.name
+            if not parameter.low <= value <= parameter.high:
+                path = name if name.startswith("recording.") else f"tank.{name}"
+                raise ConfigurationError(
+                    f"parameters.{name} = [{parameter.low:g}, {parameter.high:g}]: the search starts at {path} = "
+                    f"{value:g}, which is outside; widen the range, or set {path}"
+                )
             for end in (parameter.low, parameter.high):
-                self._built({parameter.name: end}, f"parameters.{parameter.name}")
+                self._built({name: end}, f"parameters.{name}")
+        self.start = np.array([parameter.scaled(self._present(parameter)) for parameter in self.parameters])
 
     def configs(self, point: Point) -> tuple[TankConfig, RecordingConfig]:
         """Return the tank and the recording at a point."""
         values = {p.name: p.value(float(at)) for p, at in zip(self.parameters, point, strict=True)}
         return self._built(values, "calibration")
 
-    def errors(self, segments: Segments, batch: int, resolution: tuple[int, int] | None = None) -> Errors:
-        """Return the function that simulates points against segments, `batch` at once.
-
-        `resolution`: plates and steps a tick; by default those of the space's tank.
-        """
-
-        def config(point: Point) -> tuple[TankConfig, RecordingConfig]:
-            tank, recording = self.configs(point)
-            if resolution is not None:
-                plates, steps = resolution
-                tank = tank.merged({"fin": {"plates": plates}, "steps_per_tick": steps}, "calibration")
-            return tank, recording
+    def errors(self, segments: Segments, batch: int) -> Errors:
+        """Return the function that simulates points against segments, `batch` at once."""
 
         def errors(points: Sequence[Point]) -> Iterator[Float[np.ndarray, "segments compared channels"]]:
             for start in range(0, len(points), batch):
-                some = [config(point) for point in points[start : start + batch]]
+                some = [self.configs(point) for point in points[start : start + batch]]
                 # Filled up, so that one compiled program serves all calls.
                 models = stacked([*some, *some[-1:] * (batch - len(some))])
                 yield from np.asarray(_errors(models, segments))[: len(some)]
 
         return errors
 
+    def _present(self, parameter: Parameter) -> float:
+        group, field = parameter.name.split(".")
+        return float(self._fixed[group][field])
+
     def _built(self, values: Mapping[str, float], source: str) -> tuple[TankConfig, RecordingConfig]:
-        trees = {**self.tank.model_dump(), "recording": self.recording.model_dump()}
+        trees = copy.deepcopy(self._fixed)
         for name, value in values.items():
             group, field = name.split(".")
             trees[group][field] = value
         recording = RecordingConfig.build(trees.pop("recording"), source)
         return TankConfig.build(trees, source), recording
-
-    def _present(self, parameter: Parameter) -> float:
-        group, field = parameter.name.split(".")
-        owner = self.recording if group == "recording" else getattr(self.tank, group)
-        value = float(getattr(owner, field))
-        if not parameter.low <= value <= parameter.high:
-            path = parameter.name if group == "recording" else f"tank.{parameter.name}"
-            raise ConfigurationError(
-                f"parameters.{parameter.name} = [{parameter.low:g}, {parameter.high:g}]: the search starts at {path} = "
-                f"{value:g}, which is outside; widen the range, or set {path}"
-            )
-        return value
