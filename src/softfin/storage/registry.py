@@ -63,8 +63,10 @@ def resolve_plant(name: str) -> PlantKind:
     raise PlantError(f"plant {name}: unknown ({what}); give {HELP}")
 
 
-def find_plant(name: str) -> "Plant":
-    """Build or load the plant that `name` stands for; raises PlantError that lists what there is."""
+def find_plant(name: "str | Plant") -> "Plant":
+    """Build or load the plant that `name` stands for, or return it; raises PlantError that lists what there is."""
+    if not isinstance(name, str):
+        return name
     from softfin.core.quantities import Limits
 
     kind, path = resolve_plant(name), Path(name)
@@ -86,6 +88,11 @@ def find_plant(name: str) -> "Plant":
     if problem:
         raise PlantError(f"plant {name}: {problem}")
     return plant
+
+
+def name_of(plant: object) -> str:
+    """Return the name that a user gave to a plant, or the name of its class."""
+    return str(plant) if isinstance(plant, str | Path) else type(plant).__name__
 
 
 def _build_object(name: str) -> Any:

@@ -111,7 +111,7 @@ class RunDirectory:
                 f"{path}: was written by {software}, and this is {_software()}; resume with that, or --overwrite"
             )
         if before != self.fingerprint:
-            differing = _differences(before, self.fingerprint)
+            differing = differences(before, self.fingerprint)
             raise ArtifactError(
                 f"{path}: is of another run ({differing}); resume with the same options, or --overwrite"
             )
@@ -127,7 +127,7 @@ class RunDirectory:
             return False
         if (before := artifacts.read_json(file)) != self.fingerprint:
             raise ArtifactError(
-                f"{file.parents[1]}: is complete, of another run ({_differences(before, self.fingerprint)}); give the "
+                f"{file.parents[1]}: is complete, of another run ({differences(before, self.fingerprint)}); give the "
                 "same options, another --out, or --overwrite"
             )
         return True
@@ -207,7 +207,8 @@ def _kind(leaf: Any) -> str:
     return "missing" if leaf is None else f"{np.asarray(leaf).dtype} {np.shape(leaf)}"
 
 
-def _differences(before: dict[str, Any], now: dict[str, Any]) -> str:
+def differences(before: dict[str, Any], now: dict[str, Any]) -> str:
+    """The first keys, by their paths, whose values are not the same; empty where all are."""
     flat_before, flat_now = _flat(before), _flat(now)
     names = [n for n in sorted(flat_before | flat_now) if flat_before.get(n) != flat_now.get(n)]
     return ", ".join(f"{n} was {flat_before.get(n)!r} and is {flat_now.get(n)!r}" for n in names[:3])
