@@ -17,7 +17,7 @@ from softfin.core.plant import Plant
 from softfin.gaits.force_map import MapConfig, map_forces
 from softfin.learning.configuration import TRAIN_PRESETS, TrainConfig
 from softfin.learning.train import train_jobs
-from softfin.stages.fit import import_keras
+from softfin.stages.surrogates import import_keras
 from softfin.storage.run_directory import LOG, RunDirectory, read_log
 from softfin.surrogate import Surrogate
 from softfin.task.references import PAPER_RANGE

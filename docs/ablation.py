@@ -17,9 +17,8 @@ from jaxtyping import Array
 from softfin.core.errors import SoftfinError
 from softfin.core.quantities import RATE_HZ
 from softfin.data.collect import CollectConfig
-from softfin.stages.collect import collect
-from softfin.stages.compare import compare
-from softfin.stages.fit import fit
+from softfin.stages.data import collect
+from softfin.stages.surrogates import compare, fit
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.surrogate import StreamingConfig
 from softfin.surrogate.compare.compare import CompareConfig

@@ -8,7 +8,6 @@ command goes on after a stop, and sizes, seeds and models can be added one after
 on standard output hold whatever is there by then; --figure draws it. A seed is other logs and other weights.
 """
 
-import dataclasses
 import json
 import statistics
 import sys
@@ -21,12 +20,13 @@ import numpy as np
 from matplotlib.ticker import LogLocator
 
 from softfin.cli.options import HelpRequested, Option, help_of, parse
+from softfin.core.configuration import Configuration
 from softfin.core.quantities import RATE_HZ, Log, Reading
 from softfin.core.randomness import key_of
 from softfin.core.window import moving_average
 from softfin.data.collect import CollectConfig
-from softfin.stages.collect import collect
-from softfin.stages.fit import fit
+from softfin.stages.data import collect
+from softfin.stages.surrogates import fit
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.storage.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, save_figure, styled
@@ -78,8 +78,7 @@ LOOKS = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"))
 Numbers = Annotated[tuple[int, ...], Option("N,...", parse=lambda text, _: tuple(map(int, text.split(","))))]
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Options:
+class Options(Configuration):
     """How long to record: free-running error against minutes of tank time."""
 
     run: Annotated[Path, Option("RUN", positional=True)]

@@ -1,7 +1,6 @@
 """What README and docs show can be typed as it stands: commands, options, configurations, names, links."""
 
 import contextlib
-import importlib
 import inspect
 import json
 import pkgutil
@@ -21,6 +20,7 @@ import yaml
 from PIL import Image
 
 import softfin
+from softfin import cli
 from softfin.cli import COMMANDS, main
 from softfin.cli.options import fields_of
 from softfin.core.configuration import Configuration
@@ -61,7 +61,7 @@ IN_SENTENCES = tuple(shown for shown in commands() if shown.in_sentence)
 
 
 def arguments_of(name: str) -> type:
-    return importlib.import_module(f"softfin.cli.{name.replace('-', '_')}").Arguments
+    return cli.arguments_of(name)
 
 
 class Parsed(Exception):
@@ -75,7 +75,7 @@ def understood(words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> objec
         raise Parsed(arguments)
 
     if words[0] in COMMANDS:
-        monkeypatch.setattr(arguments_of(words[0]), "run", run)
+        monkeypatch.setattr(arguments_of(words[0]), "__call__", run)
         # Whether what is named is there is another question.
         monkeypatch.setattr(arguments_of(words[0]), "check", lambda arguments: None, raising=False)
     with pytest.raises(Parsed) as parsed:
@@ -246,7 +246,7 @@ def stop_at_work(monkeypatch):
     def work(*words, **options):
         raise Parsed
 
-    monkeypatch.setattr("softfin.stages.collect.collect", work)
+    monkeypatch.setattr("softfin.stages.data.collect", work)
     monkeypatch.setattr(Dataset, "open", work)
     monkeypatch.setattr(subprocess, "Popen", work)
 

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from softfin.task.reference_file import read_reference_file
 
 import softfin
 from softfin import cli
@@ -16,7 +17,6 @@ from softfin.control.controller import Measured
 from softfin.core.quantities import Command
 from softfin.gaits.force_map import load_map
 from softfin.rig.config import load_rig, load_ros2
-from softfin.task.reference_file import read_reference_file
 
 GOLDEN = Path(__file__).parent / "golden"
 EXPECTED = json.loads((GOLDEN / "expected.json").read_text())

@@ -24,7 +24,7 @@ def test_importing_softfin_and_asking_for_help_imports_nothing_heavy():
 def test_importing_the_stages_and_all_of_training_computes_nothing():
     """A first computation would start JAX before the user can say on which device, and takes a second."""
     code = (
-        "import importlib, pkgutil, softfin.stages.train, softfin.learning\n"
+        "import importlib, pkgutil, softfin.stages.controllers, softfin.learning\n"
         "for found in pkgutil.walk_packages(softfin.learning.__path__, 'softfin.learning.'):\n"
         "    if found.name.rpartition('.')[2] != 'ray_head': importlib.import_module(found.name)\n"
         "from jax._src import xla_bridge\n"

@@ -3,7 +3,7 @@ import json
 import pytest
 
 from softfin.cli import main
-from softfin.cli.baselines import table
+from softfin.cli.evaluation import baselines_table
 from tests.cli.test_cli import fails
 
 QUICK = ("--plant", "tests.plants:AnalyticFin", "--seconds", "3", "--seeds", "2", "--set", "search.seconds=3")
@@ -18,7 +18,7 @@ def test_baselines_are_a_table_and_a_json(capsys, tmp_path):
     assert {"still", "sine", "inverse_2.1_hz", "recalibrated_1.1_hz", "random_search"} < set(result["baselines"])
     assert result["plant"] == result["searched_in"] == "tests.plants:AnalyticFin"
     assert result["configuration"]["search"]["gaits"] == 4
-    lines = table(result["baselines"], {"recurrent_ppo": "no sb3"}).splitlines()
+    lines = baselines_table(result["baselines"], {"recurrent_ppo": "no sb3"}).splitlines()
     assert "Table II, still" in lines[0]
     means = lines[lines.index("") + 2 :]
     assert [line.split()[0] for line in means] == [*result["baselines"], "recurrent_ppo"]

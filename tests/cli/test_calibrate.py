@@ -3,7 +3,7 @@ import json
 import pytest
 
 from softfin.cli import main
-from softfin.cli.calibrate import table
+from softfin.cli.surrogates import calibration_tables
 from tests.cli.test_cli import fails
 
 
@@ -44,18 +44,18 @@ def test_options_reach_the_stage_and_the_result_is_a_table(capsys, tmp_path, mon
         seen.update(options, data=data, config=config)
         return RESULT
 
-    monkeypatch.setattr("softfin.stages.calibrate.calibrate", stage)
+    monkeypatch.setattr("softfin.stages.surrogates.calibrate", stage)
     words = ["calibrate", "tank", "--preset", "quick", "--velocity", "1,2", "--seed", "3", "--evaluations", "5"]
     main([*words, "--resume", "--out", str(tmp_path / "x")])
     assert (seen["data"], seen["seed"], seen["resume"]) == ("tank", 3, True)
     assert (seen["config"].velocity_rad_s, seen["config"].evaluations) == ((1.0, 2.0), 5)
-    assert capsys.readouterr().out == table(RESULT) + "\n"
+    assert capsys.readouterr().out == calibration_tables(RESULT) + "\n"
     main([*words, "--json", "--out", str(tmp_path / "x")])
     assert json.loads(capsys.readouterr().out)["parameters"] == RESULT["parameters"]
 
 
 def test_the_table_says_what_is_determined_what_is_at_an_end_and_what_trades():
-    text = table(RESULT)
+    text = calibration_tables(RESULT)
     assert "unseen segments  0.900 (0.12 rad)  0.900 (0.12 N)  0.900 (0.12 N)" in text
     assert "fin.length_m    0.2  0.013  m        roughly" in text
     assert "drive.lag_s   0.003         s        low end" in text

@@ -44,7 +44,7 @@ def test_ctrl_c_leaves_nothing_half_written_and_says_how_to_go_on(capsys, tmp_pa
     def interrupted(*words, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("softfin.stages.fit.fit", interrupted)
+    monkeypatch.setattr("softfin.stages.surrogates.fit", interrupted)
     (tmp_path / "log.csv").touch()
     line, code = fails(capsys, "fit", str(tmp_path / "log.csv"), "--out", str(tmp_path / "s"))
     assert line == "softfin fit: stopped, nothing is half-written; the same command with --resume goes on"
@@ -55,7 +55,7 @@ def test_a_full_disk_is_one_line_that_names_the_folder(capsys, tmp_path, monkeyp
     def full(*words, **options):
         raise OSError(28, "No space left on device", "train/0000.parquet")
 
-    monkeypatch.setattr("softfin.stages.collect.collect", full)
+    monkeypatch.setattr("softfin.stages.data.collect", full)
     line, code = fails(capsys, "collect", "--out", str(tmp_path / "d"))
     assert "train/0000.parquet: No space left on device" in line
     assert code == 1

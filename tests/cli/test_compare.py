@@ -3,7 +3,7 @@ import json
 import pytest
 
 from softfin.cli import main
-from softfin.cli.compare import tables
+from softfin.cli.surrogates import comparison_tables
 from softfin.storage.dataset import write_dataset
 from softfin.surrogate import save_surrogate
 from tests.cli.test_cli import fails
@@ -29,7 +29,7 @@ def folders(tmp_path_factory):
         (["s0", "--dataset", "untested"], "untested: holds no test logs to compare on; put Parquet logs into"),
         (["s0"], "test log 0: 340 rows; 12 to begin with and a horizon of 30 s need 3012; record longer test logs"),
         (["s0", "--horizons", "1,,2"], "--horizons 1,,2: not numbers"),
-        (["s0", "--horizons", "nan"], "horizons_s"),
+        (["s0", "--horizons", "nan"], "horizons.0 = nan"),
         (["s0", "--horizons", "0,1"], "horizons are at least 0.1 s"),
         (["s0", "--horizons", "1", "--noise-floor", "pool"], "plant pool: unknown (does not exist)"),
     ],
@@ -92,7 +92,7 @@ SUMMARY = {
 
 
 def test_the_tables_fit_120_columns_and_no_two_cells_touch():
-    text = tables(SUMMARY)
+    text = comparison_tables(SUMMARY)
     assert max(map(len, text.splitlines())) <= 120
     row = next(line for line in text.splitlines() if line.startswith("  30 s") and "±" in line)
     assert row[8:].replace(" \N{PLUS-MINUS SIGN}", "\N{PLUS-MINUS SIGN}").split() == [
@@ -101,7 +101,7 @@ def test_the_tables_fit_120_columns_and_no_two_cells_touch():
 
 
 def test_the_tables_say_seeds_cost_coverage_floor_and_notes():
-    text = tables(SUMMARY)
+    text = comparison_tables(SUMMARY)
     assert "54,000 rows at the longest horizon; mean over the seeds ± half of its 95% interval" in text
     assert "streaming: 3 seeds, 12,345 parameters, 1,000 FLOPs a tick (0.123 of paper's)" in text
     assert "paper: 1 seed, 12,345 parameters, 1,000 FLOPs a tick\n" in text
@@ -111,14 +111,14 @@ def test_the_tables_say_seeds_cost_coverage_floor_and_notes():
     assert text.endswith("note: paper: 1 seed; fit at least 3 before a difference is believed")
 
 
-def test_what_no_group_has_is_left_out_of_the_tables():
+def test_what_no_group_has_is_left_out_of_the_comparison_tables():
     alone = {
         **SUMMARY,
         "groups": [{**SUMMARY["groups"][0], "horizons": [horizon(1)]}],
         "noise_floor": None,
         "notes": [],
     }
-    text = tables(alone)
+    text = comparison_tables(alone)
     assert "Mean force" not in text
     assert "floor" not in text
     assert "±" not in text

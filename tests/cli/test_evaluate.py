@@ -23,8 +23,8 @@ class Loaded(Covering):
 
 @pytest.fixture
 def controller(monkeypatch, tmp_path):
-    monkeypatch.setattr("softfin.stages.evaluate.load_controller", lambda path: Loaded())
-    monkeypatch.setattr("softfin.stages.evaluate.kind_of", lambda path: "single")
+    monkeypatch.setattr("softfin.stages.evaluation.load_controller", lambda path: Loaded())
+    monkeypatch.setattr("softfin.stages.evaluation.kind_of", lambda path: "single")
     (tmp_path / "controller").mkdir()
     (tmp_path / "controller" / "controller.json").touch()
     return str(tmp_path / "controller")
@@ -95,11 +95,14 @@ def test_a_randomization_of_0_is_the_very_same_tank(controller):
     assert softfin.evaluate(Path("controller"), TANK, config=config, randomize=0) == plain
 
 
-@pytest.mark.parametrize("part", ["-1", "5", "nan"])
-def test_a_randomization_out_of_range_is_one_line_that_says_what_is_allowed(controller, capsys, tmp_path, part):
+@pytest.mark.parametrize(
+    ("part", "told"),
+    [("-1", " -1: give a part from 0"), ("5", " 5: give a part from 0"), ("nan", "randomize = nan: Input should be a")],
+)
+def test_a_randomization_out_of_range_is_one_line_that_says_what_is_allowed(controller, capsys, tmp_path, part, told):
     with pytest.raises(SystemExit) as stop:
         main(["evaluate", controller, f"--randomize={part}", "--out", str(tmp_path / "out")])
     (line,) = capsys.readouterr().err.splitlines()
-    assert f" {part}: give a part from 0" in line
+    assert told in line
     assert stop.value.code == 2
     assert not (tmp_path / "out").exists()

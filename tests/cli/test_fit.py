@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from softfin.cli import main
-from softfin.cli.fit import warning
+from softfin.cli.surrogates import warning
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import write_dataset
 from softfin.surrogate import FitConfig, StreamingConfig
@@ -33,7 +33,7 @@ def asked(monkeypatch):
         configs.append((config, seed, len(logs)))
         return small.surrogate(), evidence if isinstance(config, AutoConfig) else None
 
-    monkeypatch.setattr("softfin.stages.fit.fit_any", fit_any)
+    monkeypatch.setattr("softfin.stages.surrogates.fit_any", fit_any)
     return configs
 
 
@@ -141,7 +141,7 @@ def test_an_unfinished_run_is_not_lost(capsys, tmp_path, dataset, monkeypatch):
         run_directory.save({}, {})
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("softfin.stages.fit.fit_any", stopped)
+    monkeypatch.setattr("softfin.stages.surrogates.fit_any", stopped)
     words = ["fit", dataset, "--out", str(tmp_path / "s")]
     with pytest.raises(SystemExit):
         main(words)

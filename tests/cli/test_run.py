@@ -72,7 +72,7 @@ def test_nothing_moves_without_arm(controller, plant, emulated, tmp_path, capsys
         (["--reference=1,1", "--reference-file", "x.csv"], "one of them"),
         ([], "give --reference=X,Y or --reference-file"),
         (["--reference=1,1", "--seconds", "0"], "--seconds 0: at least 1"),
-        (["--reference=one,1"], "not a force; write --reference=X,Y"),
+        (["--reference=one,1"], "not a force; write X,Y"),
         (["--reference=nan,1"], "nan"),
     ],
 )

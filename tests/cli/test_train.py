@@ -2,7 +2,7 @@
 
 import pytest
 
-from softfin.cli.train import asked_cells, asked_seeds
+from softfin.cli.controllers import asked_cells, asked_seeds
 from softfin.core.errors import ConfigurationError
 from softfin.gaits.reachable import Cell, bounding_box
 from softfin.task.references import PAPER_CELLS
@@ -50,9 +50,9 @@ def test_seeds_are_a_number_or_a_list() -> None:
     ("first", "text", "message"),
     [
         (0, "few", "--seeds few: neither a number nor a list; write --seeds 3"),
-        (0, "0", "--seeds 0: no seeds"),
+        (0, "0", "--seeds 0: give one seed or more"),
         (1, "0,1", "--seed 1: --seeds=0,1 names them all"),
-        (0, "1,-1", "--seeds 1,-1: -1: a seed is a whole number from 0"),
+        (0, "1,-1", "--seeds 1,-1: give one seed or more, whole numbers from 0"),
     ],
 )
 def test_seeds_that_are_none_are_refused(first: int, text: str, message: str) -> None:

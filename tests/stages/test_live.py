@@ -59,7 +59,7 @@ def test_logs_are_recorded_one_by_one_and_a_stopped_collection_goes_on(tmp_path)
         with pytest.raises(ArtifactError, match="--resume"):
             collect_live(robot, out, CONFIG, yes)
         other = CONFIG.model_copy(update={"seed": 4})
-        with pytest.raises(ArtifactError, match=r"another configuration.seed \(3 there, 4 here\)"):
+        with pytest.raises(ArtifactError, match=r"another run \(configuration.seed was 3 and is 4\)"):
             collect_live(robot, out, other, yes, resume=True)
 
         told = []

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import ConfigurationError
+from softfin.core.progress import silent
 from softfin.core.quantities import Command, Reading
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation
 from softfin.evaluation.experiment import ExperimentRecording
@@ -45,7 +46,7 @@ def test_a_complete_run_is_kept_until_the_one_that_replaces_it_is_complete(tmp_p
     out, kept = tmp_path / "run", tmp_path / ".run.replaced"
 
     def claim(overwrite):
-        _Reproduction("tests.plants:AnalyticFin", out, ReproduceConfig(), 0, None).claim(False, overwrite)
+        _Reproduction("tests.plants:AnalyticFin", out, ReproduceConfig(), 0, silent).claim(False, overwrite)
 
     claim(False)
     assert not kept.exists()

@@ -8,8 +8,8 @@ import pytest
 from softfin.control.store import load_controller
 from softfin.core.quantities import Command, Log, Reading
 from softfin.learning.configuration import SINGLE
-from softfin.stages.fit import fit
-from softfin.stages.train import find_gaits, train
+from softfin.stages.controllers import find_gaits, train
+from softfin.stages.surrogates import fit
 from softfin.storage.dataset import write_dataset
 from softfin.surrogate import save_surrogate
 from softfin.surrogate.channels import READINGS, UNKNOWN, learnt_from, ranges
@@ -71,10 +71,10 @@ def test_the_stages_hand_it_on_from_the_dataset_to_the_controllers(tmp_path, mon
         run_directory.log().close()
         return untrained(SINGLE)._replace(seeds=tuple(seeds))
 
-    monkeypatch.setattr("softfin.stages.fit.fit_any", fit_any)
-    monkeypatch.setattr("softfin.stages.train.train_jobs", train_jobs)
-    monkeypatch.setattr("softfin.stages.train.write_learning", lambda folder: None)
-    monkeypatch.setattr("softfin.stages.train._map_forces", lambda *asked: KNOWN)
+    monkeypatch.setattr("softfin.stages.surrogates.fit_any", fit_any)
+    monkeypatch.setattr("softfin.stages.controllers.train_jobs", train_jobs)
+    monkeypatch.setattr("softfin.stages.controllers.write_learning", lambda folder: None)
+    monkeypatch.setattr("softfin.stages.controllers._map_forces", lambda *asked: KNOWN)
     surrogate = str(tmp_path / "surrogate")
     fit(tmp_path / "dataset", tmp_path / "surrogate")
     train(surrogate, tmp_path / "policy", SINGLE, seeds=(3, 5))

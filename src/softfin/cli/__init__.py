@@ -1,4 +1,4 @@
-"""The command line: ``softfin COMMAND ...``; each command is a module of this folder, imported when it is called."""
+"""The command line: ``softfin COMMAND ...``; a command's module in this folder is imported when it is called."""
 
 import contextlib
 import difflib
@@ -14,26 +14,30 @@ from softfin.core.printable import printable
 from softfin.core.program_cache import describe_cache
 
 COMMANDS = {
-    "collect": "record motions of a fin, random or chosen by a surrogate, and its force as a dataset",
-    "inspect": "check logs before a surrogate is fitted to them",
-    "import-logs": "turn CSV, Parquet or ROS 2 bags into a dataset",
-    "fit": "fit a surrogate to logs: streaming networks, the paper's networks, or the better of both",
-    "calibrate": "fit the virtual tank to logs or to a plant",
-    "import-keras": "turn published .keras networks and their scalers into a surrogate",
-    "compare": "score surrogates on test logs, free-running over several horizons",
-    "map": "find the mean forces that a fin can make, and gaits that make them",
-    "train": "train force controllers inside a surrogate: by gradients, by LSTM-PPO, or gaits",
-    "evaluate": "evaluate a controller on a fin over reference forces",
-    "baselines": "evaluate baselines without learning: best sine, analytic inverse model, random search",
-    "view": "show a fin in motion, as a film or as a page that plays it",
-    "rig": "the real fin: check it, zero it, or emulate its drive and sensor",
-    "run": "hold reference forces on the real fin",
-    "bag": "recover a recording that was cut off; convert recordings to logs and back",
-    "monitor": "watch a recording while it is made, in the terminal or as a page",
-    "ros2": "run as a ROS 2 node: readings out, references in",
-    "export": "write a controller as ONNX, for hosts without Python",
-    "reproduce": "run all stages, with the paper's tables and figures",
+    "collect": ("data", "record motions of a fin, random or chosen by a surrogate, and its force as a dataset"),
+    "inspect": ("data", "check logs before a surrogate is fitted to them"),
+    "import-logs": ("data", "turn CSV, Parquet or ROS 2 bags into a dataset"),
+    "fit": ("surrogates", "fit a surrogate to logs: streaming networks, the paper's networks, or the better of both"),
+    "calibrate": ("surrogates", "fit the virtual tank to logs or to a plant"),
+    "import-keras": ("surrogates", "turn published .keras networks and their scalers into a surrogate"),
+    "compare": ("surrogates", "score surrogates on test logs, free-running over several horizons"),
+    "map": ("controllers", "find the mean forces that a fin can make, and gaits that make them"),
+    "train": ("controllers", "train force controllers inside a surrogate: by gradients, by LSTM-PPO, or gaits"),
+    "evaluate": ("evaluation", "evaluate a controller on a fin over reference forces"),
+    "baselines": (
+        "evaluation",
+        "evaluate baselines without learning: best sine, analytic model, random search",
+    ),
+    "view": ("evaluation", "show a fin in motion, as a film or as a page that plays it"),
+    "rig": ("rig", "the real fin: check it, zero it, or emulate its drive and sensor"),
+    "run": ("driving", "hold reference forces on the real fin"),
+    "bag": ("data", "recover a recording that was cut off; convert recordings to logs and back"),
+    "monitor": ("rig", "watch a recording while it is made, in the terminal or as a page"),
+    "ros2": ("driving", "run as a ROS 2 node: readings out, references in"),
+    "export": ("controllers", "write a controller as ONNX, for hosts without Python"),
+    "reproduce": ("evaluation", "run all stages, with the paper's tables and figures"),
 }
+"""For each command its module, and what it does."""
 
 STOPPED = 1
 """Exit code after Ctrl-C: a failure midway."""
@@ -70,6 +74,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _run(name, words[1:])
 
 
+def arguments_of(name: str) -> type[Any]:
+    """Import the class of a command, such as `ImportLogsArguments`, whose fields are its options."""
+    module = importlib.import_module(f"softfin.cli.{COMMANDS[name][0]}")
+    arguments: type[Any] = getattr(module, "".join(map(str.capitalize, name.split("-"))) + "Arguments")
+    return arguments
+
+
 def _run(name: str, words: list[str]) -> None:
     # Imported here: --version needs none of it.
     from softfin.cli import options
@@ -82,17 +93,17 @@ def _run(name: str, words: list[str]) -> None:
     gc.set_threshold(50_000, 20, 10)
     arguments: Any = None
     try:
-        arguments = importlib.import_module(f"softfin.cli.{name.replace('-', '_')}").Arguments
+        arguments = arguments_of(name)
         command = options.parse(arguments, words)
         command.check()
-        command.run()
+        command()
     except options.HelpRequested:
         sys.stdout.write(options.help_of(arguments, f"softfin {name}") + "\n")
         raise SystemExit(0) from None
     except KeyboardInterrupt as interrupt:
         if debug:
             raise
-        hint = "; the same command with --resume goes on" if hasattr(arguments, "resume") else ""
+        hint = "; the same command with --resume goes on" if "resume" in getattr(arguments, "model_fields", ()) else ""
         sys.stderr.write(f"softfin {name}: stopped, nothing is half-written{hint}\n")
         raise SystemExit(STOPPED) from interrupt
     except Exception as error:
@@ -107,7 +118,7 @@ def _run(name: str, words: list[str]) -> None:
 
 
 def _usage() -> str:
-    lines = "\n".join(f"  {name:{len('import-keras')}}  {what}" for name, what in COMMANDS.items())
+    lines = "\n".join(f"  {name:{len('import-keras')}}  {what}" for name, (_, what) in COMMANDS.items())
     return (
         "usage: softfin COMMAND [OPTION ...]\n\nLearn to make the force that you ask a soft fin for.\n\n"
         f"{lines}\n\nsoftfin COMMAND --help lists a command's options; --debug shows tracebacks.\n{describe_cache()}"

@@ -1,14 +1,13 @@
-"""Options that commands share: configuration, arming; running a stage with progress on stderr, results on stdout."""
+"""What commands share: kinds of options, the configuration, arming, progress on stderr, results on stdout; no JAX."""
 
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Annotated, Any, TextIO, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TextIO, TypeAlias, TypeVar
 
 from softfin.cli import options
-from softfin.cli.kinds import YamlFile
 from softfin.cli.options import Option
 from softfin.core.choices import SEEDS
 from softfin.core.configuration import Configuration, read_yaml
@@ -16,6 +15,8 @@ from softfin.core.errors import ConfigurationError
 from softfin.core.printable import printable
 from softfin.data.importing.importing import ImportConfig
 from softfin.storage import artifact as artifacts
+from softfin.storage import paths
+from softfin.storage.registry import is_live, resolve_plant
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
@@ -29,11 +30,64 @@ WORD = "move"
 """Word that a person types to let the fin move."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class CommandOptions:
-    """Options of every command."""
+def folder_of(kind: str, positional: bool = False) -> Option:
+    """Option for the folder of an artifact, such as a controller."""
+    metavar = kind.upper() if positional else "DIR"
+    return Option(metavar, positional, check=lambda path, _: artifacts.find_description(Path(path), kind))
 
-    json: bool = False
+
+def plant(metavar: str = "PLANT", positional: bool = False) -> Option:
+    """Option for the name of a simulated plant."""
+    return Option(metavar, positional, check=lambda name, _: resolve_plant(name))
+
+
+def _check_data(name: str, _: Any) -> None:
+    path = Path(name)
+    if path.is_dir() and not artifacts.is_kind(path, "surrogate"):
+        artifacts.find_description(path, "dataset")
+    else:
+        resolve_plant(name)
+
+
+def numbers(advice: str, count: int | None = None) -> Callable[[str, str], tuple[float, ...]]:
+    """Make a reader of `count` numbers with commas between them, whose error ends in the advice."""
+
+    def parse(text: str, option: str) -> tuple[float, ...]:
+        try:
+            values = tuple(float(part) for part in text.split(","))
+        except ValueError:
+            values = ()
+        if not values or count not in (None, len(values)):
+            raise ConfigurationError(f"{option} {text}: {advice}")
+        return values
+
+    return parse
+
+
+def _check_vacant(path: Path, command: Any) -> None:
+    # With --resume the stage decides whether what is there is the run that goes on.
+    artifacts.check_vacant(path, command.overwrite or getattr(command, "resume", False))
+
+
+Out: TypeAlias = Annotated[Path, Option("DIR", check=_check_vacant)]
+File: TypeAlias = Annotated[Path, Option("FILE")]
+ReferenceFile: TypeAlias = Annotated[Path, Option("FILE", check=lambda path, _: paths.check_reference_file(path))]
+YamlFile: TypeAlias = Annotated[Path, Option("FILE", check=lambda path, _: paths.check_readable(path))]
+Controller: TypeAlias = Annotated[Path, folder_of("controller", positional=True)]
+Plant: TypeAlias = Annotated[str, plant()]
+AnyPlant: TypeAlias = Annotated[str, Option("PLANT", check=lambda name, _: is_live(name) or resolve_plant(name))]
+LivePlant: TypeAlias = Annotated[str, Option("PLANT")]
+Logs: TypeAlias = Annotated[Path, Option("LOGS", True, check=lambda path, _: paths.find_recordings(path))]
+Data: TypeAlias = Annotated[str, Option("DATA", positional=True, check=_check_data)]
+Force: TypeAlias = Annotated[
+    tuple[float, float], Option("X,Y", parse=numbers("not a force; write X,Y in newton, as 1,-1", 2))
+]
+
+
+class CommandOptions(Configuration):
+    """Options of every command, which is run by a call."""
+
+    json_: bool = False
     """Print the result as JSON on standard output."""
     debug: bool = False
     """Show the traceback of an error."""
@@ -47,10 +101,9 @@ class CommandOptions:
 
     def tell(self, result: Any, text: str) -> None:
         """Print the result: as JSON, or as text for people."""
-        sys.stdout.write(artifacts.dump_json(result) if self.json else printable(text.rstrip("\n"), "\n") + "\n")
+        sys.stdout.write(artifacts.dump_json(result) if self.json_ else printable(text.rstrip("\n"), "\n") + "\n")
 
 
-@dataclass(frozen=True, kw_only=True)
 class Common(CommandOptions):
     """Options of every command that writes."""
 
@@ -63,7 +116,6 @@ class Common(CommandOptions):
             return stage(*arguments, **given, overwrite=self.overwrite, progress=report)
 
 
-@dataclass(frozen=True, kw_only=True)
 class Configured(Common):
     """Options of every command that has a configuration."""
 
@@ -79,23 +131,22 @@ class Configured(Common):
         itself from a text or under another name are `given`.
         """
         config = base if self.config is None else base.merged(read_yaml(self.config), str(self.config))
-        own = {option.name: getattr(self, option.name) for option in fields(self)
-               if option.name in type(base).model_fields and option.default in (None, ())}  # fmt: skip
+        own = {name: getattr(self, name) for name, option in type(self).model_fields.items()
+               if name in type(base).model_fields and option.default in (None, ())}  # fmt: skip
         own = {name: value for name, value in own.items() if not isinstance(value, str)} | given
         changes = {name: value for name, value in own.items() if value not in (None, ())}
         return config.changed(self.set).merged(changes, "options")
 
 
-@dataclass(frozen=True, kw_only=True)
-class LogOptions:
+class LogOptions(Configuration):
     """Options of every command that reads recordings made by others; softfin's own need none of these."""
 
-    recordings: ImportConfig = field(default_factory=ImportConfig)
+    recordings: ImportConfig = ImportConfig()
 
-
-def columns_read(columns: Mapping[str, str]) -> str:
-    """Lines that tell how columns with names of their own were read, by the first log of each way; none where none."""
-    return "".join(f"{log}: {text}\n" for log, text in columns.items())
+    @staticmethod
+    def columns_read(columns: Mapping[str, str]) -> str:
+        """Lines that tell how columns with names of their own were read, by the first log of each way, if any."""
+        return "".join(f"{log}: {text}\n" for log, text in columns.items())
 
 
 def on_terminal() -> bool:
@@ -105,8 +156,7 @@ def on_terminal() -> bool:
     return given is not None and given.isatty()
 
 
-@dataclass(frozen=True, kw_only=True)
-class Armed:
+class Armed(Configuration):
     """Options of every command that may move a real fin."""
 
     arm: bool = False
@@ -144,14 +194,21 @@ class Armed:
 def progress() -> Iterator[Callable[[str, float, str], None]]:
     """Show a bar on standard error, or a line every ten seconds where that is not a terminal."""
     from rich.console import Console
-
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield _Lines()
-        return
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
     from rich.table import Column
 
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        shown, next_s = "", 0.0
+
+        def line(stage: str, done: float, note: str) -> None:
+            nonlocal shown, next_s
+            if stage != shown or time.monotonic() >= next_s or done >= 1:
+                sys.stderr.write(f"{stage}: {done:.0%} {printable(note)}\n")
+                shown, next_s = stage, time.monotonic() + 10
+
+        yield line
+        return
     # On a narrow terminal the bar gives way first, then the end of the note.
     bar, note = Column(min_width=4, ratio=1), Column(no_wrap=True, overflow="ellipsis")
     columns = (
@@ -168,16 +225,3 @@ def progress() -> Iterator[Callable[[str, float, str], None]]:
             bars.update(tasks[stage], completed=done, note=printable(note))
 
         yield report
-
-
-class _Lines:
-    """Progress for logs and pipes."""
-
-    def __init__(self, every_s: float = 10.0) -> None:
-        self.every_s, self._next, self._stage = every_s, 0.0, ""
-
-    def __call__(self, stage: str, done: float, note: str) -> None:
-        now = time.monotonic()
-        if stage != self._stage or now >= self._next or done >= 1:
-            sys.stderr.write(f"{stage}: {done:.0%} {printable(note)}\n")
-            self._stage, self._next = stage, now + self.every_s

@@ -1,34 +1,42 @@
-"""Commands that let a controller drive a real fin, ``softfin run`` and ``softfin ros2``, share this; no JAX."""
+"""Commands that let a controller drive a real fin: ``run`` with references live, ``ros2`` as a node; no JAX."""
 
+import functools
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from softfin.cli.common import Armed, Common, on_terminal
-from softfin.cli.kinds import Controller, File, LivePlant
+from softfin.cli.common import Armed, Common, Configured, Controller, File, Force, LivePlant, ReferenceFile, on_terminal
 from softfin.control.controller import LoadedController
 from softfin.control.disturbance_observer import DisturbanceObserver
+from softfin.control.references import resolve_reference
 from softfin.control.store import load_controller
 from softfin.core.action_clock import ACTION_TICKS, CYCLE_ACTIONS
-from softfin.core.errors import ConfigurationError
+from softfin.core.choices import TransportName
+from softfin.core.errors import ConfigurationError, RigError
 from softfin.core.printable import printable
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.loop import (
     ActionResult,
+    LiveReference,
     References,
     mean_force,
+    recorded_reference,
     run_controller,
 )
+from softfin.rig.machine import clock_of
 from softfin.rig.robot_setup import RobotSetup, find_robot
+from softfin.rig.ros2.config import NodeConfig
+from softfin.rig.ros2.connection import open_transport
+from softfin.rig.ros2.node import RosNode
+from softfin.rig.ros2.plant import Ros2Machine
 from softfin.rig.safety import Guard
 from softfin.rig.session import Observer, Session
+from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import StopRequest, listen_to_keyboard
 
 
-@dataclass(frozen=True, kw_only=True)
 class Driving(Armed, Common):
     """Options of every command that lets a controller drive a real fin."""
 
@@ -76,10 +84,8 @@ class Driving(Armed, Common):
     ) -> dict[str, Any]:
         """Ask, move, record; `line` gets what is typed meanwhile. Returns the recording and the errors at its end."""
         bag = self.bag or Path(f"run-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
-        guard, stop = (
-            Guard(robot.safety, robot.machine.limits, controller.artifact.training_range),
-            stop or StopRequest(),
-        )
+        guard = Guard(robot.safety, robot.machine.limits, controller.artifact.training_range)
+        stop = stop or StopRequest()
         acting: LoadedController | DisturbanceObserver = DisturbanceObserver(controller) if self.trim else controller
         with Session(robot.machine, guard, stop=stop, observers=observers) as session:
             self.confirm(robot)
@@ -135,3 +141,85 @@ def _follow(
                 session.stop_request.ask("emergency_stop", f"nobody reads its lines any more ({error.strerror})")
     errors = [abs(mean - asked) for mean, asked in zip((x, y), window[-1].reference, strict=True)]
     return {"seconds": ticks / RATE_HZ, "error_x_n": round(errors[0], 4), "error_y_n": round(errors[1], 4)}
+
+
+class RunArguments(Driving):
+    """Hold reference forces on the real fin; while it runs, type X,Y and Enter for another one, Enter alone to stop."""
+
+    reference: Force | None = None
+    """Reference force as --reference=X,Y in newton, at first."""
+    reference_file: ReferenceFile | None = None
+    """A moving reference instead: .csv or .parquet with time_s, force_x_n, force_y_n, each row held until the next."""
+
+    def check(self) -> None:
+        """Refuse two references, or none."""
+        if (self.reference is None) == (self.reference_file is None):
+            raise ConfigurationError("give --reference=X,Y or --reference-file, one of them")
+        super().check()
+
+    def __call__(self) -> None:
+        controller, robot = self.parties()
+
+        def resolve(force: tuple[float, float]) -> tuple[tuple[float, float], str | None]:
+            return resolve_reference(controller, force, self.strict)
+
+        if self.reference is not None:
+            live = LiveReference(self.reference, resolve, say)
+            return self.tell_errors(self.drive(controller, robot, live, self.seconds, live.set_from_text))
+        assert self.reference_file is not None
+        # Imported here: the file's reader needs more than a robot's computer may have.
+        from softfin.task.signals import read_reference_file
+
+        rows = read_reference_file(self.reference_file)
+        recorded = recorded_reference(rows.time_s, [(float(x), float(y)) for x, y in rows.force_n], resolve, say)
+
+        def line(_: str) -> None:
+            say("references come from the file; Enter alone stops the fin")
+
+        return self.tell_errors(self.drive(controller, robot, recorded, self.seconds or rows.seconds, line))
+
+
+class Ros2Arguments(Driving, Configured):
+    """Run as a ROS 2 node: hold the reference of a topic on the real fin, publish each sample; Enter or a topic stops.
+
+    Topics, frames and the timeout of references: --set joint_topic=/NAME and so on (docs/rig.md has them all).
+    """
+
+    reference: Force
+    """Reference force as --reference=X,Y in newton, while no other comes: at first, and when the last is too old."""
+    transport: TransportName | None = None
+    """auto: rclpy where it is installed, else DDS without ROS 2."""
+    domain: int | None = None
+    """ROS domain (the variable ROS_DOMAIN_ID, else 0)."""
+    network: str | None = None
+    """With DDS: the network interface, as eth0, whose others may read and write the topics; else this computer alone.
+    """
+
+    def __call__(self) -> None:
+        options = {"transport": self.transport, "domain": self.domain, "network": self.network}
+        given = {name: value for name, value in options.items() if value is not None}
+        topics = self.configured(NodeConfig(), connection=given or None)
+        controller, robot = self.parties()
+        if isinstance(clock_of(robot.machine), SimulatedClock):
+            raise RigError(
+                f"{robot.machine.name}: emulated in simulated time, in which no topic can be heard; start "
+                "softfin rig emulate --real-time"
+            )
+        if isinstance(robot.machine, Ros2Machine):
+            robot.machine.config.check_apart(topics)
+        otherwise, warning = resolve_reference(controller, self.reference, self.strict)
+        transport = open_transport(topics.connection)
+        try:
+            node = RosNode(transport, topics, say, lambda asked: resolve_reference(controller, asked, self.strict))
+            for note in (*transport.notes, *([] if warning is None else [warning])):
+                say(note)
+            stop = StopRequest()
+            result = self.drive(
+                controller, robot, lambda _: node.reference() or otherwise, self.seconds,
+                lambda _: say("references come by their topic; Enter alone stops the fin"), stop,
+                (functools.partial(node.observe, stop),),
+            )  # fmt: skip
+            result["counters"] |= node.counters()
+        finally:
+            transport.close()
+        self.tell_errors(result)

@@ -1,28 +1,27 @@
-"""The fields of a dataclass as options of a command: read from words, checked, and listed as help.
+"""The fields of a configuration as options of a command: read from words, checked, and listed as help.
 
 A field without a default is required. A bool is a flag, a Literal a choice, a tuple an option that may be repeated (or
 several positional arguments), a `Configuration` one option for each of its fields. `Option`, in the field's annotation,
 holds what the type does not tell.
 """
 
-import ast
-import dataclasses
 import difflib
 import inspect
 import re
 import shutil
-import sys
 import textwrap
 import types
 from collections.abc import Callable, Iterable, Sequence
-from itertools import pairwise
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from pydantic.fields import FieldInfo
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
 
-Arguments = TypeVar("Arguments")
+Arguments = TypeVar("Arguments", bound=Configuration)
 
 NUMBERS: dict[Any, str] = {int: "a whole number", float: "a number"}
 METAVARS: dict[Any, str] = {int: "INT", float: "FLOAT", Path: "PATH", str: "TEXT"}
@@ -34,7 +33,7 @@ class HelpRequested(Exception):
     """``--help`` was among the words."""
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Option:
     """How an option is written, read and checked, where its type does not tell."""
 
@@ -48,7 +47,7 @@ class Option:
     """Function of the value and its command that raises a SoftfinError where what the value names does not exist."""
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Field:
     """One option of a command."""
 
@@ -78,7 +77,7 @@ class Field:
     def name(self) -> str:
         """The option as it is typed, ``--test-logs``; the metavar of a positional argument."""
         # A configuration's field ends in its unit, which nobody should have to type.
-        field = re.sub("_(hz|rad_s|ms|s)$", "", self.field) if self.group else self.field
+        field = re.sub("_(hz|rad_s|ms|s)$", "", self.field) if self.group else self.field.rstrip("_")
         return self.metavar if self.option.positional else f"--{field.replace('_', '-')}"
 
     @property
@@ -113,20 +112,19 @@ def _nearest(met: str, allowed: Iterable[str], otherwise: str = "") -> str:
     return f"; did you mean {close[0]}?" if close else otherwise
 
 
-def fields_of(command: type[Any]) -> list[Field]:
+def fields_of(command: type[Configuration]) -> list[Field]:
     """List the options of a command: its own first, then those that it inherits."""
-    hints, texts = get_type_hints(command, include_extras=True), docstrings(command)
-    found = {field.name: field for field in dataclasses.fields(command)}
+    hints, found = get_type_hints(command, include_extras=True), command.model_fields
     own = [name for base in command.__mro__ for name in inspect.get_annotations(base) if name in found]
-    return [each for name in dict.fromkeys(own) for each in _fields(found[name], hints[name], texts.get(name, ""))]
+    return [each for name in dict.fromkeys(own) for each in _fields(name, hints[name], found[name])]
 
 
-def _fields(field: "dataclasses.Field[Any]", hint: Any, text: str) -> list[Field]:
+def _fields(name: str, hint: Any, info: FieldInfo) -> list[Field]:
     if isinstance(hint, type) and issubclass(hint, Configuration):
         return [
-            Field(name, Option(), _inner(info.annotation), False, False, info.get_default(call_default_factory=True),
-                  " ".join((info.description or "").replace("``", "").split()), (field.name, hint))
-            for name, info in hint.model_fields.items()
+            Field(inner, Option(), _inner(each.annotation), False, False, each.get_default(call_default_factory=True),
+                  _text(each), (name, hint))
+            for inner, each in hint.model_fields.items()
         ]  # fmt: skip
     option, repeats = Option(), False
     while True:
@@ -142,7 +140,11 @@ def _fields(field: "dataclasses.Field[Any]", hint: Any, text: str) -> list[Field
             hint, repeats = parts[0], True
         else:
             break
-    return [Field(field.name, option, hint, repeats, field.default is dataclasses.MISSING, field.default, text)]
+    return [Field(name, option, hint, repeats, info.is_required(), info.default, _text(info))]
+
+
+def _text(info: FieldInfo) -> str:
+    return " ".join((info.description or "").replace("``", "").split())
 
 
 def _inner(hint: Any) -> Any:
@@ -164,25 +166,18 @@ def parse(command: type[Arguments], words: Sequence[str]) -> Arguments:
         value = field.read(text)
         values[field.field] = (*values.get(field.field, ()), value) if field.repeats else value
 
-    def take_place(text: str) -> None:
-        place = next((field for field in places if field.repeats or field.field not in values), None)
-        if place is None:
-            expected = " ".join(field.usage for field in places) or "only options"
-            raise ConfigurationError(f"{text!r}: one argument too many; the command takes {expected}")
-        take(place, text)
-
     rest = list(words)
     while rest:
         word = rest.pop(0)
         if word in ("-h", "--help"):
             raise HelpRequested
-        if word == "--":
-            for text in rest:
-                take_place(text)
-            break
         # -1,2 is a value.
         if not word.startswith("--") and not (word[:1] == "-" and word[1:2].isalpha()):
-            take_place(word)
+            place = next((field for field in places if field.repeats or field.field not in values), None)
+            if place is None:
+                expected = " ".join(field.usage for field in places) or "only options"
+                raise ConfigurationError(f"{word!r}: one argument too many; the command takes {expected}")
+            take(place, word)
             continue
         written, sign, text = word.partition("=")
         field = named.get(written.replace("_", "-"))
@@ -206,7 +201,7 @@ def parse(command: type[Arguments], words: Sequence[str]) -> Arguments:
         inner = [field.field for field in fields if field.group and field.group[0] == name]
         given = {field: values.pop(field) for field in inner if field in values}
         values[name] = configuration.build(given, "options")
-    return command(**values)
+    return command.build(values, "options")
 
 
 def check(command: Any) -> None:
@@ -217,7 +212,7 @@ def check(command: Any) -> None:
                 field.option.check(each, command)
 
 
-def help_of(command: type[Any], program: str) -> str:
+def help_of(command: type[Configuration], program: str) -> str:
     """Return the help of a command, for the width of the terminal."""
     width = max(60, min(shutil.get_terminal_size().columns, 120))
     fields = fields_of(command)
@@ -253,16 +248,3 @@ def _entry(usage: str, text: str, width: int) -> list[str]:
 
 def _wrap(text: str, width: int, later: str = "") -> list[str]:
     return textwrap.wrap(text, width, subsequent_indent=later, break_on_hyphens=False)
-
-
-def docstrings(command: type[Any]) -> dict[str, str]:
-    """Return the string under each field, of a class and those that it inherits from."""
-    texts: dict[str, str] = {}
-    for base in reversed(command.__mro__[:-1]):
-        for node in ast.parse(inspect.getsource(sys.modules[base.__module__])).body:
-            if isinstance(node, ast.ClassDef) and node.name == base.__name__:
-                for field, text in pairwise(node.body):
-                    match field, text:
-                        case ast.AnnAssign(target=ast.Name(name)), ast.Expr(ast.Constant(str(words))):
-                            texts[name] = " ".join(words.split())
-    return texts

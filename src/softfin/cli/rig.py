@@ -1,19 +1,26 @@
-"""``softfin rig``: check the real fin before an experiment, zero it, or emulate its drive and its sensor."""
+"""``rig`` checks the real fin, zeroes it, or emulates it; ``monitor`` watches a recording while it is made."""
 
 import contextlib
+import json
 import sys
 import threading
-from dataclasses import dataclass
+import time
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from softfin.cli.common import Armed, Common
-from softfin.cli.kinds import File, YamlFile
+from rich.console import Console
+
+from softfin.cli.common import Armed, CommandOptions, Common, File, YamlFile
 from softfin.cli.options import Option
+from softfin.core.choices import LOOPBACK
 from softfin.core.configuration import read_yaml
 from softfin.core.errors import ConfigurationError, DeviceError
 from softfin.core.printable import printable
 from softfin.rig.check import check_rig
 from softfin.rig.config import load_rig
+from softfin.rig.monitor.follow import Follower
+from softfin.rig.monitor.terminal import watch
+from softfin.rig.monitor.web import Server
 from softfin.rig.rig import Rig, zero_angle, zero_force
 from softfin.rig.robot_setup import RobotSetup
 from softfin.storage.paths import RIG_FILE
@@ -23,8 +30,7 @@ ZEROING = "the motor is powered for a moment and holds where the fin stands, whi
 MARKS = {"well": "ok", "note": "note", "wrong": "WRONG"}
 
 
-@dataclass(frozen=True, kw_only=True)
-class Arguments(Armed, Common):
+class RigArguments(Armed, Common):
     """Check the real fin, zero its angle and force, or emulate both devices with the virtual tank behind them."""
 
     action: Annotated[Literal["check", "zero", "emulate"], Option(positional=True)]
@@ -45,8 +51,7 @@ class Arguments(Armed, Common):
     real_time: bool = False
     """With emulate: a drive and a sensor over sockets of this computer, in real time, until Ctrl-C."""
 
-    def run(self) -> None:
-        """Check, zero or emulate."""
+    def __call__(self) -> None:
         {"check": self._check, "zero": self._zero, "emulate": self._emulate}[self.action]()
 
     def _check(self) -> None:
@@ -59,10 +64,10 @@ class Arguments(Armed, Common):
         findings = []
         for finding in check_rig(config, self.rig.absolute().parent):
             findings.append(finding)
-            if not self.json:
+            if not self.json_:
                 sys.stdout.write(f"{MARKS[finding.state]:>6}  {finding.what:14} {printable(finding.text)}\n")
                 sys.stdout.flush()
-        if self.json:
+        if self.json_:
             self.tell([finding._asdict() for finding in findings], "")
         wrong = [finding.what for finding in findings if finding.state == "wrong"]
         if wrong:
@@ -107,3 +112,36 @@ class Arguments(Armed, Common):
             f"{self.rig}: written; each command emulates this rig itself, in simulated time. Next: softfin rig zero"
             f"{option} --arm, then softfin collect --plant {plant} --arm\n"
         )
+
+
+class MonitorArguments(CommandOptions):
+    """Watch a recording while it is made; Ctrl-C ends the watching, never the recording."""
+
+    run_folder: Annotated[Path, Option("RECORDING", positional=True)]
+    """A bag (.mcap), or a folder that bags are written to: its newest is followed, and the next one when it comes."""
+    web: bool = False
+    """As a page in the browser, with live traces."""
+    port: int = 8080
+    """Port of the page; 0 takes a free one."""
+    host: str = LOOPBACK
+    """Address that the page is served on; on another one than this, whoever reaches it sees the recording."""
+    json_: bool = False
+    """Print the state of the recording as JSON, once."""
+
+    def __call__(self) -> None:
+        follower = Follower(self.run_folder)
+        # Whoever watches has lost nothing by stopping: exit code 0.
+        with contextlib.suppress(KeyboardInterrupt):
+            if self.json_:
+                follower.poll()
+                while (summary := follower.summary())["state"] == "reading" and summary["problem"] is None:
+                    follower.poll()
+                sys.stdout.write(json.dumps(summary, indent=2, allow_nan=False) + "\n")
+            elif self.web:
+                with Server(follower, self.host, self.port) as server:
+                    if self.host not in (LOOPBACK, "::1", "localhost"):
+                        sys.stderr.write(f"warning: {self.host}: others can watch too; no password\n")
+                    sys.stderr.write(f"{server.address} shows the recording; Ctrl-C ends\n")
+                    server.serve_forever()
+            else:
+                watch(follower, Console(), sleep=time.sleep)

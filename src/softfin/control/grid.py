@@ -145,7 +145,8 @@ class GridStep:
             observation = self.observation.observe(ops, now, state.actions[2 * ago :], state.age - ago)
             return network.remember(ops, memory, observation)
 
-        memory = empty = ops.constant(network.empty())
+        empty: PolicyMemory = ops.constant(network.empty())
+        memory = empty
         if self.switching.replay:
             for ago in range(CYCLE_ACTIONS, 0, -1):
                 memory = PolicyMemory(*ops.choose(state.age >= ago, partial(replayed, memory, ago), lambda: empty))

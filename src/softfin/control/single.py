@@ -52,7 +52,7 @@ class SingleStep:
 
     def act(self, ops: Operations, state: SingleState, now: Array) -> tuple[SingleState, Array]:
         """Compute the policy's deterministic action."""
-        network = ops.constant(self.network)
+        network: PolicyNetwork = ops.constant(self.network)
         observation = self.observation.observe(ops, now, state.actions, state.age)
         memory = network.remember(ops, PolicyMemory(state.hidden, state.cell), observation)
         action = network.action(ops, memory)

@@ -33,7 +33,7 @@ from softfin.learning.policy import Policy
 from softfin.learning.run import BestPolicies, TrainingResult, TrainingRun, keep_best, summary, with_keys, without_keys
 from softfin.storage.artifact import write_file
 from softfin.storage.run_directory import RunDirectory
-from softfin.task.cells import lattice
+from softfin.task.references import lattice
 
 TOKEN = "here"
 """File by which a worker recognises the driver's folder, and not one of the same name."""

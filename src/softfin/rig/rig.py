@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 from softfin.core.clock import REAL, Clock
-from softfin.core.errors import DeviceError, SoftfinError
+from softfin.core.errors import DeviceError
 from softfin.rig.axia80.sensor import Axia80
 from softfin.rig.config import RigConfig
 from softfin.rig.epos2.drive import Epos2

@@ -19,7 +19,7 @@ from softfin.control.disturbance_observer import DisturbanceObserver
 from softfin.control.store import load_controller
 from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.errors import ArtifactError, DeviceError
-from softfin.core.progress import Progress
+from softfin.core.progress import Progress, silent
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading
 from softfin.core.randomness import key_of
 from softfin.data.collect import CollectConfig
@@ -32,11 +32,12 @@ from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import Guard
 from softfin.rig.session import Session
 from softfin.rig.stop import StopRequest
-from softfin.stages.evaluate import evaluate
+from softfin.stages.evaluation import evaluate
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.storage.log_file import read_log, write_log
 from softfin.storage.paths import PARTS
+from softfin.storage.run_directory import check_same
 
 Confirm = Callable[[RobotSetup], None]
 """Asks a person whether the fin may move; raises where the answer is not yes."""
@@ -62,7 +63,7 @@ def collect_live(
     resume: bool = False,
     overwrite: bool = False,
     stop: StopRequest | None = None,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> Dataset:
     """Record random motions of a real fin as a dataset (paper Sec. III-A), log by log.
 
@@ -88,7 +89,14 @@ def collect_live(
             session.stop_on_signals()
             artifacts.write_file(bags / STATE, artifacts.dump_json(claim))
             for index, name in enumerate(missing):
-                report = _progress_report(progress, name, index, len(missing), config.rows, robot.settle_s)
+
+                def report(row: int, sample: Sample, index: int = index, name: str = name) -> None:
+                    left = ((len(missing) - index) * config.rows - row) / RATE_HZ
+                    left_s = timedelta(seconds=round(left + (len(missing) - index - 1) * robot.settle_s))
+                    x, y = sample.wrench[:2]
+                    note = f"{left_s} left, {name}: ({x:+.2f}, {y:+.2f}) N, {sample.angle:+.2f} rad"
+                    progress("collect", min((index + row / config.rows) / len(missing), 1.0), note)
+
                 with session.recording(bags / f"{name}.mcap"):
                     log = _record(session, robot, config, name, report)
                 write_log(bags / f"{name}.parquet", log)
@@ -115,7 +123,7 @@ def evaluate_live(
     *,
     overwrite: bool = False,
     stop: StopRequest | None = None,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> dict[str, Any]:
     """Evaluate a controller on a real fin (paper Sec. IV-B, Table II), as `softfin.evaluate` does on a plant."""
     artifacts.check_vacant(out, overwrite)
@@ -135,12 +143,9 @@ def evaluate_live(
 class LiveFin:
     """A real fin and the controller on it, as the evaluation's `RealTime`."""
 
-    def __init__(
-        self, session: Session, controller: Controller, robot: RobotSetup, progress: Progress | None = None
-    ) -> None:
+    def __init__(self, session: Session, controller: Controller, robot: RobotSetup, progress: Progress) -> None:
         self.limits = Limits(*robot.machine.limits)
-        self._session, self._controller, self._robot = session, controller, robot
-        self._progress: Progress = progress or (lambda stage, done, note: None)
+        self._session, self._controller, self._robot, self._progress = session, controller, robot, progress
 
     def __str__(self) -> str:
         return self._robot.machine.name
@@ -233,25 +238,8 @@ def _check_claim(bags: Path, claim: dict[str, Any], resume: bool) -> None:
             raise ArtifactError(
                 f"{bags}: holds finished logs; go on with --resume, give another --out, or move it away"
             )
-        before, now = _leaves(artifacts.read_json(state)), _leaves(json.loads(artifacts.dump_json(claim)))
-        differing = [
-            f"{name} ({json.dumps(before.get(name))} there, {json.dumps(now.get(name))} here)"
-            for name in now | before
-            if before.get(name) != now.get(name)
-        ]
-        if differing:
-            raise ArtifactError(
-                f"{bags}: holds logs of another {'; '.join(differing[:3])}; resume with the same options and rig, or "
-                "give another --out"
-            )
-
-
-def _leaves(values: dict[str, Any], at: str = "") -> dict[str, Any]:
-    """Values by their path, such as ``configuration.rows``."""
-    found: dict[str, Any] = {}
-    for name, value in values.items():
-        found |= _leaves(value, f"{at}{name}.") if isinstance(value, dict) else {f"{at}{name}": value}
-    return found
+        now = json.loads(artifacts.dump_json(claim))
+        check_same(bags, artifacts.read_json(state), now, "give the same options and rig, or another --out")
 
 
 def _record(
@@ -274,22 +262,7 @@ def _record(
             if not issued or commands[tick] != issued[-1][1]:
                 session.command(commands[tick])
                 issued.append((sample.time - HALF_TICK_S, commands[tick]))
-            report(tick, sample)
+            if tick % (RATE_HZ // 2) == 0 or tick >= config.rows:
+                report(tick, sample)
     session.deactivate()
     return log_from_samples(samples[1:], issued, len(commands) - 1, longest_gap(robot))
-
-
-def _progress_report(
-    progress: Progress | None, name: str, index: int, count: int, rows: int, settle_s: float
-) -> Callable[[int, Sample], None]:
-    """Make a function that reports progress twice a second: the time left, the force and the angle."""
-
-    def report(row: int, sample: Sample) -> None:
-        if progress is None or (row % (RATE_HZ // 2) and row < rows):
-            return
-        left = timedelta(seconds=round(((count - index) * rows - row) / RATE_HZ + (count - index - 1) * settle_s))
-        x, y = sample.wrench[:2]
-        note = f"{left} left, {name}: ({x:+.2f}, {y:+.2f}) N, {sample.angle:+.2f} rad"
-        progress("collect", min((index + row / rows) / count, 1.0), note)
-
-    return report

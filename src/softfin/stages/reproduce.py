@@ -5,36 +5,100 @@ import shutil
 import sys
 import time
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 from matplotlib.figure import Figure
+from pydantic import PositiveInt, model_validator
 
-from softfin.core.errors import ArtifactError
+from softfin.core.choices import ReproducePreset
+from softfin.core.configuration import Configuration
 from softfin.core.plant import EnsemblePlant
 from softfin.core.plant_identity import identity
-from softfin.core.progress import Progress
+from softfin.core.progress import Progress, silent
 from softfin.core.quantities import RATE_HZ
-from softfin.evaluation.evaluate import Evaluation, write_evaluation
+from softfin.data.collect import CollectConfig
+from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, write_evaluation
 from softfin.evaluation.figures import experiments_figure
 from softfin.evaluation.report import prediction_figure, write_report
 from softfin.evaluation.scores import Scores
 from softfin.evaluation.uncertainty import SurrogateUncertainty
+from softfin.learning.configuration import GRADIENT_GRID, GRADIENT_SINGLE, GRID, SINGLE, TrainConfig
 from softfin.learning.controllers import learning_figure
-from softfin.stages.collect import collect
-from softfin.stages.evaluate import evaluation_of
-from softfin.stages.fit import fit
-from softfin.stages.presets import CONTROLLERS, PRESETS, ReproduceConfig
-from softfin.stages.train import train as train_stage
+from softfin.stages.controllers import train
+from softfin.stages.data import collect
+from softfin.stages.evaluation import evaluation_of
+from softfin.stages.surrogates import fit
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset
 from softfin.storage.registry import find_plant, is_surrogate
-from softfin.storage.run_directory import LOG, TRAINING_LOG, read_log
-from softfin.surrogate import load_surrogate
+from softfin.storage.run_directory import LOG, TRAINING_LOG, check_same, read_log
+from softfin.surrogate import FitConfig, StreamingConfig, load_surrogate
 from softfin.surrogate.compare.scores import free_run
+
+CONTROLLERS = ("single", "grid")
+
+
+class ReproduceConfig(Configuration):
+    """All stages; the defaults are the paper's data and budgets."""
+
+    collect: CollectConfig = CollectConfig()
+    """Logs of the plant; not used when the plant is a surrogate."""
+    fit: FitConfig | StreamingConfig = FitConfig()
+    """The surrogate, the paper's nets or streaming ones; not used when the plant is one."""
+    single: TrainConfig = SINGLE
+    """One controller for all references."""
+    grid: TrainConfig = GRID
+    """One policy a cell."""
+    evaluate: EvaluateConfig = EvaluateConfig(seeds=1)
+    """The experiments; each trained controller does all of them, `seeds` times."""
+    seeds: PositiveInt = 5
+    """Controllers trained of each kind, from seeds 0, 1, ...: the intervals are over these."""
+
+    @model_validator(mode="after")
+    def _covered(self) -> "ReproduceConfig":
+        for name in ("moving", "recorded", "error_map", "random"):
+            if value := getattr(self.evaluate, name):
+                given = "a signal" if name == "recorded" else repr(value)
+                raise ValueError(
+                    f"evaluate.{name} is {given}; a reproduction evaluates constant references: leave it out; give it "
+                    "to softfin evaluate with a controller of the reproduction"
+                )
+        for reference in self.evaluate.references:
+            for kind in CONTROLLERS:
+                if all(cell.distance(reference) > 0 for cell in getattr(self, kind).cells):
+                    raise ValueError(
+                        f"evaluate.references has {reference} N, which no cell of {kind} covers; add a cell"
+                    )
+        return self
+
+
+PRESETS: dict[ReproducePreset, ReproduceConfig] = {
+    "paper": ReproduceConfig(),
+    "streaming": ReproduceConfig(fit=StreamingConfig()),
+    "best": ReproduceConfig(fit=StreamingConfig(), single=GRADIENT_SINGLE, grid=GRADIENT_GRID),
+    "demo": ReproduceConfig(
+        collect=CollectConfig(logs=20, rows=12_000),
+        fit=FitConfig(epochs=4),
+        single=SINGLE.model_copy(update={"steps": 20_000}),
+        grid=GRID.model_copy(update={"steps": 8_000}),
+        seeds=2,
+    ),
+    "tiny": ReproduceConfig(
+        collect=CollectConfig(logs=3, test_logs=1, rows=1500),
+        fit=FitConfig(epochs=1),
+        single=SINGLE.model_copy(update={"steps": 960}),
+        grid=GRID.model_copy(update={"steps": 960}),
+        evaluate=EvaluateConfig(seeds=1, seconds=6),
+        seeds=2,
+    ),
+}
+"""``paper``: the paper's full data and budgets. ``streaming``: the same with a streaming surrogate.
+``best``: that surrogate, and controllers by gradients through it.
+``demo``: a few minutes, with two thirds of the paper's steps or more.
+``tiny``: does every stage work at all?"""
 
 KIND = "reproduction"
 RESULTS = "results.json"
@@ -43,41 +107,21 @@ SHOWN_S = 8
 
 
 def reproduce(
-    plant: str,
-    out: Path,
-    config: ReproduceConfig | None = None,
-    *,
-    seed: int = 0,
-    resume: bool = False,
-    overwrite: bool = False,
-    progress: Progress | None = None,
-) -> dict[str, Any]:
-    """Run all stages into `out` and write ``results.json`` and ``report.html``; returns the results.
-
-    ``results.json``:
-
-    ================= ================================================================================================
-    ``plant``         plant of the evaluations; ``preset``, ``seed`` and ``seeds`` say how
-    ``surrogate``     null when the plant is a surrogate, else ``scores``: Table I (see `compare.scores.table_one`)
-    ``controllers``   ``single`` and ``grid``, each what `evaluation.evaluate.write_evaluation` writes: per reference
-                      and axis ``error_n``, ``std_n``, ``raw_std_n`` and their 95% intervals over the trained seeds
-    ``in_surrogate``  the same controllers in the surrogate that they were trained in; null when that is `plant`
-    ``wall_s``        wall-clock time of each stage, as far as it ran in this call
-    ``peak_memory_gib`` of this process
-    ``configuration``, ``provenance``
-    ================= ================================================================================================
-    """
+    plant: str, out: Path, config: ReproduceConfig | None = None, *,
+    seed: int = 0, resume: bool = False, overwrite: bool = False, progress: Progress = silent,
+) -> dict[str, Any]:  # fmt: skip
+    """Run all stages into `out` and write ``results.json``, whose keys docs/files.md lists, and ``report.html``."""
     config = config or ReproduceConfig()
     run = _Reproduction(plant, out, config, seed, progress)
     run.claim(resume, overwrite)
     scores = None if is_surrogate(plant) else run.learn_surrogate()
     for kind in CONTROLLERS:
-        run.stage(f"train {kind}", out / kind, partial(run.train, kind))
+        run.train(kind)
     evaluated = run.evaluate(plant, "evaluation")
     within = None if is_surrogate(plant) else run.evaluate(str(run.surrogate), "evaluation-in-surrogate")
     results = {
         "title": "softfin: force control of a soft fin",
-        "preset": run.preset,
+        "preset": next((name for name, preset in PRESETS.items() if preset == config), "custom"),
         "plant": plant,
         "seed": seed,
         "seeds": config.seeds,
@@ -85,7 +129,7 @@ def reproduce(
         "controllers": {kind: summary for kind, (summary, _) in evaluated.items()},
         "in_surrogate": None if within is None else {kind: summary for kind, (summary, _) in within.items()},
         "wall_s": run.wall_s,
-        "peak_memory_gib": peak_memory_gib(),
+        "peak_memory_gib": _peak_memory_gib(),
         "configuration": config.model_dump(mode="json"),
         "provenance": artifacts.provenance(seed=seed, plant=plant),
     }
@@ -106,10 +150,8 @@ def reproduce(
 class _Reproduction:
     """One run and where its parts lie."""
 
-    def __init__(self, plant: str, out: Path, config: ReproduceConfig, seed: int, progress: Progress | None) -> None:
+    def __init__(self, plant: str, out: Path, config: ReproduceConfig, seed: int, progress: Progress) -> None:
         self.plant, self.out, self.config, self.seed, self.progress = plant, out, config, seed, progress
-        self.preset = next((name for name, preset in PRESETS.items() if preset == config), "custom")
-        self.settings = config.collect.merged({"seed": seed}, "seed")
         self.dataset, self.wall_s = out / "dataset", dict[str, float]()
         self.surrogate = Path(plant) if is_surrogate(plant) else out / "surrogate"
         self.seeds = tuple(range(seed, seed + config.seeds))
@@ -125,11 +167,8 @@ class _Reproduction:
             "configuration": self.config.model_dump(mode="json"),
         }  # fmt: skip
         if resume and artifacts.is_kind(self.out, KIND):
-            before = artifacts.load_description(self.out, KIND)
-            changed = [name for name, value in metadata.items() if before.get(name) != value]
-            if changed:
-                raise ArtifactError(f"{self.out}: holds a run with another {' and '.join(changed)}; resume with the "
-                                    "same options, or give another --out")  # fmt: skip
+            before = {name: artifacts.load_description(self.out, KIND).get(name) for name in metadata}
+            check_same(self.out, before, metadata)
             return
         artifacts.check_vacant(self.out, overwrite)
         if (self.out / RESULTS).is_file():
@@ -141,43 +180,37 @@ class _Reproduction:
             self.out / "configuration.yaml", yaml.safe_dump(metadata["configuration"], sort_keys=False)
         )
 
-    def stage(self, name: str, result: Path, work: Callable[[], Any]) -> None:
+    def stage(self, name: str, result: Path, work: Callable[..., Any], source: Any, config: Any, **given: Any) -> None:
         """Do the work unless its result stands there from before."""
-        if result.exists():
-            return
-        start = time.perf_counter()
-        work()
-        self.wall_s[name] = time.perf_counter() - start
+        if not result.exists():
+            start = time.perf_counter()
+            work(source, result, config, **given, progress=self.progress)
+            self.wall_s[name] = time.perf_counter() - start
 
     def learn_surrogate(self) -> dict[str, Any] | None:
         """Collect and fit; Table I."""
-        self.stage(
-            "collect", self.dataset,
-            lambda: collect(self.plant, self.dataset, self.settings, progress=self.progress),
-        )  # fmt: skip
-        self.stage(
-            "fit", self.surrogate,
-            lambda: fit(self.dataset, self.surrogate, self.config.fit, seed=self.seed, resume=True,
-                               ignore_errors=True, progress=self.progress),
-        )  # fmt: skip
+        settings = self.config.collect.merged({"seed": self.seed}, "seed")
+        self.stage("collect", self.dataset, collect, self.plant, settings)
+        again = {"seed": self.seed, "resume": True, "ignore_errors": True}
+        self.stage("fit", self.surrogate, fit, self.dataset, self.config.fit, **again)
         scores: dict[str, Any] | None = artifacts.load_description(self.surrogate, "surrogate")["scores"]
         return scores
 
     def train(self, kind: str) -> None:
         """All seeds of one kind of controller, in one program."""
-        config = getattr(self.config, kind)
-        train_stage(str(self.surrogate), self.out / kind, config, seeds=self.seeds, resume=True, progress=self.progress)
+        config, again = getattr(self.config, kind), {"seeds": self.seeds, "resume": True}
+        self.stage(f"train {kind}", self.out / kind, train, str(self.surrogate), config, **again)
 
     def evaluate(self, plant: str, folder: str) -> dict[str, tuple[dict[str, Any], Evaluation]]:
         """Every seed's controller of each kind on a plant, as one evaluation over the seeds."""
-        start, evaluated = time.perf_counter(), {}
+        start, evaluated, moving = time.perf_counter(), {}, find_plant(plant)
         for kind in CONTROLLERS:
             each = []
             for index, seed in enumerate(self.seeds):
-                if self.progress is not None:
-                    self.progress(f"evaluate {kind}", (index + 1) / len(self.seeds), plant)
+                self.progress(f"evaluate {kind}", (index + 1) / len(self.seeds), plant)
                 path = self.out / kind / f"seed-{seed}" if len(self.seeds) > 1 else self.out / kind
-                each.append(evaluation_of(path, plant, self.config.evaluate.model_copy(update={"seed": seed})))
+                config = self.config.evaluate.model_copy(update={"seed": seed})
+                each.append(evaluation_of(path, moving, config, plant))
             whole = _together(each)
             metadata = {"controller": kind, "plant": plant, "repetitions": "controllers trained from different seeds"}
             evaluated[kind] = write_evaluation(whole, self.out / folder / kind, metadata, overwrite=True), whole
@@ -238,10 +271,7 @@ def _curve(log: list[dict[str, Any]], seed: int, names: tuple[str, ...]) -> tupl
     return [e["step"] for e in entries], [float(np.mean([e[key] for key in keys])) for e in entries]
 
 
-def peak_memory_gib() -> float:
+def _peak_memory_gib() -> float:
     """Largest resident memory of this process so far."""
     largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return largest / (2**30 if sys.platform == "darwin" else 2**20)
-
-
-__all__ = ["PRESETS", "ReproduceConfig", "peak_memory_gib", "reproduce"]

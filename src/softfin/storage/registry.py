@@ -60,8 +60,10 @@ def resolve_plant(name: str) -> "Callable[[], Plant]":
     raise PlantError(f"plant {name}: unknown ({what}); give {HELP}")
 
 
-def find_plant(name: str) -> "Plant":
-    """Build or load the plant that `name` stands for; raises PlantError that lists what there is."""
+def find_plant(name: "str | Plant") -> "Plant":
+    """Build or load the plant that `name` stands for, or return it; raises PlantError that lists what there is."""
+    if not isinstance(name, str):
+        return name
     from softfin.core.quantities import Limits
 
     plant = resolve_plant(name)()
@@ -72,6 +74,11 @@ def find_plant(name: str) -> "Plant":
     if problem:
         raise PlantError(f"plant {name}: {problem}")
     return plant
+
+
+def name_of(plant: object) -> str:
+    """Return the name that a user gave to a plant, or the name of its class."""
+    return str(plant) if isinstance(plant, str | Path) else type(plant).__name__
 
 
 def _build_tank(name: str) -> Any:

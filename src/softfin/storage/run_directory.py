@@ -44,7 +44,7 @@ class RunDirectory:
         self.complete = resume and not overwrite and finished.is_file()
         """Whether the finished artifact of this very run stands at `out`."""
         if self.complete:
-            self._check_same(out, artifacts.read_json(finished))
+            check_same(out, artifacts.read_json(finished), self.fingerprint)
             return
         artifacts.check_vacant(out, overwrite)
         # Also those of parts.
@@ -101,24 +101,8 @@ class RunDirectory:
             raise ArtifactError(
                 f"{path}: was written by {software}, and this is {_software()}; resume with that, or --overwrite"
             )
-        self._check_same(path, before)
+        check_same(path, before, self.fingerprint)
         return arrays, metadata
-
-    def _check_same(self, path: Path, before: dict[str, Any]) -> None:
-        """Raise ArtifactError unless what was found at a path has the fingerprint of this run."""
-        if before != self.fingerprint:
-            was, now = (
-                {
-                    jax.tree_util.keystr(key, simple=True, separator="."): value
-                    for key, value in jax.tree.leaves_with_path(one)
-                }
-                for one in (before, self.fingerprint)
-            )
-            names = [name for name in sorted(was | now) if was.get(name) != now.get(name)]
-            differing = ", ".join(f"{name} was {was.get(name)!r} and is {now.get(name)!r}" for name in names[:3])
-            raise ArtifactError(
-                f"{path}: is of another run ({differing}); give the same options, another --out, or --overwrite"
-            )
 
     def log(self, rewind_to: int | None = None) -> "RunLog":
         """The training log; on resuming, entries beyond step `rewind_to` are dropped, because they will come again."""
@@ -184,3 +168,20 @@ def _named(tree: Any) -> tuple[dict[str, Any], Any]:
     """The leaves by their paths, such as ``tree.lanes.policy.net.lstm.kernel``, in the order of the structure."""
     paths, structure = jax.tree_util.tree_flatten_with_path(tree)
     return {f"tree{jax.tree_util.keystr(path)}": leaf for path, leaf in paths}, structure
+
+
+def check_same(
+    path: Path, before: Any, now: Any, remedy: str = "give the same options, another --out, or --overwrite"
+) -> None:
+    """Raise ArtifactError unless the run found at a path is the run of now; both are described by nested mappings."""
+    if before != now:
+        was, is_ = (
+            {
+                jax.tree_util.keystr(key, simple=True, separator="."): leaf
+                for key, leaf in jax.tree.leaves_with_path(run)
+            }
+            for run in (before, now)
+        )
+        names = [name for name in sorted(was | is_) if was.get(name) != is_.get(name)]
+        differing = ", ".join(f"{name} was {was.get(name)!r} and is {is_.get(name)!r}" for name in names[:3])
+        raise ArtifactError(f"{path}: is of another run ({differing}); {remedy}")

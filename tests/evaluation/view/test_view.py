@@ -135,7 +135,7 @@ def test_overwrite_replaces_a_file(tmp_path):
 
 
 def test_a_controller_and_random_commands_at_once_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("softfin.stages.view.load_controller", lambda path: Flapper())
+    monkeypatch.setattr("softfin.stages.evaluation.load_controller", lambda path: Flapper())
     with pytest.raises(ConfigurationError, match="random commands and a controller at once; give one of them"):
         softfin.view(
             BendingFin(), tmp_path / "f.gif", ViewConfig(random=True), controller=tmp_path, reference=(1.0, 0.0)
@@ -148,7 +148,7 @@ def test_a_reference_beyond_reach_is_brought_to_it_and_told(tmp_path, monkeypatc
         cell = Cell(low=(-3, -3), high=(3, 3))
         reachable = Reachable(np.float32([0, 0]), np.full(64, 1.0, np.float32))
 
-    monkeypatch.setattr("softfin.stages.view.load_controller", lambda path: Weak())
+    monkeypatch.setattr("softfin.stages.evaluation.load_controller", lambda path: Weak())
     config = ViewConfig(seconds=0.2, next_references=((0.5, 0.0),))
     metadata = softfin.view(
         "tests.evaluation.view.fins:BendingFin", tmp_path / "f.html", config, controller=tmp_path, reference=(2.0, 0.0)

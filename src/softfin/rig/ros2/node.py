@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 
 from softfin.core.errors import DeviceError, SoftfinError
-from softfin.rig.loop import Force, References, ResolveReference
+from softfin.rig.loop import Force, ResolveReference
 from softfin.rig.machine import Sample, Target
 from softfin.rig.ros2.config import NodeConfig
 from softfin.rig.ros2.connection import BOOL, VECTOR, Stamped, Subscription, reference_of

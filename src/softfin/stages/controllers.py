@@ -1,4 +1,4 @@
-"""Map what a fin can do, find gaits, train policies (paper Sec. III-C)."""
+"""Stages that end in a controller: map what a fin can do, find gaits, train policies (paper Sec. III-C)."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -10,7 +10,7 @@ from softfin.core.choices import EngineName, Split
 from softfin.core.errors import ConfigurationError
 from softfin.core.plant import Plant
 from softfin.core.plant_identity import identity
-from softfin.core.progress import Progress
+from softfin.core.progress import Progress, silent
 from softfin.core.quantities import Limits
 from softfin.gaits.force_map import MapConfig, check_star, load_force_map, save_map
 from softfin.gaits.force_map import map_forces as _map_forces
@@ -20,26 +20,22 @@ from softfin.learning.controllers import REFINED, save_controller, write_learnin
 from softfin.learning.engine import find_engine
 from softfin.learning.train import check_refinable, default_split, train_jobs, train_refined
 from softfin.storage import artifact as artifacts
-from softfin.storage.registry import find_plant
+from softfin.storage.registry import find_plant, name_of
 from softfin.storage.run_directory import TRAINING_LOG, RunDirectory
 from softfin.surrogate.channels import learnt_from
 from softfin.task.references import PAPER_RANGE
 
 
 def map_forces(
-    plant: str | Plant,
-    out: Path,
-    config: MapConfig | None = None,
-    *,
-    overwrite: bool = False,
-    progress: Progress | None = None,
-) -> dict[str, Any]:
+    plant: str | Plant, out: Path, config: MapConfig | None = None, *,
+    overwrite: bool = False, progress: Progress = silent,
+) -> dict[str, Any]:  # fmt: skip
     """Which mean forces a fin can make, at what Sobolev cost, and the gaits that make them; writes the folder `out`."""
     config = config or MapConfig()
     artifacts.check_vacant(out, overwrite)
-    moving = find_plant(plant) if isinstance(plant, str) else plant
-    found = _map_forces(moving, config, None if progress is None else partial(progress, "map"))
-    save_map(out, found, config, Limits(*map(float, moving.limits)), origin_of(plant, moving), overwrite)
+    moving = find_plant(plant)
+    found = _map_forces(moving, config, partial(progress, "map"))
+    save_map(out, found, config, Limits(*map(float, moving.limits)), _origin(plant, moving, None), overwrite)
     errors, (star, warning) = found.gaits.force_error(), check_star(found, config.tolerance_n)
     return {
         "map": str(out),
@@ -54,40 +50,30 @@ def map_forces(
 
 
 def find_gaits(
-    plant: str | Plant,
-    out: Path,
-    config: MapConfig | None = None,
-    *,
-    force_map: Path | None = None,
-    overwrite: bool = False,
-    progress: Progress | None = None,
-) -> None:
+    plant: str | Plant, out: Path, config: MapConfig | None = None, *,
+    force_map: Path | None = None, overwrite: bool = False, progress: Progress = silent,
+) -> None:  # fmt: skip
     """Find the gaits of a lattice of reference forces and write them as a controller, the folder `out`.
 
     The folder of a map, `force_map`, has them already, over its own lattice.
     """
     artifacts.check_vacant(out, overwrite)
-    moving = find_plant(plant) if isinstance(plant, str) else plant
+    moving = find_plant(plant)
     if force_map is None:
         config = config or MapConfig(box=PAPER_RANGE)
-        found = _map_forces(moving, config, None if progress is None else partial(progress, "gaits"))
+        found = _map_forces(moving, config, partial(progress, "gaits"))
     elif config is None:
         loaded = load_force_map(force_map, moving, name_of(plant))
         found, config = loaded.force_map, loaded.config
     else:
         raise ConfigurationError(f"map {force_map}: its lattice is made; give no configuration or range beside it")
-    origin = origin_of(plant, moving, **({} if force_map is None else {"map": str(force_map)}))
+    origin = _origin(plant, moving, force_map)
     save_gaits(out, found, config, Limits(*map(float, moving.limits)), origin, None, learnt_from(plant), overwrite)
 
 
-def origin_of(plant: str | Plant, moving: Plant, **metadata: Any) -> dict[str, Any]:
-    """Return the provenance of what was made in a plant."""
-    return artifacts.provenance(plant=name_of(plant), plant_identity=identity(moving), **metadata)
-
-
-def name_of(plant: str | Plant) -> str:
-    """Return the name that a user gave to a plant, or the name of its class."""
-    return plant if isinstance(plant, str) else type(plant).__name__
+def _origin(plant: str | Plant, moving: Plant, force_map: Path | None) -> dict[str, Any]:
+    made_with = {} if force_map is None else {"map": str(force_map)}
+    return artifacts.provenance(plant=name_of(plant), plant_identity=identity(moving), **made_with)
 
 
 def train(
@@ -104,7 +90,7 @@ def train(
     reason: str | None = None,
     resume: bool = False,
     overwrite: bool = False,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> None:
     """Train controllers inside a plant, as a rule a surrogate: by LSTM-PPO (paper Sec. III-C) or by gradients.
 
@@ -117,15 +103,12 @@ def train(
     The `reason` for the algorithm is kept with the controller.
     """
     working, split = find_engine(engine, cluster), split or default_split(engine, seeds)
-    moving = find_plant(plant) if isinstance(plant, str) else plant
+    moving = find_plant(plant)
     if config is None:
         config, reason = choose_preset(moving)
     check_refinable(config, refine)
     can = None if force_map is None else load_force_map(force_map, moving, name_of(plant)).force_map
-    origin, learnt = (
-        origin_of(plant, moving, **({} if force_map is None else {"map": str(force_map)})),
-        learnt_from(plant),
-    )
+    origin, learnt = _origin(plant, moving, force_map), learnt_from(plant)
     origin["algorithm"] = reason or f"{config.algorithm}, as configured"
     metadata = {
         "configuration": config.model_dump(mode="json"),
@@ -139,7 +122,7 @@ def train(
     run_directory = RunDirectory(out, metadata, resume, overwrite)
     if run_directory.complete:
         return run_directory.finish()
-    if progress is not None and reason is not None:
+    if reason is not None:
         progress("algorithm", 1.0, reason)
     trained = train_jobs(moving, config, seeds, run_directory, progress, engine=working, split=split, force_map=can)
     if refine:

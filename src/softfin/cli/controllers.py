@@ -1,11 +1,9 @@
-"""``softfin train``: a surrogate in, a controller out."""
+"""Commands that make a controller: ``map``, ``train`` and ``export``."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from softfin.cli.common import Configured
-from softfin.cli.kinds import Out, folder_of, plant
+from softfin.cli.common import Common, Configured, Controller, File, Out, folder_of, plant
 from softfin.cli.options import Option
 from softfin.core.choices import SEEDS, AlgorithmOption, ControllerKind, EngineName, Split
 from softfin.core.errors import ConfigurationError
@@ -16,8 +14,34 @@ if TYPE_CHECKING:
     from softfin.gaits.reachable import Cell
 
 
-@dataclass(frozen=True, kw_only=True)
-class Arguments(Configured):
+class MapArguments(Configured):
+    """Find out which mean forces a fin can make in a plant, and the gaits that make them."""
+
+    plant: Annotated[str, plant(positional=True)]
+    """Folder of a surrogate; any other plant serves too (tank, package.module:plant)."""
+    out: Out
+    """Folder to write map.json, the gaits and the figure to."""
+
+    def __call__(self) -> None:
+        from softfin.gaits.force_map import MapConfig
+        from softfin.stages.controllers import map_forces
+
+        config = self.configured(MapConfig())
+        summary = self.stage(map_forces, self.plant, self.out, config)
+        # Adding 0 turns -0.0 into 0.
+        (x0, y0), (x1, y1) = (tuple(round(x, 2) + 0.0 for x in corner) for corner in summary["box_n"])
+        beyond = ", ".join(f"({x:g}, {y:g})" for x, y in summary["beyond"]) or "none"
+        warning = "" if summary["warning"] is None else f"\nwarning: {summary['warning']}"
+        self.tell(
+            summary,
+            f"{self.out}: mean forces of x {x0:.2f} .. {x1:.2f} N and y {y0:.2f} .. {y1:.2f} N, "
+            f"{summary['area_n2']:.1f} N2 in all; {summary['held']} of the lattice's {summary['nodes']} forces have a "
+            f"gait that makes them to within {config.tolerance_n:g} N\n"
+            f"the paper's references that this fin cannot make: {beyond}{warning}",
+        )
+
+
+class TrainArguments(Configured):
     """Train force controllers inside a surrogate (paper Sec. III-C): one for all references, a grid, or gaits."""
 
     surrogate: Annotated[str, plant("SURROGATE", positional=True)]
@@ -58,19 +82,16 @@ class Arguments(Configured):
             read_range(self.range)
         if self.cells is not None:
             read_cells(self.cells)
-        trained = {"--algorithm": self.algorithm != "auto", "--seeds": self.seeds, "--steps": self.steps,
-                   "--resume": self.resume, "--refine": self.refine, "--engine": self.engine != "local",
-                   "--split": self.split, "--cluster": self.cluster}  # fmt: skip
-        useless = [name for name, value in trained.items() if value not in (None, False, 0)]
+        trained = ("algorithm", "seeds", "steps", "resume", "refine", "engine", "split", "cluster")
+        useless = [f"--{name}" for name in trained if name in self.model_fields_set]
         if self.controller == "gaits" and useless:
             raise ConfigurationError(f"{', '.join(useless)}: gaits are found, not trained; leave it out")
         super().check()
 
-    def run(self) -> None:
-        """Train."""
+    def __call__(self) -> None:
         from softfin.gaits.force_map import MapConfig
         from softfin.learning.configuration import choose_preset
-        from softfin.stages.train import find_gaits, train
+        from softfin.stages.controllers import find_gaits, train
         from softfin.storage.registry import find_plant
         from softfin.task.references import PAPER_RANGE
 
@@ -132,13 +153,11 @@ def asked_seeds(first: int, text: str | None) -> tuple[int, ...]:
             f"--seeds {text}: neither a number nor a list; write --seeds 3 or --seeds=0,1,2"
         ) from None
     if len(numbers) == 1:
-        if numbers[0] < 1:
-            raise ConfigurationError(f"--seeds {text}: no seeds; give 1 or more, or a list such as 0,1,2")
         numbers = tuple(range(first, first + numbers[0]))
     elif first != 0:
         raise ConfigurationError(f"--seed {first}: --seeds={text} names them all; give one of the two")
-    if beyond := [seed for seed in numbers if not 0 <= seed < SEEDS]:
-        raise ConfigurationError(f"--seeds {text}: {beyond[0]}: a seed is a whole number from 0 to {SEEDS - 1}")
+    if not numbers or not all(0 <= seed < SEEDS for seed in numbers):
+        raise ConfigurationError(f"--seeds {text}: give one seed or more, whole numbers from 0 to {SEEDS - 1}")
     return numbers
 
 
@@ -161,3 +180,25 @@ def asked_cells(controller: str, cells: str | None, span: str | None) -> "tuple[
             "it out, or give a lattice such as --cells 3x3, which fills it"
         )
     return found
+
+
+class ExportArguments(Common):
+    """Write one step of a controller as ONNX, with its state as inputs and outputs; needs softfin[onnx]."""
+
+    controller: Controller
+    """Folder of the controller."""
+    onnx: File
+    """File to write; what its inputs mean is in its metadata."""
+
+    def __call__(self) -> None:
+        from softfin.control.onnx import EPISODE, OPSET, export_onnx
+        from softfin.control.store import load_controller
+
+        exported = export_onnx(load_controller(self.controller), self.onnx, self.overwrite)
+        summary = {"onnx": str(self.onnx), "opset": OPSET, **exported._asdict()}
+        self.tell(
+            summary,
+            f"{self.onnx}: {exported.bytes:,} bytes, ONNX opset {OPSET}; over {EPISODE} actions onnxruntime's commands "
+            f"differ from softfin's by {exported.worst:.1g} (rad, rad/s) at most\n"
+            f"in:  {', '.join(exported.inputs)}\nout: {', '.join(exported.outputs)}",
+        )

@@ -1,0 +1,185 @@
+"""Commands about logs: ``collect``, ``inspect``, ``import-logs`` and ``bag``."""
+
+import textwrap
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from softfin.cli.common import AnyPlant, Armed, Common, Configured, File, LogOptions, Logs, Out, folder_of
+from softfin.cli.options import Option
+from softfin.core.choices import Excitation
+from softfin.core.errors import ConfigurationError
+from softfin.data.issues import counted
+from softfin.storage.registry import is_live
+
+
+class CollectArguments(Armed, Configured):
+    """Record motions of a fin and its force as a dataset (paper Sec. III-A)."""
+
+    out: Out
+    """Folder of the dataset to write."""
+    plant: AnyPlant = "tank"
+    """The fin: tank, a tank's YAML, the folder of a surrogate, package.module:plant; or a real one: rig, ros2, or
+    one of these with :FILE."""
+    excitation: Excitation = "random"
+    """random: as the paper's; active: the motions whose force the ensemble in --surrogate is least sure of."""
+    surrogate: Annotated[Path, folder_of("surrogate")] | None = None
+    """Folder of the ensemble that chooses, fitted to logs of this fin, of --excitation active."""
+    extend: Annotated[Path, folder_of("dataset")] | None = None
+    """Folder of a dataset of this fin whose logs are taken over: the new one holds both."""
+    logs: int | None = None
+    """Training logs to record (the paper's 100)."""
+    test_logs: int | None = None
+    """Test logs to record, under other conditions (the paper's 3; none with --extend)."""
+    rows: int | None = None
+    """Readings a log at 100 Hz (the paper's 20,000)."""
+    seed: int | None = None
+    """Seed of commands, noise and conditions (0)."""
+    resume: bool = False
+    """Go on after the logs that are finished (real fins only)."""
+
+    def check(self) -> None:
+        """Refuse options that do not go with the plant."""
+        super().check()
+        simulated = {"--extend": self.extend, "--excitation active": self.excitation == "active"}
+        real = {"--arm": self.arm, "--resume": self.resume}
+        live = is_live(self.plant)
+        if wrong := [name for name, given in (simulated if live else real).items() if given]:
+            way = "a real fin; record random motions there" if live else "simulated; leave it out, or give --plant rig"
+            raise ConfigurationError(f"{wrong[0]}: {self.plant} is {way}")
+
+    def __call__(self) -> None:
+        from softfin.data.collect import CollectConfig
+        from softfin.rig.robot_setup import find_robot
+        from softfin.stages.data import collect
+        from softfin.stages.live import collect_live
+        from softfin.surrogate.active import ActiveCollectConfig
+
+        kind = ActiveCollectConfig if self.excitation == "active" else CollectConfig
+        config = self.configured(kind() if self.extend is None else kind(test_logs=0))
+        if is_live(self.plant):
+            robot = find_robot(self.plant)
+            data = self.stage(collect_live, robot, self.out, config, self.confirm, resume=self.resume)
+        else:
+            chosen = {"surrogate": self.surrogate, "extend": self.extend}
+            data = self.stage(collect, self.plant, self.out, config, **chosen)
+        counts = {"logs": len(data.train), "test_logs": len(data.test), "rows": config.rows}
+        more = "" if self.extend is None else f", and those of {self.extend}"
+        self.tell(
+            {"dataset": str(self.out), **counts, "data_hash": data.data_hash},
+            f"{self.out}: {config.logs} + {config.test_logs} logs of {config.rows:,} rows{more}",
+        )
+
+
+class InspectArguments(LogOptions, Common):
+    """Check logs before anyone trains on them; exit code 0 whatever is found."""
+
+    logs: Logs
+    """A dataset, a folder of CSV, Parquet or ROS 2 bags, or one of these."""
+    out: Out | None = None
+    """Folder to write inspection.json and the figure to."""
+
+    def __call__(self) -> None:
+        from softfin.stages.data import inspect_logs
+
+        result = self.stage(inspect_logs, self.logs, self.out, self.recordings)
+        self.tell(result, inspection_table(result))
+
+
+def inspection_table(result: Mapping[str, Any]) -> str:
+    """Return the logs in a line, and each issue in a few."""
+    summary, counts = result["summary"], result["summary"]["counts"]
+    lags = {name: "not known" if (lag := summary[f"{name}_lag_ms"]) is None
+            else f"{lag['median']:.0f} ms ({lag['least']:.0f} .. {lag['most']:.0f})"
+            for name in ("command", "force")}  # fmt: skip
+    lines = [
+        f"{summary['logs']} + {summary['test_logs']} logs, {summary['rows']:,} rows at 100 Hz, "
+        f"{summary['rows'] / 6000:.1f} minutes",
+        f"command to angle {lags['command']}; angle to force {lags['force']}",
+    ]
+    if (frames := summary["frames"]) is not None:
+        best = max(frames, key=frames.__getitem__)
+        other = "" if best == "x,y" else f"; as {best} {frames[best]:.2f}"
+        lines.append(f"force axes: correlation with a model fin {frames['x,y']:.2f}{other}")
+    lines.append("")
+    for issue in result["issues"]:
+        row, others = issue["row"], len(issue["logs"]) - 1
+        place = [issue["log"], "" if row is None else f"row {row}", issue["column"] or ""]
+        more = f" (and {counted(others, 'more log')})" if others else ""
+        lines.append(f"{issue['severity']:8} {issue['name']:16} {', '.join(filter(None, place))}{more}")
+        for text in (issue["message"], f"-> {issue['fix']}" if issue["fix"] else ""):
+            wrapped = textwrap.wrap(text, 101, break_long_words=False, break_on_hyphens=False)
+            lines += [" " * 9 + line for line in wrapped]
+    lines.append(issue_counts(counts))
+    if counts["error"]:
+        lines.append("errors stop fit and import-logs, unless --ignore-errors")
+    return "\n".join(lines)
+
+
+def issue_counts(counts: Mapping[str, int]) -> str:
+    """Return how many issues of each severity there are."""
+    return ", ".join(counted(count, kind) for kind, count in counts.items())
+
+
+class ImportLogsArguments(LogOptions, Common):
+    """Turn CSV, Parquet or ROS 2 bags into a dataset at 100 Hz; stop where inspect finds errors."""
+
+    logs: Logs
+    """A folder of recordings, or one."""
+    out: Out
+    """Folder of the dataset to write."""
+    ignore_errors: bool = False
+    """Take logs with errors, too."""
+
+    def __call__(self) -> None:
+        from softfin.stages.data import import_logs
+
+        data, inspection = self.stage(
+            import_logs, self.logs, self.out, self.recordings, ignore_errors=self.ignore_errors
+        )
+        summary = inspection.summary()
+        self.tell(
+            {"dataset": str(self.out), **summary, "data_hash": data.data_hash},
+            f"{self.columns_read(summary['columns'])}{self.out}: {summary['logs']} + {summary['test_logs']} logs, "
+            f"{summary['rows']:,} rows; {issue_counts(summary['counts'])}",
+        )
+
+
+class BagArguments(LogOptions, Common):
+    """Mend a bag that was cut off or damaged; turn recordings of any kind into Parquet logs or ROS 2 bags."""
+
+    action: Annotated[Literal["recover", "convert"], Option(positional=True)]
+    """recover: save what a damaged .mcap file holds. convert: write logs as .parquet or .mcap."""
+    path: Annotated[Path, Option("RECORDING", positional=True)]
+    """What to recover, a .mcap file; what to convert, a recording or a folder of them."""
+    out: File | None = None
+    """File to write; recover: NAME.recovered.mcap by default; convert: required, its suffix is the format."""
+    ignore_errors: bool = False
+    """Convert logs with errors, too."""
+
+    def __call__(self) -> None:
+        if self.action == "recover":
+            return self._recover()
+        if self.out is None:
+            raise ConfigurationError("convert needs --out: a .parquet or a .mcap file")
+        from softfin.data.convert import convert
+
+        result = convert(
+            self.path, self.out, self.recordings, ignore_errors=self.ignore_errors, overwrite=self.overwrite
+        )
+        text = f"{', '.join(result['files'])}: {result['rows']:,} rows; {issue_counts(result['counts'])}"
+        return self.tell(result, f"{self.columns_read(result['columns'])}{text}")
+
+    def _recover(self) -> None:
+        from softfin.storage.bag.records import recover, recovered_path
+
+        out = self.out or recovered_path(self.path)
+        recovery = recover(self.path, out, self.overwrite)
+        span = f"{counted(sum(recovery.messages.values()), 'message')} over {recovery.seconds:.1f} s"
+        lost = sum(damage.length for damage in recovery.damages)
+        reasons = "; ".join(dict.fromkeys(damage.reason for damage in recovery.damages))
+        self.tell(
+            {"recovered": None if recovery.whole else str(out), **recovery.to_dict()},
+            f"{self.path}: whole already, {span}; nothing written" if recovery.whole
+            else f"{out}: {span} saved; {lost:,} bytes could not be read ({reasons[:300]})",
+        )  # fmt: skip

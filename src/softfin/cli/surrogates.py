@@ -1,0 +1,255 @@
+"""Commands about models of a fin: ``fit``, ``import-keras``, ``compare`` and ``calibrate``."""
+
+import sys
+from collections.abc import Mapping, Sequence
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from softfin.cli.common import Common, Configured, Data, File, LogOptions, Logs, Out, Plant, folder_of, numbers
+from softfin.cli.options import Option
+from softfin.core.choices import CalibratePreset, ModelName
+from softfin.core.errors import ConfigurationError
+from softfin.core.printable import printable
+from softfin.data.issues import counted
+
+if TYPE_CHECKING:
+    from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig
+
+VELOCITY = Option("LOW,HIGH", parse=numbers("not a range; write LOW,HIGH in rad/s, as 0.3,1.57", count=2))
+HORIZONS = Option("SECONDS,...", parse=numbers("not numbers; write them with commas, in seconds, as 1,5,30"))
+
+
+class FitArguments(LogOptions, Configured):
+    """Learn a surrogate from logs; print Table I (paper Sec. III-B)."""
+
+    dataset: Logs
+    """Folder of a dataset, or of recordings: CSV, Parquet, ROS 2 bags."""
+    out: Out
+    """Folder of the surrogate to write."""
+    model: ModelName = "streaming"
+    """streaming: an ensemble of recurrent nets; paper: PosNet and ForceNet; auto: both, of which the
+    best on held-out logs is kept."""
+    ignore_errors: bool = False
+    """Take logs with errors, too."""
+    epochs: int | None = None
+    """Most passes over the data, of --model paper."""
+    seed: int = 0
+    """Seed of weights, order and dropout."""
+    resume: bool = False
+    """Go on from the last checkpoint of an unfinished run."""
+
+    def check(self) -> None:
+        """Refuse options that do not go with the model."""
+        if self.epochs is not None and self.model != "paper":
+            raise ConfigurationError(f"--epochs with --model {self.model}: only --model paper counts in epochs; see "
+                                     "--set force_updates=N, or --set paper.epochs=N of --model auto")  # fmt: skip
+        super().check()
+
+    def __call__(self) -> None:
+        from softfin.cli.tables import aligned, table_one
+        from softfin.stages.surrogates import fit
+
+        result = self.stage(
+            fit, self.dataset, self.out, self.configured(defaults(self.model)), logs=self.recordings,
+            ignore_errors=self.ignore_errors, seed=self.seed, resume=self.resume,
+        )  # fmt: skip
+        notes = self.columns_read(result["columns"]) + warning(result["issues"], self.dataset)
+        sys.stderr.write(printable(notes, "\n"))
+        parts = [table_one(result["table_i"])]
+        if found := result["candidates"]:
+            rows = [["free-running on held-out logs", "force RMSE [N]", "angle RMSE [rad]", "scored [s]", ""]]
+            for name, row in found["held_out"].items():
+                scores = [f"{row['force_rmse_n']:.4f}", f"{row['angle_rmse_rad']:.4f}", f"{row['seconds']:.1f}"]
+                rows.append([name, *scores, "<- chosen" if name == found["chosen"] else ""])
+            parts.append("\n".join(aligned(rows, (0, 4))))
+        if result["caveat"] is not None:
+            parts.append(f"note: {result['caveat']}")
+        self.tell({"surrogate": str(self.out), **result}, "\n\n".join(parts))
+
+
+def defaults(model: ModelName) -> "StreamingConfig | FitConfig | AutoConfig":
+    """Return the configuration that a model is fitted with unless it is changed."""
+    from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig
+
+    if model == "streaming":
+        return StreamingConfig()
+    return FitConfig() if model == "paper" else AutoConfig()
+
+
+def warning(counts: Mapping[str, int], dataset: Path) -> str:
+    """Return a line that counts what is wrong with the training logs; none where nothing is."""
+    if not counts["error"] + counts["warning"]:
+        return ""
+    found = ", ".join(counted(count, kind) for kind, count in counts.items() if count)
+    return f"{dataset}: {found}; softfin inspect {dataset} lists them\n"
+
+
+class ImportKerasArguments(Common):
+    """Turn two Keras 2 nets and their scalers into a surrogate; needs no TensorFlow and reads no pickle."""
+
+    scalers: File
+    """JSON of {channel: {scale, offset, data_min, data_max}}."""
+    posnet: Annotated[Path, Option("POSNET", positional=True)]
+    """PosNet's .keras file."""
+    forcenet: Annotated[Path, Option("FORCENET", positional=True)]
+    """ForceNet's .keras file."""
+    out: Out
+    """Folder of the surrogate to write."""
+
+    def __call__(self) -> None:
+        from softfin.stages.surrogates import import_keras
+
+        surrogate = import_keras(self.posnet, self.forcenet, self.scalers, self.out, overwrite=self.overwrite)
+        nets = {"posnet": surrogate.posnet, "forcenet": surrogate.forcenet}
+        counts = {name: net.config.parameters() for name, net in nets.items()}
+        text = f"{self.out}: PosNet {counts['posnet']:,} and ForceNet {counts['forcenet']:,} parameters"
+        self.tell({"surrogate": str(self.out), "parameters": counts, "limits": surrogate.limits.to_dict()}, text)
+
+
+class CompareArguments(Configured):
+    """Compare surrogates, free-running under the commands of a dataset's test logs for several horizons."""
+
+    surrogates: Annotated[tuple[Path, ...], folder_of("surrogate", positional=True)]
+    """Folders of the surrogates; seeds of one configuration, fitted to the same data, become one group."""
+    dataset: Annotated[Path, folder_of("dataset")]
+    """Folder of the dataset whose test logs they are scored on."""
+    out: Out
+    """Folder to write comparison.json and the figure to."""
+    horizons: Annotated[tuple[float, ...], HORIZONS] | None = None
+    """How long they run free, as 1,5,30 in seconds (1,5,30)."""
+    noise_floor: Plant | None = None
+    """A plant that records the same commands once more, such as the tank that was recorded: the error that noise,
+    drift and other conditions leave."""
+    seed: int | None = None
+    """Seed of the second recording's noise (0)."""
+
+    def __call__(self) -> None:
+        from softfin.stages.surrogates import compare
+        from softfin.surrogate.compare.compare import CompareConfig
+
+        config = self.configured(CompareConfig(), horizons_s=self.horizons)
+        result = self.stage(compare, self.surrogates, self.dataset, self.out, config, noise_floor=self.noise_floor)
+        self.tell({"comparison": str(self.out), **result}, comparison_tables(result))
+
+
+# Title, unit, score, and the factor from the score's unit to the one that is shown.
+ERRORS = (
+    ("angle RMSE", "[mrad]", "angle_rmse_rad", 1000),
+    ("angle MAE", "[mrad]", "angle_mae_rad", 1000),
+    ("force x RMSE", "[N]", "force_x_rmse_n", 1),
+    ("force y RMSE", "[N]", "force_y_rmse_n", 1),
+    ("force MAE", "[N]", "force_mae_n", 1),
+    ("force x R2", "", "force_x_r2", 1),
+    ("force y R2", "", "force_y_r2", 1),
+)
+MEANS = (
+    ("MAE x", "[N]", "mean_force_x_mae_n", 1),
+    ("MAE y", "[N]", "mean_force_y_mae_n", 1),
+    ("MAE", "[N]", "mean_force_mae_n", 1),
+    ("95% within", "[N]", "mean_force_p95_n", 1),
+    ("worst", "[N]", "mean_force_worst_n", 1),
+)
+INTERVALS = (("inside", "[%]", "coverage", 100), ("half-width", "[N]", "half_width_n", 1))
+WARPED = (
+    ("angle", "[mrad]", "angle_dtw_mae_rad", 1000),
+    ("angle", "scaled 1e-3", "angle_dtw_mae_scaled", 1000),
+    ("force", "[mN]", "force_dtw_mae_n", 1000),
+    ("force", "scaled 1e-3", "force_dtw_mae_scaled", 1000),
+)
+
+
+def comparison_tables(summary: Mapping[str, Any]) -> str:
+    """Return the errors, mean force and DTW for a terminal of 120 columns, then what a reader should know."""
+    groups = [(_heading(row, summary["flops_ratio_to"]), row["horizons"]) for row in summary["groups"]]
+    if (floor := summary["noise_floor"]) is not None:
+        groups.append((floor["name"], floor["horizons"]))
+    several = any(row["seeds"] > 1 for row in summary["groups"])
+    seeds = "; mean over the seeds \N{PLUS-MINUS SIGN} half of its 95% interval" if several else ""
+    scored = f"{summary['test_logs']} test logs, {summary['scored'][-1]['rows']:,} rows at the longest horizon"
+    lines = [f"Free-running over {scored}{seeds}", *_table(ERRORS, groups)]
+    if any("mean_force_mae_n" in row for _, rows in groups for row in rows):
+        stated = any("coverage" in row for _, rows in groups for row in rows)
+        title = "Mean force over 200 samples" + (", and the intervals stated for it at 90%" if stated else "")
+        lines += ["", title, *_table(MEANS + INTERVALS * stated, groups)]
+    title = "DTW in a band of 1 s: mean absolute difference after warping, in units and scaled"
+    lines += ["", title, *_table(WARPED, groups), *[f"note: {note}" for note in summary["notes"]]]
+    return "\n".join(lines)
+
+
+def _heading(row: Mapping[str, Any], yardstick: str) -> str:
+    seeds = counted(row["seeds"], "seed")
+    ratio = "" if row["name"] == yardstick else f" ({row['flops_ratio']:.3g} of {yardstick}'s)"
+    return f"{row['name']}: {seeds}, {row['parameters']:,} parameters, {row['flops_per_tick']:,} FLOPs a tick{ratio}"
+
+
+def _table(columns: Sequence[tuple[str, str, str, int]], groups: Sequence[tuple[str, Any]]) -> list[str]:
+    from softfin.cli.tables import aligned
+
+    head = [["", *(column[i] for column in columns)] for i in (0, 1)]
+    body = [
+        [f"  {row['horizon_s']:g} s", *(_cell(row.get(score), factor) for _, _, score, factor in columns)]
+        for _, rows in groups
+        for row in rows
+    ]
+    lines = aligned([*head, *body])
+    rest = iter(lines[2:])
+    return lines[:2] + [line for heading, rows in groups for line in (heading, *islice(rest, len(rows)))]
+
+
+def _cell(cell: Mapping[str, Any] | None, factor: int) -> str:
+    if cell is None:
+        return "\N{EN DASH}"
+    value = cell["mean"] * factor
+    digits = max(0, 4 - len(str(int(abs(value)))))
+    text = f"{value:.{digits}f}" if abs(value) >= 0.0005 or value == 0 else f"{value:.0e}"
+    if cell["interval"] is None:
+        return text
+    low, high = cell["interval"]
+    return f"{text} \N{PLUS-MINUS SIGN}{(high - low) / 2 * factor:.{digits}f}"
+
+
+class CalibrateArguments(Configured):
+    """Fit the virtual tank to logs or to a plant; report how well each parameter is determined."""
+
+    data: Data
+    """Folder of a dataset, or a plant to move: a surrogate's folder, tank, a tank's YAML, or package.module:plant."""
+    out: Out
+    """Folder to write calibration.json, tank.yaml and the figures to."""
+    preset: CalibratePreset = "full"
+    """What is fitted: full is fin, water, drive and recording; quick is six numbers, in a minute."""
+    evaluations: int | None = None
+    """Tanks that the global search tries (4000); 0 leaves it to the local one."""
+    velocity: Annotated[tuple[float, ...], VELOCITY] | None = None
+    """Range of the commands that move a plant, as LOW,HIGH in rad/s (all that it takes)."""
+    seed: int = 0
+    """Seed of the search, and of the commands that move a plant."""
+    resume: bool = False
+    """Go on with a stopped run."""
+
+    def __call__(self) -> None:
+        from softfin.stages.surrogates import calibrate
+        from softfin.tank.calibration.config import PRESETS
+
+        config = self.configured(PRESETS[self.preset], velocity_rad_s=self.velocity)
+        result = self.stage(calibrate, self.data, self.out, config, seed=self.seed, resume=self.resume)
+        self.tell({"calibration": str(self.out), **result}, calibration_tables(result))
+
+
+def calibration_tables(result: Mapping[str, Any]) -> str:
+    """Return the scores, then the parameters."""
+    from softfin.cli.tables import aligned
+
+    scores = [["R2 (RMSE)", "angle", "force x", "force y"]]
+    for part, title in (("train", "fitted segments"), ("test", "unseen segments")):
+        rows = zip(result["scores"][part].values(), ("rad", "N", "N"), strict=True)
+        scores.append([title, *(f"{row['r2']:.3f} ({row['rmse']:.2f} {unit})" for row, unit in rows)])
+    parameters = [["parameter", "value", "error", "unit", "determined"]]
+    for name, row in result["parameters"].items():
+        error = "" if row["standard_error"] is None else f"{row['standard_error']:.2g}"
+        parameters.append([name, f"{row['value']:.4g}", error, row["unit"], row["determined"]])
+    trades = [
+        f"{' and '.join(pair['parameters'])} trade against each other: correlation {pair['correlation']:+.2f}"
+        for pair in result["trades"]
+    ]
+    return "\n".join([*aligned(scores), "", *aligned(parameters, (0, 3)), *trades])

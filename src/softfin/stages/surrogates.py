@@ -1,0 +1,144 @@
+"""Stages that end in a model of a fin: surrogates (paper Sec. III-B), compared too, and the calibrated tank."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from softfin.core.errors import ArtifactError, LogError
+from softfin.core.plant import EnsemblePlant, Plant
+from softfin.core.progress import Progress, silent
+from softfin.data.importing.importing import ImportConfig
+from softfin.data.recordings import open_logs
+from softfin.storage import artifact as artifacts
+from softfin.storage.dataset import Dataset
+from softfin.storage.registry import find_plant, name_of
+from softfin.storage.run_directory import RunDirectory
+from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig, Surrogate, load_surrogate, save_surrogate
+from softfin.surrogate import import_keras as _import_keras
+from softfin.surrogate.channels import SKIPPED, command_limits, ranges
+from softfin.surrogate.compare.compare import CompareConfig, candidates
+from softfin.surrogate.compare.compare import compare as _compare
+from softfin.surrogate.compare.report import write_comparison
+from softfin.surrogate.compare.scores import measured_ranges, table_one
+from softfin.surrogate.selection import fit_any
+from softfin.surrogate.training import check_lengths
+from softfin.tank.calibration.calibrate import calibrate as _calibrate
+from softfin.tank.calibration.config import CalibrateConfig
+from softfin.tank.calibration.model import material
+
+
+def fit(
+    dataset: Path,
+    out: Path,
+    config: FitConfig | StreamingConfig | AutoConfig | None = None,
+    *,
+    logs: ImportConfig | None = None,
+    ignore_errors: bool = False,
+    seed: int = 0,
+    resume: bool = False,
+    overwrite: bool = False,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Fit a surrogate to logs, score it on their test logs, write it; returns Table I, counts of issues, a caveat.
+
+    The kind of configuration says which model: the paper's nets, streaming nets, or what is best on held-out logs.
+    `dataset` is a dataset's folder, or recordings of any other kind, read as `logs` says; raises LogError where these
+    have errors, unless these are ignored, now or when the dataset was imported.
+    """
+    config = config or StreamingConfig()
+    artifacts.check_vacant(out, overwrite or resume)
+    description = artifacts.load_description(dataset, "dataset") if artifacts.is_kind(dataset, "dataset") else {}
+    opened = open_logs(dataset, logs, progress)
+    opened.check_train(str(dataset))
+    # Datasets of softfin before 0.2 have "accepted" in place of "ignore_errors".
+    were_ignored = True in (description.get("ignore_errors"), description.get("accepted"))
+    opened.check_issues(str(dataset), ignore_errors or were_ignored)
+    metadata = {"configuration": config.model_dump(mode="json"), "seed": seed, "data_hash": opened.data_hash}
+    run_directory = RunDirectory(out, metadata, resume, overwrite)
+    if not run_directory.complete:
+        if problem := command_limits(opened.train).problem(one_velocity=True):
+            raise LogError(f"{dataset}: the commands to learn from: {problem}; are they in degrees? see --angles deg")
+        test = opened.test
+        check_lengths(test, SKIPPED, "test")
+        if test:
+            measured_ranges(test)
+        fitted, evidence = fit_any(opened.train, config, seed, run_directory, progress)
+        # A dataset's own folder has its metadata.
+        own = {} if description else {"logs": opened.metadata}
+        provenance = artifacts.provenance(seed=seed, data_hash=opened.data_hash, dataset=str(dataset), **own)
+        save_surrogate(
+            out, fitted, table_one(fitted, test) if test else None, provenance,
+            extra_files=run_directory.keep_log, overwrite=overwrite, configuration=metadata["configuration"],
+            training_range=ranges(opened.train), fin=description.get("fin"),
+            **({} if evidence is None else {"candidates": evidence}),
+        )  # fmt: skip
+    run_directory.finish()
+    written, surrogate = artifacts.load_description(out, "surrogate"), load_surrogate(out)
+    summary = opened.inspection.summary()
+    return {
+        "model": surrogate.model,
+        "table_i": written["scores"],
+        "candidates": written.get("candidates"),
+        "issues": summary["counts"],
+        "columns": summary["columns"],
+        "caveat": surrogate.interval.caveat() if isinstance(surrogate, EnsemblePlant) else None,
+    }
+
+
+def import_keras(posnet: Path, forcenet: Path, scalers: Path, out: Path, *, overwrite: bool = False) -> Surrogate:
+    """Two published ``.keras`` files and the JSON of their scalers become a surrogate."""
+    artifacts.check_vacant(out, overwrite)
+    surrogate = _import_keras(posnet, forcenet, scalers)
+    sources = {"posnet": posnet.name, "forcenet": forcenet.name, "scalers": scalers.name}
+    save_surrogate(out, surrogate, None, artifacts.provenance(imported_from=sources), overwrite=overwrite)
+    return surrogate
+
+
+def compare(
+    surrogates: Sequence[Path], dataset: Path, out: Path | None = None, config: CompareConfig | None = None, *,
+    noise_floor: str | Plant | None = None, overwrite: bool = False, progress: Progress = silent,
+) -> dict[str, Any]:  # fmt: skip
+    """Score surrogates on a dataset's test logs, free-running over several horizons; writes JSON and a figure.
+
+    `noise_floor` is a plant that records the same commands once more, such as the tank: what noise and drift, twice
+    over, and other conditions leave.
+    """
+    config = config or CompareConfig()
+    if out is not None:
+        artifacts.check_vacant(out, overwrite)
+    found = candidates(surrogates)
+    data = Dataset.open(dataset)
+    if not data.test:
+        raise ArtifactError(f"{dataset}: holds no test logs to compare on; put Parquet logs into {dataset / 'test'}")
+    floor = None if noise_floor is None else (name_of(noise_floor), find_plant(noise_floor))
+    comparison = _compare(found, list(data.load(data.test)), config, floor, progress)
+    metadata = {
+        "dataset": str(dataset),
+        "test_logs": len(data.test),
+        "configuration": config.model_dump(mode="json"),
+        "provenance": artifacts.provenance(seed=config.seed, data_hash=data.data_hash),
+    }
+    if out is None:
+        return {**comparison.summary, **metadata}
+    return write_comparison(comparison, out, metadata, overwrite)
+
+
+def calibrate(
+    data: str | Path | Plant, out: Path, config: CalibrateConfig | None = None, *,
+    seed: int = 0, resume: bool = False, overwrite: bool = False, progress: Progress = silent,
+) -> dict[str, Any]:  # fmt: skip
+    """Fit the virtual tank to a dataset or to a plant; writes ``calibration.json``, ``tank.yaml`` and figures."""
+    config = config or CalibrateConfig()
+    artifacts.check_vacant(out, overwrite or resume)
+    train, test, source = material(data, config, seed)
+    metadata = {"configuration": config.model_dump(mode="json"), "seed": seed, **source}
+    run_directory = RunDirectory(out, metadata, resume, overwrite)
+    if run_directory.complete:
+        run_directory.finish()
+        return artifacts.load_description(out, "calibration")
+    calibration = _calibrate(config, train, test, seed, run_directory, progress)
+    origin = artifacts.provenance(seed=seed, data=name_of(data), **source)
+    written = {"configuration": metadata["configuration"], "provenance": origin}
+    summary = calibration.write(out, written, run_directory.keep_log, overwrite)
+    run_directory.finish()
+    return summary
