@@ -26,14 +26,18 @@ COLOURS = {"recording": "bold green", "silent": "bold yellow", "damaged": "bold 
 
 def watch(follower: Follower, console: Console, *, sleep: Callable[[float], None]) -> None:
     """Show a recording until it ends, or for ever where a newer one may come."""
-    with Live(console=console, auto_refresh=False, vertical_overflow="crop") as live:
-        while True:
-            follower.poll()
-            summary = follower.summary()
-            live.update(render(summary, follower.traces), refresh=True)
-            if summary["state"] in ("ended", "damaged") and not follower.follows_folder:
-                return
-            sleep(0.25)
+    try:
+        with Live(console=console, auto_refresh=False, vertical_overflow="crop") as live:
+            while True:
+                follower.poll()
+                summary = follower.summary()
+                live.update(render(summary, follower.traces), refresh=True)
+                if summary["state"] in ("ended", "damaged") and not follower.follows_folder:
+                    return
+                sleep(0.25)
+    finally:
+        if not console.is_terminal:
+            console.line()
 
 
 def render(summary: Summary, traces: Mapping[str, Trace]) -> Group:
