@@ -11,9 +11,8 @@ from softfin.core.choices import TransportName
 from softfin.core.errors import RigError
 from softfin.rig.machine import clock_of
 from softfin.rig.ros2.config import NodeConfig
-from softfin.rig.ros2.connection import open_transport
 from softfin.rig.ros2.node import RosNode
-from softfin.rig.ros2.plant import Ros2Machine
+from softfin.rig.ros2.plant import Ros2Machine, open_transport
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import StopRequest
 

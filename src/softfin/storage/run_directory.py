@@ -67,8 +67,8 @@ class RunDirectory:
 
     def save(self, tree: Any, metadata: dict[str, Any]) -> None:
         """Replace the checkpoint."""
-        facts = json.dumps({"software": _software(), "fingerprint": self.fingerprint, **metadata})
-        artifacts.write_file(self.folder / CHECKPOINT, artifacts.encode(_named(tree)[0], {"facts": facts}))
+        whole = json.dumps({"software": _software(), "fingerprint": self.fingerprint, **metadata})
+        artifacts.write_file(self.folder / CHECKPOINT, artifacts.encode(_named(tree)[0], {"facts": whole}))
 
     def load(self, like: Tree) -> tuple[Tree, dict[str, Any]] | None:
         """The last checkpoint, in the structure of `like`, else an ArtifactError; None where there is none yet."""

@@ -1,43 +1,70 @@
-"""Open a transport, and read topics through it: bytes in, checked values with their times out.
+"""The contract of a way to other nodes, which rclpy and DDS meet alike, and topics read through it: values with times.
 
-Unusable messages are counted and reported once. The stamps of other computers become times of our monotonic clock by
-the smallest delay so far, as in NTP's clock filter, released slowly so that a clock that drifts is followed.
+Messages go out and come in as CDR. Unusable ones are counted and reported once. The stamps of other computers become
+times of our monotonic clock by the smallest delay so far, as in NTP's clock filter, released slowly so that a clock
+that drifts is followed.
 """
 
-import importlib.util
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Protocol, TypeAlias, TypeVar, runtime_checkable
 
-from rosbags.typesys.store import Typestore
-
-from softfin.core.errors import RigError
 from softfin.rig.machine import Wrench
-from softfin.rig.ros2.config import TransportConfig
-from softfin.rig.ros2.transport import Transport, one_line
 from softfin.storage.bag.messages import SECOND_NS, type_store
 
 Value = TypeVar("Value")
 
 VECTOR, BOOL = "geometry_msgs/msg/Vector3Stamped", "std_msgs/msg/Bool"
 
+DEPTH = 10
+"""Messages that are kept for a reader that is slower: ROS 2's default."""
+
 CREEP = 2e-4
 """Rate at which the smallest delay is released [s/s]: four times the drift of a common quartz, 50 ppm."""
 
 
-def open_transport(config: TransportConfig, types: Typestore | None = None) -> Transport:
-    """rclpy where it is installed, else DDS, or as configured; raises RigError where that is not installed."""
-    installed = importlib.util.find_spec("rclpy") is not None
-    if config.transport == "rclpy" and not installed:
-        raise RigError("rclpy is not installed in this Python; source ROS 2's setup file, or use transport: dds")
-    if config.transport == "rclpy" or (config.transport == "auto" and installed):
-        from softfin.rig.ros2.rclpy import RclpyTransport
+Take: TypeAlias = Callable[[], list[tuple[bytes, float]]]
+"""Returns what has come since the last call, oldest first: CDR, and when it was taken, of `time.monotonic` [s].
 
-        return RclpyTransport(config)
-    from softfin.rig.ros2.dds import DdsTransport
+It never waits, and raises DeviceError where nothing can come.
+"""
 
-    return DdsTransport(config, types or type_store())
+
+@dataclass
+class Publisher:
+    """A topic that we write to."""
+
+    send: Callable[[bytes], None]
+    """Sends one message as CDR; raises DeviceError where it cannot go out at once."""
+    readers: Callable[[], int]
+    """Number of nodes that read it now."""
+
+
+@runtime_checkable
+class Transport(Protocol):
+    """The way to other nodes."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Remarks for the user about how it was opened, each one line."""
+
+    def publish(self, topic: str, kind: str) -> Publisher:
+        """A topic to write to: reliable, keep last 10, volatile."""
+
+    def subscribe(self, topic: str, kind: str, best_effort: bool = False) -> Take:
+        """A topic to read; best effort matches reliable publishers too, but nothing is sent again."""
+
+    def topics(self) -> dict[str, str]:
+        """Topics that other nodes publish, each with its type."""
+
+    def close(self) -> None:
+        """Leave; any number of times, never raises."""
+
+
+def one_line(error: Exception) -> str:
+    """The message of an error of any library, in one short line."""
+    return " ".join(str(error).split())[:160] or type(error).__name__
 
 
 class StampClock:

@@ -11,7 +11,7 @@ from rosbags.typesys.store import Typestore
 
 from softfin.core.errors import RigError
 from softfin.rig.ros2.config import FlipperConfig
-from softfin.rig.ros2.transport import one_line
+from softfin.rig.ros2.connection import one_line
 from softfin.storage.bag.messages import SECOND_NS, serialized
 
 

@@ -12,8 +12,7 @@ from softfin.rig.loop import Force
 from softfin.rig.machine import Sample, Target
 from softfin.rig.references import ResolveReference
 from softfin.rig.ros2.config import NodeConfig
-from softfin.rig.ros2.connection import BOOL, VECTOR, Stamped, Subscription, reference_of
-from softfin.rig.ros2.transport import Transport
+from softfin.rig.ros2.connection import BOOL, VECTOR, Stamped, Subscription, Transport, reference_of
 from softfin.rig.stop import StopRequest
 from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr
 

@@ -4,6 +4,7 @@ Tried with drivers of our own making on loopback; it has met neither a real driv
 """
 
 import contextlib
+import importlib.util
 import math
 import threading
 import time
@@ -12,16 +13,29 @@ from typing import Any, NamedTuple
 
 from rosbags.typesys.store import Typestore
 
-from softfin.core.errors import CommandError, DeviceError
+from softfin.core.errors import CommandError, DeviceError, RigError
 from softfin.core.quantities import Limits
 from softfin.rig.frame import rotated, rotation
 from softfin.rig.machine import Sample, Target, Wrench
 from softfin.rig.ros2.config import Ros2PlantConfig, TransportConfig
-from softfin.rig.ros2.connection import BOOL, Stamped, Subscription, joint_of, open_transport, wrench_of
+from softfin.rig.ros2.connection import BOOL, Publisher, Stamped, Subscription, Transport, joint_of, wrench_of
 from softfin.rig.ros2.flipper import define_types, encode_flipper
-from softfin.rig.ros2.transport import Publisher, Transport
 from softfin.rig.safety import check_target
-from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr, serialized
+from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr, serialized, type_store
+
+
+def open_transport(config: TransportConfig, types: Typestore | None = None) -> Transport:
+    """rclpy where it is installed, else DDS, or as configured; raises RigError where that is not installed."""
+    installed = importlib.util.find_spec("rclpy") is not None
+    if config.transport == "rclpy" and not installed:
+        raise RigError("rclpy is not installed in this Python; source ROS 2's setup file, or use transport: dds")
+    if config.transport == "rclpy" or (config.transport == "auto" and installed):
+        from softfin.rig.ros2.rclpy import RclpyTransport
+
+        return RclpyTransport(config)
+    from softfin.rig.ros2.dds import DdsTransport
+
+    return DdsTransport(config, types or type_store())
 
 
 class Commands:

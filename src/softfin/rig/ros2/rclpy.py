@@ -12,7 +12,7 @@ from typing import Any
 
 from softfin.core.errors import DeviceError, RigError
 from softfin.rig.ros2.config import TransportConfig
-from softfin.rig.ros2.transport import DEPTH, Publisher, Take, one_line
+from softfin.rig.ros2.connection import DEPTH, Publisher, Take, one_line
 
 
 class RclpyTransport:
