@@ -107,15 +107,7 @@ class RunDirectory:
     def _check_same(self, path: Path, before: dict[str, Any]) -> None:
         """Raise ArtifactError unless what was found at a path has the fingerprint of this run."""
         if before != self.fingerprint:
-            was, now = (
-                {
-                    jax.tree_util.keystr(key, simple=True, separator="."): value
-                    for key, value in jax.tree.leaves_with_path(one)
-                }
-                for one in (before, self.fingerprint)
-            )
-            names = [name for name in sorted(was | now) if was.get(name) != now.get(name)]
-            differing = ", ".join(f"{name} was {was.get(name)!r} and is {now.get(name)!r}" for name in names[:3])
+            differing = differences(before, self.fingerprint)
             raise ArtifactError(
                 f"{path}: is of another run ({differing}); give the same options, another --out, or --overwrite"
             )
@@ -173,6 +165,16 @@ def read_log(path: Path) -> list[dict[str, Any]]:
     """The entries of a ``log.jsonl``; a last line that a kill cut short is left out."""
     lines = path.read_text().splitlines() if path.is_file() else []
     return [json.loads(line) for line in lines if line.endswith("}")]
+
+
+def differences(before: dict[str, Any], now: dict[str, Any]) -> str:
+    """The first keys, by their paths, whose values are not the same; empty where all are."""
+    old, new = (
+        {jax.tree_util.keystr(path, simple=True, separator="."): leaf for path, leaf in jax.tree.leaves_with_path(tree)}
+        for tree in (before, now)
+    )
+    names = [name for name in sorted(old | new) if old.get(name) != new.get(name)]
+    return ", ".join(f"{name} was {old.get(name)!r} and is {new.get(name)!r}" for name in names[:3])
 
 
 def _software() -> str:

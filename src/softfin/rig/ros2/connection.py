@@ -45,9 +45,8 @@ class Publisher:
 class Transport(Protocol):
     """The way to other nodes."""
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Remarks for the user about how it was opened, each one line."""
+    notes: tuple[str, ...]
+    """Remarks for the user about how it was opened, each one line."""
 
     def publish(self, topic: str, kind: str) -> Publisher:
         """A topic to write to: reliable, keep last 10, volatile."""
@@ -89,16 +88,6 @@ class StampClock:
         return since + self._offset
 
 
-@dataclass(frozen=True)
-class Stamped(Generic[Value]):
-    """The value of one message."""
-
-    time: float
-    """When it was measured, of our clock [s]."""
-    received: float
-    value: Value
-
-
 class Subscription(Generic[Value]):
     """One topic that is read; `read` takes the value from a message, and raises ValueError with the reason."""
 
@@ -115,8 +104,8 @@ class Subscription(Generic[Value]):
         self.refusal: str | None = None
         """Why the last message was refused; None where it was not."""
 
-    def take(self) -> list[Stamped[Value]]:
-        """The usable messages that have come since the last call, oldest first."""
+    def take(self) -> list[tuple[float, Value]]:
+        """The usable messages that have come since the last call, oldest first, each with its time of our clock [s]."""
         taken = []
         for data, received in self._take():
             self.received += 1
@@ -132,7 +121,7 @@ class Subscription(Generic[Value]):
             if time is None:
                 self.not_newer += 1
             else:
-                taken.append(Stamped(time, received, value))
+                taken.append((time, value))
         return taken
 
 

@@ -18,7 +18,7 @@ from softfin.core.quantities import Limits
 from softfin.rig.frame import rotated, rotation
 from softfin.rig.machine import Sample, Target, Wrench
 from softfin.rig.ros2.config import Ros2PlantConfig, TransportConfig
-from softfin.rig.ros2.connection import BOOL, Publisher, Stamped, Subscription, Transport, joint_of, wrench_of
+from softfin.rig.ros2.connection import BOOL, Publisher, Subscription, Transport, joint_of, wrench_of
 from softfin.rig.ros2.flipper import define_types, encode_flipper
 from softfin.rig.safety import check_target
 from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr, serialized, type_store
@@ -106,8 +106,9 @@ class Ros2Machine:
         self._lock = threading.RLock()
         self._topics: _Topics | None = None
         self._enabled = False
-        self._angle: Stamped[tuple[float, float]] | None = None
-        self._force: Stamped[Wrench] | None = None
+        self._joint: tuple[float, float, float] | None = None
+        """Time [s], angle [rad] and velocity [rad/s]."""
+        self._force: tuple[float, Wrench] | None = None
         self._counted: dict[str, int] = {}
 
     @property
@@ -147,20 +148,19 @@ class Ros2Machine:
     def read(self) -> Sample:
         """The newest of both topics."""
         topics = self._take()
-        assert self._angle is not None
+        assert self._joint is not None
         assert self._force is not None
         with self._lock:
             if self._enabled:
                 self._send(topics.commands.tick)
         complaints = tuple(filter(None, (topics.joint.refusal, topics.wrench.refusal)))
-        at, force = self._angle, self._force
-        return Sample(at.time, *at.value, None, None, force.time, force.value, complaints)
+        return Sample(*self._joint, None, None, *self._force, complaints)
 
     def enable(self) -> None:
         """Take commands, and hold where it is."""
         topics, limits = self._take(), self.limits
-        assert self._angle is not None
-        angle = self._angle.value[0]
+        assert self._joint is not None
+        angle = self._joint[1]
         if not limits.angle_min - 1e-3 <= angle <= limits.angle_max + 1e-3:
             raise DeviceError(f"the fin is at {angle:.3f} rad, beyond {limits.angle_min:.3f} to "
                               f"{limits.angle_max:.3f} rad; bring it back by its own driver")  # fmt: skip
@@ -179,9 +179,9 @@ class Ros2Machine:
         if trip is not None:
             raise CommandError(trip.reason)
         with self._lock:
-            if not self._enabled or self._topics is None or self._angle is None:
+            if not self._enabled or self._topics is None or self._joint is None:
                 raise DeviceError("the fin is not enabled; enable it before it is commanded")
-            self._send(self._topics.commands.send, target, self._angle.value[0])
+            self._send(self._topics.commands.send, target, self._joint[1])
 
     def stop(self) -> None:
         """See the class for what it can do and cannot."""
@@ -201,7 +201,7 @@ class Ros2Machine:
                 self.stop()
             self._counted = self.counters()
             topics, self._topics = self._topics, None
-            self._angle = self._force = None
+            self._joint = self._force = None
         if topics is not None:
             topics.transport.close()
 
@@ -217,10 +217,10 @@ class Ros2Machine:
 
     def _await_first(self, topics: _Topics) -> None:
         deadline = time.monotonic() + self.config.wait_s
-        while (self._angle is None or self._force is None) and time.monotonic() < deadline:
+        while (self._joint is None or self._force is None) and time.monotonic() < deadline:
             self._take()
             time.sleep(0.002)
-        for awaited, value in ((topics.joint, self._angle), (topics.wrench, self._force)):
+        for awaited, value in ((topics.joint, self._joint), (topics.wrench, self._force)):
             if value is None:
                 there = [f"{topic} ({kind})" for topic, kind in topics.transport.topics().items()]
                 raise DeviceError(
@@ -235,14 +235,14 @@ class Ros2Machine:
         topics = self._topics
         if topics is None:
             raise DeviceError("the machine is closed; open it first")
-        for joint in topics.joint.take():
-            angle, velocity, before = self._sign * joint.value[0], 0.0, self._angle
-            if joint.value[1] is not None:
-                velocity = self._sign * joint.value[1]
-            elif before is not None and joint.time > before.time:
+        for at, (angle, velocity) in topics.joint.take():
+            if velocity is None:
                 # A driver that reports no velocity: the difference from the reading before.
-                velocity = (angle - before.value[0]) / (joint.time - before.time)
-            self._angle = Stamped(joint.time, joint.received, (angle, velocity))
+                then, before, _ = self._joint or (at, 0.0, 0.0)
+                velocity = (self._sign * angle - before) / (at - then) if at > then else 0.0
+            else:
+                velocity *= self._sign
+            self._joint = at, self._sign * angle, velocity
         self._force = next(reversed(topics.wrench.take()), self._force)
         return topics
 
@@ -264,5 +264,5 @@ class Ros2Machine:
             if self._send_stop(True):
                 return
         with contextlib.suppress(Exception):
-            if was_enabled and self._topics is not None and self._angle is not None:
-                self._topics.commands.hold(self._angle.value[0], self.limits.velocity_max)
+            if was_enabled and self._topics is not None and self._joint is not None:
+                self._topics.commands.hold(self._joint[1], self.limits.velocity_max)

@@ -18,7 +18,7 @@ from softfin.rig.ros2.connection import DEPTH, Publisher, Take, one_line
 class RclpyTransport:
     """Meets the Transport contract: a context and a node of its own, and a thread that takes what comes."""
 
-    notes = ("rclpy listens as ROS 2's own settings say (ROS_LOCALHOST_ONLY, ROS_AUTOMATIC_DISCOVERY_RANGE)",)
+    notes: tuple[str, ...] = ("rclpy listens as ROS_LOCALHOST_ONLY and ROS_AUTOMATIC_DISCOVERY_RANGE say",)
 
     def __init__(self, config: TransportConfig) -> None:
         if config.network is not None:

@@ -62,7 +62,8 @@ class BagRecorder:
         # The file is a bag before the first row comes, and a disk without room is noticed before a motion.
         self._flush()
         if self._failure is not None:
-            self._file.close()
+            with contextlib.suppress(OSError):
+                self._file.close()
             path.unlink()
             raise RunError(self._failure)
         self._thread = clock.spawn(self._work, "bag recorder")
