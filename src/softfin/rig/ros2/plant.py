@@ -8,20 +8,20 @@ import importlib.util
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from softfin.core.errors import CommandError, DeviceError, RigError
 from softfin.core.quantities import Limits
 from softfin.rig.frame import rotated, rotation
 from softfin.rig.machine import Sample, Target, Wrench
-from softfin.rig.ros2.config import Ros2PlantConfig, TransportConfig
-from softfin.rig.ros2.connection import BOOL, Publisher, Subscription, Transport, joint_of, wrench_of
-from softfin.rig.ros2.flipper import define_types, encode_flipper
+from softfin.rig.ros2.config import FlipperConfig, Ros2PlantConfig, TransportConfig
+from softfin.rig.ros2.connection import BOOL, Publisher, Subscription, Transport, joint_of, one_line, wrench_of
 from softfin.rig.safety import check_target
-from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr, serialized, type_store
+from softfin.storage.bag.messages import JOINT_STATE, SECOND_NS, WRENCH_STAMPED, cdr, serialized, type_store
 
 
 def open_transport(config: TransportConfig, types: Typestore | None = None) -> Transport:
@@ -36,6 +36,36 @@ def open_transport(config: TransportConfig, types: Typestore | None = None) -> T
     from softfin.rig.ros2.dds import DdsTransport
 
     return DdsTransport(config, types or type_store())
+
+
+def encode_flipper(config: FlipperConfig, types: Typestore, angle: float) -> bytes:
+    """The message by which the flipper stands at an angle [rad]; else raises RigError."""
+    seconds, rest = divmod(time.time_ns(), SECOND_NS)
+    stamp = {"header.stamp.sec": seconds, "header.stamp.nanosec": rest}
+    try:
+        has_header = "header" in dict(types.fielddefs[config.type][1])
+        values = config.constants | {config.amplitude: 0.0, config.zero_direction: angle}
+        return serialized(config.type, (stamp if has_header else {}) | values, types)
+    except Exception as error:
+        # Unknown types, fields that are not there and values that do not fit fail in ways of their own.
+        reason = f"{type(error).__name__}: {one_line(error)}"
+        raise RigError(
+            f"flipper: no {config.type} can be made ({reason}); give the .msg text of each type that ROS 2 lacks in "
+            "flipper.definitions, and fields as paths of names and indices, as flippers.2.amplitude"
+        ) from None
+
+
+def define_types(definitions: Mapping[str, str]) -> Typestore:
+    """ROS 2's own types, and others by the text of their .msg files; raises RigError where that is not such a text."""
+    types, kind = get_typestore(Stores.ROS2_HUMBLE), ""
+    try:
+        for kind, text in definitions.items():
+            types.register(get_types_from_msg(text, kind))
+    except Exception as error:
+        # The parser and the registration fail in ways of their own.
+        raise RigError(f"message {kind}: its definition cannot be used ({one_line(error)}); give that of its .msg "
+                       "file") from None  # fmt: skip
+    return types
 
 
 class Commands:
