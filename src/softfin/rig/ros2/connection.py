@@ -147,8 +147,8 @@ def joint_of(message: Any, name: str) -> tuple[float, float | None]:
         raise ValueError(f"no joint {name!r} in it; it has {', '.join(map(repr, names[:10])) or 'none'}")
     index = names.index(name)
     if len(message.position) != len(names) or len(message.velocity) not in (0, len(names)):
-        counts = f"{len(names)} names, {len(message.position)} positions, {len(message.velocity)} velocities"
-        raise ValueError(f"{counts}; as many of each are needed, or no velocities")
+        raise ValueError(f"{len(names)} names, {len(message.position)} positions, {len(message.velocity)} velocities; "
+                         "as many of each are needed, or no velocities")  # fmt: skip
     angle = _finite("position", message.position[index])
     return angle, _finite("velocity", message.velocity[index]) if len(message.velocity) else None
 

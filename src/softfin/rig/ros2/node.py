@@ -32,12 +32,8 @@ class RosNode:
         self._wrench = transport.publish(topics.wrench_topic, WRENCH_STAMPED)
         self._command = transport.publish(topics.command_topic, JOINT_STATE)
         kind = WRENCH_STAMPED if topics.reference_type == "wrench" else VECTOR
-        self._references: Subscription[Force] = Subscription(
-            transport, topics.reference_topic, kind, self._tracked, stamped=False
-        )
-        self._stops: Subscription[bool] = Subscription(
-            transport, topics.stop_topic, BOOL, lambda message: bool(message.data), stamped=False
-        )
+        self._references = Subscription(transport, topics.reference_topic, kind, self._tracked, stamped=False)
+        self._stops = Subscription(transport, topics.stop_topic, BOOL, lambda message: message.data, stamped=False)
         self._newest: tuple[float, Force] | None = None
         self._published: Target | None = None
         self._stop: str | None = None

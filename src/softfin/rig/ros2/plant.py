@@ -71,9 +71,7 @@ def define_types(definitions: Mapping[str, str]) -> Typestore:
 class Commands:
     """Commands as messages: one for each, or, with a period, a set-point that goes to the target at its velocity."""
 
-    def __init__(
-        self, publisher: Publisher, encode: Callable[[Target, float], bytes], period_s: float = math.inf
-    ) -> None:
+    def __init__(self, publisher: Publisher, encode: Callable[[Target, float], bytes], period_s: float) -> None:
         """`encode` makes a message of the target and the set-point [rad]."""
         self.publisher, self._encode, self._period = publisher, encode, period_s
         self._target: Target | None = None
