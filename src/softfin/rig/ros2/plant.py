@@ -74,26 +74,27 @@ class Commands:
     def __init__(self, publisher: Publisher, encode: Callable[[Target, float], bytes], period_s: float) -> None:
         """`encode` makes a message of the target and the set-point [rad]."""
         self.publisher, self._encode, self._period = publisher, encode, period_s
-        self._target: Target | None = None
+        self.target: Target | None = None
+        """None: the set-point begins at the measured angle."""
         self._setpoint = self._since = self._next = 0.0
 
     def send(self, target: Target, angle: float, now: float) -> None:
         """Move on from where the set-point is; from the measured angle where there is none yet."""
-        self._setpoint = angle if self._target is None else self._at(self._target, now)
-        self._target, self._since, self._next = target, now, now
+        self._setpoint = angle if self.target is None else self._at(self.target, now)
+        self.target, self._since, self._next = target, now, now
         self.tick(now)
 
     def tick(self, now: float) -> None:
         """Send the next message, where it is due."""
         # Ticks come a little early and late.
-        if self._target is not None and now >= self._next - 1e-3:
+        if self.target is not None and now >= self._next - 1e-3:
             # In step with the first one; what a late tick has missed is not made up for.
             self._next += self._period * (max((now - self._next) // self._period, 0) + 1)
-            self.publisher.send(self._encode(self._target, self._at(self._target, now)))
+            self.publisher.send(self._encode(self.target, self._at(self.target, now)))
 
     def hold(self, angle: float, velocity: float) -> None:
         """Send one message by which it stays where it is, then none."""
-        self._target = None
+        self.target = None
         self.publisher.send(self._encode(Target(angle, velocity), angle))
 
     def _at(self, target: Target, now: float) -> float:
@@ -198,7 +199,8 @@ class Ros2Machine:
         with self._lock:
             if self.config.stop_release:
                 self._send_stop(False)
-            self._enabled = True
+            # Where a stop topic ended the last motion, the fin is not at that motion's set-point.
+            self._enabled, topics.commands.target = True, None
             self._send(topics.commands.send, Target(angle, limits.velocity_min), angle)
 
     def command(self, target: Target) -> None:
