@@ -6,8 +6,8 @@ import numpy as np
 from rosbags.interfaces import Nodetype
 
 from softfin.core.errors import DeviceError
-from softfin.rig.ros2.flipper import define_types
-from softfin.rig.ros2.transport import Publisher
+from softfin.rig.ros2.connection import Publisher
+from softfin.rig.ros2.plant import define_types
 from softfin.storage.bag.messages import build_message
 
 JOINT, WRENCH = "sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped"

@@ -145,8 +145,8 @@ def node(_: Path) -> dict[str, Any]:
     """A node: the child reads what it says, then asks for a force and a stop."""
     from softfin.rig.machine import Sample, Target
     from softfin.rig.ros2.config import NodeConfig, TransportConfig
-    from softfin.rig.ros2.connection import open_transport
     from softfin.rig.ros2.node import RosNode
+    from softfin.rig.ros2.plant import open_transport
 
     transport = open_transport(TransportConfig(transport="dds"))
     ros_node = RosNode(transport, NodeConfig(reference_timeout_s=None), print)

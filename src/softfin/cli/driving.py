@@ -28,9 +28,8 @@ from softfin.rig.loop import (
 from softfin.rig.machine import clock_of
 from softfin.rig.robot_setup import RobotSetup, find_robot
 from softfin.rig.ros2.config import NodeConfig
-from softfin.rig.ros2.connection import open_transport
 from softfin.rig.ros2.node import RosNode
-from softfin.rig.ros2.plant import Ros2Machine
+from softfin.rig.ros2.plant import Ros2Machine, open_transport
 from softfin.rig.safety import Guard
 from softfin.rig.session import Observer, Session
 from softfin.rig.simulated_clock import SimulatedClock

@@ -12,6 +12,7 @@ import json
 import math
 import os
 import platform
+import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable, Mapping
@@ -31,10 +32,7 @@ KINDS = (
 
 
 def check_vacant(path: Path, overwrite: bool = False) -> None:
-    """Raise ArtifactError unless a folder may be written at `path`: vacant, or a softfin folder and `overwrite`.
-
-    To be called before the work whose result is written there: a place that cannot be written is refused as well.
-    """
+    """Raise ArtifactError unless a folder can be written at `path`: vacant, or a softfin folder and `overwrite`."""
     check_writable(path)
     if not path.exists() or (path.is_dir() and not any(path.iterdir())):
         return
@@ -72,36 +70,36 @@ def is_kind(path: Path, kind: str) -> bool:
 def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = False) -> None:
     """Let `write` fill a folder beside `path`, then rename it into its place; `overwrite` replaces a folder.
 
-    Raises:
-        ArtifactError: something is there that is not to be replaced, or the place cannot be written.
-        RunError: the folder cannot be written, or not put in its place; once filled, it is kept, and the message says
-            where.
+    Raises ArtifactError where it may not be written, RunError where that fails: what was filled is kept, and named.
     """
     check_vacant(path, overwrite)
     path = path.resolve()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as beside:
-        new, before = Path(beside) / "new", Path(beside) / "before"
-        try:
-            new.mkdir()
-            write(new)
-            for place in (*new.rglob("*"), new):
-                sync(place)
-        except OSError as error:
-            raise RunError(f"{path}: cannot be written ({error.strerror or error}); what was there is left") from None
-        try:
-            check_vacant(path, overwrite)
-            if path.exists():
-                path.rename(before)
-            new.rename(path)
-            sync(path.parent)
-        except BaseException as error:
-            if before.exists():
-                before.rename(path)
-            names = (path.with_name(f"{path.name}.finished-{number}") for number in itertools.count(1))
-            kept = new.rename(next(name for name in names if not name.exists()))
-            reason = "is in use by now" if isinstance(error, ArtifactError) else f"cannot be written ({error})"
-            raise RunError(f"{path}: {reason}; the finished result is in {kept}: move it where it is wanted") from None
+    beside, before = (path.with_name(f".{path.name}.{os.getpid()}.{word}") for word in ("partial", "before"))
+    try:
+        shutil.rmtree(beside, ignore_errors=True)
+        beside.mkdir(parents=True)
+        write(beside)
+        for place in (*beside.rglob("*"), beside):
+            sync(place)
+    except BaseException as error:
+        shutil.rmtree(beside, ignore_errors=True)
+        if not isinstance(error, OSError):
+            raise
+        raise RunError(f"{path}: cannot be written ({error.strerror or error}); what was there is left") from None
+    try:
+        check_vacant(path, overwrite)
+        if path.exists():
+            path.rename(before)
+        beside.rename(path)
+        sync(path.parent)
+    except (OSError, ArtifactError) as error:
+        if before.exists():
+            before.rename(path)
+        names = (path.with_name(f"{path.name}.finished-{number}") for number in itertools.count(1))
+        kept = beside.rename(next(name for name in names if not name.exists()))
+        reason = f"cannot be written ({error.strerror or error})" if isinstance(error, OSError) else "is in use by now"
+        raise RunError(f"{path}: {reason}; the finished result is in {kept}: move it where it is wanted") from None
+    shutil.rmtree(before, ignore_errors=True)
 
 
 def sync(place: Path) -> None:
@@ -177,16 +175,8 @@ def load(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Any]]:
         for name, array in weights.items():
             if array.dtype.kind not in "fiu":
                 raise ValueError(f"{name[:80]!r} is of type {array.dtype}")
-    # Of bfloat16 and float8, which NumPy has not, safetensors says KeyError, AttributeError or TypeError.
-    except (
-        OSError,
-        safetensors.SafetensorError,
-        ValueError,
-        LookupError,
-        AttributeError,
-        TypeError,
-        OverflowError,
-    ) as error:
+    except Exception as error:
+        # Damaged files, and types that NumPy has not, such as bfloat16, fail in safetensors in ways of their own.
         raise ArtifactError(f"{file}: truncated or damaged ({error}); copy it again") from None
     return description, weights
 
@@ -223,10 +213,7 @@ def dump_json(value: Any) -> str:
 
 
 def plain(value: Any) -> Any:
-    """What JSON can say of a value: arrays as lists, numbers that are not finite as null, anything unknown as text.
-
-    JSON has no infinity and no NaN, and a result must not be lost because one number in it is missing.
-    """
+    """What JSON can say of a value: arrays as lists, numbers that are not finite as null, anything unknown as text."""
     if isinstance(value, Mapping):
         return {name: plain(each) for name, each in value.items()}
     if isinstance(value, list | tuple):

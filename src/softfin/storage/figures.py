@@ -67,9 +67,7 @@ def inline_svg(figure: Figure, name: str) -> str:
     text = _render(figure, "svg", transparent=True).decode()
     text = text[text.index("<svg") :]
     prefix = "f" + hashlib.sha256(f"{name}\n{text}".encode()).hexdigest()[:10]
-    text = re.sub(r'\bid="([^"]+)"', rf'id="{prefix}-\1"', text)
-    text = re.sub(r'href="#([^"]+)"', rf'href="#{prefix}-\1"', text)
-    text = re.sub(r"url\(#([^)]+)\)", rf"url(#{prefix}-\1)", text)
+    text = re.sub(r'(\bid="|href="#|url\(#)', rf"\1{prefix}-", text)
     # A hundredth of a point is finer than any screen; half the bytes.
     return re.sub(r' d="[^"]+"', lambda path: re.sub(r"(\d\.\d\d)\d+", r"\1", path.group()), text)
 

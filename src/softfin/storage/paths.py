@@ -18,15 +18,13 @@ VIEWS = (".gif", ".mp4", ".html", ".png")
 RIG_FILE = Path("rig.yaml")
 
 
-def check_readable(
-    path: Path, error: type[SoftfinError] = ConfigurationError, hint: str = "", option: str = ""
-) -> None:
-    """Raise an `error` unless there is a file that may be read."""
+def check_readable(path: Path, kind: type[SoftfinError] = ConfigurationError, hint: str = "", option: str = "") -> None:
+    """Raise an error of a kind unless there is a file that may be read."""
     try:
         with path.open("rb"):
             pass
-    except OSError as problem:
-        raise error(f"{option}{path}: cannot be read ({problem.strerror or problem}){hint}") from None
+    except OSError as error:
+        raise kind(f"{option}{path}: cannot be read ({error.strerror or error}){hint}") from None
 
 
 def find_recordings(path: Path) -> list[Path]:

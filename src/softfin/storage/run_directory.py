@@ -67,8 +67,8 @@ class RunDirectory:
 
     def save(self, tree: Any, metadata: dict[str, Any]) -> None:
         """Replace the checkpoint."""
-        facts = json.dumps({"software": _software(), "fingerprint": self.fingerprint, **metadata})
-        artifacts.write_file(self.folder / CHECKPOINT, artifacts.encode(_named(tree)[0], {"facts": facts}))
+        whole = json.dumps({"software": _software(), "fingerprint": self.fingerprint, **metadata})
+        artifacts.write_file(self.folder / CHECKPOINT, artifacts.encode(_named(tree)[0], {"facts": whole}))
 
     def load(self, like: Tree) -> tuple[Tree, dict[str, Any]] | None:
         """The last checkpoint, in the structure of `like`, else an ArtifactError; None where there is none yet."""
@@ -157,6 +157,16 @@ def read_log(path: Path) -> list[dict[str, Any]]:
     """The entries of a ``log.jsonl``; a last line that a kill cut short is left out."""
     lines = path.read_text().splitlines() if path.is_file() else []
     return [json.loads(line) for line in lines if line.endswith("}")]
+
+
+def differences(before: dict[str, Any], now: dict[str, Any]) -> str:
+    """The first keys, by their paths, whose values are not the same; empty where all are."""
+    old, new = (
+        {jax.tree_util.keystr(path, simple=True, separator="."): leaf for path, leaf in jax.tree.leaves_with_path(tree)}
+        for tree in (before, now)
+    )
+    names = [name for name in sorted(old | new) if old.get(name) != new.get(name)]
+    return ", ".join(f"{name} was {old.get(name)!r} and is {new.get(name)!r}" for name in names[:3])
 
 
 def _software() -> str:

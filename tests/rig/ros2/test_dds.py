@@ -8,7 +8,8 @@ import pytest
 
 from softfin.core.errors import ConfigurationError, DeviceError, RigError
 from softfin.rig.ros2.config import TransportConfig
-from softfin.rig.ros2.connection import BOOL, VECTOR, joint_of, open_transport, wrench_of
+from softfin.rig.ros2.connection import BOOL, VECTOR, joint_of, wrench_of
+from softfin.rig.ros2.plant import open_transport
 
 pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
 

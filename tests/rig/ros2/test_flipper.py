@@ -3,9 +3,8 @@ import pytest
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.rig.machine import Target
 from softfin.rig.ros2.config import FlipperConfig
-from softfin.rig.ros2.flipper import define_types, encode_flipper
-from softfin.rig.ros2.plant import Commands
-from softfin.rig.ros2.transport import Publisher
+from softfin.rig.ros2.connection import Publisher
+from softfin.rig.ros2.plant import Commands, define_types, encode_flipper
 
 DEFINITIONS = {
     "own/msg/Flipper": "float32 frequency\nfloat32 amplitude\nfloat32 zero_direction\nstring name\nbool on\n",

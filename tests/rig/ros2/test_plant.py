@@ -287,6 +287,18 @@ def test_a_flipper_follows_the_command_at_its_velocity_twenty_times_a_second():
     assert len(rig.transport.sent["/command"]) == count, "after a stop nothing is sent"
 
 
+def test_a_flipper_that_was_stopped_by_its_topic_starts_again_from_where_it_is():
+    rig = Rig(flipper=FLIPPER, stop_topic="/stop")
+    rig.machine.open()
+    rig.machine.enable()
+    rig.machine.command(Target(1.25, 2.0))
+    rig.machine.stop()
+    rig.now += 1.0
+    rig.say(0.5)
+    rig.machine.enable()
+    assert rig.transport.sent["/command"][-1].zero_direction == pytest.approx(0.5)
+
+
 def test_a_flipper_that_has_no_such_message_is_told_on_opening():
     with pytest.raises(RigError, match=r"flipper: no own/msg/Flipper can be made .*; give the .msg text of each type"):
         Rig(flipper={"type": "own/msg/Flipper"}).machine.open()

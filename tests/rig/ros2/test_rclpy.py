@@ -9,9 +9,9 @@ import pytest
 
 from softfin.core.errors import DeviceError, RigError
 from softfin.rig.ros2.config import NodeConfig, TransportConfig
-from softfin.rig.ros2.connection import BOOL, open_transport
+from softfin.rig.ros2.connection import BOOL, Transport
 from softfin.rig.ros2.node import RosNode
-from softfin.rig.ros2.transport import Transport
+from softfin.rig.ros2.plant import open_transport
 from tests.rig.ros2_memory import JOINT
 
 

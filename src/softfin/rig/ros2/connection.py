@@ -1,43 +1,69 @@
-"""Open a transport, and read topics through it: bytes in, checked values with their times out.
+"""The contract of a way to other nodes, which rclpy and DDS meet alike, and topics read through it: values with times.
 
-Unusable messages are counted and reported once. The stamps of other computers become times of our monotonic clock by
-the smallest delay so far, as in NTP's clock filter, released slowly so that a clock that drifts is followed.
+Messages go out and come in as CDR. Unusable ones are counted and reported once. The stamps of other computers become
+times of our monotonic clock by the smallest delay so far, as in NTP's clock filter, released slowly so that a clock
+that drifts is followed.
 """
 
-import importlib.util
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Protocol, TypeAlias, TypeVar, runtime_checkable
 
-from rosbags.typesys.store import Typestore
-
-from softfin.core.errors import RigError
 from softfin.rig.machine import Wrench
-from softfin.rig.ros2.config import TransportConfig
-from softfin.rig.ros2.transport import Transport, one_line
 from softfin.storage.bag.messages import SECOND_NS, type_store
 
 Value = TypeVar("Value")
 
 VECTOR, BOOL = "geometry_msgs/msg/Vector3Stamped", "std_msgs/msg/Bool"
 
+DEPTH = 10
+"""Messages that are kept for a reader that is slower: ROS 2's default."""
+
 CREEP = 2e-4
 """Rate at which the smallest delay is released [s/s]: four times the drift of a common quartz, 50 ppm."""
 
 
-def open_transport(config: TransportConfig, types: Typestore | None = None) -> Transport:
-    """rclpy where it is installed, else DDS, or as configured; raises RigError where that is not installed."""
-    installed = importlib.util.find_spec("rclpy") is not None
-    if config.transport == "rclpy" and not installed:
-        raise RigError("rclpy is not installed in this Python; source ROS 2's setup file, or use transport: dds")
-    if config.transport == "rclpy" or (config.transport == "auto" and installed):
-        from softfin.rig.ros2.rclpy import RclpyTransport
+Take: TypeAlias = Callable[[], list[tuple[bytes, float]]]
+"""Returns what has come since the last call, oldest first: CDR, and when it was taken, of `time.monotonic` [s].
 
-        return RclpyTransport(config)
-    from softfin.rig.ros2.dds import DdsTransport
+It never waits, and raises DeviceError where nothing can come.
+"""
 
-    return DdsTransport(config, types or type_store())
+
+@dataclass
+class Publisher:
+    """A topic that we write to."""
+
+    send: Callable[[bytes], None]
+    """Sends one message as CDR; raises DeviceError where it cannot go out at once."""
+    readers: Callable[[], int]
+    """Number of nodes that read it now."""
+
+
+@runtime_checkable
+class Transport(Protocol):
+    """The way to other nodes."""
+
+    notes: tuple[str, ...]
+    """Remarks for the user about how it was opened, each one line."""
+
+    def publish(self, topic: str, kind: str) -> Publisher:
+        """A topic to write to: reliable, keep last 10, volatile."""
+
+    def subscribe(self, topic: str, kind: str, best_effort: bool = False) -> Take:
+        """A topic to read; best effort matches reliable publishers too, but nothing is sent again."""
+
+    def topics(self) -> dict[str, str]:
+        """Topics that other nodes publish, each with its type."""
+
+    def close(self) -> None:
+        """Leave; any number of times, never raises."""
+
+
+def one_line(error: Exception) -> str:
+    """The message of an error of any library, in one short line."""
+    return " ".join(str(error).split())[:160] or type(error).__name__
 
 
 class StampClock:
@@ -62,16 +88,6 @@ class StampClock:
         return since + self._offset
 
 
-@dataclass(frozen=True)
-class Stamped(Generic[Value]):
-    """The value of one message."""
-
-    time: float
-    """When it was measured, of our clock [s]."""
-    received: float
-    value: Value
-
-
 class Subscription(Generic[Value]):
     """One topic that is read; `read` takes the value from a message, and raises ValueError with the reason."""
 
@@ -88,8 +104,8 @@ class Subscription(Generic[Value]):
         self.refusal: str | None = None
         """Why the last message was refused; None where it was not."""
 
-    def take(self) -> list[Stamped[Value]]:
-        """The usable messages that have come since the last call, oldest first."""
+    def take(self) -> list[tuple[float, Value]]:
+        """The usable messages that have come since the last call, oldest first, each with its time of our clock [s]."""
         taken = []
         for data, received in self._take():
             self.received += 1
@@ -105,7 +121,7 @@ class Subscription(Generic[Value]):
             if time is None:
                 self.not_newer += 1
             else:
-                taken.append(Stamped(time, received, value))
+                taken.append((time, value))
         return taken
 
 
@@ -131,8 +147,8 @@ def joint_of(message: Any, name: str) -> tuple[float, float | None]:
         raise ValueError(f"no joint {name!r} in it; it has {', '.join(map(repr, names[:10])) or 'none'}")
     index = names.index(name)
     if len(message.position) != len(names) or len(message.velocity) not in (0, len(names)):
-        counts = f"{len(names)} names, {len(message.position)} positions, {len(message.velocity)} velocities"
-        raise ValueError(f"{counts}; as many of each are needed, or no velocities")
+        raise ValueError(f"{len(names)} names, {len(message.position)} positions, {len(message.velocity)} velocities; "
+                         "as many of each are needed, or no velocities")  # fmt: skip
     angle = _finite("position", message.position[index])
     return angle, _finite("velocity", message.velocity[index]) if len(message.velocity) else None
 

@@ -15,7 +15,7 @@ from rosbags.typesys.store import Typestore
 
 from softfin.core.errors import DeviceError, RigError
 from softfin.rig.ros2.config import TransportConfig
-from softfin.rig.ros2.transport import DEPTH, Publisher, Take, one_line
+from softfin.rig.ros2.connection import DEPTH, Publisher, Take, one_line
 
 try:
     from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
@@ -32,13 +32,11 @@ except ImportError:
 
 URI = "CYCLONEDDS_URI"
 
+# Its types take their lengths in brackets, in a way of their own that type checkers do not know.
 IDL: Any = types
-"""Its types take their lengths in brackets, in a way of their own that type checkers do not know."""
 
-BASES = {"byte": types.int8, "char": types.uint8, "string": str, "bool": bool} | {
-    name: getattr(types, name)
-    for name in ("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64")
-}
+BASES = {"byte": types.int8, "char": types.uint8, "string": str, "bool": bool}
+"""Types that have other names there."""
 
 
 class Carrier(IdlStruct):
@@ -73,7 +71,7 @@ def _idl_field(descriptor: Any, typestore: Typestore) -> Any:
         return idl_type(detail, typestore)
     if node is Nodetype.BASE:
         name, bound = detail
-        return IDL.bounded_str[bound] if name == "string" and bound else BASES[name]
+        return IDL.bounded_str[bound] if name == "string" and bound else BASES.get(name) or getattr(types, name)
     element, count = detail
     inner = _idl_field(element, typestore)
     if node is Nodetype.ARRAY:

@@ -11,8 +11,7 @@ from softfin.core.errors import DeviceError, SoftfinError
 from softfin.rig.loop import Force, ResolveReference
 from softfin.rig.machine import Sample, Target
 from softfin.rig.ros2.config import NodeConfig
-from softfin.rig.ros2.connection import BOOL, VECTOR, Stamped, Subscription, reference_of
-from softfin.rig.ros2.transport import Transport
+from softfin.rig.ros2.connection import BOOL, VECTOR, Subscription, Transport, reference_of
 from softfin.rig.stop import StopRequest
 from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr
 
@@ -32,13 +31,9 @@ class RosNode:
         self._wrench = transport.publish(topics.wrench_topic, WRENCH_STAMPED)
         self._command = transport.publish(topics.command_topic, JOINT_STATE)
         kind = WRENCH_STAMPED if topics.reference_type == "wrench" else VECTOR
-        self._references: Subscription[Force] = Subscription(
-            transport, topics.reference_topic, kind, self._tracked, stamped=False
-        )
-        self._stops: Subscription[bool] = Subscription(
-            transport, topics.stop_topic, BOOL, lambda message: bool(message.data), stamped=False
-        )
-        self._newest: Stamped[Force] | None = None
+        self._references = Subscription(transport, topics.reference_topic, kind, self._tracked, stamped=False)
+        self._stops = Subscription(transport, topics.stop_topic, BOOL, lambda message: message.data, stamped=False)
+        self._newest: tuple[float, Force] | None = None
         self._published: Target | None = None
         self._stop: str | None = None
         self._reported: set[str] = set()
@@ -69,17 +64,17 @@ class RosNode:
         if self._references.refusal is not None:
             self._report_once(self._references.refusal)
         newest, timeout = self._newest, self.config.reference_timeout_s
-        if newest is not None and timeout is not None and self._clock() - newest.received > timeout:
+        if newest is not None and timeout is not None and self._clock() - newest[0] > timeout:
             self._newest = newest = None
             topic = self.config.reference_topic
             self._report(f"{topic}: no reference for {timeout:g} s: the last one does not count any more")
-        return None if newest is None else newest.value
+        return None if newest is None else newest[1]
 
     def stop_reason(self) -> str | None:
         """Why to stop, for good; None where nobody has asked for it. An unreadable message stops, too."""
         if self._stop is None:
             try:
-                if any(stop.value for stop in self._stops.take()):
+                if any(stop for _, stop in self._stops.take()):
                     self._stop = f"emergency stop on {self.config.stop_topic}"
                 elif self._stops.refusal is not None:
                     self._stop = f"emergency stop: {self._stops.refusal}"

@@ -4,53 +4,96 @@ Tried with drivers of our own making on loopback; it has met neither a real driv
 """
 
 import contextlib
+import importlib.util
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from softfin.core.errors import CommandError, DeviceError
+from softfin.core.errors import CommandError, DeviceError, RigError
 from softfin.core.quantities import Limits
 from softfin.rig.machine import Sample, Target, Wrench, rotated, rotation
-from softfin.rig.ros2.config import Ros2PlantConfig, TransportConfig
-from softfin.rig.ros2.connection import BOOL, Stamped, Subscription, joint_of, open_transport, wrench_of
-from softfin.rig.ros2.flipper import define_types, encode_flipper
-from softfin.rig.ros2.transport import Publisher, Transport
+from softfin.rig.ros2.config import FlipperConfig, Ros2PlantConfig, TransportConfig
+from softfin.rig.ros2.connection import BOOL, Publisher, Subscription, Transport, joint_of, one_line, wrench_of
 from softfin.rig.safety import check_target
-from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr, serialized
+from softfin.storage.bag.messages import JOINT_STATE, SECOND_NS, WRENCH_STAMPED, cdr, serialized, type_store
+
+
+def open_transport(config: TransportConfig, types: Typestore | None = None) -> Transport:
+    """rclpy where it is installed, else DDS, or as configured; raises RigError where that is not installed."""
+    installed = importlib.util.find_spec("rclpy") is not None
+    if config.transport == "rclpy" and not installed:
+        raise RigError("rclpy is not installed in this Python; source ROS 2's setup file, or use transport: dds")
+    if config.transport == "rclpy" or (config.transport == "auto" and installed):
+        from softfin.rig.ros2.rclpy import RclpyTransport
+
+        return RclpyTransport(config)
+    from softfin.rig.ros2.dds import DdsTransport
+
+    return DdsTransport(config, types or type_store())
+
+
+def encode_flipper(config: FlipperConfig, types: Typestore, angle: float) -> bytes:
+    """The message by which the flipper stands at an angle [rad]; else raises RigError."""
+    seconds, rest = divmod(time.time_ns(), SECOND_NS)
+    stamp = {"header.stamp.sec": seconds, "header.stamp.nanosec": rest}
+    try:
+        has_header = "header" in dict(types.fielddefs[config.type][1])
+        values = config.constants | {config.amplitude: 0.0, config.zero_direction: angle}
+        return serialized(config.type, (stamp if has_header else {}) | values, types)
+    except Exception as error:
+        # Unknown types, fields that are not there and values that do not fit fail in ways of their own.
+        reason = f"{type(error).__name__}: {one_line(error)}"
+        raise RigError(
+            f"flipper: no {config.type} can be made ({reason}); give the .msg text of each type that ROS 2 lacks in "
+            "flipper.definitions, and fields as paths of names and indices, as flippers.2.amplitude"
+        ) from None
+
+
+def define_types(definitions: Mapping[str, str]) -> Typestore:
+    """ROS 2's own types, and others by the text of their .msg files; raises RigError where that is not such a text."""
+    types, kind = get_typestore(Stores.ROS2_HUMBLE), ""
+    try:
+        for kind, text in definitions.items():
+            types.register(get_types_from_msg(text, kind))
+    except Exception as error:
+        # The parser and the registration fail in ways of their own.
+        raise RigError(f"message {kind}: its definition cannot be used ({one_line(error)}); give that of its .msg "
+                       "file") from None  # fmt: skip
+    return types
 
 
 class Commands:
     """Commands as messages: one for each, or, with a period, a set-point that goes to the target at its velocity."""
 
-    def __init__(
-        self, publisher: Publisher, encode: Callable[[Target, float], bytes], period_s: float = math.inf
-    ) -> None:
+    def __init__(self, publisher: Publisher, encode: Callable[[Target, float], bytes], period_s: float) -> None:
         """`encode` makes a message of the target and the set-point [rad]."""
         self.publisher, self._encode, self._period = publisher, encode, period_s
-        self._target: Target | None = None
+        self.target: Target | None = None
+        """None: the set-point begins at the measured angle."""
         self._setpoint = self._since = self._next = 0.0
 
     def send(self, target: Target, angle: float, now: float) -> None:
         """Move on from where the set-point is; from the measured angle where there is none yet."""
-        self._setpoint = angle if self._target is None else self._at(self._target, now)
-        self._target, self._since, self._next = target, now, now
+        self._setpoint = angle if self.target is None else self._at(self.target, now)
+        self.target, self._since, self._next = target, now, now
         self.tick(now)
 
     def tick(self, now: float) -> None:
         """Send the next message, where it is due."""
         # Ticks come a little early and late.
-        if self._target is not None and now >= self._next - 1e-3:
+        if self.target is not None and now >= self._next - 1e-3:
             # In step with the first one; what a late tick has missed is not made up for.
             self._next += self._period * (max((now - self._next) // self._period, 0) + 1)
-            self.publisher.send(self._encode(self._target, self._at(self._target, now)))
+            self.publisher.send(self._encode(self.target, self._at(self.target, now)))
 
     def hold(self, angle: float, velocity: float) -> None:
         """Send one message by which it stays where it is, then none."""
-        self._target = None
+        self.target = None
         self.publisher.send(self._encode(Target(angle, velocity), angle))
 
     def _at(self, target: Target, now: float) -> float:
@@ -91,8 +134,9 @@ class Ros2Machine:
         self._lock = threading.RLock()
         self._topics: _Topics | None = None
         self._enabled = False
-        self._angle: Stamped[tuple[float, float]] | None = None
-        self._force: Stamped[Wrench] | None = None
+        self._joint: tuple[float, float, float] | None = None
+        """Time [s], angle [rad] and velocity [rad/s]."""
+        self._force: tuple[float, Wrench] | None = None
         self._counted: dict[str, int] = {}
 
     @property
@@ -132,20 +176,19 @@ class Ros2Machine:
     def read(self) -> Sample:
         """The newest of both topics."""
         topics = self._take()
-        assert self._angle is not None
+        assert self._joint is not None
         assert self._force is not None
         with self._lock:
             if self._enabled:
                 self._send(topics.commands.tick)
         complaints = tuple(filter(None, (topics.joint.refusal, topics.wrench.refusal)))
-        at, force = self._angle, self._force
-        return Sample(at.time, *at.value, None, None, force.time, force.value, complaints)
+        return Sample(*self._joint, None, None, *self._force, complaints)
 
     def enable(self) -> None:
         """Take commands, and hold where it is."""
         topics, limits = self._take(), self.limits
-        assert self._angle is not None
-        angle = self._angle.value[0]
+        assert self._joint is not None
+        angle = self._joint[1]
         if not limits.angle_min - 1e-3 <= angle <= limits.angle_max + 1e-3:
             raise DeviceError(f"the fin is at {angle:.3f} rad, beyond {limits.angle_min:.3f} to "
                               f"{limits.angle_max:.3f} rad; bring it back by its own driver")  # fmt: skip
@@ -155,7 +198,8 @@ class Ros2Machine:
         with self._lock:
             if self.config.stop_release:
                 self._send_stop(False)
-            self._enabled = True
+            # Where a stop topic ended the last motion, the fin is not at that motion's set-point.
+            self._enabled, topics.commands.target = True, None
             self._send(topics.commands.send, Target(angle, limits.velocity_min), angle)
 
     def command(self, target: Target) -> None:
@@ -164,9 +208,9 @@ class Ros2Machine:
         if trip is not None:
             raise CommandError(trip.reason)
         with self._lock:
-            if not self._enabled or self._topics is None or self._angle is None:
+            if not self._enabled or self._topics is None or self._joint is None:
                 raise DeviceError("the fin is not enabled; enable it before it is commanded")
-            self._send(self._topics.commands.send, target, self._angle.value[0])
+            self._send(self._topics.commands.send, target, self._joint[1])
 
     def stop(self) -> None:
         """See the class for what it can do and cannot."""
@@ -186,7 +230,7 @@ class Ros2Machine:
                 self.stop()
             self._counted = self.counters()
             topics, self._topics = self._topics, None
-            self._angle = self._force = None
+            self._joint = self._force = None
         if topics is not None:
             topics.transport.close()
 
@@ -202,10 +246,10 @@ class Ros2Machine:
 
     def _await_first(self, topics: _Topics) -> None:
         deadline = time.monotonic() + self.config.wait_s
-        while (self._angle is None or self._force is None) and time.monotonic() < deadline:
+        while (self._joint is None or self._force is None) and time.monotonic() < deadline:
             self._take()
             time.sleep(0.002)
-        for awaited, value in ((topics.joint, self._angle), (topics.wrench, self._force)):
+        for awaited, value in ((topics.joint, self._joint), (topics.wrench, self._force)):
             if value is None:
                 there = [f"{topic} ({kind})" for topic, kind in topics.transport.topics().items()]
                 raise DeviceError(
@@ -220,14 +264,14 @@ class Ros2Machine:
         topics = self._topics
         if topics is None:
             raise DeviceError("the machine is closed; open it first")
-        for joint in topics.joint.take():
-            angle, velocity, before = self._sign * joint.value[0], 0.0, self._angle
-            if joint.value[1] is not None:
-                velocity = self._sign * joint.value[1]
-            elif before is not None and joint.time > before.time:
+        for at, (angle, velocity) in topics.joint.take():
+            if velocity is None:
                 # A driver that reports no velocity: the difference from the reading before.
-                velocity = (angle - before.value[0]) / (joint.time - before.time)
-            self._angle = Stamped(joint.time, joint.received, (angle, velocity))
+                then, before, _ = self._joint or (at, 0.0, 0.0)
+                velocity = (self._sign * angle - before) / (at - then) if at > then else 0.0
+            else:
+                velocity *= self._sign
+            self._joint = at, self._sign * angle, velocity
         self._force = next(reversed(topics.wrench.take()), self._force)
         return topics
 
@@ -249,5 +293,5 @@ class Ros2Machine:
             if self._send_stop(True):
                 return
         with contextlib.suppress(Exception):
-            if was_enabled and self._topics is not None and self._angle is not None:
-                self._topics.commands.hold(self._angle.value[0], self.limits.velocity_max)
+            if was_enabled and self._topics is not None and self._joint is not None:
+                self._topics.commands.hold(self._joint[1], self.limits.velocity_max)

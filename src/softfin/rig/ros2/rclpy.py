@@ -12,32 +12,34 @@ from typing import Any
 
 from softfin.core.errors import DeviceError, RigError
 from softfin.rig.ros2.config import TransportConfig
-from softfin.rig.ros2.transport import DEPTH, Publisher, Take, one_line
+from softfin.rig.ros2.connection import DEPTH, Publisher, Take, one_line
 
 
 class RclpyTransport:
     """Meets the Transport contract: a context and a node of its own, and a thread that takes what comes."""
 
-    notes = ("rclpy listens as ROS 2's own settings say (ROS_LOCALHOST_ONLY, ROS_AUTOMATIC_DISCOVERY_RANGE)",)
+    notes: tuple[str, ...] = ("rclpy listens as ROS_LOCALHOST_ONLY and ROS_AUTOMATIC_DISCOVERY_RANGE say",)
 
     def __init__(self, config: TransportConfig) -> None:
         if config.network is not None:
             raise RigError(f"--network {config.network} is for DDS; with rclpy ROS 2's own settings choose the network")
         try:
-            self._rclpy: Any = importlib.import_module("rclpy")
-            executors = importlib.import_module("rclpy.executors")
-            signals = importlib.import_module("rclpy.signals")
-            self._context = self._rclpy.Context()
+            rclpy, executors, signals = map(importlib.import_module, ("rclpy", "rclpy.executors", "rclpy.signals"))
+            context = rclpy.Context()
             # Ctrl-C is softfin's: it stops the fin first. No words of the command line are ROS's either.
-            self._rclpy.init(args=[], context=self._context, domain_id=config.domain_id(),
-                             signal_handler_options=signals.SignalHandlerOptions.NO)  # fmt: skip
-            self._node = self._rclpy.create_node(config.node, context=self._context)
-            self._executor = executors.SingleThreadedExecutor(context=self._context)
+            rclpy.init(args=[], context=context, domain_id=config.domain_id(),
+                       signal_handler_options=signals.SignalHandlerOptions.NO)  # fmt: skip
+            self._steps = contextlib.ExitStack()
+            self._steps.callback(rclpy.try_shutdown, context=context)
+            self._node: Any = rclpy.create_node(config.node, context=context)
+            self._steps.callback(self._node.destroy_node)
+            self._executor = executors.SingleThreadedExecutor(context=context)
+            self._steps.callback(self._executor.shutdown, timeout_sec=1.0)
             self._executor.add_node(self._node)
         except Exception as error:
             # What it raises where the installation is broken is not documented.
             raise RigError(f"rclpy cannot be used ({one_line(error)}); use transport: dds") from None
-        self._own, self._closed = list[str](), False
+        self._own: list[str] = []
         self.failure: str | None = None
         threading.Thread(target=self._spin, name="softfin-rclpy", daemon=True).start()
 
@@ -80,21 +82,16 @@ class RclpyTransport:
 
     def close(self) -> None:
         """End the thread with its executor; any number of times."""
-        if not self._closed:
-            self._closed = True
-            with contextlib.suppress(Exception), contextlib.ExitStack() as steps:
-                steps.callback(self._rclpy.try_shutdown, context=self._context)
-                steps.callback(self._node.destroy_node)
-                steps.callback(self._executor.shutdown, timeout_sec=1.0)
+        with contextlib.suppress(Exception):
+            self._steps.close()
 
     def _spin(self) -> None:
         # Whatever ends it ends the messages: those who take must hear of it.
         try:
             self._executor.spin()
-            failure = "its executor has ended"
+            self.failure = "its executor has ended"
         except Exception as error:
-            failure = one_line(error)
-        self.failure = None if self._closed else failure
+            self.failure = one_line(error)
 
     def _quality(self, best_effort: bool) -> Any:
         qos = importlib.import_module("rclpy.qos")

@@ -31,9 +31,6 @@ MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
 """Opcode and length, before each record."""
 
-FOOTER = struct.Struct("<QQI")
-"""Start of the index, that of its groups, and a checksum."""
-
 LARGEST_BYTES = 64 * 2**20
 """Largest record, or unpacked chunk, that is read; ROS 2 closes its chunks below one megabyte."""
 
@@ -160,10 +157,10 @@ def _records_of_cut_chunk(file: io.BufferedIOBase, at: int, size: int) -> Iterat
 def _is_end(file: io.BufferedIOBase, record: RawRecord) -> bool:
     """Whether a footer is followed by the file's last bytes, and the checksum of the index before it is right."""
     file.seek(record.end)
-    if file.read() != MAGIC or len(record.content) < FOOTER.size:
+    if file.read() != MAGIC or len(record.content) < 20:
         return False
-    start, _, checksum = FOOTER.unpack_from(record.content)
-    # The checksum covers the index, and the footer but for the checksum itself.
+    start, _, checksum = struct.unpack_from("<QQI", record.content)
+    # The checksum covers the index from its start on, and the footer but for the checksum itself.
     file.seek(min(start, record.start))
     return not (start and checksum) or zlib.crc32(file.read(record.end - 4 - start)) == checksum
 
