@@ -9,7 +9,7 @@ from softfin.core.configuration import Configuration
 from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ, Log
 from softfin.storage.run_directory import RunDirectory
-from softfin.surrogate.compare.scores import free_run, rms, segments_of, take
+from softfin.surrogate.compare.scores import free_run, rmse, segments_of, take
 from softfin.surrogate.paper.fit import FitConfig, fit, split
 from softfin.surrogate.store import AnySurrogate
 from softfin.surrogate.streaming.fit import StreamingConfig, fit_streaming, split_streaming
@@ -68,15 +68,15 @@ def fit_any(
 
 def _scores(surrogate: AnySurrogate, logs: Sequence[Log], first: int) -> dict[str, float]:
     """Errors free-running from row `first` on, each log in segments as long as it allows; over both axes."""
-    force, angle = [], []
+    pairs = []
     for log in logs:
         ticks = min(HORIZON_S * RATE_HZ, len(log.reading.time) - first)
         where = segments_of([len(log.reading.time)], ticks, first)
-        predicted, measured = free_run(surrogate, [log], where, ticks)[0], take([log], where, ticks).reading
-        force.append(np.ravel(predicted.force - measured.force))
-        angle.append(np.ravel(predicted.angle - measured.angle))
-    return {
-        "force_rmse_n": rms(np.concatenate(force)),
-        "angle_rmse_rad": rms(np.concatenate(angle)),
-        "seconds": sum(map(len, angle)) / RATE_HZ,
-    }
+        pairs.append((free_run(surrogate, [log], where, ticks)[0], take([log], where, ticks).reading))
+
+    def error(name: str) -> float:
+        both = zip(*pairs, strict=True)
+        return rmse(*(np.concatenate([np.ravel(getattr(each, name)) for each in side]) for side in both))
+
+    seconds = sum(measured.angle.size for _, measured in pairs) / RATE_HZ
+    return {"force_rmse_n": error("force"), "angle_rmse_rad": error("angle"), "seconds": seconds}

@@ -3,10 +3,10 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from softfin.core.errors import ArtifactError, LogError, RunError
 from softfin.core.quantities import Log
@@ -34,21 +34,15 @@ def keep_best(state: TrainingState, losses: Any, held_out: Any, name: str) -> tu
     """
     if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((losses, held_out))):
         raise RunError(f"fit: the loss of the {name} is not finite; lower learning_rate (--set), start anew")
-    after = _keep_best(state, jax.tree.map(jnp.float32, held_out))
-    less = jax.tree.map(lambda new, old: (new < old).any(), after.best_loss, state.best_loss)
-    return after, any(jax.tree.leaves(less))
 
+    def pick(better: Array, new: Any, old: Any) -> Any:
+        return jax.tree.map(lambda x, y: jnp.where(jnp.expand_dims(better, range(better.ndim, x.ndim)), x, y), new, old)
 
-@eqx.filter_jit
-def _keep_best(state: TrainingState, loss: Any) -> TrainingState:
-    def pick(new_loss: Any, old_loss: Any, new: Any, old: Any) -> Any:
-        better = jnp.asarray(new_loss < old_loss)
-        return jax.tree.map(
-            lambda x, y: jnp.where(better.reshape(better.shape + (1,) * (x.ndim - better.ndim)), x, y), new, old
-        )
-
-    best = jax.tree.map(pick, loss, state.best_loss, state.nets, state.best)
-    return state._replace(best=best, best_loss=jax.tree.map(jnp.minimum, loss, state.best_loss))
+    loss = jax.tree.map(jnp.float32, held_out)
+    better = jax.tree.map(lambda new, old: jnp.asarray(new < old), loss, state.best_loss)
+    best = jax.tree.map(pick, better, state.nets, state.best)
+    state = state._replace(best=best, best_loss=jax.tree.map(jnp.minimum, loss, state.best_loss))
+    return state, any(each.any() for each in jax.tree.leaves(better))
 
 
 def held_out_count(logs: int, share: float) -> int:

@@ -13,7 +13,7 @@ from softfin.core.quantities import AXES, RATE_HZ
 from softfin.storage import artifact as artifacts
 from softfin.storage.figures import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, save_figure, styled
 from softfin.surrogate.compare.compare import Comparison, Group
-from softfin.surrogate.streaming.uncertainty import COVERAGE
+from softfin.surrogate.streaming.ensemble import COVERAGE
 
 TRACE_S = 8
 """Length of the force that is shown, measured and predicted [s]."""

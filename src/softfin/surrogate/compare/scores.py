@@ -121,14 +121,9 @@ def _stacked(records: Sequence[Any]) -> Any:
     return jax.tree.map(lambda *leaves: np.stack(leaves), *records)
 
 
-def rms(error: AnyArray) -> float:
-    """Root mean square."""
-    return float(np.sqrt(np.mean(np.square(error, dtype=np.float64))))
-
-
 def rmse(predicted: AnyArray, measured: AnyArray) -> float:
     """Root mean square error."""
-    return rms(np.asarray(predicted, np.float64) - measured)
+    return float(np.sqrt(np.mean(np.square(np.asarray(predicted, np.float64) - measured))))
 
 
 def mae(predicted: AnyArray, measured: AnyArray) -> float:

@@ -58,9 +58,7 @@ def fit(
 ) -> Surrogate:
     """Fit both nets to the training logs; goes on from the run_directory's checkpoint where there is one.
 
-    Raises:
-        LogError: too few logs, or logs too short for one window.
-        RunError: the loss is no longer finite.
+    Raises LogError for logs that are too few or too short for one window, RunError where a loss is not finite.
     """
     training, holding, scaling, starts = split(logs, config)
     table = jnp.asarray(np.concatenate([scaling.table(COLUMNS, log) for log in training]))
@@ -115,24 +113,16 @@ class PaperLearner:
         self.optimiser = optax.adam(schedule)
         self.run = eqx.filter_jit(self._run)
 
+    @used_once
     def start(self, key: PRNGKeyArray) -> TrainingState:
         """Fresh weights."""
+        configs, keys = (self.config.posnet, self.config.forcenet), jax.random.split(key)
+        nets = Nets(*(Network.create(config, one) for config, one in zip(configs, keys, strict=True)))
+        return TrainingState(nets, self.optimiser.init(nets), nets, Nets(*jnp.full(2, jnp.inf, jnp.float32)))
 
-        def initialise(key: PRNGKeyArray) -> TrainingState:
-            configs, keys = (self.config.posnet, self.config.forcenet), jax.random.split(key)
-            nets = Nets(*(Network.create(config, one) for config, one in zip(configs, keys, strict=True)))
-            return TrainingState(nets, self.optimiser.init(nets), nets, Nets(*jnp.full(2, jnp.inf, jnp.float32)))
+    def _run(self, state: TrainingState, table: Array, batches: Array, key: PRNGKeyArray) -> tuple[TrainingState, Nets]:
+        """An update for each of the batches ``(updates, batch)`` of windows of the table; also the mean losses."""
 
-        state: TrainingState = used_once(initialise)(key)
-        return state
-
-    def _run(
-        self,
-        state: TrainingState,
-        table: Float[Array, "rows channels"],
-        batches: Int[Array, "updates batch"],
-        key: PRNGKeyArray,
-    ) -> tuple[TrainingState, Nets]:
         def update(carry: tuple[Nets, Any], batch: Int[Array, "batch"]) -> tuple[tuple[Nets, Any], Nets]:
             nets, optimiser = carry
             dropout_key = jax.random.fold_in(key, batch[0])

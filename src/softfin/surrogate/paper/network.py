@@ -196,32 +196,16 @@ class NetworkConfig(Configuration):
         return 2 * products
 
 
-POSNET = NetworkConfig(
-    channels=COMMANDS,
-    outputs=(ANGLE,),
-    layers=(
-        Conv1D(filters=128, kernel=5),
-        Conv1D(filters=64, kernel=3),
-        Flatten(),
-        Dense(units=128),
-        Dense(units=64),
-        Dense(units=1, activation="linear"),
-    ),
-)
+POSNET = NetworkConfig(channels=COMMANDS, outputs=(ANGLE,), layers=(
+    Conv1D(filters=128, kernel=5), Conv1D(filters=64, kernel=3), Flatten(),
+    Dense(units=128), Dense(units=64), Dense(units=1, activation="linear"),
+))  # fmt: skip
 """PosNet: the last second of commands in, the angle one sample later out; 113,601 parameters, as in Table I."""
 
-FORCENET = NetworkConfig(
-    channels=(ANGLE, *COMMANDS),
-    outputs=FORCES,
-    layers=(
-        LSTM(units=128, sequence=True),
-        MeanPool(),
-        Dense(units=64),
-        Dense(units=64),
-        Dropout(rate=0.4),
-        Dense(units=2, activation="linear"),
-    ),
-)
+FORCENET = NetworkConfig(channels=(ANGLE, *COMMANDS), outputs=FORCES, layers=(
+    LSTM(units=128, sequence=True), MeanPool(),
+    Dense(units=64), Dense(units=64), Dropout(rate=0.4), Dense(units=2, activation="linear"),
+))  # fmt: skip
 """ForceNet: the last second of motion and commands in, the force one sample later out; 129,794 parameters, as in
 Table I. The published weights have a second LSTM layer instead of the mean."""
 

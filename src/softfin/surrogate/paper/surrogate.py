@@ -54,10 +54,8 @@ class Surrogate(eqx.Module):
         """Samples of the past that both nets see."""
         return self.posnet.config.window
 
-    @property
-    def memory(self) -> int:
-        """Rows of a log that `warm` needs."""
-        return self.window
+    memory = window
+    """Rows of a log that `warm` needs."""
 
     @property
     def limits(self) -> Limits:

@@ -24,20 +24,20 @@ from softfin.core.quantities import Log, Reading
 from softfin.core.randomness import key_of
 from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate.channels import command_limits
-from softfin.surrogate.streaming.member import (
+from softfin.surrogate.streaming.ensemble import (
     Member,
+    calibrated,
     ensemble,
+    familiar,
     forces,
     motions,
     predict_force,
-    predict_logs,
     predict_motion,
 )
 from softfin.surrogate.streaming.nets import DriveNetConfig, FollowingNet, ForceNet, ForceNetConfig
 from softfin.surrogate.streaming.profile import identify
 from softfin.surrogate.streaming.segments import Motion, Scales, SegmentBatch, Table, scales_of, slices
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
-from softfin.surrogate.streaming.uncertainty import calibrated, familiar
 from softfin.surrogate.training import UPDATES_A_CALL, TrainingState, held_out_count, keep_best
 
 WARM_UP = 100
@@ -47,7 +47,7 @@ ROUNDS = 10
 """Times that a net is scored on the held-out logs while it is trained."""
 
 Loss = Callable[[Any, SegmentBatch, Motion, Float[Array, ""], PRNGKeyArray, Any], Float[Array, ""]]
-"""Loss of one member: (net, segments, predicted motion from `before` on, part of the training done, key, config)."""
+"""Loss of one member: (net, segments, predicted motion, part of the training done, key, config)."""
 
 
 class StreamingConfig(Configuration):
@@ -137,8 +137,9 @@ def drive_loss(
     net: FollowingNet, segments: SegmentBatch, _: Motion, __: Array, ___: PRNGKeyArray, config: StreamingConfig
 ) -> Float[Array, ""]:
     """Mean of `motion_error`: free-running from the first tick on."""
-    predicted = jax.vmap(partial(motions, net))(segments.before, segments.waiting, segments.commands)
-    return jnp.mean(motion_error(predicted, segments.motion, net.scales)[:, config.burn_in :])
+    before = jax.tree.map(lambda x: x[:, 0], segments.motion)
+    predicted = jax.vmap(partial(motions, net))(before, segments.waiting, segments.commands)
+    return jnp.mean(motion_error(predicted, segments.motion, net.scales)[:, 1 + config.burn_in :])
 
 
 def force_loss(
@@ -152,8 +153,7 @@ def force_loss(
     begin, end = config.free_running
     share = jnp.clip((done - begin) / jnp.maximum(end - begin, 1e-6), 0.0, 1.0)
     free = jax.random.bernoulli(key, share, (config.batch, 1))
-    measured = jax.tree.map(lambda x, y: jnp.concatenate([x[:, None], y], axis=1), segments.before, segments.motion)
-    motion = jax.tree.map(lambda new, old: jnp.where(free, new, old), predicted, measured)
+    motion = jax.tree.map(lambda new, old: jnp.where(free, new, old), predicted, segments.motion)
     error = (jax.vmap(partial(forces, net))(motion) - segments.force) / net.scales.force_n
     return jnp.mean(jnp.sum(error**2, axis=-1)[:, config.burn_in :])
 
@@ -211,11 +211,12 @@ def fit_streaming(
     drives = learn("drive", not_used, partial(_drive_error, holding, scales))
     motion = predict_motion(drives, training)
     joined = Motion(*(jnp.asarray(np.concatenate(parts, axis=1)) for parts in zip(*motion, strict=True)))
-    force_nets = learn("force", joined, partial(_force_error, holding, predict_motion(drives, holding), config.burn_in))
+    held_motion, burn_in = predict_motion(drives, holding), config.burn_in
+    force_nets = learn("force", joined, partial(_force_error, holding, held_motion, burn_in))
     record.close()
-    members = Member(drives, force_nets)
-    interval = calibrated([predicted.force for predicted in predict_logs(members, holding)], holding, config.burn_in)
-    return StreamingSurrogate(members, command_limits(training), interval, familiar(force_nets, motion, config.burn_in))
+    interval = calibrated(predict_force(force_nets, held_motion), holding, burn_in)
+    familiarity = familiar(force_nets, motion, burn_in)
+    return StreamingSurrogate(Member(drives, force_nets), command_limits(training), interval, familiarity)
 
 
 def split_streaming(logs: Sequence[Log], config: StreamingConfig) -> tuple[list[Log], list[Log], Scales, Table]:

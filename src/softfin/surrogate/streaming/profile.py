@@ -30,14 +30,11 @@ POPULATION, GENERATIONS, STARTS = 16, 150, 2
 
 
 class ProfileState(NamedTuple):
-    """State of the profile, and the commands on their way."""
+    """Angle [rad] and velocity [rad/s] of the profile, and the commands on their way, newest first."""
 
     angle: Float[AnyArray, ""]
-    """Angle of the profile [rad]."""
     velocity: Float[AnyArray, ""]
-    """Velocity of the profile [rad/s]."""
     waiting: Command
-    """Commands of the last ticks, newest first."""
 
 
 def _coefficient(default: float) -> Any:
@@ -89,11 +86,16 @@ def identify(logs: Sequence[Log], seed: int) -> tuple[Profile, float]:
     ticks = min(TICKS, max(len(log.reading.time) for log in logs) - LONGEST_DELAY - 1)
     segments = Table.of(logs, ticks).draw(jax.random.key(seed), SEGMENTS, ticks)
     errors = jax.jit(jax.vmap(lambda coded: _error(_profile(coded), segments)))
+    speed = max(np.abs(log.reading.velocity).max() for log in logs)
+    change = np.abs(np.concatenate([np.diff(log.reading.velocity) for log in logs])) / TICK_S
+    steep = np.quantile(change[change > 0.1 * change.max()], 0.8)
+    # A drive that does what it is told three ticks later, no faster than in the logs.
+    guess = np.array([0.0, 0.0, 3.0, 0.0, 5 * np.log(speed), np.log(steep), 0.0])
     results = []
     for start in range(STARTS):
         random = generator_of(seed, f"identify/{start}")
         search = cma_es(
-            _guess(logs), 0.2 * (1 + start), random,
+            guess, 0.2 * (1 + start), random,
             popsize=POPULATION, maxiter=GENERATIONS, tolx=1e-6, tolfun=1e-8,
         )  # fmt: skip
         while not search.stop():
@@ -102,14 +104,6 @@ def identify(logs: Sequence[Log], seed: int) -> tuple[Profile, float]:
         results.append(search.result)
     best = min(results, key=lambda result: result.fbest)
     return _profile(jnp.asarray(best.xbest, jnp.float32)), float(best.fbest)
-
-
-def _guess(logs: Sequence[Log]) -> Float[np.ndarray, "coefficients"]:
-    """Coefficients of a drive that does what it is told three ticks later, no faster than in the logs."""
-    speed = np.abs(np.concatenate([log.reading.velocity for log in logs]))
-    change = np.abs(np.concatenate([np.diff(log.reading.velocity) for log in logs])) / TICK_S
-    steep = change[change > 0.1 * change.max()]
-    return np.array([0.0, 0.0, 3.0, 0.0, 5 * np.log(speed.max()), np.log(np.quantile(steep, 0.8)), 0.0])
 
 
 def _profile(coded: Float[Array, "coefficients"]) -> Profile:
@@ -130,7 +124,8 @@ def _error(profile: Profile, segments: SegmentBatch) -> Float[Array, ""]:
             state, _ = profile.step(state, command)
             return state, profile.motion(state).angle
 
-        _, angle = jax.lax.scan(step, profile.start(segment.before, segment.waiting), segment.commands)
-        return jnp.mean(jnp.abs(angle - segment.motion.angle))
+        before: Motion = jax.tree.map(lambda x: x[0], segment.motion)
+        _, angle = jax.lax.scan(step, profile.start(before, segment.waiting), segment.commands)
+        return jnp.mean(jnp.abs(angle - segment.motion.angle[1:]))
 
     return jnp.mean(jax.vmap(one)(segments))
