@@ -44,10 +44,13 @@ def compare(
         floor = type(noise_floor).__name__, noise_floor
 
     comparison = _compare(found, list(data.load(data.test)), config, floor, progress)
-    metadata = {
+    summary = {
+        **comparison.summary,
         "dataset": str(dataset),
         "test_logs": len(data.test),
         "configuration": config.model_dump(mode="json"),
         "provenance": artifacts.provenance(seed=config.seed, data_hash=data.data_hash),
     }
-    return {**comparison.summary, **metadata} if out is None else write_comparison(comparison, out, metadata, overwrite)
+    if out is not None:
+        artifacts.write_folder(out, lambda folder: write_comparison(folder, comparison, summary), overwrite)
+    return summary

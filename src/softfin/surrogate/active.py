@@ -71,9 +71,8 @@ class ActiveCollectConfig(CollectConfig):
 
     @pydantic.model_validator(mode="after")
     def _holds_fit_pieces(self) -> "ActiveCollectConfig":
-        if self.active.piece_s < self.excitation.hold_min_s:
-            raise ValueError(f"active.piece_s = {self.active.piece_s:g} must be at least excitation.hold_min_s = "
-                             f"{self.excitation.hold_min_s:g}")  # fmt: skip
+        if (piece_s := self.active.piece_s) < (hold_s := self.excitation.hold_min_s):
+            raise ValueError(f"active.piece_s = {piece_s:g} must be at least excitation.hold_min_s = {hold_s:g}")
         return self
 
 
@@ -142,10 +141,7 @@ def unlikeness(
 
 
 def chooser(folder: Path, config: ActiveCollectConfig, limits: Limits) -> tuple[Commands, dict[str, Any]]:
-    """Load the ensemble that chooses for a plant with these limits; also its entries of the dataset's description.
-
-    Raises ConfigurationError where it is not an ensemble, or was trained on commands of another range.
-    """
+    """Load the ensemble that chooses for a plant with these limits; also its entries of the dataset's description."""
     surrogate = load_surrogate(folder)
     if not isinstance(surrogate, StreamingSurrogate) or surrogate.size < 2:
         raise ConfigurationError(f"{folder}: a {surrogate.model} surrogate; active excitation needs members that can "

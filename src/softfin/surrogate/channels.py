@@ -41,7 +41,6 @@ class NetPrediction(NamedTuple):
     window: int | None
     """Samples of the past that the net sees; None of one with a state."""
     parameters: int
-    """Trainable numbers of the net."""
 
 
 class ChannelScaling(Configuration):

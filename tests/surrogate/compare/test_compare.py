@@ -82,7 +82,7 @@ def test_seeds_of_one_configuration_and_dataset_are_one_group(tmp_path):
 @pytest.mark.parametrize("again", ["a", "../here/a"])
 def test_a_folder_given_twice_is_refused(tmp_path, again):
     folder = saved(tmp_path / "here" / "a")
-    with pytest.raises(ConfigurationError, match="given twice, or with a copy of it; give each surrogate once"):
+    with pytest.raises(ConfigurationError, match="a: given twice, or a copy of another; give each surrogate once"):
         candidates([folder, tmp_path / "here" / again])
     with pytest.raises(ConfigurationError, match="given twice"):
         candidates([folder, folder])
@@ -90,7 +90,7 @@ def test_a_folder_given_twice_is_refused(tmp_path, again):
 
 def test_a_copy_of_a_surrogate_is_no_second_seed(tmp_path):
     one, copy = saved(tmp_path / "a"), saved(tmp_path / "b")
-    with pytest.raises(ConfigurationError, match="with a copy of it"):
+    with pytest.raises(ConfigurationError, match="b: given twice, or a copy of another"):
         candidates([one, copy])
 
 

@@ -96,13 +96,12 @@ def compare(
     noise_floor: tuple[str, Plant] | None = None,
     progress: Progress | None = None,
 ) -> Comparison:
-    """Score every surrogate free-running over the same segments of the logs; `noise_floor`: a plant by its name.
-
-    Raises LogError for a log that is too short, CommandError where that plant does not take the logs' commands.
-    """
+    """Score every surrogate free-running over the same segments of the logs; `noise_floor`: a plant by its name."""
     first = max(candidate.surrogate.memory for candidate in found)
     rows = [len(log.reading.time) for log in logs]
-    parts = [(segments_of(rows, ticks, first), ticks) for ticks in (round(h * RATE_HZ) for h in config.horizons_s)]
+    ticks = [round(horizon * RATE_HZ) for horizon in config.horizons_s]
+    # The longest first: it is the one that a log may be too short for.
+    parts = [(segments_of(rows, each, first), each) for each in reversed(ticks)][::-1]
     spans = measured_ranges(logs)
     measured = [take(logs, *part) for part in parts]
     of, done = len(found) * len(parts) + (noise_floor is not None), itertools.count(1)
@@ -158,16 +157,13 @@ def compare(
         readings = [take(whole, *part) for part in parts]
         each = [score_segments(actual, reading, spans) for actual, reading in zip(measured, readings, strict=True)]
         second = Group({"name": name, "horizons": _horizons(config, [each])}, each[-1:], readings[-1])
-        notes.append(
-            f"{name}: its own noise and drift count too, so that it is off by up to sqrt(2) times what these leave of "
-            "a model that has none"
-        )
+        notes.append(f"{name}: its own noise and drift count too: up to sqrt(2) times the error of a perfect model")
         report(name)
     summary = {
         "horizons_s": list(config.horizons_s),
         "scored": [
-            {"segments": len(where), "rows": len(where) * ticks, "rows_left": sum(rows) - len(where) * ticks}
-            for where, ticks in parts
+            {"segments": len(where), "rows": len(where) * each, "rows_left": sum(rows) - len(where) * each}
+            for where, each in parts
         ],
         "ranges": spans,
         "stated_confidence": COVERAGE,
@@ -206,7 +202,7 @@ def candidates(folders: Sequence[Path]) -> list[Candidate]:
     """Load surrogates; raises ConfigurationError where there is none, or one is given twice."""
     if not folders:
         raise ConfigurationError("no surrogate: give the folders of those that are to be compared")
-    found = []
+    found, seen = [], set[str]()
     for folder in folders:
         surrogate, description = load_surrogate(folder), artifacts.load_description(folder, "surrogate")
         data = (description.get("provenance") or {}).get("data_hash")
@@ -216,21 +212,20 @@ def candidates(folders: Sequence[Path]) -> list[Candidate]:
             # The networks too: of several candidates one seed may have chosen another than the next.
             parts = [surrogate.model, description["configuration"], description.get("networks"), data]
             group = json.dumps(parts, sort_keys=True)
+        # A copy would pass for a second seed and make the interval too narrow.
+        if (which := identity(surrogate)) in seen:
+            raise ConfigurationError(f"{folder}: given twice, or a copy of another; give each surrogate once")
+        seen.add(which)
         found.append(Candidate(folder, surrogate, group))
-    # A copy would pass for a second seed and make the interval too narrow.
-    if len({identity(each.surrogate) for each in found}) < len(found):
-        raise ConfigurationError("a surrogate is given twice, or with a copy of it; give each surrogate once")
     return found
 
 
 def beyond_limits(members: Sequence[Candidate], logs: Sequence[Log]) -> tuple[float, float]:
-    """Share of the logs' commands beyond those a group was trained on, and how far the furthest is, over their range.
-
-    For the member for which they are greatest; where the training commands never changed, over 1 rad or rad/s.
-    """
+    """Share of the logs' commands beyond those a group was trained on, and how far the furthest is over their range."""
     commands = np.concatenate([np.stack(log.command, axis=1) for log in logs]).astype(np.float64)
     limits = np.array([member.surrogate.limits for member in members]).reshape(-1, 1, 2, 2)
     low, high = limits[..., 0], limits[..., 1]
+    # Where the training commands never changed, over 1 rad or rad/s.
     span = np.where(high > low, high - low, 1)
     excess = np.maximum((low - commands) / span, (commands - high) / span).max(axis=-1)
     return float((excess > 0).mean(axis=1).max()), max(float(excess.max()), 0.0)

@@ -24,7 +24,7 @@ from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate.channels import COLUMNS, COMMANDS, Scaling
 from softfin.surrogate.paper.network import FORCENET, POSNET, Network, NetworkConfig, gather
 from softfin.surrogate.paper.surrogate import Surrogate
-from softfin.surrogate.training import UPDATES_A_CALL, TrainingState, check_lengths, held_out_count, keep_best
+from softfin.surrogate.training import UPDATES_A_CALL, TrainingState, check_lengths, hold_out, keep_best
 
 
 class FitConfig(Configuration):
@@ -56,10 +56,7 @@ class Nets(NamedTuple):
 def fit(
     logs: Sequence[Log], config: FitConfig, seed: int, run_directory: RunDirectory, progress: Progress | None = None
 ) -> Surrogate:
-    """Fit both nets to the training logs; goes on from the run_directory's checkpoint where there is one.
-
-    Raises LogError for logs that are too few or too short for one window, RunError where a loss is not finite.
-    """
+    """Fit both nets to the training logs; goes on from the run_directory's checkpoint where there is one."""
     training, holding, scaling, starts = split(logs, config)
     table = jnp.asarray(np.concatenate([scaling.table(COLUMNS, log) for log in training]))
     # Equal calls, so that one compiled program does them all.
@@ -96,8 +93,7 @@ def split(
 ) -> tuple[Sequence[Log], Sequence[Log], Scaling, Int[np.ndarray, "windows"]]:
     """Training logs, held-out logs, and of the former the scaling and where windows begin; raises LogError."""
     check_lengths(logs, config.posnet.window, "training")
-    count = held_out_count(len(logs), config.held_out)
-    training, holding = logs[:-count], logs[-count:]
+    training, holding = hold_out(logs, config.held_out)
     starts = window_starts([len(log.reading.time) for log in training], config.posnet.window)
     if len(starts) < config.batch:
         raise LogError(f"{len(starts)} training windows are fewer than one batch of {config.batch}; record more rows")

@@ -189,8 +189,7 @@ def calibrated(predicted: Sequence[Float[np.ndarray, "members rows 2"]], logs: S
     floor_n = float(np.sqrt(np.mean(error**2)))
     ratio = error / (means.var(axis=0) + floor_n**2) ** 0.5
     # One more than there are, so that the next error is covered and not only these.
-    level = min(1.0, COVERAGE * (1 + 1 / ratio.size))
-    factor = float(np.quantile(ratio, level, method="inverted_cdf"))
+    factor = float(np.quantile(ratio, min(1.0, COVERAGE * (1 + 1 / ratio.size)), method="inverted_cdf"))
     return Interval(coverage=COVERAGE, factor=factor, floor_n=floor_n, windows=ratio.size, logs=len(logs))
 
 

@@ -38,7 +38,7 @@ from softfin.surrogate.streaming.nets import DriveNetConfig, FollowingNet, Force
 from softfin.surrogate.streaming.profile import identify
 from softfin.surrogate.streaming.segments import Motion, Scales, SegmentBatch, Table, scales_of, slices
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
-from softfin.surrogate.training import UPDATES_A_CALL, TrainingState, held_out_count, keep_best
+from softfin.surrogate.training import UPDATES_A_CALL, TrainingState, hold_out, keep_best
 
 WARM_UP = 100
 """Updates in which the learning rate rises."""
@@ -145,10 +145,9 @@ def drive_loss(
 def force_loss(
     net: ForceNet, segments: SegmentBatch, predicted: Motion, done: Array, key: PRNGKeyArray, config: StreamingConfig
 ) -> Float[Array, ""]:
-    """Mean square error of the force over its scale.
+    """Mean square error of the force over its scale, given the measured motion of a segment or the drive net's.
 
-    A segment gets the measured motion at first, and the drive net's in the end: in between, with the probability that
-    grows from 0 to 1 over the `free_running` part of the training.
+    The latter with a probability that grows from 0 to 1 over the `free_running` part of the training.
     """
     begin, end = config.free_running
     share = jnp.clip((done - begin) / jnp.maximum(end - begin, 1e-6), 0.0, 1.0)
@@ -165,10 +164,7 @@ def fit_streaming(
     run_directory: RunDirectory,
     progress: Progress | None = None,
 ) -> StreamingSurrogate:
-    """Fit an ensemble to the training logs; goes on from the run_directory's checkpoint where there is one.
-
-    Raises LogError for logs that are too few, too short or in which nothing moves, RunError where a loss is not finite.
-    """
+    """Fit an ensemble to the training logs; goes on from the run_directory's checkpoint where there is one."""
     training, holding, scales, table = split_streaming(logs, config)
     members = ensemble(config.members, config.drive, config.force, scales, key_of(seed, "fit/weights"))
     updates = {"drive": config.drive_updates, "force": config.force_updates}
@@ -186,8 +182,8 @@ def fit_streaming(
         states["drive"] = states["drive"]._replace(nets=nets, best=nets)
     record = run_directory.log(rewind_to=sum(done.values()))
 
-    def learn(name: str, predicted: Motion, error: Callable[[Any], Float[np.ndarray, "members"]]) -> Any:
-        """All updates of one kind of net, with a checkpoint after each round; returns the best weights."""
+    def learn(name: str, predicted: Motion, errors: Callable[[Any], list[np.ndarray]]) -> Any:
+        """Do all updates of one kind of net; returns the best by `errors` on the held-out logs, ``(members, rows)``."""
         key, (call, round_of) = key_of(seed, f"fit/{name}"), _calls(updates[name])
         before = updates["drive"] if name == "force" else 0
         while done[name] < updates[name]:
@@ -199,55 +195,46 @@ def fit_streaming(
                 if progress is not None:
                     part = (before + first + count) / sum(updates.values())
                     progress("fit", part, f"{name} nets, loss {float(loss.mean()):.3g}")
-            held_out = error(state.nets)
+            with np.errstate(over="ignore", invalid="ignore"):
+                held_out = np.mean([each.mean(axis=1) for each in errors(state.nets)], axis=0)
             states[name], _ = keep_best(state, losses, held_out, f"{name} nets")
             done[name] = until
-            means = {f"train/{name}_loss": float(loss.mean()), f"held_out/{name}_mse": float(held_out.mean())}
-            record.write(before + until, **means)
+            means = {f"train/{name}_loss": loss.mean(), f"held_out/{name}_mse": held_out.mean()}
+            record.write(before + until, **jax.tree.map(float, means))
             run_directory.save(states, done)
         return states[name].best
 
+    def drive_errors(nets: FollowingNet) -> list[np.ndarray]:
+        each = zip(predict_motion(nets, holding), holding, strict=True)
+        return [motion_error(predicted, log.reading, scales) for predicted, log in each]
+
+    def force_errors(nets: ForceNet) -> list[np.ndarray]:
+        each = zip(predict_force(nets, held_motion), holding, strict=True)
+        return [((force - log.reading.force)[:, burn_in:] ** 2).sum(axis=-1) for force, log in each]
+
     not_used = Motion(*(jnp.zeros((config.members, table.force.shape[0])) for _ in range(2)))
-    drives = learn("drive", not_used, partial(_drive_error, holding, scales))
+    drives = learn("drive", not_used, drive_errors)
     motion = predict_motion(drives, training)
     joined = Motion(*(jnp.asarray(np.concatenate(parts, axis=1)) for parts in zip(*motion, strict=True)))
     held_motion, burn_in = predict_motion(drives, holding), config.burn_in
-    force_nets = learn("force", joined, partial(_force_error, holding, held_motion, burn_in))
+    force_nets = learn("force", joined, force_errors)
     record.close()
     interval = calibrated(predict_force(force_nets, held_motion), holding, burn_in)
     familiarity = familiar(force_nets, motion, burn_in)
     return StreamingSurrogate(Member(drives, force_nets), command_limits(training), interval, familiarity)
 
 
-def split_streaming(logs: Sequence[Log], config: StreamingConfig) -> tuple[list[Log], list[Log], Scales, Table]:
+def split_streaming(logs: Sequence[Log], config: StreamingConfig) -> tuple[Sequence[Log], list[Log], Scales, Table]:
     """Training and held-out logs, scales and table of the former; raises LogError where these cannot be fitted."""
-    held_out, needed = held_out_count(len(logs), config.held_out), config.burn_in + WINDOW
-    holding = [log for log in logs[-held_out:] if len(log.reading.time) >= needed]
+    training, held_out = hold_out(logs, config.held_out)
+    needed = config.burn_in + WINDOW
+    holding = [log for log in held_out if len(log.reading.time) >= needed]
     if not holding:
         raise LogError(
-            f"none of {held_out} held-out logs has {needed} rows: intervals on the mean over {WINDOW} samples behind "
-            f"burn_in = {config.burn_in} need as many; record longer"
+            f"none of {len(held_out)} held-out logs has {needed} rows: intervals on the mean over {WINDOW} samples "
+            f"behind burn_in = {config.burn_in} need as many; record longer"
         )
-    training = list(logs[:-held_out])
     return training, holding, scales_of(training), Table.of(training, config.ticks)
-
-
-@np.errstate(over="ignore", invalid="ignore")
-def _drive_error(logs: Sequence[Log], scales: Scales, nets: FollowingNet) -> Float[np.ndarray, "members"]:
-    """Mean of `motion_error` over held-out logs."""
-    each = zip(predict_motion(nets, logs), logs, strict=True)
-    errors = [motion_error(predicted, log.reading, scales).mean(axis=1) for predicted, log in each]
-    return np.asarray(np.mean(errors, axis=0))
-
-
-@np.errstate(over="ignore", invalid="ignore")
-def _force_error(
-    logs: Sequence[Log], motion: Sequence[Motion], burn_in: int, nets: ForceNet
-) -> Float[np.ndarray, "members"]:
-    """Mean square error of the force over held-out logs, behind the drive nets [N2]."""
-    each = zip(predict_force(nets, motion), logs, strict=True)
-    errors = [((force - log.reading.force)[:, burn_in:] ** 2).sum(-1).mean(axis=1) for force, log in each]
-    return np.asarray(np.mean(errors, axis=0))
 
 
 def _calls(updates: int) -> tuple[int, int]:

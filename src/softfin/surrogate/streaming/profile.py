@@ -1,8 +1,7 @@
 """The profile that a positioning drive follows, and its coefficients, read off logs.
 
-The trapezoidal profile itself is the drive's (`softfin.tank.drive`); gains, zero, delay and the drive's own limits are
-the log's. They are found by CMA-ES on the mean absolute error of the angle: so a stroke that the profile cannot explain
-does not pull at all the others.
+The trapezoidal profile itself is the drive's (`softfin.tank.drive`). CMA-ES finds the coefficients that leave the least
+mean absolute error of the angle: so a stroke that the profile cannot explain does not pull at all the others.
 """
 
 from collections.abc import Sequence
@@ -94,10 +93,8 @@ def identify(logs: Sequence[Log], seed: int) -> tuple[Profile, float]:
     results = []
     for start in range(STARTS):
         random = generator_of(seed, f"identify/{start}")
-        search = cma_es(
-            guess, 0.2 * (1 + start), random,
-            popsize=POPULATION, maxiter=GENERATIONS, tolx=1e-6, tolfun=1e-8,
-        )  # fmt: skip
+        sizes = {"popsize": POPULATION, "maxiter": GENERATIONS}
+        search = cma_es(guess, 0.2 * (1 + start), random, **sizes, tolx=1e-6, tolfun=1e-8)
         while not search.stop():
             asked = search.ask()
             search.tell(asked, np.asarray(errors(jnp.asarray(np.stack(asked), jnp.float32)), np.float64).tolist())
@@ -107,10 +104,8 @@ def identify(logs: Sequence[Log], seed: int) -> tuple[Profile, float]:
 
 
 def _profile(coded: Float[Array, "coefficients"]) -> Profile:
-    """Decode a point of the search: gains, limits and acceleration are logarithms; delay and lag count from 0 on.
-
-    The limit moves in small steps: where it is above all commands it has no effect, and a search gets lost there.
-    """
+    """Decode a point of the search: gains, limits and acceleration are logarithms; delay and lag count from 0 on."""
+    # The limit moves in small steps: where it is above all commands it has no effect, and a search gets lost there.
     gain, zero, delay, factor, limit, acceleration, lag = coded
     return Profile(
         jnp.exp(0.1 * gain), 0.05 * zero, jnp.minimum(jnp.abs(delay), LONGEST_DELAY),

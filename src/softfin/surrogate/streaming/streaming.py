@@ -30,9 +30,6 @@ from softfin.surrogate.streaming.nets import DriveNetConfig, ForceNetConfig, pro
 from softfin.surrogate.streaming.segments import LONGEST_DELAY, Motion, Scales
 from softfin.surrogate.training import named, restored
 
-MEMORY = 300
-"""Ticks of a recorded history that `warm` follows: a stroke at the paper's least velocity takes as long."""
-
 SETTLED = 3000
 """Ticks that `init` has been at rest for: twenty of the longest time constants that a wake begins with."""
 
@@ -59,8 +56,8 @@ class StreamingSurrogate(eqx.Module):
     """The range of the commands in the training data: beyond it the nets extrapolate."""
 
     model: ClassVar[str] = "streaming"
-    memory: ClassVar[int] = MEMORY
-    """Rows of a log that `warm` needs."""
+    memory: ClassVar[int] = 300
+    """Rows of a log that `warm` follows: a stroke at the paper's least velocity takes as long."""
     scaling: ClassVar[None] = None
 
     def __init__(self, members: Member, limits: Limits, interval: Interval, familiarity: Familiarity) -> None:
@@ -80,8 +77,7 @@ class StreamingSurrogate(eqx.Module):
 
     def warm(self, history: Log) -> StreamingState:
         """The state after a recorded history, free-running over its last `memory` rows; raises LogError if shorter."""
-        rows = len(history.reading.time)
-        if rows < self.memory:
+        if (rows := len(history.reading.time)) < self.memory:
             raise LogError(f"history: {rows} rows; {self.memory} are needed to know what the fin has been doing")
         command, reading = jax.tree.map(lambda part: jnp.asarray(part[-self.memory :], jnp.float32), history)
         motion = Motion(reading.angle[LONGEST_DELAY], reading.velocity[LONGEST_DELAY])
@@ -154,9 +150,7 @@ class StreamingSurrogate(eqx.Module):
         }, named({"members": self.members, "familiarity": self.familiarity})
 
     @classmethod
-    def from_files(
-        cls, description: dict[str, Any], weights: dict[str, np.ndarray], source: str
-    ) -> "StreamingSurrogate":
+    def from_files(cls, description: Any, weights: dict[str, np.ndarray], source: str) -> "StreamingSurrogate":
         """The surrogate that `to_files` described; raises ArtifactError where channels or arrays do not fit."""
         if description["channels"] != CHANNELS:
             raise ArtifactError(f"{source}: channels {description['channels']}; streaming surrogates have {CHANNELS}")
@@ -179,10 +173,8 @@ class StreamingSurrogate(eqx.Module):
 def _after(members: Member, motion: Motion, waiting: Command, passed: Command) -> MemberState:
     """State of every member after these commands, one a tick."""
 
-    def one(member: Member) -> MemberState:
-        return jax.lax.scan(
-            lambda state, command: (member.step(state, command)[0], None), member.start(motion, waiting), passed
-        )[0]
+    def one(member: Member) -> Any:
+        return jax.lax.scan(lambda state, now: member.step(state, now), member.start(motion, waiting), passed)[0]
 
     state: MemberState = eqx.filter_vmap(one)(members)
     return state
