@@ -17,8 +17,8 @@ from softfin.surrogate import FitConfig, StreamingConfig
 from softfin.surrogate.channels import COLUMNS
 from softfin.surrogate.paper.fit import PaperLearner
 from softfin.surrogate.paper.network import NetworkConfig
+from softfin.surrogate.streaming.ensemble import ensemble, single
 from softfin.surrogate.streaming.fit import StreamingLearner, force_loss
-from softfin.surrogate.streaming.member import ensemble, single
 from softfin.surrogate.streaming.nets import products
 from softfin.surrogate.streaming.segments import LONGEST_DELAY, Motion, Scales, Table
 

@@ -14,9 +14,8 @@ from benchmarks.task import TICKS, steps
 from softfin.core.quantities import PAPER_LIMITS
 from softfin.surrogate import StreamingConfig, StreamingSurrogate
 from softfin.surrogate.paper.network import FORCENET
-from softfin.surrogate.streaming.member import ensemble, single
+from softfin.surrogate.streaming.ensemble import Familiarity, Interval, ensemble, remembered, single
 from softfin.surrogate.streaming.segments import Motion, Scales
-from softfin.surrogate.streaming.uncertainty import Familiarity, Interval, remembered
 from softfin.task.task import ForceTracking, TaskConfig
 
 BATCH, CYCLES = 256, 8

@@ -22,7 +22,7 @@ from softfin.stages.surrogates import compare, fit
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.surrogate import StreamingConfig
 from softfin.surrogate.compare.compare import CompareConfig
-from softfin.surrogate.streaming import member
+from softfin.surrogate.streaming import ensemble
 from softfin.surrogate.streaming.nets import ForceNet, ForceState
 from softfin.surrogate.streaming.segments import Motion
 
@@ -82,7 +82,7 @@ def main() -> None:
     print("| variant | angle RMSE [rad] | force RMSE x, y [N] | mean force, mean error, 95% [N] | FLOPs a tick |")
     print("| --- | --- | --- | --- | --- |")
     for name in words.only:
-        member.ForceNet = WithoutQuasiSteady if name == WITHOUT_QUASI_STEADY else ForceNet
+        ensemble.ForceNet = WithoutQuasiSteady if name == WITHOUT_QUASI_STEADY else ForceNet
         jax.clear_caches()
         size = f"{words.minutes:g}min-{words.members}x{words.batch}x{words.updates}"
         folder = words.out / f"{size}-{name.replace(' ', '-')}"

@@ -25,7 +25,7 @@ def folders(tmp_path_factory):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["s0", "s1", "s0"], "s0: given twice; give each surrogate once"),
+        (["s0", "s1", "s0"], "s0: given twice, or a copy of another; give each surrogate once"),
         (["s0", "--dataset", "untested"], "untested: holds no test logs to compare on; put Parquet logs into"),
         (["s0"], "test log 0: 340 rows; 12 to begin with and a horizon of 30 s need 3012; record longer test logs"),
         (["s0", "--horizons", "1,,2"], "--horizons 1,,2: not numbers"),

@@ -12,10 +12,9 @@ from softfin.core.quantities import PAPER_LIMITS, Command, Limits
 from softfin.data.excitation import ExcitationConfig
 from softfin.surrogate import StreamingSurrogate, save_surrogate
 from softfin.surrogate.active import ActiveCollectConfig, ActiveConfig, Chooser, chooser, information, unlikeness
+from softfin.surrogate.streaming.ensemble import Familiarity, Interval, ensemble, remembered, single
 from softfin.surrogate.streaming.fit import StreamingConfig
-from softfin.surrogate.streaming.member import ensemble, single
 from softfin.surrogate.streaming.segments import Motion, Scales
-from softfin.surrogate.streaming.uncertainty import Familiarity, Interval, remembered
 from tests.surrogate import small
 
 CONFIG = ActiveConfig(candidates=8, piece_s=1.0)
@@ -169,8 +168,8 @@ def test_an_ensemble_that_cannot_choose_is_refused(folders, name, limits, words)
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ("active.window_s=0.255", "window_s must be a whole number of 10 ms samples"),
-        ("active.piece_s=1.1", "and piece_s of windows"),
+        ("active.window_s=0.255", "window_s must be whole samples of 10 ms"),
+        ("active.piece_s=1.1", "and piece_s whole windows"),
         ("active.candidates=0", "greater than 0"),
         ("active.novelti=1", "did you mean 'novelty'"),
         ("excitation.hold_min_s=2.5", r"hold_max_s = 1\.5 must be at least"),

@@ -112,15 +112,16 @@ def compare(
         raise ArtifactError(f"{dataset}: holds no test logs to compare on; put Parquet logs into {dataset / 'test'}")
     floor = None if noise_floor is None else (name_of(noise_floor), find_plant(noise_floor))
     comparison = _compare(found, list(data.load(data.test)), config, floor, progress)
-    metadata = {
+    summary = {
+        **comparison.summary,
         "dataset": str(dataset),
         "test_logs": len(data.test),
         "configuration": config.model_dump(mode="json"),
         "provenance": artifacts.provenance(seed=config.seed, data_hash=data.data_hash),
     }
-    if out is None:
-        return {**comparison.summary, **metadata}
-    return write_comparison(comparison, out, metadata, overwrite)
+    if out is not None:
+        artifacts.write_folder(out, lambda folder: write_comparison(folder, comparison, summary), overwrite)
+    return summary
 
 
 def calibrate(

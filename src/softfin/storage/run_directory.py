@@ -159,16 +159,6 @@ def read_log(path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in lines if line.endswith("}")]
 
 
-def differences(before: dict[str, Any], now: dict[str, Any]) -> str:
-    """The first keys, by their paths, whose values are not the same; empty where all are."""
-    old, new = (
-        {jax.tree_util.keystr(path, simple=True, separator="."): leaf for path, leaf in jax.tree.leaves_with_path(tree)}
-        for tree in (before, now)
-    )
-    names = [name for name in sorted(old | new) if old.get(name) != new.get(name)]
-    return ", ".join(f"{name} was {old.get(name)!r} and is {new.get(name)!r}" for name in names[:3])
-
-
 def _software() -> str:
     """What decides which leaves a state has, and which numbers come next."""
     return ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("softfin", "jax"))

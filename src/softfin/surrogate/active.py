@@ -28,9 +28,8 @@ from softfin.data.collect import CollectConfig
 from softfin.data.excitation import Commands, ExcitationConfig
 from softfin.storage import artifact as artifacts
 from softfin.surrogate.store import load_surrogate
-from softfin.surrogate.streaming.member import single
+from softfin.surrogate.streaming.ensemble import remembered, single
 from softfin.surrogate.streaming.streaming import StreamingState, StreamingSurrogate
-from softfin.surrogate.streaming.uncertainty import remembered
 
 KNOWN = 0.5
 """Least share of the plant's range of commands that an ensemble must have learnt from: else it means little."""
@@ -55,9 +54,7 @@ class ActiveConfig(Configuration):
     def _in_whole_numbers(self) -> "ActiveConfig":
         parts = np.array([self.window_s * RATE_HZ, self.piece_s / self.window_s])
         if (np.abs(parts - np.round(parts)) > 1e-6).any() or (parts < 0.5).any():
-            raise ValueError(
-                "window_s must be a whole number of 10 ms samples, and piece_s of windows, such as 0.25, 2"
-            )
+            raise ValueError("window_s must be whole samples of 10 ms, and piece_s whole windows, such as 0.25 and 2")
         return self
 
     @property
@@ -74,9 +71,8 @@ class ActiveCollectConfig(CollectConfig):
 
     @pydantic.model_validator(mode="after")
     def _holds_fit_pieces(self) -> "ActiveCollectConfig":
-        if self.active.piece_s < self.excitation.hold_min_s:
-            raise ValueError(f"active.piece_s = {self.active.piece_s:g} must be at least excitation.hold_min_s = "
-                             f"{self.excitation.hold_min_s:g}")  # fmt: skip
+        if (piece_s := self.active.piece_s) < (hold_s := self.excitation.hold_min_s):
+            raise ValueError(f"active.piece_s = {piece_s:g} must be at least excitation.hold_min_s = {hold_s:g}")
         return self
 
 
@@ -145,10 +141,7 @@ def unlikeness(
 
 
 def chooser(folder: Path, config: ActiveCollectConfig, limits: Limits) -> tuple[Commands, dict[str, Any]]:
-    """Load the ensemble that chooses for a plant with these limits; also its entries of the dataset's description.
-
-    Raises ConfigurationError where it is not an ensemble, or was trained on commands of another range.
-    """
+    """Load the ensemble that chooses for a plant with these limits; also its entries of the dataset's description."""
     surrogate = load_surrogate(folder)
     if not isinstance(surrogate, StreamingSurrogate) or surrogate.size < 2:
         raise ConfigurationError(f"{folder}: a {surrogate.model} surrogate; active excitation needs members that can "

@@ -1,7 +1,7 @@
 """The channels that surrogates take and give, by name: scaling (``scaled = x * scale + offset``), and training range.
 
-The range of a surrogate's training data and the fin they are of go into every controller trained in it: a rig tells by
-the range how far its fin is from the training data, and by the name that a controller is for another.
+That range and the name of the fin go into every controller trained in a surrogate: a rig refuses a controller for
+another fin, and one far from its training data.
 """
 
 from collections.abc import Mapping, Sequence
@@ -41,17 +41,16 @@ class NetPrediction(NamedTuple):
     window: int | None
     """Samples of the past that the net sees; None of one with a state."""
     parameters: int
-    """Trainable numbers of the net."""
 
 
 class ChannelScaling(Configuration):
     """Scaling of one channel."""
 
-    scale: float = Field(gt=0, allow_inf_nan=False)
-    offset: float = Field(allow_inf_nan=False)
-    data_min: float = Field(allow_inf_nan=False)
+    scale: float = Field(gt=0)
+    offset: float
+    data_min: float
     """Least value in the training data, in the channel's unit."""
-    data_max: float = Field(allow_inf_nan=False)
+    data_max: float
     """Greatest value in the training data."""
 
 
@@ -115,14 +114,12 @@ def command_limits(logs: Sequence[Log]) -> Limits:
 
 
 def learnt_from(plant: object) -> dict[str, Any]:
-    """``training_range`` and ``fin`` of a surrogate's folder, where `plant` names one that has them; else unknown.
-
-    Surrogates with min-max scaling, imported ones among them, have kept the range of their channels in it.
-    """
+    """``training_range`` and ``fin`` of a surrogate's folder, where `plant` names one that has them; else unknown."""
     if not isinstance(plant, str | Path) or not artifacts.is_kind(Path(plant), "surrogate"):
         return dict(UNKNOWN)
     description = artifacts.load_description(Path(plant), "surrogate")
     entries = {name: description.get(name) for name in UNKNOWN}
+    # Imported ones have kept the range of their channels in their scaling.
     if entries["training_range"] is None and (scaling := description.get("scaling")):
         entries["training_range"] = {
             name: [scaling[name]["data_min"], scaling[name]["data_max"]] if name in scaling else None

@@ -1,7 +1,7 @@
 """Fits the model that is asked for, or the better of both on logs that neither was fitted to."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -9,12 +9,12 @@ from softfin.core.configuration import Configuration
 from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ, Log
 from softfin.storage.run_directory import RunDirectory
-from softfin.surrogate.compare.scores import free_run, rms, segments_of, take
+from softfin.surrogate.compare.scores import free_run, rmse, segments_of, take
 from softfin.surrogate.paper.fit import FitConfig, fit, split
 from softfin.surrogate.store import AnySurrogate
 from softfin.surrogate.streaming.fit import StreamingConfig, fit_streaming, split_streaming
-from softfin.surrogate.streaming.streaming import MEMORY
-from softfin.surrogate.training import check_lengths, held_out_count
+from softfin.surrogate.streaming.streaming import StreamingSurrogate
+from softfin.surrogate.training import check_lengths, hold_out
 
 HORIZON_S = 30
 """Time that candidates run free for, where a held-out log is as long [s]."""
@@ -24,22 +24,16 @@ class AutoConfig(Configuration):
     """Both models are fitted, and the better one is kept."""
 
     paper: FitConfig = FitConfig()
-    """The paper's nets."""
     streaming: StreamingConfig = StreamingConfig()
-    """Streaming nets."""
+
+
+AnyConfig: TypeAlias = FitConfig | StreamingConfig | AutoConfig
 
 
 def fit_any(
-    logs: Sequence[Log],
-    config: FitConfig | StreamingConfig | AutoConfig,
-    seed: int,
-    run_directory: RunDirectory,
-    progress: Progress | None = None,
+    logs: Sequence[Log], config: AnyConfig, seed: int, run_directory: RunDirectory, progress: Progress | None = None
 ) -> tuple[AnySurrogate, dict[str, Any] | None]:
-    """Fit the model of the configuration; of both candidates the better, with the evidence for it (else None).
-
-    The evidence: which was ``chosen``, the errors of each on ``held_out`` logs, and how many of these.
-    """
+    """Fit the model of the configuration; of both candidates the better, with the errors on held-out logs of each."""
     if isinstance(config, FitConfig):
         return fit(logs, config, seed, run_directory, progress), None
     if isinstance(config, StreamingConfig):
@@ -50,8 +44,8 @@ def fit_any(
     # In order of preference where both are equally good.
     candidates: dict[str, FitConfig | StreamingConfig] = {"streaming": config.streaming, "paper": config.paper}
     # The shares may differ: the least share holds out what none was fitted to.
-    held_out = logs[-min(held_out_count(len(logs), one.held_out) for one in candidates.values()) :]
-    first = max(MEMORY, config.paper.posnet.window)
+    held_out = min((hold_out(logs, one.held_out)[1] for one in candidates.values()), key=len)
+    first = max(StreamingSurrogate.memory, config.paper.posnet.window)
     check_lengths(held_out, first, "held-out")
     fitted, scores = dict[str, AnySurrogate](), dict[str, dict[str, float]]()
     for number, (name, one) in enumerate(candidates.items()):
@@ -68,15 +62,15 @@ def fit_any(
 
 def _scores(surrogate: AnySurrogate, logs: Sequence[Log], first: int) -> dict[str, float]:
     """Errors free-running from row `first` on, each log in segments as long as it allows; over both axes."""
-    force, angle = [], []
+    pairs = []
     for log in logs:
         ticks = min(HORIZON_S * RATE_HZ, len(log.reading.time) - first)
         where = segments_of([len(log.reading.time)], ticks, first)
-        predicted, measured = free_run(surrogate, [log], where, ticks)[0], take([log], where, ticks).reading
-        force.append(np.ravel(predicted.force - measured.force))
-        angle.append(np.ravel(predicted.angle - measured.angle))
-    return {
-        "force_rmse_n": rms(np.concatenate(force)),
-        "angle_rmse_rad": rms(np.concatenate(angle)),
-        "seconds": sum(map(len, angle)) / RATE_HZ,
-    }
+        pairs.append((free_run(surrogate, [log], where, ticks)[0], take([log], where, ticks).reading))
+
+    def error(name: str) -> float:
+        both = zip(*pairs, strict=True)
+        return rmse(*(np.concatenate([np.ravel(getattr(each, name)) for each in side]) for side in both))
+
+    seconds = sum(measured.angle.size for _, measured in pairs) / RATE_HZ
+    return {"force_rmse_n": error("force"), "angle_rmse_rad": error("angle"), "seconds": seconds}

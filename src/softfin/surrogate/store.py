@@ -16,7 +16,6 @@ FORMAT = 1
 AnySurrogate: TypeAlias = Surrogate | StreamingSurrogate
 
 MODELS: dict[str, type[AnySurrogate]] = {kind.model: kind for kind in (Surrogate, StreamingSurrogate)}
-"""All kinds of surrogates by their name in ``surrogate.json``."""
 
 
 def save_surrogate(
@@ -63,6 +62,5 @@ def load_surrogate(path: Path) -> AnySurrogate:
     except ConfigurationError as error:
         raise ArtifactError(f"{error}; this softfin has no such nets, so fit it again") from None
     except (KeyError, TypeError, ValueError) as error:
-        raise ArtifactError(
-            f"{source}: not a surrogate's description ({' '.join(str(error).split())}); fit it again"
-        ) from None
+        reason = " ".join(str(error).split())
+        raise ArtifactError(f"{source}: not a surrogate's description ({reason}); fit it again") from None

@@ -3,10 +3,10 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from softfin.core.errors import ArtifactError, LogError, RunError
 from softfin.core.quantities import Log
@@ -16,10 +16,9 @@ UPDATES_A_CALL = 50
 
 
 class TrainingState(NamedTuple):
-    """Everything that a resumed run needs of nets that learn side by side."""
+    """Everything that a resumed run needs of several nets, or of one whose arrays have a leading axis ``members``."""
 
     nets: Any
-    """Several nets, or one net whose arrays have a leading axis ``members``."""
     optimiser: Any
     best: Any
     """Weights with the least held-out loss so far, of each net or member."""
@@ -28,44 +27,33 @@ class TrainingState(NamedTuple):
 
 
 def keep_best(state: TrainingState, losses: Any, held_out: Any, name: str) -> tuple[TrainingState, bool]:
-    """Keep the weights of each net or member whose held-out loss is less than ever before, and whether any is.
-
-    Raises RunError where that or one of the training losses is not finite.
-    """
+    """Keep the weights of each net whose held-out loss is least so far, and whether any is; RunError if not finite."""
     if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((losses, held_out))):
         raise RunError(f"fit: the loss of the {name} is not finite; lower learning_rate (--set), start anew")
-    after = _keep_best(state, jax.tree.map(jnp.float32, held_out))
-    less = jax.tree.map(lambda new, old: (new < old).any(), after.best_loss, state.best_loss)
-    return after, any(jax.tree.leaves(less))
+
+    def pick(better: Array, new: Any, old: Any) -> Any:
+        return jax.tree.map(lambda x, y: jnp.where(jnp.expand_dims(better, range(better.ndim, x.ndim)), x, y), new, old)
+
+    loss = jax.tree.map(jnp.float32, held_out)
+    better = jax.tree.map(lambda new, old: jnp.asarray(new < old), loss, state.best_loss)
+    best = jax.tree.map(pick, better, state.nets, state.best)
+    state = state._replace(best=best, best_loss=jax.tree.map(jnp.minimum, loss, state.best_loss))
+    return state, any(each.any() for each in jax.tree.leaves(better))
 
 
-@eqx.filter_jit
-def _keep_best(state: TrainingState, loss: Any) -> TrainingState:
-    def pick(new_loss: Any, old_loss: Any, new: Any, old: Any) -> Any:
-        better = jnp.asarray(new_loss < old_loss)
-        return jax.tree.map(
-            lambda x, y: jnp.where(better.reshape(better.shape + (1,) * (x.ndim - better.ndim)), x, y), new, old
-        )
-
-    best = jax.tree.map(pick, loss, state.best_loss, state.nets, state.best)
-    return state._replace(best=best, best_loss=jax.tree.map(jnp.minimum, loss, state.best_loss))
-
-
-def held_out_count(logs: int, share: float) -> int:
-    """How many of the logs, the last ones, are held out; raises LogError where there are fewer than two."""
-    if logs < 2:
-        raise LogError(f"{logs} training log: at least 2 are needed, one to learn from and one held out; record more")
-    return min(logs - 1, max(1, round(logs * share)))
+def hold_out(logs: Sequence[Log], share: float) -> tuple[Sequence[Log], Sequence[Log]]:
+    """Logs to learn from and, the last ones, to hold out; raises LogError where there are fewer than two."""
+    if (count := len(logs)) < 2:
+        raise LogError(f"{count} training log: at least 2 are needed, one to learn from and one held out; record more")
+    held_out = min(count - 1, max(1, round(count * share)))
+    return logs[:-held_out], logs[-held_out:]
 
 
 def check_lengths(logs: Sequence[Log], window: int, part: str) -> None:
     """Raise LogError where a log is too short to predict a single row of."""
     for index, log in enumerate(logs):
-        rows = len(log.reading.time)
-        if rows <= window:
-            raise LogError(
-                f"{part} log {index}: {rows} rows; more than a window of {window} are needed, so record longer"
-            )
+        if (rows := len(log.reading.time)) <= window:
+            raise LogError(f"{part} log {index}: {rows} rows; more than a window of {window} are needed; record longer")
 
 
 def named(nets: Any) -> dict[str, np.ndarray]:

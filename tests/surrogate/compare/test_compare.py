@@ -9,9 +9,9 @@ from softfin.core.errors import ConfigurationError, LogError
 from softfin.core.quantities import Log, Reading
 from softfin.core.statistics import interval
 from softfin.surrogate import save_surrogate
-from softfin.surrogate.compare.compare import Candidate, CompareConfig, beyond_limits, candidates, compare, names_of
+from softfin.surrogate.compare.compare import Candidate, CompareConfig, beyond_limits, candidates, compare
 from softfin.surrogate.paper.surrogate import Surrogate
-from softfin.surrogate.streaming.uncertainty import Interval
+from softfin.surrogate.streaming.ensemble import Interval
 from tests.plants import AnalyticFin
 from tests.surrogate import small
 
@@ -82,15 +82,15 @@ def test_seeds_of_one_configuration_and_dataset_are_one_group(tmp_path):
 @pytest.mark.parametrize("again", ["a", "../here/a"])
 def test_a_folder_given_twice_is_refused(tmp_path, again):
     folder = saved(tmp_path / "here" / "a")
-    with pytest.raises(ConfigurationError, match=r"a: the same surrogate as .*a; give each surrogate once"):
+    with pytest.raises(ConfigurationError, match="a: given twice, or a copy of another; give each surrogate once"):
         candidates([folder, tmp_path / "here" / again])
-    with pytest.raises(ConfigurationError, match="the same surrogate"):
+    with pytest.raises(ConfigurationError, match="given twice"):
         candidates([folder, folder])
 
 
 def test_a_copy_of_a_surrogate_is_no_second_seed(tmp_path):
     one, copy = saved(tmp_path / "a"), saved(tmp_path / "b")
-    with pytest.raises(ConfigurationError, match=r"b: the same surrogate as .*a; give each surrogate once"):
+    with pytest.raises(ConfigurationError, match="b: given twice, or a copy of another"):
         candidates([one, copy])
 
 
@@ -100,14 +100,11 @@ def test_no_surrogate_at_all_is_refused():
 
 
 def test_groups_of_one_model_are_told_apart_by_their_folders():
-    def groups(*folders):
-        return names_of([[candidate(0, folder=name) for name in members] for members in folders])
+    def names(*found):
+        return [row["name"] for row in compare(found, LOGS, CompareConfig(horizons_s=(0.2,))).summary["groups"]]
 
-    assert groups(["runs/x-seed-0", "runs/x-seed-1"]) == ["paper"]
-    assert groups(["runs/x-seed-0", "runs/x-seed-1"], ["runs/y3"]) == ["paper (x)", "paper (y3)"]
-    assert groups(["a/surrogate"], ["b/surrogate"]) == ["paper (a/surrogate)", "paper (b/surrogate)"]
-    other = [candidate(0, kind=Attentive)]
-    assert names_of([[candidate(0)], other]) == ["paper", "attentive"]
+    assert names(candidate(0), candidate(1), candidate(2, "b", Attentive)) == ["paper", "attentive"]
+    assert names(candidate(0, "x"), candidate(1, "x"), candidate(2, "y")) == ["paper (x-0)", "paper (y-2)"]
 
 
 def test_all_surrogates_are_scored_on_the_same_rows():

@@ -5,7 +5,7 @@ from softfin.core.errors import LogError
 from softfin.core.quantities import Command, Log, Reading
 from softfin.surrogate.channels import SKIPPED
 from softfin.surrogate.compare.scores import DTW_BAND, dtw_mae, measured_ranges, score_segments, table_one
-from softfin.surrogate.streaming.member import parameters, predict_logs, single
+from softfin.surrogate.streaming.ensemble import parameters, single
 from tests.surrogate import small
 from tests.surrogate.streaming import small as streaming
 
@@ -54,7 +54,7 @@ def test_table_one_of_a_streaming_surrogate_scores_both_nets_over_all_members():
         return np.mean(np.sqrt(np.mean((predicted - measured)[SKIPPED:] ** 2, axis=0)))
 
     angle, free, given = [], [], []
-    for log, said in zip(logs, predict_logs(plant.members, logs), strict=True):
+    for log, said in zip(logs, streaming.predict_logs(plant.members, logs), strict=True):
         reading = log.reading
         angle.append(rmse(said.motion.angle.mean(axis=0)[:, None], reading.angle[:, None]))
         free.append(rmse(said.force.mean(axis=0), reading.force))

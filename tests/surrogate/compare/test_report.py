@@ -13,7 +13,9 @@ def lines(axes):
 
 
 def test_the_folder_holds_scores_and_figures(tmp_path):
-    summary = write_comparison(compared(), tmp_path / "c", {"dataset": "d"})
+    summary = {**compared().summary, "dataset": "d"}
+    (tmp_path / "c").mkdir()
+    write_comparison(tmp_path / "c", compared(), summary)
     assert sorted(path.name for path in (tmp_path / "c").iterdir()) == [
         "comparison.json",
         "comparison.png",

@@ -1,6 +1,7 @@
 """Streaming nets small enough for tests, with random weights everywhere, and logs of a fin that is known."""
 
 import functools
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax
@@ -9,11 +10,19 @@ import numpy as np
 
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Log, Reading
 from softfin.surrogate import StreamingConfig, StreamingSurrogate
-from softfin.surrogate.streaming.member import ensemble, forces, single
+from softfin.surrogate.streaming.ensemble import (
+    Familiarity,
+    Interval,
+    ensemble,
+    forces,
+    predict_force,
+    predict_motion,
+    remembered,
+    single,
+)
 from softfin.surrogate.streaming.nets import DriveNetConfig, ForceNetConfig
 from softfin.surrogate.streaming.profile import Profile
 from softfin.surrogate.streaming.segments import LONGEST_DELAY, Motion, Scales
-from softfin.surrogate.streaming.uncertainty import Familiarity, Interval, remembered
 
 SCALES = Scales(angle_rad=0.8, velocity_rad_s=2.0, change_rad_s=0.25, force_n=2.0)
 DRIVE = DriveNetConfig(units=3, hidden=4)
@@ -108,6 +117,13 @@ def turned(force, angle):
     """Forces (x, y) of a fin that is turned by an angle: thrust goes along (cos, -sin)."""
     x, y, cos, sin = force[..., 0], force[..., 1], np.cos(angle), np.sin(angle)
     return np.stack([x * cos + y * sin, y * cos - x * sin], axis=-1)
+
+
+def predict_logs(members, logs):
+    """Motion and force of every log, free-running."""
+    motion = predict_motion(members.drive, logs)
+    pairs = zip(motion, predict_force(members.force, motion), strict=True)
+    return [SimpleNamespace(motion=each, force=force) for each, force in pairs]
 
 
 def mirrored(force):

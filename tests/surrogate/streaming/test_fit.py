@@ -6,8 +6,8 @@ from softfin.core.errors import LogError, RunError
 from softfin.core.randomness import key_of
 from softfin.storage.run_directory import LOG, RunDirectory, read_log
 from softfin.surrogate.streaming import fit as module
+from softfin.surrogate.streaming.ensemble import ensemble, single
 from softfin.surrogate.streaming.fit import fit_streaming
-from softfin.surrogate.streaming.member import ensemble, predict_logs, single
 from softfin.surrogate.streaming.profile import Profile
 from softfin.surrogate.streaming.segments import scales_of
 from tests.surrogate.streaming import small
@@ -90,7 +90,7 @@ def test_the_members_are_not_alike(whole):
 
 def test_the_best_weights_of_each_member_are_kept(whole):
     surrogate, history, _ = whole
-    (said,) = predict_logs(surrogate.members, LOGS[-1:])
+    (said,) = small.predict_logs(surrogate.members, LOGS[-1:])
     error = (said.force - LOGS[-1].reading.force)[:, CONFIG.burn_in :]
     assert np.mean(np.sum(error**2, axis=-1)) <= min(of("held_out/force_mse", history)) * 1.001
 

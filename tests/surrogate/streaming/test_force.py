@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from softfin.core.quantities import TICK_S
-from softfin.surrogate.streaming.member import forces
+from softfin.surrogate.streaming.ensemble import forces
 from softfin.surrogate.streaming.nets import products
 from softfin.surrogate.streaming.segments import Motion
 from tests.surrogate.streaming import small

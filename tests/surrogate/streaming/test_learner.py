@@ -19,8 +19,7 @@ KEY = jax.random.key(1)
 
 def predicted(shift=0.3):
     """Another motion than was measured."""
-    whole = jax.tree.map(lambda x, y: jnp.concatenate([x[:, None], y], axis=1), SEGMENTS.before, SEGMENTS.motion)
-    return Motion(whole.angle + shift, whole.velocity * (1 + shift))
+    return Motion(SEGMENTS.motion.angle + shift, SEGMENTS.motion.velocity * (1 + shift))
 
 
 @eqx.filter_jit
@@ -58,7 +57,7 @@ def test_what_is_wrong_within_the_burn_in_does_not_count(part):
     def with_error(tick):
         if part == "force":
             return SEGMENTS._replace(force=SEGMENTS.force.at[:, tick].add(5.0))
-        return SEGMENTS._replace(motion=SEGMENTS.motion._replace(angle=SEGMENTS.motion.angle.at[:, tick].add(5.0)))
+        return SEGMENTS._replace(motion=SEGMENTS.motion._replace(angle=SEGMENTS.motion.angle.at[:, 1 + tick].add(5.0)))
 
     def error(segments):
         if part == "force":
@@ -72,7 +71,7 @@ def test_what_is_wrong_within_the_burn_in_does_not_count(part):
 def test_force_nets_see_the_measured_motion_first_and_the_predicted_one_in_the_end():
     net, begin, end = small.force_net(), *CONFIG.free_running
     told = predicted()
-    fed = SEGMENTS._replace(before=small.rows_of_ticks(told, 0), motion=small.rows_of_ticks(told, slice(1, None)))
+    fed = SEGMENTS._replace(motion=told)
     measured, free = (float(force_error(net, segments, predicted(0.0), 0.0)) for segments in (SEGMENTS, fed))
     assert abs(free - measured) > 0.05 * measured
     for done, expected in ((0.0, measured), (begin, measured), (end, free), (1.0, free)):

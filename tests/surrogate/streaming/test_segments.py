@@ -34,10 +34,10 @@ def test_segments_may_begin_wherever_all_of_them_lies_in_one_log(rows, ticks):
 
 def test_a_segment_holds_commands_and_what_the_row_behind_each_shows_of_them():
     segment = Table.of([numbered(80, 0), numbered(90, 1)], ticks=10).draw(jax.random.key(0), 16, 10)
-    at = np.asarray(segment.before.angle)
+    at = np.asarray(segment.motion.angle[:, 0])
     assert len(set(at)) > 8
     np.testing.assert_array_equal(segment.commands.angle, at[:, None] + np.arange(10))
-    np.testing.assert_array_equal(segment.motion.velocity, at[:, None] + np.arange(1, 11))
+    np.testing.assert_array_equal(segment.motion.velocity, at[:, None] + np.arange(11))
     np.testing.assert_array_equal(segment.force[..., 1], at[:, None] + np.arange(1, 11))
     np.testing.assert_array_equal(segment.waiting.velocity, at[:, None] - np.arange(1, LONGEST_DELAY + 1))
 

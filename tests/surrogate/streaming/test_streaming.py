@@ -7,7 +7,7 @@ from softfin.core.errors import LogError
 from softfin.core.plant import rest_command, roll
 from softfin.core.quantities import Command
 from softfin.surrogate import StreamingSurrogate
-from softfin.surrogate.streaming.member import parameters, predict_logs, single
+from softfin.surrogate.streaming.ensemble import parameters, single
 from softfin.surrogate.streaming.nets import products
 from softfin.surrogate.streaming.segments import LONGEST_DELAY
 from softfin.testing import check_plant
@@ -81,7 +81,7 @@ def test_warm_is_where_following_the_log_from_there_on_comes_to():
     log = LOG._replace(command=held)
     ahead = jax.tree.map(jnp.asarray, small.rows_of(held, PAST - 1, 399))
     _, reading = roll(PLANT, PLANT.warm(small.rows_of(log, 0, PAST)), ahead)
-    (said,) = predict_logs(PLANT.members, [small.rows_of(log, begin, None)])
+    (said,) = small.predict_logs(PLANT.members, [small.rows_of(log, begin, None)])
     np.testing.assert_allclose(reading.angle, said.motion.angle.mean(axis=0)[-40:], atol=1e-5)
     np.testing.assert_allclose(reading.force, said.force.mean(axis=0)[-40:], atol=1e-4)
 

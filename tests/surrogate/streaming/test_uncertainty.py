@@ -6,8 +6,7 @@ import pytest
 from softfin.core.action_clock import WINDOW
 from softfin.core.quantities import Command, Log, Reading
 from softfin.core.window import window_means
-from softfin.surrogate.streaming.member import predict_motion, single
-from softfin.surrogate.streaming.uncertainty import Interval, calibrated, familiar, remembered
+from softfin.surrogate.streaming.ensemble import Interval, calibrated, familiar, predict_motion, remembered, single
 from tests.surrogate.streaming import small
 
 BURN_IN = 7

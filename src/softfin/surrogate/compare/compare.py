@@ -6,8 +6,6 @@ whatever they need to be warm.
 
 import itertools
 import json
-import re
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -35,15 +33,13 @@ from softfin.surrogate.compare.scores import (
     take,
 )
 from softfin.surrogate.store import AnySurrogate, load_surrogate
-from softfin.surrogate.streaming.uncertainty import COVERAGE
+from softfin.surrogate.streaming.ensemble import COVERAGE
 
 ENOUGH_SEEDS = 3
 """Fewest seeds of a group: below, a difference between two groups may be the luck of a seed."""
 
 FAR = 0.01
 """Distance beyond the range of the training commands, over that range, from which a test command is worth a note."""
-
-SEED_IN_NAME = re.compile(r"[-_./]?(seed)?[-_.]?\d+$")
 
 
 class CompareConfig(Configuration):
@@ -100,13 +96,12 @@ def compare(
     noise_floor: tuple[str, Plant] | None = None,
     progress: Progress | None = None,
 ) -> Comparison:
-    """Score every surrogate free-running over the same segments of the logs; `noise_floor`: a plant by its name.
-
-    Raises LogError for a log that is too short, CommandError where that plant does not take the logs' commands.
-    """
+    """Score every surrogate free-running over the same segments of the logs; `noise_floor`: a plant by its name."""
     first = max(candidate.surrogate.memory for candidate in found)
     rows = [len(log.reading.time) for log in logs]
-    parts = [(segments_of(rows, ticks, first), ticks) for ticks in (round(h * RATE_HZ) for h in config.horizons_s)]
+    ticks = [round(horizon * RATE_HZ) for horizon in config.horizons_s]
+    # The longest first: it is the one that a log may be too short for.
+    parts = [(segments_of(rows, each, first), each) for each in reversed(ticks)][::-1]
     spans = measured_ranges(logs)
     measured = [take(logs, *part) for part in parts]
     of, done = len(found) * len(parts) + (noise_floor is not None), itertools.count(1)
@@ -130,8 +125,13 @@ def compare(
     for candidate in found:
         by_group.setdefault(candidate.group, []).append(candidate)
     seeds = list(by_group.values())
-    names, flops = names_of(seeds), [members[0].surrogate.flops_per_tick() for members in seeds]
-    yardstick = next((i for i, members in enumerate(seeds) if members[0].surrogate.model == "paper"), 0)
+    models, flops = zip(*((s.model, s.flops_per_tick()) for s in (each[0].surrogate for each in seeds)), strict=True)
+    # By its model; where several are of one model, also by its first folder.
+    names = [
+        model if models.count(model) == 1 else f"{model} ({members[0].folder})"
+        for model, members in zip(models, seeds, strict=True)
+    ]
+    yardstick = models.index("paper") if "paper" in models else 0
     groups, notes = [], list[str]()
     for name, members, cost in zip(names, seeds, flops, strict=True):
         surrogate, (scores, readings) = members[0].surrogate, zip(*map(run, members), strict=True)
@@ -157,16 +157,13 @@ def compare(
         readings = [take(whole, *part) for part in parts]
         each = [score_segments(actual, reading, spans) for actual, reading in zip(measured, readings, strict=True)]
         second = Group({"name": name, "horizons": _horizons(config, [each])}, each[-1:], readings[-1])
-        notes.append(
-            f"{name}: its own noise and drift count too, so that it is off by up to sqrt(2) times what these leave of "
-            "a model that has none"
-        )
+        notes.append(f"{name}: its own noise and drift count too: up to sqrt(2) times the error of a perfect model")
         report(name)
     summary = {
         "horizons_s": list(config.horizons_s),
         "scored": [
-            {"segments": len(where), "rows": len(where) * ticks, "rows_left": sum(rows) - len(where) * ticks}
-            for where, ticks in parts
+            {"segments": len(where), "rows": len(where) * each, "rows_left": sum(rows) - len(where) * each}
+            for where, each in parts
         ],
         "ranges": spans,
         "stated_confidence": COVERAGE,
@@ -205,51 +202,30 @@ def candidates(folders: Sequence[Path]) -> list[Candidate]:
     """Load surrogates; raises ConfigurationError where there is none, or one is given twice."""
     if not folders:
         raise ConfigurationError("no surrogate: give the folders of those that are to be compared")
-    seen: dict[str, Path] = {}
-    found = []
+    found, seen = [], set[str]()
     for folder in folders:
-        surrogate = load_surrogate(folder)
+        surrogate, description = load_surrogate(folder), artifacts.load_description(folder, "surrogate")
+        data = (description.get("provenance") or {}).get("data_hash")
+        # Of imported ones nothing says that two are seeds of one another.
+        group = str(folder.resolve())
+        if description.get("configuration") is not None and data is not None:
+            # The networks too: of several candidates one seed may have chosen another than the next.
+            parts = [surrogate.model, description["configuration"], description.get("networks"), data]
+            group = json.dumps(parts, sort_keys=True)
         # A copy would pass for a second seed and make the interval too narrow.
-        which = identity(surrogate)
-        if (before := seen.get(which)) is not None:
-            raise ConfigurationError(f"{folder}: the same surrogate as {before}; give each surrogate once")
-        seen[which] = folder
-        found.append(Candidate(folder, surrogate, _group(folder, surrogate)))
+        if (which := identity(surrogate)) in seen:
+            raise ConfigurationError(f"{folder}: given twice, or a copy of another; give each surrogate once")
+        seen.add(which)
+        found.append(Candidate(folder, surrogate, group))
     return found
 
 
-def names_of(groups: Sequence[Sequence[Candidate]]) -> list[str]:
-    """Name each group by its model; where several are of one model, also by its first folder, less its seed."""
-    models = Counter(members[0].surrogate.model for members in groups)
-
-    def name(members: Sequence[Candidate], folder: str) -> str:
-        model = members[0].surrogate.model
-        common = SEED_IN_NAME.sub("", folder) if len(members) > 1 else folder
-        return model if models[model] == 1 else f"{model} ({common or folder})"
-
-    short = [name(members, members[0].folder.name) for members in groups]
-    return short if len(set(short)) == len(short) else [name(each, str(each[0].folder)) for each in groups]
-
-
 def beyond_limits(members: Sequence[Candidate], logs: Sequence[Log]) -> tuple[float, float]:
-    """Share of the logs' commands beyond those a group was trained on, and how far the furthest is, over their range.
-
-    For the member for which they are greatest; where the training commands never changed, over 1 rad or rad/s.
-    """
+    """Share of the logs' commands beyond those a group was trained on, and how far the furthest is over their range."""
     commands = np.concatenate([np.stack(log.command, axis=1) for log in logs]).astype(np.float64)
     limits = np.array([member.surrogate.limits for member in members]).reshape(-1, 1, 2, 2)
     low, high = limits[..., 0], limits[..., 1]
+    # Where the training commands never changed, over 1 rad or rad/s.
     span = np.where(high > low, high - low, 1)
     excess = np.maximum((low - commands) / span, (commands - high) / span).max(axis=-1)
     return float((excess > 0).mean(axis=1).max()), max(float(excess.max()), 0.0)
-
-
-def _group(folder: Path, surrogate: AnySurrogate) -> str:
-    description = artifacts.load_description(folder, "surrogate")
-    data = (description.get("provenance") or {}).get("data_hash")
-    if description.get("configuration") is None or data is None:
-        # Imported: nothing says that two such are seeds of one another.
-        return str(folder.resolve())
-    # The networks too: of several candidates one seed may have chosen another than the next.
-    parts = [surrogate.model, description["configuration"], description.get("networks"), data]
-    return json.dumps(parts, sort_keys=True)

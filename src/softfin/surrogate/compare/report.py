@@ -13,7 +13,7 @@ from softfin.core.quantities import AXES, RATE_HZ
 from softfin.storage import artifact as artifacts
 from softfin.storage.figures import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, save_figure, styled
 from softfin.surrogate.compare.compare import Comparison, Group
-from softfin.surrogate.streaming.uncertainty import COVERAGE
+from softfin.surrogate.streaming.ensemble import COVERAGE
 
 TRACE_S = 8
 """Length of the force that is shown, measured and predicted [s]."""
@@ -28,18 +28,10 @@ STYLES = ((ORANGE, "--", "o"), (BLUE, "-", "s"), (GREEN, "-.", "^"), (BLACK, ":"
 """Colour, line and marker of the groups, in turn."""
 
 
-def write_comparison(
-    comparison: Comparison, out: Path, metadata: Mapping[str, Any], overwrite: bool = False
-) -> dict[str, Any]:
-    """Write the folder, whole or not at all; returns the content of its JSON."""
-    summary = {**comparison.summary, **metadata}
-
-    def write(folder: Path) -> None:
-        (folder / "comparison.json").write_text(artifacts.dump_json(summary))
-        save_figure(comparison_figure(comparison), folder, "comparison")
-
-    artifacts.write_folder(out, write, overwrite)
-    return summary
+def write_comparison(folder: Path, comparison: Comparison, summary: Mapping[str, Any]) -> None:
+    """Fill the folder with the summary and the figure."""
+    (folder / "comparison.json").write_text(artifacts.dump_json(summary))
+    save_figure(comparison_figure(comparison), folder, "comparison")
 
 
 def comparison_figure(comparison: Comparison) -> Figure:

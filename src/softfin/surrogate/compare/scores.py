@@ -1,14 +1,13 @@
 """Free-running over logs, and the scores of what is predicted: Table I, and those of several horizons.
 
-The paper cites dynamic time warping (DTW) and does not say how it normalises the distance. Here it is `dtw_mae`, in the
-unit of the series and no greater than their mean absolute error: the least sum of |difference| over all warping paths
-inside a Sakoe-Chiba band of 1 s, divided by the number of samples (computed by dtaidistance). It forgives a lag, so it
-never stands without RMSE.
+The paper does not say how it normalises the distance of dynamic time warping (DTW). Here it is the least sum of
+|difference| over all warping paths inside a Sakoe-Chiba band of 1 s, divided by the number of samples: no greater than
+the mean absolute error. It forgives a lag, so it never stands without RMSE.
 """
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -41,8 +40,6 @@ Samples = Float[np.ndarray, "samples"]
 Means = Float[np.ndarray, "segments windows 2"]
 """Mean forces over the evaluation window, (x, y) [N]."""
 
-Tree = TypeVar("Tree")
-
 
 Segment = tuple[int, int]
 """Where a run of rows begins: log and row."""
@@ -59,19 +56,15 @@ def segments_of(rows: Sequence[int], ticks: int, first: int) -> list[Segment]:
     return [(i, row) for i, count in enumerate(rows) for row in range(first, count - ticks + 1, ticks)]
 
 
-def take(records: Sequence[Tree], segments: Sequence[Segment], ticks: int) -> Tree:
+def take(records: Sequence[Any], segments: Sequence[Segment], ticks: int) -> Any:
     """The rows of some segments of logs or readings, stacked: fields ``(segments, ticks, ...)``."""
-    taken: Tree = _stacked([_rows(records[log], row, row + ticks) for log, row in segments])
-    return taken
+    return _stacked([_rows(records[log], row, row + ticks) for log, row in segments])
 
 
 def free_run(
     surrogate: AnySurrogate, logs: Sequence[Log], segments: Sequence[Segment], ticks: int
 ) -> tuple[Reading, Float[np.ndarray, "members segments ticks 2"] | None]:
-    """Predict segments from their commands alone, warmed on the `memory` rows before; NumPy, ``(segments, ticks)``.
-
-    Also the forces of each member [N], None of a surrogate that is not an ensemble.
-    """
+    """Predict segments from their commands alone, warmed on the rows before; also the forces of each member [N]."""
     size = math.ceil(len(segments) / math.ceil(len(segments) / BATCH))
     # Filled up with repeats that are thrown away, so that one compiled program serves all batches.
     filled = [*segments, *[segments[-1]] * (-len(segments) % size)]
@@ -121,14 +114,9 @@ def _stacked(records: Sequence[Any]) -> Any:
     return jax.tree.map(lambda *leaves: np.stack(leaves), *records)
 
 
-def rms(error: AnyArray) -> float:
-    """Root mean square."""
-    return float(np.sqrt(np.mean(np.square(error, dtype=np.float64))))
-
-
 def rmse(predicted: AnyArray, measured: AnyArray) -> float:
     """Root mean square error."""
-    return rms(np.asarray(predicted, np.float64) - measured)
+    return float(np.sqrt(np.mean(np.square(np.asarray(predicted, np.float64) - measured))))
 
 
 def mae(predicted: AnyArray, measured: AnyArray) -> float:

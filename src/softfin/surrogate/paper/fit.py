@@ -24,7 +24,7 @@ from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate.channels import COLUMNS, COMMANDS, Scaling
 from softfin.surrogate.paper.network import FORCENET, POSNET, Network, NetworkConfig, gather
 from softfin.surrogate.paper.surrogate import Surrogate
-from softfin.surrogate.training import UPDATES_A_CALL, TrainingState, check_lengths, held_out_count, keep_best
+from softfin.surrogate.training import UPDATES_A_CALL, TrainingState, check_lengths, hold_out, keep_best
 
 
 class FitConfig(Configuration):
@@ -56,12 +56,7 @@ class Nets(NamedTuple):
 def fit(
     logs: Sequence[Log], config: FitConfig, seed: int, run_directory: RunDirectory, progress: Progress | None = None
 ) -> Surrogate:
-    """Fit both nets to the training logs; goes on from the run_directory's checkpoint where there is one.
-
-    Raises:
-        LogError: too few logs, or logs too short for one window.
-        RunError: the loss is no longer finite.
-    """
+    """Fit both nets to the training logs; goes on from the run_directory's checkpoint where there is one."""
     training, holding, scaling, starts = split(logs, config)
     table = jnp.asarray(np.concatenate([scaling.table(COLUMNS, log) for log in training]))
     # Equal calls, so that one compiled program does them all.
@@ -98,8 +93,7 @@ def split(
 ) -> tuple[Sequence[Log], Sequence[Log], Scaling, Int[np.ndarray, "windows"]]:
     """Training logs, held-out logs, and of the former the scaling and where windows begin; raises LogError."""
     check_lengths(logs, config.posnet.window, "training")
-    count = held_out_count(len(logs), config.held_out)
-    training, holding = logs[:-count], logs[-count:]
+    training, holding = hold_out(logs, config.held_out)
     starts = window_starts([len(log.reading.time) for log in training], config.posnet.window)
     if len(starts) < config.batch:
         raise LogError(f"{len(starts)} training windows are fewer than one batch of {config.batch}; record more rows")
@@ -115,24 +109,16 @@ class PaperLearner:
         self.optimiser = optax.adam(schedule)
         self.run = eqx.filter_jit(self._run)
 
+    @used_once
     def start(self, key: PRNGKeyArray) -> TrainingState:
         """Fresh weights."""
+        configs, keys = (self.config.posnet, self.config.forcenet), jax.random.split(key)
+        nets = Nets(*(Network.create(config, one) for config, one in zip(configs, keys, strict=True)))
+        return TrainingState(nets, self.optimiser.init(nets), nets, Nets(*jnp.full(2, jnp.inf, jnp.float32)))
 
-        def initialise(key: PRNGKeyArray) -> TrainingState:
-            configs, keys = (self.config.posnet, self.config.forcenet), jax.random.split(key)
-            nets = Nets(*(Network.create(config, one) for config, one in zip(configs, keys, strict=True)))
-            return TrainingState(nets, self.optimiser.init(nets), nets, Nets(*jnp.full(2, jnp.inf, jnp.float32)))
+    def _run(self, state: TrainingState, table: Array, batches: Array, key: PRNGKeyArray) -> tuple[TrainingState, Nets]:
+        """An update for each of the batches ``(updates, batch)`` of windows of the table; also the mean losses."""
 
-        state: TrainingState = used_once(initialise)(key)
-        return state
-
-    def _run(
-        self,
-        state: TrainingState,
-        table: Float[Array, "rows channels"],
-        batches: Int[Array, "updates batch"],
-        key: PRNGKeyArray,
-    ) -> tuple[TrainingState, Nets]:
         def update(carry: tuple[Nets, Any], batch: Int[Array, "batch"]) -> tuple[tuple[Nets, Any], Nets]:
             nets, optimiser = carry
             dropout_key = jax.random.fold_in(key, batch[0])

@@ -5,7 +5,6 @@ The scaler values come as a JSON file of ``{channel: {scale, offset, data_min, d
 
 import io
 import json
-import reprlib
 import zipfile
 from collections import Counter
 from collections.abc import Callable
@@ -14,65 +13,47 @@ from typing import Any
 
 import h5py
 import numpy as np
-import pydantic
 
-from softfin.core.errors import ArtifactError
+from softfin.core.errors import ArtifactError, SoftfinError
 from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, Scaling
-from softfin.surrogate.paper.network import (
-    LSTM,
-    Conv1D,
-    Dense,
-    Dropout,
-    Flatten,
-    Layer,
-    MeanPool,
-    Network,
-    NetworkConfig,
-)
+from softfin.surrogate.paper.network import Network, NetworkConfig
 from softfin.surrogate.paper.surrogate import Surrogate
 from softfin.surrogate.training import restored
 
-LAYERS: dict[str, tuple[Callable[[dict[str, Any]], Layer], dict[str, Any]]] = {
+LAYERS: dict[str, tuple[Callable[[dict[str, Any]], dict[str, Any]], dict[str, Any]]] = {
     "Conv1D": (
-        lambda c: Conv1D(filters=c["filters"], kernel=c["kernel_size"][0], activation=c["activation"]),
+        lambda c: {"kind": "conv1d", "filters": c["filters"], "kernel": c["kernel_size"][0],
+                   "activation": c["activation"]},
         {"padding": "same", "strides": [1], "dilation_rate": [1], "groups": 1, "use_bias": True,
          "data_format": "channels_last"},
     ),
     "LSTM": (
-        lambda c: LSTM(units=c["units"], sequence=c["return_sequences"]),
+        lambda c: {"kind": "lstm", "units": c["units"], "sequence": c["return_sequences"]},
         {"activation": "tanh", "recurrent_activation": "sigmoid", "use_bias": True, "go_backwards": False},
     ),
-    "Dense": (lambda c: Dense(units=c["units"], activation=c["activation"]), {"use_bias": True}),
-    "Dropout": (lambda c: Dropout(rate=c["rate"]), {}),
-    "Flatten": (lambda _: Flatten(), {}),
-    "GlobalAveragePooling1D": (lambda _: MeanPool(), {}),
+    "Dense": (lambda c: {"kind": "dense", "units": c["units"], "activation": c["activation"]}, {"use_bias": True}),
+    "Dropout": (lambda c: {"kind": "dropout", "rate": c["rate"]}, {}),
+    "Flatten": (lambda _: {"kind": "flatten"}, {}),
+    "GlobalAveragePooling1D": (lambda _: {"kind": "mean_pool"}, {}),
 }  # fmt: skip
 """Layer by its name in Keras, and the options that must be as they are here wherever they are given."""
 
 
 def import_keras(posnet: Path, forcenet: Path, scalers: Path) -> Surrogate:
-    """Read a surrogate from two ``.keras`` files and the scalers' JSON; raises ArtifactError where it cannot."""
-    scaling = read_scalers(scalers)
+    """Read a surrogate from two ``.keras`` files and the scalers' JSON; raises SoftfinError where it cannot."""
+    try:
+        channels = json.loads(scalers.read_bytes())
+    except OSError as error:
+        raise ArtifactError(f"{scalers}: cannot be read ({error.strerror or error})") from None
+    except (ValueError, RecursionError) as error:
+        raise ArtifactError(f"{scalers}: not JSON ({error}); give the scalers as JSON, never as pickle") from None
+    scaling = Scaling.build({"channels": channels}, str(scalers))
     scaling.require(str(scalers))
     nets = read_network(posnet, COMMANDS, (ANGLE,)), read_network(forcenet, (ANGLE, *COMMANDS), FORCES)
     surrogate = Surrogate(*nets, scaling)
     if problem := surrogate.limits.problem():
         raise ArtifactError(f"{scalers}: {problem}; they are data_min and data_max of the commands' channels")
     return surrogate
-
-
-def read_scalers(path: Path) -> Scaling:
-    """Read the scaling of each channel."""
-    try:
-        return Scaling(channels=json.loads(path.read_bytes()))
-    except OSError as error:
-        raise ArtifactError(f"{path}: cannot be read ({error.strerror or error})") from None
-    except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"][1:])) or "scalers"
-        raise ArtifactError(f"{path}: {where}: {first['msg']}") from None
-    except (ValueError, RecursionError) as error:
-        raise ArtifactError(f"{path}: not JSON ({error}); give the scalers as JSON, never as pickle") from None
 
 
 def read_network(path: Path, channels: tuple[str, ...], outputs: tuple[str, ...]) -> Network:
@@ -82,12 +63,9 @@ def read_network(path: Path, channels: tuple[str, ...], outputs: tuple[str, ...]
             layers, groups, shape = _layers(path, json.loads(archive.read("config.json")))
             content = io.BytesIO(archive.read("model.weights.h5"))
         if shape[0] != len(channels):
-            raise ArtifactError(
-                f"{path}: takes {shape[0]} channels; this net must take {len(channels)}: {', '.join(channels)}"
-            )
-        config = NetworkConfig(channels=channels, outputs=outputs, window=shape[1], layers=tuple(layers))
-        if (given := config.examples()[-1]) != (len(outputs),):
-            raise ArtifactError(f"{path}: gives {given} values; this net must give {', '.join(outputs)}")
+            raise ArtifactError(f"{path}: takes {shape[0]} channels; this net must take {', '.join(channels)}")
+        values = {"channels": channels, "outputs": outputs, "window": shape[1], "layers": layers}
+        config = NetworkConfig.build(values, str(path))
         with h5py.File(content, "r") as file:
             arrays = {
                 f"{index}.{name}": np.asarray(file[f"{group}/{number}"], np.float32)
@@ -95,28 +73,21 @@ def read_network(path: Path, channels: tuple[str, ...], outputs: tuple[str, ...]
                 for number, name in enumerate(shapes)
             }
         return Network(config, restored(config.shapes(), arrays, str(path)))
-    except ArtifactError:
+    except SoftfinError:
         raise
-    except FileNotFoundError as error:
-        raise ArtifactError(f"{path}: cannot be read ({error.strerror})") from None
-    except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"]))
-        raise ArtifactError(f"{path}: a layer's {where} = {reprlib.repr(first['input'])}: {first['msg']}") from None
+    except OSError as error:
+        raise ArtifactError(f"{path}: cannot be read ({error.strerror or error})") from None
     except Exception as error:
         # Damaged files fail anywhere in zip, JSON and HDF5, and h5py makes of it whatever exception fits.
         reason = " ".join(str(error).split())[:300] or type(error).__name__
         raise ArtifactError(f"{path}: not a whole Keras 2 .keras file ({reason})") from None
 
 
-def _layers(path: Path, description: dict[str, Any]) -> tuple[list[Layer], list[str], tuple[int, int]]:
+def _layers(path: Path, description: dict[str, Any]) -> tuple[list[Any], list[str], tuple[int, int]]:
     """The layers, where the HDF5 has the weights of each, and the input's shape."""
     if description.get("class_name") != "Sequential":
         raise ArtifactError(f"{path}: is a {description.get('class_name')} model; only Sequential ones can be imported")
-    layers: list[Layer] = []
-    groups: list[str] = []
-    counts = Counter[str]()
-    shape = (0, 0)
+    layers, groups, counts, shape = [], list[str](), Counter[str](), (0, 0)
     for entry in description["config"]["layers"]:
         kind, config = entry["class_name"], entry["config"]
         if batch_shape := config.get("batch_input_shape") or config.get("batch_shape"):

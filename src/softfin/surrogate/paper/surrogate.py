@@ -27,10 +27,9 @@ from softfin.surrogate.training import named, restored
 
 
 class SurrogateState(NamedTuple):
-    """The last second, scaled; the newest sample last."""
+    """Ticks since the start [10 ms] and the last second, scaled; the newest sample last."""
 
     tick: Int[Array, ""]
-    """Ticks since the start [10 ms]."""
     commands: Float[Array, "2 window"]
     angles: Float[Array, "window"]
 
@@ -39,7 +38,6 @@ class Surrogate(eqx.Module):
     """The paper's surrogate of a fin; meets the Plant contract."""
 
     model: ClassVar[str] = "paper"
-
     posnet: Network
     forcenet: Network
     scaling: Scaling = eqx.field(static=True)
@@ -54,10 +52,8 @@ class Surrogate(eqx.Module):
         """Samples of the past that both nets see."""
         return self.posnet.config.window
 
-    @property
-    def memory(self) -> int:
-        """Rows of a log that `warm` needs."""
-        return self.window
+    memory = window
+    """Rows of a log that `warm` needs."""
 
     @property
     def limits(self) -> Limits:
@@ -72,13 +68,8 @@ class Surrogate(eqx.Module):
         return SurrogateState(jnp.int32(0), jnp.tile(rest[:, None], self.window), angle)
 
     def warm(self, history: Log) -> SurrogateState:
-        """The state after a recording, whose last `memory` rows count: the next tick predicts row ``len(history)``.
-
-        That tick is given the command of the last row, as the log's order wants it. Raises LogError where there are too
-        few rows.
-        """
-        rows = len(history.reading.time)
-        if rows < self.memory:
+        """The state after a recorded history, of which the last `memory` rows count; raises LogError if shorter."""
+        if (rows := len(history.reading.time)) < self.memory:
             raise LogError(f"{rows} rows of history; a surrogate that sees {self.memory} samples is warm after as many")
         table = self.scaling.table((*COMMANDS, ANGLE), history)[-self.window :].T
         # The last row's command is yet to be given; the oldest of the state's leaves before it is looked at.
@@ -102,7 +93,6 @@ class Surrogate(eqx.Module):
         angles = jnp.concatenate([state.angles, self.posnet(passed)[:, 0]])
         motion = jnp.concatenate([windows(angles[None, :-1], self.window), passed], axis=1)
         force = self.scaling.physical(FORCES, self.forcenet(motion))
-
         angle = self.scaling.physical([ANGLE], angles[-rows - 1 :, None])[:, 0]
         time = (state.tick + 1 + jnp.arange(rows)) * jnp.float32(TICK_S)
         reading = Reading(time, angle[1:], jnp.diff(angle) * RATE_HZ, force)
@@ -118,12 +108,10 @@ class Surrogate(eqx.Module):
         return np.asarray(self.scaling.physical([ANGLE], jnp.asarray(angle)))[:, 0]
 
     def predict_force(self, log: Log, free_running: bool) -> Float[np.ndarray, "predicted 2"]:
-        """ForceNet's forces for the rows of a log from `window` on [N], from the measured angles or from PosNet's.
-
-        Free-running, the first window's angles are the measured ones: nothing was predicted for them.
-        """
+        """ForceNet's forces for the rows of a log from `window` on [N], from the measured angles or from PosNet's."""
         table = self.scaling.table((ANGLE, *COMMANDS), log)
         if free_running:
+            # Nothing was predicted for the first window.
             table[self.window :, 0] = self.posnet.over_table(table[:, 1:])[:, 0]
         return np.asarray(self.scaling.physical(FORCES, jnp.asarray(self.forcenet.over_table(table))))
 

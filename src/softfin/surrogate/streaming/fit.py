@@ -24,21 +24,21 @@ from softfin.core.quantities import Log, Reading
 from softfin.core.randomness import key_of
 from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate.channels import command_limits
-from softfin.surrogate.streaming.member import (
+from softfin.surrogate.streaming.ensemble import (
     Member,
+    calibrated,
     ensemble,
+    familiar,
     forces,
     motions,
     predict_force,
-    predict_logs,
     predict_motion,
 )
 from softfin.surrogate.streaming.nets import DriveNetConfig, FollowingNet, ForceNet, ForceNetConfig
 from softfin.surrogate.streaming.profile import identify
 from softfin.surrogate.streaming.segments import Motion, Scales, SegmentBatch, Table, scales_of, slices
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
-from softfin.surrogate.streaming.uncertainty import calibrated, familiar
-from softfin.surrogate.training import UPDATES_A_CALL, TrainingState, held_out_count, keep_best
+from softfin.surrogate.training import UPDATES_A_CALL, TrainingState, hold_out, keep_best
 
 WARM_UP = 100
 """Updates in which the learning rate rises."""
@@ -47,7 +47,7 @@ ROUNDS = 10
 """Times that a net is scored on the held-out logs while it is trained."""
 
 Loss = Callable[[Any, SegmentBatch, Motion, Float[Array, ""], PRNGKeyArray, Any], Float[Array, ""]]
-"""Loss of one member: (net, segments, predicted motion from `before` on, part of the training done, key, config)."""
+"""Loss of one member: (net, segments, predicted motion, part of the training done, key, config)."""
 
 
 class StreamingConfig(Configuration):
@@ -137,23 +137,22 @@ def drive_loss(
     net: FollowingNet, segments: SegmentBatch, _: Motion, __: Array, ___: PRNGKeyArray, config: StreamingConfig
 ) -> Float[Array, ""]:
     """Mean of `motion_error`: free-running from the first tick on."""
-    predicted = jax.vmap(partial(motions, net))(segments.before, segments.waiting, segments.commands)
-    return jnp.mean(motion_error(predicted, segments.motion, net.scales)[:, config.burn_in :])
+    before = jax.tree.map(lambda x: x[:, 0], segments.motion)
+    predicted = jax.vmap(partial(motions, net))(before, segments.waiting, segments.commands)
+    return jnp.mean(motion_error(predicted, segments.motion, net.scales)[:, 1 + config.burn_in :])
 
 
 def force_loss(
     net: ForceNet, segments: SegmentBatch, predicted: Motion, done: Array, key: PRNGKeyArray, config: StreamingConfig
 ) -> Float[Array, ""]:
-    """Mean square error of the force over its scale.
+    """Mean square error of the force over its scale, given the measured motion of a segment or the drive net's.
 
-    A segment gets the measured motion at first, and the drive net's in the end: in between, with the probability that
-    grows from 0 to 1 over the `free_running` part of the training.
+    The latter with a probability that grows from 0 to 1 over the `free_running` part of the training.
     """
     begin, end = config.free_running
     share = jnp.clip((done - begin) / jnp.maximum(end - begin, 1e-6), 0.0, 1.0)
     free = jax.random.bernoulli(key, share, (config.batch, 1))
-    measured = jax.tree.map(lambda x, y: jnp.concatenate([x[:, None], y], axis=1), segments.before, segments.motion)
-    motion = jax.tree.map(lambda new, old: jnp.where(free, new, old), predicted, measured)
+    motion = jax.tree.map(lambda new, old: jnp.where(free, new, old), predicted, segments.motion)
     error = (jax.vmap(partial(forces, net))(motion) - segments.force) / net.scales.force_n
     return jnp.mean(jnp.sum(error**2, axis=-1)[:, config.burn_in :])
 
@@ -165,10 +164,7 @@ def fit_streaming(
     run_directory: RunDirectory,
     progress: Progress | None = None,
 ) -> StreamingSurrogate:
-    """Fit an ensemble to the training logs; goes on from the run_directory's checkpoint where there is one.
-
-    Raises LogError for logs that are too few, too short or in which nothing moves, RunError where a loss is not finite.
-    """
+    """Fit an ensemble to the training logs; goes on from the run_directory's checkpoint where there is one."""
     training, holding, scales, table = split_streaming(logs, config)
     members = ensemble(config.members, config.drive, config.force, scales, key_of(seed, "fit/weights"))
     updates = {"drive": config.drive_updates, "force": config.force_updates}
@@ -186,8 +182,8 @@ def fit_streaming(
         states["drive"] = states["drive"]._replace(nets=nets, best=nets)
     record = run_directory.log(rewind_to=sum(done.values()))
 
-    def learn(name: str, predicted: Motion, error: Callable[[Any], Float[np.ndarray, "members"]]) -> Any:
-        """All updates of one kind of net, with a checkpoint after each round; returns the best weights."""
+    def learn(name: str, predicted: Motion, errors: Callable[[Any], list[np.ndarray]]) -> Any:
+        """Do all updates of one kind of net; returns the best by `errors` on the held-out logs, ``(members, rows)``."""
         key, (call, round_of) = key_of(seed, f"fit/{name}"), _calls(updates[name])
         before = updates["drive"] if name == "force" else 0
         while done[name] < updates[name]:
@@ -199,54 +195,46 @@ def fit_streaming(
                 if progress is not None:
                     part = (before + first + count) / sum(updates.values())
                     progress("fit", part, f"{name} nets, loss {float(loss.mean()):.3g}")
-            held_out = error(state.nets)
+            with np.errstate(over="ignore", invalid="ignore"):
+                held_out = np.mean([each.mean(axis=1) for each in errors(state.nets)], axis=0)
             states[name], _ = keep_best(state, losses, held_out, f"{name} nets")
             done[name] = until
-            means = {f"train/{name}_loss": float(loss.mean()), f"held_out/{name}_mse": float(held_out.mean())}
-            record.write(before + until, **means)
+            means = {f"train/{name}_loss": loss.mean(), f"held_out/{name}_mse": held_out.mean()}
+            record.write(before + until, **jax.tree.map(float, means))
             run_directory.save(states, done)
         return states[name].best
 
+    def drive_errors(nets: FollowingNet) -> list[np.ndarray]:
+        each = zip(predict_motion(nets, holding), holding, strict=True)
+        return [motion_error(predicted, log.reading, scales) for predicted, log in each]
+
+    def force_errors(nets: ForceNet) -> list[np.ndarray]:
+        each = zip(predict_force(nets, held_motion), holding, strict=True)
+        return [((force - log.reading.force)[:, burn_in:] ** 2).sum(axis=-1) for force, log in each]
+
     not_used = Motion(*(jnp.zeros((config.members, table.force.shape[0])) for _ in range(2)))
-    drives = learn("drive", not_used, partial(_drive_error, holding, scales))
+    drives = learn("drive", not_used, drive_errors)
     motion = predict_motion(drives, training)
     joined = Motion(*(jnp.asarray(np.concatenate(parts, axis=1)) for parts in zip(*motion, strict=True)))
-    force_nets = learn("force", joined, partial(_force_error, holding, predict_motion(drives, holding), config.burn_in))
+    held_motion, burn_in = predict_motion(drives, holding), config.burn_in
+    force_nets = learn("force", joined, force_errors)
     record.close()
-    members = Member(drives, force_nets)
-    interval = calibrated([predicted.force for predicted in predict_logs(members, holding)], holding, config.burn_in)
-    return StreamingSurrogate(members, command_limits(training), interval, familiar(force_nets, motion, config.burn_in))
+    interval = calibrated(predict_force(force_nets, held_motion), holding, burn_in)
+    familiarity = familiar(force_nets, motion, burn_in)
+    return StreamingSurrogate(Member(drives, force_nets), command_limits(training), interval, familiarity)
 
 
-def split_streaming(logs: Sequence[Log], config: StreamingConfig) -> tuple[list[Log], list[Log], Scales, Table]:
+def split_streaming(logs: Sequence[Log], config: StreamingConfig) -> tuple[Sequence[Log], list[Log], Scales, Table]:
     """Training and held-out logs, scales and table of the former; raises LogError where these cannot be fitted."""
-    held_out, needed = held_out_count(len(logs), config.held_out), config.burn_in + WINDOW
-    holding = [log for log in logs[-held_out:] if len(log.reading.time) >= needed]
+    training, held_out = hold_out(logs, config.held_out)
+    needed = config.burn_in + WINDOW
+    holding = [log for log in held_out if len(log.reading.time) >= needed]
     if not holding:
         raise LogError(
-            f"none of {held_out} held-out logs has {needed} rows: intervals on the mean over {WINDOW} samples behind "
-            f"burn_in = {config.burn_in} need as many; record longer"
+            f"none of {len(held_out)} held-out logs has {needed} rows: intervals on the mean over {WINDOW} samples "
+            f"behind burn_in = {config.burn_in} need as many; record longer"
         )
-    training = list(logs[:-held_out])
     return training, holding, scales_of(training), Table.of(training, config.ticks)
-
-
-@np.errstate(over="ignore", invalid="ignore")
-def _drive_error(logs: Sequence[Log], scales: Scales, nets: FollowingNet) -> Float[np.ndarray, "members"]:
-    """Mean of `motion_error` over held-out logs."""
-    each = zip(predict_motion(nets, logs), logs, strict=True)
-    errors = [motion_error(predicted, log.reading, scales).mean(axis=1) for predicted, log in each]
-    return np.asarray(np.mean(errors, axis=0))
-
-
-@np.errstate(over="ignore", invalid="ignore")
-def _force_error(
-    logs: Sequence[Log], motion: Sequence[Motion], burn_in: int, nets: ForceNet
-) -> Float[np.ndarray, "members"]:
-    """Mean square error of the force over held-out logs, behind the drive nets [N2]."""
-    each = zip(predict_force(nets, motion), logs, strict=True)
-    errors = [((force - log.reading.force)[:, burn_in:] ** 2).sum(-1).mean(axis=1) for force, log in each]
-    return np.asarray(np.mean(errors, axis=0))
 
 
 def _calls(updates: int) -> tuple[int, int]:

@@ -22,12 +22,10 @@ SLOWEST = 60.0
 
 
 class Parity(NamedTuple):
-    """Sizes, inputs, outputs or memory, split by what a mirror does to them."""
+    """Sizes, inputs, outputs or memory: those that a mirror does not change, and those whose sign it changes."""
 
     even: Any
-    """Part that a mirror does not change."""
     odd: Any
-    """Part whose sign a mirror changes."""
 
 
 class MirrorCore(eqx.Module):
@@ -132,28 +130,21 @@ class FollowingNet(eqx.Module):
 
     def start(self, motion: Motion, waiting: Command) -> FollowingState:
         """State in motion, with the commands of the last `LONGEST_DELAY` ticks, newest first."""
-        return FollowingState(self._fixed_profile().start(motion, waiting), self.core.blank(), motion)
+        return FollowingState(jax.lax.stop_gradient(self.profile).start(motion, waiting), self.core.blank(), motion)
 
     def step(self, state: FollowingState, command: Command) -> FollowingState:
         """Step by one tick under a command; `motion` of the new state is what the shaft has come to."""
-        fixed = self._fixed_profile()
+        # Identified beforehand and not learnt: its corners make a poor slope to descend.
+        fixed: Any = jax.lax.stop_gradient(self.profile)
         profile, target = fixed.step(state.profile, command)
         before, now = fixed.motion(state.profile), fixed.motion(profile)
         velocity, change = self.scales.velocity_rad_s, self.scales.change_rad_s
-        odd = jnp.stack([
-            (target.angle - now.angle) / self.scales.angle_rad,
-            now.velocity / velocity,
-            (now.velocity - before.velocity) / change,
-        ])  # fmt: skip
+        behind, faster = target.angle - now.angle, now.velocity - before.velocity
+        odd = jnp.stack([behind / self.scales.angle_rad, now.velocity / velocity, faster / change])
         memory, outputs = self.core.step(state.memory, Parity((target.velocity / velocity)[None], odd))
         # Outputs of 1 move the shaft by about a tick's motion: the net is a correction.
         angle = now.angle + TICK_S * velocity * outputs.odd[0]
         return FollowingState(profile, memory, Motion(angle, now.velocity + change * outputs.odd[1]))
-
-    def _fixed_profile(self) -> Profile:
-        """The profile, identified beforehand and not learnt: its corners make a poor slope to descend."""
-        profile: Profile = jax.lax.stop_gradient(self.profile)
-        return profile
 
 
 class ForceNetConfig(Configuration):
@@ -182,7 +173,6 @@ class ForceState(NamedTuple):
     wake: Parity
     """Components along and across the fin [1]."""
     motion: Motion
-    """Motion of the tick before."""
 
 
 class ForceNet(eqx.Module):

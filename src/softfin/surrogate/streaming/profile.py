@@ -1,8 +1,7 @@
 """The profile that a positioning drive follows, and its coefficients, read off logs.
 
-The trapezoidal profile itself is the drive's (`softfin.tank.drive`); gains, zero, delay and the drive's own limits are
-the log's. They are found by CMA-ES on the mean absolute error of the angle: so a stroke that the profile cannot explain
-does not pull at all the others.
+The trapezoidal profile itself is the drive's (`softfin.tank.drive`). CMA-ES finds the coefficients that leave the least
+mean absolute error of the angle: so a stroke that the profile cannot explain does not pull at all the others.
 """
 
 from collections.abc import Sequence
@@ -30,14 +29,11 @@ POPULATION, GENERATIONS, STARTS = 16, 150, 2
 
 
 class ProfileState(NamedTuple):
-    """State of the profile, and the commands on their way."""
+    """Angle [rad] and velocity [rad/s] of the profile, and the commands on their way, newest first."""
 
     angle: Float[AnyArray, ""]
-    """Angle of the profile [rad]."""
     velocity: Float[AnyArray, ""]
-    """Velocity of the profile [rad/s]."""
     waiting: Command
-    """Commands of the last ticks, newest first."""
 
 
 def _coefficient(default: float) -> Any:
@@ -89,13 +85,16 @@ def identify(logs: Sequence[Log], seed: int) -> tuple[Profile, float]:
     ticks = min(TICKS, max(len(log.reading.time) for log in logs) - LONGEST_DELAY - 1)
     segments = Table.of(logs, ticks).draw(jax.random.key(seed), SEGMENTS, ticks)
     errors = jax.jit(jax.vmap(lambda coded: _error(_profile(coded), segments)))
+    speed = max(np.abs(log.reading.velocity).max() for log in logs)
+    change = np.abs(np.concatenate([np.diff(log.reading.velocity) for log in logs])) / TICK_S
+    steep = np.quantile(change[change > 0.1 * change.max()], 0.8)
+    # A drive that does what it is told three ticks later, no faster than in the logs.
+    guess = np.array([0.0, 0.0, 3.0, 0.0, 5 * np.log(speed), np.log(steep), 0.0])
     results = []
     for start in range(STARTS):
         random = generator_of(seed, f"identify/{start}")
-        search = cma_es(
-            _guess(logs), 0.2 * (1 + start), random,
-            popsize=POPULATION, maxiter=GENERATIONS, tolx=1e-6, tolfun=1e-8,
-        )  # fmt: skip
+        sizes = {"popsize": POPULATION, "maxiter": GENERATIONS}
+        search = cma_es(guess, 0.2 * (1 + start), random, **sizes, tolx=1e-6, tolfun=1e-8)
         while not search.stop():
             asked = search.ask()
             search.tell(asked, np.asarray(errors(jnp.asarray(np.stack(asked), jnp.float32)), np.float64).tolist())
@@ -104,19 +103,9 @@ def identify(logs: Sequence[Log], seed: int) -> tuple[Profile, float]:
     return _profile(jnp.asarray(best.xbest, jnp.float32)), float(best.fbest)
 
 
-def _guess(logs: Sequence[Log]) -> Float[np.ndarray, "coefficients"]:
-    """Coefficients of a drive that does what it is told three ticks later, no faster than in the logs."""
-    speed = np.abs(np.concatenate([log.reading.velocity for log in logs]))
-    change = np.abs(np.concatenate([np.diff(log.reading.velocity) for log in logs])) / TICK_S
-    steep = change[change > 0.1 * change.max()]
-    return np.array([0.0, 0.0, 3.0, 0.0, 5 * np.log(speed.max()), np.log(np.quantile(steep, 0.8)), 0.0])
-
-
 def _profile(coded: Float[Array, "coefficients"]) -> Profile:
-    """Decode a point of the search: gains, limits and acceleration are logarithms; delay and lag count from 0 on.
-
-    The limit moves in small steps: where it is above all commands it has no effect, and a search gets lost there.
-    """
+    """Decode a point of the search: gains, limits and acceleration are logarithms; delay and lag count from 0 on."""
+    # The limit moves in small steps: where it is above all commands it has no effect, and a search gets lost there.
     gain, zero, delay, factor, limit, acceleration, lag = coded
     return Profile(
         jnp.exp(0.1 * gain), 0.05 * zero, jnp.minimum(jnp.abs(delay), LONGEST_DELAY),
@@ -130,7 +119,8 @@ def _error(profile: Profile, segments: SegmentBatch) -> Float[Array, ""]:
             state, _ = profile.step(state, command)
             return state, profile.motion(state).angle
 
-        _, angle = jax.lax.scan(step, profile.start(segment.before, segment.waiting), segment.commands)
-        return jnp.mean(jnp.abs(angle - segment.motion.angle))
+        before: Motion = jax.tree.map(lambda x: x[0], segment.motion)
+        _, angle = jax.lax.scan(step, profile.start(before, segment.waiting), segment.commands)
+        return jnp.mean(jnp.abs(angle - segment.motion.angle[1:]))
 
     return jnp.mean(jax.vmap(one)(segments))

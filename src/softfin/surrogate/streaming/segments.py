@@ -18,12 +18,10 @@ LONGEST_DELAY = 20
 
 
 class Motion(NamedTuple):
-    """Motion of the shaft."""
+    """Angle [rad] and angular velocity [rad/s] of the shaft."""
 
     angle: Float[AnyArray, "*shape"]
-    """Angle of the shaft [rad]."""
     velocity: Float[AnyArray, "*shape"]
-    """Angular velocity of the shaft [rad/s]."""
 
 
 class Scales(Configuration):
@@ -57,16 +55,14 @@ def scales_of(logs: Sequence[Log]) -> Scales:
 
 
 class SegmentBatch(NamedTuple):
-    """Segments of logs, ``(batch, ticks)``: commands of rows k, and the motion and force of rows k + 1."""
+    """Segments of logs, ``(batch, ticks)``: commands of rows k, and the force of rows k + 1."""
 
-    before: Motion
-    """Motion of the first row, ``(batch,)``."""
     waiting: Command
     """Commands before the first row, newest first, ``(batch, LONGEST_DELAY)``."""
     commands: Command
     motion: Motion
+    """Motion from the first row on, ``(batch, 1 + ticks)``."""
     force: Float[Array, "batch ticks 2"]
-    """Measured force [N]."""
     starts: Int[Array, "batch"]
     """First rows, in the table."""
 
@@ -102,10 +98,9 @@ class Table(NamedTuple):
         command, motion, force = slices((self.command, self.motion, self.force), starts, ticks + 1)
         waiting = slices(self.command, starts - LONGEST_DELAY, LONGEST_DELAY)
         return SegmentBatch(
-            before=jax.tree.map(lambda x: x[:, 0], motion),
             waiting=jax.tree.map(lambda x: x[:, ::-1], waiting),
             commands=jax.tree.map(lambda x: x[:, :-1], command),
-            motion=jax.tree.map(lambda x: x[:, 1:], motion),
+            motion=motion,
             force=force[:, 1:],
             starts=starts,
         )

@@ -1,7 +1,7 @@
 """An ensemble of streaming nets as a Plant: commands in, readings out at 100 Hz, with estimates of their errors."""
 
 from collections.abc import Sequence
-from typing import Any, ClassVar, NamedTuple, cast
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,22 +14,21 @@ from softfin.core.plant import rest_command
 from softfin.core.quantities import TICK_S, AnyArray, Command, Limits, Log, Reading
 from softfin.core.ticks import tick_at
 from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, READINGS, SKIPPED, NetPrediction
-from softfin.surrogate.streaming.member import (
+from softfin.surrogate.streaming.ensemble import (
+    Familiarity,
+    Interval,
     Member,
     MemberState,
     ensemble,
     parameters,
     predict_force,
-    predict_logs,
+    predict_motion,
+    remembered,
     single,
 )
 from softfin.surrogate.streaming.nets import DriveNetConfig, ForceNetConfig, products
 from softfin.surrogate.streaming.segments import LONGEST_DELAY, Motion, Scales
-from softfin.surrogate.streaming.uncertainty import Familiarity, Interval, remembered
 from softfin.surrogate.training import named, restored
-
-MEMORY = 300
-"""Ticks of a recorded history that `warm` follows: a stroke at the paper's least velocity takes as long."""
 
 SETTLED = 3000
 """Ticks that `init` has been at rest for: twenty of the longest time constants that a wake begins with."""
@@ -38,31 +37,10 @@ CHANNELS = {"in": list(COMMANDS), "out": list(READINGS)}
 
 
 class StreamingState(NamedTuple):
-    """State of every member; it does not grow, whatever it remembers."""
+    """State of every member, and ticks since the start [10 ms]; it does not grow, whatever it remembers."""
 
     tick: Int[Array, ""]
-    """Ticks since the start [10 ms]."""
     members: MemberState
-
-
-class StreamingMember(eqx.Module):
-    """One member of an ensemble as a plant of its own; meets the Plant contract."""
-
-    net: Member
-    rest: MemberState
-    """State long at rest at angle 0."""
-    limits: Limits = eqx.field(static=True)
-
-    def init(self, key: PRNGKeyArray) -> StreamingState:
-        """Long at rest at angle 0. Nothing is random here: the key is not used."""
-        return StreamingState(jnp.int32(0), self.rest)
-
-    def advance(self, state: StreamingState, command: Command, ticks: int) -> tuple[StreamingState, Reading]:
-        """Hold the command for `ticks` samples of 10 ms and read after each: fields ``(ticks,)``."""
-        held = Command(*(jnp.asarray(part, jnp.float32) for part in command))
-        after, (motion, force) = jax.lax.scan(lambda each, _: self.net.step(each, held), state.members, length=ticks)
-        time = (state.tick + 1 + jnp.arange(ticks)) * jnp.float32(TICK_S)
-        return StreamingState(state.tick + ticks, after), Reading(time, motion.angle, motion.velocity, force)
 
 
 class StreamingSurrogate(eqx.Module):
@@ -78,8 +56,8 @@ class StreamingSurrogate(eqx.Module):
     """The range of the commands in the training data: beyond it the nets extrapolate."""
 
     model: ClassVar[str] = "streaming"
-    memory: ClassVar[int] = MEMORY
-    """Rows of a log that `warm` needs."""
+    memory: ClassVar[int] = 300
+    """Rows of a log that `warm` follows: a stroke at the paper's least velocity takes as long."""
     scaling: ClassVar[None] = None
 
     def __init__(self, members: Member, limits: Limits, interval: Interval, familiarity: Familiarity) -> None:
@@ -99,8 +77,7 @@ class StreamingSurrogate(eqx.Module):
 
     def warm(self, history: Log) -> StreamingState:
         """The state after a recorded history, free-running over its last `memory` rows; raises LogError if shorter."""
-        rows = len(history.reading.time)
-        if rows < self.memory:
+        if (rows := len(history.reading.time)) < self.memory:
             raise LogError(f"history: {rows} rows; {self.memory} are needed to know what the fin has been doing")
         command, reading = jax.tree.map(lambda part: jnp.asarray(part[-self.memory :], jnp.float32), history)
         motion = Motion(reading.angle[LONGEST_DELAY], reading.velocity[LONGEST_DELAY])
@@ -117,18 +94,21 @@ class StreamingSurrogate(eqx.Module):
 
     def advance_members(self, state: StreamingState, command: Command, ticks: int) -> tuple[StreamingState, Reading]:
         """As `advance`, with every member's own reading: fields ``(members, ticks)``."""
-        axes = cast(Any, StreamingState)(None, 0)
-        each: Any = jax.vmap(lambda member, own: member.advance(own, command, ticks), (0, axes), (axes, 0))
-        after, readings = each(self._stacked, state)
-        return after, readings
+        held = Command(*(jnp.asarray(part, jnp.float32) for part in command))
 
-    def member(self, index: Int[Array, ""]) -> StreamingMember:
-        """One member as a plant of its own; `index` may be a value in a program."""
-        return single(self._stacked, index)
+        def one(member: Member, own: MemberState) -> tuple[MemberState, tuple[Motion, Array]]:
+            return jax.lax.scan(lambda each, _: member.step(each, held), own, length=ticks)
 
-    @property
-    def _stacked(self) -> StreamingMember:
-        return StreamingMember(self.members, self.rest, self.limits)
+        after, (motion, force) = jax.vmap(one)(self.members, state.members)
+        time = (state.tick + 1 + jnp.arange(ticks)) * jnp.float32(TICK_S)
+        reading = Reading(jnp.broadcast_to(time, (self.size, ticks)), motion.angle, motion.velocity, force)
+        return StreamingState(state.tick + ticks, after), reading
+
+    def member(self, index: Int[Array, ""]) -> "StreamingSurrogate":
+        """One member as a plant of its own, an ensemble of one; `index` may be a value in a program."""
+        picked = jax.tree.map(lambda x: x[index][None], (self.members, self.rest))
+        alone: StreamingSurrogate = eqx.tree_at(lambda ensemble: (ensemble.members, ensemble.rest), self, picked)
+        return alone
 
     def distance(self, state: StreamingState) -> Float[Array, ""]:
         """Distance of the last motion from the training data: 1 is as far as one in a thousand moments of them."""
@@ -136,21 +116,17 @@ class StreamingSurrogate(eqx.Module):
 
     def predictions(self, logs: Sequence[Log]) -> dict[str, NetPrediction]:
         """Mean predictions of logs by the drive nets, and by the force nets given the motion and behind those."""
-        nets, free = self.members, predict_logs(self.members, logs)
+        drive, force = self.members.drive, self.members.force
+        free = predict_motion(drive, logs)
         measured = [Motion(*np.tile(np.stack([r.angle, r.velocity])[:, None], (self.size, 1))) for _, r in logs]
-        series: dict[str, Sequence[AnyArray]] = {
-            "drive": [each.motion.angle[..., None] for each in free],
-            "force_measured": predict_force(nets.force, measured),
-            "force_free_running": [each.force for each in free],
+        each: dict[str, tuple[tuple[str, ...], eqx.Module, Sequence[AnyArray]]] = {
+            "drive": ((ANGLE,), drive, [motion.angle[..., None] for motion in free]),
+            "force_measured": (FORCES, force, predict_force(force, measured)),
+            "force_free_running": (FORCES, force, predict_force(force, free)),
         }
         return {
-            name: NetPrediction(
-                (ANGLE,) if name == "drive" else FORCES,
-                [np.mean(predicted, axis=0)[SKIPPED:] for predicted in each],
-                None,
-                parameters(nets.drive if name == "drive" else nets.force),
-            )
-            for name, each in series.items()
+            name: NetPrediction(channels, [np.mean(x, axis=0)[SKIPPED:] for x in series], None, parameters(nets))
+            for name, (channels, nets, series) in each.items()
         }
 
     def flops_per_tick(self) -> int:
@@ -174,9 +150,7 @@ class StreamingSurrogate(eqx.Module):
         }, named({"members": self.members, "familiarity": self.familiarity})
 
     @classmethod
-    def from_files(
-        cls, description: dict[str, Any], weights: dict[str, np.ndarray], source: str
-    ) -> "StreamingSurrogate":
+    def from_files(cls, description: Any, weights: dict[str, np.ndarray], source: str) -> "StreamingSurrogate":
         """The surrogate that `to_files` described; raises ArtifactError where channels or arrays do not fit."""
         if description["channels"] != CHANNELS:
             raise ArtifactError(f"{source}: channels {description['channels']}; streaming surrogates have {CHANNELS}")
@@ -199,10 +173,8 @@ class StreamingSurrogate(eqx.Module):
 def _after(members: Member, motion: Motion, waiting: Command, passed: Command) -> MemberState:
     """State of every member after these commands, one a tick."""
 
-    def one(member: Member) -> MemberState:
-        return jax.lax.scan(
-            lambda state, command: (member.step(state, command)[0], None), member.start(motion, waiting), passed
-        )[0]
+    def one(member: Member) -> Any:
+        return jax.lax.scan(lambda state, now: member.step(state, now), member.start(motion, waiting), passed)[0]
 
     state: MemberState = eqx.filter_vmap(one)(members)
     return state

@@ -1,0 +1,233 @@
+"""Members of an ensemble, drive net and force net in a row, their predictions of logs, and estimates of their errors.
+
+The interval on the mean force is split conformal (Lei et al. 2018, J. Am. Stat. Assoc. 113:1094): errors on logs that
+no weight was trained on, divided by what the members' disagreement expects of them, and their quantile. The same logs
+chose among the ten sets of weights of each member, and windows of one log share its drift: so it is calibrated, not
+guaranteed. The distance of a motion from the training data is Mahalanobis's in the memory of a net (Lee et al. 2018,
+NeurIPS), which depends on the last motion.
+"""
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+from pydantic import Field
+
+from softfin.core.configuration import Configuration
+from softfin.core.quantities import AnyArray, Command, Log
+from softfin.core.window import window_means
+from softfin.data.issues import counted
+from softfin.surrogate.streaming.nets import (
+    DriveNetConfig,
+    FollowingNet,
+    FollowingState,
+    ForceNet,
+    ForceNetConfig,
+    ForceState,
+)
+from softfin.surrogate.streaming.segments import LONGEST_DELAY, Motion, Scales
+
+COVERAGE = 0.9
+"""Share of the mean forces that an interval should hold."""
+
+ENOUGH_LOGS = 10
+"""Held-out logs below which an interval hardly covers what differs from log to log, such as the sensor's drift."""
+
+RARE = 0.999
+"""Share of the training data that is nearer than distance 1."""
+
+LOGS, EVERY = 50, 7
+"""Logs that the distance is measured from, and ticks between the moments that are taken from them."""
+
+
+class MemberState(NamedTuple):
+    """States of both nets."""
+
+    drive: FollowingState
+    force: ForceState
+
+
+class Member(eqx.Module):
+    """Commands in, motion and force out; one fin, no batch axes."""
+
+    drive: FollowingNet
+    force: ForceNet
+
+    def start(self, motion: Motion, waiting: Command) -> MemberState:
+        """State in motion, with the commands of the last `LONGEST_DELAY` ticks, newest first."""
+        return MemberState(self.drive.start(motion, waiting), self.force.start(motion))
+
+    def step(self, state: MemberState, command: Command) -> tuple[MemberState, tuple[Motion, Float[Array, "2"]]]:
+        """Step by a tick under a command."""
+        drive = self.drive.step(state.drive, command)
+        force, predicted = self.force.step(state.force, drive.motion)
+        return MemberState(drive, force), (drive.motion, predicted)
+
+
+@functools.partial(jax.jit, static_argnames=("count", "drive", "force", "scales"))
+def ensemble(count: int, drive: DriveNetConfig, force: ForceNetConfig, scales: Scales, key: PRNGKeyArray) -> Member:
+    """Make members with fresh weights of their own: every array has a leading axis ``members``."""
+
+    def one(key: PRNGKeyArray) -> Member:
+        keys = jax.random.split(key)
+        return Member(FollowingNet(drive, scales, keys[0]), ForceNet(force, scales, keys[1]))
+
+    stacked: Member = eqx.filter_vmap(one)(jax.random.split(key, count))
+    return stacked
+
+
+def single(members: Any, index: Any = 0) -> Any:
+    """One member of a stack."""
+    return jax.tree.map(lambda x: x[index], members)
+
+
+def parameters(module: eqx.Module) -> int:
+    """Numbers that were learnt or read off the logs."""
+    return sum(leaf.size for leaf in jax.tree.leaves(module))
+
+
+def motions(drive: FollowingNet, before: Motion, waiting: Command, commands: Command) -> Motion:
+    """The shaft's motion under one command a tick, ``(1 + ticks,)``: that of command k is what row k + 1 shows."""
+
+    def step(state: FollowingState, command: Command) -> tuple[FollowingState, Motion]:
+        state = drive.step(state, command)
+        return state, state.motion
+
+    after = jax.lax.scan(step, drive.start(before, waiting), commands)[1]
+    return Motion(*(jnp.append(first, rest) for first, rest in zip(before, after, strict=True)))
+
+
+def forces(net: ForceNet, motion: Motion) -> Float[Array, "ticks 2"]:
+    """The forces of all rows of a motion ``(1 + ticks,)`` but the first [N]."""
+    before, after = (jax.tree.map(lambda x, part=part: x[part], motion) for part in (0, slice(1, None)))
+    return jax.lax.scan(lambda state, now: net.step(state, now), net.start(before), after)[1]
+
+
+def predict_motion(drives: FollowingNet, logs: Sequence[Log]) -> list[Motion]:
+    """Predict the motion of every log, ``(members, rows)``, from its commands and its first row alone; NumPy."""
+
+    def predict(some: Sequence[Log]) -> Any:
+        # What was commanded before a log is not recorded: its first command has long been given.
+        command, reading = jax.tree.map(lambda *x: np.stack(x).astype(np.float32), *some)
+        waiting = Command(*(np.repeat(x[:, :1], LONGEST_DELAY, axis=1) for x in command))
+        before = Motion(reading.angle[:, 0], reading.velocity[:, 0])
+        return _motions(drives, before, waiting, Command(*(x[:, :-1] for x in command)))
+
+    return _together(logs, [len(log.reading.time) for log in logs], predict)
+
+
+def predict_force(nets: ForceNet, motion: Sequence[Motion]) -> list[Float[np.ndarray, "members rows 2"]]:
+    """Predict the forces of motions ``(members, rows)``; a first row has no motion before it and gets the second's."""
+
+    def predict(some: Sequence[Motion]) -> Float[np.ndarray, "members logs rows 2"]:
+        force = _forces(nets, jax.tree.map(lambda *x: np.stack(x, axis=1), *some))
+        return np.concatenate([force[:, :, :1], force], axis=2)
+
+    return _together(motion, [each.angle.shape[1] for each in motion], predict)
+
+
+def _together(records: Sequence[Any], rows: Sequence[int], predict: Callable[[Any], Any]) -> list[Any]:
+    """What `predict` makes of records of equal length, side by side on the second axis; of each record its own."""
+    results: dict[int, Any] = {}
+    for length in set(rows):
+        index = [i for i, other in enumerate(rows) if other == length]
+        predicted = predict([records[i] for i in index])
+        results |= {i: jax.tree.map(lambda x, n=n: np.asarray(x[:, n]), predicted) for n, i in enumerate(index)}
+    return [results[i] for i in range(len(rows))]
+
+
+@eqx.filter_jit
+def _motions(drives: FollowingNet, *given: Any) -> Any:
+    return eqx.filter_vmap(lambda drive: jax.vmap(functools.partial(motions, drive))(*given))(drives)
+
+
+@eqx.filter_jit
+def _forces(nets: ForceNet, motion: Motion) -> Any:
+    return eqx.filter_vmap(lambda net, motion: jax.vmap(functools.partial(forces, net))(motion))(nets, motion)
+
+
+class Interval(Configuration):
+    """Interval of the mean force over the evaluation window, on either axis.
+
+    half width = factor * sqrt(spread^2 + floor^2), with the variance spread^2 over the members.
+    """
+
+    coverage: float = Field(gt=0, lt=1)
+    """Share of the means that it should hold [-]."""
+    factor: float = Field(gt=0)
+    """Quantile of |error| / sqrt(spread^2 + floor^2) on the held-out logs [-]."""
+    floor_n: float = Field(gt=0)
+    """Root mean square error of the ensemble's mean there [N]: noise, drift, and what all members have wrong."""
+    windows: int = Field(ge=1)
+    """Means that it was calibrated with, those of both axes, from so many `logs`."""
+    logs: int = Field(ge=1)
+
+    def half_width(self, means: Float[AnyArray, "members *shape"]) -> Float[AnyArray, "*shape"]:
+        """Half width of the interval, from the members' own means [N]."""
+        return self.factor * (means.var(axis=0) + self.floor_n**2) ** 0.5
+
+    def caveat(self) -> str | None:
+        """Why the interval is not to be relied on, in a sentence; None if it may be."""
+        if self.logs >= ENOUGH_LOGS:
+            return None
+        return (
+            f"intervals come from {counted(self.logs, 'held-out log')}; with less than {ENOUGH_LOGS} they hardly cover "
+            "what differs from log to log, such as the sensor's drift"
+        )
+
+
+def calibrated(predicted: Sequence[Float[np.ndarray, "members rows 2"]], logs: Sequence[Log], burn_in: int) -> Interval:
+    """Calibrate the interval on the members' predictions of held-out logs behind the first `burn_in` ticks."""
+    means = np.concatenate([window_means(force[:, burn_in:]) for force in predicted], axis=1)
+    measured = np.concatenate([window_means(np.asarray(log.reading.force)[burn_in:]) for log in logs])
+    error = np.abs(means.mean(axis=0) - measured)
+    floor_n = float(np.sqrt(np.mean(error**2)))
+    ratio = error / (means.var(axis=0) + floor_n**2) ** 0.5
+    # One more than there are, so that the next error is covered and not only these.
+    factor = float(np.quantile(ratio, min(1.0, COVERAGE * (1 + 1 / ratio.size)), method="inverted_cdf"))
+    return Interval(coverage=COVERAGE, factor=factor, floor_n=floor_n, windows=ratio.size, logs=len(logs))
+
+
+class Familiarity(eqx.Module):
+    """Where the training data lie in the memory of the first member's force net."""
+
+    mean: Float[Array, "remembered"]
+    whitening: Float[Array, "remembered remembered"]
+    """Inverse square root of the covariance, over the distance that only 1 of 1000 training moments exceeds."""
+
+    def distance(self, memory: Float[Array, "remembered"]) -> Float[Array, ""]:
+        """Out-of-distribution score: 1 where only one of a thousand moments of the training data is as far out."""
+        return jnp.sqrt(jnp.sum(((memory - self.mean) @ self.whitening) ** 2))
+
+
+def remembered(state: ForceState) -> Float[Array, "remembered"]:
+    """Memory of a force net, in which the distance is measured."""
+    return jnp.concatenate(jax.tree.leaves((state.memory, state.wake)))
+
+
+def familiar(nets: ForceNet, motion: Sequence[Motion], burn_in: int) -> Familiarity:
+    """Where the training logs lie, from their predicted motion ``(members, rows)`` from the row `burn_in` + 1 on."""
+    some = [single(each) for each in motion if each.angle.shape[1] > burn_in + 1][:LOGS]
+    memory = np.concatenate([_memories(single(nets), each)[burn_in::EVERY] for each in some]).astype(np.float64)
+    mean = memory.mean(axis=0)
+    values, vectors = np.linalg.eigh(np.cov(memory, rowvar=False))
+    # A direction in which nothing moves would make rounding errors look far.
+    whitening = vectors / np.sqrt(np.maximum(values, 1e-6 * values.max()))
+    far = np.quantile(np.linalg.norm((memory - mean) @ whitening, axis=1), RARE)
+    return Familiarity(jnp.asarray(mean, jnp.float32), jnp.asarray(whitening / far, jnp.float32))
+
+
+@eqx.filter_jit
+def _memories(net: ForceNet, motion: Motion) -> Float[Array, "ticks remembered"]:
+    """Memory behind every row of a motion ``(rows,)`` but the first."""
+
+    def step(state: ForceState, now: Motion) -> tuple[ForceState, Array]:
+        state, _ = net.step(state, now)
+        return state, remembered(state)
+
+    return jax.lax.scan(step, net.start(Motion(*(x[0] for x in motion))), Motion(*(x[1:] for x in motion)))[1]
