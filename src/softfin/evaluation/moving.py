@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from softfin.control.controller import Controller
-from softfin.control.references import reachable_of, resolve_references, unreachable
+from softfin.control.references import reachable_of, resolve_references
 from softfin.core.action_clock import WINDOW
 from softfin.core.choices import MovingReference
 from softfin.core.errors import CoverageError
@@ -148,17 +148,14 @@ def _resolve_signal(controller: Controller, signal: Signal, ticks: int, strict: 
     distance = np.hypot(*(near - references).T)
     if not distance.any():
         return references, None
-    first = int(np.argmax(distance > 0))
-    if strict:
-        (x, y), (a, b) = references[first].tolist(), near[first].tolist()
-        raise CoverageError(
-            f"{signal}, at {first / RATE_HZ:g} s: {unreachable((x, y), (a, b))}; ask for that, or leave out --strict"
-        )
-    return near, (
+    problem = (
         f"{signal}: this fin cannot make what is asked in {np.count_nonzero(distance) / RATE_HZ:g} of "
-        f"{len(references) / RATE_HZ:g} s, from {first / RATE_HZ:g} s on, by up to {distance.max():.3f} N; the nearest "
-        "forces that it can make in this controller's range are held instead"
+        f"{len(references) / RATE_HZ:g} s, from {np.argmax(distance > 0) / RATE_HZ:g} s on, by up to "
+        f"{distance.max():.3f} N; the nearest forces that it can make in this controller's range are held "
     )
+    if strict:
+        raise CoverageError(f"{problem}where --strict is left out")
+    return near, f"{problem}instead"
 
 
 def plan_moving(

@@ -5,7 +5,6 @@ Results and figures go in; the page needs no network, and a part whose data is a
 
 import importlib.resources
 from collections.abc import Iterable, Iterator, Mapping
-from itertools import cycle
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -168,9 +167,7 @@ def prediction_figure(
         figure = new_figure(9, 4.2)
         for index, (axes, axis) in enumerate(zip(figure.subplots(2, 1, sharex=True), AXES, strict=True)):
             axes.plot(time, measured[:, index], color="#BBBBBB", linewidth=2.6, label="measured")
-            for (name, force), colour, line in zip(
-                predicted.items(), cycle((BLUE, BLACK)), cycle(("-", "--")), strict=False
-            ):
+            for (name, force), (line, colour) in zip(predicted.items(), (("-", BLUE), ("--", BLACK)), strict=False):
                 axes.plot(time, force[:, index], line, color=colour, label=name, linewidth=1.1)
             axes.set_ylabel(f"force {axis} [N]")
         last: Any = axes

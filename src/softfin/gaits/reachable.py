@@ -58,11 +58,6 @@ class Cell(Configuration):
         (x0, y0), (x1, y1) = self.low, self.high
         return Cell(low=(x0 - margin_n, y0 - margin_n), high=(x1 + margin_n, y1 + margin_n))
 
-    @property
-    def centre(self) -> Force:
-        """Middle of the cell [N]."""
-        return (self.low[0] + self.high[0]) / 2, (self.low[1] + self.high[1]) / 2
-
     def lattice(self, count: int) -> tuple[Force, ...]:
         """Return `count` x `count` references, each in the middle of an equal part of the cell."""
         steps = [(i + 0.5) / count for i in range(count)]

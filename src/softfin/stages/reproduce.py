@@ -21,8 +21,7 @@ from softfin.core.quantities import RATE_HZ
 from softfin.evaluation.evaluate import Evaluation, write_evaluation
 from softfin.evaluation.figures import experiments_figure
 from softfin.evaluation.report import prediction_figure, write_report
-from softfin.evaluation.scores import Scores
-from softfin.evaluation.uncertainty import SurrogateUncertainty
+from softfin.evaluation.scores import Scores, SurrogateUncertainty
 from softfin.learning.figure import learning_figure
 from softfin.stages.collect import collect
 from softfin.stages.evaluate import evaluation_of

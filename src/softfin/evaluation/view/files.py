@@ -30,9 +30,6 @@ Report = Callable[[float], None]
 COLOURS = 200
 """Colours of a GIF or PNG: enough for the blends of a few plain ones; one of a GIF's 256 is left for what stays."""
 
-SAMPLES = 8
-"""Frames from which a GIF's colours are taken."""
-
 SHAPE_UNIT_M = 1e-4
 """Unit of a page's shapes, which are whole numbers: a fifth of a pixel, in few bytes."""
 
@@ -46,8 +43,7 @@ def ticks_of(ticks: int, frames_per_second: int) -> range:
 def write_gif(path: Path, picture: Picture, frames_per_second: int, report: Report) -> None:
     """Write all frames, in a loop; all of them in the same colours, so that what stays costs no bytes."""
     ticks = ticks_of(len(picture.footage.shape), frames_per_second)
-    samples = [picture.frame(ticks[i]) for i in np.linspace(0, len(ticks) - 1, SAMPLES).astype(int)]
-    palette = _palette(np.concatenate(samples))
+    palette = _palette(picture.frame(-1))
     frames = (_in_colours(image, palette) for image in _frames(picture, ticks, report))
     buffer = io.BytesIO()
     # Browsers slow down a GIF whose frames take less than 2 hundredths of a second.
@@ -120,7 +116,6 @@ def write_page(path: Path, footage: Footage, title: str) -> None:
         title=title,
         shape_known=footage.shape_known,
         asked=footage.reference is not None,
-        stream=footage.stream is not None,
         footage=Markup(json.dumps(to_dict(footage), separators=(",", ":"), allow_nan=False)),
         script=Markup(with_canvas(script)),
     )  # fmt: skip
@@ -133,7 +128,6 @@ def to_dict(footage: Footage) -> dict[str, Any]:
     for i, axis in enumerate(AXES):
         vectors = {"force": footage.reading.force, "mean": footage.average, "reference": footage.reference}
         series |= {f"{name}_{axis}": (part[:, i], 3) for name, part in vectors.items() if part is not None}
-        series |= {} if footage.stream is None else {f"stream_{axis}": (footage.stream[:, i], 4)}
     series["thickness"] = (footage.thickness, 5)
     ticks, points = footage.shape.shape[:2]
     return {

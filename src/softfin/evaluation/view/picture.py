@@ -22,7 +22,7 @@ from softfin.core.action_clock import MOST_TICKS, WINDOW
 from softfin.core.plant import Plant, State, rest_command
 from softfin.core.quantities import AXES, TICK_S, Command, Limits
 from softfin.evaluation.view.footage import Footage, Range, Scale, develop, greatest_of, scale_of, shoot
-from softfin.storage.figures import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, styled
+from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, styled
 from softfin.tank import Tank
 
 Image = UInt8[np.ndarray, "height width 3"]
@@ -96,7 +96,7 @@ class Picture:
         footage, scale, length = self.footage, self.scale, self.scale.length_m
         # A band above for clock and keys, and one below where there is a note.
         above = 0.16 * length if footage.reference is None else 0.27 * length
-        below = 0.0 if footage.shape_known and footage.stream is None else 0.16 * length
+        below = 0.0 if footage.shape_known else 0.16 * length
         xlim, ylim = _filling(scale.x, (scale.y[0] - below, scale.y[1] + above))
         axes.set(xlim=xlim, ylim=ylim, aspect="equal", xlabel="x [m], thrust is +x", ylabel="y [m]")
         axes.set_facecolor(WATER)
@@ -133,16 +133,6 @@ class Picture:
         self._draw_key(axes, xlim[1] - 0.06 * length, ylim[1])
         if not footage.shape_known:
             axes.text(0.03, 0.03, "shape not known: drawn straight", color=GREY, **corner)
-        if footage.stream is not None:
-            start = (xlim[0] + 0.3 * length, ylim[0] + 0.36 * length)
-            drawn = 0.2 * length / scale.stream_m_s
-            self._add_polygon(axes, GREEN, lambda tick: arrow_outline(
-                np.asarray(self.footage.stream[tick], float) * drawn, 0.5 * ARROW * length, start
-            ))  # fmt: skip
-            text = axes.text(0.03, 0.03, "", color=GREEN, **corner)
-            self._moving.append(
-                (text, lambda tick: text.set_text(f"stream {np.hypot(*self.footage.stream[tick]):.2f} m/s"))
-            )
 
     def _draw_key(self, axes: Axes, right: float, top: float) -> None:
         """Draw round forces, to measure the arrows by."""
@@ -209,7 +199,7 @@ class EpisodeFilm:
     def __init__(self, plant: Plant, seconds: float, greatest_reference_n: float) -> None:
         self._plant, self._limits, self._seconds = plant, Limits(*plant.limits), seconds
         self._shoot = jax.jit(partial(shoot, plant))
-        self._greatest = np.array([greatest_reference_n, greatest_reference_n, 0.05])
+        self._greatest = np.full(2, greatest_reference_n)
         self._rest: Any = None
         self._actions: list[Any] = []
         self._picture: Picture | None = None
@@ -232,8 +222,7 @@ class EpisodeFilm:
         """The picture of this moment."""
         parts = self._actions or [self._rest]
         command, shots, reference = jax.tree.map(lambda *parts: np.concatenate(parts), *parts)
-        # With the stream even where the water is still, so that what is drawn stays in its place.
-        footage = develop(self._plant, command, shots, reference)._replace(stream=shots[2])
+        footage = develop(self._plant, command, shots, reference)
         greatest = greatest_of(footage)
         outgrown = greatest > self._greatest
         if self._picture is None or outgrown.any():
@@ -273,13 +262,11 @@ def fin_outline(middle: Points, thickness: Float[np.ndarray, " points"]) -> Floa
     return np.concatenate([line + offset, tip, (line - offset)[::-1]])
 
 
-def arrow_outline(
-    vector: Float[np.ndarray, "2"], width_m: float, start: tuple[float, float] = (0.0, 0.0)
-) -> Float[np.ndarray, "7 2"]:
-    """Outline of an arrow from `start`; a short one is narrower, so that it keeps its look and vanishes at zero."""
+def arrow_outline(vector: Float[np.ndarray, "2"], width_m: float) -> Float[np.ndarray, "7 2"]:
+    """Outline of an arrow from the shaft; a short one is narrower, so that it keeps its look and vanishes at zero."""
     length = float(np.linalg.norm(vector))
     along = vector / length if length > 0 else np.zeros(2)
     head = min(3.2 * width_m, 0.6 * length)
     far, wide = np.array([(0, 0.5), (length - head, 0.5), (length - head, 1.5), (length, 0)]).T[:, :, None]
     across = head / 3.2 * wide * np.array([-along[1], along[0]])
-    return np.asarray(start) + np.concatenate([along * far + across, (along * far - across)[2::-1]])
+    return np.concatenate([along * far + across, (along * far - across)[2::-1]])
