@@ -75,11 +75,8 @@ def _draw_trajectory(axes: Any, angle: Any) -> None:
     """Draw the angle as the force's axes lie: at angle 0 the fin points to the left (-x), at positive ones up (+y)."""
     assert isinstance(axes, PolarAxes)
     shown = angle[: TRAJECTORY_SECONDS * RATE_HZ]
-    axes.set_theta_zero_location("W")
-    axes.set_theta_direction(-1)
     widest = max(90, 15 * math.ceil(math.degrees(float(np.abs(shown).max())) / 15))
-    axes.set_thetamin(-widest)
-    axes.set_thetamax(widest)
+    axes.set(theta_zero_location="W", theta_direction=-1, thetamin=-widest, thetamax=widest)
     axes.set_thetagrids(range(-90, 91, 30))
     axes.plot(shown, np.arange(1, len(shown) + 1) / RATE_HZ, color=BLACK, linewidth=1.0)
     axes.set_rlim(0, len(shown) / RATE_HZ)

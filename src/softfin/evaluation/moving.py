@@ -23,16 +23,8 @@ from softfin.evaluation.scores import score, step_responses
 from softfin.gaits.reachable import Cell, Reachable
 from softfin.task.signals import Force, Ramp, Recorded, Series, Signal, Sinusoid, Step
 
-LOW, MIDDLE, HIGH = 1 / 6, 1 / 2, 5 / 6
-"""Places in a controller's range, which goes from 0 (its least reference) to 1 (its greatest) on each axis."""
-
-UP_AND_FORWARDS = (((MIDDLE, LOW), (MIDDLE, HIGH)), ((MIDDLE, MIDDLE), (HIGH, MIDDLE)))
-
-STEPS = (
-    ((MIDDLE, MIDDLE), (HIGH, MIDDLE)), ((LOW, LOW), (MIDDLE, MIDDLE)),
-    ((MIDDLE, LOW), (MIDDLE, HIGH)), ((HIGH, MIDDLE), (LOW, LOW)),
-)  # fmt: skip
-"""Small and large steps, on one axis and on both."""
+FORWARDS, UP = ((3, 3), (5, 3)), ((3, 1), (3, 5))
+"""From where to where in a controller's range, in sixths of it on each axis."""
 
 
 def _sine(start_n: Force, to_n: Force) -> Sinusoid:
@@ -41,8 +33,10 @@ def _sine(start_n: Force, to_n: Force) -> Sinusoid:
 
 
 SIGNALS: dict[MovingReference, tuple[Callable[..., Signal], tuple[Any, ...], int]] = {
-    "step": (Step, STEPS, 20), "ramp": (Ramp, UP_AND_FORWARDS, 20), "sine": (_sine, UP_AND_FORWARDS, 30),
-}  # fmt: skip
+    "step": (Step, (FORWARDS, ((1, 1), (3, 3)), UP, ((5, 3), (1, 1))), 20),
+    "ramp": (Ramp, (UP, FORWARDS), 20),
+    "sine": (_sine, (UP, FORWARDS), 30),
+}
 """Default signals by kind: from where to where in the range, and length of the experiment [s]; in the paper's range:
 
 ======== ==============================================================================================================
@@ -57,8 +51,8 @@ def signals_of(kind: MovingReference, cell: Cell, reachable: Reachable | None = 
     """The default signals of a kind within a range; forces that the fin cannot make are moved to its reach."""
     (x0, y0), (x1, y1) = cell.low, cell.high
 
-    def at(x: float, y: float) -> Force:
-        force = (x0 + x * (x1 - x0), y0 + y * (y1 - y0))
+    def at(x: int, y: int) -> Force:
+        force = (x0 + x / 6 * (x1 - x0), y0 + y / 6 * (y1 - y0))
         if reachable is not None and not reachable.contains(force):
             force = reachable.nearest_within((cell,), np.array([force]))[0].tolist()
         if not np.isfinite(force).all():

@@ -142,9 +142,7 @@ class Reachable(NamedTuple):
         near = np.take_along_axis(points, _nearest_of(points, at)[..., None, None], axis=-2)[..., 0, :]
         return np.where(np.isclose(self.project(at), at, atol=1e-5).all(axis=-1)[..., None], at, near)
 
-    def nearest_within(
-        self, cells: Sequence[Cell], forces: Float[np.ndarray, "forces 2"]
-    ) -> Float[np.ndarray, "forces 2"]:
+    def nearest_within(self, cells: Sequence[Cell], forces: Forces) -> Forces:
         """Return, for each force, the nearest one that is inside both the region and a cell; NaN where there is none.
 
         It is the nearest force of a cell, of one of the cell's sides or its corners, or lies on the region's edge.

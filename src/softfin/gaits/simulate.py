@@ -28,6 +28,9 @@ from softfin.gaits.reachable import Reachable, directions
 Report = Callable[[float, str], None]
 """Called with the done part (0 .. 1) and a note."""
 
+PreTanh = Float[AnyArray, "gaits 12"]
+"""atanh of the actions of gaits."""
+
 CYCLES = 3
 """Windows that a gait is repeated for from rest, where nothing else is asked for."""
 
@@ -75,8 +78,7 @@ def steady_state_force(plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray)
 class GaitSensitivity(NamedTuple):
     """Mean forces and Sobolev terms of gaits, with their gradients."""
 
-    pre_tanh: Float[AnyArray, "gaits 12"]
-    """atanh of the actions."""
+    pre_tanh: PreTanh
     out: Float[AnyArray, "gaits 3"]
     """Mean force (x, y) and the sum of both Sobolev terms [N]."""
     slope: Float[AnyArray, "gaits 3 12"]
@@ -85,14 +87,12 @@ class GaitSensitivity(NamedTuple):
     """Sobolev terms (x, y) [N]."""
 
 
-def pre_tanh_of(gaits: Float[np.ndarray, "gaits 6 2"]) -> Float[np.ndarray, "gaits 12"]:
+def pre_tanh_of(gaits: Float[np.ndarray, "gaits 6 2"]) -> PreTanh:
     """Return the atanh of the actions."""
     return np.asarray(np.arctanh(np.clip(gaits, -GREATEST_ACTION, GREATEST_ACTION)).reshape(len(gaits), -1))
 
 
-def gait_sensitivity(
-    plant: Plant, pre_tanh: Float[AnyArray, "gaits 12"], cycles: int, key: PRNGKeyArray
-) -> GaitSensitivity:
+def gait_sensitivity(plant: Plant, pre_tanh: PreTanh, cycles: int, key: PRNGKeyArray) -> GaitSensitivity:
     """Simulate gaits and differentiate their forces; `plant` as `jit_argument` makes it."""
     count = len(pre_tanh)
     padded = np.resize(np.asarray(pre_tanh), (-(-count // SIDE_BY_SIDE), SIDE_BY_SIDE, pre_tanh.shape[1]))
@@ -102,7 +102,7 @@ def gait_sensitivity(
 
 
 @eqx.filter_jit
-def _respond(plant: Plant, pre_tanh: Float[Array, "gaits 12"], cycles: int, key: PRNGKeyArray) -> GaitSensitivity:
+def _respond(plant: Plant, pre_tanh: PreTanh, cycles: int, key: PRNGKeyArray) -> GaitSensitivity:
     def out(pre_tanh: Float[Array, "12"]) -> tuple[Float[Array, "3"], Float[Array, "2"]]:
         got = simulate_gait(plant, jnp.tanh(pre_tanh).reshape(CYCLE_ACTIONS, 2), cycles, key)
         return jnp.concatenate([got.force, got.smoothness.sum()[None]]), got.smoothness
@@ -168,13 +168,12 @@ def survey(plant: Plant, config: SurveyConfig | None = None, report: Report = la
     config, plant = config or SurveyConfig(), jit_argument(plant)
     tried = tried_gaits()
     gaits = tried.reshape(-1, *tried.shape[2:])
-    forces = []
-    for start in range(0, len(gaits), config.batch):
-        part = gaits[start : start + config.batch]
-        padded = np.concatenate([part, np.repeat(part[-1:], config.batch - len(part), axis=0)])
-        forces.append(np.asarray(_mean_forces(plant, jnp.asarray(padded), config.cycles))[: len(part)])
-        report(0.8 * (start + len(part)) / len(gaits), f"{start + len(part)} of {len(gaits)} gaits")
-    force = np.concatenate(forces)
+    padded, forces = np.resize(gaits, (-(-len(gaits) // config.batch), config.batch, *gaits.shape[1:])), []
+    for index, part in enumerate(padded, start=1):
+        forces.append(np.asarray(_mean_forces(plant, jnp.asarray(part), config.cycles)))
+        done = min(index * config.batch, len(gaits))
+        report(0.8 * done / len(gaits), f"{done} of {len(gaits)} gaits")
+    force = np.concatenate(forces)[: len(gaits)]
     reachable = _pushed(plant, gaits, force, config)
     report(1.0, "")
     return Survey(tried, force.reshape(*tried.shape[:2], 2), reachable)

@@ -24,6 +24,7 @@ LONGEST, MEAN_LONGEST = 0.65, 0.4
 second would be too short to see beside the peaks of a stroke."""
 
 Range = tuple[float, float]
+Series = Float[np.ndarray, "ticks 2"]
 NONE = np.zeros((1, 2))
 
 
@@ -44,7 +45,7 @@ class Footage(NamedTuple):
     """Whether the plant computes the shape; if not, it is a line at the shaft's angle, as long as the default fin."""
     thickness: Float[np.ndarray, " points"]
     """Thickness at the same points [m]; that of the default fin, in proportion, where the plant is not a tank."""
-    reference: Float[np.ndarray, "ticks 2"] | None
+    reference: Series | None
     """The force that a controller was asked for [N]."""
 
 
@@ -52,9 +53,7 @@ Shots = tuple[Reading, Any]
 """Readings, and shapes ``(ticks, points, 2)`` [m], or None where the plant does not compute them."""
 
 
-def film(
-    plant: Plant, key: PRNGKeyArray, commands: Command, reference: Float[np.ndarray, "ticks 2"] | None = None
-) -> Footage:
+def film(plant: Plant, key: PRNGKeyArray, commands: Command, reference: Series | None = None) -> Footage:
     """Roll the plant from rest, one command a tick, ``(ticks,)``, that follow a reference where there is one."""
     issued = Command(*(jnp.asarray(field, jnp.float32) for field in commands))
     shots = jax.jit(lambda: shoot(plant, plant.init(key), issued))()
@@ -74,7 +73,7 @@ def shoot(plant: Plant, state: State, commands: Command) -> Shots:
     return shots
 
 
-def develop(plant: Plant, command: Command, shots: Shots, reference: Float[np.ndarray, "ticks 2"] | None) -> Footage:
+def develop(plant: Plant, command: Command, shots: Shots, reference: Series | None) -> Footage:
     """The footage of what was shot under the commands, all as NumPy arrays; raises PlantError for wrong shapes."""
     (reading, shape), name, fin = shots, type(plant).__name__, TankConfig().fin
     for field, values in reading._asdict().items():
