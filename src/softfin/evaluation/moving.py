@@ -89,10 +89,7 @@ class MovingPlan(NamedTuple):
     def of(
         cls, controller: Controller, signals: tuple[Signal, ...], seconds: int, strict: bool = False
     ) -> "MovingPlan":
-        """Find the forces to track; raises CoverageError where a signal leaves the controller's range.
-
-        With `strict` it is also raised for the first force that the fin cannot make.
-        """
+        """Find the forces to track; raises CoverageError beyond the controller's range, with `strict` the fin's."""
         pairs = [_resolve_signal(controller, signal, seconds * RATE_HZ, strict) for signal in signals]
         warnings = tuple(warning for _, warning in pairs if warning is not None)
         return cls(signals, seconds, np.stack([series for series, _ in pairs]), warnings)

@@ -102,16 +102,11 @@ class Reachable(NamedTuple):
 
     def to_dict(self) -> dict[str, Any]:
         """Return centre and radii [N] for JSON."""
-        return {
-            "centre_n": [round(float(x), 5) for x in self.centre],
-            "radius_n": [round(float(x), 5) for x in self.radius],
-        }
+        return {f"{name}_n": [round(float(x), 5) for x in part] for name, part in self._asdict().items()}
 
     def corners(self) -> Float[np.ndarray, "directions 2"]:
         """Corners of the polygon [N], anticlockwise."""
-        corners: Float[np.ndarray, "directions 2"]
-        corners = np.asarray(self.centre) + np.asarray(self.radius)[:, None] * directions(len(self.radius))
-        return corners
+        return np.asarray(self.centre + np.asarray(self.radius)[:, None] * directions(len(self.radius)))
 
     def project(self, force: Any) -> Any:
         """Return each force, or where the line from it to the centre meets the edge; NumPy arrays or JAX's."""

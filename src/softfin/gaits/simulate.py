@@ -102,7 +102,7 @@ def gait_sensitivity(plant: Plant, pre_tanh: PreTanh, cycles: int, key: PRNGKeyA
 
 
 @eqx.filter_jit
-def _respond(plant: Plant, pre_tanh: PreTanh, cycles: int, key: PRNGKeyArray) -> GaitSensitivity:
+def _respond(plant: Plant, pre_tanh: Float[Array, "gaits 12"], cycles: int, key: PRNGKeyArray) -> GaitSensitivity:
     def out(pre_tanh: Float[Array, "12"]) -> tuple[Float[Array, "3"], Float[Array, "2"]]:
         got = simulate_gait(plant, jnp.tanh(pre_tanh).reshape(CYCLE_ACTIONS, 2), cycles, key)
         return jnp.concatenate([got.force, got.smoothness.sum()[None]]), got.smoothness

@@ -27,9 +27,6 @@ from softfin.storage.paths import find_ffmpeg
 Report = Callable[[float], None]
 """Called with the part that is done (0 .. 1)."""
 
-COLOURS = 200
-"""Colours of a GIF or PNG: enough for the blends of a few plain ones; one of a GIF's 256 is left for what stays."""
-
 SHAPE_UNIT_M = 1e-4
 """Unit of a page's shapes, which are whole numbers: a fifth of a pixel, in few bytes."""
 
@@ -95,7 +92,8 @@ def _in_colours(image: Image, palette: PIL.Image.Image) -> PIL.Image.Image:
 
 def _palette(image: Image) -> PIL.Image.Image:
     """Return few colours for an image, with those that most of it has just as they are: white stays white."""
-    few = PIL.Image.fromarray(image).quantize(COLOURS, PIL.Image.Quantize.MEDIANCUT)
+    # Enough for the blends of a few plain colours; one of a GIF's 256 is left for what stays.
+    few = PIL.Image.fromarray(image).quantize(200, PIL.Image.Quantize.MEDIANCUT)
     colours = np.array(few.getpalette()).reshape(-1, 3)
     every, counts = np.unique(image.reshape(-1, 3), axis=0, return_counts=True)
     for colour in every[np.argsort(counts)[-12:]].astype(int):

@@ -6,7 +6,7 @@ of an episode of the Gymnasium environment while it goes on.
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -28,11 +28,7 @@ from softfin.tank import Tank
 Image = UInt8[np.ndarray, "height width 3"]
 Points = Float[np.ndarray, "points 2"]
 
-WIDTH_IN, HEIGHT_IN = 9.6, 5.2
-
 FIN, WATER = "#3E4C59", "#F1F6FA"
-
-LEGEND = {"asked for": ORANGE, "measured": BLUE, "mean over 2 s": BLACK}
 
 TRAIL_TICKS = (5, 10, 15, 20, 25)
 """How long ago the faint shapes behind the fin were [10 ms]."""
@@ -60,12 +56,13 @@ class Picture:
         self.footage: Any = footage
         self._growing = growing is not None
         self.scale, self._seconds = growing or (scale_of(footage), len(footage.shape) * TICK_S)
+        # Artists that move, each with how it is set to a tick.
         self._moving: list[tuple[Any, Callable[[int], Any]]] = []
         with styled():
-            self.figure = new_figure(WIDTH_IN, HEIGHT_IN)
+            self.figure = new_figure(9.6, 5.2)
             self.figure.set_dpi(dots_per_inch)
             # As Any, because Matplotlib's canvas has no types.
-            self._canvas: Any = FigureCanvasAgg(self.figure)
+            self._canvas = cast(Any, FigureCanvasAgg(self.figure))
             grid = self.figure.add_gridspec(3, 2, width_ratios=(1.05, 1))
             self._draw_tank(self.figure.add_subplot(grid[:, 0]), title)
             self._draw_traces([self.figure.add_subplot(grid[row, 1]) for row in range(3)])
@@ -82,14 +79,9 @@ class Picture:
             artist.axes.draw_artist(artist)
         return np.array(self._canvas.buffer_rgba())[..., :3]
 
-    def _add(self, axes: Axes, artist: Any, update: Callable[[int], Any]) -> None:
-        """Add an artist that moves, and how it is set to a tick."""
-        axes.add_artist(artist)
-        self._moving.append((artist, update))
-
     def _add_polygon(self, axes: Axes, colour: str, outline: Callable[[int], Points], alpha: float = 1.0) -> Polygon:
         polygon = Polygon(np.zeros((3, 2)), closed=True, facecolor=colour, edgecolor="none", alpha=alpha)
-        self._add(axes, polygon, lambda tick: polygon.set_xy(outline(tick)))
+        self._moving.append((axes.add_patch(polygon), lambda tick: polygon.set_xy(outline(tick))))
         return polygon
 
     def _draw_tank(self, axes: Axes, title: str) -> None:
@@ -126,7 +118,7 @@ class Picture:
             if name != "asked" or footage.reference is not None
         }
         shaft = Circle((0, 0), 0.025 * length, facecolor="white", edgecolor=BLACK, linewidth=1.4)
-        self._add(axes, shaft, lambda tick: None)
+        self._moving.append((axes.add_patch(shaft), lambda tick: None))
         corner: dict[str, Any] = {"transform": axes.transAxes, "fontsize": 10}
         clock = axes.text(0.03, 0.96, "", va="top", weight="bold", color=BLACK, **corner)
         self._moving.append((clock, lambda tick: clock.set_text(f"{(tick + 1) * TICK_S:.2f} s")))
@@ -149,7 +141,7 @@ class Picture:
     def _draw_traces(self, panels: Sequence[Axes]) -> None:
         for axes in panels:
             cursor = axes.axvline(0, color=BLACK, linewidth=0.9)
-            self._add(axes, cursor, partial(lambda line, tick: line.set_xdata([(tick + 1) * TICK_S]), cursor))
+            self._moving.append((cursor, partial(lambda line, tick: line.set_xdata([(tick + 1) * TICK_S]), cursor)))
         angle, *forces = panels
         self._trace(angle, lambda footage: footage.command.angle, ORANGE, 1.3, style="steps-pre")
         self._trace(angle, lambda footage: footage.reading.angle, BLUE, 1.3)
@@ -164,8 +156,9 @@ class Picture:
         for axes in panels:
             axes.set_xlim(0, self._seconds)
             axes.tick_params(labelbottom=axes is panels[-1])
-        legend = [Line2D([], [], color=colour, linewidth=2, label=label) for label, colour in LEGEND.items()]
-        angle.legend(handles=legend, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.1,
+        keys = {"asked for": ORANGE, "measured": BLUE, "mean over 2 s": BLACK}
+        lines = [Line2D([], [], color=colour, linewidth=2, label=label) for label, colour in keys.items()]
+        angle.legend(handles=lines, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.1,
                      handlelength=1.4, columnspacing=1.2)  # fmt: skip
         panels[-1].set_xlabel("time [s]")
         self.figure.align_ylabels(list(panels))
