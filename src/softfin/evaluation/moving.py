@@ -24,7 +24,7 @@ from softfin.gaits.reachable import Cell, Reachable
 from softfin.task.signals import Force, Ramp, Recorded, Series, Signal, Sinusoid, Step
 
 FORWARDS, UP = ((3, 3), (5, 3)), ((3, 1), (3, 5))
-"""From where to where in a controller's range, in sixths of it on each axis."""
+"""Start and end of a signal in a controller's range, in sixths of it on each axis."""
 
 
 def _sine(start_n: Force, to_n: Force) -> Sinusoid:

@@ -195,18 +195,18 @@ def _pushed(
     offset = force - centre
     aside = np.abs(offset[:, :1] * outward[:, 1] - offset[:, 1:] * outward[:, 0])
     pre_tanh = pre_tanh_of(gaits[np.argmax(offset @ outward.T - ASIDE * aside, axis=0)])
-    made = [force]
+    forces = [force]
     for part in (*np.linspace(1.0, 0.2, config.pushes), 0.0):
         found = gait_sensitivity(plant, pre_tanh, config.cycles, key_of(0, "survey"))
-        made.append(np.asarray(found.out)[:, :2])
-        offset = made[-1] - centre
+        forces.append(np.asarray(found.out)[:, :2])
+        offset = forces[-1] - centre
         side = np.sign(offset[:, 0] * outward[:, 1] - offset[:, 1] * outward[:, 0])[:, None]
         # Of the distance along the direction, less `ASIDE` times that beside it.
         uphill = outward - ASIDE * side * np.stack([outward[:, 1], -outward[:, 0]], axis=1)
         change = np.einsum("di,din->dn", uphill, np.asarray(found.slope)[:, :2])
         pre_tanh = pre_tanh + np.float32(0.5 * part) * change / (np.linalg.norm(change, axis=1, keepdims=True) + 1e-6)
     # The greatest distance in each direction, over the forces in the sector about it.
-    offset = np.concatenate(made) - centre
+    offset = np.concatenate(forces) - centre
     along, length = offset @ outward.T, np.linalg.norm(offset, axis=1)
     radius = np.where(along >= np.cos(np.pi / len(outward)) * length[:, None], along, 0).max(axis=0)
     return Reachable(centre.astype(np.float32), np.asarray(radius, np.float32))

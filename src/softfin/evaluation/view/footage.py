@@ -79,11 +79,11 @@ def develop(plant: Plant, command: Command, shots: Shots, reference: Series | No
     for field, values in reading._asdict().items():
         if not np.isfinite(values).all():
             raise PlantError(f"{name}: reading.{field} is not finite; softfin.testing.check_plant says where")
-    known = shape is not None
-    if known and (shape.ndim != 3 or shape.shape[1] < 2 or shape.shape[2] != 2):
+    has_shape = shape is not None
+    if has_shape and (shape.ndim != 3 or shape.shape[1] < 2 or shape.shape[2] != 2):
         raise PlantError(f"{name}: shape(state) has shape {shape.shape[1:]}; it must be (points, 2), 2 points or more")
     force, angle = np.asarray(reading.force, np.float64), np.asarray(reading.angle)
-    if not known:
+    if not has_shape:
         tip = fin.length_m * np.stack([-np.cos(angle), np.sin(angle)], axis=-1)
         shape = np.stack([np.zeros_like(tip), tip], axis=1)
     length = float(np.linalg.norm(np.diff(shape[0], axis=0), axis=1).sum())
@@ -94,7 +94,7 @@ def develop(plant: Plant, command: Command, shots: Shots, reference: Series | No
         average=moving_average(force) if len(force) >= WINDOW else np.zeros((0, 2)),
         shape=shape,
         length_m=length,
-        shape_known=known,
+        shape_known=has_shape,
         thickness=np.asarray(plant.fin.thickness) if isinstance(plant, Tank) else thickness,
         reference=reference,
     )
