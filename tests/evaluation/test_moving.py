@@ -114,7 +114,9 @@ def test_a_moving_reference_beyond_reach_is_brought_to_it_and_told():
 
 def test_strictly_it_is_refused_with_time_and_force():
     recorded = Recorded(time_s=(0, 3), force_n=((1, 0), (3, 0)))
-    with pytest.raises(CoverageError, match=r"rows over 3 s, at 3 s: reference \(3, 0\) N: this fin cannot .*--strict"):
+    with pytest.raises(
+        CoverageError, match=r"this fin cannot .* from 3 s on, by up to 1\.000 N; .* --strict is left out"
+    ):
         evaluate(Weak(), Untouched(), EvaluateConfig(references=((1, 0),), recorded=recorded, strict=True))
 
 

@@ -11,7 +11,7 @@ from softfin.core.randomness import generator_of
 from softfin.evaluation.evaluate import EvaluateConfig, evaluate
 from softfin.evaluation.figures import error_map_figure
 from softfin.evaluation.range_errors import draw_references, errors_at, map_errors, random_errors
-from softfin.gaits.reachable import Cell, Reachable
+from softfin.gaits.reachable import PAPER_REFERENCES, Cell, Reachable
 from softfin.task.references import PAPER_CELLS
 from tests.evaluation.test_moving import Covering
 from tests.plants import AnalyticFin
@@ -89,7 +89,7 @@ def test_tiles_and_numbers_stand_at_their_references(errors):
 def test_the_papers_references_are_marked_and_reachable_forces_outlined(errors):
     corners = np.array([[0.0, -1.0], [3.0, -1.0], [3.0, 1.0]])
     marks, outline = error_map_figure(errors._replace(reachable=corners)).get_axes()[0].get_lines()
-    assert set(zip(*marks.get_data(), strict=True)) == {cell.centre for cell in PAPER_CELLS}
+    assert set(zip(*marks.get_data(), strict=True)) == set(PAPER_REFERENCES)
     np.testing.assert_array_equal(outline.get_xydata(), [*corners, corners[0]])
     assert len(error_map_figure(errors).get_axes()[0].get_lines()) == 1
 

@@ -9,7 +9,7 @@ from softfin.core.quantities import Command
 from softfin.core.window import moving_average
 from softfin.evaluation.evaluate import EvaluateConfig, evaluate
 from softfin.evaluation.experiment import ExperimentRecording, run
-from softfin.evaluation.uncertainty import SurrogateUncertainty, uncertainty_of
+from softfin.evaluation.scores import SurrogateUncertainty, uncertainty_of
 from softfin.surrogate.streaming.ensemble import Familiarity
 from tests.evaluation.test_experiment import Echo
 from tests.plants import AnalyticFin

@@ -6,8 +6,7 @@ from softfin.core.progress import silent
 from softfin.core.quantities import Command, Reading
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation
 from softfin.evaluation.experiment import ExperimentRecording
-from softfin.evaluation.scores import Scores
-from softfin.evaluation.uncertainty import SurrogateUncertainty
+from softfin.evaluation.scores import Scores, SurrogateUncertainty
 from softfin.stages.reproduce import RESULTS, ReproduceConfig, _Reproduction, _together
 
 ROWS = np.zeros((1, 1, 3))

@@ -23,8 +23,7 @@ from softfin.evaluation.experiment import MIN_SECONDS, EvaluationTarget, Experim
 from softfin.evaluation.figures import error_map_figure, experiments_figure, moving_figure
 from softfin.evaluation.moving import MovingScores, plan_moving
 from softfin.evaluation.range_errors import MAX_RANDOM, ErrorMap, map_errors, random_errors
-from softfin.evaluation.scores import STILL_RAD_S, Scores, score
-from softfin.evaluation.uncertainty import SurrogateUncertainty, uncertainty_of
+from softfin.evaluation.scores import STILL_RAD_S, Scores, SurrogateUncertainty, score, uncertainty_of
 from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.storage import artifact as artifacts
 from softfin.storage.figures import save_figure

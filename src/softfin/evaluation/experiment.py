@@ -51,7 +51,9 @@ class RealTime(Protocol):
         """The commands that it takes."""
         ...
 
-    def experiments(self, references: References, seconds: int, repetitions: int) -> ExperimentRecording:
+    def experiments(
+        self, references: Float[np.ndarray, "references *ticks 2"], seconds: int, repetitions: int
+    ) -> ExperimentRecording:
         """Run every reference so many times, one after the other, each from rest."""
         ...
 

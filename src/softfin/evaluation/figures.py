@@ -8,7 +8,6 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patheffects import withStroke
-from matplotlib.projections.polar import PolarAxes
 
 from softfin.core.action_clock import WINDOW
 from softfin.core.quantities import AXES, RATE_HZ
@@ -25,9 +24,6 @@ TRAJECTORY_SECONDS, FORCE_SECONDS = 5, 10
 
 ERROR_COLOURS = "Blues"
 """Colour map of the errors: light where they are small; the same to the colour-blind, and in grey."""
-
-WRITTEN_POINTS = 11
-"""Points along a side up to which the numbers are written into the error map."""
 
 
 def experiments_figure(recording: ExperimentRecording) -> Figure:
@@ -57,12 +53,10 @@ def _draw_experiment(panel: SubFigure, recording: ExperimentRecording, index: in
     above.tick_params(labelbottom=False)
     force = np.asarray(recording.reading.force[index, 0, : FORCE_SECONDS * RATE_HZ])
     time = np.arange(1, len(force) + 1) / RATE_HZ
-    average = moving_average(force)
+    late, average = time[WINDOW - 1 :], moving_average(force)
     for axis, axes in enumerate((above, below)):
         axes.plot(time, force[:, axis], color=BLUE, linewidth=0.6, alpha=0.75, label="force")
-        axes.plot(
-            time[WINDOW - 1 :], average[:, axis], "--", color=BLACK, linewidth=1.6, label="moving average over 2 s"
-        )
+        axes.plot(late, average[:, axis], "--", color=BLACK, linewidth=1.6, label="moving average over 2 s")
         axes.axhline(float(reference[axis]), color=ORANGE, linewidth=1.6, label="reference", zorder=1.9)
         low, high = limits[axis]
         # A sensor that is dead, or a fin that stands, draws a level line.
@@ -73,13 +67,9 @@ def _draw_experiment(panel: SubFigure, recording: ExperimentRecording, index: in
 
 def _draw_trajectory(axes: Any, angle: Any) -> None:
     """Draw the angle as the force's axes lie: at angle 0 the fin points to the left (-x), at positive ones up (+y)."""
-    assert isinstance(axes, PolarAxes)
     shown = angle[: TRAJECTORY_SECONDS * RATE_HZ]
-    axes.set_theta_zero_location("W")
-    axes.set_theta_direction(-1)
     widest = max(90, 15 * math.ceil(math.degrees(float(np.abs(shown).max())) / 15))
-    axes.set_thetamin(-widest)
-    axes.set_thetamax(widest)
+    axes.set(theta_zero_location="W", theta_direction=-1, thetamin=-widest, thetamax=widest)
     axes.set_thetagrids(range(-90, 91, 30))
     axes.plot(shown, np.arange(1, len(shown) + 1) / RATE_HZ, color=BLACK, linewidth=1.0)
     axes.set_rlim(0, len(shown) / RATE_HZ)
@@ -139,9 +129,8 @@ def error_map_figure(errors: ErrorMap) -> Figure:
     (left, bottom), (right, top) = errors.cell.low, errors.cell.high
     # By row of y and column of x; NaN where no reference is tracked.
     lattice = np.full((errors.points, errors.points, 2), np.nan)
-    column, row = (
-        np.floor((errors.references - (left, bottom)) / (right - left, top - bottom) * errors.points).astype(int).T
-    )
+    places = (errors.references - (left, bottom)) / (right - left, top - bottom) * errors.points
+    column, row = np.floor(places).astype(int).T
     lattice[row, column] = errors.error
     greatest = float(errors.error.max())
     with styled():
@@ -156,7 +145,8 @@ def error_map_figure(errors: ErrorMap) -> Figure:
                 cmap=ERROR_COLOURS, interpolation="nearest",
             )  # fmt: skip
             error = errors.error[:, index]
-            if errors.points <= WRITTEN_POINTS:
+            # More numbers could not be read.
+            if errors.points <= 11:
                 for (x, y), value in zip(errors.references, error, strict=True):
                     # Over a mark, on a patch of the map's own colour.
                     patch = {"facecolor": colormaps[ERROR_COLOURS](value / greatest), "edgecolor": "none", "pad": 0.8}

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from softfin.control.controller import Controller
-from softfin.control.references import reachable_of, resolve_references, unreachable
+from softfin.control.references import reachable_of, resolve_references
 from softfin.core.action_clock import WINDOW
 from softfin.core.choices import MovingReference
 from softfin.core.errors import CoverageError
@@ -23,16 +23,8 @@ from softfin.evaluation.scores import score, step_responses
 from softfin.gaits.reachable import Cell, Reachable
 from softfin.task.signals import Force, Ramp, Recorded, Series, Signal, Sinusoid, Step
 
-LOW, MIDDLE, HIGH = 1 / 6, 1 / 2, 5 / 6
-"""Places in a controller's range, which goes from 0 (its least reference) to 1 (its greatest) on each axis."""
-
-UP_AND_FORWARDS = (((MIDDLE, LOW), (MIDDLE, HIGH)), ((MIDDLE, MIDDLE), (HIGH, MIDDLE)))
-
-STEPS = (
-    ((MIDDLE, MIDDLE), (HIGH, MIDDLE)), ((LOW, LOW), (MIDDLE, MIDDLE)),
-    ((MIDDLE, LOW), (MIDDLE, HIGH)), ((HIGH, MIDDLE), (LOW, LOW)),
-)  # fmt: skip
-"""Small and large steps, on one axis and on both."""
+FORWARDS, UP = ((3, 3), (5, 3)), ((3, 1), (3, 5))
+"""Start and end of a signal in a controller's range, in sixths of it on each axis."""
 
 
 def _sine(start_n: Force, to_n: Force) -> Sinusoid:
@@ -41,8 +33,10 @@ def _sine(start_n: Force, to_n: Force) -> Sinusoid:
 
 
 SIGNALS: dict[MovingReference, tuple[Callable[..., Signal], tuple[Any, ...], int]] = {
-    "step": (Step, STEPS, 20), "ramp": (Ramp, UP_AND_FORWARDS, 20), "sine": (_sine, UP_AND_FORWARDS, 30),
-}  # fmt: skip
+    "step": (Step, (FORWARDS, ((1, 1), (3, 3)), UP, ((5, 3), (1, 1))), 20),
+    "ramp": (Ramp, (UP, FORWARDS), 20),
+    "sine": (_sine, (UP, FORWARDS), 30),
+}
 """Default signals by kind: from where to where in the range, and length of the experiment [s]; in the paper's range:
 
 ======== ==============================================================================================================
@@ -57,8 +51,8 @@ def signals_of(kind: MovingReference, cell: Cell, reachable: Reachable | None = 
     """The default signals of a kind within a range; forces that the fin cannot make are moved to its reach."""
     (x0, y0), (x1, y1) = cell.low, cell.high
 
-    def at(x: float, y: float) -> Force:
-        force = (x0 + x * (x1 - x0), y0 + y * (y1 - y0))
+    def at(x: int, y: int) -> Force:
+        force = (x0 + x / 6 * (x1 - x0), y0 + y / 6 * (y1 - y0))
         if reachable is not None and not reachable.contains(force):
             force = reachable.nearest_within((cell,), np.array([force]))[0].tolist()
         if not np.isfinite(force).all():
@@ -95,10 +89,7 @@ class MovingPlan(NamedTuple):
     def of(
         cls, controller: Controller, signals: tuple[Signal, ...], seconds: int, strict: bool = False
     ) -> "MovingPlan":
-        """Find the forces to track; raises CoverageError where a signal leaves the controller's range.
-
-        With `strict` it is also raised for the first force that the fin cannot make.
-        """
+        """Find the forces to track; raises CoverageError beyond the controller's range, with `strict` the fin's."""
         pairs = [_resolve_signal(controller, signal, seconds * RATE_HZ, strict) for signal in signals]
         warnings = tuple(warning for _, warning in pairs if warning is not None)
         return cls(signals, seconds, np.stack([series for series, _ in pairs]), warnings)
@@ -148,17 +139,14 @@ def _resolve_signal(controller: Controller, signal: Signal, ticks: int, strict: 
     distance = np.hypot(*(near - references).T)
     if not distance.any():
         return references, None
-    first = int(np.argmax(distance > 0))
-    if strict:
-        (x, y), (a, b) = references[first].tolist(), near[first].tolist()
-        raise CoverageError(
-            f"{signal}, at {first / RATE_HZ:g} s: {unreachable((x, y), (a, b))}; ask for that, or leave out --strict"
-        )
-    return near, (
+    problem = (
         f"{signal}: this fin cannot make what is asked in {np.count_nonzero(distance) / RATE_HZ:g} of "
-        f"{len(references) / RATE_HZ:g} s, from {first / RATE_HZ:g} s on, by up to {distance.max():.3f} N; the nearest "
-        "forces that it can make in this controller's range are held instead"
+        f"{len(references) / RATE_HZ:g} s, from {np.argmax(distance > 0) / RATE_HZ:g} s on, by up to "
+        f"{distance.max():.3f} N; the nearest forces that it can make in this controller's range are held "
     )
+    if strict:
+        raise CoverageError(f"{problem}where --strict is left out")
+    return near, f"{problem}instead"
 
 
 def plan_moving(

@@ -86,6 +86,7 @@ def map_errors(
 ) -> ErrorMap:
     """Errors over a lattice of the controller's range; raises CoverageError where no reference of it can be tracked."""
     cell, reachable = range_of(controller), reachable_of(controller)
+    outline = None if reachable is None else reachable.corners()
     if cell.low[0] == cell.high[0] or cell.low[1] == cell.high[1]:
         raise CoverageError(f"an error map over {cell}: the controller's range has no area; train it for a wider cell")
 
@@ -105,7 +106,6 @@ def map_errors(
             "(softfin map shows it)"
         )
     error = errors_at(controller, plant, references, seconds, key)
-    outline = None if reachable is None else reachable.corners()
     return ErrorMap(cell, points, references, error, outline, len(covered) - len(references))
 
 

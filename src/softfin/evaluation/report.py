@@ -4,8 +4,7 @@ Results and figures go in; the page needs no network, and a part whose data is a
 """
 
 import importlib.resources
-from collections.abc import Iterable, Iterator, Mapping
-from itertools import cycle
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -127,13 +126,22 @@ def table_two_figure(summaries: Mapping[str, Mapping[str, Any]]) -> Figure:
     with styled():
         figure = new_figure(10, 5.2)
         for index, (axes, axis) in enumerate(zip(figure.subplots(2, 1, sharex=True), AXES, strict=True)):
-            bars = [bar for item in summaries.items() for bar in _bars(*item, axis, index, references)]
+            bars: list[tuple[list[float], dict[str, Any]]] = []
+            for name, summary in summaries.items():
+                rows = [row[axis] for row in (*summary["references"], summary["mean"])]
+                several = rows[0]["error_interval_n"] is not None
+                half = [row["error_interval_n"][1] - row["error_n"] for row in rows] if several else None
+                colour, published = CONTROLLER_COLOURS.get(name, GREY), PAPER_TABLE_II.get(name, {})
+                looks = {"label": name, "yerr": half, "facecolor": colour, "edgecolor": colour}
+                bars.append(([row["error_n"] for row in rows], looks))
+                if published and set(references) <= published.keys():
+                    values = [published[reference][2 * index] for reference in references]
+                    looks = {"label": f"{name}, paper (real fin)", "facecolor": "white", "hatch": "////"}
+                    bars.append(([*values, float(np.mean(values))], looks | {"edgecolor": colour}))
             width = min(0.25, 0.8 / len(bars))
-            for k, (colour, hatch, errors, looks) in enumerate(bars):
-                axes.bar(
-                    places + (k - (len(bars) - 1) / 2) * width, errors, 0.92 * width, hatch=hatch, edgecolor=colour,
-                    facecolor="white" if hatch else colour, ecolor=BLACK, capsize=2, **looks,
-                )  # fmt: skip
+            for k, (errors, looks) in enumerate(bars):
+                at = places + (k - (len(bars) - 1) / 2) * width
+                axes.bar(at, errors, 0.92 * width, ecolor=BLACK, capsize=2, **looks)
             axes.axvline(len(references) - 0.5, color=GREY, linewidth=0.8)
             axes.grid(visible=False, axis="x")
             axes.set_ylabel(f"error {axis} [N]")
@@ -142,21 +150,6 @@ def table_two_figure(summaries: Mapping[str, Mapping[str, Any]]) -> Figure:
         handles, labels = axes.get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
     return figure
-
-
-def _bars(
-    name: str, summary: Mapping[str, Any], axis: str, index: int, references: list[Any]
-) -> Iterator[tuple[str, str | None, list[float], dict[str, Any]]]:
-    """Colour, hatch, errors and looks of a controller's bars, and of the paper's beside them."""
-    rows = [row[axis] for row in (*summary["references"], summary["mean"])]
-    intervals = [row["error_interval_n"] for row in rows]
-    errors, colour = [row["error_n"] for row in rows], CONTROLLER_COLOURS.get(name, GREY)
-    half = None if intervals[0] is None else [high - error for (_, high), error in zip(intervals, errors, strict=True)]
-    yield colour, None, errors, {"label": name, "yerr": half}
-    published = PAPER_TABLE_II.get(name, {})
-    if published and set(references) <= published.keys():
-        values = [published[reference][2 * index] for reference in references]
-        yield colour, "////", [*values, float(np.mean(values))], {"label": f"{name}, paper (real fin)"}
 
 
 def prediction_figure(
@@ -168,9 +161,7 @@ def prediction_figure(
         figure = new_figure(9, 4.2)
         for index, (axes, axis) in enumerate(zip(figure.subplots(2, 1, sharex=True), AXES, strict=True)):
             axes.plot(time, measured[:, index], color="#BBBBBB", linewidth=2.6, label="measured")
-            for (name, force), colour, line in zip(
-                predicted.items(), cycle((BLUE, BLACK)), cycle(("-", "--")), strict=False
-            ):
+            for (name, force), (line, colour) in zip(predicted.items(), (("-", BLUE), ("--", BLACK)), strict=False):
                 axes.plot(time, force[:, index], line, color=colour, label=name, linewidth=1.1)
             axes.set_ylabel(f"force {axis} [N]")
         last: Any = axes

@@ -6,24 +6,35 @@ the reference, which is averaged over the same samples where it moves (`softfin.
     error = mean |m - r|        std = standard deviation of m        raw std = standard deviation of f
 
 Responses are also of m: of a force that jumped at once it would rise for 1.6 s and settle after at most 2.0 s.
+
+How far scores in a surrogate can be trusted is `uncertainty_of`: an ensemble is run over the recorded commands once
+more, for its distance from its data and its intervals; other plants have neither.
 """
 
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from softfin.core.action_clock import ACTION_TICKS, WINDOW, ticks_of
-from softfin.core.quantities import AXES, RATE_HZ
+from softfin.core.plant import EnsemblePlant, State
+from softfin.core.plant_identity import jit_argument
+from softfin.core.quantities import AXES, RATE_HZ, Command
 from softfin.core.window import moving_average, moving_error
-from softfin.evaluation.experiment import ExperimentRecording
+from softfin.evaluation.experiment import EvaluationTarget, ExperimentRecording
 
 STILL_RAD_S = 0.1
 """A shaft that travels less than this in the second half of the experiment stands still; a working one does > 1."""
 
 SETTLED_N = 0.2
 """Distance on both axes within which the force has settled at the reference [N]."""
+
+RARELY = 0.01
+"""Fraction of samples beyond the data up to which there is no warning: ten times that of the data themselves."""
 
 Force = Float[np.ndarray, "ticks 2"]
 
@@ -101,3 +112,54 @@ def _response(average: Float[np.ndarray, "windows 2"], reference: Force, first: 
     outside = np.flatnonzero(np.abs(after - to).max(axis=1) > SETTLED_N)
     settled = 0 if not outside.size else int(outside[-1]) + 2
     return response | {"settling_s": settled / RATE_HZ if settled <= len(after) else None}
+
+
+class SurrogateUncertainty(NamedTuple):
+    """Uncertainty of a surrogate's forces, for each reference."""
+
+    out_of_distribution_fraction: Float[np.ndarray, "references"]
+    """Fraction of the samples at a distance of more than 1: further than all but 1 of 1000 training moments."""
+    furthest: Float[np.ndarray, "references"]
+    """Greatest distance."""
+    half_width: Float[np.ndarray, "references 2"]
+    """Half-width of the stated interval of the mean force, mean over the windows [N]."""
+
+    def to_dict(self, index: int) -> dict[str, Any]:
+        """Values of one reference, for JSON."""
+        return {
+            "out_of_distribution_fraction": float(self.out_of_distribution_fraction[index]),
+            "furthest": float(self.furthest[index]),
+            **{f"half_width_{axis}_n": float(self.half_width[index, i]) for i, axis in enumerate(AXES)},
+        }
+
+    def warning(self) -> str | None:
+        """A sentence on how much lies beyond the data; None where hardly anything does."""
+        fraction = self.out_of_distribution_fraction.mean()
+        text = (
+            f"{fraction:.1%} of the samples lie beyond what the surrogate was fitted to (distance up to "
+            f"{self.furthest.max():.1f}, 1 is its edge): its forces there are extrapolated"
+        )
+        return text if fraction > RARELY else None
+
+
+def uncertainty_of(plant: EvaluationTarget, recording: ExperimentRecording) -> SurrogateUncertainty | None:
+    """Return the uncertainty in the first repetition of every reference; None for a plant that estimates none."""
+    if not isinstance(plant, EnsemblePlant):
+        return None
+    commands = Command(*(jnp.asarray(part[:, 0]) for part in recording.command))
+    distance, force = (np.asarray(part) for part in _run_members(cast(EnsemblePlant, jit_argument(plant)), commands))
+    means = np.stack([moving_average(member) for member in np.moveaxis(force, 2, 0)])
+    half_width = np.asarray(plant.interval.half_width(means))
+    return SurrogateUncertainty((distance > 1).mean(axis=1), distance.max(axis=1), half_width.mean(axis=1))
+
+
+@eqx.filter_jit
+def _run_members(plant: EnsemblePlant, commands: Command) -> tuple[Array, Array]:
+    """Distances ``(references, ticks)`` and the members' forces ``(references, ticks, members, 2)``."""
+
+    def tick(state: State, command: Command) -> tuple[State, tuple[Array, Array]]:
+        state, each = plant.advance_members(state, command, 1)
+        return state, (plant.distance(state), jnp.asarray(each.force[:, 0]))
+
+    start = plant.init(jax.random.key(0))
+    return jax.vmap(lambda issued: jax.lax.scan(tick, start, issued)[1])(commands)

@@ -2,6 +2,7 @@
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
@@ -26,11 +27,7 @@ def map_figure(force_map: ForceMap, tolerance_n: float) -> Figure:
         axes = figure.subplots()
         colours = axes.contourf(nodes[..., 0], nodes[..., 1], cost, levels=levels, cmap="Blues")
         # Nodes beyond reach hold the gait of the nearest force: what lies outside the outline is no result.
-        low, high = nodes[0, 0] - 1, nodes[-1, -1] + 1
-        frame = np.array([low, (high[0], low[1]), high, (low[0], high[1]), low])
-        # One outline: the hole runs the other way round.
-        ring = np.concatenate([frame, outline[::-1], frame[:1]])
-        axes.fill(*ring.T, facecolor="white", edgecolor="none")
+        colours.set_clip_path(Polygon(outline, transform=axes.transData))
         axes.plot(*outline.T, color=BLACK, linewidth=1.6, label="edge of what the fin can make")
         halo = [withStroke(linewidth=3, foreground="white")]
         axes.plot(*nodes[held].T, "o", color=BLACK, markersize=2.5, path_effects=halo, label="a gait makes this force")

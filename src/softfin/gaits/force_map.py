@@ -103,12 +103,12 @@ def check_star(force_map: ForceMap, tolerance_n: float) -> tuple[dict[str, float
     clearly_outside = ~region.contains(nodes, tolerance_n + float(np.max(region.radius)) / PARTS)
     inside = region.contains(nodes)
     outside = float((held & clearly_outside).sum() / max(held.sum(), 1))
-    missed = float((inside & ~held).sum() / max(inside.sum(), 1))
+    unmet = float((inside & ~held).sum() / max(inside.sum(), 1))
     warning = (
         f"the region is kept as star-shaped about its centre, which this fin's is not: {outside:.0%} of the forces "
-        f"that gaits make lie outside it, and no gait was found for {missed:.0%} of the forces inside it"
+        f"that gaits make lie outside it, and no gait was found for {unmet:.0%} of the forces inside it"
     )
-    return {"held_outside": outside, "missed_inside": missed}, warning if max(outside, missed) > NOT_STAR else None
+    return {"held_outside": outside, "missed_inside": unmet}, warning if max(outside, unmet) > NOT_STAR else None
 
 
 class LoadedMap(NamedTuple):

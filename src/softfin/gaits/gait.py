@@ -18,9 +18,6 @@ from softfin.gaits.reachable import Cell, Force, Reachable
 
 Gait: TypeAlias = Float[AnyArray, "6 2"]
 
-ROUNDED = 1e-5
-"""Actions may be this much beyond [-1, 1]: they were rounded to float32."""
-
 
 class GaitTable(NamedTuple):
     """Gaits for the nodes of a lattice of references."""
@@ -83,8 +80,7 @@ class GaitSearchResult(NamedTuple):
 
     def force_error(self) -> Float[np.ndarray, "x y"]:
         """Distance of each node's force from its reference [N]."""
-        distance: Float[np.ndarray, "x y"] = np.linalg.norm(self.force - self.table.references(), axis=-1)
-        return distance
+        return np.asarray(np.linalg.norm(self.force - self.table.references(), axis=-1))
 
 
 class ForceMap(NamedTuple):
@@ -122,7 +118,8 @@ class ForceMap(NamedTuple):
         shapes = (*nodes, CYCLE_ACTIONS, 2), (*nodes, 2), (*nodes, 2)
         if len(nodes) != 2 or min(nodes) < 2 or (actions.shape, force.shape, smoothness.shape) != shapes:
             raise ValueError(f"gaits {actions.shape} do not fit a lattice of {nodes} nodes, two or more a side")
-        if not (np.isfinite(force).all() and np.isfinite(smoothness).all() and (abs(actions) <= 1 + ROUNDED).all()):
+        # Actions were rounded to float32.
+        if not (np.isfinite(force).all() and np.isfinite(smoothness).all() and (abs(actions) <= 1 + 1e-5).all()):
             raise ValueError("gaits or forces are not finite, or gaits are not within [-1, 1], the limits of the plant")
         found = GaitSearchResult(GaitTable(low, high, actions), force, smoothness)
         return cls(found, Reachable.from_dict(description["reachable"]))

@@ -58,11 +58,6 @@ class Cell(Configuration):
         (x0, y0), (x1, y1) = self.low, self.high
         return Cell(low=(x0 - margin_n, y0 - margin_n), high=(x1 + margin_n, y1 + margin_n))
 
-    @property
-    def centre(self) -> Force:
-        """Middle of the cell [N]."""
-        return (self.low[0] + self.high[0]) / 2, (self.low[1] + self.high[1]) / 2
-
     def lattice(self, count: int) -> tuple[Force, ...]:
         """Return `count` x `count` references, each in the middle of an equal part of the cell."""
         steps = [(i + 0.5) / count for i in range(count)]
@@ -107,16 +102,11 @@ class Reachable(NamedTuple):
 
     def to_dict(self) -> dict[str, Any]:
         """Return centre and radii [N] for JSON."""
-        return {
-            "centre_n": [round(float(x), 5) for x in self.centre],
-            "radius_n": [round(float(x), 5) for x in self.radius],
-        }
+        return {f"{name}_n": [round(float(x), 5) for x in part] for name, part in self._asdict().items()}
 
     def corners(self) -> Float[np.ndarray, "directions 2"]:
         """Corners of the polygon [N], anticlockwise."""
-        corners: Float[np.ndarray, "directions 2"]
-        corners = np.asarray(self.centre) + np.asarray(self.radius)[:, None] * directions(len(self.radius))
-        return corners
+        return np.asarray(self.centre + np.asarray(self.radius)[:, None] * directions(len(self.radius)))
 
     def project(self, force: Any) -> Any:
         """Return each force, or where the line from it to the centre meets the edge; NumPy arrays or JAX's."""
@@ -147,9 +137,7 @@ class Reachable(NamedTuple):
         near = np.take_along_axis(points, _nearest_of(points, at)[..., None, None], axis=-2)[..., 0, :]
         return np.where(np.isclose(self.project(at), at, atol=1e-5).all(axis=-1)[..., None], at, near)
 
-    def nearest_within(
-        self, cells: Sequence[Cell], forces: Float[np.ndarray, "forces 2"]
-    ) -> Float[np.ndarray, "forces 2"]:
+    def nearest_within(self, cells: Sequence[Cell], forces: Forces) -> Forces:
         """Return, for each force, the nearest one that is inside both the region and a cell; NaN where there is none.
 
         It is the nearest force of a cell, of one of the cell's sides or its corners, or lies on the region's edge.

@@ -22,10 +22,8 @@ from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import AnyArray
 from softfin.core.randomness import key_of
 from softfin.gaits.gait import GaitSearchResult, GaitTable
-from softfin.gaits.simulate import CYCLES, GaitSensitivity, Report, Survey, gait_sensitivity, pre_tanh_of
+from softfin.gaits.simulate import CYCLES, GaitSensitivity, PreTanh, Report, Survey, gait_sensitivity, pre_tanh_of
 
-Gaits = Float[AnyArray, "nodes 12"]
-"""atanh of the actions."""
 Forces = Float[AnyArray, "nodes 2"]
 Scales = Float[AnyArray, "nodes"]
 Shape = tuple[int, int]
@@ -88,7 +86,7 @@ def find_gaits(
     return GaitSearchResult(table._replace(actions=actions), force, smoothness)
 
 
-def _start(survey: Survey, target: Forces, shape: Shape) -> Gaits:
+def _start(survey: Survey, target: Forces, shape: Shape) -> PreTanh:
     """Choose the waveform that comes nearest; of it, gaits that come near and are like those of their neighbours."""
     starts = []
     for gaits, force in zip(survey.gaits, survey.force, strict=True):
@@ -106,13 +104,13 @@ def _start(survey: Survey, target: Forces, shape: Shape) -> Gaits:
 @eqx.filter_jit
 def _stepped(
     nodes: GaitSensitivity, target: Forces, scale: Scales, shape: Shape, config: GaitConfig, exact: bool
-) -> Gaits:
+) -> PreTanh:
     """Take one step of every node."""
     across = nodes.slope[:, :2]
     gram = across @ jnp.swapaxes(across, 1, 2)
     gram += (1e-3 * jnp.trace(gram, axis1=1, axis2=2)[:, None, None] + 1e-3) * jnp.eye(2)
 
-    def along(force: Forces) -> Gaits:
+    def along(force: Forces) -> PreTanh:
         """Return the smallest change of the actions that changes the force so."""
         return jnp.einsum("nij,ni->nj", across, jnp.linalg.solve(gram, force[..., None])[..., 0])
 
@@ -154,13 +152,13 @@ def _restarted(nodes: GaitSensitivity, target: Forces, scale: Scales, shape: Sha
 
 
 @partial(jax.jit, static_argnums=1)
-def _neighbours(pre_tanh: Gaits, shape: Shape) -> Gaits:
+def _neighbours(pre_tanh: PreTanh, shape: Shape) -> PreTanh:
     """Average the four neighbours; at the edge a node stands in for the one that is missing."""
     grid = jnp.pad(pre_tanh.reshape(*shape, -1), ((1, 1), (1, 1), (0, 0)), mode="edge")
     mean = (grid[2:, 1:-1] + grid[:-2, 1:-1] + grid[1:-1, 2:] + grid[1:-1, :-2]) / 4
     return mean.reshape(pre_tanh.shape)
 
 
-def _shortened(step: Gaits, longest: float) -> Gaits:
+def _shortened(step: PreTanh, longest: float) -> PreTanh:
     length = jnp.linalg.norm(step, axis=1, keepdims=True)
     return step * jnp.minimum(1, longest / (length + 1e-9))

@@ -28,6 +28,9 @@ from softfin.gaits.reachable import Reachable, directions
 Report = Callable[[float, str], None]
 """Called with the done part (0 .. 1) and a note."""
 
+PreTanh = Float[AnyArray, "gaits 12"]
+"""atanh of the actions of gaits."""
+
 CYCLES = 3
 """Windows that a gait is repeated for from rest, where nothing else is asked for."""
 
@@ -75,8 +78,7 @@ def steady_state_force(plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray)
 class GaitSensitivity(NamedTuple):
     """Mean forces and Sobolev terms of gaits, with their gradients."""
 
-    pre_tanh: Float[AnyArray, "gaits 12"]
-    """atanh of the actions."""
+    pre_tanh: PreTanh
     out: Float[AnyArray, "gaits 3"]
     """Mean force (x, y) and the sum of both Sobolev terms [N]."""
     slope: Float[AnyArray, "gaits 3 12"]
@@ -85,14 +87,12 @@ class GaitSensitivity(NamedTuple):
     """Sobolev terms (x, y) [N]."""
 
 
-def pre_tanh_of(gaits: Float[np.ndarray, "gaits 6 2"]) -> Float[np.ndarray, "gaits 12"]:
+def pre_tanh_of(gaits: Float[np.ndarray, "gaits 6 2"]) -> PreTanh:
     """Return the atanh of the actions."""
     return np.asarray(np.arctanh(np.clip(gaits, -GREATEST_ACTION, GREATEST_ACTION)).reshape(len(gaits), -1))
 
 
-def gait_sensitivity(
-    plant: Plant, pre_tanh: Float[AnyArray, "gaits 12"], cycles: int, key: PRNGKeyArray
-) -> GaitSensitivity:
+def gait_sensitivity(plant: Plant, pre_tanh: PreTanh, cycles: int, key: PRNGKeyArray) -> GaitSensitivity:
     """Simulate gaits and differentiate their forces; `plant` as `jit_argument` makes it."""
     count = len(pre_tanh)
     padded = np.resize(np.asarray(pre_tanh), (-(-count // SIDE_BY_SIDE), SIDE_BY_SIDE, pre_tanh.shape[1]))
@@ -168,13 +168,12 @@ def survey(plant: Plant, config: SurveyConfig | None = None, report: Report = la
     config, plant = config or SurveyConfig(), jit_argument(plant)
     tried = tried_gaits()
     gaits = tried.reshape(-1, *tried.shape[2:])
-    forces = []
-    for start in range(0, len(gaits), config.batch):
-        part = gaits[start : start + config.batch]
-        padded = np.concatenate([part, np.repeat(part[-1:], config.batch - len(part), axis=0)])
-        forces.append(np.asarray(_mean_forces(plant, jnp.asarray(padded), config.cycles))[: len(part)])
-        report(0.8 * (start + len(part)) / len(gaits), f"{start + len(part)} of {len(gaits)} gaits")
-    force = np.concatenate(forces)
+    padded, forces = np.resize(gaits, (-(-len(gaits) // config.batch), config.batch, *gaits.shape[1:])), []
+    for index, part in enumerate(padded, start=1):
+        forces.append(np.asarray(_mean_forces(plant, jnp.asarray(part), config.cycles)))
+        done = min(index * config.batch, len(gaits))
+        report(0.8 * done / len(gaits), f"{done} of {len(gaits)} gaits")
+    force = np.concatenate(forces)[: len(gaits)]
     reachable = _pushed(plant, gaits, force, config)
     report(1.0, "")
     return Survey(tried, force.reshape(*tried.shape[:2], 2), reachable)
@@ -196,18 +195,18 @@ def _pushed(
     offset = force - centre
     aside = np.abs(offset[:, :1] * outward[:, 1] - offset[:, 1:] * outward[:, 0])
     pre_tanh = pre_tanh_of(gaits[np.argmax(offset @ outward.T - ASIDE * aside, axis=0)])
-    made = [force]
+    forces = [force]
     for part in (*np.linspace(1.0, 0.2, config.pushes), 0.0):
         found = gait_sensitivity(plant, pre_tanh, config.cycles, key_of(0, "survey"))
-        made.append(np.asarray(found.out)[:, :2])
-        offset = made[-1] - centre
+        forces.append(np.asarray(found.out)[:, :2])
+        offset = forces[-1] - centre
         side = np.sign(offset[:, 0] * outward[:, 1] - offset[:, 1] * outward[:, 0])[:, None]
         # Of the distance along the direction, less `ASIDE` times that beside it.
         uphill = outward - ASIDE * side * np.stack([outward[:, 1], -outward[:, 0]], axis=1)
         change = np.einsum("di,din->dn", uphill, np.asarray(found.slope)[:, :2])
         pre_tanh = pre_tanh + np.float32(0.5 * part) * change / (np.linalg.norm(change, axis=1, keepdims=True) + 1e-6)
     # The greatest distance in each direction, over the forces in the sector about it.
-    offset = np.concatenate(made) - centre
+    offset = np.concatenate(forces) - centre
     along, length = offset @ outward.T, np.linalg.norm(offset, axis=1)
     radius = np.where(along >= np.cos(np.pi / len(outward)) * length[:, None], along, 0).max(axis=0)
     return Reachable(centre.astype(np.float32), np.asarray(radius, np.float32))

@@ -23,8 +23,7 @@ from softfin.data.collect import CollectConfig
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, write_evaluation
 from softfin.evaluation.figures import experiments_figure
 from softfin.evaluation.report import prediction_figure, write_report
-from softfin.evaluation.scores import Scores
-from softfin.evaluation.uncertainty import SurrogateUncertainty
+from softfin.evaluation.scores import Scores, SurrogateUncertainty
 from softfin.learning.configuration import GRADIENT_GRID, GRADIENT_SINGLE, GRID, SINGLE, TrainConfig
 from softfin.learning.controllers import learning_figure
 from softfin.stages.controllers import train

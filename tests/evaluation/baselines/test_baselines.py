@@ -7,7 +7,7 @@ from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.errors import ConfigurationError, PlantError
 from softfin.core.quantities import PAPER_LIMITS, Command, Limits
 from softfin.evaluation.baselines.baselines import BaselinesConfig, evaluate_baselines, shared_limits, write_baselines
-from softfin.evaluation.baselines.search import OpenLoopSearch, SearchConfig, force_errors, repeated
+from softfin.evaluation.baselines.open_loop import OpenLoopSearch, SearchConfig, force_errors, repeated
 from tests.plants import AnalyticFin
 
 SEARCH = SearchConfig(seconds=4, centres=5, amplitudes=3, frequencies_hz=(1.0,), kept=2, refinements=1, gaits=40)
@@ -122,7 +122,7 @@ def test_recurrent_ppo_is_not_trained_where_it_would_learn_what_the_plant_does_n
 def test_commands_are_those_that_both_plants_take():
     limits = shared_limits(Limits(-1, 1.5, 0, 2), Limits(-1.5, 1.2, 1, 7))
     assert limits == Limits(-1, 1.2, 1, 2)
-    with pytest.raises(PlantError, match=r"no velocity that both plants take.*search in a surrogate of the fin"):
+    with pytest.raises(PlantError, match=r"no commands that both plants take.*search in a surrogate of the fin"):
         shared_limits(Limits(-1, 1, 0, 0.9), Limits(-1, 1, 1, 7))
 
 

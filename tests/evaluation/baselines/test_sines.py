@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from softfin.core.errors import ConfigurationError, RunError
 from softfin.core.quantities import PAPER_LIMITS, Limits
-from softfin.evaluation.baselines.search import InverseConfig, OpenLoopSearch, SearchConfig, ShaftSine, inverse
+from softfin.evaluation.baselines.open_loop import InverseConfig, OpenLoopSearch, SearchConfig, ShaftSine, inverse
 from tests.plants import AnalyticFin
 
 LIMITS = Limits(-1.5, 1.5, 1.0, 3.0)

@@ -44,9 +44,11 @@ def test_a_footage_that_grows_is_drawn_up_to_now_with_nothing_ahead():
     whole = beating(BendingFin(), 220, reference=(2.0, -1.0))
 
     def first(ticks):
-        cut = jax.tree.map(lambda x: x[:ticks], whole._replace(shape_known=None, thickness=None, average=None))
+        cut = jax.tree.map(
+            lambda x: x[:ticks], whole._replace(shape_known=None, thickness=None, average=None, length_m=None)
+        )
         average = whole.average[: max(ticks - 199, 0)]
-        return cut._replace(shape_known=True, thickness=whole.thickness, average=average)
+        return cut._replace(length_m=whole.length_m, shape_known=True, thickness=whole.thickness, average=average)
 
     growing = Picture(first(1), "a fin", DPI, growing=(scale_of(whole), 2.2))
     known = Picture(whole, "a fin", DPI)

@@ -12,7 +12,6 @@ from softfin.evaluation.view.footage import film
 from softfin.evaluation.view.view import StrokeGaitConfig, stroke_gait
 from softfin.tank import Tank, TankConfig
 from softfin.tank.fin import FinConfig
-from softfin.tank.hydrodynamics import WaterConfig
 from tests.evaluation.view.fins import LENGTH_M, BendingFin, beating
 from tests.plants import AnalyticFin, PlainFin
 
@@ -39,24 +38,21 @@ def test_a_plant_that_knows_its_shape_is_drawn_in_it():
 def test_any_other_plant_is_drawn_straight_at_its_angle(plant):
     footage = beating(plant, 50)
     assert not footage.shape_known
-    assert footage.stream is None
     angle = footage.reading.angle
     length = FinConfig().length_m
     np.testing.assert_allclose(footage.shape[:, 0], 0)
     np.testing.assert_allclose(footage.shape[:, 1], length * np.stack([-np.cos(angle), np.sin(angle)], -1), rtol=1e-5)
 
 
-def test_the_tip_of_a_stiff_fin_in_the_tank_is_where_the_shaft_points_and_the_stream_is_seen():
+def test_the_tip_of_a_stiff_fin_in_the_tank_is_where_the_shaft_points():
     fin = FinConfig(youngs_modulus_pa=1e10, plates=3)
-    tank = Tank(TankConfig(fin=fin, water=WaterConfig(stream_decay_s=5.0)))
+    tank = Tank(TankConfig(fin=fin))
     commands = stroke_gait(StrokeGaitConfig(centre_rad=0.4), tank.limits, 60)
     footage = film(tank, key_of(0, "test"), commands)
     angle = footage.reading.angle
     assert np.ptp(angle) > 0.2
     pointing = fin.length_m * np.stack([-np.cos(angle), np.sin(angle)], axis=-1)
     np.testing.assert_allclose(footage.shape[:, -1], pointing, atol=2e-3)
-    assert footage.stream is not None
-    assert footage.stream.shape == (60, 2)
 
 
 def test_a_tank_is_drawn_in_its_own_thickness():

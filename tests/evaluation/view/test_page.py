@@ -43,7 +43,6 @@ def test_the_page_holds_what_was_read(html, footage):
     np.testing.assert_allclose(shape, footage.shape, atol=SHAPE_UNIT_M)
     assert data["reference_x"] == [2.0] * 230
     assert data["reference_y"] == [-1.0] * 230
-    assert "stream_x" not in data
 
 
 def test_no_text_closes_the_script_or_becomes_an_element(html):

@@ -24,16 +24,9 @@ from softfin.core.errors import ConfigurationError, PlantError, RunError
 from softfin.core.plant import Plant, rest_command
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import RATE_HZ, Command, Limits
+from softfin.evaluation.baselines import open_loop
+from softfin.evaluation.baselines.open_loop import ShaftSine, inverse
 from softfin.evaluation.baselines.recurrent import run_recurrent, train_recurrent
-from softfin.evaluation.baselines.search import (
-    InverseConfig,
-    OpenLoopSearch,
-    SearchConfig,
-    ShaftSine,
-    inverse,
-    repeated,
-    run_commands,
-)
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, ExperimentsConfig, score_experiments
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.gaits.reachable import Cell, bounding_box
@@ -46,9 +39,9 @@ KIND = "baselines"
 class BaselinesConfig(ExperimentsConfig):
     """How baselines are found and evaluated."""
 
-    search: SearchConfig = SearchConfig()
+    search: open_loop.SearchConfig = open_loop.SearchConfig()
     """Search of the sines and gaits."""
-    inverse: InverseConfig = InverseConfig()
+    inverse: open_loop.InverseConfig = open_loop.InverseConfig()
     """Coefficients of the inverse model."""
     inverse_frequencies_hz: tuple[PositiveFloat, ...] = Field(default=(2.1, 1.1, 1.0), min_length=1)
     """Frequencies of the inverse model [Hz]: the fast and the slow mode of the U-CAT robots, and 1 Hz, whose periods
@@ -74,7 +67,7 @@ def evaluate_baselines(
     """
     references, seconds = np.asarray(config.references, np.float64), config.seconds
     limits = shared_limits(Limits(*search_in.limits), Limits(*plant.limits))
-    search = OpenLoopSearch(search_in, limits, config.search, config.seed)
+    search = open_loop.OpenLoopSearch(search_in, limits, config.search, config.seed)
     summaries: dict[str, Any] = {}
     left_out: dict[str, Any] = {}
     nothing: list[dict[str, Any]] = [{} for _ in references]
@@ -110,7 +103,7 @@ def evaluate_baselines(
     report(0.4, "random gaits")
     gaits = search.best_gaits(references)
     rows = [{"angles_rad": _rounded(angle), "velocities_rad_s": _rounded(v)} for angle, v in zip(*gaits, strict=True)]
-    add_commands("random_search", repeated(gaits, seconds), rows)
+    add_commands("random_search", open_loop.repeated(gaits, seconds), rows)
     report(0.5, "sines")
     add_sines("sine", search.best_sines(references), nothing)
     if config.recurrent_steps:
@@ -125,7 +118,7 @@ def evaluate_baselines(
 
 def evaluate_commands(plant: Plant, commands: Command, config: EvaluateConfig) -> Evaluation:
     """Score a series of commands for each reference, ``(references, ticks)``, as `evaluate` does a controller."""
-    reading = jax.tree.map(np.asarray, run_commands(jit_argument(plant), commands, config.keys()))
+    reading = jax.tree.map(np.asarray, open_loop.run_commands(jit_argument(plant), commands, config.keys()))
     issued = Command(*(np.repeat(np.asarray(part)[:, None], config.seeds, axis=1) for part in commands))
     recording = ExperimentRecording(np.asarray(config.references, np.float32), issued, reading)
     return score_experiments(recording, plant, config)
@@ -147,11 +140,10 @@ def shared_limits(one: Limits, other: Limits) -> Limits:
     """The commands that two plants both take; raises PlantError where there are none."""
     low, high = np.maximum(one, other).tolist(), np.minimum(one, other).tolist()
     limits = Limits(low[0], high[1], low[2], high[3])
-    if limits.angle_min >= limits.angle_max or limits.velocity_min >= limits.velocity_max:
-        quantity = "angle" if limits.angle_min >= limits.angle_max else "velocity"
+    if limits.problem() is not None:
         raise PlantError(
-            f"baselines: no {quantity} that both plants take: the search plant takes {one.to_dict()}, the evaluated "
-            f"one {other.to_dict()}; search in a surrogate of the fin itself"
+            f"baselines: no commands that both plants take: the search plant takes {one.to_dict()}, the evaluated one "
+            f"{other.to_dict()}; search in a surrogate of the fin itself"
         )
     return limits
 

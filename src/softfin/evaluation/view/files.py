@@ -27,12 +27,6 @@ from softfin.storage.paths import find_ffmpeg
 Report = Callable[[float], None]
 """Called with the part that is done (0 .. 1)."""
 
-COLOURS = 200
-"""Colours of a GIF or PNG: enough for the blends of a few plain ones; one of a GIF's 256 is left for what stays."""
-
-SAMPLES = 8
-"""Frames from which a GIF's colours are taken."""
-
 SHAPE_UNIT_M = 1e-4
 """Unit of a page's shapes, which are whole numbers: a fifth of a pixel, in few bytes."""
 
@@ -46,8 +40,7 @@ def ticks_of(ticks: int, frames_per_second: int) -> range:
 def write_gif(path: Path, picture: Picture, frames_per_second: int, report: Report) -> None:
     """Write all frames, in a loop; all of them in the same colours, so that what stays costs no bytes."""
     ticks = ticks_of(len(picture.footage.shape), frames_per_second)
-    samples = [picture.frame(ticks[i]) for i in np.linspace(0, len(ticks) - 1, SAMPLES).astype(int)]
-    palette = _palette(np.concatenate(samples))
+    palette = _palette(picture.frame(-1))
     frames = (_in_colours(image, palette) for image in _frames(picture, ticks, report))
     buffer = io.BytesIO()
     # Browsers slow down a GIF whose frames take less than 2 hundredths of a second.
@@ -99,7 +92,8 @@ def _in_colours(image: Image, palette: PIL.Image.Image) -> PIL.Image.Image:
 
 def _palette(image: Image) -> PIL.Image.Image:
     """Return few colours for an image, with those that most of it has just as they are: white stays white."""
-    few = PIL.Image.fromarray(image).quantize(COLOURS, PIL.Image.Quantize.MEDIANCUT)
+    # Enough for the blends of a few plain colours; one of a GIF's 256 is left for what stays.
+    few = PIL.Image.fromarray(image).quantize(200, PIL.Image.Quantize.MEDIANCUT)
     colours = np.array(few.getpalette()).reshape(-1, 3)
     every, counts = np.unique(image.reshape(-1, 3), axis=0, return_counts=True)
     for colour in every[np.argsort(counts)[-12:]].astype(int):
@@ -120,7 +114,6 @@ def write_page(path: Path, footage: Footage, title: str) -> None:
         title=title,
         shape_known=footage.shape_known,
         asked=footage.reference is not None,
-        stream=footage.stream is not None,
         footage=Markup(json.dumps(to_dict(footage), separators=(",", ":"), allow_nan=False)),
         script=Markup(with_canvas(script)),
     )  # fmt: skip
@@ -133,7 +126,6 @@ def to_dict(footage: Footage) -> dict[str, Any]:
     for i, axis in enumerate(AXES):
         vectors = {"force": footage.reading.force, "mean": footage.average, "reference": footage.reference}
         series |= {f"{name}_{axis}": (part[:, i], 3) for name, part in vectors.items() if part is not None}
-        series |= {} if footage.stream is None else {f"stream_{axis}": (footage.stream[:, i], 4)}
     series["thickness"] = (footage.thickness, 5)
     ticks, points = footage.shape.shape[:2]
     return {

@@ -17,13 +17,14 @@ from softfin.core.errors import PlantError
 from softfin.core.plant import Plant, State
 from softfin.core.quantities import Command, Reading
 from softfin.core.window import moving_average
-from softfin.tank import Tank, TankConfig, TankState
+from softfin.tank import Tank, TankConfig
 
 LONGEST, MEAN_LONGEST = 0.65, 0.4
 """Length of the arrows of the greatest force, and of the greatest reference or mean force, over that of the fin; the
 second would be too short to see beside the peaks of a stroke."""
 
 Range = tuple[float, float]
+Series = Float[np.ndarray, "ticks 2"]
 NONE = np.zeros((1, 2))
 
 
@@ -38,28 +39,21 @@ class Footage(NamedTuple):
     """Mean of the force over the last 200 samples, from the first instant at which all are there [N]."""
     shape: Float[np.ndarray, "ticks points 2"]
     """Middle line of the fin from the shaft to the tip [m]."""
+    length_m: float
+    """Length of the fin from the shaft to the tip [m]."""
     shape_known: bool
     """Whether the plant computes the shape; if not, it is a line at the shaft's angle, as long as the default fin."""
     thickness: Float[np.ndarray, " points"]
     """Thickness at the same points [m]; that of the default fin, in proportion, where the plant is not a tank."""
-    stream: Float[np.ndarray, "ticks 2"] | None
-    """Velocity of the water that the fin has set moving [m/s]; None where it is still or not known."""
-    reference: Float[np.ndarray, "ticks 2"] | None
+    reference: Series | None
     """The force that a controller was asked for [N]."""
 
-    @property
-    def length_m(self) -> float:
-        """Length of the fin from the shaft to the tip [m]."""
-        return float(np.linalg.norm(np.diff(self.shape[0], axis=0), axis=1).sum())
+
+Shots = tuple[Reading, Any]
+"""Readings, and shapes ``(ticks, points, 2)`` [m], or None where the plant does not compute them."""
 
 
-Shots = tuple[Reading, Any, Any]
-"""Readings, shapes ``(ticks, points, 2)`` [m], velocities of the water ``(ticks, 2)`` [m/s]; None where not known."""
-
-
-def film(
-    plant: Plant, key: PRNGKeyArray, commands: Command, reference: Float[np.ndarray, "ticks 2"] | None = None
-) -> Footage:
+def film(plant: Plant, key: PRNGKeyArray, commands: Command, reference: Series | None = None) -> Footage:
     """Roll the plant from rest, one command a tick, ``(ticks,)``, that follow a reference where there is one."""
     issued = Command(*(jnp.asarray(field, jnp.float32) for field in commands))
     shots = jax.jit(lambda: shoot(plant, plant.init(key), issued))()
@@ -73,41 +67,37 @@ def shoot(plant: Plant, state: State, commands: Command) -> Shots:
 
     def tick(state: State, command: Command) -> tuple[State, Shots]:
         state, reading = plant.advance(state, command, 1)
-        stream = state.flow.stream if isinstance(state, TankState) else None
-        return state, (jax.tree.map(lambda x: x[0], reading), shape_of(state), stream)
+        return state, (jax.tree.map(lambda x: x[0], reading), shape_of(state))
 
     shots: Shots = jax.lax.scan(tick, state, commands)[1]
     return shots
 
 
-def develop(plant: Plant, command: Command, shots: Shots, reference: Float[np.ndarray, "ticks 2"] | None) -> Footage:
+def develop(plant: Plant, command: Command, shots: Shots, reference: Series | None) -> Footage:
     """The footage of what was shot under the commands, all as NumPy arrays; raises PlantError for wrong shapes."""
-    reading, shape, stream = shots
-    name, fin = type(plant).__name__, TankConfig().fin
+    (reading, shape), name, fin = shots, type(plant).__name__, TankConfig().fin
     for field, values in reading._asdict().items():
         if not np.isfinite(values).all():
             raise PlantError(f"{name}: reading.{field} is not finite; softfin.testing.check_plant says where")
-    known = shape is not None
-    if known and (shape.ndim != 3 or shape.shape[1] < 2 or shape.shape[2] != 2):
+    has_shape = shape is not None
+    if has_shape and (shape.ndim != 3 or shape.shape[1] < 2 or shape.shape[2] != 2):
         raise PlantError(f"{name}: shape(state) has shape {shape.shape[1:]}; it must be (points, 2), 2 points or more")
     force, angle = np.asarray(reading.force, np.float64), np.asarray(reading.angle)
-    if not known:
+    if not has_shape:
         tip = fin.length_m * np.stack([-np.cos(angle), np.sin(angle)], axis=-1)
         shape = np.stack([np.zeros_like(tip), tip], axis=1)
-    footage = Footage(
+    length = float(np.linalg.norm(np.diff(shape[0], axis=0), axis=1).sum())
+    thickness = fin.thickness(np.linspace(0, fin.length_m, shape.shape[1])) * length / fin.length_m
+    return Footage(
         command=command,
         reading=reading,
         average=moving_average(force) if len(force) >= WINDOW else np.zeros((0, 2)),
         shape=shape,
-        shape_known=known,
-        thickness=np.asarray(plant.fin.thickness) if isinstance(plant, Tank) else np.zeros(0),
-        stream=stream if stream is not None and stream.any() else None,
+        length_m=length,
+        shape_known=has_shape,
+        thickness=np.asarray(plant.fin.thickness) if isinstance(plant, Tank) else thickness,
         reference=reference,
     )
-    if isinstance(plant, Tank):
-        return footage
-    default = fin.thickness(np.linspace(0, fin.length_m, shape.shape[1]))
-    return footage._replace(thickness=default * footage.length_m / fin.length_m)
 
 
 class Scale(NamedTuple):
@@ -130,18 +120,15 @@ class Scale(NamedTuple):
     """Axis of the force traces [N]."""
     angle: Range
     """Axis of the angle's trace [rad]."""
-    stream_m_s: float
-    """The fastest stream [m/s]."""
 
 
-def greatest_of(footage: Footage) -> Float[np.ndarray, "3"]:
-    """Return the sizes of the greatest force [N], reference or mean force [N], stream [m/s]; 0 where it has none."""
-    asked, stream = (NONE if part is None else part for part in (footage.reference, footage.stream))
-    vectors = (footage.reading.force, np.concatenate([footage.average, asked]), stream)
-    return np.array([np.linalg.norm(each, axis=1).max() for each in vectors], float)
+def greatest_of(footage: Footage) -> Float[np.ndarray, "2"]:
+    """Return the sizes of the greatest force, and reference or mean force [N]; 0 where it has none."""
+    means = np.concatenate([footage.average, NONE if footage.reference is None else footage.reference])
+    return np.array([np.linalg.norm(each, axis=1).max() for each in (footage.reading.force, means)], float)
 
 
-def scale_of(footage: Footage, greatest: Float[np.ndarray, "3"] | None = None, angle: Range | None = None) -> Scale:
+def scale_of(footage: Footage, greatest: Float[np.ndarray, "2"] | None = None, angle: Range | None = None) -> Scale:
     """Return the scale by which fin and arrows stay in the picture at every tick.
 
     Of a footage that is still growing, up to the `greatest` sizes, wherever the fin turns within the `angle` [rad].
@@ -149,7 +136,7 @@ def scale_of(footage: Footage, greatest: Float[np.ndarray, "3"] | None = None, a
     length, force = footage.length_m, np.asarray(footage.reading.force, float)
     asked = NONE if footage.reference is None else np.unique(footage.reference, axis=0)
     shown, angles = np.concatenate([force, asked]), np.concatenate([footage.reading.angle, footage.command.angle])
-    force_n, mean_n, stream_m_s = (greatest_of(footage) if greatest is None else greatest).tolist()
+    force_n, mean_n = (greatest_of(footage) if greatest is None else greatest).tolist()
     axis = (-force_n, force_n)
     if greatest is None:
         axis = (min(float(shown.min()), 0.0), max(float(shown.max()), 0.0))
@@ -174,7 +161,6 @@ def scale_of(footage: Footage, greatest: Float[np.ndarray, "3"] | None = None, a
         y=(bottom, top),
         force=_padded(*axis),
         angle=_padded(*(angle or (float(angles.min()), float(angles.max())))),
-        stream_m_s=stream_m_s,
     )
 
 

@@ -132,15 +132,6 @@ function drawKeys(pen, width, height, pixels, tick, thick) {
     key(scale.mean_key_n * scale.metres_per_mean_newton * pixels, `asked for, mean ${scale.mean_key_n} N`, 44, colours.mean);
   }
   key(0.05 * pixels, "5 cm", height - 12, colours.soft);
-  if (footage.stream_x) {
-    const [x, y] = [footage.stream_x[tick], footage.stream_y[tick]];
-    const drawn = (0.2 * scale.length_m * pixels) / scale.stream_m_s;
-    pen.fillStyle = colours.stream;
-    pen.textAlign = "left";
-    pen.fillText(`stream ${Math.hypot(x, y).toFixed(2)} m/s`, 12, height - 12);
-    const reach = 0.2 * scale.length_m * pixels;
-    drawArrow(pen, [24 + reach, height - 34 - reach], [x * drawn, -y * drawn], thick / 2);
-  }
 }
 
 function tracesLayout(width, height) {
@@ -327,7 +318,7 @@ document.addEventListener("keydown", (event) => {
 
 function readColours() {
   const style = getComputedStyle(document.documentElement);
-  const names = ["page", "text", "soft", "rule", "grid", "fin", "measured", "asked", "mean", "stream", "shaft", "faint"];
+  const names = ["page", "text", "soft", "rule", "grid", "fin", "measured", "asked", "mean", "shaft", "faint"];
   for (const name of names) colours[name] = style.getPropertyValue(`--${name}`).trim();
   redraw();
 }

@@ -6,7 +6,7 @@ of an episode of the Gymnasium environment while it goes on.
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -22,17 +22,13 @@ from softfin.core.action_clock import MOST_TICKS, WINDOW
 from softfin.core.plant import Plant, State, rest_command
 from softfin.core.quantities import AXES, TICK_S, Command, Limits
 from softfin.evaluation.view.footage import Footage, Range, Scale, develop, greatest_of, scale_of, shoot
-from softfin.storage.figures import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, styled
+from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, styled
 from softfin.tank import Tank
 
 Image = UInt8[np.ndarray, "height width 3"]
 Points = Float[np.ndarray, "points 2"]
 
-WIDTH_IN, HEIGHT_IN = 9.6, 5.2
-
 FIN, WATER = "#3E4C59", "#F1F6FA"
-
-LEGEND = {"asked for": ORANGE, "measured": BLUE, "mean over 2 s": BLACK}
 
 TRAIL_TICKS = (5, 10, 15, 20, 25)
 """How long ago the faint shapes behind the fin were [10 ms]."""
@@ -60,12 +56,13 @@ class Picture:
         self.footage: Any = footage
         self._growing = growing is not None
         self.scale, self._seconds = growing or (scale_of(footage), len(footage.shape) * TICK_S)
+        # Artists that move, each with how it is set to a tick.
         self._moving: list[tuple[Any, Callable[[int], Any]]] = []
         with styled():
-            self.figure = new_figure(WIDTH_IN, HEIGHT_IN)
+            self.figure = new_figure(9.6, 5.2)
             self.figure.set_dpi(dots_per_inch)
             # As Any, because Matplotlib's canvas has no types.
-            self._canvas: Any = FigureCanvasAgg(self.figure)
+            self._canvas = cast(Any, FigureCanvasAgg(self.figure))
             grid = self.figure.add_gridspec(3, 2, width_ratios=(1.05, 1))
             self._draw_tank(self.figure.add_subplot(grid[:, 0]), title)
             self._draw_traces([self.figure.add_subplot(grid[row, 1]) for row in range(3)])
@@ -82,21 +79,16 @@ class Picture:
             artist.axes.draw_artist(artist)
         return np.array(self._canvas.buffer_rgba())[..., :3]
 
-    def _add(self, axes: Axes, artist: Any, update: Callable[[int], Any]) -> None:
-        """Add an artist that moves, and how it is set to a tick."""
-        axes.add_artist(artist)
-        self._moving.append((artist, update))
-
     def _add_polygon(self, axes: Axes, colour: str, outline: Callable[[int], Points], alpha: float = 1.0) -> Polygon:
         polygon = Polygon(np.zeros((3, 2)), closed=True, facecolor=colour, edgecolor="none", alpha=alpha)
-        self._add(axes, polygon, lambda tick: polygon.set_xy(outline(tick)))
+        self._moving.append((axes.add_patch(polygon), lambda tick: polygon.set_xy(outline(tick))))
         return polygon
 
     def _draw_tank(self, axes: Axes, title: str) -> None:
         footage, scale, length = self.footage, self.scale, self.scale.length_m
         # A band above for clock and keys, and one below where there is a note.
         above = 0.16 * length if footage.reference is None else 0.27 * length
-        below = 0.0 if footage.shape_known and footage.stream is None else 0.16 * length
+        below = 0.0 if footage.shape_known else 0.16 * length
         xlim, ylim = _filling(scale.x, (scale.y[0] - below, scale.y[1] + above))
         axes.set(xlim=xlim, ylim=ylim, aspect="equal", xlabel="x [m], thrust is +x", ylabel="y [m]")
         axes.set_facecolor(WATER)
@@ -126,23 +118,13 @@ class Picture:
             if name != "asked" or footage.reference is not None
         }
         shaft = Circle((0, 0), 0.025 * length, facecolor="white", edgecolor=BLACK, linewidth=1.4)
-        self._add(axes, shaft, lambda tick: None)
+        self._moving.append((axes.add_patch(shaft), lambda tick: None))
         corner: dict[str, Any] = {"transform": axes.transAxes, "fontsize": 10}
         clock = axes.text(0.03, 0.96, "", va="top", weight="bold", color=BLACK, **corner)
         self._moving.append((clock, lambda tick: clock.set_text(f"{(tick + 1) * TICK_S:.2f} s")))
         self._draw_key(axes, xlim[1] - 0.06 * length, ylim[1])
         if not footage.shape_known:
             axes.text(0.03, 0.03, "shape not known: drawn straight", color=GREY, **corner)
-        if footage.stream is not None:
-            start = (xlim[0] + 0.3 * length, ylim[0] + 0.36 * length)
-            drawn = 0.2 * length / scale.stream_m_s
-            self._add_polygon(axes, GREEN, lambda tick: arrow_outline(
-                np.asarray(self.footage.stream[tick], float) * drawn, 0.5 * ARROW * length, start
-            ))  # fmt: skip
-            text = axes.text(0.03, 0.03, "", color=GREEN, **corner)
-            self._moving.append(
-                (text, lambda tick: text.set_text(f"stream {np.hypot(*self.footage.stream[tick]):.2f} m/s"))
-            )
 
     def _draw_key(self, axes: Axes, right: float, top: float) -> None:
         """Draw round forces, to measure the arrows by."""
@@ -159,7 +141,7 @@ class Picture:
     def _draw_traces(self, panels: Sequence[Axes]) -> None:
         for axes in panels:
             cursor = axes.axvline(0, color=BLACK, linewidth=0.9)
-            self._add(axes, cursor, partial(lambda line, tick: line.set_xdata([(tick + 1) * TICK_S]), cursor))
+            self._moving.append((cursor, partial(lambda line, tick: line.set_xdata([(tick + 1) * TICK_S]), cursor)))
         angle, *forces = panels
         self._trace(angle, lambda footage: footage.command.angle, ORANGE, 1.3, style="steps-pre")
         self._trace(angle, lambda footage: footage.reading.angle, BLUE, 1.3)
@@ -174,8 +156,9 @@ class Picture:
         for axes in panels:
             axes.set_xlim(0, self._seconds)
             axes.tick_params(labelbottom=axes is panels[-1])
-        legend = [Line2D([], [], color=colour, linewidth=2, label=label) for label, colour in LEGEND.items()]
-        angle.legend(handles=legend, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.1,
+        keys = {"asked for": ORANGE, "measured": BLUE, "mean over 2 s": BLACK}
+        lines = [Line2D([], [], color=colour, linewidth=2, label=label) for label, colour in keys.items()]
+        angle.legend(handles=lines, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.1,
                      handlelength=1.4, columnspacing=1.2)  # fmt: skip
         panels[-1].set_xlabel("time [s]")
         self.figure.align_ylabels(list(panels))
@@ -209,7 +192,7 @@ class EpisodeFilm:
     def __init__(self, plant: Plant, seconds: float, greatest_reference_n: float) -> None:
         self._plant, self._limits, self._seconds = plant, Limits(*plant.limits), seconds
         self._shoot = jax.jit(partial(shoot, plant))
-        self._greatest = np.array([greatest_reference_n, greatest_reference_n, 0.05])
+        self._greatest = np.full(2, greatest_reference_n)
         self._rest: Any = None
         self._actions: list[Any] = []
         self._picture: Picture | None = None
@@ -232,8 +215,7 @@ class EpisodeFilm:
         """The picture of this moment."""
         parts = self._actions or [self._rest]
         command, shots, reference = jax.tree.map(lambda *parts: np.concatenate(parts), *parts)
-        # With the stream even where the water is still, so that what is drawn stays in its place.
-        footage = develop(self._plant, command, shots, reference)._replace(stream=shots[2])
+        footage = develop(self._plant, command, shots, reference)
         greatest = greatest_of(footage)
         outgrown = greatest > self._greatest
         if self._picture is None or outgrown.any():
@@ -273,13 +255,11 @@ def fin_outline(middle: Points, thickness: Float[np.ndarray, " points"]) -> Floa
     return np.concatenate([line + offset, tip, (line - offset)[::-1]])
 
 
-def arrow_outline(
-    vector: Float[np.ndarray, "2"], width_m: float, start: tuple[float, float] = (0.0, 0.0)
-) -> Float[np.ndarray, "7 2"]:
-    """Outline of an arrow from `start`; a short one is narrower, so that it keeps its look and vanishes at zero."""
+def arrow_outline(vector: Float[np.ndarray, "2"], width_m: float) -> Float[np.ndarray, "7 2"]:
+    """Outline of an arrow from the shaft; a short one is narrower, so that it keeps its look and vanishes at zero."""
     length = float(np.linalg.norm(vector))
     along = vector / length if length > 0 else np.zeros(2)
     head = min(3.2 * width_m, 0.6 * length)
     far, wide = np.array([(0, 0.5), (length - head, 0.5), (length - head, 1.5), (length, 0)]).T[:, :, None]
     across = head / 3.2 * wide * np.array([-along[1], along[0]])
-    return np.asarray(start) + np.concatenate([along * far + across, (along * far - across)[2::-1]])
+    return np.concatenate([along * far + across, (along * far - across)[2::-1]])

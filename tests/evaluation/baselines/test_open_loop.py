@@ -6,7 +6,7 @@ from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.errors import PlantError
 from softfin.core.quantities import PAPER_LIMITS, Command
 from softfin.evaluation.baselines.baselines import evaluate_commands
-from softfin.evaluation.baselines.search import CHUNK, OpenLoopSearch, SearchConfig, ShaftSine, force_errors
+from softfin.evaluation.baselines.open_loop import CHUNK, OpenLoopSearch, SearchConfig, ShaftSine, force_errors
 from softfin.evaluation.evaluate import EvaluateConfig, evaluate
 from softfin.tank import Tank
 from tests.plants import AnalyticFin, Flapper, PlainFin
