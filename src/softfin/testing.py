@@ -55,8 +55,8 @@ def _members(plant: Any) -> Iterator[Problem]:
 def _purity(plant: Plant) -> Iterator[Problem]:
     """Not compiled, because what a plant keeps outside its state would be frozen into the program."""
     command = Command(jnp.float32(0.5), jnp.float32(plant.limits.velocity_max))
-    state = _ask(plant, "init", jax.random.key(0))
-    results = [_ask(plant, "advance", state, command, STROKE_TICKS) for _ in range(2)]
+    state = plant.init(jax.random.key(0))
+    results = [plant.advance(state, command, STROKE_TICKS) for _ in range(2)]
     if not all(isinstance(result, tuple) and isinstance(result[-1], Reading) for result in results):
         yield "advance does not return a Reading", "it must return (state, softfin.Reading)"
     if str(jax.tree.structure(results[0][0])) != str(jax.tree.structure(state)):
@@ -143,10 +143,3 @@ def _held_action(plant: Plant) -> Iterator[Problem]:
         if not all(np.allclose(one, other, rtol=1e-3, atol=1e-4) for one, other in numbers):
             asked = "it gives 34 rows, and the state after the first `ticks` of them"
             yield f"hold_action for {ticks} ticks differs from advance by as many", asked
-
-
-def _ask(plant: Plant, name: str, *words: Any) -> Any:
-    try:
-        return getattr(plant, name)(*words)
-    except Exception as error:
-        raise PlantError(f"{type(plant).__name__}: {name} raises {type(error).__name__}: {error}") from error

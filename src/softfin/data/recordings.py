@@ -14,9 +14,8 @@ from softfin.core.errors import ConfigurationError, LogError
 from softfin.core.progress import Progress
 from softfin.core.quantities import Log
 from softfin.data.checks.inspection import Inspection, inspect
-from softfin.data.importing.clocks import logs_of
+from softfin.data.importing.clocks import NamedLog, Part, logs_of
 from softfin.data.importing.importing import ImportConfig
-from softfin.data.importing.recording import NamedLog, Part
 from softfin.data.importing.tables import read_table
 from softfin.data.issues import Issue
 from softfin.storage import artifact as artifacts
