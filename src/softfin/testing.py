@@ -34,7 +34,7 @@ def check_plant(plant: Any) -> None:
     (`softfin.core.plant_identity.identity`), that ticks held are ticks one by one, that `jit`, `vmap`, `scan` and
     `grad` go through, and that `hold_action`, where it has one, does what `advance` does.
     """
-    checks = (_members, _purity, _batches, _identity, _strokes, _gradient, _held_action)
+    checks = (_members, _purity, _batches, _strokes, _gradient, _held_action)
     problem = next((found for check in checks for found in check(plant)), None)
     if problem is not None:
         raise PlantError(f"{type(plant).__name__}: {'; '.join(problem)}")
@@ -96,13 +96,10 @@ def _batches(plant: Plant) -> Iterator[Problem]:
         yield "a fin in a batch whose commands are held differs from the same fin alone, tick by tick", asked
 
 
-def _identity(plant: Plant) -> Iterator[Problem]:
+def _strokes(plant: Plant) -> Iterator[Problem]:
     if identity(plant) != identity(plant):
         asked = "init and advance neither draw numbers nor count calls outside the state"
         yield "is another program each time it is traced", asked
-
-
-def _strokes(plant: Plant) -> Iterator[Problem]:
     stroke = jax.jit(lambda state, command: plant.advance(state, command, STROKE_TICKS))
     state, limits = plant.init(jax.random.key(0)), np.asarray(plant.limits, np.float32)
     for angle, velocity in itertools.product(limits[:2], limits[2:]):
