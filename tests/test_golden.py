@@ -17,6 +17,7 @@ from softfin.control.controller import Measured
 from softfin.core.quantities import Command
 from softfin.gaits.force_map import load_map
 from softfin.rig.config import load_rig, load_ros2
+from softfin.task.signals import read_reference_file
 
 GOLDEN = Path(__file__).parent / "golden"
 EXPECTED = json.loads((GOLDEN / "expected.json").read_text())

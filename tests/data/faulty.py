@@ -11,7 +11,7 @@ from softfin.core.plant import Plant
 from softfin.core.quantities import Command, Log, Reading
 from softfin.core.randomness import key_of
 from softfin.data.excitation import ExcitationConfig
-from softfin.data.importing.recording import NamedLog
+from softfin.data.importing.clocks import NamedLog
 from softfin.data.simulate import simulate
 from softfin.storage.log_file import SCHEMA
 from softfin.tank import Tank

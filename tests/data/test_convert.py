@@ -34,7 +34,7 @@ def test_a_log_comes_back_from_a_bag_as_it_was(tmp_path, log, start):
     back = convert(tmp_path / "one.mcap", tmp_path / "back.parquet")
     assert back["files"] == [str(tmp_path / "back.parquet")]
     check_equal(read_log(tmp_path / "back.parquet"), log, tolerance_s=1e-6)
-    severities = {issue.severity for issue in open_logs(tmp_path / "one.mcap").issues}
+    severities = {issue.severity for issue in open_logs(tmp_path / "one.mcap").inspection.issues}
     assert severities == {"note"}
 
 

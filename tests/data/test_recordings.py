@@ -41,7 +41,7 @@ def folder_of(path, logs):
 
 def test_a_dataset_opens_as_it_is_and_keeps_its_hash(dataset, logs):
     opened = open_logs(dataset)
-    assert opened.issues == []
+    assert opened.inspection.issues == []
     assert [one.name for one in opened.logs] == ["train/0000.parquet", "train/0001.parquet", "test/000.parquet"]
     assert opened.data_hash == Dataset.open(dataset).data_hash
     np.testing.assert_array_equal(opened.train[1].reading.force, logs[1].reading.force)
@@ -61,7 +61,7 @@ def test_faulty_files_put_into_a_dataset_are_issues_not_the_first_error(tmp_path
         columns["force_x_n"][5 + index] = np.nan
         write_parquet(tmp_path / "train" / f"{index}.parquet", columns)
     (tmp_path / "dataset.json").write_text("{}")
-    issues = open_logs(tmp_path).issues
+    issues = open_logs(tmp_path).inspection.issues
     assert issues[0].name == "not a number"
     assert issues[0].logs == ("train/0.parquet", "train/1.parquet")
 
@@ -71,7 +71,7 @@ def test_a_folder_of_all_kinds_opens_as_one_set_of_logs(tmp_path, logs):
     assert [(one.name, one.part) for one in opened.logs] == [
         ("Test_a.parquet", "test"), ("run0.csv", "train"), ("run1.csv", "train"), ("test/bag", "test"),
     ]  # fmt: skip
-    assert not [one for one in opened.issues if one.severity != "note"]
+    assert not [one for one in opened.inspection.issues if one.severity != "note"]
     np.testing.assert_allclose(opened.train[0].reading.angle, logs[0].reading.angle, atol=1e-6)
     assert opened.metadata["imported_from"]["files"] == ["Test_a.parquet", "run0.csv", "run1.csv", "test/bag"]
     assert opened.metadata["logs"][0] == {"log": "Test_a.parquet", "part": "test", "rows": 2000, "start_s": 0.01}
@@ -112,7 +112,7 @@ def test_files_whose_columns_are_read_in_another_way_are_each_shown(tmp_path, lo
         "a.parquet": "angle='theta' in rad (assumed)",
         "c.parquet": "angle='pos [rad]' in rad",
     }
-    assert [one.logs for one in opened.issues if one.name == "columns"] == [
+    assert [one.logs for one in opened.inspection.issues if one.name == "columns"] == [
         ("a.parquet", "b.parquet"),
         ("c.parquet",),
     ]

@@ -14,9 +14,8 @@ from softfin.core.errors import ConfigurationError, LogError
 from softfin.core.progress import Progress
 from softfin.core.quantities import Log
 from softfin.data.checks.inspection import Inspection, inspect
-from softfin.data.importing.clocks import logs_of
+from softfin.data.importing.clocks import NamedLog, Part, logs_of
 from softfin.data.importing.importing import ImportConfig
-from softfin.data.importing.recording import NamedLog, Part
 from softfin.data.importing.tables import read_table
 from softfin.data.issues import Issue
 from softfin.storage import artifact as artifacts
@@ -45,11 +44,6 @@ class OpenedLogs:
         """Test logs."""
         return [one.log for one in self.logs if one.part == "test"]
 
-    @property
-    def issues(self) -> list[Issue]:
-        """Issues of all logs, gravest first."""
-        return self.inspection.issues
-
     def check_train(self, source: str) -> None:
         """Raise LogError where all logs are test logs."""
         if not self.train:
@@ -57,7 +51,7 @@ class OpenedLogs:
 
     def check_issues(self, source: str, ignore_errors: bool) -> None:
         """Raise LogError with the first error and the count of the others, unless errors are ignored."""
-        errors = [issue for issue in self.issues if issue.severity == "error"]
+        errors = [issue for issue in self.inspection.issues if issue.severity == "error"]
         if not errors or ignore_errors:
             return
         more = f"; and {len(errors) - 1} more: softfin inspect lists them" if len(errors) > 1 else ""

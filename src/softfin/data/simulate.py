@@ -30,8 +30,10 @@ def simulate(
 
     Plants that are pytrees alike but for their arrays run side by side, others one after another.
     """
-    fleet = _fleet(plants)
-    if fleet is None:
+    same = all(plant is plants[0] for plant in plants)
+    parts = [eqx.partition(jit_argument(plant), eqx.is_array) for plant in (plants[:1] if same else plants)]
+    kinds = [jax.tree.flatten((static, jax.tree.map(lambda x: (x.shape, x.dtype), arrays))) for arrays, static in parts]
+    if any(kind != kinds[0] for kind in kinds):
         for plant, key in zip(plants, keys, strict=True):
             yield from simulate([plant], [key], rows, commands, 1, report)
         return
@@ -40,12 +42,12 @@ def simulate(
     for start in range(0, count, batch or 1):
         # The last batch is filled up with logs that are thrown away, so that one compiled program serves all.
         index = [i % count for i in range(start, start + batch)]
-        wanted = min(batch, count - start)
-        some = fleet
-        if fleet.axis is not None:
-            some = fleet._replace(arrays=jax.tree.map(lambda x, index=index: x[np.array(index)], fleet.arrays))
-        state, issued = _begin(some, jnp.stack([keys[i] for i in index]), rows + 1, commands)
-        yield from _logs(some, state, issued, rows, wanted, report)
+        (arrays, static), axis = parts[0], None
+        if not same:
+            axis, arrays = 0, jax.tree.map(lambda *leaves: jnp.stack(leaves), *[parts[i][0] for i in index])
+        fleet = _Fleet(arrays, static, axis)
+        state, issued = _begin(fleet, jnp.stack([keys[i] for i in index]), rows + 1, commands)
+        yield from _logs(fleet, state, issued, rows, min(batch, count - start), report)
 
 
 class _Fleet(NamedTuple):
@@ -54,21 +56,6 @@ class _Fleet(NamedTuple):
     arrays: PyTree[Any]
     static: PyTree[Any]
     axis: int | None
-
-
-def _fleet(plants: Sequence[Plant]) -> _Fleet | None:
-    """Stack plants; None where they differ in more than their arrays."""
-    same = all(plant is plants[0] for plant in plants)
-    parts = [eqx.partition(jit_argument(plant), eqx.is_array) for plant in (plants[:1] if same else plants)]
-    if same:
-        arrays, static = parts[0] if parts else (None, None)
-        return _Fleet(arrays, static, None)
-    shapes = [jax.tree.map(lambda x: (x.shape, x.dtype), arrays) for arrays, _ in parts]
-    statics = [jax.tree.flatten(static) for _, static in parts]
-    if any(shape != shapes[0] for shape in shapes) or any(static != statics[0] for static in statics):
-        return None
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[arrays for arrays, _ in parts])
-    return _Fleet(stacked, parts[0][1], 0)
 
 
 @used_once

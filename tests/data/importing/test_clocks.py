@@ -2,9 +2,8 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import LogError
-from softfin.data.importing.clocks import logs_of
+from softfin.data.importing.clocks import Recording, Track, logs_of
 from softfin.data.importing.importing import ImportConfig
-from softfin.data.importing.recording import Recording, Track
 from softfin.storage.log_file import encode_log
 from tests.data.faulty import columns_of, tank_logs
 

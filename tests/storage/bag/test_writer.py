@@ -64,7 +64,7 @@ def test_a_recorded_bag_opens_as_a_log(tmp_path):
     assert len(one.log.reading.time) == 300
     np.testing.assert_array_equal(one.log.reading.angle, np.float32(0.001 * np.arange(300)))
     np.testing.assert_array_equal(one.log.reading.force[:, 1], np.float32(-0.001 * np.arange(300)))
-    assert not [issue for issue in opened.issues if issue.severity == "error"]
+    assert not [issue for issue in opened.inspection.issues if issue.severity == "error"]
 
 
 def test_the_topics_are_those_that_are_read_by_default():

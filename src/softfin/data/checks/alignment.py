@@ -83,8 +83,10 @@ def force_lag(angle: Series, force: Float[np.ndarray, "ticks 2"]) -> float | Non
     terms = [acceleration, rate * np.abs(rate), rate**2, rate, np.ones_like(rate)]
     features = np.stack([term * axis for axis in along for term in terms], axis=1)[ticks:-ticks]
     features = features - features.mean(axis=0)
-    basis, sizes, _ = np.linalg.svd(features / (features.std(axis=0) + 1e-12), full_matrices=False)
-    basis = basis[:, sizes > 1e-4 * sizes[0]]
+    features = features / (features.std(axis=0) + 1e-12)
+    sizes, vectors = np.linalg.eigh(features.T @ features)
+    kept = sizes > 1e-9 * sizes[-1]
+    basis = features @ (vectors[:, kept] / np.sqrt(sizes[kept]))
     smooth = np.stack([smoothed(axis) for axis in force.T], axis=1)
     explained = np.zeros(2 * ticks + 1)
     for index in range(len(explained)):
@@ -113,8 +115,10 @@ def frame_correlations(
     model = (model - model.mean(axis=1, keepdims=True)).reshape(-1, len(terms))
     smooth = smooth - smooth.mean(axis=1, keepdims=True)
     model, smooth = model / (np.linalg.norm(model, axis=0) + 1e-12), smooth / (np.linalg.norm(smooth) + 1e-12)
-    weights = {frame: nnls(model, np.concatenate(turned(smooth[0], smooth[1], frame)))[0] for frame in FORCE_FRAMES}
-    return {frame: float(np.linalg.norm(model @ some)) for frame, some in weights.items()}
+    # The fit in the four dimensions of the model alone.
+    basis, model = np.linalg.qr(model)
+    forces = {frame: basis.T @ np.concatenate(turned(smooth[0], smooth[1], frame)) for frame in FORCE_FRAMES}
+    return {frame: float(np.linalg.norm(model @ nnls(model, force)[0])) for frame, force in forces.items()}
 
 
 def _motion(angle: Series) -> tuple[Float[np.ndarray, "2 ticks"], Float[np.ndarray, "2 ticks"], Series, Series]:

@@ -8,8 +8,8 @@ import numpy as np
 from softfin.core.quantities import AXES, RATE_HZ, TICK_S
 from softfin.data.checks.alignment import SHORTEST_S, rate_of
 from softfin.data.checks.statistics import Columns, LogStatistics, channels_in_degrees, true_runs, velocity_slope
+from softfin.data.importing.clocks import NamedLog
 from softfin.data.importing.importing import ANGLES, ImportConfig, compose_frames
-from softfin.data.importing.recording import NamedLog
 from softfin.data.issues import Issue, Severity, counted
 
 STUCK_S = 1.0

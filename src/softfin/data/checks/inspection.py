@@ -9,8 +9,8 @@ import numpy as np
 from softfin.core.progress import Progress
 from softfin.data.checks.checks import LOG_CHECKS, CheckedLog, check_dataset, check_lags
 from softfin.data.checks.statistics import LogStatistics, channels_in_degrees, columns_of, measure, without_spikes
+from softfin.data.importing.clocks import NamedLog
 from softfin.data.importing.importing import FORCE_FRAMES, ImportConfig
-from softfin.data.importing.recording import NamedLog
 from softfin.data.issues import SEVERITIES, Issue, merge_issues
 
 

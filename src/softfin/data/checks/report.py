@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from softfin.core.quantities import AXES, RATE_HZ
 from softfin.data.checks.checks import PLAUSIBLE_LAG_MS
 from softfin.data.checks.inspection import Inspection
-from softfin.data.importing.recording import NamedLog
+from softfin.data.importing.clocks import NamedLog
 from softfin.data.issues import Issue, counted
 from softfin.storage import artifact as artifacts
 from softfin.storage.figures import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, save_figure, styled

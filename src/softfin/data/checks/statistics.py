@@ -16,7 +16,7 @@ from softfin.data.checks.alignment import (
     frame_correlations,
     rate_of,
 )  # fmt: skip
-from softfin.data.importing.recording import NamedLog, Part
+from softfin.data.importing.clocks import NamedLog, Part
 
 MOST_RADIANS = {"command_angle": 2 * np.pi, "angle": 2 * np.pi, "command_velocity": 40.0}
 """Sizes beyond which values are degrees: a fin does not turn round, and no drive of one makes 6 turns a second. The

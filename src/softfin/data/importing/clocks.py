@@ -1,19 +1,19 @@
-"""Conversion of a recording to logs at 100 Hz: rows without a valid time or value are left out, gaps split it.
+"""A recording as it was found, and its conversion to logs at 100 Hz.
 
-Time begins at 0. A piece on a steady 100 Hz clock passes unchanged otherwise; in any other readings are interpolated,
-behind a low-pass where the source is faster, and commands are held.
+Rows without a valid time or value are left out, gaps split it, time begins at 0. A piece on a steady 100 Hz clock
+passes unchanged otherwise; any other is resampled: commands are held, readings are interpolated, behind a low-pass
+where the source is faster.
 """
 
 import itertools
-from collections.abc import Iterator
+from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from softfin.core.errors import LogError
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Log, Reading
 from softfin.data.importing.importing import ImportConfig
-from softfin.data.importing.recording import Channels, NamedLog, Recording, Track
 from softfin.data.issues import Issue, counted
 from softfin.storage.log_file import RATE_TOLERANCE, check_columns
 
@@ -34,6 +34,44 @@ EARLY_S = 1e-6
 Span = tuple[float, float]
 """Time from one gap to the next [s]."""
 
+Part = Literal["train", "test"]
+
+Channels = dict[str, Float[np.ndarray, "rows"]]
+"""Values by the channel's name."""
+
+
+class Track(NamedTuple):
+    """Channels that share a clock: a whole table, or one topic of a bag."""
+
+    time: Float[np.ndarray, "rows"]
+    """Time as recorded [s]: it may repeat, jump and lack values."""
+    channels: Channels
+    """Values in SI units and softfin's axes; NaN where there is none."""
+
+    def take(self, rows: slice | Bool[np.ndarray, "rows"]) -> "Track":
+        """Keep some of the rows."""
+        return Track(self.time[rows], {name: values[rows] for name, values in self.channels.items()})
+
+
+class Recording(NamedTuple):
+    """One recording, as yet unchecked."""
+
+    name: str
+    part: Part
+    tracks: tuple[Track, ...]
+    issues: tuple[Issue, ...] = ()
+    """Issues that were met in reading it."""
+
+
+class NamedLog(NamedTuple):
+    """A log at 100 Hz with its name."""
+
+    name: str
+    part: Part
+    log: Log
+    start_s: float = 0.0
+    """Time of the recording's clock at the log's time 0 [s]."""
+
 
 def logs_of(recording: Recording, config: ImportConfig) -> tuple[list[NamedLog], list[Issue]]:
     """Make the logs at 100 Hz of a recording; raises LogError where it has no usable clock."""
@@ -46,7 +84,7 @@ def logs_of(recording: Recording, config: ImportConfig) -> tuple[list[NamedLog],
         tracks = []
         for track in run:
             valid, found = _valid_rows(track._replace(time=track.time - start), name, config)
-            issues += [*found, *_check_rate(valid, name)]
+            issues += found
             tracks += _shifted(valid, config)
         spans, found = _split_at_gaps(tracks, name, config)
         issues += found
@@ -66,7 +104,7 @@ def _split_at_restarts(recording: Recording) -> list[tuple[str, tuple[Track, ...
 
 
 def _valid_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, list[Issue]]:
-    """Leave out rows that hold no value or whose time repeats or goes back."""
+    """Leave out rows that hold no value or whose time repeats or goes back; check the rate of the others."""
     issues, good = [], np.ones(len(track.time), bool)
     for channel, values in {"time": track.time, **track.channels}.items():
         bad = np.flatnonzero(~np.isfinite(values))
@@ -92,24 +130,22 @@ def _valid_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, l
         fix = "sort by time and remove repeated rows; with errors ignored, rows not later than all before are left out"
         row = int(np.flatnonzero(good)[late[0]])
         issues.append(Issue("error", "repeated time", name, message, fix, "time", row))
-    return finite.take(forward), issues
-
-
-def _check_rate(track: Track, name: str) -> Iterator[Issue]:
-    if track.channels.keys() <= COMMANDS:
-        return
-    step = float(np.median(np.diff(track.time)))
-    if not RATES_HZ[0] <= 1 / step <= RATES_HZ[1]:
+    valid = finite.take(forward)
+    rate = 1 / float(np.median(np.diff(valid.time)))
+    if valid.channels.keys() <= COMMANDS:
+        return valid, issues
+    if not RATES_HZ[0] <= rate <= RATES_HZ[1]:
         raise LogError(
-            f"{name}: column time: a row every {step:g} s ({1 / step:g} Hz); allowed are {RATES_HZ[0]:g} to "
+            f"{name}: column time: a row every {1 / rate:g} s ({rate:g} Hz); allowed are {RATES_HZ[0]:g} to "
             f"{RATES_HZ[1]:g} Hz; is it in another unit? Then give it, as --time-unit ms"
         )
-    if 1 / step < (1 - RATE_TOLERANCE) * RATE_HZ:
-        message = f"{1 / step:.1f} Hz, less than {RATE_HZ} Hz: rows between are interpolated"
-        yield Issue("warning", "slow rate", name, message, f"record at {RATE_HZ} Hz or faster", "time")
-    elif 1 / step > (1 + RATE_TOLERANCE) * RATE_HZ:
+    if rate < (1 - RATE_TOLERANCE) * RATE_HZ:
+        message = f"{rate:.1f} Hz, less than {RATE_HZ} Hz: rows between are interpolated"
+        issues.append(Issue("warning", "slow rate", name, message, f"record at {RATE_HZ} Hz or faster", "time"))
+    if rate > (1 + RATE_TOLERANCE) * RATE_HZ:
         message = f"faster than {RATE_HZ} Hz: resampled behind a low-pass at {CUTOFF_HZ:g} Hz"
-        yield Issue("note", "resampled", name, message, column="time")
+        issues.append(Issue("note", "resampled", name, message, column="time"))
+    return valid, issues
 
 
 def _shifted(track: Track, config: ImportConfig) -> list[Track]:

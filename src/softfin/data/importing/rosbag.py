@@ -11,9 +11,9 @@ from rosbags.rosbag2 import Reader
 
 from softfin.core.errors import LogError
 from softfin.core.printable import printable
+from softfin.data.importing.clocks import Part, Recording, Track
 from softfin.data.importing.columns import converted
 from softfin.data.importing.importing import ImportConfig, Topic
-from softfin.data.importing.recording import Part, Recording, Track
 from softfin.data.importing.tables import derived_velocity
 from softfin.data.issues import Issue, Severity
 from softfin.storage.bag.messages import DEFAULT_TOPICS, JOINT_STATE, WRENCH_STAMPED, type_store

@@ -10,9 +10,9 @@ import pyarrow.csv
 from jaxtyping import Float
 
 from softfin.core.errors import LogError
+from softfin.data.importing.clocks import Part, Recording, Track
 from softfin.data.importing.columns import Column, choose_columns, converted, describe_columns
 from softfin.data.importing.importing import ImportConfig
-from softfin.data.importing.recording import Part, Recording, Track
 from softfin.data.issues import Issue
 from softfin.storage.log_file import read_parquet
 from softfin.storage.paths import CSV
