@@ -14,6 +14,15 @@ RATE_HZ = 100
 
 TICK_S = 1 / RATE_HZ
 
+DAY = 24 * 3600 * RATE_HZ
+"""Ticks. A plant counts them in 32 bits and tells its time in single precision: Unix time fits into neither."""
+
+
+def tick_at(time_s: float) -> int:
+    """The tick at a time on any clock, that of a log or of a computer, counted within the day."""
+    return round(time_s * RATE_HZ) % DAY
+
+
 if TYPE_CHECKING:
     from jax import Array
 
@@ -95,17 +104,13 @@ class Limits(NamedTuple):
     @classmethod
     def of(cls, description: Any, one_velocity: bool = False) -> "Limits":
         """Build from what `to_dict` returned; raises ValueError that says what is allowed."""
-        values = []
+        values: dict[str, Any] = {}
         for name in cls(0, 0, 0, 0).to_dict():
-            value = description.get(name) if isinstance(description, dict) else None
-            if not isinstance(value, int | float) or isinstance(value, bool):
-                met = "missing" if value is None else repr(value)[:80]
+            values[name] = description.get(name) if isinstance(description, dict) else None
+            if not isinstance(values[name], int | float):
+                met = "missing" if values[name] is None else repr(values[name])[:80]
                 raise ValueError(f"limits: {name} is {met}; it must be a number; {ALLOWED_LIMITS}")
-            try:
-                values.append(float(value))
-            except OverflowError:
-                raise ValueError(f"limits: {name} is too large; {ALLOWED_LIMITS}") from None
-        limits = cls(*values)
+        limits = cls(*map(float, values.values()))
         if problem := limits.problem(one_velocity):
             raise ValueError(problem)
         return limits

@@ -16,7 +16,7 @@ from softfin.control.references import reachable_of, resolve_references, unreach
 from softfin.core.choices import MovingReference
 from softfin.core.errors import CoverageError
 from softfin.core.quantities import AXES, RATE_HZ
-from softfin.core.statistics import interval
+from softfin.core.window import interval
 from softfin.evaluation.experiment import MIN_SECONDS, EvaluationTarget, ExperimentRecording, independent, run
 from softfin.evaluation.range_errors import range_of
 from softfin.evaluation.scores import StepResponse, instantaneous_error, score, step_responses

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from softfin.core.quantities import AXES
-from softfin.core.statistics import CONFIDENCE, interval
+from softfin.core.window import CONFIDENCE, interval
 from softfin.storage.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, save_figure, styled
 from softfin.storage.run_directory import LOG, read_log
 

@@ -22,7 +22,7 @@ from softfin.core.plant_identity import identity
 from softfin.core.progress import Progress
 from softfin.core.quantities import PAPER_LIMITS, RATE_HZ, Log, Reading
 from softfin.core.randomness import key_of
-from softfin.core.statistics import interval
+from softfin.core.window import interval
 from softfin.storage import artifact as artifacts
 from softfin.surrogate.compare.free_running import free_run, run_from_rest, segments_of, take
 from softfin.surrogate.compare.metrics import HorizonScores, measured_ranges, score_segments
