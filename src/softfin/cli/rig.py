@@ -126,8 +126,6 @@ class MonitorArguments(CommandOptions):
     """Port of the page; 0 takes a free one."""
     host: str = LOOPBACK
     """Address that the page is served on; on another one than this, whoever reaches it sees the recording."""
-    json_: bool = False
-    """Print the state of the recording as JSON, once."""
 
     def __call__(self) -> None:
         follower = Follower(self.run_folder)

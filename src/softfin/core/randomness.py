@@ -23,9 +23,9 @@ def generator_of(seed: int, name: str) -> np.random.Generator:
 
 
 def cma_es(start: Float[np.ndarray, "n"], step: float, random: np.random.Generator, **options: Any) -> Any:
-    """CMA-ES (Hansen 2016, arXiv:1604.00772): a search from `start` with steps of that deviation.
+    """CMA-ES (Hansen 2016, arXiv:1604.00772) from `start` with that step: ``ask`` for points, ``tell`` losses.
 
-    ``ask`` it for points, ``tell`` it their losses. Further options are those of ``cma.CMAOptions``, such as `popsize`, `bounds` and `maxiter`.
+    Further options are those of ``cma.CMAOptions``, such as `popsize`, `bounds` and `maxiter`.
     """
     # Imported here: it takes a moment, and few search.
     import cma

@@ -25,15 +25,9 @@ from softfin.tank import Tank, sample_tank
 
 
 def collect(
-    plant: str | Plant,
-    out: Path,
-    config: CollectConfig | ActiveCollectConfig | None = None,
-    *,
-    surrogate: Path | None = None,
-    extend: Path | None = None,
-    overwrite: bool = False,
-    progress: Progress = silent,
-) -> Dataset:
+    plant: str | Plant, out: Path, config: CollectConfig | ActiveCollectConfig | None = None, *,
+    surrogate: Path | None = None, extend: Path | None = None, overwrite: bool = False, progress: Progress = silent,
+) -> Dataset:  # fmt: skip
     """Record motions of a plant as a dataset: random ones (paper Sec. III-A), or those that an ensemble chooses.
 
     The kind of configuration says which; an ActiveCollectConfig goes with the folder of a streaming `surrogate`. The
