@@ -74,15 +74,9 @@ class Driving(Armed, Common):
         return controller, robot
 
     def drive(
-        self,
-        controller: LoadedController,
-        robot: RobotSetup,
-        references: References,
-        seconds: int | None,
-        line: Callable[[str], None],
-        stop: StopRequest | None = None,
-        observers: Sequence[Observer] = (),
-    ) -> dict[str, Any]:
+        self, controller: LoadedController, robot: RobotSetup, references: References, seconds: int | None,
+        line: Callable[[str], None], stop: StopRequest | None = None, observers: Sequence[Observer] = (),
+    ) -> dict[str, Any]:  # fmt: skip
         """Ask, move, record; `line` gets what is typed meanwhile. Returns the recording and the errors at its end."""
         bag = self.bag or Path(f"run-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
         guard = Guard(robot.safety, robot.machine.limits, controller.artifact.training_range)
@@ -166,18 +160,16 @@ class RunArguments(Driving):
 
         if self.reference is not None:
             live = LiveReference(self.reference, resolve, say)
-            return self.tell_errors(self.drive(controller, robot, live, self.seconds, live.set_from_text))
-        assert self.reference_file is not None
-        # Imported here: the file's reader needs more than a robot's computer may have.
-        from softfin.task.reference_file import read_reference_file
+            result = self.drive(controller, robot, live, self.seconds, live.set_from_text)
+        elif self.reference_file is not None:
+            # Imported here: the file's reader needs more than a robot's computer may have.
+            from softfin.task.reference_file import read_reference_file
 
-        rows = read_reference_file(self.reference_file)
-        recorded = RecordedReference(rows.time_s, [(float(x), float(y)) for x, y in rows.force_n], resolve, say)
-
-        def line(_: str) -> None:
-            say("references come from the file; Enter alone stops the fin")
-
-        return self.tell_errors(self.drive(controller, robot, recorded, self.seconds or rows.seconds, line))
+            rows = read_reference_file(self.reference_file)
+            recorded = RecordedReference(rows.time_s, [(float(x), float(y)) for x, y in rows.force_n], resolve, say)
+            line = "references come from the file; Enter alone stops the fin"
+            result = self.drive(controller, robot, recorded, self.seconds or rows.seconds, lambda _: say(line))
+        self.tell_errors(result)
 
 
 class Ros2Arguments(Driving, Configured):

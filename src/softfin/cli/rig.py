@@ -98,17 +98,15 @@ class RigArguments(Armed, Common):
             # Ctrl-C is expected from the moment that it is named.
             with contextlib.suppress(KeyboardInterrupt), EmulatedRig(tank, self.seed, clock=REAL) as emulated:
                 emulated.write(self.rig)
-                sys.stdout.write(
-                    f"{self.rig}: written; the emulated fin moves for it until Ctrl-C\n{emulated.description()}\n"
-                )
+                told = f"{self.rig}: written; the emulated fin moves for it until Ctrl-C\n{emulated.description()}\n"
+                sys.stdout.write(told)
                 sys.stdout.flush()
                 threading.Event().wait()
             return
         # A new rig starts without the state of the one that was there.
         state_file(self.rig).unlink(missing_ok=True)
         write_simulated(self.rig, tank, values, self.seed)
-        own = self.rig == RIG_FILE
-        plant, option = ("rig", "") if own else (f"rig:{self.rig}", f" --rig {self.rig}")
+        plant, option = ("rig", "") if self.rig == RIG_FILE else (f"rig:{self.rig}", f" --rig {self.rig}")
         sys.stdout.write(
             f"{self.rig}: written; each command emulates this rig itself, in simulated time. Next: softfin rig zero"
             f"{option} --arm, then softfin collect --plant {plant} --arm\n"

@@ -32,10 +32,8 @@ def identity(plant: Plant) -> str:
     """The type of a plant and a hash of what it computes: equal for equal plants in every process.
 
     The hash of a user's simulator also depends on the version of JAX, which writes the lowered program; it is named
-    then. A simulator may state its identity itself, in an attribute `identity`.
-
-    Raises:
-        PlantError: the plant calls back into Python and states no identity, or it cannot be traced.
+    then. A simulator may state its identity itself, in an attribute `identity`; one that does not must be traceable
+    and not call back into Python, else PlantError is raised.
     """
     name = f"{type(plant).__module__}.{type(plant).__qualname__}"
     stated = getattr(plant, "identity", None)

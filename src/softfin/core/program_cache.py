@@ -27,9 +27,6 @@ its large one, which take 30 ms each to compile and 6 ms to read back."""
 SUFFIX = ".program"
 """Ending of the names of files, also while they are written; nothing else in the folder is counted or deleted."""
 
-SPARE = 16
-"""The folder is looked through at a process's first entry, and again whenever it has written this part of the size."""
-
 DIGEST_BYTES = hashlib.sha256().digest_size
 
 
@@ -69,7 +66,6 @@ class ProgramStore:
 
     def __init__(self, folder: Path, largest_bytes: int = LARGEST_BYTES) -> None:
         self._path, self.largest_bytes = folder, largest_bytes
-        self._unchecked_bytes = largest_bytes
         self._has_failed = False
 
     def get(self, key: str) -> bytes | None:
@@ -86,8 +82,7 @@ class ProgramStore:
 
     def put(self, key: str, value: bytes) -> None:
         """Write an entry; where that fails, say so once and go on without."""
-        size = DIGEST_BYTES + len(value)
-        if size > self.largest_bytes:
+        if DIGEST_BYTES + len(value) > self.largest_bytes:
             return
         try:
             self._path.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -100,10 +95,7 @@ class ProgramStore:
                     Path(name).replace(self._path / f"{key}{SUFFIX}")
             finally:
                 Path(name).unlink(missing_ok=True)
-            self._unchecked_bytes += size
-            if self._unchecked_bytes > self.largest_bytes // SPARE:
-                self._evict(self.largest_bytes - self.largest_bytes // SPARE)
-                self._unchecked_bytes = 0
+            self._evict()
         except OSError as error:
             if not self._has_failed:
                 sys.stderr.write(
@@ -112,7 +104,7 @@ class ProgramStore:
                 )
             self._has_failed = True
 
-    def _evict(self, allowed_bytes: int) -> None:
+    def _evict(self) -> None:
         """Delete what was not used for longest until the rest is small enough; others may delete at the same time."""
         entries = []
         for path in self._path.glob(f"*{SUFFIX}"):
@@ -120,7 +112,7 @@ class ProgramStore:
                 entries.append((path.stat().st_mtime_ns, path.stat().st_size, path))
         size = sum(size for _, size, _ in entries)
         for _, bytes_, path in sorted(entries):
-            if size <= allowed_bytes:
+            if size <= self.largest_bytes:
                 break
             path.unlink(missing_ok=True)
             size -= bytes_

@@ -99,7 +99,8 @@ class Limits(NamedTuple):
 
     def to_dict(self) -> dict[str, float]:
         """For JSON: names with units."""
-        return {name: float(value) for name, value in self._named().items()}
+        named = self._asdict().items()
+        return {f"{name}_{'rad' if 'angle' in name else 'rad_s'}": float(value) for name, value in named}
 
     @classmethod
     def of(cls, description: Any, one_velocity: bool = False) -> "Limits":
@@ -120,7 +121,7 @@ class Limits(NamedTuple):
 
         With `one_velocity` both velocities may be the same: such a fin can be recorded and learnt, but not trained for.
         """
-        named = self._named()
+        named = self.to_dict()
         for name, value in named.items():
             low, high = (0, MOST_VELOCITY_RAD_S) if "velocity" in name else (-MOST_ANGLE_RAD, MOST_ANGLE_RAD)
             # Not a number is not within anything.
@@ -130,9 +131,6 @@ class Limits(NamedTuple):
         if not (self.angle_min < self.angle_max and velocities):
             return f"limits: {', '.join(f'{name} is {value:g}' for name, value in named.items())}; {ALLOWED_LIMITS}"
         return None
-
-    def _named(self) -> dict[str, float | int]:
-        return {f"{name}_{'rad' if 'angle' in name else 'rad_s'}": value for name, value in self._asdict().items()}
 
 
 def command_of(limits: Limits, action: Any) -> Command:

@@ -53,11 +53,10 @@ def collect(
         first = 0 if before is None else len(before.test)
         keys = [key_of(config.seed, f"collect/conditions/{first + i}") for i in range(config.test_logs)]
         others = [sample_tank(moving, key) for key in keys]
-
-    def report(rows: int, of: int) -> None:
-        progress("collect", rows / of, f"{rows:,} of {of:,} rows")
-
-    return _collect(moving, config, out, others, report, metadata, commands, before, overwrite)
+    return _collect(
+        moving, config, out, others, lambda rows, of: progress("collect", rows / of, f"{rows:,} of {of:,} rows"),
+        metadata, commands, before, overwrite,
+    )  # fmt: skip
 
 
 def inspect_logs(

@@ -225,8 +225,13 @@ class _Reproduction:
         """Reward over the steps, and the error of the policies without their noise."""
         logs = {kind: read_log(self.out / kind / TRAINING_LOG / LOG) for kind in CONTROLLERS}
 
+        def curve(log: list[dict[str, Any]], keys: list[str]) -> tuple[list[int], list[float]]:
+            entries = [entry for entry in log if keys[0] in entry]
+            return [e["step"] for e in entries], [float(np.mean([e[key] for key in keys])) for e in entries]
+
         def curves(*names: str) -> dict[str, Any]:
-            return {kind: [_curve(log, seed, names) for seed in self.seeds] for kind, log in logs.items()}
+            keys = [[f"seed{seed}/{name}" for name in names] for seed in self.seeds]
+            return {kind: [curve(log, each) for each in keys] for kind, log in logs.items()}
 
         return {
             "Mean reward a step while exploring": learning_figure(curves("reward"), "mean reward a step [N]"),
@@ -267,12 +272,6 @@ def _together(each: list[Evaluation]) -> Evaluation:
     ) if estimates else None  # fmt: skip
     warnings = tuple(dict.fromkeys(warning for e in each for warning in e.warnings))
     return Evaluation(each[0].config, scores, len(each), each[0].recording, uncertainty, warnings)
-
-
-def _curve(log: list[dict[str, Any]], seed: int, names: tuple[str, ...]) -> tuple[list[int], list[float]]:
-    keys = [f"seed{seed}/{name}" for name in names]
-    entries = [entry for entry in log if keys[0] in entry]
-    return [e["step"] for e in entries], [float(np.mean([e[key] for key in keys])) for e in entries]
 
 
 def _peak_memory_gib() -> float:
