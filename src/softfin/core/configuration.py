@@ -60,11 +60,9 @@ def read_yaml(path: Path) -> dict[str, Any]:
         raise ConfigurationError(f"{path}: cannot be read ({error.strerror or error})") from None
     except ValueError as error:
         raise ConfigurationError(f"{path}: not YAML ({error})") from None
-    if values is None:
-        return {}
-    if not isinstance(values, dict):
+    if not isinstance(values, dict | None):
         raise ConfigurationError(f"{path}: holds a {type(values).__name__}; it must be a mapping of names to values")
-    return values
+    return values or {}
 
 
 def parse_yaml(text: str) -> Any:

@@ -30,6 +30,6 @@ def cma_es(start: Float[np.ndarray, "n"], step: float, random: np.random.Generat
     # Imported here: it takes a moment, and few search.
     import cma
 
-    own = {"randn": lambda *shape: random.standard_normal(shape), "seed": np.nan}
-    silent = {"verbose": -10}  # from -9 on it reads the file
-    return cma.CMAEvolutionStrategy(start, step, {**options, **own, **silent})
+    # From verbose -9 on it reads the file.
+    own = {"randn": lambda *shape: random.standard_normal(shape), "seed": np.nan, "verbose": -10}
+    return cma.CMAEvolutionStrategy(start, step, options | own)

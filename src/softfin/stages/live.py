@@ -120,8 +120,7 @@ def evaluate_live(
         confirm(robot)
         session.stop_on_signals()
         with session.recording(bag):
-            fin = LiveFin(session, acting, robot, progress)
-            return evaluate(controller, fin, out, config, overwrite=overwrite)
+            return evaluate(controller, LiveFin(session, acting, robot, progress), out, config, overwrite=overwrite)
 
 
 class LiveFin:

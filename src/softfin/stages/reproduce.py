@@ -61,18 +61,14 @@ class ReproduceConfig(Configuration):
     @model_validator(mode="after")
     def _covered(self) -> "ReproduceConfig":
         for name in ("moving", "recorded", "error_map", "random"):
-            if value := getattr(self.evaluate, name):
-                given = "a signal" if name == "recorded" else repr(value)
-                raise ValueError(
-                    f"evaluate.{name} is {given}; a reproduction evaluates constant references: leave it out; give it "
-                    "to softfin evaluate with a controller of the reproduction"
-                )
+            if getattr(self.evaluate, name):
+                raise ValueError(f"evaluate.{name} is set; a reproduction evaluates constant references: leave it out; "
+                                 "give it to softfin evaluate with a controller of the reproduction")  # fmt: skip
         for reference in self.evaluate.references:
             for kind in CONTROLLERS:
                 if all(cell.distance(reference) > 0 for cell in getattr(self, kind).cells):
-                    raise ValueError(
-                        f"evaluate.references has {reference} N, which no cell of {kind} covers; add a cell"
-                    )
+                    missing = f"evaluate.references has {reference} N, which no cell of {kind} covers"
+                    raise ValueError(f"{missing}; add a cell")
         return self
 
 
@@ -164,10 +160,8 @@ class _Reproduction:
 
         A complete run that is to be replaced is kept beside it until this one is complete.
         """
-        metadata = {
-            "plant": identity(find_plant(self.plant)), "seed": self.seed,
-            "configuration": self.config.model_dump(mode="json"),
-        }  # fmt: skip
+        configuration = self.config.model_dump(mode="json")
+        metadata = {"plant": identity(find_plant(self.plant)), "seed": self.seed, "configuration": configuration}
         if resume and artifacts.is_kind(self.out, KIND):
             before = {name: artifacts.load_description(self.out, KIND).get(name) for name in metadata}
             if changed := differences(before, metadata):
@@ -180,9 +174,7 @@ class _Reproduction:
             self.out.rename(self.replaced)
         shutil.rmtree(self.out, ignore_errors=True)
         artifacts.write_file(self.out / f"{KIND}.json", artifacts.dump_json(metadata))
-        artifacts.write_file(
-            self.out / "configuration.yaml", yaml.safe_dump(metadata["configuration"], sort_keys=False)
-        )
+        artifacts.write_file(self.out / "configuration.yaml", yaml.safe_dump(configuration, sort_keys=False))
 
     def stage(self, name: str, result: Path, work: Callable[..., Any], source: Any, config: Any, **given: Any) -> None:
         """Do the work unless its result stands there from before."""
