@@ -24,17 +24,10 @@ from softfin.rig.loop import (
     run_controller,
     seconds_to_actions,
 )
-from softfin.rig.machine import clock_of
 from softfin.rig.references import LiveReference, RecordedReference
 from softfin.rig.robot_setup import RobotSetup, find_robot
-from softfin.rig.ros2.config import NodeConfig
-from softfin.rig.ros2.connection import open_transport
-from softfin.rig.ros2.messages import Messages
-from softfin.rig.ros2.node import RosNode
-from softfin.rig.ros2.plant import Ros2Machine
 from softfin.rig.safety import Guard
 from softfin.rig.session import Observer, Session
-from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import StopRequest, listen_to_keyboard
 
 
@@ -62,9 +55,7 @@ class Driving(Armed, Common):
             if self.bag.suffix != ".mcap":
                 raise ConfigurationError(f"--bag {self.bag}: a recording is a file NAME.mcap")
             if self.bag.is_dir() or (self.bag.exists() and not self.overwrite):
-                raise ConfigurationError(
-                    f"--bag {self.bag}: exists already; give another one, or --overwrite to replace it"
-                )
+                raise ConfigurationError(f"--bag {self.bag}: exists; give another one, or --overwrite to replace it")
         super().check()
 
     def parties(self) -> tuple[LoadedController, RobotSetup]:
@@ -189,6 +180,14 @@ class Ros2Arguments(Driving, Configured):
     """
 
     def __call__(self) -> None:
+        from softfin.rig.machine import clock_of
+        from softfin.rig.ros2.config import NodeConfig
+        from softfin.rig.ros2.connection import open_transport
+        from softfin.rig.ros2.messages import Messages
+        from softfin.rig.ros2.node import RosNode
+        from softfin.rig.ros2.plant import Ros2Machine
+        from softfin.rig.simulated_clock import SimulatedClock
+
         options = {"transport": self.transport, "domain": self.domain, "network": self.network}
         given = {name: value for name, value in options.items() if value is not None}
         topics = self.configured(NodeConfig(), connection=given or None)

@@ -8,8 +8,6 @@ import time
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from rich.console import Console
-
 from softfin.cli.common import Armed, CommandOptions, Common, File, YamlFile
 from softfin.cli.options import Option
 from softfin.core.choices import LOOPBACK
@@ -18,9 +16,6 @@ from softfin.core.errors import ConfigurationError, DeviceError
 from softfin.core.printable import printable
 from softfin.rig.check import check_rig
 from softfin.rig.config import load_rig
-from softfin.rig.monitor.follow import Follower
-from softfin.rig.monitor.terminal import watch
-from softfin.rig.monitor.web import Server
 from softfin.rig.rig import Rig, zero_angle, zero_force
 from softfin.rig.robot_setup import RobotSetup
 from softfin.storage.paths import RIG_FILE
@@ -126,6 +121,12 @@ class MonitorArguments(CommandOptions):
     """Address that the page is served on; on another one than this, whoever reaches it sees the recording."""
 
     def __call__(self) -> None:
+        from rich.console import Console
+
+        from softfin.rig.monitor.follow import Follower
+        from softfin.rig.monitor.terminal import watch
+        from softfin.rig.monitor.web import Server
+
         follower = Follower(self.run_folder)
         # Whoever watches has lost nothing by stopping: exit code 0.
         with contextlib.suppress(KeyboardInterrupt):

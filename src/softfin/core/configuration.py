@@ -74,11 +74,10 @@ def parse_yaml(text: str) -> Any:
 
 
 def _merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    merged = dict(base)
-    for key, value in over.items():
-        inner = base.get(key)
-        merged[key] = _merge(inner, value) if isinstance(inner, dict) and isinstance(value, Mapping) else value
-    return merged
+    return base | {
+        key: _merge(base[key], value) if isinstance(base.get(key), dict) and isinstance(value, Mapping) else value
+        for key, value in over.items()
+    }
 
 
 def _explain(cls: type[pydantic.BaseModel], error: pydantic.ValidationError) -> str:

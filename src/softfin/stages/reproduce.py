@@ -187,15 +187,15 @@ class _Reproduction:
         """Collect and fit; Table I."""
         settings = self.config.collect.merged({"seed": self.seed}, "seed")
         self.stage("collect", self.dataset, collect, self.plant, settings)
-        again = {"seed": self.seed, "resume": True, "ignore_errors": True}
-        self.stage("fit", self.surrogate, fit, self.dataset, self.config.fit, **again)
+        given = self.dataset, self.config.fit
+        self.stage("fit", self.surrogate, fit, *given, seed=self.seed, resume=True, ignore_errors=True)
         scores: dict[str, Any] | None = artifacts.load_description(self.surrogate, "surrogate")["scores"]
         return scores
 
     def train(self, kind: str) -> None:
         """All seeds of one kind of controller, in one program."""
-        config, again = getattr(self.config, kind), {"seeds": self.seeds, "resume": True}
-        self.stage(f"train {kind}", self.out / kind, train, str(self.surrogate), config, **again)
+        config, surrogate = getattr(self.config, kind), str(self.surrogate)
+        self.stage(f"train {kind}", self.out / kind, train, surrogate, config, seeds=self.seeds, resume=True)
 
     def evaluate(self, plant: str, folder: str) -> dict[str, tuple[dict[str, Any], Evaluation]]:
         """Every seed's controller of each kind on a plant, as one evaluation over the seeds."""
