@@ -10,7 +10,6 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
-from dataclasses import MISSING, fields
 from functools import cache
 from itertools import chain, combinations, product
 from pathlib import Path
@@ -149,8 +148,8 @@ def completed(words, monkeypatch):
 
 def required(name: str) -> list[str]:
     """What has no default: options, and what is given by its place."""
-    left = [field for field in fields(arguments_of(name)) if field.default is field.default_factory is MISSING]
-    return [f"--{field.name.replace('_', '-')}" for field in left]
+    fields = arguments_of(name).model_fields
+    return [f"--{field.replace('_', '-')}" for field, info in fields.items() if info.is_required()]
 
 
 def subsets(names: list[str]) -> list[tuple[str, ...]]:

@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from softfin.task.reference_file import read_reference_file
 
 import softfin
 from softfin import cli

@@ -10,14 +10,17 @@ The stages of the main job, the records that pass between them, and what plants 
     softfin.evaluate(Path("controller"), "tank", Path("evaluation"))
 
 ``__init__.pyi`` lists the public names; each is imported when it is first used, so that ``import softfin`` costs
-nothing. Gymnasium knows the environment ``softfin/ForceTracking-v0`` once both are imported, in either order, and
-``softfin:softfin/ForceTracking-v0`` always.
+nothing. Gymnasium makes the environment ``softfin.gym:softfin/ForceTracking-v0``; where it was imported before softfin,
+``softfin/ForceTracking-v0`` will do.
 """
+
+import sys
 
 import lazy_loader
 
-from softfin.core.gym_registration import register_with_gymnasium
+from softfin.core.gym_registration import register
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
-register_with_gymnasium()
+if "gymnasium" in sys.modules:
+    register()

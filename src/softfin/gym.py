@@ -1,6 +1,6 @@
 """The task as a Gymnasium environment, ``softfin/ForceTracking-v0``: what any reinforcement-learning library takes.
 
-gymnasium.make("softfin:softfin/ForceTracking-v0", plant=surrogate, render_mode="rgb_array")
+gymnasium.make("softfin.gym:softfin/ForceTracking-v0", plant=surrogate, render_mode="rgb_array")
 """
 
 from functools import partial
@@ -15,7 +15,7 @@ from jaxtyping import Float
 from softfin.control.policy import ANGLE_SCALE_RAD
 from softfin.core.action_clock import ACTION_RATE_HZ, ACTION_TICKS
 from softfin.core.errors import InputError
-from softfin.core.gym_registration import ID
+from softfin.core.gym_registration import ID, register
 from softfin.core.plant import Plant
 from softfin.core.quantities import command_of
 from softfin.gaits.reachable import Cell
@@ -24,6 +24,8 @@ from softfin.task.references import PAPER_RANGE, References
 from softfin.task.task import ForceTracking, TaskConfig, TaskState
 
 Observation = Float[np.ndarray, "observations"]
+
+register()
 
 
 class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
@@ -48,7 +50,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise InputError(f"{ID}: render_mode {render_mode!r}; give 'rgb_array' or None")
-        self.task = ForceTracking(find_plant(plant) if isinstance(plant, str) else plant, config or TaskConfig())
+        self.task = ForceTracking(find_plant(plant), config or TaskConfig())
         self.references = references
         self.render_mode = render_mode
         # Half a turn of the shaft, the references, the actions.

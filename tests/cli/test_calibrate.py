@@ -11,7 +11,10 @@ from tests.cli.test_cli import fails
     ("words", "expected"),
     [
         (["tank", "--velocity", "3,2"], "velocity_rad_s = 3, 2: the plant takes"),
-        (["tank", "--set", "parameters.fin.lenght_m=[0.1, 0.3]"], "there is no 'lenght_m'; did you mean 'length_m'?"),
+        (
+            ["tank", "--set", "parameters.fin.lenght_m=[0.1, 0.3]"],
+            "no 'fin.lenght_m'; did you mean 'fin.length_m'?",
+        ),
         (["tank", "--set", "parameters.fin.length_m=3"], "parameters.fin.length_m = 3: Input should be a valid tuple"),
         (["tank", "--evaluations", "-1"], "evaluations = -1: Input should be greater than or equal to 0"),
     ],

@@ -24,7 +24,7 @@ class Loaded(Covering):
 @pytest.fixture
 def controller(monkeypatch, tmp_path):
     monkeypatch.setattr("softfin.stages.evaluation.load_controller", lambda path: Loaded())
-    monkeypatch.setattr("softfin.stages.evaluation.kind_of", lambda path: "single")
+    monkeypatch.setattr("softfin.storage.artifact.load_description", lambda folder, kind: {"controller": "single"})
     (tmp_path / "controller").mkdir()
     (tmp_path / "controller" / "controller.json").touch()
     return str(tmp_path / "controller")

@@ -90,7 +90,7 @@ def there(monkeypatch, tmp_path):
     assert isinstance(fin, Machine)
     monkeypatch.setattr(driving, "load_controller", lambda folder: controller)
     monkeypatch.setattr(driving, "find_robot", lambda name: RobotSetup(fin, safety, settle_s=0.0))
-    monkeypatch.setattr("softfin.cli.driving.open_transport", lambda config: transport)
+    monkeypatch.setattr("softfin.rig.ros2.plant.open_transport", lambda config: transport)
     return SimpleNamespace(fin=fin, controller=controller, transport=transport)
 
 

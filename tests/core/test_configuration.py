@@ -72,9 +72,9 @@ def test_equal_configurations_hash_equal_so_that_programs_are_compiled_once():
     ("change", "words"),
     [
         ("steps", "no '='; write path=value"),
-        ("step=4", "there is no 'step'; did you mean 'steps'?"),
-        ("iner.rate=1", "there is no group 'iner'; did you mean 'inner'?"),
-        ("steps.x=1", "there is no group 'steps'"),
+        ("step=4", "unknown key 'step'; did you mean 'steps'?"),
+        ("iner.rate=1", "unknown key 'iner'; did you mean 'inner'?"),
+        ("steps.x=1", "steps = {'x': 1}: Input should be a valid integer"),
         ("inner.rate=-1", r"inner.rate = -1: Input should be greater than 0"),
         ("steps=many", "steps = 'many': Input should be a valid integer"),
         ("steps=[1", "not YAML"),

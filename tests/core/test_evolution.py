@@ -3,8 +3,7 @@ from pathlib import Path
 import numpy as np
 
 import softfin
-from softfin.core.evolution import cma_es
-from softfin.core.randomness import generator_of
+from softfin.core.randomness import cma_es, generator_of
 
 
 def searched(seed):
@@ -48,4 +47,4 @@ def test_every_search_goes_through_it():
     """The library by itself reseeds the whole process."""
     sources = Path(softfin.__file__).parent.rglob("*.py")
     users = [path.name for path in sources if "import cma\n" in path.read_text()]
-    assert users == ["evolution.py"]
+    assert users == ["randomness.py"]

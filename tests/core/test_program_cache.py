@@ -55,17 +55,11 @@ def programs(folder: Path) -> list[Path]:
 
 @pytest.mark.usefixtures("no_setting")
 def test_programs_are_kept_in_the_cache_folder_of_the_user(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(sys, "platform", "linux")
     assert cache_folder() == tmp_path / ".cache" / "softfin"
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "other"))
     assert cache_folder() == tmp_path / "other" / "softfin"
     monkeypatch.setenv("XDG_CACHE_HOME", "relative")
     assert cache_folder() == tmp_path / ".cache" / "softfin"
-    monkeypatch.setattr(sys, "platform", "darwin")
-    assert cache_folder() == tmp_path / "Library" / "Caches" / "softfin"
-    monkeypatch.setattr(sys, "platform", "win32")
-    monkeypatch.setenv("LOCALAPPDATA", str(tmp_path / "local"))
-    assert cache_folder() == tmp_path / "local" / "softfin"
 
 
 def test_the_help_says_where_programs_are_kept_how_large_that_grows_and_how_to_switch_it_off(
@@ -167,11 +161,7 @@ def test_a_damaged_entry_is_compiled_again_and_replaced(tmp_path: Path, damage) 
 
 def test_what_was_not_used_for_longest_makes_room_and_no_other_file_is_touched(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("the user's" * 1000)
-    abandoned, young = tmp_path / "abandoned.partial-program", tmp_path / "young.partial-program"
-    abandoned.write_bytes(bytes(300))
-    young.write_bytes(bytes(300))
-    _set_time(abandoned, -1)
-    store = ProgramStore(tmp_path, largest_bytes=4 * 132)
+    store = ProgramStore(tmp_path, largest_bytes=3 * 132)
     for moment, key in enumerate(("first", "second", "third")):
         store.put(key, bytes(100))
         _set_time(tmp_path / f"{key}{SUFFIX}", moment)
@@ -181,8 +171,6 @@ def test_what_was_not_used_for_longest_makes_room_and_no_other_file_is_touched(t
     store.put("too large", bytes(600))
     assert [path.stem for path in programs(tmp_path)] == ["first", "fourth", "third"]
     assert (tmp_path / "notes.txt").exists()
-    assert young.exists()
-    assert not abandoned.exists()
 
 
 def _set_time(path: Path, seconds: float) -> None:

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from softfin.core.quantities import Command, Reading
-from softfin.core.statistics import interval
-from softfin.core.window import moving_average
+from softfin.core.window import interval, moving_average
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_II, recomputed_means
 from softfin.evaluation.scores import (

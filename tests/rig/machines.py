@@ -5,14 +5,14 @@ import threading
 from collections.abc import Callable
 
 from softfin.control.controller import Measured
-from softfin.core.clock import REAL, Clock, RealClock
-from softfin.core.quantities import PAPER_LIMITS, Command, Limits
+from softfin.core.clock import REAL, Clock
+from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Limits
 from softfin.rig.machine import Sample, Target
 
 FORCE_DELAY_S = 0.02
 
 
-class Hours(RealClock):
+class Hours(Clock):
     """A clock that the test moves, or the sleep of its loop; other threads wait in real time."""
 
     def __init__(self) -> None:

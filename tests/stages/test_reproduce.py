@@ -37,7 +37,7 @@ def test_what_several_controllers_warn_of_is_said_once():
 @pytest.mark.parametrize("asked", [{"moving": ["step"]}, {"error_map": 3}, {"random": 9}])
 def test_experiments_that_a_reproduction_does_not_do_are_refused(asked):
     (name,) = asked
-    with pytest.raises(ConfigurationError, match=rf"evaluate\.{name} is .* leave it out; .* softfin evaluate"):
+    with pytest.raises(ConfigurationError, match=rf"evaluate\.{name} is set; .* leave it out; .* softfin evaluate"):
         ReproduceConfig.build({"evaluate": asked})
 
 

@@ -44,10 +44,7 @@ STOPPED = 1
 
 
 def script() -> None:
-    """Run `main` as the installed command, and end at once after Ctrl-C.
-
-    An interpreter that shuts down beside a compiled program that Ctrl-C has left running may crash.
-    """
+    """Run `main` as the installed command; after Ctrl-C end at once, as a compiled program may still run."""
     try:
         main()
     except SystemExit as stop:

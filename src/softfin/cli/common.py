@@ -138,10 +138,13 @@ class Configured(Common):
         return config.changed(self.set).merged(changes, "options")
 
 
-class LogOptions(Configuration):
+class LogOptions(ImportConfig):
     """Options of every command that reads recordings made by others; softfin's own need none of these."""
 
-    recordings: ImportConfig = ImportConfig()
+    @property
+    def recordings(self) -> ImportConfig:
+        """These options alone."""
+        return ImportConfig(**{name: getattr(self, name) for name in ImportConfig.model_fields})
 
     @staticmethod
     def columns_read(columns: Mapping[str, str]) -> str:

@@ -117,29 +117,26 @@ class TrainArguments(Configured):
         return self._tell(seeds)
 
     def _tell(self, seeds: tuple[int, ...]) -> None:
-        folders = [self.out] if len(seeds) == 1 else [self.out / f"seed-{seed}" for seed in seeds]
-        results, texts = [], []
-        for seed, folder in zip(seeds, folders, strict=True):
-            description = load_description(folder, "controller")
-            own = {} if len(seeds) == 1 else {"seed": seed}
-            results.append(own | {"controller": str(folder), "scores": description["scores"]})
-            texts.append(self._table(folder, description))
-        self.tell(results[0] if len(seeds) == 1 else {"controllers": results}, "\n\n".join(texts))
-
-    def _table(self, folder: Path, description: dict[str, Any]) -> str:
-        """Return the scores of one controller."""
+        """Print the scores of each controller."""
         from softfin.cli.tables import aligned, held
         from softfin.learning.policy import describe_memory
 
-        gaits = self.controller == "gaits"
-        rows = [["reference [N]", "error of the mean force [N]" if gaits else "error x, y [N]", ""]]
-        for row in description["scores"]:
-            x, y = row["reference_n"]
-            error = f"{row['missed_n']:.3f}" if gaits else "{:.3f}, {:.3f}".format(*row["error_n"])
-            rows.append([f"({x:5.2f}, {y:5.2f})", error, held(row).strip()])
-        footprint = [] if gaits else [describe_memory(description["memory"])]
-        head = f"{folder}: scored in {self.surrogate}, without exploration noise"
-        return "\n".join([head, *aligned(rows, (0, 1, 2)), *footprint])
+        gaits, several = self.controller == "gaits", len(seeds) > 1
+        results, texts = [], []
+        for seed in seeds:
+            folder = self.out / f"seed-{seed}" if several else self.out
+            description = load_description(folder, "controller")
+            own: dict[str, Any] = {"seed": seed} if several else {}
+            results.append(own | {"controller": str(folder), "scores": description["scores"]})
+            rows = [["reference [N]", "error of the mean force [N]" if gaits else "error x, y [N]", ""]]
+            for row in description["scores"]:
+                x, y = row["reference_n"]
+                error = f"{row['missed_n']:.3f}" if gaits else "{:.3f}, {:.3f}".format(*row["error_n"])
+                rows.append([f"({x:5.2f}, {y:5.2f})", error, held(row).strip()])
+            footprint = [] if gaits else [describe_memory(description["memory"])]
+            head = f"{folder}: scored in {self.surrogate}, without exploration noise"
+            texts.append("\n".join([head, *aligned(rows, (0, 1, 2)), *footprint]))
+        self.tell({"controllers": results} if several else results[0], "\n\n".join(texts))
 
 
 def asked_seeds(first: int, text: str | None) -> tuple[int, ...]:

@@ -41,11 +41,13 @@ class CollectArguments(Armed, Configured):
     def check(self) -> None:
         """Refuse options that do not go with the plant."""
         super().check()
-        simulated = {"--extend": self.extend, "--excitation active": self.excitation == "active"}
-        real = {"--arm": self.arm, "--resume": self.resume}
-        live = is_live(self.plant)
-        if wrong := [name for name, given in (simulated if live else real).items() if given]:
-            way = "a real fin; record random motions there" if live else "simulated; leave it out, or give --plant rig"
+        if is_live(self.plant):
+            way = "a real fin; record random motions there"
+            asked = {"--extend": self.extend, "--excitation active": self.excitation == "active"}
+        else:
+            way = "simulated; leave it out, or give --plant rig"
+            asked = {"--arm": self.arm, "--resume": self.resume}
+        if wrong := [name for name, given in asked.items() if given]:
             raise ConfigurationError(f"{wrong[0]}: {self.plant} is {way}")
 
     def __call__(self) -> None:

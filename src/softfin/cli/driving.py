@@ -25,14 +25,9 @@ from softfin.rig.loop import (
     recorded_reference,
     run_controller,
 )
-from softfin.rig.machine import clock_of
 from softfin.rig.robot_setup import RobotSetup, find_robot
-from softfin.rig.ros2.config import NodeConfig
-from softfin.rig.ros2.node import RosNode
-from softfin.rig.ros2.plant import Ros2Machine, open_transport
 from softfin.rig.safety import Guard
 from softfin.rig.session import Observer, Session
-from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import StopRequest, listen_to_keyboard
 
 
@@ -60,9 +55,7 @@ class Driving(Armed, Common):
             if self.bag.suffix != ".mcap":
                 raise ConfigurationError(f"--bag {self.bag}: a recording is a file NAME.mcap")
             if self.bag.is_dir() or (self.bag.exists() and not self.overwrite):
-                raise ConfigurationError(
-                    f"--bag {self.bag}: exists already; give another one, or --overwrite to replace it"
-                )
+                raise ConfigurationError(f"--bag {self.bag}: exists; give another one, or --overwrite to replace it")
         super().check()
 
     def parties(self) -> tuple[LoadedController, RobotSetup]:
@@ -72,15 +65,9 @@ class Driving(Armed, Common):
         return controller, robot
 
     def drive(
-        self,
-        controller: LoadedController,
-        robot: RobotSetup,
-        references: References,
-        seconds: int | None,
-        line: Callable[[str], None],
-        stop: StopRequest | None = None,
-        observers: Sequence[Observer] = (),
-    ) -> dict[str, Any]:
+        self, controller: LoadedController, robot: RobotSetup, references: References, seconds: int | None,
+        line: Callable[[str], None], stop: StopRequest | None = None, observers: Sequence[Observer] = (),
+    ) -> dict[str, Any]:  # fmt: skip
         """Ask, move, record; `line` gets what is typed meanwhile. Returns the recording and the errors at its end."""
         bag = self.bag or Path(f"run-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
         guard = Guard(robot.safety, robot.machine.limits, controller.artifact.training_range)
@@ -164,18 +151,16 @@ class RunArguments(Driving):
 
         if self.reference is not None:
             live = LiveReference(self.reference, resolve, say)
-            return self.tell_errors(self.drive(controller, robot, live, self.seconds, live.set_from_text))
-        assert self.reference_file is not None
-        # Imported here: the file's reader needs more than a robot's computer may have.
-        from softfin.task.signals import read_reference_file
+            result = self.drive(controller, robot, live, self.seconds, live.set_from_text)
+        elif self.reference_file is not None:
+            # Imported here: the file's reader needs more than a robot's computer may have.
+            from softfin.task.signals import read_reference_file
 
-        rows = read_reference_file(self.reference_file)
-        recorded = recorded_reference(rows.time_s, [(float(x), float(y)) for x, y in rows.force_n], resolve, say)
-
-        def line(_: str) -> None:
-            say("references come from the file; Enter alone stops the fin")
-
-        return self.tell_errors(self.drive(controller, robot, recorded, self.seconds or rows.seconds, line))
+            rows = read_reference_file(self.reference_file)
+            recorded = recorded_reference(rows.time_s, [(float(x), float(y)) for x, y in rows.force_n], resolve, say)
+            line = "references come from the file; Enter alone stops the fin"
+            result = self.drive(controller, robot, recorded, self.seconds or rows.seconds, lambda _: say(line))
+        self.tell_errors(result)
 
 
 class Ros2Arguments(Driving, Configured):
@@ -195,6 +180,12 @@ class Ros2Arguments(Driving, Configured):
     """
 
     def __call__(self) -> None:
+        from softfin.rig.machine import clock_of
+        from softfin.rig.ros2.config import NodeConfig
+        from softfin.rig.ros2.node import RosNode
+        from softfin.rig.ros2.plant import Ros2Machine, open_transport
+        from softfin.rig.simulated_clock import SimulatedClock
+
         options = {"transport": self.transport, "domain": self.domain, "network": self.network}
         given = {name: value for name, value in options.items() if value is not None}
         topics = self.configured(NodeConfig(), connection=given or None)

@@ -70,7 +70,7 @@ class EvaluateArguments(Armed, Configured):
         from softfin.evaluation.evaluate import EvaluateConfig
         from softfin.evaluation.range_errors import LATTICE_POINTS
         from softfin.rig.robot_setup import find_robot
-        from softfin.stages.evaluation import evaluate, kind_of
+        from softfin.stages.evaluation import evaluate
         from softfin.stages.live import evaluate_live
         from softfin.task.signals import read_reference_file
 
@@ -92,7 +92,7 @@ class EvaluateArguments(Armed, Configured):
         parts: dict[str, Callable[[Any], str]]
         parts = {"moving": moving_table, "error_map": map_line, "random": random_line, "warning": "warning: {}".format}
         lines = [show(found) for name, show in parts.items() if (found := summary.get(name)) is not None]
-        self.tell(summary, "\n".join([table_two({kind_of(self.controller): summary}), *lines]))
+        self.tell(summary, "\n".join([table_two({summary["conditions"]["kind"]: summary}), *lines]))
 
 
 def moving_table(rows: Sequence[Mapping[str, Any]]) -> str:

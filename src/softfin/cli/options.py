@@ -1,8 +1,7 @@
 """The fields of a configuration as options of a command: read from words, checked, and listed as help.
 
 A field without a default is required. A bool is a flag, a Literal a choice, a tuple an option that may be repeated (or
-several positional arguments), a `Configuration` one option for each of its fields. `Option`, in the field's annotation,
-holds what the type does not tell.
+several positional arguments). `Option`, in the field's annotation, holds what the type does not tell.
 """
 
 import difflib
@@ -24,7 +23,7 @@ from softfin.core.errors import ConfigurationError
 Arguments = TypeVar("Arguments", bound=Configuration)
 
 NUMBERS: dict[Any, str] = {int: "a whole number", float: "a number"}
-METAVARS: dict[Any, str] = {int: "INT", float: "FLOAT", Path: "PATH", str: "TEXT"}
+METAVARS: dict[Any, str] = {int: "INT", float: "FLOAT", Path: "PATH"}
 INDENT = 18
 """Columns before the text of an option in help."""
 
@@ -54,14 +53,12 @@ class Field:
     field: str
     option: Option
     kind: Any
-    """int, float, str, Path, bool, or a Literal; anything where the option has a parser of its own."""
+    """int, float, Path, bool or a Literal; of anything else the option has a parser, or the command reads the text."""
     repeats: bool
     required: bool
     default: Any
     text: str
     """Description of the option."""
-    group: tuple[str, type[Configuration]] | None = None
-    """Field of the command, and its type, where this option is one of the fields of a configuration."""
 
     @property
     def choices(self) -> tuple[str, ...]:
@@ -71,13 +68,13 @@ class Field:
     @property
     def metavar(self) -> str:
         """Placeholder of the value."""
-        return self.option.metavar or "|".join(self.choices) or METAVARS[self.kind]
+        return self.option.metavar or "|".join(self.choices) or METAVARS.get(self.kind, "TEXT")
 
     @property
     def name(self) -> str:
         """The option as it is typed, ``--test-logs``; the metavar of a positional argument."""
-        # A configuration's field ends in its unit, which nobody should have to type.
-        field = re.sub("_(hz|rad_s|ms|s)$", "", self.field) if self.group else self.field.rstrip("_")
+        # A field may end in its unit, which nobody should have to type.
+        field = re.sub("_(hz|rad_s|ms|s|)$", "", self.field)
         return self.metavar if self.option.positional else f"--{field.replace('_', '-')}"
 
     @property
@@ -104,7 +101,7 @@ class Field:
                 raise ConfigurationError(f"{shown}: not {NUMBERS[self.kind]}; write {self.usage}") from None
         if self.kind is Path and not text:
             raise ConfigurationError(f"{self.name}: the path is empty; write {self.usage}")
-        return self.kind(text)
+        return Path(text) if self.kind is Path else text
 
 
 def _nearest(met: str, allowed: Iterable[str], otherwise: str = "") -> str:
@@ -116,16 +113,10 @@ def fields_of(command: type[Configuration]) -> list[Field]:
     """List the options of a command: its own first, then those that it inherits."""
     hints, found = get_type_hints(command, include_extras=True), command.model_fields
     own = [name for base in command.__mro__ for name in inspect.get_annotations(base) if name in found]
-    return [each for name in dict.fromkeys(own) for each in _fields(name, hints[name], found[name])]
+    return [_field(name, hints[name], found[name]) for name in dict.fromkeys(own)]
 
 
-def _fields(name: str, hint: Any, info: FieldInfo) -> list[Field]:
-    if isinstance(hint, type) and issubclass(hint, Configuration):
-        return [
-            Field(inner, Option(), _inner(each.annotation), False, False, each.get_default(call_default_factory=True),
-                  _text(each), (name, hint))
-            for inner, each in hint.model_fields.items()
-        ]  # fmt: skip
+def _field(name: str, hint: Any, info: FieldInfo) -> Field:
     option, repeats = Option(), False
     while True:
         origin, parts = get_origin(hint), get_args(hint)
@@ -140,19 +131,9 @@ def _fields(name: str, hint: Any, info: FieldInfo) -> list[Field]:
             hint, repeats = parts[0], True
         else:
             break
-    return [Field(name, option, hint, repeats, info.is_required(), info.default, _text(info))]
-
-
-def _text(info: FieldInfo) -> str:
-    return " ".join((info.description or "").replace("``", "").split())
-
-
-def _inner(hint: Any) -> Any:
-    """Kind of an option for a configuration's field; the configuration itself reads what is neither of these."""
-    parts = () if get_origin(hint) in (dict, tuple) else get_args(hint)
-    inner = next((part for part in parts if part is not type(None)), hint)
-    kind = hint if get_origin(hint) is Literal else inner
-    return kind if kind in NUMBERS or get_origin(kind) is Literal else str
+    text = " ".join((info.description or "").replace("``", "").split())
+    default = info.get_default(call_default_factory=True)
+    return Field(name, option, hint, repeats, info.is_required(), default, text)
 
 
 def parse(command: type[Arguments], words: Sequence[str]) -> Arguments:
@@ -197,10 +178,6 @@ def parse(command: type[Arguments], words: Sequence[str]) -> Arguments:
     missing = [field.usage for field in fields if field.required and field.field not in values]
     if missing:
         raise ConfigurationError(f"{', '.join(missing)}: required, and missing; --help tells more")
-    for name, configuration in {field.group for field in fields if field.group}:
-        inner = [field.field for field in fields if field.group and field.group[0] == name]
-        given = {field: values.pop(field) for field in inner if field in values}
-        values[name] = configuration.build(given, "options")
     return command.build(values, "options")
 
 

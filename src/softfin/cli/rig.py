@@ -8,8 +8,6 @@ import time
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from rich.console import Console
-
 from softfin.cli.common import Armed, CommandOptions, Common, File, YamlFile
 from softfin.cli.options import Option
 from softfin.core.choices import LOOPBACK
@@ -18,9 +16,6 @@ from softfin.core.errors import ConfigurationError, DeviceError
 from softfin.core.printable import printable
 from softfin.rig.check import check_rig
 from softfin.rig.config import load_rig
-from softfin.rig.monitor.follow import Follower
-from softfin.rig.monitor.terminal import watch
-from softfin.rig.monitor.web import Server
 from softfin.rig.rig import Rig, zero_angle, zero_force
 from softfin.rig.robot_setup import RobotSetup
 from softfin.storage.paths import RIG_FILE
@@ -97,17 +92,15 @@ class RigArguments(Armed, Common):
             # Ctrl-C is expected from the moment that it is named.
             with contextlib.suppress(KeyboardInterrupt), EmulatedRig(tank, self.seed, clock=REAL) as emulated:
                 emulated.write(self.rig)
-                sys.stdout.write(
-                    f"{self.rig}: written; the emulated fin moves for it until Ctrl-C\n{emulated.description()}\n"
-                )
+                told = f"{self.rig}: written; the emulated fin moves for it until Ctrl-C\n{emulated.description()}\n"
+                sys.stdout.write(told)
                 sys.stdout.flush()
                 threading.Event().wait()
             return
         # A new rig starts without the state of the one that was there.
         state_file(self.rig).unlink(missing_ok=True)
         write_simulated(self.rig, tank, values, self.seed)
-        own = self.rig == RIG_FILE
-        plant, option = ("rig", "") if own else (f"rig:{self.rig}", f" --rig {self.rig}")
+        plant, option = ("rig", "") if self.rig == RIG_FILE else (f"rig:{self.rig}", f" --rig {self.rig}")
         sys.stdout.write(
             f"{self.rig}: written; each command emulates this rig itself, in simulated time. Next: softfin rig zero"
             f"{option} --arm, then softfin collect --plant {plant} --arm\n"
@@ -125,10 +118,14 @@ class MonitorArguments(CommandOptions):
     """Port of the page; 0 takes a free one."""
     host: str = LOOPBACK
     """Address that the page is served on; on another one than this, whoever reaches it sees the recording."""
-    json_: bool = False
-    """Print the state of the recording as JSON, once."""
 
     def __call__(self) -> None:
+        from rich.console import Console
+
+        from softfin.rig.monitor.follow import Follower
+        from softfin.rig.monitor.terminal import watch
+        from softfin.rig.monitor.web import Server
+
         follower = Follower(self.run_folder)
         # Whoever watches has lost nothing by stopping: exit code 0.
         with contextlib.suppress(KeyboardInterrupt):

@@ -161,7 +161,12 @@ WARPED = (
 
 def comparison_tables(summary: Mapping[str, Any]) -> str:
     """Return the errors, mean force and DTW for a terminal of 120 columns, then what a reader should know."""
-    groups = [(_heading(row, summary["flops_ratio_to"]), row["horizons"]) for row in summary["groups"]]
+    groups = []
+    for row in summary["groups"]:
+        yardstick = summary["flops_ratio_to"]
+        ratio = "" if row["name"] == yardstick else f" ({row['flops_ratio']:.3g} of {yardstick}'s)"
+        size = f"{row['parameters']:,} parameters, {row['flops_per_tick']:,} FLOPs a tick"
+        groups.append((f"{row['name']}: {counted(row['seeds'], 'seed')}, {size}{ratio}", row["horizons"]))
     if (floor := summary["noise_floor"]) is not None:
         groups.append((floor["name"], floor["horizons"]))
     several = any(row["seeds"] > 1 for row in summary["groups"])
@@ -175,12 +180,6 @@ def comparison_tables(summary: Mapping[str, Any]) -> str:
     title = "DTW in a band of 1 s: mean absolute difference after warping, in units and scaled"
     lines += ["", title, *_table(WARPED, groups), *[f"note: {note}" for note in summary["notes"]]]
     return "\n".join(lines)
-
-
-def _heading(row: Mapping[str, Any], yardstick: str) -> str:
-    seeds = counted(row["seeds"], "seed")
-    ratio = "" if row["name"] == yardstick else f" ({row['flops_ratio']:.3g} of {yardstick}'s)"
-    return f"{row['name']}: {seeds}, {row['parameters']:,} parameters, {row['flops_per_tick']:,} FLOPs a tick{ratio}"
 
 
 def _table(columns: Sequence[tuple[str, str, str, int]], groups: Sequence[tuple[str, Any]]) -> list[str]:

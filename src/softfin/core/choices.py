@@ -2,11 +2,12 @@
 
 from typing import Literal, TypeAlias
 
+# Each is covered by a table: PRESETS of reproductions and calibrations, SIGNALS of an evaluation, UNITS of columns.
 ReproducePreset: TypeAlias = Literal["demo", "best", "streaming", "paper", "tiny"]
-"""Keys of `softfin.stages.reproduce.PRESETS`."""
-
 CalibratePreset: TypeAlias = Literal["full", "quick"]
-"""Keys of `softfin.tank.calibration.config.PRESETS`."""
+MovingReference: TypeAlias = Literal["step", "ramp", "sine"]
+TimeUnit: TypeAlias = Literal["s", "ms", "us", "ns", "min"]
+ForceUnit: TypeAlias = Literal["N", "mN", "kN", "gf", "kgf", "lbf"]
 
 Excitation: TypeAlias = Literal["random", "active"]
 """How the motions of a dataset are chosen."""
@@ -15,31 +16,16 @@ ModelName: TypeAlias = Literal["streaming", "paper", "auto"]
 """Kinds of surrogate that are fitted; auto keeps the best on held-out logs."""
 
 PolicyLayout: TypeAlias = Literal["single", "grid"]
-"""One policy for all references, or one for each cell of a grid."""
-
 ControllerKind: TypeAlias = Literal["single", "grid", "gaits"]
-"""Kinds of controller: policies by layout, or a table of gaits without a policy."""
+"""One policy for all references, one for each cell of a grid, or a table of gaits without a policy."""
 
 Algorithm: TypeAlias = Literal["gradient", "ppo"]
-"""How policies are trained."""
-
 AlgorithmOption: TypeAlias = Literal["auto", "gradient", "ppo"]
 """How policies are trained; auto: by gradients wherever the plant has them."""
 
 EngineName: TypeAlias = Literal["local", "ray"]
-"""Where training jobs run."""
-
 Split: TypeAlias = Literal["none", "seed", "cell"]
 """All lanes in one training job; one job for every seed; one for every cell of every seed."""
-
-MovingReference: TypeAlias = Literal["step", "ramp", "sine"]
-"""Reference forces that move, in an evaluation."""
-
-TimeUnit: TypeAlias = Literal["s", "ms", "us", "ns", "min"]
-"""Units of a column of time; `softfin.data.importing.names.UNITS` has their factors."""
-
-ForceUnit: TypeAlias = Literal["N", "mN", "kN", "gf", "kgf", "lbf"]
-"""Units of a column of force; likewise."""
 
 TransportName: TypeAlias = Literal["auto", "rclpy", "dds"]
 """How a ROS 2 node reaches others; auto: rclpy where it is installed, else DDS."""

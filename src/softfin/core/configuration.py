@@ -34,21 +34,17 @@ class Configuration(pydantic.BaseModel):
         for change in changes:
             path, sign, text = change.partition("=")
             if not sign:
-                raise ConfigurationError(f"--set {change}: no '='; write path=value, for example {_example(self)}")
-            *parents, leaf = path.strip().split(".")
-            node = values
-            for parent in parents:
-                if not isinstance(node.get(parent), dict):
-                    raise ConfigurationError(f"--set {change}: there is no group {parent!r}{_nearest(parent, node)}")
-                node = node[parent]
-            if leaf not in node:
-                raise ConfigurationError(f"--set {change}: there is no {leaf!r}{_nearest(leaf, node)}")
+                example = "=".join(map(str, next(iter(values.items()))))
+                raise ConfigurationError(f"--set {change}: no '='; write path=value, for example {example}")
             try:
-                node[leaf] = parse_yaml(text)
+                value = parse_yaml(text)
             except ValueError as error:
                 raise ConfigurationError(
                     f"--set {change[:200]}: not YAML ({error}); quote it, or close its bracket"
                 ) from None
+            for name in reversed(path.strip().split(".")):
+                value = {name: value}
+            values = _merge(values, value)
         return self.build(values, "--set")
 
     def merged(self: Config, values: Mapping[str, Any], source: str) -> Config:
@@ -64,11 +60,9 @@ def read_yaml(path: Path) -> dict[str, Any]:
         raise ConfigurationError(f"{path}: cannot be read ({error.strerror or error})") from None
     except ValueError as error:
         raise ConfigurationError(f"{path}: not YAML ({error})") from None
-    if values is None:
-        return {}
-    if not isinstance(values, dict):
+    if not isinstance(values, dict | None):
         raise ConfigurationError(f"{path}: holds a {type(values).__name__}; it must be a mapping of names to values")
-    return values
+    return values or {}
 
 
 def parse_yaml(text: str) -> Any:
@@ -80,11 +74,10 @@ def parse_yaml(text: str) -> Any:
 
 
 def _merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    merged = dict(base)
-    for key, value in over.items():
-        inner = base.get(key)
-        merged[key] = _merge(inner, value) if isinstance(inner, dict) and isinstance(value, Mapping) else value
-    return merged
+    return base | {
+        key: _merge(base[key], value) if isinstance(base.get(key), dict) and isinstance(value, Mapping) else value
+        for key, value in over.items()
+    }
 
 
 def _explain(cls: type[pydantic.BaseModel], error: pydantic.ValidationError) -> str:
@@ -124,8 +117,3 @@ def _alternative(place: Sequence[int | str]) -> str | None:
 def _nearest(name: str, allowed: Mapping[str, Any]) -> str:
     close = difflib.get_close_matches(name, list(allowed), n=1)
     return f"; did you mean {close[0]!r}?" if close else f"; there are {', '.join(allowed)}"
-
-
-def _example(config: pydantic.BaseModel) -> str:
-    name, value = next(iter(config.model_dump().items()))
-    return f"{name}={value}"

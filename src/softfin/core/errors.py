@@ -1,18 +1,4 @@
-"""What softfin raises. Every message says what was wrong, where, what is allowed, and the way out, in one line.
-
-SoftfinError
-├── InputError              what the user gave cannot be used           exit code 2
-│   ├── ConfigurationError  an option, a YAML file, a ``--set``
-│   ├── LogError            a recording: columns, gaps, NaN, rate
-│   ├── ArtifactError       a folder that is not, or no longer, a dataset, surrogate or controller
-│   ├── PlantError          something that does not meet the Plant contract
-│   ├── CommandError        a command that a plant does not take
-│   ├── CoverageError       a reference force that a controller was not trained for
-│   └── RigError            a rig's file, or a device that is not as the file says
-└── RunError                a run that started well and failed midway   exit code 1
-    ├── DeviceError         a drive or a sensor that does not answer, or answers with an error
-    └── SafetyStop          the fin was stopped and the motor disabled  exit code 3
-"""
+"""What softfin raises. Every message says what was wrong, where, what is allowed, and the way out, in one line."""
 
 
 class SoftfinError(Exception):

@@ -38,15 +38,12 @@ class Plant(Protocol):
     @property
     def limits(self) -> Limits:
         """The commands that the plant takes [rad, rad/s]; beyond them its readings mean nothing."""
-        ...
 
     def init(self, key: PRNGKeyArray) -> State:
         """The fin at rest at angle 0, time 0. The key draws whatever is random (sensor noise, conditions)."""
-        ...
 
     def advance(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
         """Hold the scalar command for `ticks` samples of 10 ms (static) and read after each: fields ``(ticks,)``."""
-        ...
 
 
 @runtime_checkable
@@ -55,11 +52,9 @@ class ForceInterval(Protocol):
 
     def half_width(self, means: Float[AnyArray, "members *shape"]) -> Float[AnyArray, "*shape"]:
         """Half of the interval's width [N], from the mean force of each member [N]."""
-        ...
 
     def caveat(self) -> str | None:
         """Why the interval is not to be relied on, in a sentence; None where there is none."""
-        ...
 
 
 @runtime_checkable
@@ -69,24 +64,19 @@ class EnsemblePlant(Plant, Protocol):
     @property
     def size(self) -> int:
         """Number of members."""
-        ...
 
     @property
     def interval(self) -> ForceInterval:
         """Interval on the mean force, from how much the members disagree."""
-        ...
 
     def member(self, index: Int[Array, ""]) -> Plant:
         """One member as a plant of its own; `index` may be a value in a program."""
-        ...
 
     def advance_members(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
         """As `advance`, with every member's own reading: fields ``(members, ticks)``."""
-        ...
 
     def distance(self, state: State) -> Float[Array, ""]:
         """Distance of the last motion from the training data: 1 at their edge, more beyond it."""
-        ...
 
 
 def check_commands(limits: Limits, commands: Command) -> None:
@@ -109,12 +99,12 @@ def check_commands(limits: Limits, commands: Command) -> None:
 def roll(plant: Plant, state: State, commands: Command) -> tuple[State, Reading]:
     """Issue one command a tick, ``(ticks,)``, and read after each; raises CommandError beyond the plant's limits."""
     check_commands(plant.limits, commands)
+    return jax.lax.scan(partial(_tick, plant), state, commands)
 
-    def tick(state: State, command: Command) -> tuple[State, Reading]:
-        state, reading = plant.advance(state, command, 1)
-        return state, jax.tree.map(lambda x: x[0], reading)
 
-    return jax.lax.scan(tick, state, commands)
+def _tick(plant: Plant, state: State, command: Command) -> tuple[State, Reading]:
+    state, reading = plant.advance(state, command, 1)
+    return state, jax.tree.map(lambda x: x[0], reading)
 
 
 def rest_command(limits: Limits) -> Command:
@@ -131,12 +121,7 @@ def hold_action(plant: Plant, state: State, command: Command, ticks: Ticks) -> t
     if own is not None:
         held: tuple[State, Reading] = own(state, command, ticks)
         return held
-
-    def tick(state: State) -> tuple[State, Reading]:
-        state, reading = plant.advance(state, command, 1)
-        return state, jax.tree.map(lambda x: x[0], reading)
-
-    return repeat(tick, state, ticks)
+    return repeat(lambda state: _tick(plant, state, command), state, ticks)
 
 
 def repeat(tick: Callable[[State], tuple[State, Output]], state: State, ticks: Ticks) -> tuple[State, Output]:

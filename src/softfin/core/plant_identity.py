@@ -7,18 +7,19 @@ it computes is known: a gain may be an attribute, a constant of its module, a cl
 
 import hashlib
 import re
+from dataclasses import dataclass, field
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
+from jaxtyping import PRNGKeyArray, PyTree
 
 from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.errors import PlantError
-from softfin.core.plant import EnsemblePlant, ForceInterval, Plant, State, Ticks, hold_action
-from softfin.core.quantities import Command, Limits, Reading
+from softfin.core.plant import EnsemblePlant, Plant
+from softfin.core.quantities import Command, Limits
 
 PLAIN = (bool, int, float, str, type(None))
 """Leaves of a pytree whose text says all about them."""
@@ -31,10 +32,8 @@ def identity(plant: Plant) -> str:
     """The type of a plant and a hash of what it computes: equal for equal plants in every process.
 
     The hash of a user's simulator also depends on the version of JAX, which writes the lowered program; it is named
-    then. A simulator may state its identity itself, in an attribute `identity`.
-
-    Raises:
-        PlantError: the plant calls back into Python and states no identity, or it cannot be traced.
+    then. A simulator may state its identity itself, in an attribute `identity`; one that does not must be traceable
+    and not call back into Python, else PlantError is raised.
     """
     name = f"{type(plant).__module__}.{type(plant).__qualname__}"
     stated = getattr(plant, "identity", None)
@@ -63,23 +62,23 @@ def jit_argument(plant: Plant) -> Plant:
     if _is_own(plant, static):
         return plant
     program = _program(plant, arrays, static)
-    kind = TracedEnsemble if isinstance(plant, EnsemblePlant) else TracedPlant
-    return kind(arrays, _Program(static, _digest(None, program), keep=bool(CALLBACK.search(program))))
+    # Equal programs that call back into Python call different objects.
+    key = (_digest(None, program), id(static) if CALLBACK.search(program) else None)
+    kind: Any = TracedEnsemble if isinstance(plant, EnsemblePlant) else TracedPlant
+    traced: Plant = kind(arrays, _Program(static, key))
+    return traced
 
 
+@dataclass(frozen=True)
 class _Program:
     """The part of a plant that is compiled into programs; equal where these are."""
 
-    def __init__(self, static: PyTree[Any], digest: str, keep: bool) -> None:
-        self.static = static
-        # Equal programs that call back into Python call different objects.
-        self._key = (digest, id(static)) if keep else (digest, None)
+    static: PyTree[Any] = field(compare=False)
+    key: tuple[str, int | None]
 
-    def __hash__(self) -> int:
-        return hash(self._key)
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Program) and other._key == self._key
+def _of_simulator(name: str) -> Any:
+    return property(lambda traced: getattr(eqx.combine(traced.arrays, traced.program.static), name, None))
 
 
 class TracedPlant(eqx.Module):
@@ -88,58 +87,19 @@ class TracedPlant(eqx.Module):
     arrays: PyTree[Any]
     program: _Program = eqx.field(static=True)
 
-    @property
-    def _plant(self) -> Plant:
-        plant: Plant = eqx.combine(self.arrays, self.program.static)
-        return plant
+    init, advance, hold_action = map(_of_simulator, ("init", "advance", "hold_action"))
 
     @property
     def limits(self) -> Limits:
-        """Those of the simulator."""
-        return Limits(*self._plant.limits)
-
-    def init(self, key: PRNGKeyArray) -> State:
-        """As the simulator."""
-        return self._plant.init(key)
-
-    def advance(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
-        """As the simulator."""
-        return self._plant.advance(state, command, ticks)
-
-    def hold_action(self, state: State, command: Command, ticks: Ticks) -> tuple[State, Reading]:
-        """As the simulator."""
-        return hold_action(self._plant, state, command, ticks)
+        """The commands that the simulator takes."""
+        return Limits(*eqx.combine(self.arrays, self.program.static).limits)
 
 
 class TracedEnsemble(TracedPlant):
     """Meets the EnsemblePlant contract: a user's ensemble as an argument of compiled programs."""
 
-    @property
-    def _ensemble(self) -> EnsemblePlant:
-        ensemble: EnsemblePlant = eqx.combine(self.arrays, self.program.static)
-        return ensemble
-
-    @property
-    def size(self) -> int:
-        """Number of members."""
-        return self._ensemble.size
-
-    @property
-    def interval(self) -> ForceInterval:
-        """As the ensemble's."""
-        return self._ensemble.interval
-
-    def member(self, index: Int[Array, ""]) -> Plant:
-        """As the ensemble's."""
-        return self._ensemble.member(index)
-
-    def advance_members(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
-        """As the ensemble's."""
-        return self._ensemble.advance_members(state, command, ticks)
-
-    def distance(self, state: State) -> Float[Array, ""]:
-        """As the ensemble's."""
-        return self._ensemble.distance(state)
+    size, interval, member = map(_of_simulator, ("size", "interval", "member"))
+    advance_members, distance = map(_of_simulator, ("advance_members", "distance"))
 
 
 def _is_own(plant: Plant, static: PyTree[Any]) -> bool:

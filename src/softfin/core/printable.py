@@ -7,9 +7,8 @@ def printable(text: str, keep: str = "", most: int | None = None) -> str:
     Escaped are control characters, marks that turn the direction of writing, halves of surrogate pairs, and ends of
     lines unless `keep` holds them.
     """
-    cut = most is not None and len(text) > most
     shown = "".join(
         letter if letter.isprintable() or letter in keep else letter.encode("unicode_escape").decode()
-        for letter in (text[:most] if cut else text)
+        for letter in text[:most]
     )
-    return shown if most is None or not (cut or len(shown) > most) else shown[: most - 2] + " …"
+    return shown if most is None or max(len(text), len(shown)) <= most else shown[: most - 2] + " …"

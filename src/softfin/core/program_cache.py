@@ -10,7 +10,6 @@ import hashlib
 import os
 import sys
 import tempfile
-import time
 from pathlib import Path
 from typing import Any, cast
 
@@ -25,14 +24,8 @@ SHORTEST_COMPILATION_S = 0.0
 """Programs that compile faster than this are not kept: none, since an evaluation in the tank has 45 small ones beside
 its large one, which take 30 ms each to compile and 6 ms to read back."""
 
-SUFFIX, PARTIAL = ".program", ".partial-program"
-"""Endings of files, whole and still being written; nothing else in the folder is counted or deleted."""
-
-ABANDONED_S = 3600
-"""Age of a partial file whose writer must have been killed."""
-
-SPARE = 16
-"""The folder is looked through at a process's first entry, and again whenever it has written this part of the size."""
+SUFFIX = ".program"
+"""Ending of the names of files, also while they are written; nothing else in the folder is counted or deleted."""
 
 DIGEST_BYTES = hashlib.sha256().digest_size
 
@@ -42,19 +35,12 @@ def cache_folder() -> Path | None:
     chosen = os.environ.get(VARIABLE, "")
     if chosen == OFF:
         return None
+    given = Path(os.environ.get("XDG_CACHE_HOME", ""))
     try:
-        return Path(chosen).expanduser().absolute() if chosen else _user_cache() / "softfin"
+        caches = given if given.is_absolute() else Path.home() / ".cache"
+        return Path(chosen).expanduser().absolute() if chosen else caches / "softfin"
     except RuntimeError:
         return None
-
-
-def _user_cache() -> Path:
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches"
-    given = Path(os.environ.get("XDG_CACHE_HOME", ""))
-    return given if given.is_absolute() else Path.home() / ".cache"
 
 
 def describe_cache() -> str:
@@ -79,74 +65,57 @@ class ProgramStore:
     """
 
     def __init__(self, folder: Path, largest_bytes: int = LARGEST_BYTES) -> None:
-        self._path = folder
-        self.largest_bytes = largest_bytes
-        self._unchecked_bytes = largest_bytes
+        self._path, self.largest_bytes = folder, largest_bytes
         self._has_failed = False
 
     def get(self, key: str) -> bytes | None:
         """The content of an entry; none where it is missing or damaged."""
-        path = self._place(key)
+        path = self._path / f"{key}{SUFFIX}"
         try:
             data = path.read_bytes()
         except OSError:
             return None
-        digest, value = data[:DIGEST_BYTES], data[DIGEST_BYTES:]
-        if digest != hashlib.sha256(value).digest():
-            return None
         with contextlib.suppress(OSError):
             os.utime(path)
-        return value
+        digest, value = data[:DIGEST_BYTES], data[DIGEST_BYTES:]
+        return value if digest == hashlib.sha256(value).digest() else None
 
     def put(self, key: str, value: bytes) -> None:
         """Write an entry; where that fails, say so once and go on without."""
-        if len(value) + DIGEST_BYTES > self.largest_bytes:
+        if DIGEST_BYTES + len(value) > self.largest_bytes:
             return
         try:
             self._path.mkdir(mode=0o700, parents=True, exist_ok=True)
-            self._write(self._place(key), hashlib.sha256(value).digest() + value)
-            self._unchecked_bytes += DIGEST_BYTES + len(value)
-            if self._unchecked_bytes > self.largest_bytes // SPARE:
-                self._evict(self.largest_bytes - self.largest_bytes // SPARE)
-                self._unchecked_bytes = 0
+            handle, name = tempfile.mkstemp(suffix=SUFFIX, dir=self._path)
+            try:
+                with os.fdopen(handle, "wb") as file:
+                    file.write(hashlib.sha256(value).digest() + value)
+                # Another process may have made room with it.
+                with contextlib.suppress(FileNotFoundError):
+                    Path(name).replace(self._path / f"{key}{SUFFIX}")
+            finally:
+                Path(name).unlink(missing_ok=True)
+            self._evict()
         except OSError as error:
-            self._tell(error)
+            if not self._has_failed:
+                sys.stderr.write(
+                    f"softfin: {self._path}: compiled programs cannot be kept ({error.strerror or error}); "
+                    f"{VARIABLE}=FOLDER keeps them elsewhere, {VARIABLE}={OFF} keeps none\n"
+                )
+            self._has_failed = True
 
-    def _place(self, key: str) -> Path:
-        return self._path / f"{key}{SUFFIX}"
-
-    def _write(self, place: Path, data: bytes) -> None:
-        handle, name = tempfile.mkstemp(suffix=PARTIAL, dir=self._path)
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(data)
-            Path(name).replace(place)
-        except BaseException:
-            Path(name).unlink(missing_ok=True)
-            raise
-
-    def _evict(self, allowed_bytes: int) -> None:
+    def _evict(self) -> None:
         """Delete what was not used for longest until the rest is small enough; others may delete at the same time."""
         entries = []
-        for path in (*self._path.glob(f"*{SUFFIX}"), *self._path.glob(f"*{PARTIAL}")):
+        for path in self._path.glob(f"*{SUFFIX}"):
             with contextlib.suppress(FileNotFoundError):
-                state = path.stat()
-                if path.suffix == SUFFIX or time.time() - state.st_mtime > ABANDONED_S:
-                    entries.append((state.st_mtime_ns, state.st_size, path))
+                entries.append((path.stat().st_mtime_ns, path.stat().st_size, path))
         size = sum(size for _, size, _ in entries)
         for _, bytes_, path in sorted(entries):
-            if size <= allowed_bytes:
+            if size <= self.largest_bytes:
                 break
             path.unlink(missing_ok=True)
             size -= bytes_
-
-    def _tell(self, error: OSError) -> None:
-        if not self._has_failed:
-            self._has_failed = True
-            sys.stderr.write(
-                f"softfin: {self._path}: compiled programs cannot be kept ({error.strerror or error}); "
-                f"{VARIABLE}=FOLDER keeps them elsewhere, {VARIABLE}={OFF} keeps none\n"
-            )
 
 
 def use_program_cache() -> None:

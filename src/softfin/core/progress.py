@@ -9,7 +9,6 @@ class Progress(Protocol):
 
     def __call__(self, stage: str, fraction: float, note: str, /) -> None:
         """Report the `fraction` of a stage that is done (0 .. 1), and its newest figures as a `note`."""
-        ...
 
 
 def silent(stage: str, fraction: float, note: str, /) -> None:

@@ -14,6 +14,15 @@ RATE_HZ = 100
 
 TICK_S = 1 / RATE_HZ
 
+DAY = 24 * 3600 * RATE_HZ
+"""Ticks. A plant counts them in 32 bits and tells its time in single precision: Unix time fits into neither."""
+
+
+def tick_at(time_s: float) -> int:
+    """The tick at a time on any clock, that of a log or of a computer, counted within the day."""
+    return round(time_s * RATE_HZ) % DAY
+
+
 if TYPE_CHECKING:
     from jax import Array
 
@@ -90,22 +99,19 @@ class Limits(NamedTuple):
 
     def to_dict(self) -> dict[str, float]:
         """For JSON: names with units."""
-        return {name: float(value) for name, value in self._named().items()}
+        named = self._asdict().items()
+        return {f"{name}_{'rad' if 'angle' in name else 'rad_s'}": float(value) for name, value in named}
 
     @classmethod
     def of(cls, description: Any, one_velocity: bool = False) -> "Limits":
         """Build from what `to_dict` returned; raises ValueError that says what is allowed."""
-        values = []
+        values: dict[str, Any] = {}
         for name in cls(0, 0, 0, 0).to_dict():
-            value = description.get(name) if isinstance(description, dict) else None
-            if not isinstance(value, int | float) or isinstance(value, bool):
-                met = "missing" if value is None else repr(value)[:80]
+            values[name] = description.get(name) if isinstance(description, dict) else None
+            if not isinstance(values[name], int | float):
+                met = "missing" if values[name] is None else repr(values[name])[:80]
                 raise ValueError(f"limits: {name} is {met}; it must be a number; {ALLOWED_LIMITS}")
-            try:
-                values.append(float(value))
-            except OverflowError:
-                raise ValueError(f"limits: {name} is too large; {ALLOWED_LIMITS}") from None
-        limits = cls(*values)
+        limits = cls(*map(float, values.values()))
         if problem := limits.problem(one_velocity):
             raise ValueError(problem)
         return limits
@@ -115,7 +121,7 @@ class Limits(NamedTuple):
 
         With `one_velocity` both velocities may be the same: such a fin can be recorded and learnt, but not trained for.
         """
-        named = self._named()
+        named = self.to_dict()
         for name, value in named.items():
             low, high = (0, MOST_VELOCITY_RAD_S) if "velocity" in name else (-MOST_ANGLE_RAD, MOST_ANGLE_RAD)
             # Not a number is not within anything.
@@ -125,9 +131,6 @@ class Limits(NamedTuple):
         if not (self.angle_min < self.angle_max and velocities):
             return f"limits: {', '.join(f'{name} is {value:g}' for name, value in named.items())}; {ALLOWED_LIMITS}"
         return None
-
-    def _named(self) -> dict[str, float | int]:
-        return {f"{name}_{'rad' if 'angle' in name else 'rad_s'}": value for name, value in self._asdict().items()}
 
 
 def command_of(limits: Limits, action: Any) -> Command:

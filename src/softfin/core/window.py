@@ -2,16 +2,21 @@
 
     mean = sum(f) / 200        error = |mean - reference|
 
-Everything that computes such a mean or its error does it here; all functions take NumPy and JAX arrays.
+Everything that computes such a mean, its error or an interval on a mean does it here; functions of forces take NumPy
+and JAX arrays.
 """
 
+import math
 from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.special import stdtrit
 
 from softfin.core.action_clock import WINDOW
 from softfin.core.quantities import AnyArray
+
+CONFIDENCE = 0.95
 
 
 def window_mean(forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""]) -> Any:
@@ -63,3 +68,13 @@ def window_means(
     count = series.shape[-2] // WINDOW
     windows = series[..., : count * WINDOW, :].astype(np.float64)
     return np.asarray(windows.reshape(*series.shape[:-2], count, WINDOW, series.shape[-1]).mean(axis=-2))
+
+
+def interval(values: Float[np.ndarray, "samples"]) -> list[float] | None:
+    """[low, high] of the mean over independent samples, by Student's t; None where there are fewer than two."""
+    n = len(values)
+    if n < 2:
+        return None
+    half = float(stdtrit(n - 1, (1 + CONFIDENCE) / 2)) * float(np.std(values, ddof=1)) / math.sqrt(n)
+    mean = float(np.mean(values))
+    return [mean - half, mean + half]

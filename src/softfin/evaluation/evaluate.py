@@ -18,7 +18,7 @@ from softfin.core.choices import MovingReference
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import AXES, RATE_HZ
 from softfin.core.randomness import key_of
-from softfin.core.statistics import CONFIDENCE, interval
+from softfin.core.window import CONFIDENCE, interval
 from softfin.evaluation.experiment import MIN_SECONDS, EvaluationTarget, ExperimentRecording, independent, run
 from softfin.evaluation.figures import error_map_figure, experiments_figure, moving_figure
 from softfin.evaluation.moving import MovingScores, plan_moving

@@ -15,8 +15,7 @@ from softfin.core.action_clock import WINDOW
 from softfin.core.choices import MovingReference
 from softfin.core.errors import CoverageError
 from softfin.core.quantities import AXES, RATE_HZ
-from softfin.core.statistics import interval
-from softfin.core.window import moving_error
+from softfin.core.window import interval, moving_error
 from softfin.evaluation.experiment import MIN_SECONDS, EvaluationTarget, ExperimentRecording, independent, run
 from softfin.evaluation.range_errors import range_of
 from softfin.evaluation.scores import score, step_responses

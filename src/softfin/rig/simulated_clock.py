@@ -15,6 +15,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from softfin.core.clock import Clock
+
 BEGIN_S = 1000.0
 """Start of every simulated time [s]; not 0, which stands for "never" in places."""
 
@@ -32,8 +34,8 @@ class _Member:
         self.signal.acquire()
 
 
-class SimulatedClock:
-    """Meets the Clock contract. Use it in the thread that makes it, and in those that it spawns."""
+class SimulatedClock(Clock):
+    """Use it in the thread that makes it, and in those that it spawns."""
 
     def __init__(self) -> None:
         self._now, self._wall = BEGIN_S, time.time()

@@ -77,21 +77,11 @@ def _origin(plant: str | Plant, moving: Plant, force_map: Path | None) -> dict[s
 
 
 def train(
-    plant: str | Plant,
-    out: Path,
-    config: TrainConfig | None = None,
-    *,
-    force_map: Path | None = None,
-    seeds: Sequence[int] = (0,),
-    refine: int = 0,
-    engine: EngineName = "local",
-    split: Split | None = None,
-    cluster: str | None = None,
-    reason: str | None = None,
-    resume: bool = False,
-    overwrite: bool = False,
-    progress: Progress = silent,
-) -> None:
+    plant: str | Plant, out: Path, config: TrainConfig | None = None, *,
+    force_map: Path | None = None, seeds: Sequence[int] = (0,), refine: int = 0,
+    engine: EngineName = "local", split: Split | None = None, cluster: str | None = None, reason: str | None = None,
+    resume: bool = False, overwrite: bool = False, progress: Progress = silent,
+) -> None:  # fmt: skip
     """Train controllers inside a plant, as a rule a surrogate: by LSTM-PPO (paper Sec. III-C) or by gradients.
 
     Without a configuration it is a grid over the paper's cells, by gradients wherever the plant has them. The folder of

@@ -24,15 +24,9 @@ from softfin.tank import Tank, sample_tank
 
 
 def collect(
-    plant: str | Plant,
-    out: Path,
-    config: CollectConfig | ActiveCollectConfig | None = None,
-    *,
-    surrogate: Path | None = None,
-    extend: Path | None = None,
-    overwrite: bool = False,
-    progress: Progress = silent,
-) -> Dataset:
+    plant: str | Plant, out: Path, config: CollectConfig | ActiveCollectConfig | None = None, *,
+    surrogate: Path | None = None, extend: Path | None = None, overwrite: bool = False, progress: Progress = silent,
+) -> Dataset:  # fmt: skip
     """Record motions of a plant as a dataset: random ones (paper Sec. III-A), or those that an ensemble chooses.
 
     The kind of configuration says which; an ActiveCollectConfig goes with the folder of a streaming `surrogate`. The
@@ -58,7 +52,6 @@ def collect(
         first = 0 if before is None else len(before.test)
         keys = [key_of(config.seed, f"collect/conditions/{first + i}") for i in range(config.test_logs)]
         others = [sample_tank(moving, key) for key in keys]
-
     return _collect(moving, config, out, others, progress, metadata, commands, before, overwrite)
 
 

@@ -42,15 +42,10 @@ def evaluate(
     evaluation = evaluation_of(controller, moving, config or EvaluateConfig(), str(plant))
     if out is None:
         return evaluation.summary()
-    metadata = {"controller": str(controller), "kind": kind_of(controller), "plant": str(plant),
+    kind = artifacts.load_description(controller, "controller")["controller"]
+    metadata = {"controller": str(controller), "kind": kind, "plant": str(plant),
              "randomization": None if widths is None else widths.model_dump(mode="json")}  # fmt: skip
     return write_evaluation(evaluation, out, metadata, overwrite)
-
-
-def kind_of(controller: Path) -> str:
-    """``single``, ``grid`` or ``gaits``."""
-    kind: str = artifacts.load_description(controller, "controller")["controller"]
-    return kind
 
 
 def evaluation_of(controller: Path, plant: EvaluationTarget, config: EvaluateConfig, named: str) -> Evaluation:
@@ -116,13 +111,9 @@ def view(
         warnings = [warning for _, warning in pairs if warning is not None]
         _check_limits(holding.limits, Limits(*moving.limits), controller, name_of(plant))
     title = title_of(name_of(plant), config, reference)
-
-    def report(done: float) -> None:
-        progress("view", done, "")
-
-    report(0.0)
+    progress("view", 0.0, "")
     footage = footage_of(moving, config, holding, reference)
-    draw(footage, out, title, config, report)
+    draw(footage, out, title, config, lambda done: progress("view", done, ""))
     films = out.suffix in (".gif", ".mp4")
     return {
         "view": str(out),

@@ -55,16 +55,9 @@ STATE = "collect.json"
 
 
 def collect_live(
-    robot: RobotSetup,
-    out: Path,
-    config: CollectConfig,
-    confirm: Confirm,
-    *,
-    resume: bool = False,
-    overwrite: bool = False,
-    stop: StopRequest | None = None,
-    progress: Progress = silent,
-) -> Dataset:
+    robot: RobotSetup, out: Path, config: CollectConfig, confirm: Confirm, *,
+    resume: bool = False, overwrite: bool = False, stop: StopRequest | None = None, progress: Progress = silent,
+) -> Dataset:  # fmt: skip
     """Record random motions of a real fin as a dataset (paper Sec. III-A), log by log.
 
     With `resume` finished logs are taken over. Raises SafetyStop where the fin had to be stopped; what was recorded
@@ -115,16 +108,9 @@ def collect_live(
 
 
 def evaluate_live(
-    controller: Path,
-    robot: RobotSetup,
-    out: Path,
-    config: EvaluateConfig,
-    confirm: Confirm,
-    *,
-    overwrite: bool = False,
-    stop: StopRequest | None = None,
-    progress: Progress = silent,
-) -> dict[str, Any]:
+    controller: Path, robot: RobotSetup, out: Path, config: EvaluateConfig, confirm: Confirm, *,
+    overwrite: bool = False, stop: StopRequest | None = None, progress: Progress = silent,
+) -> dict[str, Any]:  # fmt: skip
     """Evaluate a controller on a real fin (paper Sec. IV-B, Table II), as `softfin.evaluate` does on a plant."""
     artifacts.check_vacant(out, overwrite)
     loaded = load_controller(controller)
@@ -136,8 +122,7 @@ def evaluate_live(
         confirm(robot)
         session.stop_on_signals()
         with session.recording(bag):
-            fin = LiveFin(session, acting, robot, progress)
-            return evaluate(controller, fin, out, config, overwrite=overwrite)
+            return evaluate(controller, LiveFin(session, acting, robot, progress), out, config, overwrite=overwrite)
 
 
 class LiveFin:

@@ -59,18 +59,14 @@ class ReproduceConfig(Configuration):
     @model_validator(mode="after")
     def _covered(self) -> "ReproduceConfig":
         for name in ("moving", "recorded", "error_map", "random"):
-            if value := getattr(self.evaluate, name):
-                given = "a signal" if name == "recorded" else repr(value)
-                raise ValueError(
-                    f"evaluate.{name} is {given}; a reproduction evaluates constant references: leave it out; give it "
-                    "to softfin evaluate with a controller of the reproduction"
-                )
+            if getattr(self.evaluate, name):
+                raise ValueError(f"evaluate.{name} is set; a reproduction evaluates constant references: leave it out; "
+                                 "give it to softfin evaluate with a controller of the reproduction")  # fmt: skip
         for reference in self.evaluate.references:
             for kind in CONTROLLERS:
                 if all(cell.distance(reference) > 0 for cell in getattr(self, kind).cells):
-                    raise ValueError(
-                        f"evaluate.references has {reference} N, which no cell of {kind} covers; add a cell"
-                    )
+                    missing = f"evaluate.references has {reference} N, which no cell of {kind} covers"
+                    raise ValueError(f"{missing}; add a cell")
         return self
 
 
@@ -161,10 +157,8 @@ class _Reproduction:
 
         A complete run that is to be replaced is kept beside it until this one is complete.
         """
-        metadata = {
-            "plant": identity(find_plant(self.plant)), "seed": self.seed,
-            "configuration": self.config.model_dump(mode="json"),
-        }  # fmt: skip
+        configuration = self.config.model_dump(mode="json")
+        metadata = {"plant": identity(find_plant(self.plant)), "seed": self.seed, "configuration": configuration}
         if resume and artifacts.is_kind(self.out, KIND):
             before = {name: artifacts.load_description(self.out, KIND).get(name) for name in metadata}
             check_same(self.out, before, metadata)
@@ -175,9 +169,7 @@ class _Reproduction:
             self.out.rename(self.replaced)
         shutil.rmtree(self.out, ignore_errors=True)
         artifacts.write_file(self.out / f"{KIND}.json", artifacts.dump_json(metadata))
-        artifacts.write_file(
-            self.out / "configuration.yaml", yaml.safe_dump(metadata["configuration"], sort_keys=False)
-        )
+        artifacts.write_file(self.out / "configuration.yaml", yaml.safe_dump(configuration, sort_keys=False))
 
     def stage(self, name: str, result: Path, work: Callable[..., Any], source: Any, config: Any, **given: Any) -> None:
         """Do the work unless its result stands there from before."""
@@ -190,15 +182,15 @@ class _Reproduction:
         """Collect and fit; Table I."""
         settings = self.config.collect.merged({"seed": self.seed}, "seed")
         self.stage("collect", self.dataset, collect, self.plant, settings)
-        again = {"seed": self.seed, "resume": True, "ignore_errors": True}
-        self.stage("fit", self.surrogate, fit, self.dataset, self.config.fit, **again)
+        given = self.dataset, self.config.fit
+        self.stage("fit", self.surrogate, fit, *given, seed=self.seed, resume=True, ignore_errors=True)
         scores: dict[str, Any] | None = artifacts.load_description(self.surrogate, "surrogate")["scores"]
         return scores
 
     def train(self, kind: str) -> None:
         """All seeds of one kind of controller, in one program."""
-        config, again = getattr(self.config, kind), {"seeds": self.seeds, "resume": True}
-        self.stage(f"train {kind}", self.out / kind, train, str(self.surrogate), config, **again)
+        config, surrogate = getattr(self.config, kind), str(self.surrogate)
+        self.stage(f"train {kind}", self.out / kind, train, surrogate, config, seeds=self.seeds, resume=True)
 
     def evaluate(self, plant: str, folder: str) -> dict[str, tuple[dict[str, Any], Evaluation]]:
         """Every seed's controller of each kind on a plant, as one evaluation over the seeds."""
@@ -220,8 +212,13 @@ class _Reproduction:
         """Reward over the steps, and the error of the policies without their noise."""
         logs = {kind: read_log(self.out / kind / TRAINING_LOG / LOG) for kind in CONTROLLERS}
 
+        def curve(log: list[dict[str, Any]], keys: list[str]) -> tuple[list[int], list[float]]:
+            entries = [entry for entry in log if keys[0] in entry]
+            return [e["step"] for e in entries], [float(np.mean([e[key] for key in keys])) for e in entries]
+
         def curves(*names: str) -> dict[str, Any]:
-            return {kind: [_curve(log, seed, names) for seed in self.seeds] for kind, log in logs.items()}
+            keys = [[f"seed{seed}/{name}" for name in names] for seed in self.seeds]
+            return {kind: [curve(log, each) for each in keys] for kind, log in logs.items()}
 
         return {
             "Mean reward a step while exploring": learning_figure(curves("reward"), "mean reward a step [N]"),
@@ -262,12 +259,6 @@ def _together(each: list[Evaluation]) -> Evaluation:
     ) if estimates else None  # fmt: skip
     warnings = tuple(dict.fromkeys(warning for e in each for warning in e.warnings))
     return Evaluation(each[0].config, scores, len(each), each[0].recording, uncertainty, warnings)
-
-
-def _curve(log: list[dict[str, Any]], seed: int, names: tuple[str, ...]) -> tuple[list[int], list[float]]:
-    keys = [f"seed{seed}/{name}" for name in names]
-    entries = [entry for entry in log if keys[0] in entry]
-    return [e["step"] for e in entries], [float(np.mean([e[key] for key in keys])) for e in entries]
 
 
 def _peak_memory_gib() -> float:

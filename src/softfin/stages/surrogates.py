@@ -28,17 +28,10 @@ from softfin.tank.calibration.model import material
 
 
 def fit(
-    dataset: Path,
-    out: Path,
-    config: FitConfig | StreamingConfig | AutoConfig | None = None,
-    *,
-    logs: ImportConfig | None = None,
-    ignore_errors: bool = False,
-    seed: int = 0,
-    resume: bool = False,
-    overwrite: bool = False,
-    progress: Progress = silent,
-) -> dict[str, Any]:
+    dataset: Path, out: Path, config: FitConfig | StreamingConfig | AutoConfig | None = None, *,
+    logs: ImportConfig | None = None, ignore_errors: bool = False,
+    seed: int = 0, resume: bool = False, overwrite: bool = False, progress: Progress = silent,
+) -> dict[str, Any]:  # fmt: skip
     """Fit a surrogate to logs, score it on their test logs, write it; returns Table I, counts of issues, a caveat.
 
     The kind of configuration says which model: the paper's nets, streaming nets, or what is best on held-out logs.

@@ -109,9 +109,9 @@ def test_the_stage_writes_a_gif_with_the_frames_that_it_tells(tmp_path):
         (["--out", "fin.gif", "--next-reference=1,1"], "no first one; give a controller and a reference"),
         (
             ["--out", "fin.gif", "--next-reference=1"],
-            "--next-reference=1: not a force; write --next-reference=X,Y in newton",
+            "--next-reference 1: not a force; write X,Y in newton",
         ),
-        (["--out", "fin.gif", "--reference=1;1"], "--reference=1;1: not a force"),
+        (["--out", "fin.gif", "--reference=1;1"], "--reference 1;1: not a force"),
         (["--out", "fin.gif", "--controller", "none"], "none: no such folder; it should be a controller"),
     ],
 )

@@ -7,7 +7,7 @@ import pytest
 
 from softfin.core.errors import ConfigurationError, LogError
 from softfin.core.quantities import Log, Reading
-from softfin.core.statistics import interval
+from softfin.core.window import interval
 from softfin.surrogate import save_surrogate
 from softfin.surrogate.compare.compare import Candidate, CompareConfig, beyond_limits, candidates, compare
 from softfin.surrogate.paper.surrogate import Surrogate

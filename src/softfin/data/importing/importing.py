@@ -67,6 +67,9 @@ class ImportConfig(Configuration):
     @pydantic.field_validator("columns", "topics", "angles", "negate", mode="before")
     @classmethod
     def _parsed(cls, value: Any, info: Any) -> Any:
+        if info.field_name == "negate":
+            names = ",".join([value] if isinstance(value, str) else value).split(",")
+            return tuple(name.strip() for name in names if name.strip())
         if not isinstance(value, str):
             return value
         if info.field_name == "angles" and "=" not in value:

@@ -20,8 +20,7 @@ from softfin.core.plant_identity import identity
 from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ, Log, Reading
 from softfin.core.randomness import key_of
-from softfin.core.statistics import interval
-from softfin.core.window import moving_average
+from softfin.core.window import interval, moving_average
 from softfin.storage import artifact as artifacts
 from softfin.surrogate.compare.scores import (
     HorizonScores,

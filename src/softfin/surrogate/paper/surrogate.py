@@ -19,8 +19,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from softfin.core.action_clock import MOST_TICKS
 from softfin.core.errors import ArtifactError, LogError
 from softfin.core.plant import Ticks, rest_command
-from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading
-from softfin.core.ticks import tick_at
+from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading, tick_at
 from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, NetPrediction, Scaling
 from softfin.surrogate.paper.network import Network, NetworkConfig
 from softfin.surrogate.training import named, restored

@@ -13,9 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from softfin.core.evolution import cma_es
 from softfin.core.quantities import TICK_S, AnyArray, Command, Log
-from softfin.core.randomness import generator_of
+from softfin.core.randomness import cma_es, generator_of
 from softfin.surrogate.streaming.segments import LONGEST_DELAY, Motion, SegmentBatch, Table
 from softfin.tank.drive import delayed, next_velocity
 

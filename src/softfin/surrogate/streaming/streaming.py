@@ -11,8 +11,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from softfin.core.errors import ArtifactError, LogError
 from softfin.core.plant import rest_command
-from softfin.core.quantities import TICK_S, AnyArray, Command, Limits, Log, Reading
-from softfin.core.ticks import tick_at
+from softfin.core.quantities import TICK_S, AnyArray, Command, Limits, Log, Reading, tick_at
 from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, READINGS, SKIPPED, NetPrediction
 from softfin.surrogate.streaming.ensemble import (
     Familiarity,

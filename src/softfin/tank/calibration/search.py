@@ -20,8 +20,7 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 
 from softfin.core.errors import RunError
-from softfin.core.evolution import cma_es
-from softfin.core.randomness import generator_of
+from softfin.core.randomness import cma_es, generator_of
 from softfin.tank.calibration.config import Parameter, Point
 from softfin.tank.calibration.model import Errors
 
