@@ -110,9 +110,8 @@ def calibrate(
     weights = np.array([getattr(config.weights, channel) for channel in CHANNELS])
     weights /= weights.sum()
     coarse = {"fin": {"plates": config.search_plates}, "steps_per_tick": config.search_steps}
-    errors = Space(space.parameters, config.tank.merged(coarse, "calibration"), config.recording).errors(
-        fitted, config.population
-    )
+    rough = Space(space.parameters, config.tank.merged(coarse, "calibration"), config.recording)
+    errors = rough.errors(fitted, config.population)
     generations, done = -(-config.evaluations // config.population), 0
     losses = np.full((generations, config.population), np.nan, np.float32)
     if (resumed := run_directory.load(jnp.asarray(losses))) is not None:
@@ -181,17 +180,16 @@ def calibration_figure(
         panels[0].set_title("The unseen segment of median error", weight="bold")
         panels[0].legend(ncols=3, loc="lower left", bbox_to_anchor=(0.25, 0.98), borderaxespad=0)
         panels[-1].set_xlabel("time [s]")
+        end = test.warm_up + (measured.shape[1] - test.warm_up) // WINDOW * WINDOW
+        ours, theirs = (
+            readings[:, test.warm_up : end].reshape(-1, WINDOW, len(CHANNELS)).mean(axis=1)
+            for readings in (modelled, measured)
+        )
         axes = parts[1].subplots()
-        for readings, filled, source in ((measured, True, "measured"), (modelled, False, "tank")):
-            compared = readings[:, test.warm_up :]
-            whole = compared[:, : compared.shape[1] // WINDOW * WINDOW]
-            angle, *forces = whole.reshape(-1, WINDOW, len(CHANNELS)).mean(axis=1).T
-            for force, colour, marker, name in zip(forces, (BLUE, ORANGE), "os", "xy", strict=True):
-                face = colour if filled else "white"
-                axes.plot(angle, force, marker, markersize=3, color=colour, markerfacecolor=face,
-                          label=f"force {name}, {source}")  # fmt: skip
-        axes.axhline(0, color=GREY, linewidth=0.8)
-        axes.set(xlabel="mean angle [rad]", ylabel="mean force [N]")
-        axes.set_title("Means over 2 s of random commands", fontsize=8)
-        axes.legend(fontsize=7, loc="best")
+        axes.axline((0, 0), slope=1, color=GREY, linewidth=0.8)
+        for index, colour, marker in ((1, BLUE, "o"), (2, ORANGE, "s")):
+            axes.plot(theirs[:, index], ours[:, index], marker, markersize=4, color=colour, label=titles[index])
+        axes.set(xlabel="measured [N]", ylabel="tank [N]", aspect="equal")
+        axes.set_title("Mean forces over 2 s, unseen segments")
+        axes.legend(loc="best")
     return figure
