@@ -33,7 +33,7 @@ from softfin.rig.simulated_clock import SimulatedClock
 from tests.rig.bags import events_of
 from tests.rig.faulty_network import FaultyNetwork
 from tests.rig.machines import Wagging
-from tests.rig.rigs import SAFETY
+from tests.rig.rigs import SAFETY, config_of
 from tests.rig.simple_fin import SimpleFin
 
 LONG = os.environ.get("SOFTFIN_LONG") == "1"
@@ -65,10 +65,10 @@ class Scene:
 def scene(bag: Path, real_time: bool = False, **drive: Any) -> Iterator[Scene]:
     clock = REAL if real_time else SimulatedClock()
     with EmulatedRig(fin=SimpleFin(clock), clock=clock) as emulated:
-        values = emulated.values(same_process=True, safety=WIDE if real_time else SAFETY)
+        values = emulated.values(safety=WIDE if real_time else SAFETY)
         patient = {"heartbeat_s": 1.5, "sync_s": 0.02} if real_time else {}
         values["drive"] |= {**patient, "zero_needed": False, **drive}
-        rig = Rig(emulated.config(**{name: values[name] for name in ("drive", "safety")}), clock)
+        rig = Rig(config_of(emulated, **{name: values[name] for name in ("drive", "safety")}), clock)
         made = Scene(emulated, rig, Session(rig, Guard(rig.config.safety, rig.limits)), bag)
         try:
             yield made

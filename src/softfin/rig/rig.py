@@ -74,7 +74,7 @@ class Rig:
             angle=drive.angle,
             velocity=drive.velocity,
             current=drive.current,
-            following_error=drive.following_error,
+            following_error=drive.demand - drive.angle,
             force_time=force.force_time,
             wrench=force.wrench,
             peak=force.peak,

@@ -8,7 +8,7 @@ import contextlib
 import json
 import uuid
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import yaml
 
@@ -61,17 +61,17 @@ class EmulatedRig(contextlib.ExitStack):
         tank = (tank or Tank()) if fin is None else None
         self.clock = clock or SimulatedClock()
         self.fin: Any = fin or TankFin(tank, seed, self.clock)
-        self._channel = channel or f"emulated-{uuid.uuid4().hex[:8]}"
+        self.channel = channel or f"emulated-{uuid.uuid4().hex[:8]}"
         simulated = isinstance(self.clock, SimulatedClock)
         # Within the process nobody else has the ports that a real one has.
         ports = (RDT_PORT, HTTP_PORT) if simulated else (0, 0)
         self.sensor = EmulatedAxia80(self.fin, *ports, frame=FRAME, clock=self.clock)
         self.callback(self.sensor.close)
         self._drive = _drive_config(tank, real_time=not simulated)
-        bus = BusConfig(interface="virtual", channel=self._channel)
+        bus = BusConfig(interface="virtual", channel=self.channel)
         self.drive = EmulatedDrive(bus, self._drive, self.fin, self.clock)
         self.callback(self.drive.close)
-        self.server = None if simulated else self.enter_context(SocketcandServer(self._channel))
+        self.server = None if simulated else self.enter_context(SocketcandServer(self.channel))
 
     def save(self) -> None:
         """Keep the state for the next command, where the rig is one of a file."""
@@ -84,20 +84,16 @@ class EmulatedRig(contextlib.ExitStack):
             f"{self.sensor.rdt_port}, pages at http://{HOST}:{self.sensor.http_port}"
         )
 
-    def values(self, same_process: bool = False, **changes: Any) -> dict[str, Any]:
+    def values(self, **changes: Any) -> dict[str, Any]:
         """Contents of the rig's file."""
-        bus: dict[str, Any] = {"interface": "virtual" if self.server else SIMULATED, "channel": self._channel}
-        if self.server is not None and not same_process:
+        bus: dict[str, Any] = {"interface": SIMULATED, "channel": self.channel}
+        if self.server is not None:
             options = {"host": HOST, "port": self.server.port, "tcp_tune": True}
-            bus = {"interface": "socketcand", "channel": self._channel, "options": options}
+            bus |= {"interface": "socketcand", "options": options}
         values = _rig_values(self._drive, bus, http_port=self.sensor.http_port, rdt_port=self.sensor.rdt_port)
         if self.server is not None:
             values["safety"] |= REAL_TIME_SAFETY
         return values | changes
-
-    def config(self, **changes: Any) -> RigConfig:
-        """Configuration of the rig for this process."""
-        return RigConfig.build(self.values(same_process=True, **changes), "emulated rig")
 
     def write(self, path: Path) -> None:
         """Write the rig's file for other processes; of a rig in real time."""
@@ -123,7 +119,7 @@ def state_file(rig: Path) -> Path:
 
 
 class _KeptRig(EmulatedRig):
-    """A rig in simulated time for one process at a time, whose state is kept beside its file for the next command.
+    """A rig in simulated time whose state is kept beside its file for the next command.
 
     The state is where the fin stands and how the water moves, the zero of the drive and of the sensor, and how much of
     the noise has been drawn.
@@ -135,9 +131,7 @@ class _KeptRig(EmulatedRig):
             tank = Tank(TankConfig.build(config.emulation.tank, f"{file}: emulation.tank"))
         except ConfigurationError as error:
             raise RigError(str(error)) from None
-        lock = _lock(file)
         super().__init__(tank, config.emulation.seed, channel=config.bus.channel)
-        self.enter_context(lock)
         self._state, self._emulation = state_file(file), config.emulation.model_dump(mode="json")
         self._parts = {"fin": self.fin, "drive": self.drive, "sensor": self.sensor}
         try:
@@ -157,24 +151,6 @@ class _KeptRig(EmulatedRig):
     def save(self) -> None:
         state = {"emulation": self._emulation} | {name: part.remembered() for name, part in self._parts.items()}
         artifacts.write_file(self._state, json.dumps(state) + "\n")
-
-
-def _lock(file: Path) -> IO[bytes]:
-    """The rig's file, open and locked; raises RigError where another process has it."""
-    held = file.open("rb")
-    # Windows has no such lock.
-    with contextlib.suppress(ImportError):
-        import fcntl
-
-        try:
-            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            held.close()
-            raise RigError(
-                f"{file}: another command uses this emulated rig; wait for its end, or make another one: "
-                "softfin rig emulate --rig OTHER.yaml"
-            ) from None
-    return held
 
 
 def write_simulated(path: Path, tank: Tank, values: dict[str, Any], seed: int) -> None:

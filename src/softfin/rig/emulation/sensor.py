@@ -96,11 +96,8 @@ class EmulatedAxia80:
 
     def recall(self, remembered: dict[str, Any]) -> None:
         """Continue as if its supply had never been off."""
-        bias = np.array(remembered["bias"], float)
-        if bias.shape != (6,):
-            raise ValueError("bias must be six numbers")
         with self._lock:
-            self._bias, self._adc = bias, int(remembered["samples"])
+            self._bias, self._adc = np.array(remembered["bias"], float), int(remembered["samples"])
 
     def silence(self, seconds: float = float("inf")) -> None:
         """Neither receive nor send for so long [s]; 0 ends it."""

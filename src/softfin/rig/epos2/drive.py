@@ -6,7 +6,7 @@ Sources: maxon "EPOS2 Firmware Specification" (rel5466) and "Communication Guide
 
 from softfin.core.errors import CommandError, DeviceError, RigError, SoftfinError
 from softfin.rig.epos2 import power, protocol, setup
-from softfin.rig.epos2.exchange import DriveReading, Exchange, Setpoint
+from softfin.rig.epos2.exchange import DriveStatus, Exchange, Setpoint
 from softfin.rig.epos2.protocol import Bit, State
 from softfin.rig.machine import Target
 from softfin.rig.safety import OVERSHOOT_RAD, check_target
@@ -43,7 +43,18 @@ class Epos2(Exchange):
             self.connection.send(protocol.NMT, bytes([protocol.NMT_PRE_OPERATIONAL, self.config.node]))
             self.connection.write(protocol.CONTROLWORD, protocol.DISABLE_VOLTAGE)
             setup.configure(self.connection, self.config)
-            self._start()
+            self.connection.send(protocol.NMT, bytes([protocol.NMT_START, self.config.node]))
+            status = self.status
+            with self.lock:
+                status.rebooted, status.emergency = False, None
+                status.nmt, status.heartbeat_time = None, self.clock()
+            for _ in range(round((FIRST_ANSWER_S + self.config.heartbeat_s) / STEP_S)):
+                if self.sync_and_read(STEP_S).new and status.nmt == protocol.OPERATIONAL:
+                    return
+                self.clock.sleep(STEP_S)
+            raise DeviceError(
+                "drive sends no process data or no heartbeat; look at the bus's load and other programs on it"
+            )
         except BaseException:
             self.close()
             raise
@@ -173,30 +184,15 @@ class Epos2(Exchange):
         except Exception as error:
             self.trouble = f"stop of the drive failed ({error}); press the emergency stop"
 
-    def _start(self) -> None:
-        status = self.status
-        self.connection.send(protocol.NMT, bytes([protocol.NMT_START, self.config.node]))
-        with self.lock:
-            status.rebooted, status.emergency = False, None
-            status.nmt, status.heartbeat_time = None, self.clock()
-        for _ in range(round((FIRST_ANSWER_S + self.config.heartbeat_s) / STEP_S)):
-            if self.sync_and_read(STEP_S).new and status.nmt == protocol.OPERATIONAL:
-                return
-            self.clock.sleep(STEP_S)
-        raise DeviceError(
-            "drive sends no process data or no heartbeat; look at the bus's load and other programs on it"
-        )
-
-    def _new_reading(self) -> DriveReading:
+    def _new_reading(self) -> DriveStatus:
         if not self.owned:
             raise DeviceError("drive is not open; open it first")
-        readings = (self.sync_and_read(STEP_S) for _ in range(round(FIRST_ANSWER_S / STEP_S)))
-        reading = next((each for each in readings if each.new), None)
+        is_new = any(self.sync_and_read(STEP_S).new for _ in range(round(FIRST_ANSWER_S / STEP_S)))
         if lines := self.complaints():
             raise DeviceError(lines[0])
-        if reading is None:
+        if not is_new:
             raise DeviceError("drive does not answer; look at its supply and the bus's cable")
-        return reading
+        return self.status
 
     def _power_up(self, then_arm: bool) -> None:
         if not self.stopping.acquire(timeout=STOP_TIMEOUT_S):
@@ -209,7 +205,7 @@ class Epos2(Exchange):
             self.stopping.release()
         try:
             self.send_heartbeat()
-            silence = setup.milliseconds(self.config.heartbeat_s)
+            silence = round(1000 * self.config.heartbeat_s)
             setup.write(self.connection, protocol.HEARTBEAT_CONSUMER, self.config.host_node << 16 | silence)
             power.reach_enabled(self, then_arm)
         except BaseException:

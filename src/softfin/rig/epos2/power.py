@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from softfin.core.errors import DeviceError
 from softfin.rig.epos2 import protocol
-from softfin.rig.epos2.exchange import ALL, Exchange
+from softfin.rig.epos2.exchange import Exchange
 from softfin.rig.epos2.protocol import Bit, State
 
 ENABLE_TIMEOUT_S = 1.0
@@ -12,6 +12,7 @@ DISABLE_TIMEOUT_S = 0.3
 STEP_S = 0.002
 """Pause between two looks at the drive while it is brought from state to state."""
 STANDSTILL_RPM = 5
+"""Of the motor."""
 HOME_TOLERANCE_COUNTS = 20
 BRAKING_MARGIN = 2
 BRAKING_TICKS = 10
@@ -69,8 +70,8 @@ def rest(exchange: Exchange) -> bool:
         return bool(status.answered & 1) and status.state in protocol.UNPOWERED
 
     def stands() -> bool:
-        braked = status.state is State.QUICK_STOP_ACTIVE and abs(status.velocity) <= STANDSTILL_RPM
-        return is_off() or (braked and status.answered == ALL)
+        braked = status.state is State.QUICK_STOP_ACTIVE and exchange.units.rpm(status.velocity) <= STANDSTILL_RPM
+        return is_off() or (braked and status.new)
 
     def repeat(word: int, done: Callable[[], bool], seconds: float) -> None:
         """Until it is done or the time is over; counted in ticks, so that a stopped clock ends it too."""

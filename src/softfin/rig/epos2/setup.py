@@ -16,21 +16,14 @@ HOME = {protocol.HOMING_METHOD: protocol.HOME_HERE, protocol.HOME_OFFSET: 0, pro
 """What makes the present position zero."""
 
 
-def milliseconds(seconds: float) -> int:
-    """A time as the heartbeat objects hold it; at least 1."""
-    return max(1, round(1000 * seconds))
-
-
 def identify(connection: CanConnection, config: Epos2Config) -> None:
-    """Raise RigError where the node does not answer, naming those that do; or where it is not a drive."""
+    """Raise RigError where the node does not answer, or is not a drive."""
     try:
         device = connection.read(protocol.DEVICE_TYPE)
     except DeviceError:
-        found = ", ".join(map(str, connection.scan()))
-        advice = "no other node does either: look at supply, cable, termination and bus.bitrate"
         raise RigError(
-            f"no drive answers as node {config.node} on {connection.name}; "
-            + (f"node {found} did: set drive.node" if found else advice)
+            f"no drive answers as node {config.node} on {connection.name}; compare drive.node with the drive's "
+            "switches, look at supply, cable, termination and bus.bitrate"
         ) from None
     if device & 0xFFFF != protocol.SERVO_DRIVE:
         raise RigError(
@@ -77,12 +70,12 @@ def configure(connection: CanConnection, config: Epos2Config) -> None:
         protocol.HEARTBEAT_CONSUMER: 0,
         protocol.POSITION_MIN: ends[0],
         protocol.POSITION_MAX: ends[1],
-        protocol.FOLLOWING_ERROR: units.distance(config.following_error_rad),
+        protocol.FOLLOWING_ERROR: round(config.following_error_rad * units.counts_per_rad),
         protocol.FASTEST: units.rpm(config.fastest_rad_s),
         protocol.PROFILE_VELOCITY: units.rpm(config.slowest_rad_s),
-        protocol.ACCELERATION: units.rpm_s(config.acceleration_rad_s2),
-        protocol.DECELERATION: units.rpm_s(config.acceleration_rad_s2),
-        protocol.QUICK_STOP_DECELERATION: units.rpm_s(config.quick_stop_rad_s2),
+        protocol.ACCELERATION: units.rpm(config.acceleration_rad_s2),
+        protocol.DECELERATION: units.rpm(config.acceleration_rad_s2),
+        protocol.QUICK_STOP_DECELERATION: units.rpm(config.quick_stop_rad_s2),
         protocol.PROFILE_TYPE: 0,
     }
     if config.current_limit_a is not None:
@@ -90,7 +83,7 @@ def configure(connection: CanConnection, config: Epos2Config) -> None:
     for entry, value in values.items():
         write(connection, entry, value)
     set_mode(connection, protocol.PROFILE_POSITION)
-    write(connection, protocol.HEARTBEAT_PRODUCER, milliseconds(config.heartbeat_s / HEARTBEATS))
+    write(connection, protocol.HEARTBEAT_PRODUCER, round(1000 * config.heartbeat_s / HEARTBEATS))
     for first, pdos, cob_id, transmission in (
         (0x1800, protocol.SENT, protocol.TPDO[0], protocol.ON_SYNC),
         (0x1400, protocol.TAKEN, protocol.RPDO[0], protocol.AT_ONCE),
