@@ -31,6 +31,7 @@ from softfin.rig.safety import Guard
 from softfin.rig.session import Session
 from softfin.rig.simulated_clock import SimulatedClock
 from tests.rig.bags import events_of
+from tests.rig.epos2_bench import block, ignore_targets
 from tests.rig.faulty_network import FaultyNetwork
 from tests.rig.machines import Wagging
 from tests.rig.rigs import SAFETY, config_of
@@ -116,7 +117,7 @@ STOPS: dict[str, tuple[Inject, str]] = {
     "emergency frame": (lambda at: at.emulated.drive.fault(0x8611), "0x8611, following error"),
     "over-current": (lambda at: at.emulated.drive.fault(0x2310), "0x2310, over-current"),
     "drive starts anew": (lambda at: at.emulated.drive.reboot(), "started anew|state"),
-    "blocked fin": (lambda at: at.emulated.drive.motor.stall(), "following|behind"),
+    "blocked fin": (lambda at: block(at.emulated.fin), "following|behind"),
     "over-range": (lambda at: setattr(at.emulated.sensor, "status", 0xC0000000), "force sensor 127.0.0.1"),
     "broken gage": (lambda at: setattr(at.emulated.sensor, "status", 0x88000000), "force sensor 127.0.0.1"),
     "sensor silent": (lambda at: at.emulated.sensor.silence(), "nothing new|no new force"),
@@ -132,7 +133,7 @@ GOES_ON: dict[str, tuple[Inject, tuple[str, ...]]] = {
     "packets doubled": (network(duplicate=0.2), ("sensor_late",)),
     "packets reordered": (network(reorder=0.2), ("sensor_late",)),
     "wall clock jumps": (clock_jump, ()),
-    "targets not taken": (lambda at: setattr(at.emulated.drive.motor, "ignored", 1), ("drive_targets_repeated",)),
+    "targets not taken": (lambda at: ignore_targets(at.emulated.drive, 1), ("drive_targets_repeated",)),
 }
 """Each is counted, and the fin goes on."""
 

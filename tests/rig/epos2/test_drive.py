@@ -17,7 +17,7 @@ from softfin.rig.epos2.protocol import FAULT_STATES, POWERED, State
 from softfin.rig.machine import Target
 from softfin.rig.safety import check_target
 from softfin.rig.simulated_clock import SimulatedClock
-from tests.rig.epos2_bench import NODE, Bench, Sniffer, bench, bus_config, drive_config, enabled
+from tests.rig.epos2_bench import NODE, Bench, Sniffer, bench, block, bus_config, drive_config, enabled, ignore_targets
 
 AT_REST = [state for state in State if state not in POWERED]
 
@@ -69,7 +69,7 @@ def test_every_one_of_many_quick_targets_ends_at_the_last() -> None:
 
 def test_a_lost_acknowledge_is_asked_for_again() -> None:
     with enabled() as made:
-        made.emulated.motor.ignored = 1
+        ignore_targets(made.emulated, 1)
         made.drive.command(Target(0.3, 3.0))
         assert made.until(lambda: abs(made.fin.now().angle - 0.3) < 1e-3)
         assert made.drive.counters()["targets repeated"] >= 1
@@ -222,10 +222,10 @@ def send(made: Bench, cob_id: int, data: bytes) -> None:
 @pytest.mark.parametrize(
     ("inject", "words"),
     [
-        (lambda made: made.emulated.motor.stall(), "following error"),
+        (lambda made: block(made.fin), "following error"),
         (lambda made: made.emulated.drop_heartbeat(), "heartbeat is missing"),
         (lambda made: made.emulated.go_silent(), "heartbeat is missing"),
-        (lambda made: setattr(made.emulated.motor, "ignored", 1000), "did not take a target"),
+        (lambda made: ignore_targets(made.emulated, 1000), "did not take a target"),
         (lambda made: send(made, 0x200 + NODE, bytes(6)), "switch on disabled though it was enabled"),
         (lambda made: send(made, 0x000, bytes([0x80, NODE])), "left the operational state"),
     ],

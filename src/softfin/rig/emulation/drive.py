@@ -1,7 +1,7 @@
 """An emulated EPOS2 on any python-can bus, a fin that moves by itself behind it: the protocol of the real one.
 
 It is made from the same documents as our driver of it, so that it shares what both misread; canopen's LocalNode
-serves its objects. What a test wants to go wrong is a method: `fault`, `go_silent`, `reboot`, `motor.stall` ..
+serves its objects. What a test wants to go wrong is a method: `fault`, `go_silent`, `reboot` ..
 """
 
 import contextlib
@@ -13,7 +13,7 @@ import canopen
 
 from softfin.core.clock import REAL, Clock
 from softfin.rig.emulation import drive_motor
-from softfin.rig.emulation.drive_motor import MODES, EmulatedMotor
+from softfin.rig.emulation.drive_motor import EmulatedMotor
 from softfin.rig.emulation.drive_objects import OUT_OF_RANGE, ProcessData, dictionary, values
 from softfin.rig.emulation.fin import EmulatedFin
 from softfin.rig.epos2 import protocol
@@ -85,12 +85,13 @@ class EmulatedDrive:
             protocol.CURRENT.number: lambda: motor.current,
         }
         self._ending = clock.event()
-        self._power_up()
         bus = self._network.bus = open_bus(bus_config, clock)
         self._network[config.node] = self._node
-        self._threads = [clock.spawn(lambda: self._receive(bus), "emulated drive's receiver")]
-        self._boot()
-        self._threads.append(clock.spawn(self._run, "emulated drive"))
+        self.reboot()
+        self._threads = [
+            clock.spawn(lambda: self._receive(bus), "emulated drive's receiver"),
+            clock.spawn(self._run, "emulated drive"),
+        ]
 
     def close(self) -> None:
         """Power-down; any number of times."""
@@ -132,8 +133,15 @@ class EmulatedDrive:
     def reboot(self) -> None:
         """Start anew, as after a moment without supply: the zero is lost."""
         with self._lock:
-            self._power_up()
-            self._boot()
+            self.state = State.START
+            self.motor.power_up()
+            self._word = self._newest_error = 0
+            self._host_beat: float | None = None
+            self._node.data_store.clear()
+            self._process_data.enabled.clear()
+            self._node.nmt.stop_heartbeat()
+            for code in (protocol.NMT_RESET, protocol.NMT_PRE_OPERATIONAL):
+                self._node.nmt.send_command(code)
 
     @property
     def statusword(self) -> int:
@@ -143,25 +151,11 @@ class EmulatedDrive:
             bits = {
                 Bit.REMOTE: self._node.nmt.state == "OPERATIONAL",
                 Bit.TARGET_REACHED: reaches and motor.is_target_reached,
-                Bit.ACKNOWLEDGED: motor.is_acknowledged,
+                Bit.ACKNOWLEDGED: motor.acknowledged,
                 Bit.ERROR: self._is_behind(),
                 Bit.REFERENCED: motor.referenced,
             }
             return int(self.state.value) | sum(bit for bit, is_set in bits.items() if is_set)
-
-    def _power_up(self) -> None:
-        self.state = State.START
-        self.motor.power_up()
-        self._word = 0
-        self._newest_error = 0
-        self._host_beat: float | None = None
-        self._node.data_store.clear()
-        self._process_data.enabled.clear()
-        self._node.nmt.stop_heartbeat()
-
-    def _boot(self) -> None:
-        for code in (protocol.NMT_RESET, protocol.NMT_PRE_OPERATIONAL):
-            self._node.nmt.send_command(code)
 
     def _enter(self, state: State) -> None:
         before, self.state = self.state, state
@@ -201,9 +195,9 @@ class EmulatedDrive:
                 self._controlled(protocol.CONTROLWORD.layout.unpack(data)[0])
             elif index == protocol.MODE.number:
                 mode = protocol.MODE.layout.unpack(data)[0]
-                if mode not in MODES:
+                if mode not in (protocol.PROFILE_POSITION, protocol.HOMING):
                     raise canopen.SdoAbortedError(OUT_OF_RANGE)
-                self.motor.set_mode(mode)
+                self.motor.mode, self.motor.acknowledged = mode, False
             elif index == protocol.HEARTBEAT_CONSUMER.number:
                 # Watching begins with the first heartbeat after this (CiA 301).
                 self._host_beat = None
