@@ -86,8 +86,7 @@ class SimulatedSocket:
         self._clock = clock
         self.timeout = timeout
         self.address = (host, port or next(_free_ports))
-        if clock.shared.setdefault(self.address, self) is not self:
-            raise OSError(f"port {port} of {host} is in use")
+        clock.shared[self.address] = self
         self._peer: tuple[str, int] | None = None
         self._received: deque[tuple[bytes, float, tuple[str, int]]] = deque()
 

@@ -15,7 +15,7 @@ import yaml
 from softfin.core.clock import Clock
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.rig.config import RigConfig
-from softfin.rig.emulation.bus import SocketcandServer
+from softfin.rig.emulation.bus import HOST, SocketcandServer
 from softfin.rig.emulation.drive import EmulatedDrive
 from softfin.rig.emulation.fin import EmulatedFin
 from softfin.rig.emulation.sensor import EmulatedAxia80
@@ -25,8 +25,6 @@ from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.simulated_network import SIMULATED
 from softfin.storage import artifact as artifacts
 from softfin.tank import Tank, TankConfig
-
-HOST = "127.0.0.1"
 
 FRAME = "y,-x"
 """Mounting of the emulated sensor; not softfin's axes, so that no frame is right by chance."""
@@ -53,14 +51,13 @@ class EmulatedRig(contextlib.ExitStack):
         channel: str | None = None,
         clock: Clock | None = None,
     ) -> None:
-        """`fin` in place of a tank, on the same clock; `channel` of the bus, a new one for each rig by default.
-
-        Without a clock, on a simulated one of its own.
-        """
+        """`fin` in place of a tank, on the same clock; `channel` of the bus, a new one for each rig by default."""
         super().__init__()
-        tank = (tank or Tank()) if fin is None else None
         self.clock = clock or SimulatedClock()
-        self.fin: Any = fin or TankFin(tank, seed, self.clock)
+        if fin is None:
+            tank = tank or Tank()
+            fin = TankFin(tank, seed, self.clock)
+        self.fin: Any = fin
         self.channel = channel or f"emulated-{uuid.uuid4().hex[:8]}"
         simulated = isinstance(self.clock, SimulatedClock)
         # Within the process nobody else has the ports that a real one has.

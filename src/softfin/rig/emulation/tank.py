@@ -19,16 +19,12 @@ from softfin.tank import Tank
 AMPERE_PER_NM = 1 / (111 * 0.0259)
 """Current of the emulated motor for a torque at the fin: a reduction of 111:1 and 25.9 mN m/A, both assumed."""
 
-LONGEST_S = 2.0
-"""Longest pause of this process in real time; after a longer one the fin goes on as if there had been none."""
-
 
 class TankFin:
     """Meets the EmulatedFin contract."""
 
-    def __init__(self, tank: Tank | None = None, seed: int = 0, clock: Clock = REAL) -> None:
-        self.tank = tank or Tank()
-        self._clock = clock
+    def __init__(self, tank: Tank, seed: int = 0, clock: Clock = REAL) -> None:
+        self.tank, self._clock = tank, clock
         self._lock = threading.Lock()
         self._state: Any = self.tank.init(jax.random.key(seed))
         self._command = rest_command(self.tank.limits)
@@ -97,8 +93,6 @@ class TankFin:
 
     def _catch_up(self) -> None:
         now = self._clock()
-        if now - self._time > LONGEST_S:
-            self._time = now - TICK_S
         while now - self._time > TICK_S:
             self._before, self._after = self._after, self._step()
             self._time += TICK_S
