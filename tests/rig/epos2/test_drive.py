@@ -12,7 +12,7 @@ from softfin.rig.emulation import drive_motor
 from softfin.rig.epos2 import protocol
 from softfin.rig.epos2.config import BusConfig
 from softfin.rig.epos2.drive import Epos2
-from softfin.rig.epos2.power import REFUSED
+from softfin.rig.epos2.procedures import REFUSED
 from softfin.rig.epos2.protocol import FAULT_STATES, POWERED, State
 from softfin.rig.machine import Target
 from softfin.rig.safety import check_target

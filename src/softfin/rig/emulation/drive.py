@@ -5,7 +5,9 @@ serves its objects. What a test wants to go wrong is a method: `fault`, `go_sile
 """
 
 import contextlib
+from collections import deque
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import can
@@ -24,8 +26,6 @@ from softfin.rig.simulated_network import open_bus
 TICK_S = 0.005
 CYCLE_S = 0.05
 """Longest time between two looks of the receiver at whether it is to end."""
-ERROR_REGISTER = 0x01
-"""Generic error: the bit of the error register that every error sets (CiA 301); those of its kind are not emulated."""
 
 
 class _Network(canopen.Network):
@@ -40,26 +40,17 @@ class _Network(canopen.Network):
             super().send_message(can_id, bytes(data), remote)
 
     def send_periodic(self, can_id: int, data: Any, period: float, remote: bool = False) -> Any:
-        return _Heartbeat(self, can_id, data, period, self._clock)
-
-
-class _Heartbeat:
-    """What canopen keeps as a periodic task: sent at once, and then every period [s]."""
-
-    def __init__(self, network: _Network, can_id: int, data: Any, period: float, clock: Clock) -> None:
-        self._data, ended = data, clock.event()
-        self.stop = ended.set
+        """Send at once, and then every period [s]; what canopen keeps as the task."""
+        ended, newest = self._clock.event(), deque([data], maxlen=1)
 
         def run() -> None:
             while not ended.is_set():
                 with contextlib.suppress(can.CanError, RuntimeError):
-                    network.send_message(can_id, self._data)
+                    self.send_message(can_id, newest[0])
                 ended.wait(period)
 
-        clock.spawn(run, "emulated drive's heartbeat")
-
-    def update(self, data: Any) -> None:
-        self._data = data
+        self._clock.spawn(run, "emulated drive's heartbeat")
+        return SimpleNamespace(stop=ended.set, update=newest.append)
 
 
 class EmulatedDrive:
@@ -77,7 +68,7 @@ class EmulatedDrive:
         self._process_data = ProcessData(self._node, self._network.send_message, self.fault)
         self._readings: dict[int, Callable[[], int]] = {
             protocol.STATUSWORD.number: lambda: self.statusword,
-            protocol.ERROR_REGISTER.number: lambda: ERROR_REGISTER * (self.state in protocol.FAULT_STATES),
+            protocol.ERROR_REGISTER.number: lambda: int(self.state in protocol.FAULT_STATES),
             protocol.MODE_DISPLAY.number: lambda: motor.mode,
             protocol.POSITION.number: lambda: motor.position,
             protocol.DEMAND.number: self._demand,
@@ -250,4 +241,5 @@ class EmulatedDrive:
     def _emergency(self, code: int) -> None:
         if self._node.nmt.state != "STOPPED":
             with contextlib.suppress(can.CanError, RuntimeError):
-                self._node.emcy.send(code, ERROR_REGISTER * (code != 0), bytes(5))
+                # Error register 1: generic error, which every error sets (CiA 301); those of its kind are not emulated.
+                self._node.emcy.send(code, int(code != 0), bytes(5))

@@ -160,7 +160,7 @@ class CanConnection:
             self.counters["error frames"] += 1
             self._on_problem(f"{self.name} reports an error frame; look at cable, termination and bitrate")
         elif message.is_remote_frame or message.is_extended_id:
-            self.counters["foreign frames"] += 1
+            return
         elif cob_id != protocol.SDO_ANSWER + self._node:
             self._on_frame(cob_id, data)
         elif len(data) != 8:

@@ -5,7 +5,7 @@ Sources: maxon "EPOS2 Firmware Specification" (rel5466) and "Communication Guide
 """
 
 from softfin.core.errors import CommandError, DeviceError, RigError, SoftfinError
-from softfin.rig.epos2 import power, protocol, setup
+from softfin.rig.epos2 import procedures, protocol
 from softfin.rig.epos2.exchange import DriveStatus, Exchange, Setpoint
 from softfin.rig.epos2.protocol import Bit, State
 from softfin.rig.machine import Target
@@ -29,7 +29,7 @@ class Epos2(Exchange):
         self.reset()
         try:
             self.connection.open()
-            setup.identify(self.connection, self.config)
+            procedures.identify(self.connection, self.config)
         except BaseException:
             self.connection.close()
             raise
@@ -38,11 +38,11 @@ class Epos2(Exchange):
         """Connect, check, write the limits and start the node, without power to the motor; closed again on failure."""
         self.connect()
         try:
-            setup.check(self.connection, self.config)
+            procedures.check(self.connection, self.config)
             self.powered, self.owned = False, True
             self.connection.send(protocol.NMT, bytes([protocol.NMT_PRE_OPERATIONAL, self.config.node]))
             self.connection.write(protocol.CONTROLWORD, protocol.DISABLE_VOLTAGE)
-            setup.configure(self.connection, self.config)
+            procedures.configure(self.connection, self.config)
             self.connection.send(protocol.NMT, bytes([protocol.NMT_START, self.config.node]))
             status = self.status
             with self.lock:
@@ -70,7 +70,7 @@ class Epos2(Exchange):
 
         After `connect` or `open`; the motor stays without power.
         """
-        fault = setup.fault_of(self.connection)
+        fault = procedures.fault_of(self.connection)
         if fault is None:
             return None
         with self.lock:
@@ -80,7 +80,7 @@ class Epos2(Exchange):
         for word in protocol.RESET_EDGE:
             self.connection.write(protocol.CONTROLWORD, word)
         for _ in range(round(RESET_TIMEOUT_S / STEP_S)):
-            if setup.fault_of(self.connection) is None:
+            if procedures.fault_of(self.connection) is None:
                 self.status.emergency = None
                 self.sync_and_read()
                 return fault
@@ -152,21 +152,21 @@ class Epos2(Exchange):
                 f"fin stands at {angle:.3f} rad, outside {low:g} .. {high:g}; turn it inside by hand, or zero it anew"
             )
         # A homing that failed must not have left its mode: there a target would be a new zero.
-        setup.set_mode(self.connection, protocol.PROFILE_POSITION)
+        procedures.set_mode(self.connection, protocol.PROFILE_POSITION)
         self._power_up(then_arm=True)
 
     def home_here(self) -> None:
         """Make the present position the drive's zero (homing method 35); the motor is powered for it, nothing moves."""
         self._new_reading()
-        setup.set_mode(self.connection, protocol.HOMING)
+        procedures.set_mode(self.connection, protocol.HOMING)
         try:
-            for entry, value in setup.HOME.items():
-                setup.write(self.connection, entry, value)
+            for entry, value in procedures.HOME.items():
+                procedures.write(self.connection, entry, value)
             self._power_up(then_arm=False)
-            power.home(self)
+            procedures.home(self)
         finally:
             self.stop()
-            setup.set_mode(self.connection, protocol.PROFILE_POSITION)
+            procedures.set_mode(self.connection, protocol.PROFILE_POSITION)
         if self.stop_unconfirmed:
             raise DeviceError(self.stop_unconfirmed)
 
@@ -206,8 +206,8 @@ class Epos2(Exchange):
         try:
             self.send_heartbeat()
             silence = round(1000 * self.config.heartbeat_s)
-            setup.write(self.connection, protocol.HEARTBEAT_CONSUMER, self.config.host_node << 16 | silence)
-            power.reach_enabled(self, then_arm)
+            procedures.write(self.connection, protocol.HEARTBEAT_CONSUMER, self.config.host_node << 16 | silence)
+            procedures.reach_enabled(self, then_arm)
         except BaseException:
             self.stop()
             raise
@@ -216,7 +216,7 @@ class Epos2(Exchange):
         if not self.stopping.acquire(timeout=STOP_TIMEOUT_S):
             return
         try:
-            if power.rest(self):
+            if procedures.rest(self):
                 self.powered = False
                 # The host's heartbeat ends with the program, which is no fault of a drive that is at rest.
                 self.connection.write(protocol.HEARTBEAT_CONSUMER, 0)
