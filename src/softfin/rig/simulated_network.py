@@ -36,7 +36,6 @@ class SimulatedBus(can.BusABC):
 
     def __init__(self, clock: SimulatedClock, channel: str) -> None:
         super().__init__(channel)
-        self.channel_info = f"{SIMULATED} {channel}"
         self._clock = clock
         self._frames: deque[can.Message] = deque()
         self._all: list[SimulatedBus] = clock.shared.setdefault(channel, [])

@@ -65,7 +65,7 @@ class EmulatedDrive:
         self._node.add_read_callback(self._live)
         self._node.add_write_callback(self._written)
         self.motor = motor = EmulatedMotor(fin, Units.of(config), self._value, self.fault)
-        self._process_data = ProcessData(self._node, self._network.send_message, self.fault)
+        self._process_data = ProcessData(self._node, self._network.send_message)
         self._readings: dict[int, Callable[[], int]] = {
             protocol.STATUSWORD.number: lambda: self.statusword,
             protocol.ERROR_REGISTER.number: lambda: int(self.state in protocol.FAULT_STATES),

@@ -16,8 +16,6 @@ from softfin.rig.epos2.protocol import Object
 
 PDOS = 4
 """Process data of each kind, as an EPOS2 has them."""
-MAPPED = 8
-"""Entries of a PDO at most."""
 TAKEN, SENT = 0x1400, 0x1800
 """First object of the process data of each kind; its mapping is 0x200 above it."""
 READ_ONLY = frozenset(
@@ -29,8 +27,6 @@ _TYPES = {"b": od.INTEGER8, "h": od.INTEGER16, "i": od.INTEGER32,
 
 CANNOT_BE_MAPPED, OUT_OF_RANGE, WRONG_STATE = 0x06040041, 0x06090030, 0x08000022
 """Why a write is refused (SDO abort codes)."""
-LENGTH_ERROR = 0x8210
-"""Emergency: a frame is shorter than what is mapped."""
 
 
 def values(config: Epos2Config) -> dict[Object, int]:
@@ -59,7 +55,7 @@ def values(config: Epos2Config) -> dict[Object, int]:
                 Object(number, 2, "B", "transmission type"): transmission,
                 Object(number + 0x200, 0, "B", "mapped objects"): 0,
             }
-            start |= {Object(number + 0x200, entry + 1, "I", "mapping"): 0 for entry in range(MAPPED)}
+            start |= {Object(number + 0x200, entry + 1, "I", "mapping"): 0 for entry in range(8)}
     return start
 
 
@@ -82,10 +78,10 @@ def dictionary(start: dict[Object, int]) -> Any:
 
 
 class ProcessData:
-    """Process data of canopen's LocalNode `node`; `send(cob_id, data)` sends a frame, `fault(code)` is the drive's."""
+    """Process data of canopen's LocalNode `node`; `send(cob_id, data)` sends a frame."""
 
-    def __init__(self, node: Any, send: Callable[[int, bytes], None], fault: Callable[[int], None]) -> None:
-        self._node, self._send, self._fault = node, send, fault
+    def __init__(self, node: Any, send: Callable[[int, bytes], None]) -> None:
+        self._node, self._send = node, send
         self.enabled: dict[int, dict[int, list[tuple[int, int, int]]]] = {}
         """Index, sub-index and bytes of what is mapped, by COB-ID, until one of their objects is written."""
 
@@ -97,9 +93,6 @@ class ProcessData:
     def take(self, cob_id: int, data: bytes) -> None:
         """Follow a frame; frames other than process data change nothing."""
         entries = self._enabled(TAKEN).get(cob_id, [])
-        if len(data) < sum(size for _, _, size in entries):
-            self._fault(LENGTH_ERROR)
-            return
         parts, rest = [], data
         for index, sub, size in entries:
             parts.append((index, sub, rest[:size]))

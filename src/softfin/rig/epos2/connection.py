@@ -43,7 +43,7 @@ class CanConnection:
         on_problem: Callable[[str], None],
         clock: Clock = REAL,
     ) -> None:
-        self._config, self._node, self._clock = config, node, clock
+        self._config, self.node, self._clock = config, node, clock
         self._on_frame, self._on_problem = on_frame, on_problem
         self.name = f"CAN bus {config.interface} {config.channel}"
         self._bus: can.BusABC | None = None
@@ -122,7 +122,7 @@ class CanConnection:
         try:
             self._answered.clear()
             self._request, self._answer = request, b""
-            self.send(protocol.SDO_REQUEST + self._node, request)
+            self.send(protocol.SDO_REQUEST + self.node, request)
             self._answered.wait(SDO_TIMEOUT_S)
             answer = self._answer
         finally:
@@ -130,7 +130,7 @@ class CanConnection:
             self._requesting.release()
         if not answer:
             raise DeviceError(
-                f"drive {self._node} does not answer for {entry} within {SDO_TIMEOUT_S:g} s; "
+                f"drive {self.node} does not answer for {entry} within {SDO_TIMEOUT_S:g} s; "
                 "look at its supply, the bus's cable and its bitrate"
             )
         if answer[0] == ABORTED:
@@ -161,7 +161,7 @@ class CanConnection:
             self._on_problem(f"{self.name} reports an error frame; look at cable, termination and bitrate")
         elif message.is_remote_frame or message.is_extended_id:
             return
-        elif cob_id != protocol.SDO_ANSWER + self._node:
+        elif cob_id != protocol.SDO_ANSWER + self.node:
             self._on_frame(cob_id, data)
         elif len(data) != 8:
             self.counters["malformed frames"] += 1

@@ -6,7 +6,7 @@ Sources: maxon "EPOS2 Firmware Specification" (rel5466) and "Communication Guide
 
 from softfin.core.errors import CommandError, DeviceError, RigError, SoftfinError
 from softfin.rig.epos2 import procedures, protocol
-from softfin.rig.epos2.exchange import DriveStatus, Exchange, Setpoint
+from softfin.rig.epos2.exchange import DriveStatus, Exchange
 from softfin.rig.epos2.protocol import Bit, State
 from softfin.rig.machine import Target
 from softfin.rig.safety import OVERSHOOT_RAD, check_target
@@ -29,7 +29,7 @@ class Epos2(Exchange):
         self.reset()
         try:
             self.connection.open()
-            procedures.identify(self.connection, self.config)
+            procedures.identify(self.connection)
         except BaseException:
             self.connection.close()
             raise
@@ -98,7 +98,7 @@ class Epos2(Exchange):
         with self.lock:
             if not self.armed:
                 raise DeviceError("drive is not enabled; enable it before it is asked to move")
-            self.handshake.waiting = Setpoint(counts, rpm)
+            self.handshake.waiting = counts, rpm
             self.carry_on()
 
     def complaints(self) -> tuple[str, ...]:

@@ -6,7 +6,7 @@ sent but under the lock, with `armed` set: so nothing follows a stop.
 
 from collections import Counter
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import TypeAlias
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import DeviceError
@@ -28,6 +28,9 @@ _SIZES = dict(zip(protocol.TPDO, (each.size for each in _SENT), strict=True)) | 
 }
 """Bytes of each kind of frame."""
 ALL = (1 << len(_SENT)) - 1
+
+Setpoint: TypeAlias = tuple[int, int]
+"""A target in the drive's units: position [counts] and velocity [rpm]."""
 
 
 class DriveStatus:
@@ -120,13 +123,6 @@ class DriveStatus:
         if self.new:
             self.time = self.sync_time
         return self.fault() if which == 0 and was_well else None
-
-
-class Setpoint(NamedTuple):
-    """A target in the drive's units."""
-
-    counts: int
-    rpm: int
 
 
 class Handshake:
@@ -260,12 +256,13 @@ class Exchange:
         if not self.armed:
             return
         step = self.handshake.step(self.status.has(Bit.ACKNOWLEDGED), self.clock())
-        if isinstance(step, Setpoint):
-            if self.attempt(protocol.RPDO[1] + self.config.node, _VELOCITY.pack(step.rpm)):
-                self.attempt(*self.order(protocol.NEW_TARGET, step.counts))
+        if isinstance(step, tuple):
+            counts, rpm = step
+            if self.attempt(protocol.RPDO[1] + self.config.node, _VELOCITY.pack(rpm)):
+                self.attempt(*self.order(protocol.NEW_TARGET, counts))
         elif step:
             target = self.handshake.current
-            self.attempt(*self.order(protocol.ENABLE_OPERATION, target.counts if target else None))
+            self.attempt(*self.order(protocol.ENABLE_OPERATION, target[0] if target else None))
 
     def _take(self, cob_id: int, data: bytes) -> None:
         with self.lock:

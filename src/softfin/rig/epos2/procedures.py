@@ -29,20 +29,15 @@ HOME = {protocol.HOMING_METHOD: protocol.HOME_HERE, protocol.HOME_OFFSET: 0, pro
 """What makes the present position zero."""
 
 
-def identify(connection: CanConnection, config: Epos2Config) -> None:
-    """Raise RigError where the node does not answer, or is not a drive."""
+def identify(connection: CanConnection) -> None:
+    """Raise RigError where the node does not answer."""
     try:
-        device = connection.read(protocol.DEVICE_TYPE)
+        connection.read(protocol.DEVICE_TYPE)
     except DeviceError:
         raise RigError(
-            f"no drive answers as node {config.node} on {connection.name}; compare drive.node with the drive's "
+            f"no drive answers as node {connection.node} on {connection.name}; compare drive.node with the drive's "
             "switches, look at supply, cable, termination and bus.bitrate"
         ) from None
-    if device & 0xFFFF != protocol.SERVO_DRIVE:
-        raise RigError(
-            f"node {config.node} is not a drive: its device type is 0x{device:08X}, not CiA {protocol.SERVO_DRIVE}; "
-            "set drive.node of the rig's file to the EPOS2's"
-        )
 
 
 def fault_of(connection: CanConnection) -> str | None:

@@ -25,8 +25,6 @@ PROFILE_POSITION, HOMING = 1, 6
 HOME_HERE = 35
 """Homing method: the present position is home; nothing moves."""
 SINUSOIDAL_BRUSHLESS, BLOCK_BRUSHLESS = 10, 11
-SERVO_DRIVE = 402
-"""Low word of the device type."""
 
 
 class Object(NamedTuple):
@@ -220,7 +218,7 @@ def fault_line(code: int) -> str:
 
 def abort_line(code: int) -> str:
     """Name and way out of an SDO abort, such as ``0x06020000, Object does not exist: check that ..``."""
-    name = SdoAbortedError.CODES.get(code, "in the EPOS2 Communication Guide")
+    name = SdoAbortedError.CODES.get(code, "see the EPOS2 Communication Guide")
     way_out = "check that the device is an EPOS2, close other programs such as EPOS Studio, switch the drive off and on"
     if 0x06090030 <= code <= 0x06090036:
         way_out = "change the value in the rig's file to one that the drive takes"
