@@ -233,8 +233,7 @@ def test_a_paused_process_finds_its_fin_stopped_when_it_goes_on(tmp_path):
 
 def pausing(at: Scene, folder: Path, numbers: random.Random) -> None:
     """The session in another process, which is stopped as by Ctrl-Z, and goes on."""
-    at.emulated.write(folder / "rig.yaml")
-    values = yaml.safe_load((folder / "rig.yaml").read_text())
+    values = at.emulated.values()
     values["drive"] |= {"heartbeat_s": 0.3, "zero_needed": False}
     (folder / "rig.yaml").write_text(yaml.safe_dump(values))
     process = subprocess.Popen(

@@ -89,10 +89,6 @@ class SimulatedSocket:
         self._peer: tuple[str, int] | None = None
         self._received: deque[tuple[bytes, float, tuple[str, int]]] = deque()
 
-    def getsockname(self) -> tuple[str, int]:
-        """Its host and port."""
-        return self.address
-
     def fileno(self) -> int:
         """-1 once it is closed."""
         return 0 if self._clock.shared.get(self.address) is self else -1

@@ -25,7 +25,6 @@ from softfin.rig.simulated_network import open_bus
 
 TICK_S = 0.005
 CYCLE_S = 0.05
-"""Longest time between two looks of the receiver at whether it is to end."""
 
 
 class _Network(canopen.Network):
@@ -183,7 +182,13 @@ class EmulatedDrive:
     def _written(self, index: int, subindex: int, od: Any, data: bytes | bytearray) -> None:
         with self._lock:
             if index == protocol.CONTROLWORD.number:
-                self._controlled(protocol.CONTROLWORD.layout.unpack(data)[0])
+                was, before = self.state, self._word
+                self._word = protocol.CONTROLWORD.layout.unpack(data)[0]
+                self._enter(drive_motor.next_state(was, self._word, before))
+                if was is State.FAULT and self.state is not State.FAULT:
+                    self._emergency(0)
+                if self.state is State.OPERATION_ENABLED:
+                    self.motor.control(self._word, before)
             elif index == protocol.MODE.number:
                 mode = protocol.MODE.layout.unpack(data)[0]
                 if mode not in (protocol.PROFILE_POSITION, protocol.HOMING):
@@ -196,15 +201,6 @@ class EmulatedDrive:
                 self._newest_error = 0
             elif 0x1400 <= index < 0x1C00:
                 self._process_data.check(index, subindex, data)
-
-    def _controlled(self, word: int) -> None:
-        before, self._word = self._word, word
-        was = self.state
-        self._enter(drive_motor.next_state(was, word, before))
-        if was is State.FAULT and self.state is not State.FAULT:
-            self._emergency(0)
-        if self.state is State.OPERATION_ENABLED:
-            self.motor.control(word, before)
 
     def _receive(self, bus: can.BusABC) -> None:
         while not self._ending.is_set():

@@ -43,7 +43,6 @@ def values(config: Epos2Config) -> dict[Object, int]:
         protocol.ACCELERATION: 10000,
         protocol.DECELERATION: 10000,
         protocol.QUICK_STOP_DECELERATION: 10000,
-        protocol.MOTOR_TYPE: 10,
         protocol.CURRENT_LIMIT: 3000,
         # Homing and profile position: bits 5 and 0.
         protocol.SUPPORTED_MODES: 0x21,

@@ -76,10 +76,8 @@ class EmulatedRig(contextlib.ExitStack):
     def description(self) -> str:
         """Where it listens, in words."""
         bus = f"socketcand {HOST}:{self.server.port}" if self.server else "in this process"
-        return (
-            f"drive: {bus}, node {self._drive.node}; sensor: {HOST}, RDT port "
-            f"{self.sensor.rdt_port}, pages at http://{HOST}:{self.sensor.http_port}"
-        )
+        pages = f"RDT port {self.sensor.rdt_port}, pages at http://{HOST}:{self.sensor.http_port}"
+        return f"drive: {bus}, node {self._drive.node}; sensor: {HOST}, {pages}"
 
     def values(self, **changes: Any) -> dict[str, Any]:
         """Contents of the rig's file."""
@@ -91,10 +89,6 @@ class EmulatedRig(contextlib.ExitStack):
         if self.server is not None:
             values["safety"] |= REAL_TIME_SAFETY
         return values | changes
-
-    def write(self, path: Path) -> None:
-        """Write the rig's file for other processes; of a rig in real time."""
-        _write(path, "An emulated rig, while `softfin rig emulate --real-time` runs", self.values())
 
 
 rigs: dict[Path, EmulatedRig] = {}
@@ -154,10 +148,11 @@ def write_simulated(path: Path, tank: Tank, values: dict[str, Any], seed: int) -
     """Write the file of a rig that each command emulates itself, in simulated time; `values` are the tank's file's."""
     rig = _rig_values(_drive_config(tank, real_time=False), {"interface": SIMULATED, "channel": "emulated"})
     rig["emulation"] = {"seed": seed, "tank": values}
-    _write(path, "An emulated rig in simulated time, within each command", rig)
+    write_rig(path, rig, "An emulated rig in simulated time, within each command")
 
 
-def _write(path: Path, comment: str, values: dict[str, Any]) -> None:
+def write_rig(path: Path, values: dict[str, Any], comment: str) -> None:
+    """Write a rig's file, with a comment above."""
     text = f"# {comment}; a real one is described in docs/rig.md.\n"
     artifacts.write_file(path, text + yaml.safe_dump(values, sort_keys=False))
 

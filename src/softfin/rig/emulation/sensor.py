@@ -71,19 +71,20 @@ class EmulatedAxia80:
         self._socket: socket.socket | SimulatedSocket
         if isinstance(clock, SimulatedClock):
             self._socket = SimulatedSocket(clock, HOST, rdt_port, wake_s)
-            self.http_port = http_port or self._socket.address[1]
+            self.rdt_port = self._socket.address[1]
+            self.http_port = http_port or self.rdt_port
             clock.shared["http", HOST, self.http_port] = self.pages
             self._ports.callback(clock.shared.pop, ("http", HOST, self.http_port), None)
         else:
             self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             self._socket.settimeout(wake_s)
             self._socket.bind((HOST, rdt_port))
+            self.rdt_port = int(self._socket.getsockname()[1])
             server = serve_pages(http_port, self.pages)
             self.http_port = server.server_port
             self._ports.callback(server.server_close)
             self._ports.callback(server.shutdown)
         self._ports.callback(self._socket.close)
-        self.rdt_port = int(self._socket.getsockname()[1])
         self._thread = clock.spawn(self._serve, "emulated sensor's stream")
 
     def remembered(self) -> dict[str, Any]:

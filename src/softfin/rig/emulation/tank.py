@@ -3,6 +3,7 @@
 Between two samples of 10 ms motion and force are interpolated, so all that is measured is one sample old.
 """
 
+import math
 import threading
 from typing import Any
 
@@ -25,7 +26,7 @@ class TankFin:
 
     def __init__(self, tank: Tank, seed: int = 0, clock: Clock = REAL) -> None:
         self.tank, self._clock = tank, clock
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._state: Any = self.tank.init(jax.random.key(seed))
         self._command = rest_command(self.tank.limits)
         # Twice, so that everything is compiled before anybody looks.
@@ -69,10 +70,7 @@ class TankFin:
         with self._lock:
             self._catch_up()
             angle, velocity = self._after[0], self._after[1]
-            ahead = velocity * abs(velocity) / (2 * float(self.tank.drive.acceleration))
-            limits = self.tank.limits
-            goal = min(max(angle + ahead, limits.angle_min), limits.angle_max)
-            self._command = Command(jnp.float32(goal), jnp.float32(limits.velocity_max))
+            self.move(angle + velocity * abs(velocity) / (2 * float(self.tank.drive.acceleration)), math.inf)
 
     def now(self) -> FinMotion:
         """Motion and force one sample ago."""

@@ -22,10 +22,8 @@ LOCK_TIMEOUT_S = 0.05
 
 _SENT = tuple(protocol.layout(each) for each in protocol.SENT)
 _WORD_AND_TARGET, _VELOCITY = (protocol.layout(each) for each in protocol.TAKEN)
-_SIZES = dict(zip(protocol.TPDO, (each.size for each in _SENT), strict=True)) | {
-    protocol.HEARTBEAT: 1,
-    protocol.EMERGENCY: 8,
-}
+_SIZES = {protocol.HEARTBEAT: 1, protocol.EMERGENCY: 8}
+_SIZES |= {pdo: each.size for pdo, each in zip(protocol.TPDO, _SENT, strict=True)}
 """Bytes of each kind of frame."""
 ALL = (1 << len(_SENT)) - 1
 

@@ -18,8 +18,6 @@ STEP_S = 0.002
 """Pause between two looks at the drive while it is brought from state to state."""
 STANDSTILL_RPM = 5
 HOME_TOLERANCE_COUNTS = 20
-BRAKING_MARGIN = 2
-BRAKING_TICKS = 10
 REFUSED = 3
 """Orders in a row that the bus does not take, each after its time-out: then no later one is worth a wait."""
 NO_REMOTE_REQUEST = 1 << 30
@@ -58,12 +56,6 @@ def check(connection: CanConnection, config: Epos2Config) -> None:
     if state not in protocol.UNPOWERED:
         words = state.words if state else f"not of an EPOS2 (statusword 0x{word:04X})"
         raise RigError(f"drive is {words} already; close the program that drives it, or switch it off and on")
-    motor = connection.read(protocol.MOTOR_TYPE)
-    if motor not in (protocol.SINUSOIDAL_BRUSHLESS, protocol.BLOCK_BRUSHLESS):
-        raise RigError(
-            f"drive's motor type is {motor}; an EC-max has 10 (sinusoidal brushless) or 11 (block brushless): "
-            "set the motor up in EPOS Studio"
-        )
     lines = connection.read(protocol.ENCODER_LINES)
     if lines != config.encoder_lines:
         raise RigError(
@@ -205,7 +197,8 @@ def rest(exchange: Exchange) -> bool:
                 return
             exchange.clock.sleep(config.sync_s / 2)
 
-    braking = BRAKING_MARGIN * config.fastest_rad_s / config.quick_stop_rad_s2 + BRAKING_TICKS * config.sync_s
+    # Twice what braking from the highest velocity takes, and ten ticks.
+    braking = 2 * config.fastest_rad_s / config.quick_stop_rad_s2 + 10 * config.sync_s
     repeat(protocol.QUICK_STOP, stands, braking)
     repeat(protocol.DISABLE_VOLTAGE, is_off, DISABLE_TIMEOUT_S)
     # Without process data, as of a node that is not operational, the drive can still be asked.

@@ -24,7 +24,6 @@ RPDO = (0x200, 0x300)
 PROFILE_POSITION, HOMING = 1, 6
 HOME_HERE = 35
 """Homing method: the present position is home; nothing moves."""
-SINUSOIDAL_BRUSHLESS, BLOCK_BRUSHLESS = 10, 11
 
 
 class Object(NamedTuple):
@@ -79,7 +78,6 @@ DECELERATION = Object(0x6084, 0, "I", "profile deceleration")
 QUICK_STOP_DECELERATION = Object(0x6085, 0, "I", "quick-stop deceleration")
 PROFILE_TYPE = Object(0x6086, 0, "h", "profile type")
 HOMING_METHOD = Object(0x6098, 0, "b", "homing method")
-MOTOR_TYPE = Object(0x6402, 0, "H", "motor type")
 CURRENT_LIMIT = Object(0x6410, 2, "H", "output current limit")
 SUPPORTED_MODES = Object(0x6502, 0, "I", "supported modes")
 
