@@ -61,19 +61,19 @@ def values(config: Epos2Config) -> dict[Object, int]:
 def dictionary(start: dict[Object, int]) -> Any:
     """canopen's object dictionary with every object at its value."""
     library: Any = od
-    made = library.ObjectDictionary()
+    found = library.ObjectDictionary()
     records = {entry.number for entry in start if entry.sub}
     for number in records:
-        made.add_object(library.ODRecord(f"0x{number:04X}", number))
+        found.add_object(library.ODRecord(f"0x{number:04X}", number))
     for entry, value in start.items():
         variable = library.ODVariable(str(entry), entry.number, entry.sub)
         variable.data_type, variable.default = _TYPES[entry.form], value
         variable.access_type = "ro" if entry in READ_ONLY else "rw"
         if entry.number in records:
-            made[entry.number].add_member(variable)
+            found[entry.number].add_member(variable)
         else:
-            made.add_object(variable)
-    return made
+            found.add_object(variable)
+    return found
 
 
 class ProcessData:
