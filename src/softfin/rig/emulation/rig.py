@@ -29,15 +29,9 @@ from softfin.tank import Tank, TankConfig
 FRAME = "y,-x"
 """Mounting of the emulated sensor; not softfin's axes, so that no frame is right by chance."""
 
-RDT_PORT, HTTP_PORT = 49152, 80
-"""Ports of a sensor as it is delivered."""
-
 REAL_TIME_SAFETY = {"overrun_s": 0.3, "stale_s": 0.3, "force_stale_s": 0.4, "watchdog_s": 0.8}
 """Limits for emulators in real time that share their computer with browsers and compilers; a real fin deserves the
 defaults, and in simulated time nothing is late."""
-
-REAL_TIME_HEARTBEAT_S = 1.0
-"""Period of the heartbeat in real time, likewise."""
 
 
 class EmulatedRig(contextlib.ExitStack):
@@ -60,8 +54,8 @@ class EmulatedRig(contextlib.ExitStack):
         self.fin: Any = fin
         self.channel = channel or f"emulated-{uuid.uuid4().hex[:8]}"
         simulated = isinstance(self.clock, SimulatedClock)
-        # Within the process nobody else has the ports that a real one has.
-        ports = (RDT_PORT, HTTP_PORT) if simulated else (0, 0)
+        # Within the process nobody else has the ports of a sensor as it is delivered.
+        ports = (49152, 80) if simulated else (0, 0)
         self.sensor = EmulatedAxia80(self.fin, *ports, frame=FRAME, clock=self.clock)
         self.callback(self.sensor.close)
         self._drive = _drive_config(tank, real_time=not simulated)
@@ -175,7 +169,8 @@ def _drive_config(tank: Tank | None, real_time: bool) -> Epos2Config:
         "following_error_rad": 0.5,
     }  # fmt: skip
     if real_time:
-        values["heartbeat_s"] = REAL_TIME_HEARTBEAT_S
+        # As the limits of safety.
+        values["heartbeat_s"] = 1.0
     if tank is not None:
         limits = tank.limits
         values |= {

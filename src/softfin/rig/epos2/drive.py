@@ -1,7 +1,6 @@
 """The drive: a maxon EPOS2 Module 36/2 over CANopen in profile position mode, from a safe start to a safe stop.
 
 One thread, that of the loop, calls everything but `stop`. Tried against our emulator, not yet on a real drive.
-Sources: maxon "EPOS2 Firmware Specification" (rel5466) and "Communication Guide" (rel4054), CiA 301 and 402.
 """
 
 from softfin.core.errors import CommandError, DeviceError, RigError, SoftfinError

@@ -21,8 +21,6 @@ HOME_TOLERANCE_COUNTS = 20
 REFUSED = 3
 """Orders in a row that the bus does not take, each after its time-out: then no later one is worth a wait."""
 NO_REMOTE_REQUEST = 1 << 30
-HEARTBEATS = 10
-"""Heartbeats of the drive in the time after which silence means that it is gone."""
 HOME = {protocol.HOMING_METHOD: protocol.HOME_HERE, protocol.HOME_OFFSET: 0, protocol.HOME_POSITION: 0}
 """What makes the present position zero."""
 
@@ -85,7 +83,8 @@ def configure(connection: CanConnection, config: Epos2Config) -> None:
     for entry, value in values.items():
         write(connection, entry, value)
     set_mode(connection, protocol.PROFILE_POSITION)
-    write(connection, protocol.HEARTBEAT_PRODUCER, round(1000 * config.heartbeat_s / HEARTBEATS))
+    # Ten heartbeats in the time after which silence means that the drive is gone.
+    write(connection, protocol.HEARTBEAT_PRODUCER, round(1000 * config.heartbeat_s / 10))
     for first, pdos, cob_id, transmission in (
         (0x1800, protocol.SENT, protocol.TPDO[0], protocol.ON_SYNC),
         (0x1400, protocol.TAKEN, protocol.RPDO[0], protocol.AT_ONCE),
