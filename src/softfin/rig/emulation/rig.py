@@ -169,7 +169,6 @@ def _drive_config(tank: Tank | None, real_time: bool) -> Epos2Config:
         "following_error_rad": 0.5,
     }  # fmt: skip
     if real_time:
-        # As the limits of safety.
         values["heartbeat_s"] = 1.0
     if tank is not None:
         limits = tank.limits
