@@ -152,8 +152,7 @@ def _stops() -> list[dict[str, Any]]:
 
 def _stop(name: str, provoke: Callable[[EmulatedRig], None]) -> float:
     with EmulatedRig(fin=PulledFin(), clock=REAL) as emulated:
-        values = emulated.values(same_process=True)
-        values["safety"] = SAFETY
+        values = emulated.values(bus={"interface": "virtual", "channel": emulated.channel}, safety=SAFETY)
         values["drive"] |= {"zero_needed": False, "heartbeat_s": HEARTBEAT_S}
         rig = Rig(RigConfig.build(values, "emulated rig"))
         began: list[float] = []
@@ -205,7 +204,7 @@ class _QuickStop:
 
 def _filter_delay() -> float:
     with EmulatedRig(fin=SimpleFin(), clock=REAL) as emulated:
-        rig = Rig(emulated.config())
+        rig = Rig(RigConfig.build(emulated.values(), "emulated rig"))
         rig.sensor.open()
         delay = rig.sensor.stream.delay_s
         rig.sensor.close()

@@ -62,7 +62,10 @@ def test_random_excitation_is_the_default_and_says_so(folders):
         (["--surrogate", "ensemble"], "surrogate ensemble: random excitation asks none; --excitation active does"),
         ([*ACTIVE, "--surrogate", "paper"], "paper: a paper surrogate; active excitation needs members that can"),
         ([*ACTIVE, "--surrogate", "random"], "random: not a surrogate: it holds no surrogate.json"),
-        (["--extend", "random", "--plant", "tank"], f"random: recorded of {FIN}, not of tank as it is now; logs of two"),
+        (
+            ["--extend", "random", "--plant", "tank"],
+            f"random: recorded of {FIN}, not of tank as it is now; logs of two",
+        ),
         (["--set", "active.candidates=4"], "unknown key 'active'"),
     ],
 )

@@ -35,6 +35,25 @@ def bus_config() -> BusConfig:
     return BusConfig(interface="virtual", channel=f"test {uuid.uuid4()}")
 
 
+def block(fin: Any) -> None:
+    """The fin stays where it is while its profile goes on."""
+    free, angle = fin.now, fin.now().angle
+    fin.now = lambda: free()._replace(angle=angle, velocity=0.0)
+
+
+def ignore_targets(drive: EmulatedDrive, count: int) -> None:
+    """It takes none of the next targets, as if their frames were lost."""
+    control, left = drive.motor.control, [count]
+
+    def partly(word: int, before: int) -> None:
+        if word & ~before & 0x10 and left[0]:
+            left[0] -= 1
+        else:
+            control(word, before)
+
+    drive.motor.control = partly  # type: ignore[method-assign]
+
+
 class Bench(NamedTuple):
     drive: Epos2
     emulated: EmulatedDrive

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from softfin.control.controller import Measured
 from softfin.core.clock import REAL, Clock
-from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Limits
+from softfin.core.quantities import PAPER_LIMITS, Command, Limits
 from softfin.rig.machine import Sample, Target
 
 FORCE_DELAY_S = 0.02

@@ -9,6 +9,7 @@ import pytest
 import yaml
 
 from softfin.core.clock import REAL
+from softfin.rig.config import RigConfig
 from softfin.rig.emulation.rig import EmulatedRig, rigs
 from softfin.rig.rig import Rig
 from softfin.rig.robot_setup import RobotSetup
@@ -25,16 +26,23 @@ WIDE = {"overrun_s": 1.0, "stale_s": 1.0, "force_stale_s": 1.0, "watchdog_s": 2.
 
 def values_of(behind: EmulatedRig, **safety: Any) -> dict[str, Any]:
     """What the file of an emulated rig holds, for this process."""
-    values = behind.values(True, safety=SAFETY | safety, settle_s=0.1)
+    values = behind.values(safety=SAFETY | safety, settle_s=0.1)
     values["drive"] |= {"zero_needed": False}
     return values
+
+
+def config_of(behind: EmulatedRig, **values: Any) -> RigConfig:
+    """The configuration for this process: in real time, too, the bus is within it."""
+    bus = {"interface": "virtual", "channel": behind.channel}
+    return RigConfig.build(behind.values(bus=bus, **values), "emulated rig")
 
 
 @contextmanager
 def emulated(tank: Tank | None = None, **safety: Any) -> Iterator[tuple[EmulatedRig, RobotSetup]]:
     """With a fin that needs no JAX, unless a tank is given."""
     with simulated(tank) as behind:
-        yield behind, robot_of(behind, **values_of(behind, **safety))
+        values = values_of(behind, **safety)
+        yield behind, robot_of(behind, **{name: value for name, value in values.items() if name != "bus"})
 
 
 @contextmanager
@@ -46,7 +54,7 @@ def simulated(tank: Tank | None = None) -> Iterator[EmulatedRig]:
 
 
 def robot_of(behind: EmulatedRig, **values: Any) -> RobotSetup:
-    config = behind.config(**values)
+    config = config_of(behind, **values)
     return RobotSetup(
         Rig(config, behind.clock), config.safety, config.fin, config.settle_s, config.model_dump(mode="json")
     )

@@ -2,14 +2,14 @@ import socket
 
 from softfin.core.clock import REAL
 from softfin.rig.config import load_rig
-from softfin.rig.emulation.rig import EmulatedRig, write_simulated
+from softfin.rig.emulation.rig import EmulatedRig, write_rig, write_simulated
 from softfin.tank import Tank
 from tests.rig.simple_fin import SimpleFin
 
 
 def test_it_writes_a_file_that_another_process_can_use_as_it_is(tmp_path):
     with EmulatedRig(fin=SimpleFin(), clock=REAL) as emulated:
-        emulated.write(tmp_path / "rig.yaml")
+        write_rig(tmp_path / "rig.yaml", emulated.values(), "An emulated rig")
         config = load_rig(tmp_path / "rig.yaml")
         socket.create_connection((config.bus.options["host"], config.bus.options["port"]), timeout=5).close()
         assert str(config.bus.options["port"]) in emulated.description()

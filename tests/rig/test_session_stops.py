@@ -13,7 +13,7 @@ from softfin.rig.session import Session
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import StopRequest
 from tests.rig.machines import FreeFin, Notes
-from tests.rig.rigs import simulated
+from tests.rig.rigs import config_of, simulated
 
 CALM = SafetyConfig()
 
@@ -123,13 +123,13 @@ def test_limits_that_would_trip_at_once_are_refused(changes, words):
     with simulated() as behind:
         safety = {"current_peak_a": 6.0, "current_sustained_a": 3.0, **changes["safety"]}
         with pytest.raises(Exception, match=words) as refused:
-            behind.config(safety=safety)
+            config_of(behind, safety=safety)
         assert "\n" not in str(refused.value)
 
 
 def test_a_rig_tells_the_notes_of_its_sensor():
     with simulated() as behind:
-        rig = Rig(behind.config(), behind.clock)
+        rig = Rig(config_of(behind), behind.clock)
         assert isinstance(rig, Machine)
         assert rig.notes == ()
         assert rig.stop_unconfirmed is None

@@ -31,9 +31,10 @@ from softfin.rig.safety import Guard
 from softfin.rig.session import Session
 from softfin.rig.simulated_clock import SimulatedClock
 from tests.rig.bags import events_of
+from tests.rig.epos2_bench import block, ignore_targets
 from tests.rig.faulty_network import FaultyNetwork
 from tests.rig.machines import Wagging
-from tests.rig.rigs import SAFETY
+from tests.rig.rigs import SAFETY, config_of
 from tests.rig.simple_fin import SimpleFin
 
 LONG = os.environ.get("SOFTFIN_LONG") == "1"
@@ -65,10 +66,10 @@ class Scene:
 def scene(bag: Path, real_time: bool = False, **drive: Any) -> Iterator[Scene]:
     clock = REAL if real_time else SimulatedClock()
     with EmulatedRig(fin=SimpleFin(clock), clock=clock) as emulated:
-        values = emulated.values(same_process=True, safety=WIDE if real_time else SAFETY)
+        values = emulated.values(safety=WIDE if real_time else SAFETY)
         patient = {"heartbeat_s": 1.5, "sync_s": 0.02} if real_time else {}
         values["drive"] |= {**patient, "zero_needed": False, **drive}
-        rig = Rig(emulated.config(**{name: values[name] for name in ("drive", "safety")}), clock)
+        rig = Rig(config_of(emulated, **{name: values[name] for name in ("drive", "safety")}), clock)
         made = Scene(emulated, rig, Session(rig, Guard(rig.config.safety, rig.limits)), bag)
         try:
             yield made
@@ -116,7 +117,7 @@ STOPS: dict[str, tuple[Inject, str]] = {
     "emergency frame": (lambda at: at.emulated.drive.fault(0x8611), "0x8611, following error"),
     "over-current": (lambda at: at.emulated.drive.fault(0x2310), "0x2310, over-current"),
     "drive starts anew": (lambda at: at.emulated.drive.reboot(), "started anew|state"),
-    "blocked fin": (lambda at: at.emulated.drive.motor.stall(), "following|behind"),
+    "blocked fin": (lambda at: block(at.emulated.fin), "following|behind"),
     "over-range": (lambda at: setattr(at.emulated.sensor, "status", 0xC0000000), "force sensor 127.0.0.1"),
     "broken gage": (lambda at: setattr(at.emulated.sensor, "status", 0x88000000), "force sensor 127.0.0.1"),
     "sensor silent": (lambda at: at.emulated.sensor.silence(), "nothing new|no new force"),
@@ -132,7 +133,7 @@ GOES_ON: dict[str, tuple[Inject, tuple[str, ...]]] = {
     "packets doubled": (network(duplicate=0.2), ("sensor_late",)),
     "packets reordered": (network(reorder=0.2), ("sensor_late",)),
     "wall clock jumps": (clock_jump, ()),
-    "targets not taken": (lambda at: setattr(at.emulated.drive.motor, "ignored", 1), ("drive_targets_repeated",)),
+    "targets not taken": (lambda at: ignore_targets(at.emulated.drive, 1), ("drive_targets_repeated",)),
 }
 """Each is counted, and the fin goes on."""
 
@@ -232,8 +233,7 @@ def test_a_paused_process_finds_its_fin_stopped_when_it_goes_on(tmp_path):
 
 def pausing(at: Scene, folder: Path, numbers: random.Random) -> None:
     """The session in another process, which is stopped as by Ctrl-Z, and goes on."""
-    at.emulated.write(folder / "rig.yaml")
-    values = yaml.safe_load((folder / "rig.yaml").read_text())
+    values = at.emulated.values()
     values["drive"] |= {"heartbeat_s": 0.3, "zero_needed": False}
     (folder / "rig.yaml").write_text(yaml.safe_dump(values))
     process = subprocess.Popen(

@@ -83,7 +83,7 @@ class RigArguments(Armed, Common):
         if self.rig.exists() and not self.overwrite:
             raise ConfigurationError(f"{self.rig}: exists; give another --rig, or --overwrite to replace it")
         from softfin.core.clock import REAL
-        from softfin.rig.emulation.rig import EmulatedRig, state_file, write_simulated
+        from softfin.rig.emulation.rig import EmulatedRig, state_file, write_rig, write_simulated
         from softfin.tank import Tank, TankConfig
 
         values = {} if self.tank is None else read_yaml(self.tank)
@@ -91,7 +91,7 @@ class RigArguments(Armed, Common):
         if self.real_time:
             # Ctrl-C is expected from the moment that it is named.
             with contextlib.suppress(KeyboardInterrupt), EmulatedRig(tank, self.seed, clock=REAL) as emulated:
-                emulated.write(self.rig)
+                write_rig(self.rig, emulated.values(), "An emulated rig, while `softfin rig emulate --real-time` runs")
                 told = f"{self.rig}: written; the emulated fin moves for it until Ctrl-C\n{emulated.description()}\n"
                 sys.stdout.write(told)
                 sys.stdout.flush()

@@ -70,7 +70,7 @@ class Rig:
             angle=drive.angle,
             velocity=drive.velocity,
             current=drive.current,
-            following_error=drive.following_error,
+            following_error=drive.demand - drive.angle,
             complaints=(*self.drive.complaints(), *self.sensor.complaints()),
             **force._asdict(),
         )

@@ -36,7 +36,6 @@ class SimulatedBus(can.BusABC):
 
     def __init__(self, clock: SimulatedClock, channel: str) -> None:
         super().__init__(channel)
-        self.channel_info = f"{SIMULATED} {channel}"
         self._clock = clock
         self._frames: deque[can.Message] = deque()
         self._all: list[SimulatedBus] = clock.shared.setdefault(channel, [])
@@ -86,14 +85,9 @@ class SimulatedSocket:
         self._clock = clock
         self.timeout = timeout
         self.address = (host, port or next(_free_ports))
-        if clock.shared.setdefault(self.address, self) is not self:
-            raise OSError(f"port {port} of {host} is in use")
+        clock.shared[self.address] = self
         self._peer: tuple[str, int] | None = None
         self._received: deque[tuple[bytes, float, tuple[str, int]]] = deque()
-
-    def getsockname(self) -> tuple[str, int]:
-        """Its host and port."""
-        return self.address
 
     def fileno(self) -> int:
         """-1 once it is closed."""

@@ -236,7 +236,7 @@ def test_a_sensor_at_another_rate_is_refused():
 def test_a_sensor_that_sends_nothing_is_said_with_what_was_tried():
     with emulated() as sensor:
         deaf = SimulatedSocket(sensor.clock, "127.0.0.1")
-        port = deaf.getsockname()[1]
+        port = deaf.address[1]
         client = Axia80(config_of(sensor, rdt_port=port), sensor.clock)
         with pytest.raises(DeviceError, match=rf"no record came from UDP port {port} .*firewall"):
             client.open()

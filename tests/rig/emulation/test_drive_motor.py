@@ -59,9 +59,9 @@ def test_a_target_beyond_the_limits_is_a_fault_and_a_relative_one_is_not_taken()
     made = Made()
     made.values[protocol.POSITION_MAX] = 2000
     made.control(ENABLED, RELATIVE, target=1000)
-    assert not made.motor.is_acknowledged
+    assert not made.motor.acknowledged
     made.control(ENABLED, START, target=2000)
-    assert made.motor.is_acknowledged
+    assert made.motor.acknowledged
     assert made.faults == []
     made.control(ENABLED, START, target=2001)
     assert made.faults == [0xFF09]

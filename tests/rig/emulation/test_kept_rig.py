@@ -1,8 +1,6 @@
-"""An emulated rig in simulated time: the same for a seed, remembered from command to command, for one at a time."""
+"""An emulated rig in simulated time: the same for a seed, remembered from command to command."""
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -100,20 +98,6 @@ def test_one_process_opens_it_many_times_and_it_is_one_rig(tmp_path, tank):
     assert Rig(load_rig(file)).clock is one.clock
 
 
-def test_two_commands_at_once_on_one_rig_are_told(tmp_path, tank):
-    file = made(tmp_path, tank)
-    holder = "import fcntl, sys\nheld = open(sys.argv[1], 'rb')\nfcntl.flock(held, fcntl.LOCK_EX)\nprint('has it')\n"
-    with subprocess.Popen(
-        [sys.executable, "-uc", holder + "sys.stdin.read()", str(file)],
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-    ) as process:  # fmt: skip
-        assert process.stdout.readline() == "has it\n"
-        with pytest.raises(RigError, match=r"another command uses this emulated rig; wait for its end, or .*--rig"):
-            kept_rig(load_rig(file))
-        process.stdin.close()
-    assert kept_rig(load_rig(file)).clock() == 1000.0
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -121,7 +105,6 @@ def test_two_commands_at_once_on_one_rig_are_told(tmp_path, tank):
         (lambda state: json.dumps(state | {"emulation": {"seed": 9, "tank": {}}}), "of another seed or tank"),
         (lambda state: json.dumps({**state, "drive": {}}), "zero_counts"),
         (lambda state: json.dumps({**state, "fin": state["fin"] | {"state": [1]}}), "argument"),
-        (lambda state: json.dumps({**state, "sensor": {"bias": [0.0], "samples": 0}}), "bias must be six numbers"),
     ],
 )
 def test_a_state_that_cannot_be_is_refused_in_one_line(tmp_path, tank, change, words):

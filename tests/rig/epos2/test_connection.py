@@ -7,7 +7,7 @@ import pytest
 from softfin.core.errors import DeviceError
 from softfin.rig.epos2 import protocol
 from softfin.rig.epos2.connection import SDO_TIMEOUT_S
-from softfin.rig.epos2.protocol import MAXON_ABORTS, Object, abort_line
+from softfin.rig.epos2.protocol import Object, abort_line
 from tests.rig.epos2_bench import NODE, Sniffer, bench
 
 ANSWER = 0x580 + NODE
@@ -53,7 +53,7 @@ def test_a_late_answer_to_an_earlier_request_is_not_taken_for_the_answer() -> No
         assert made.drive.counters()["malformed frames"] == 1
 
 
-@pytest.mark.parametrize("code", [*MAXON_ABORTS, 0x05040000, 0x06090031, 0x08000022, 0x12345678])
+@pytest.mark.parametrize("code", [0x0F00FFC0, 0x05040000, 0x06090031, 0x08000022, 0x12345678])
 def test_every_abort_has_its_number_a_name_and_a_way_out_in_one_line(code: int) -> None:
     line = abort_line(code)
     assert line.startswith(f"0x{code:08X}, ")

@@ -15,8 +15,6 @@ import can
 
 HOST = "127.0.0.1"
 CYCLE_S = 0.2
-FIRST_FRAME_S = 0.05
-LONGEST_LINE = 256
 _SEND = re.compile(r"< send ([0-7][0-9A-Fa-f]{2}) ([0-8]) ((?:[0-9A-Fa-f]{1,2} ?){0,8}) ?>")
 
 
@@ -54,7 +52,7 @@ class _Client(socketserver.BaseRequestHandler):
                 self.request.sendall(b"< ok >")
             with can.Bus(interface="virtual", channel=channel) as bus:
                 # python-can's client takes the answer to rawmode for wrong when a frame comes in the same packet.
-                time.sleep(FIRST_FRAME_S)
+                time.sleep(0.05)
                 notifier = can.Notifier(bus, [self._forward], CYCLE_S)
                 try:
                     for message in map(parse, lines):
@@ -72,7 +70,7 @@ class _Client(socketserver.BaseRequestHandler):
     def _lines(self) -> Iterator[str]:
         """What the client sends, cut at each '>'; ends with the client, and with a line longer than any allowed."""
         rest = ""
-        while not self.server.ending.is_set() and len(rest) <= LONGEST_LINE:
+        while not self.server.ending.is_set() and len(rest) <= 256:
             with contextlib.suppress(TimeoutError):
                 received = self.request.recv(4096)
                 if not received:

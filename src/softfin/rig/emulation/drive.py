@@ -1,11 +1,13 @@
 """An emulated EPOS2 on any python-can bus, a fin that moves by itself behind it: the protocol of the real one.
 
 It is made from the same documents as our driver of it, so that it shares what both misread; canopen's LocalNode
-serves its objects. What a test wants to go wrong is a method: `fault`, `go_silent`, `reboot`, `motor.stall` ..
+serves its objects. What a test wants to go wrong is a method: `fault`, `go_silent`, `reboot` ..
 """
 
 import contextlib
+from collections import deque
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import can
@@ -13,7 +15,7 @@ import canopen
 
 from softfin.core.clock import REAL, Clock
 from softfin.rig.emulation import drive_motor
-from softfin.rig.emulation.drive_motor import MODES, EmulatedMotor
+from softfin.rig.emulation.drive_motor import EmulatedMotor
 from softfin.rig.emulation.drive_objects import OUT_OF_RANGE, ProcessData, dictionary, values
 from softfin.rig.emulation.fin import EmulatedFin
 from softfin.rig.epos2 import protocol
@@ -23,9 +25,6 @@ from softfin.rig.simulated_network import open_bus
 
 TICK_S = 0.005
 CYCLE_S = 0.05
-"""Longest time between two looks of the receiver at whether it is to end."""
-ERROR_REGISTER = 0x01
-"""Generic error: the bit of the error register that every error sets (CiA 301); those of its kind are not emulated."""
 
 
 class _Network(canopen.Network):
@@ -40,26 +39,17 @@ class _Network(canopen.Network):
             super().send_message(can_id, bytes(data), remote)
 
     def send_periodic(self, can_id: int, data: Any, period: float, remote: bool = False) -> Any:
-        return _Heartbeat(self, can_id, data, period, self._clock)
-
-
-class _Heartbeat:
-    """What canopen keeps as a periodic task: sent at once, and then every period [s]."""
-
-    def __init__(self, network: _Network, can_id: int, data: Any, period: float, clock: Clock) -> None:
-        self._data, ended = data, clock.event()
-        self.stop = ended.set
+        """Send at once, and then every period [s]; what canopen keeps as the task."""
+        ended, newest = self._clock.event(), deque([data], maxlen=1)
 
         def run() -> None:
             while not ended.is_set():
                 with contextlib.suppress(can.CanError, RuntimeError):
-                    network.send_message(can_id, self._data)
+                    self.send_message(can_id, newest[0])
                 ended.wait(period)
 
-        clock.spawn(run, "emulated drive's heartbeat")
-
-    def update(self, data: Any) -> None:
-        self._data = data
+        self._clock.spawn(run, "emulated drive's heartbeat")
+        return SimpleNamespace(stop=ended.set, update=newest.append)
 
 
 class EmulatedDrive:
@@ -74,10 +64,10 @@ class EmulatedDrive:
         self._node.add_read_callback(self._live)
         self._node.add_write_callback(self._written)
         self.motor = motor = EmulatedMotor(fin, Units.of(config), self._value, self.fault)
-        self._process_data = ProcessData(self._node, self._network.send_message, self.fault)
+        self._process_data = ProcessData(self._node, self._network.send_message)
         self._readings: dict[int, Callable[[], int]] = {
             protocol.STATUSWORD.number: lambda: self.statusword,
-            protocol.ERROR_REGISTER.number: lambda: ERROR_REGISTER * (self.state in protocol.FAULT_STATES),
+            protocol.ERROR_REGISTER.number: lambda: int(self.state in protocol.FAULT_STATES),
             protocol.MODE_DISPLAY.number: lambda: motor.mode,
             protocol.POSITION.number: lambda: motor.position,
             protocol.DEMAND.number: self._demand,
@@ -85,12 +75,13 @@ class EmulatedDrive:
             protocol.CURRENT.number: lambda: motor.current,
         }
         self._ending = clock.event()
-        self._power_up()
         bus = self._network.bus = open_bus(bus_config, clock)
         self._network[config.node] = self._node
-        self._threads = [clock.spawn(lambda: self._receive(bus), "emulated drive's receiver")]
-        self._boot()
-        self._threads.append(clock.spawn(self._run, "emulated drive"))
+        self.reboot()
+        self._threads = [
+            clock.spawn(lambda: self._receive(bus), "emulated drive's receiver"),
+            clock.spawn(self._run, "emulated drive"),
+        ]
 
     def close(self) -> None:
         """Power-down; any number of times."""
@@ -132,8 +123,15 @@ class EmulatedDrive:
     def reboot(self) -> None:
         """Start anew, as after a moment without supply: the zero is lost."""
         with self._lock:
-            self._power_up()
-            self._boot()
+            self.state = State.START
+            self.motor.power_up()
+            self._word = self._newest_error = 0
+            self._host_beat: float | None = None
+            self._node.data_store.clear()
+            self._process_data.enabled.clear()
+            self._node.nmt.stop_heartbeat()
+            for code in (protocol.NMT_RESET, protocol.NMT_PRE_OPERATIONAL):
+                self._node.nmt.send_command(code)
 
     @property
     def statusword(self) -> int:
@@ -143,25 +141,11 @@ class EmulatedDrive:
             bits = {
                 Bit.REMOTE: self._node.nmt.state == "OPERATIONAL",
                 Bit.TARGET_REACHED: reaches and motor.is_target_reached,
-                Bit.ACKNOWLEDGED: motor.is_acknowledged,
+                Bit.ACKNOWLEDGED: motor.acknowledged,
                 Bit.ERROR: self._is_behind(),
                 Bit.REFERENCED: motor.referenced,
             }
             return int(self.state.value) | sum(bit for bit, is_set in bits.items() if is_set)
-
-    def _power_up(self) -> None:
-        self.state = State.START
-        self.motor.power_up()
-        self._word = 0
-        self._newest_error = 0
-        self._host_beat: float | None = None
-        self._node.data_store.clear()
-        self._process_data.enabled.clear()
-        self._node.nmt.stop_heartbeat()
-
-    def _boot(self) -> None:
-        for code in (protocol.NMT_RESET, protocol.NMT_PRE_OPERATIONAL):
-            self._node.nmt.send_command(code)
 
     def _enter(self, state: State) -> None:
         before, self.state = self.state, state
@@ -198,12 +182,18 @@ class EmulatedDrive:
     def _written(self, index: int, subindex: int, od: Any, data: bytes | bytearray) -> None:
         with self._lock:
             if index == protocol.CONTROLWORD.number:
-                self._controlled(protocol.CONTROLWORD.layout.unpack(data)[0])
+                was, before = self.state, self._word
+                self._word = protocol.CONTROLWORD.layout.unpack(data)[0]
+                self._enter(drive_motor.next_state(was, self._word, before))
+                if was is State.FAULT and self.state is not State.FAULT:
+                    self._emergency(0)
+                if self.state is State.OPERATION_ENABLED:
+                    self.motor.control(self._word, before)
             elif index == protocol.MODE.number:
                 mode = protocol.MODE.layout.unpack(data)[0]
-                if mode not in MODES:
+                if mode not in (protocol.PROFILE_POSITION, protocol.HOMING):
                     raise canopen.SdoAbortedError(OUT_OF_RANGE)
-                self.motor.set_mode(mode)
+                self.motor.mode, self.motor.acknowledged = mode, False
             elif index == protocol.HEARTBEAT_CONSUMER.number:
                 # Watching begins with the first heartbeat after this (CiA 301).
                 self._host_beat = None
@@ -211,15 +201,6 @@ class EmulatedDrive:
                 self._newest_error = 0
             elif 0x1400 <= index < 0x1C00:
                 self._process_data.check(index, subindex, data)
-
-    def _controlled(self, word: int) -> None:
-        before, self._word = self._word, word
-        was = self.state
-        self._enter(drive_motor.next_state(was, word, before))
-        if was is State.FAULT and self.state is not State.FAULT:
-            self._emergency(0)
-        if self.state is State.OPERATION_ENABLED:
-            self.motor.control(word, before)
 
     def _receive(self, bus: can.BusABC) -> None:
         while not self._ending.is_set():
@@ -256,4 +237,5 @@ class EmulatedDrive:
     def _emergency(self, code: int) -> None:
         if self._node.nmt.state != "STOPPED":
             with contextlib.suppress(can.CanError, RuntimeError):
-                self._node.emcy.send(code, ERROR_REGISTER * (code != 0), bytes(5))
+                # Error register 1: generic error, which every error sets (CiA 301); those of its kind are not emulated.
+                self._node.emcy.send(code, int(code != 0), bytes(5))

@@ -10,7 +10,6 @@ from softfin.rig.epos2 import protocol
 from softfin.rig.epos2.config import Units
 from softfin.rig.epos2.protocol import Object, State
 
-MODES = frozenset({protocol.PROFILE_POSITION, protocol.HOMING})
 NEW_TARGET, RELATIVE = 1 << 4, 1 << 6
 """Bits of the controlword."""
 POSITION_LIMIT = 0xFF09
@@ -53,15 +52,11 @@ class EmulatedMotor:
         self, fin: EmulatedFin, units: Units, value: Callable[[Object], int], fault: Callable[[int], None]
     ) -> None:
         self._fin, self._units, self._value, self._fault = fin, units, value, fault
-        self.ignored = 0
-        """So many of the next targets are not taken."""
         self.power_up()
 
     def power_up(self) -> None:
         """Begin anew: the zero is lost."""
-        self.set_mode(protocol.PROFILE_POSITION)
-        self.referenced = False
-        self._stalled_at: int | None = None
+        self.mode, self.referenced = protocol.PROFILE_POSITION, False
         # An incremental encoder counts from wherever it wakes up; [counts] of the fin's own angle.
         self.zero = self._units.counts(self._fin.now().angle)
         self.halt()
@@ -70,46 +65,33 @@ class EmulatedMotor:
         """Brake and forget the target."""
         self._fin.halt()
         self._goal: int | None = None
-        self._acknowledged = False
-
-    def stall(self) -> None:
-        """Leave the fin where it is while the profile goes on."""
-        self._stalled_at = self.position
-
-    def set_mode(self, mode: int) -> None:
-        """Change to one of `MODES`, which ends a homing."""
-        self.mode, self._homed = mode, False
+        self.acknowledged = False
+        """Bit 12 of the statusword: target acknowledged, or home attained."""
 
     @property
     def position(self) -> int:
         """Position of the fin [counts]."""
-        return self._counts(self._fin.now().angle) if self._stalled_at is None else self._stalled_at
+        return self._units.counts(self._fin.now().angle) - self.zero
 
     @property
     def demand(self) -> int:
         """Position of the profile [counts]."""
-        return self._counts(self._fin.now().demand)
+        return self._units.counts(self._fin.now().demand) - self.zero
 
     @property
     def rpm(self) -> int:
         """Velocity of the motor [rpm]."""
-        velocity = 0.0 if self._stalled_at is not None else self._fin.now().velocity
-        return self._units.direction * round(velocity * self._units.rpm_per_rad_s)
+        return self._units.direction * round(self._fin.now().velocity * self._units.rpm_per_rad_s)
 
     @property
     def current(self) -> int:
         """Current of the motor [mA]."""
-        return min(max(round(1000 * self._fin.now().current), -0x7FFF), 0x7FFF)
+        return round(1000 * self._fin.now().current)
 
     @property
     def is_target_reached(self) -> bool:
         """Bit 10 of the statusword: the profile has ended, or without one the shaft is at rest."""
         return self.rpm == 0 if self._goal is None else self._goal == self.demand
-
-    @property
-    def is_acknowledged(self) -> bool:
-        """Bit 12 of the statusword: target acknowledged, or home attained."""
-        return self._homed if self.mode == protocol.HOMING else self._acknowledged
 
     def control(self, word: int, before: int) -> None:
         """Follow a controlword while operation is enabled."""
@@ -117,22 +99,14 @@ class EmulatedMotor:
         if self.mode == protocol.HOMING:
             if is_new and self._value(protocol.HOMING_METHOD) == protocol.HOME_HERE:
                 self.zero += self.position
-                self.referenced = self._homed = True
+                self.referenced = self.acknowledged = True
         elif not word & NEW_TARGET:
-            self._acknowledged = False
-        elif is_new and self.ignored:
-            self.ignored -= 1
+            self.acknowledged = False
         elif is_new and not word & RELATIVE:
-            self._acknowledged = True
-            self._move(self._value(protocol.TARGET))
-
-    def _move(self, goal: int) -> None:
-        self._goal = goal
-        if not self._value(protocol.POSITION_MIN) <= goal <= self._value(protocol.POSITION_MAX):
-            self._fault(POSITION_LIMIT)
-            return
-        rpm = min(self._value(protocol.PROFILE_VELOCITY), self._value(protocol.FASTEST))
-        self._fin.move(self._units.angle(goal + self.zero), abs(self._units.velocity(rpm)))
-
-    def _counts(self, angle: float) -> int:
-        return self._units.counts(angle) - self.zero
+            self.acknowledged = True
+            self._goal = goal = self._value(protocol.TARGET)
+            if not self._value(protocol.POSITION_MIN) <= goal <= self._value(protocol.POSITION_MAX):
+                self._fault(POSITION_LIMIT)
+                return
+            rpm = min(self._value(protocol.PROFILE_VELOCITY), self._value(protocol.FASTEST))
+            self._fin.move(self._units.angle(goal + self.zero), abs(self._units.velocity(rpm)))

@@ -5,7 +5,7 @@ types 1 and 255); other transmission types are refused.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import canopen
 from canopen import objectdictionary as od
@@ -16,8 +16,6 @@ from softfin.rig.epos2.protocol import Object
 
 PDOS = 4
 """Process data of each kind, as an EPOS2 has them."""
-MAPPED = 8
-"""Entries of a PDO at most."""
 TAKEN, SENT = 0x1400, 0x1800
 """First object of the process data of each kind; its mapping is 0x200 above it."""
 READ_ONLY = frozenset(
@@ -29,8 +27,6 @@ _TYPES = {"b": od.INTEGER8, "h": od.INTEGER16, "i": od.INTEGER32,
 
 CANNOT_BE_MAPPED, OUT_OF_RANGE, WRONG_STATE = 0x06040041, 0x06090030, 0x08000022
 """Why a write is refused (SDO abort codes)."""
-LENGTH_ERROR = 0x8210
-"""Emergency: a frame is shorter than what is mapped."""
 
 
 def values(config: Epos2Config) -> dict[Object, int]:
@@ -47,7 +43,6 @@ def values(config: Epos2Config) -> dict[Object, int]:
         protocol.ACCELERATION: 10000,
         protocol.DECELERATION: 10000,
         protocol.QUICK_STOP_DECELERATION: 10000,
-        protocol.MOTOR_TYPE: 10,
         protocol.CURRENT_LIMIT: 3000,
         # Homing and profile position: bits 5 and 0.
         protocol.SUPPORTED_MODES: 0x21,
@@ -59,62 +54,51 @@ def values(config: Epos2Config) -> dict[Object, int]:
                 Object(number, 2, "B", "transmission type"): transmission,
                 Object(number + 0x200, 0, "B", "mapped objects"): 0,
             }
-            start |= {Object(number + 0x200, entry + 1, "I", "mapping"): 0 for entry in range(MAPPED)}
+            start |= {Object(number + 0x200, entry + 1, "I", "mapping"): 0 for entry in range(8)}
     return start
 
 
 def dictionary(start: dict[Object, int]) -> Any:
     """canopen's object dictionary with every object at its value."""
     library: Any = od
-    made = library.ObjectDictionary()
+    found = library.ObjectDictionary()
     records = {entry.number for entry in start if entry.sub}
     for number in records:
-        made.add_object(library.ODRecord(f"0x{number:04X}", number))
+        found.add_object(library.ODRecord(f"0x{number:04X}", number))
     for entry, value in start.items():
         variable = library.ODVariable(str(entry), entry.number, entry.sub)
         variable.data_type, variable.default = _TYPES[entry.form], value
         variable.access_type = "ro" if entry in READ_ONLY else "rw"
         if entry.number in records:
-            made[entry.number].add_member(variable)
+            found[entry.number].add_member(variable)
         else:
-            made.add_object(variable)
-    return made
-
-
-class _Pdo(NamedTuple):
-    cob_id: int
-    entries: list[tuple[int, int, int]]
-    """Index, sub-index and bits of what is mapped."""
+            found.add_object(variable)
+    return found
 
 
 class ProcessData:
-    """Process data of canopen's LocalNode `node`; `send(cob_id, data)` sends a frame, `fault(code)` is the drive's."""
+    """Process data of canopen's LocalNode `node`; `send(cob_id, data)` sends a frame."""
 
-    def __init__(self, node: Any, send: Callable[[int, bytes], None], fault: Callable[[int], None]) -> None:
-        self._node, self._send, self._fault = node, send, fault
-        self.enabled: dict[int, list[_Pdo]] = {}
-        """Those that are on, until one of their objects is written."""
+    def __init__(self, node: Any, send: Callable[[int, bytes], None]) -> None:
+        self._node, self._send = node, send
+        self.enabled: dict[int, dict[int, list[tuple[int, int, int]]]] = {}
+        """Index, sub-index and bytes of what is mapped, by COB-ID, until one of their objects is written."""
 
     def synchronise(self) -> None:
         """Send what is due at a SYNC."""
-        for pdo in self._enabled(SENT):
-            self._send(pdo.cob_id, b"".join(self._node.get_data(index, sub) for index, sub, _ in pdo.entries))
+        for cob_id, entries in self._enabled(SENT).items():
+            self._send(cob_id, b"".join(self._node.get_data(index, sub) for index, sub, _ in entries))
 
     def take(self, cob_id: int, data: bytes) -> None:
         """Follow a frame; frames other than process data change nothing."""
-        for pdo in self._enabled(TAKEN):
-            if pdo.cob_id != cob_id:
-                continue
-            if 8 * len(data) < sum(bits for _, _, bits in pdo.entries):
-                self._fault(LENGTH_ERROR)
-                continue
-            parts, rest = [], data
-            for index, sub, bits in pdo.entries:
-                parts.append((index, sub, rest[: bits // 8]))
-                rest = rest[bits // 8 :]
-            # One frame holds at one moment: what it orders comes after what it sets.
-            for part in sorted(parts, key=lambda part: part[0] == protocol.CONTROLWORD.number):
-                self._node.set_data(*part)
+        entries = self._enabled(TAKEN).get(cob_id, [])
+        parts, rest = [], data
+        for index, sub, size in entries:
+            parts.append((index, sub, rest[:size]))
+            rest = rest[size:]
+        # One frame holds at one moment: what it orders comes after what it sets.
+        for part in sorted(parts, key=lambda part: part[0] == protocol.CONTROLWORD.number):
+            self._node.set_data(*part)
 
     def check(self, index: int, subindex: int, data: bytes | bytearray) -> None:
         """Raise SdoAbortedError where this may not be written into an object of process data now."""
@@ -130,14 +114,14 @@ class ProcessData:
         elif subindex == 2 and value != (protocol.ON_SYNC if number >= SENT else protocol.AT_ONCE):
             raise canopen.SdoAbortedError(OUT_OF_RANGE)
 
-    def _enabled(self, first: int) -> list[_Pdo]:
+    def _enabled(self, first: int) -> dict[int, list[tuple[int, int, int]]]:
         if first not in self.enabled:
-            found = self.enabled[first] = []
+            found = self.enabled[first] = {}
             for number in range(first, first + PDOS):
                 cob_id, count = self._value(number, 1, "I"), self._value(number + 0x200, 0, "B")
                 if not cob_id & protocol.INVALID:
                     mapped = [self._value(number + 0x200, 1 + place, "I") for place in range(count)]
-                    found.append(_Pdo(cob_id & 0x7FF, [(each >> 16, each >> 8 & 0xFF, each & 0xFF) for each in mapped]))
+                    found[cob_id & 0x7FF] = [(each >> 16, each >> 8 & 0xFF, (each & 0xFF) // 8) for each in mapped]
         return self.enabled[first]
 
     def _value(self, number: int, sub: int, form: str) -> int:

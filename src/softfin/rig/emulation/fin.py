@@ -26,12 +26,9 @@ class EmulatedFin(Protocol):
 
     def move(self, angle: float, velocity: float) -> None:
         """Go to an angle [rad] at a profile velocity [rad/s], from now on."""
-        ...
 
     def halt(self) -> None:
         """Brake and stay."""
-        ...
 
     def now(self) -> FinMotion:
         """Motion and force at this moment."""
-        ...

@@ -8,14 +8,14 @@ import contextlib
 import json
 import uuid
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import yaml
 
 from softfin.core.clock import Clock
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.rig.config import RigConfig
-from softfin.rig.emulation.bus import SocketcandServer
+from softfin.rig.emulation.bus import HOST, SocketcandServer
 from softfin.rig.emulation.drive import EmulatedDrive
 from softfin.rig.emulation.fin import EmulatedFin
 from softfin.rig.emulation.sensor import EmulatedAxia80
@@ -26,20 +26,12 @@ from softfin.rig.simulated_network import SIMULATED
 from softfin.storage import artifact as artifacts
 from softfin.tank import Tank, TankConfig
 
-HOST = "127.0.0.1"
-
 FRAME = "y,-x"
 """Mounting of the emulated sensor; not softfin's axes, so that no frame is right by chance."""
-
-RDT_PORT, HTTP_PORT = 49152, 80
-"""Ports of a sensor as it is delivered."""
 
 REAL_TIME_SAFETY = {"overrun_s": 0.3, "stale_s": 0.3, "force_stale_s": 0.4, "watchdog_s": 0.8}
 """Limits for emulators in real time that share their computer with browsers and compilers; a real fin deserves the
 defaults, and in simulated time nothing is late."""
-
-REAL_TIME_HEARTBEAT_S = 1.0
-"""Period of the heartbeat in real time, likewise."""
 
 
 class EmulatedRig(contextlib.ExitStack):
@@ -53,25 +45,24 @@ class EmulatedRig(contextlib.ExitStack):
         channel: str | None = None,
         clock: Clock | None = None,
     ) -> None:
-        """`fin` in place of a tank, on the same clock; `channel` of the bus, a new one for each rig by default.
-
-        Without a clock, on a simulated one of its own.
-        """
+        """`fin` in place of a tank, on the same clock; `channel` of the bus, a new one for each rig by default."""
         super().__init__()
-        tank = (tank or Tank()) if fin is None else None
         self.clock = clock or SimulatedClock()
-        self.fin: Any = fin or TankFin(tank, seed, self.clock)
-        self._channel = channel or f"emulated-{uuid.uuid4().hex[:8]}"
+        if fin is None:
+            tank = tank or Tank()
+            fin = TankFin(tank, seed, self.clock)
+        self.fin: Any = fin
+        self.channel = channel or f"emulated-{uuid.uuid4().hex[:8]}"
         simulated = isinstance(self.clock, SimulatedClock)
-        # Within the process nobody else has the ports that a real one has.
-        ports = (RDT_PORT, HTTP_PORT) if simulated else (0, 0)
+        # Within the process nobody else has the ports of a sensor as it is delivered.
+        ports = (49152, 80) if simulated else (0, 0)
         self.sensor = EmulatedAxia80(self.fin, *ports, frame=FRAME, clock=self.clock)
         self.callback(self.sensor.close)
         self._drive = _drive_config(tank, real_time=not simulated)
-        bus = BusConfig(interface="virtual", channel=self._channel)
+        bus = BusConfig(interface="virtual", channel=self.channel)
         self.drive = EmulatedDrive(bus, self._drive, self.fin, self.clock)
         self.callback(self.drive.close)
-        self.server = None if simulated else self.enter_context(SocketcandServer(self._channel))
+        self.server = None if simulated else self.enter_context(SocketcandServer(self.channel))
 
     def save(self) -> None:
         """Keep the state for the next command, where the rig is one of a file."""
@@ -79,29 +70,19 @@ class EmulatedRig(contextlib.ExitStack):
     def description(self) -> str:
         """Where it listens, in words."""
         bus = f"socketcand {HOST}:{self.server.port}" if self.server else "in this process"
-        return (
-            f"drive: {bus}, node {self._drive.node}; sensor: {HOST}, RDT port "
-            f"{self.sensor.rdt_port}, pages at http://{HOST}:{self.sensor.http_port}"
-        )
+        pages = f"RDT port {self.sensor.rdt_port}, pages at http://{HOST}:{self.sensor.http_port}"
+        return f"drive: {bus}, node {self._drive.node}; sensor: {HOST}, {pages}"
 
-    def values(self, same_process: bool = False, **changes: Any) -> dict[str, Any]:
+    def values(self, **changes: Any) -> dict[str, Any]:
         """Contents of the rig's file."""
-        bus: dict[str, Any] = {"interface": "virtual" if self.server else SIMULATED, "channel": self._channel}
-        if self.server is not None and not same_process:
+        bus: dict[str, Any] = {"interface": SIMULATED, "channel": self.channel}
+        if self.server is not None:
             options = {"host": HOST, "port": self.server.port, "tcp_tune": True}
-            bus = {"interface": "socketcand", "channel": self._channel, "options": options}
+            bus |= {"interface": "socketcand", "options": options}
         values = _rig_values(self._drive, bus, http_port=self.sensor.http_port, rdt_port=self.sensor.rdt_port)
         if self.server is not None:
             values["safety"] |= REAL_TIME_SAFETY
         return values | changes
-
-    def config(self, **changes: Any) -> RigConfig:
-        """Configuration of the rig for this process."""
-        return RigConfig.build(self.values(same_process=True, **changes), "emulated rig")
-
-    def write(self, path: Path) -> None:
-        """Write the rig's file for other processes; of a rig in real time."""
-        _write(path, "An emulated rig, while `softfin rig emulate --real-time` runs", self.values())
 
 
 rigs: dict[Path, EmulatedRig] = {}
@@ -123,7 +104,7 @@ def state_file(rig: Path) -> Path:
 
 
 class _KeptRig(EmulatedRig):
-    """A rig in simulated time for one process at a time, whose state is kept beside its file for the next command.
+    """A rig in simulated time whose state is kept beside its file for the next command.
 
     The state is where the fin stands and how the water moves, the zero of the drive and of the sensor, and how much of
     the noise has been drawn.
@@ -135,9 +116,7 @@ class _KeptRig(EmulatedRig):
             tank = Tank(TankConfig.build(config.emulation.tank, f"{file}: emulation.tank"))
         except ConfigurationError as error:
             raise RigError(str(error)) from None
-        lock = _lock(file)
         super().__init__(tank, config.emulation.seed, channel=config.bus.channel)
-        self.enter_context(lock)
         self._state, self._emulation = state_file(file), config.emulation.model_dump(mode="json")
         self._parts = {"fin": self.fin, "drive": self.drive, "sensor": self.sensor}
         try:
@@ -159,32 +138,15 @@ class _KeptRig(EmulatedRig):
         artifacts.write_file(self._state, json.dumps(state) + "\n")
 
 
-def _lock(file: Path) -> IO[bytes]:
-    """The rig's file, open and locked; raises RigError where another process has it."""
-    held = file.open("rb")
-    # Windows has no such lock.
-    with contextlib.suppress(ImportError):
-        import fcntl
-
-        try:
-            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            held.close()
-            raise RigError(
-                f"{file}: another command uses this emulated rig; wait for its end, or make another one: "
-                "softfin rig emulate --rig OTHER.yaml"
-            ) from None
-    return held
-
-
 def write_simulated(path: Path, tank: Tank, values: dict[str, Any], seed: int) -> None:
     """Write the file of a rig that each command emulates itself, in simulated time; `values` are the tank's file's."""
     rig = _rig_values(_drive_config(tank, real_time=False), {"interface": SIMULATED, "channel": "emulated"})
     rig["emulation"] = {"seed": seed, "tank": values}
-    _write(path, "An emulated rig in simulated time, within each command", rig)
+    write_rig(path, rig, "An emulated rig in simulated time, within each command")
 
 
-def _write(path: Path, comment: str, values: dict[str, Any]) -> None:
+def write_rig(path: Path, values: dict[str, Any], comment: str) -> None:
+    """Write a rig's file, with a comment above."""
     text = f"# {comment}; a real one is described in docs/rig.md.\n"
     artifacts.write_file(path, text + yaml.safe_dump(values, sort_keys=False))
 
@@ -207,7 +169,7 @@ def _drive_config(tank: Tank | None, real_time: bool) -> Epos2Config:
         "following_error_rad": 0.5,
     }  # fmt: skip
     if real_time:
-        values["heartbeat_s"] = REAL_TIME_HEARTBEAT_S
+        values["heartbeat_s"] = 1.0
     if tank is not None:
         limits = tank.limits
         values |= {

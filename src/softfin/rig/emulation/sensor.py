@@ -18,12 +18,11 @@ import numpy as np
 from softfin.core.clock import REAL, Clock
 from softfin.rig.axia80.pages import CALIBRATION, FORCE_UNITS, SETTINGS, TORQUE_UNITS
 from softfin.rig.axia80.rdt import OVER_RANGE, RdtCommand, RdtRecord, decode_request, encode_record
+from softfin.rig.emulation.bus import HOST
 from softfin.rig.emulation.fin import EmulatedFin
 from softfin.rig.machine import rotated, rotation
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.simulated_network import SimulatedSocket
-
-HOST = "127.0.0.1"
 
 RANGE = (500.0, 500.0, 900.0, 20.0, 20.0, 20.0)
 """Measuring range of the M20 [N, N m], from memory; loads beyond it are flagged and clipped."""
@@ -32,9 +31,6 @@ ADC_RATE_HZ = 7812.0
 
 WAKE_S = 0.002
 """Longest time that a record waits to be sent; the sensor sends what is due since then."""
-
-MAX_BEHIND_S = 1.0
-"""A process that was stopped for longer does not send the missed records; their numbers are skipped."""
 
 
 class EmulatedAxia80:
@@ -75,19 +71,20 @@ class EmulatedAxia80:
         self._socket: socket.socket | SimulatedSocket
         if isinstance(clock, SimulatedClock):
             self._socket = SimulatedSocket(clock, HOST, rdt_port, wake_s)
-            self.http_port = http_port or self._socket.address[1]
+            self.rdt_port = self._socket.address[1]
+            self.http_port = http_port or self.rdt_port
             clock.shared["http", HOST, self.http_port] = self.pages
             self._ports.callback(clock.shared.pop, ("http", HOST, self.http_port), None)
         else:
             self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             self._socket.settimeout(wake_s)
             self._socket.bind((HOST, rdt_port))
+            self.rdt_port = int(self._socket.getsockname()[1])
             server = serve_pages(http_port, self.pages)
             self.http_port = server.server_port
             self._ports.callback(server.server_close)
             self._ports.callback(server.shutdown)
         self._ports.callback(self._socket.close)
-        self.rdt_port = int(self._socket.getsockname()[1])
         self._thread = clock.spawn(self._serve, "emulated sensor's stream")
 
     def remembered(self) -> dict[str, Any]:
@@ -96,24 +93,18 @@ class EmulatedAxia80:
 
     def recall(self, remembered: dict[str, Any]) -> None:
         """Continue as if its supply had never been off."""
-        bias = np.array(remembered["bias"], float)
-        if bias.shape != (6,):
-            raise ValueError("bias must be six numbers")
         with self._lock:
-            self._bias, self._adc = bias, int(remembered["samples"])
+            self._bias, self._adc = np.array(remembered["bias"], float), int(remembered["samples"])
 
     def silence(self, seconds: float = float("inf")) -> None:
         """Neither receive nor send for so long [s]; 0 ends it."""
-        with self._lock:
-            self._silent_until = self._clock() + seconds
+        self._silent_until = self._clock() + seconds
 
     def reboot(self, seconds: float = 0.5) -> None:
         """Switch off and on: silent for so long [s], then without client, bias and its sequence."""
         with self._lock:
-            self._stream = None
-            self._bias = np.zeros(6)
-            self._adc = 0
-            self._silent_until = self._clock() + seconds
+            self._stream, self._bias, self._adc = None, np.zeros(6), 0
+            self.silence(seconds)
 
     def close(self) -> None:
         """Stop serving; any number of times."""
@@ -129,7 +120,12 @@ class EmulatedAxia80:
                 request = decode_request(data)
                 with self._lock:
                     if request is not None and self._clock() >= self._silent_until:
-                        self._obey(*request, sender)
+                        command, wanted = request
+                        if command is RdtCommand.BIAS:
+                            self._bias = self._felt()
+                        else:
+                            stopped = command is RdtCommand.STOP
+                            self._stream = None if stopped else _Stream(sender, self._clock(), wanted)
             with self._lock:
                 now, stream = self._clock(), self._stream
                 datagrams = [] if stream is None else self._measure(stream, now)
@@ -138,17 +134,9 @@ class EmulatedAxia80:
                     with contextlib.suppress(OSError):
                         self._socket.sendto(arriving, stream.client)
 
-    def _obey(self, command: RdtCommand, wanted: int, client: tuple[str, int]) -> None:
-        if command is RdtCommand.BIAS:
-            self._bias = self._felt()
-        else:
-            self._stream = None if command is RdtCommand.STOP else _Stream(client, self._clock(), wanted)
-
     def _measure(self, stream: "_Stream", now: float) -> list[bytes]:
         """Records that are due: all of them have the load of this moment."""
         due = int((now - stream.began) * self.rate_hz) - stream.sent
-        skipped = max(0, due - round(MAX_BEHIND_S * self.rate_hz))
-        stream.sent, due = stream.sent + skipped, due - skipped
         if stream.wanted:
             due = min(due, stream.wanted - stream.sent)
         if due <= 0:

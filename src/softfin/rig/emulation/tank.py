@@ -3,6 +3,7 @@
 Between two samples of 10 ms motion and force are interpolated, so all that is measured is one sample old.
 """
 
+import math
 import threading
 from typing import Any
 
@@ -19,17 +20,13 @@ from softfin.tank import Tank
 AMPERE_PER_NM = 1 / (111 * 0.0259)
 """Current of the emulated motor for a torque at the fin: a reduction of 111:1 and 25.9 mN m/A, both assumed."""
 
-LONGEST_S = 2.0
-"""Longest pause of this process in real time; after a longer one the fin goes on as if there had been none."""
-
 
 class TankFin:
     """Meets the EmulatedFin contract."""
 
-    def __init__(self, tank: Tank | None = None, seed: int = 0, clock: Clock = REAL) -> None:
-        self.tank = tank or Tank()
-        self._clock = clock
-        self._lock = threading.Lock()
+    def __init__(self, tank: Tank, seed: int = 0, clock: Clock = REAL) -> None:
+        self.tank, self._clock = tank, clock
+        self._lock = threading.RLock()
         self._state: Any = self.tank.init(jax.random.key(seed))
         self._command = rest_command(self.tank.limits)
         # Twice, so that everything is compiled before anybody looks.
@@ -73,10 +70,7 @@ class TankFin:
         with self._lock:
             self._catch_up()
             angle, velocity = self._after[0], self._after[1]
-            ahead = velocity * abs(velocity) / (2 * float(self.tank.drive.acceleration))
-            limits = self.tank.limits
-            goal = min(max(angle + ahead, limits.angle_min), limits.angle_max)
-            self._command = Command(jnp.float32(goal), jnp.float32(limits.velocity_max))
+            self.move(angle + velocity * abs(velocity) / (2 * float(self.tank.drive.acceleration)), math.inf)
 
     def now(self) -> FinMotion:
         """Motion and force one sample ago."""
@@ -97,8 +91,6 @@ class TankFin:
 
     def _catch_up(self) -> None:
         now = self._clock()
-        if now - self._time > LONGEST_S:
-            self._time = now - TICK_S
         while now - self._time > TICK_S:
             self._before, self._after = self._after, self._step()
             self._time += TICK_S

@@ -110,18 +110,10 @@ class Units(NamedTuple):
         """Angle [rad] at a position [counts]."""
         return self.direction * counts / self.counts_per_rad + self.zero
 
-    def distance(self, angle: float) -> int:
-        """Counts of a positive difference of angles [rad], at least 1."""
-        return max(1, round(angle * self.counts_per_rad))
-
     def rpm(self, velocity: float) -> int:
-        """Speed of the motor [rpm] for a velocity of the fin [rad/s]; its size."""
+        """Speed of the motor [rpm], or its change in a second, for a velocity of the fin [rad/s]; its size."""
         return round(abs(velocity) * self.rpm_per_rad_s)
 
     def velocity(self, rpm: int) -> float:
         """Velocity of the fin [rad/s] for one of the motor [rpm]."""
         return self.direction * rpm / self.rpm_per_rad_s
-
-    def rpm_s(self, acceleration: float) -> int:
-        """Acceleration of the motor [rpm/s] for one of the fin [rad/s2]; at least 1."""
-        return max(1, round(acceleration * self.rpm_per_rad_s))

@@ -24,8 +24,6 @@ from softfin.rig.simulated_network import open_bus
 SDO_TIMEOUT_S = 0.5
 SEND_TIMEOUT_S = 0.05
 RECEIVER_CYCLE_S = 0.05
-SCAN_PAUSE_S = 0.002
-"""Pause between two requests to all nodes: the transmit queue of a SocketCAN interface holds ten frames."""
 
 UPLOAD, DOWNLOADED, ABORTED = 0x40, 0x60, 0x80
 """Commands of an SDO: read an object; it was written; the transfer was refused."""
@@ -45,21 +43,16 @@ class CanConnection:
         on_problem: Callable[[str], None],
         clock: Clock = REAL,
     ) -> None:
-        self._config, self._node, self._clock = config, node, clock
+        self._config, self.node, self._clock = config, node, clock
         self._on_frame, self._on_problem = on_frame, on_problem
+        self.name = f"CAN bus {config.interface} {config.channel}"
         self._bus: can.BusABC | None = None
         self._receiver: threading.Thread | None = None
         # Re-entrant, for a stop in a signal handler that interrupts a send.
         self._sending, self._requesting = clock.lock(), clock.lock()
-        self._answered = clock.condition()
+        self._answered = clock.event()
         self._request, self._answer = b"", b""
-        self.nodes: set[int] = set()
         self.counters: Counter[str] = Counter()
-
-    @property
-    def name(self) -> str:
-        """Interface and channel of the bus, for messages."""
-        return f"CAN bus {self._config.interface} {self._config.channel}"
 
     @property
     def in_receiver(self) -> bool:
@@ -68,7 +61,6 @@ class CanConnection:
 
     def open(self) -> None:
         """Open the bus and start the receiver; raises RigError where the bus does not exist."""
-        self.nodes.clear()
         options = self._config.options
         try:
             if self._config.interface == "socketcand":
@@ -113,9 +105,9 @@ class CanConnection:
     def read(self, entry: Object) -> int:
         """Read an object of the drive; raises DeviceError."""
         size = entry.layout.size
-        request = struct.pack("<BHBI", UPLOAD, entry.number, entry.sub, 0)
         # The answer may leave out its size.
-        answer = self._transfer(entry, request, (0x43 | 4 - size << 2, 0x42))
+        allowed = (0x43 | 4 - size << 2, 0x42)
+        answer = self._transfer(entry, struct.pack("<BHBI", UPLOAD, entry.number, entry.sub, 0), allowed)
         value: int = entry.layout.unpack(answer[4 : 4 + size])[0]
         return value
 
@@ -123,30 +115,22 @@ class CanConnection:
         """Write an object of the drive; raises DeviceError."""
         self._transfer(entry, download(entry, value), (DOWNLOADED,))
 
-    def scan(self) -> list[int]:
-        """Ask every node for its device type; the other nodes that sent anything since `open`."""
-        for node in range(1, 128):
-            self.send(protocol.SDO_REQUEST + node, struct.pack("<BHBI", UPLOAD, protocol.DEVICE_TYPE.number, 0, 0))
-            self._clock.sleep(SCAN_PAUSE_S)
-        self._clock.sleep(50 * SCAN_PAUSE_S)
-        return sorted(self.nodes - {0, self._node})
-
     def _transfer(self, entry: Object, request: bytes, allowed: tuple[int, ...]) -> bytes:
         """The answer to a request, which must begin with one of the allowed commands."""
         if self.in_receiver or not self._requesting.acquire(timeout=2 * SDO_TIMEOUT_S):
             raise DeviceError(f"drive's {entry} cannot be asked for: another request is not answered yet; try again")
         try:
+            self._answered.clear()
             self._request, self._answer = request, b""
-            self.send(protocol.SDO_REQUEST + self._node, request)
-            with self._answered:
-                self._answered.wait_for(lambda: bool(self._answer), SDO_TIMEOUT_S)
+            self.send(protocol.SDO_REQUEST + self.node, request)
+            self._answered.wait(SDO_TIMEOUT_S)
             answer = self._answer
         finally:
             self._request = b""
             self._requesting.release()
         if not answer:
             raise DeviceError(
-                f"drive {self._node} does not answer for {entry} within {SDO_TIMEOUT_S:g} s; "
+                f"drive {self.node} does not answer for {entry} within {SDO_TIMEOUT_S:g} s; "
                 "look at its supply, the bus's cable and its bitrate"
             )
         if answer[0] == ABORTED:
@@ -176,18 +160,15 @@ class CanConnection:
             self.counters["error frames"] += 1
             self._on_problem(f"{self.name} reports an error frame; look at cable, termination and bitrate")
         elif message.is_remote_frame or message.is_extended_id:
-            self.counters["foreign frames"] += 1
-        elif cob_id != protocol.SDO_ANSWER + self._node:
-            if cob_id & 0x780 in (protocol.SDO_ANSWER, protocol.HEARTBEAT):
-                self.nodes.add(cob_id & 0x7F)
+            return
+        elif cob_id != protocol.SDO_ANSWER + self.node:
             self._on_frame(cob_id, data)
         elif len(data) != 8:
             self.counters["malformed frames"] += 1
         # An answer names its object: late ones to earlier requests are dropped.
         elif self._request and data[1:4] == self._request[1:4]:
-            with self._answered:
-                self._answer = data
-                self._answered.notify_all()
+            self._answer = data
+            self._answered.set()
 
 
 def download(entry: Object, value: int) -> bytes:

@@ -1,12 +1,11 @@
 """The drive: a maxon EPOS2 Module 36/2 over CANopen in profile position mode, from a safe start to a safe stop.
 
 One thread, that of the loop, calls everything but `stop`. Tried against our emulator, not yet on a real drive.
-Sources: maxon "EPOS2 Firmware Specification" (rel5466) and "Communication Guide" (rel4054), CiA 301 and 402.
 """
 
 from softfin.core.errors import CommandError, DeviceError, RigError, SoftfinError
-from softfin.rig.epos2 import power, protocol, setup
-from softfin.rig.epos2.exchange import DriveReading, Exchange, Setpoint
+from softfin.rig.epos2 import procedures, protocol
+from softfin.rig.epos2.exchange import DriveStatus, Exchange
 from softfin.rig.epos2.protocol import Bit, State
 from softfin.rig.machine import Target
 from softfin.rig.safety import OVERSHOOT_RAD, check_target
@@ -29,7 +28,7 @@ class Epos2(Exchange):
         self.reset()
         try:
             self.connection.open()
-            setup.identify(self.connection, self.config)
+            procedures.identify(self.connection)
         except BaseException:
             self.connection.close()
             raise
@@ -38,12 +37,23 @@ class Epos2(Exchange):
         """Connect, check, write the limits and start the node, without power to the motor; closed again on failure."""
         self.connect()
         try:
-            setup.check(self.connection, self.config)
+            procedures.check(self.connection, self.config)
             self.powered, self.owned = False, True
             self.connection.send(protocol.NMT, bytes([protocol.NMT_PRE_OPERATIONAL, self.config.node]))
             self.connection.write(protocol.CONTROLWORD, protocol.DISABLE_VOLTAGE)
-            setup.configure(self.connection, self.config)
-            self._start()
+            procedures.configure(self.connection, self.config)
+            self.connection.send(protocol.NMT, bytes([protocol.NMT_START, self.config.node]))
+            status = self.status
+            with self.lock:
+                status.rebooted, status.emergency = False, None
+                status.nmt, status.heartbeat_time = None, self.clock()
+            for _ in range(round((FIRST_ANSWER_S + self.config.heartbeat_s) / STEP_S)):
+                if self.sync_and_read(STEP_S).new and status.nmt == protocol.OPERATIONAL:
+                    return
+                self.clock.sleep(STEP_S)
+            raise DeviceError(
+                "drive sends no process data or no heartbeat; look at the bus's load and other programs on it"
+            )
         except BaseException:
             self.close()
             raise
@@ -59,7 +69,7 @@ class Epos2(Exchange):
 
         After `connect` or `open`; the motor stays without power.
         """
-        fault = setup.fault_of(self.connection)
+        fault = procedures.fault_of(self.connection)
         if fault is None:
             return None
         with self.lock:
@@ -69,7 +79,7 @@ class Epos2(Exchange):
         for word in protocol.RESET_EDGE:
             self.connection.write(protocol.CONTROLWORD, word)
         for _ in range(round(RESET_TIMEOUT_S / STEP_S)):
-            if setup.fault_of(self.connection) is None:
+            if procedures.fault_of(self.connection) is None:
                 self.status.emergency = None
                 self.sync_and_read()
                 return fault
@@ -87,7 +97,7 @@ class Epos2(Exchange):
         with self.lock:
             if not self.armed:
                 raise DeviceError("drive is not enabled; enable it before it is asked to move")
-            self.handshake.waiting = Setpoint(counts, rpm)
+            self.handshake.waiting = counts, rpm
             self.carry_on()
 
     def complaints(self) -> tuple[str, ...]:
@@ -141,21 +151,21 @@ class Epos2(Exchange):
                 f"fin stands at {angle:.3f} rad, outside {low:g} .. {high:g}; turn it inside by hand, or zero it anew"
             )
         # A homing that failed must not have left its mode: there a target would be a new zero.
-        setup.set_mode(self.connection, protocol.PROFILE_POSITION)
+        procedures.set_mode(self.connection, protocol.PROFILE_POSITION)
         self._power_up(then_arm=True)
 
     def home_here(self) -> None:
         """Make the present position the drive's zero (homing method 35); the motor is powered for it, nothing moves."""
         self._new_reading()
-        setup.set_mode(self.connection, protocol.HOMING)
+        procedures.set_mode(self.connection, protocol.HOMING)
         try:
-            for entry, value in setup.HOME.items():
-                setup.write(self.connection, entry, value)
+            for entry, value in procedures.HOME.items():
+                procedures.write(self.connection, entry, value)
             self._power_up(then_arm=False)
-            power.home(self)
+            procedures.home(self)
         finally:
             self.stop()
-            setup.set_mode(self.connection, protocol.PROFILE_POSITION)
+            procedures.set_mode(self.connection, protocol.PROFILE_POSITION)
         if self.stop_unconfirmed:
             raise DeviceError(self.stop_unconfirmed)
 
@@ -173,30 +183,15 @@ class Epos2(Exchange):
         except Exception as error:
             self.trouble = f"stop of the drive failed ({error}); press the emergency stop"
 
-    def _start(self) -> None:
-        status = self.status
-        self.connection.send(protocol.NMT, bytes([protocol.NMT_START, self.config.node]))
-        with self.lock:
-            status.rebooted, status.emergency = False, None
-            status.nmt, status.heartbeat_time = None, self.clock()
-        for _ in range(round((FIRST_ANSWER_S + self.config.heartbeat_s) / STEP_S)):
-            if self.sync_and_read(STEP_S).new and status.nmt == protocol.OPERATIONAL:
-                return
-            self.clock.sleep(STEP_S)
-        raise DeviceError(
-            "drive sends no process data or no heartbeat; look at the bus's load and other programs on it"
-        )
-
-    def _new_reading(self) -> DriveReading:
+    def _new_reading(self) -> DriveStatus:
         if not self.owned:
             raise DeviceError("drive is not open; open it first")
-        readings = (self.sync_and_read(STEP_S) for _ in range(round(FIRST_ANSWER_S / STEP_S)))
-        reading = next((each for each in readings if each.new), None)
+        is_new = any(self.sync_and_read(STEP_S).new for _ in range(round(FIRST_ANSWER_S / STEP_S)))
         if lines := self.complaints():
             raise DeviceError(lines[0])
-        if reading is None:
+        if not is_new:
             raise DeviceError("drive does not answer; look at its supply and the bus's cable")
-        return reading
+        return self.status
 
     def _power_up(self, then_arm: bool) -> None:
         if not self.stopping.acquire(timeout=STOP_TIMEOUT_S):
@@ -209,9 +204,9 @@ class Epos2(Exchange):
             self.stopping.release()
         try:
             self.send_heartbeat()
-            silence = setup.milliseconds(self.config.heartbeat_s)
-            setup.write(self.connection, protocol.HEARTBEAT_CONSUMER, self.config.host_node << 16 | silence)
-            power.reach_enabled(self, then_arm)
+            silence = round(1000 * self.config.heartbeat_s)
+            procedures.write(self.connection, protocol.HEARTBEAT_CONSUMER, self.config.host_node << 16 | silence)
+            procedures.reach_enabled(self, then_arm)
         except BaseException:
             self.stop()
             raise
@@ -220,7 +215,7 @@ class Epos2(Exchange):
         if not self.stopping.acquire(timeout=STOP_TIMEOUT_S):
             return
         try:
-            if power.rest(self):
+            if procedures.rest(self):
                 self.powered = False
                 # The host's heartbeat ends with the program, which is no fault of a drive that is at rest.
                 self.connection.write(protocol.HEARTBEAT_CONSUMER, 0)

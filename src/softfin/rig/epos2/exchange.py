@@ -6,7 +6,7 @@ sent but under the lock, with `armed` set: so nothing follows a stop.
 
 from collections import Counter
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import TypeAlias
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import DeviceError
@@ -22,21 +22,29 @@ LOCK_TIMEOUT_S = 0.05
 
 _SENT = tuple(protocol.layout(each) for each in protocol.SENT)
 _WORD_AND_TARGET, _VELOCITY = (protocol.layout(each) for each in protocol.TAKEN)
-_SIZES = dict(zip(protocol.TPDO, (each.size for each in _SENT), strict=True)) | {
-    protocol.HEARTBEAT: 1,
-    protocol.EMERGENCY: 8,
-}
+_SIZES = {protocol.HEARTBEAT: 1, protocol.EMERGENCY: 8}
+_SIZES |= {pdo: each.size for pdo, each in zip(protocol.TPDO, _SENT, strict=True)}
 """Bytes of each kind of frame."""
 ALL = (1 << len(_SENT)) - 1
+
+Setpoint: TypeAlias = tuple[int, int]
+"""A target in the drive's units: position [counts] and velocity [rpm]."""
 
 
 class DriveStatus:
     """The newest values of the drive; `take` returns a line where a frame reports that something has gone wrong."""
 
-    def __init__(self, node: int) -> None:
-        self._node = node
+    def __init__(self, node: int, units: Units) -> None:
+        self._node, self._units = node, units
         self.statusword: int | None = None
-        self.position = self.velocity = self.current = self.demand = 0
+        self.position = 0
+        """Position [counts]."""
+        self.angle = self.demand = units.angle(0)
+        """Angle of the fin and the one that the drive demands [rad]."""
+        self.velocity = 0.0
+        """Angular velocity of the fin [rad/s]."""
+        self.current = 0.0
+        """Current of the motor [A]."""
         self.answered = 0
         """A bit for each process datum that came since the last SYNC."""
         self.sync_time = 0.0
@@ -53,6 +61,11 @@ class DriveStatus:
     def state(self) -> State | None:
         """State by the newest statusword; None before the first, and for one that no EPOS2 sends."""
         return None if self.statusword is None else protocol.decode(self.statusword)
+
+    @property
+    def new(self) -> bool:
+        """Whether all values answer the last SYNC."""
+        return self.answered == ALL
 
     @property
     def words(self) -> str:
@@ -75,7 +88,7 @@ class DriveStatus:
 
     def synchronise(self, now: float) -> None:
         """A SYNC is about to be sent."""
-        self.counters["syncs without all answers"] += self.time > 0 and self.answered != ALL
+        self.counters["syncs without all answers"] += self.time > 0 and not self.new
         self.answered, self.sync_time = 0, now
 
     def take(self, cob_id: int, data: bytes, now: float) -> str | None:
@@ -86,55 +99,28 @@ class DriveStatus:
         if len(data) != _SIZES[function]:
             self.counters["malformed frames"] += 1
             return None
-        if function in protocol.TPDO:
-            return self._take_process_data(protocol.TPDO.index(function), data)
         if function == protocol.HEARTBEAT:
             self.heartbeat_time, self.nmt = now, data[0] & 0x7F
             self.rebooted |= self.nmt == protocol.BOOT_UP
             return self.fault() if self.nmt == protocol.BOOT_UP else None
-        code = int.from_bytes(data[:2], "little")
-        self.counters["emergencies"] += code != 0
-        # The first names the cause; what follows from it must not hide it.
-        self.emergency = None if code == 0 else self.emergency or code
-        return protocol.fault_line(code) if code else None
-
-    def _take_process_data(self, which: int, data: bytes) -> str | None:
-        was_well = self.fault() is None
+        if function == protocol.EMERGENCY:
+            code = int.from_bytes(data[:2], "little")
+            # The first names the cause; what follows from it must not hide it.
+            self.emergency = None if code == 0 else self.emergency or code
+            return protocol.fault_line(code) if code else None
+        was_well, which = self.fault() is None, protocol.TPDO.index(function)
         values = _SENT[which].unpack(data)
         if which == 0:
             self.statusword, self.position = values
+            self.angle = self._units.angle(self.position)
         elif which == 1:
-            self.velocity, self.current = values
+            self.velocity, self.current = self._units.velocity(values[0]), values[1] / 1000
         else:
-            (self.demand,) = values
+            self.demand = self._units.angle(values[0])
         self.answered |= 1 << which
-        if self.answered == ALL:
+        if self.new:
             self.time = self.sync_time
         return self.fault() if which == 0 and was_well else None
-
-
-class DriveReading(NamedTuple):
-    """The newest values of the drive."""
-
-    time: float
-    """The SYNC that the drive sampled them at [s]."""
-    angle: float
-    """Angle of the fin [rad]."""
-    velocity: float
-    """Angular velocity of the fin [rad/s]."""
-    current: float
-    """Current of the motor [A]."""
-    following_error: float
-    """Angle demanded less angle [rad]."""
-    new: bool
-    """Whether all of it answers the SYNC of this reading."""
-
-
-class Setpoint(NamedTuple):
-    """A target in the drive's units."""
-
-    counts: int
-    rpm: int
 
 
 class Handshake:
@@ -205,7 +191,7 @@ class Exchange:
 
     def reset(self) -> None:
         """Forget everything, as before the first frame."""
-        self.status = DriveStatus(self.config.node)
+        self.status = DriveStatus(self.config.node, self.units)
         self.handshake = Handshake(PATIENCE_TICKS * self.config.sync_s)
         self.trouble: str | None = None
         """The newest that went wrong on the bus; it stays until the drive is connected anew."""
@@ -216,18 +202,14 @@ class Exchange:
         self.stopped = False
         """Whether it was stopped since it was last to be enabled: what began before a stop must not go on after it."""
 
-    def sync_and_read(self, timeout: float = 0.003) -> DriveReading:
+    def sync_and_read(self, timeout: float = 0.003) -> DriveStatus:
         """Have the drive sample, wait for the answers [s]; the newest known where they do not all come."""
-        status, units = self.status, self.units
         with self.lock:
-            status.synchronise(self.clock())
+            self.status.synchronise(self.clock())
             self.attempt(protocol.SYNC, b"")
-            self.lock.wait_for(lambda: status.answered == ALL, timeout)
+            self.lock.wait_for(lambda: self.status.new, timeout)
             self.carry_on()
-            angle = units.angle(status.position)
-            error = units.angle(status.demand) - angle
-            velocity, is_new = units.velocity(status.velocity), status.answered == ALL
-            return DriveReading(status.time, angle, velocity, status.current / 1000, error, is_new)
+            return self.status
 
     def send_heartbeat(self) -> None:
         """Send our heartbeat: a drive that is enabled stops by itself `heartbeat_s` after the last one."""
@@ -272,12 +254,13 @@ class Exchange:
         if not self.armed:
             return
         step = self.handshake.step(self.status.has(Bit.ACKNOWLEDGED), self.clock())
-        if isinstance(step, Setpoint):
-            if self.attempt(protocol.RPDO[1] + self.config.node, _VELOCITY.pack(step.rpm)):
-                self.attempt(*self.order(protocol.NEW_TARGET, step.counts))
+        if isinstance(step, tuple):
+            counts, rpm = step
+            if self.attempt(protocol.RPDO[1] + self.config.node, _VELOCITY.pack(rpm)):
+                self.attempt(*self.order(protocol.NEW_TARGET, counts))
         elif step:
             target = self.handshake.current
-            self.attempt(*self.order(protocol.ENABLE_OPERATION, target.counts if target else None))
+            self.attempt(*self.order(protocol.ENABLE_OPERATION, target[0] if target else None))
 
     def _take(self, cob_id: int, data: bytes) -> None:
         with self.lock:

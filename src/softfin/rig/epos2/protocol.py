@@ -24,9 +24,6 @@ RPDO = (0x200, 0x300)
 PROFILE_POSITION, HOMING = 1, 6
 HOME_HERE = 35
 """Homing method: the present position is home; nothing moves."""
-BRUSHLESS = {10: "sinusoidal brushless", 11: "block brushless"}
-SERVO_DRIVE = 402
-"""Low word of the device type."""
 
 
 class Object(NamedTuple):
@@ -81,7 +78,6 @@ DECELERATION = Object(0x6084, 0, "I", "profile deceleration")
 QUICK_STOP_DECELERATION = Object(0x6085, 0, "I", "quick-stop deceleration")
 PROFILE_TYPE = Object(0x6086, 0, "h", "profile type")
 HOMING_METHOD = Object(0x6098, 0, "b", "homing method")
-MOTOR_TYPE = Object(0x6402, 0, "H", "motor type")
 CURRENT_LIMIT = Object(0x6410, 2, "H", "output current limit")
 SUPPORTED_MODES = Object(0x6502, 0, "I", "supported modes")
 
@@ -211,15 +207,6 @@ FAULTS = {
     0xFF0B: ("system overloaded", "look for too many messages on the bus"),
 }
 
-MAXON_ABORTS = {
-    0x0F00FFB9: "Wrong node number",
-    0x0F00FFBC: "Not in service mode",
-    0x0F00FFBE: "Wrong password",
-    0x0F00FFBF: "Command illegal",
-    0x0F00FFC0: "Wrong NMT state",
-}
-"""Abort codes of an EPOS2 beyond those of CiA 301 (maxon "EPOS2 Communication Guide", rel4054)."""
-
 
 def fault_line(code: int) -> str:
     """Name and way out of a fault, such as ``drive fault 0x8611, following error: look for a blocked fin; ..``."""
@@ -229,7 +216,7 @@ def fault_line(code: int) -> str:
 
 def abort_line(code: int) -> str:
     """Name and way out of an SDO abort, such as ``0x06020000, Object does not exist: check that ..``."""
-    name = MAXON_ABORTS.get(code) or SdoAbortedError.CODES.get(code, "Not in softfin's list")
+    name = SdoAbortedError.CODES.get(code, "see the EPOS2 Communication Guide")
     way_out = "check that the device is an EPOS2, close other programs such as EPOS Studio, switch the drive off and on"
     if 0x06090030 <= code <= 0x06090036:
         way_out = "change the value in the rig's file to one that the drive takes"

@@ -1,0 +1,204 @@
+"""Procedures with the drive: identify, check and set it up, power it up, home it, bring it to rest; bounded in time.
+
+Limits and settings are written and read back; nothing is stored for good: the drive forgets it at power-down.
+"""
+
+from collections.abc import Callable
+
+from softfin.core.errors import DeviceError, RigError
+from softfin.rig.epos2 import protocol
+from softfin.rig.epos2.config import Epos2Config, Units
+from softfin.rig.epos2.connection import CanConnection
+from softfin.rig.epos2.exchange import Exchange
+from softfin.rig.epos2.protocol import Bit, Object, State, fault_line
+
+ENABLE_TIMEOUT_S = 1.0
+DISABLE_TIMEOUT_S = 0.3
+STEP_S = 0.002
+"""Pause between two looks at the drive while it is brought from state to state."""
+STANDSTILL_RPM = 5
+HOME_TOLERANCE_COUNTS = 20
+REFUSED = 3
+"""Orders in a row that the bus does not take, each after its time-out: then no later one is worth a wait."""
+NO_REMOTE_REQUEST = 1 << 30
+HOME = {protocol.HOMING_METHOD: protocol.HOME_HERE, protocol.HOME_OFFSET: 0, protocol.HOME_POSITION: 0}
+"""What makes the present position zero."""
+
+
+def identify(connection: CanConnection) -> None:
+    """Raise RigError where the node does not answer."""
+    try:
+        connection.read(protocol.DEVICE_TYPE)
+    except DeviceError:
+        raise RigError(
+            f"no drive answers as node {connection.node} on {connection.name}; compare drive.node with the drive's "
+            "switches, look at supply, cable, termination and bus.bitrate"
+        ) from None
+
+
+def fault_of(connection: CanConnection) -> str | None:
+    """The fault that the drive is in, asked for; None when it is in none."""
+    if protocol.decode(connection.read(protocol.STATUSWORD)) not in protocol.FAULT_STATES:
+        return None
+    if connection.read(protocol.ERROR_COUNT):
+        return fault_line(connection.read(protocol.NEWEST_ERROR) & 0xFFFF)
+    return "drive is in fault without an entry in its error history"
+
+
+def check(connection: CanConnection, config: Epos2Config) -> None:
+    """Raise RigError for a drive in fault, enabled by somebody else, or set up otherwise than the rig's file says."""
+    if fault := fault_of(connection):
+        raise RigError(f"{fault}; then run: softfin rig check --reset-fault")
+    word = connection.read(protocol.STATUSWORD)
+    state = protocol.decode(word)
+    if state not in protocol.UNPOWERED:
+        words = state.words if state else f"not of an EPOS2 (statusword 0x{word:04X})"
+        raise RigError(f"drive is {words} already; close the program that drives it, or switch it off and on")
+    lines = connection.read(protocol.ENCODER_LINES)
+    if lines != config.encoder_lines:
+        raise RigError(
+            f"drive is set to an encoder of {lines} lines, the rig's file to encoder_lines {config.encoder_lines}; "
+            "correct whichever is wrong, or every angle is"
+        )
+
+
+def configure(connection: CanConnection, config: Epos2Config) -> None:
+    """Write limits, profile, mode, heartbeat and process data; the node must be pre-operational."""
+    units = Units.of(config)
+    ends = sorted((units.counts(config.angle_min_rad), units.counts(config.angle_max_rad)))
+    values = {
+        protocol.HEARTBEAT_CONSUMER: 0,
+        protocol.POSITION_MIN: ends[0],
+        protocol.POSITION_MAX: ends[1],
+        protocol.FOLLOWING_ERROR: round(config.following_error_rad * units.counts_per_rad),
+        protocol.FASTEST: units.rpm(config.fastest_rad_s),
+        protocol.PROFILE_VELOCITY: units.rpm(config.slowest_rad_s),
+        protocol.ACCELERATION: units.rpm(config.acceleration_rad_s2),
+        protocol.DECELERATION: units.rpm(config.acceleration_rad_s2),
+        protocol.QUICK_STOP_DECELERATION: units.rpm(config.quick_stop_rad_s2),
+        protocol.PROFILE_TYPE: 0,
+    }
+    if config.current_limit_a is not None:
+        values[protocol.CURRENT_LIMIT] = round(1000 * config.current_limit_a)
+    for entry, value in values.items():
+        write(connection, entry, value)
+    set_mode(connection, protocol.PROFILE_POSITION)
+    # Ten heartbeats in the time after which silence means that the drive is gone.
+    write(connection, protocol.HEARTBEAT_PRODUCER, round(1000 * config.heartbeat_s / 10))
+    for first, pdos, cob_id, transmission in (
+        (0x1800, protocol.SENT, protocol.TPDO[0], protocol.ON_SYNC),
+        (0x1400, protocol.TAKEN, protocol.RPDO[0], protocol.AT_ONCE),
+    ):
+        # All four of each kind: what else the drive was once told to send and take is turned off.
+        for place in range(4):
+            entries = pdos[place] if place < len(pdos) else ()
+            _map(connection, first + place, cob_id + 0x100 * place + config.node, entries, transmission)
+
+
+def write(connection: CanConnection, entry: Object, value: int, shown: Object | None = None, mask: int = -1) -> None:
+    """Write an object, read it or the one that shows it back; raises RigError where the drive holds another value."""
+    connection.write(entry, value)
+    held = connection.read(shown or entry)
+    if (held ^ value) & mask:
+        raise RigError(
+            f"drive's {shown or entry} stayed {held} where {value} was written; "
+            "close EPOS Studio and other programs, or change the value in the rig's file to one that the drive takes"
+        )
+
+
+def set_mode(connection: CanConnection, mode: int) -> None:
+    """Set the mode of operation; raises RigError where the drive is not in it then."""
+    write(connection, protocol.MODE, mode, shown=protocol.MODE_DISPLAY)
+
+
+def _map(connection: CanConnection, number: int, cob_id: int, entries: tuple[Object, ...], transmission: int) -> None:
+    """Mapping objects are 0x200 above those of the communication; a PDO must be off while its mapping changes."""
+
+    def set_cob_id(value: int) -> None:
+        entry = Object(number, 1, "I", "COB-ID")
+        write(connection, entry, value | NO_REMOTE_REQUEST, mask=protocol.INVALID | 0x7FF)
+
+    set_cob_id(cob_id | protocol.INVALID)
+    if not entries:
+        return
+    count = Object(number + 0x200, 0, "B", "mapped objects")
+    connection.write(count, 0)
+    for place, entry in enumerate(entries, 1):
+        write(connection, Object(number + 0x200, place, "I", "mapping"), entry.mapping)
+    write(connection, count, len(entries))
+    write(connection, Object(number, 2, "B", "transmission type"), transmission)
+    set_cob_id(cob_id)
+
+
+def reach_enabled(exchange: Exchange, then_arm: bool) -> None:
+    """Bring the drive to operation enabled, unless it is stopped meanwhile; raises DeviceError."""
+    status = exchange.status
+    for _ in range(round(ENABLE_TIMEOUT_S / STEP_S)):
+        exchange.send_heartbeat()
+        exchange.sync_and_read(STEP_S)
+        with exchange.lock:
+            if exchange.stopped:
+                raise DeviceError("drive was stopped while it was being enabled; enable it again")
+            if fault := status.fault():
+                raise DeviceError(f"{fault}; then run: softfin rig check --reset-fault")
+            if status.state is State.OPERATION_ENABLED:
+                exchange.armed = then_arm
+                return
+            word = protocol.TO_ENABLED.get(status.state)
+            if word is not None:
+                exchange.connection.send(*exchange.order(word))
+            exchange.lock.wait(STEP_S)
+    raise DeviceError(f"drive stays {status.words} and does not enable; look at its supply and its enable input")
+
+
+def home(exchange: Exchange) -> None:
+    """Have a drive that is enabled in homing mode take the present position as home; raises DeviceError."""
+    status = exchange.status
+    with exchange.lock:
+        if not exchange.stopped:
+            exchange.connection.send(*exchange.order(protocol.START_HOMING))
+    attained = 0
+    for _ in range(round(ENABLE_TIMEOUT_S / (2 * STEP_S))):
+        exchange.send_heartbeat()
+        is_new = exchange.sync_and_read(STEP_S).new
+        if is_new and status.state is State.OPERATION_ENABLED and status.has(Bit.ERROR):
+            break
+        near = abs(status.position) <= HOME_TOLERANCE_COUNTS
+        attained = attained + 1 if is_new and status.has(Bit.ACKNOWLEDGED) and near else 0
+        # Twice: bit 12 may still stand from an earlier homing.
+        if attained >= 2 and (status.has(Bit.REFERENCED) or not exchange.config.zero_needed):
+            return
+        exchange.clock.sleep(STEP_S)
+    raise DeviceError("drive did not take its position as home; hold the fin still and try again")
+
+
+def rest(exchange: Exchange) -> bool:
+    """After a quick stop: wait for standstill, take the voltage off; whether the drive confirms that it is off."""
+    status, config = exchange.status, exchange.config
+
+    def is_off() -> bool:
+        return bool(status.answered & 1) and status.state in protocol.UNPOWERED
+
+    def stands() -> bool:
+        braked = status.state is State.QUICK_STOP_ACTIVE and exchange.units.rpm(status.velocity) <= STANDSTILL_RPM
+        return is_off() or (braked and status.new)
+
+    def repeat(word: int, done: Callable[[], bool], seconds: float) -> None:
+        """Until it is done or the time is over; counted in ticks, so that a stopped clock ends it too."""
+        refused = 0
+        for _ in range(max(3, round(seconds / config.sync_s))):
+            exchange.send_heartbeat()
+            refused = 0 if exchange.insist(word) else refused + 1
+            if refused == REFUSED:
+                return
+            exchange.sync_and_read(config.sync_s)
+            if done():
+                return
+            exchange.clock.sleep(config.sync_s / 2)
+
+    # Twice what braking from the highest velocity takes, and ten ticks.
+    braking = 2 * config.fastest_rad_s / config.quick_stop_rad_s2 + 10 * config.sync_s
+    repeat(protocol.QUICK_STOP, stands, braking)
+    repeat(protocol.DISABLE_VOLTAGE, is_off, DISABLE_TIMEOUT_S)
+    # Without process data, as of a node that is not operational, the drive can still be asked.
+    return is_off() or protocol.decode(exchange.connection.read(protocol.STATUSWORD)) in protocol.UNPOWERED
