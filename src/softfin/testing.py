@@ -47,7 +47,7 @@ def _members(plant: Any) -> Iterator[Problem]:
 
 
 def _purity(plant: Plant) -> Iterator[Problem]:
-    """Not compiled, because what a plant keeps outside its state would be frozen into the program."""
+    """Advance without compiling, which would freeze what a plant keeps outside its state."""
     command = Command(jnp.float32(0.5), jnp.float32(plant.limits.velocity_max))
     state = plant.init(jax.random.key(0))
     results = [plant.advance(state, command, STROKE_TICKS) for _ in range(2)]

@@ -153,7 +153,7 @@ class BagArguments(LogOptions, Common):
     action: Annotated[Literal["recover", "convert"], Option(positional=True)]
     """recover: save what a damaged .mcap file holds. convert: write logs as .parquet or .mcap."""
     path: Annotated[Path, Option("RECORDING", positional=True)]
-    """What to recover, a .mcap file; what to convert, a recording or a folder of them."""
+    """File to recover (.mcap), or recording or folder of recordings to convert."""
     out: File | None = None
     """File to write; recover: NAME.recovered.mcap by default; convert: required, its suffix is the format."""
     ignore_errors: bool = False

@@ -133,7 +133,7 @@ class BaselinesArguments(Configured):
     plant: Plant = "tank"
     """The fin that all are evaluated on: tank, a tank's YAML, the folder of a surrogate, or package.module:plant."""
     surrogate: Plant | None = None
-    """Where sines and gaits are searched, as a rule the folder of a surrogate of the fin (the fin itself)."""
+    """Plant in which sines and gaits are searched, as a rule the folder of a surrogate of the fin (the fin itself)."""
     seconds: int | None = None
     """Length of each experiment (30)."""
     seeds: int | None = None
@@ -171,7 +171,7 @@ class ViewArguments(Configured):
     """Show a fin in motion: its shape, the force on its mount, and the traces of both."""
 
     out: File
-    """What to write: a film as .gif or .mp4, a page that plays it as .html, its last frame as .png."""
+    """File to write: a film as .gif or .mp4, a page that plays it as .html, its last frame as .png."""
     plant: Plant = "tank"
     """The fin: tank, a tank's YAML, the folder of a surrogate, or package.module:plant."""
     seconds: float | None = None

@@ -113,7 +113,7 @@ class MonitorArguments(CommandOptions):
     run_folder: Annotated[Path, Option("RECORDING", positional=True)]
     """A bag (.mcap), or a folder that bags are written to: its newest is followed, and the next one when it comes."""
     web: bool = False
-    """As a page in the browser, with live traces."""
+    """Show a page in the browser, with live traces."""
     port: int = 8080
     """Port of the page; 0 takes a free one."""
     host: str = LOOPBACK

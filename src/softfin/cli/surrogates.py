@@ -216,7 +216,7 @@ class CalibrateArguments(Configured):
     out: Out
     """Folder to write calibration.json, tank.yaml and the figures to."""
     preset: CalibratePreset = "full"
-    """What is fitted: full is fin, water, drive and recording; quick is six numbers, in a minute."""
+    """Parameters to fit: full is fin, water, drive and recording; quick is six numbers, in a minute."""
     evaluations: int | None = None
     """Tanks that the global search tries (4000); 0 leaves it to the local one."""
     velocity: Annotated[tuple[float, ...], VELOCITY] | None = None

@@ -80,7 +80,7 @@ class TrainingRange(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Artifact:
-    """Where a controller comes from. All are equal, so that compiled programs serve controllers of any origin."""
+    """Origin of a controller. All origins are equal, so that compiled programs serve controllers of any origin."""
 
     name: str = "controller"
     """Name of the folder."""

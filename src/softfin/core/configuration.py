@@ -29,7 +29,7 @@ class Configuration(pydantic.BaseModel):
             raise ConfigurationError(f"{source}: {_explain(cls, error)}") from None
 
     def changed(self: Config, changes: Sequence[str]) -> Config:
-        """With ``path=value`` changes applied, such as ``reward.smoothness=0.2``; values are read as YAML."""
+        """Return a copy with ``path=value`` changes applied, such as ``reward.smoothness=0.2``; values are read as YAML."""
         values = self.model_dump()
         for change in changes:
             path, sign, text = change.partition("=")
@@ -48,7 +48,7 @@ class Configuration(pydantic.BaseModel):
         return self.build(values, "--set")
 
     def merged(self: Config, values: Mapping[str, Any], source: str) -> Config:
-        """With a mapping, such as a part of a YAML file, laid over this configuration."""
+        """Return a copy with a mapping, such as a part of a YAML file, laid over it."""
         return self.build(_merge(self.model_dump(), values), source)
 
 
@@ -110,7 +110,7 @@ def _explain(cls: type[pydantic.BaseModel], error: pydantic.ValidationError) -> 
 
 
 def _alternative(place: Sequence[int | str]) -> str | None:
-    """What pydantic calls the configuration that it tried, among the names of fields: ``FitConfig``."""
+    """Name of a configuration's class where pydantic puts it among the names of fields, as ``FitConfig``."""
     return next((part for part in place if isinstance(part, str) and part.rstrip("]").endswith("Config")), None)
 
 

@@ -1,4 +1,4 @@
-"""What softfin raises. Every message says what was wrong, where, what is allowed, and the way out, in one line."""
+"""Errors that softfin raises. Every message says what was wrong, where, what is allowed, and the way out, in one line."""
 
 
 class SoftfinError(Exception):
@@ -8,7 +8,7 @@ class SoftfinError(Exception):
 
 
 class InputError(SoftfinError):
-    """What the user gave cannot be used."""
+    """Input of the user that cannot be used."""
 
     exit_code = 2
 

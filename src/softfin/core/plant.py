@@ -54,7 +54,7 @@ class ForceInterval(Protocol):
         """Half of the interval's width [N], from the mean force of each member [N]."""
 
     def caveat(self) -> str | None:
-        """Why the interval is not to be relied on, in a sentence; None where there is none."""
+        """Reason not to rely on the interval, in a sentence; None where there is none."""
 
 
 @runtime_checkable
@@ -73,7 +73,7 @@ class EnsemblePlant(Plant, Protocol):
         """One member as a plant of its own; `index` may be a value in a program."""
 
     def advance_members(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
-        """As `advance`, with every member's own reading: fields ``(members, ticks)``."""
+        """Advance as `advance` does, with every member's own reading: fields ``(members, ticks)``."""
 
     def distance(self, state: State) -> Float[Array, ""]:
         """Distance of the last motion from the training data: 1 at their edge, more beyond it."""

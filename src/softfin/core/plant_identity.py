@@ -1,4 +1,4 @@
-"""Which plant is it? `identity` names a plant in files, `jit_argument` makes it an argument of compiled programs.
+"""Identity of plants: `identity` names a plant in files, `jit_argument` makes it an argument of compiled programs.
 
 softfin's own plants are pytrees of arrays and plain values, which are compared as such. Of a user's simulator only what
 it computes is known: a gain may be an attribute, a constant of its module, a closure or a file. So its `init` and

@@ -31,7 +31,7 @@ DIGEST_BYTES = hashlib.sha256().digest_size
 
 
 def cache_folder() -> Path | None:
-    """Where compiled programs are kept; none where that is switched off, or the user has no home."""
+    """Folder in which compiled programs are kept; None where that is switched off, or the user has no home."""
     chosen = os.environ.get(VARIABLE, "")
     if chosen == OFF:
         return None
@@ -44,7 +44,7 @@ def cache_folder() -> Path | None:
 
 
 def describe_cache() -> str:
-    """What ``softfin --help`` says of the cache."""
+    """Describe the cache for ``softfin --help``."""
     if given := os.environ.get(JAX_VARIABLE):
         return f"Compiled programs are kept in {given} ({JAX_VARIABLE})."
     folder = cache_folder()

@@ -1,4 +1,4 @@
-"""How a long piece of work reports how far it is."""
+"""Progress reports of long work."""
 
 from typing import Protocol, runtime_checkable
 

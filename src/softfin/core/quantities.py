@@ -31,7 +31,7 @@ else:
 
     @runtime_checkable
     class AnyArray(Protocol):
-        """In a compiled program a JAX array, in files and figures a NumPy one; float32 in both.
+        """Array of float32: a JAX array in a compiled program, a NumPy one in files and figures.
 
         Told by what it has: what runs on a robot must neither wait for JAX, which takes a second, nor need it.
         """
@@ -46,7 +46,7 @@ else:
 
 
 class Command(NamedTuple):
-    """What the drive is asked to do; held until the next one."""
+    """Target of the drive; held until the next one."""
 
     angle: Float[AnyArray, "*shape"]
     """Target angle [rad]."""
@@ -98,7 +98,7 @@ class Limits(NamedTuple):
     velocity_max: float
 
     def to_dict(self) -> dict[str, float]:
-        """For JSON: names with units."""
+        """Convert for JSON, under names with units."""
         named = self._asdict().items()
         return {f"{name}_{'rad' if 'angle' in name else 'rad_s'}": float(value) for name, value in named}
 
@@ -117,7 +117,7 @@ class Limits(NamedTuple):
         return limits
 
     def problem(self, one_velocity: bool = False) -> str | None:
-        """What is wrong with these limits, and what is allowed; None where a fin may have them.
+        """Describe what is wrong with these limits and what is allowed; None where a fin may have them.
 
         With `one_velocity` both velocities may be the same: such a fin can be recorded and learnt, but not trained for.
         """

@@ -1,4 +1,4 @@
-"""What is wrong with recordings: how grave it is, where it is, and what to do about it."""
+"""Issues of recordings: severity, place, remedy."""
 
 import dataclasses
 from collections.abc import Iterable
@@ -21,7 +21,7 @@ class Issue:
     """Name of the log: its file, and its rows where the file holds several."""
     message: str
     fix: str = ""
-    """What to do, as a rule the very option."""
+    """Remedy, as a rule the option to use."""
     column: str | None = None
     row: int | None = None
     """First row, counted from 0 in the log."""

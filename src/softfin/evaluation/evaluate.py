@@ -80,7 +80,7 @@ class Evaluation:
     recording: ExperimentRecording
     """Recording of the first seed alone: fields ``(references, 1, ticks)``, as NumPy arrays."""
     uncertainty: SurrogateUncertainty | None = None
-    """What a surrogate estimates of its own errors; None for other plants."""
+    """Uncertainty that a surrogate estimates; None for other plants."""
     warnings: tuple[str, ...] = ()
     """Sentences on references that were replaced by the nearest that the fin can make."""
     moving: tuple[MovingScores, ...] = ()

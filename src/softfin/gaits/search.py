@@ -56,7 +56,7 @@ SWEEPS, UNLIKE_N = 10, 0.5
 the neighbours [N]."""
 
 ENOUGH_N = 0.02
-"""Before the last steps, errors below this do not matter."""
+"""Force error that does not matter before the last steps [N]."""
 
 
 def find_gaits(

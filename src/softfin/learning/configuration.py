@@ -46,7 +46,7 @@ class TrainConfig(Configuration):
     policy: PolicyConfig = PolicyConfig()
     """Size and start of the networks."""
     ensemble: Literal["mean", "each"] = "mean"
-    """In an ensemble, fins are the mean of all members or each is another member; evaluated is the mean. Only ensembles
+    """Use of an ensemble: fins are the mean of all members or each is another member; evaluated is the mean. Only ensembles
     of two members or more take `each`."""
     algorithm: Algorithm = "ppo"
     """LSTM-PPO, as the paper has it, or gradients through the plant."""

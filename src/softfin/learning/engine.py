@@ -1,4 +1,4 @@
-"""Where the parts of a run are worked on: one after the other in this process, or all at once by Ray (extra ``ray``).
+"""Engines, which work on the parts of a run: one after the other in this process, or all at once by Ray (extra ``ray``).
 
 On Ray a part whose worker dies runs again, and nothing else is lost. A part that fails otherwise is reported when all
 others are done, so that their results are kept.
@@ -155,7 +155,7 @@ def _worked(work: Work, item: Any) -> Any:
 
 
 def _reason(error: Exception) -> str:
-    """In one line; of an error on a worker, the last line of its traceback."""
+    """Describe an error in one line; for an error on a worker, the last line of its traceback."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return lines[-1 if hasattr(error, "cause") else 0] if lines else type(error).__name__
 

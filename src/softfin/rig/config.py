@@ -48,7 +48,7 @@ class RigConfig(RealFinConfig):
     safety: SafetyConfig
     """Safety limits; a rig's must include the current."""
     emulation: EmulationConfig | None = None
-    """None for a rig that is reached over its bus and network, be it real or emulated in real time."""
+    """Simulated time; None for a rig that is reached over its bus and network, be it real or emulated in real time."""
     _file: Path | None = PrivateAttr(default=None)
 
     @property

@@ -1,4 +1,4 @@
-"""Which machine a plant's name stands for, ``rig`` or ``ros2``, and how it is treated: safety limits and rests."""
+"""Machine that a plant's name stands for, ``rig`` or ``ros2``, with its safety limits and rests."""
 
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -213,7 +213,7 @@ def dump_json(value: Any) -> str:
 
 
 def plain(value: Any) -> Any:
-    """What JSON can say of a value: arrays as lists, numbers that are not finite as null, anything unknown as text."""
+    """Convert a value to what JSON can hold: arrays as lists, numbers that are not finite as null, anything unknown as text."""
     if isinstance(value, Mapping):
         return {name: plain(each) for name, each in value.items()}
     if isinstance(value, list | tuple):
@@ -226,7 +226,7 @@ def plain(value: Any) -> Any:
 
 
 def provenance(**metadata: Any) -> dict[str, Any]:
-    """Where an artifact comes from: the given metadata, versions, git commit, time."""
+    """Provenance of an artifact: the given metadata, versions, git commit, time."""
     versions: dict[str, str | None] = dict.fromkeys(("softfin", "jax", "numpy"))
     for package in versions:
         # Controllers run on computers without JAX.

@@ -13,7 +13,7 @@ PARTS = {"train": 4, "test": 3}
 """The sub-folders of a dataset, and the digits in the names of their logs."""
 
 VIEWS = (".gif", ".mp4", ".html", ".png")
-"""What a view is written as."""
+"""Formats of a view."""
 
 RIG_FILE = Path("rig.yaml")
 

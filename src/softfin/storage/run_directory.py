@@ -160,7 +160,7 @@ def read_log(path: Path) -> list[dict[str, Any]]:
 
 
 def _software() -> str:
-    """What decides which leaves a state has, and which numbers come next."""
+    """Configuration that decides which leaves a state has, and which numbers come next."""
     return ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("softfin", "jax"))
 
 

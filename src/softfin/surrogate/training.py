@@ -23,7 +23,7 @@ class TrainingState(NamedTuple):
     best: Any
     """Weights with the least held-out loss so far, of each net or member."""
     best_loss: Any
-    """That loss: one number for each of several nets, or an array ``(members,)``."""
+    """Loss: one number for each of several nets, or an array ``(members,)``."""
 
 
 def keep_best(state: TrainingState, losses: Any, held_out: Any, name: str) -> tuple[TrainingState, bool]:

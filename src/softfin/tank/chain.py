@@ -32,7 +32,7 @@ class Motion(NamedTuple):
 
 
 class Wrench(NamedTuple):
-    """On each plate: force along n and d [N], moment about the inner end [N m]. Likewise momenta [N s, N m s]."""
+    """Force on each plate along n and d [N], moment about the inner end [N m]. Likewise momenta [N s, N m s]."""
 
     normal: PerPlate
     along: PerPlate

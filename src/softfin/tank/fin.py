@@ -114,7 +114,7 @@ class FinState(NamedTuple):
 
 
 class Shaft(NamedTuple):
-    """What the fin hangs on, at the start of a step."""
+    """Motion of the fin's mount at the start of a step."""
 
     angle: Scalar
     """Angle of the shaft [rad]."""
@@ -125,14 +125,14 @@ class Shaft(NamedTuple):
 
 
 class Surroundings(NamedTuple):
-    """What the fin moves in."""
+    """Water in which the fin moves."""
 
     inertia: Moments
     """Inertia of the water that each plate carries [kg, kg m, kg m2]."""
     stream: Float[Array, "2"]
     """Velocity (x, y) of the water far from the fin [m/s]; inertia and loads are those of the motion relative to it."""
     loads: Callable[[Motion], tuple[Moments, Wrench]]
-    """What water does besides its inertia to plates that move in it: resists [kg/s], and exerts forces [N]."""
+    """Effects of water on moving plates besides inertia: resistance [kg/s] and forces [N]."""
 
 
 class Fin(eqx.Module):
@@ -251,7 +251,7 @@ def _held(
 
 
 def _between(torques: PerPlate) -> PerPlate:
-    """What the joints between plates, all but the first, take from each plate."""
+    """Moments that the joints between plates, all but the first, take from each plate."""
     inner = torques.at[0].set(0.0)
     return inner - jnp.append(inner[1:], 0.0)
 

@@ -154,7 +154,7 @@ class Water(eqx.Module):
         return Flow(stream, excursion, share * flow.square + (1 - share) * excursion**2)
 
     def _loads(self, motion: Motion, drag: Float[Array, "2 plates"]) -> tuple[Moments, Wrench]:
-        """What resists the motion relative to the stream [kg/s], and the suction at the tip [N]."""
+        """Resistance to the motion relative to the stream [kg/s], and the suction at the tip [N]."""
         length = self.plate_length
         places = [length * place for place in GAUSS.tolist()]
         drags = [

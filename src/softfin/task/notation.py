@@ -23,7 +23,7 @@ def read_range(text: str) -> tuple[float, float, float, float]:
 
 
 def read_cells(text: str) -> CellsSource:
-    """Where the cells come from; raises ConfigurationError for any other text, or a file that is missing."""
+    """Find the source of the cells; raises ConfigurationError for any other text, or a file that is missing."""
     if text == "paper":
         return None
     if match := re.fullmatch(r"(\d+)\s*x\s*(\d+)", text.strip()):

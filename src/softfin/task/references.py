@@ -27,7 +27,7 @@ PAPER_CELLS = tuple(Cell.around(reference) for reference in PAPER_REFERENCES)
 """The grid: squares of 1 N round the six references; they touch and do not overlap."""
 
 PAPER_RANGE = Cell(low=(0.5, -1.5), high=(3.5, 1.5))
-"""What one controller is trained for: the bounding box of the grid."""
+"""Range that one controller is trained for: the bounding box of the grid."""
 
 TOLERANCE_N = 1e-6
 """Edges nearer than this are the same edge."""

@@ -102,7 +102,7 @@ class Ramp(Signal):
 
 
 class Sinusoid(Signal):
-    """To and fro about a force; both axes reach their greatest together."""
+    """Oscillation about a force; both axes reach their greatest together."""
 
     kind: Literal["sine"] = "sine"
     centre_n: Force
@@ -127,7 +127,7 @@ class Recorded(Signal):
     time_s: tuple[FiniteFloat, ...] = Field(min_length=1)
     """Times [s] from which on each force holds: from 0 on, growing."""
     force_n: tuple[Force, ...] = Field(min_length=1)
-    """As many forces (x, y) [N]."""
+    """Forces (x, y) at those times [N]."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "Recorded":

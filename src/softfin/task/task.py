@@ -32,7 +32,7 @@ FORCE_BLOCKS = 8
 
 
 class RewardTerms(NamedTuple):
-    """What the reward weighs, for each axis [N]."""
+    """Terms of the reward for each axis [N]."""
 
     error: Float[Array, "*batch 2"]
     """|F_e|: distance of the window's mean force from its target."""
@@ -108,7 +108,7 @@ class TaskState(NamedTuple):
     drift: Float[Array, "2"]
     """Change of the reference with each action [N]."""
     references: References
-    """Where references are drawn from."""
+    """Distribution of references."""
     actions: Float[Array, "remembered 2"]
     """Past actions, the last one first."""
     forces: Float[Array, "window 2"]
@@ -126,7 +126,7 @@ class Outcome(NamedTuple):
 
     reward: Float[Array, ""]
     terms: RewardTerms
-    """What the reward was computed from."""
+    """Terms that the reward was computed from."""
     forces: Float[Array, "ticks 2"]
     """Forces while the action was held [N]; the last of the 34 rows counts only for an action of 34 ticks."""
 

@@ -1,4 +1,4 @@
-"""Which column is which channel, and from the recording's units and axes to softfin's.
+"""Assignment of columns to channels, and conversion from the recording's units and axes to softfin's.
 
 What the user states counts first, then softfin's own names, then what `read_name` finds in a name; two columns that
 may be the same channel are refused. Every column that is not named as softfin does is shown with its unit.
@@ -88,7 +88,7 @@ def stated_unit(channel: str, config: ImportConfig) -> str | None:
 
 
 def describe_columns(columns: Mapping[str, Column]) -> str:
-    """What was read from where, of the columns with names of their own; empty where there are none."""
+    """Describe which columns were taken, where their names are not softfin's own; empty where all are."""
     return ", ".join(
         f"{channel}={column.name!r} in {column.unit}" + ("" if column.is_unit_stated else " (assumed)")
         for channel, column in columns.items()

@@ -63,7 +63,7 @@ def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recordi
 
 
 def _plain(text: str) -> str:
-    """What a bag contains, in one line and without a terminal's commands."""
+    """Describe the content of a bag in one line, without control characters."""
     return printable(text, most=500)
 
 

@@ -121,7 +121,7 @@ def write_page(path: Path, footage: Footage, title: str) -> None:
 
 
 def to_dict(footage: Footage) -> dict[str, Any]:
-    """What the page draws, as plain numbers."""
+    """Return the data that the page draws, as plain numbers."""
     series = {"command": (footage.command.angle, 4), "angle": (footage.reading.angle, 4)}
     for i, axis in enumerate(AXES):
         vectors = {"force": footage.reading.force, "mean": footage.average, "reference": footage.reference}

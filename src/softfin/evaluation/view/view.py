@@ -49,7 +49,7 @@ def stroke_gait(config: StrokeGaitConfig, limits: Limits, ticks: int) -> Command
 
 
 class ViewConfig(Configuration):
-    """What is shown, and how long."""
+    """Configuration of a view: plant, motion, duration."""
 
     seconds: float = Field(10.0, ge=0.1, le=60)
     """Length in the plant's time, from rest [s]; ten show the mean over 2 s settle."""
@@ -60,7 +60,7 @@ class ViewConfig(Configuration):
     seed: int = Field(0, ge=0)
     """Seed of the plant's noise and of random commands."""
     gait: StrokeGaitConfig = StrokeGaitConfig()
-    """What the fin is commanded, unless a controller or random commands do it."""
+    """Commands of the fin, unless a controller or random commands move it."""
     random: bool = False
     """Random commands, such as datasets are recorded under, in place of the gait."""
     excitation: ExcitationConfig = ExcitationConfig()
@@ -110,7 +110,7 @@ def draw(footage: Footage, out: Path, title: str, config: ViewConfig, report: Ca
 
 
 def title_of(plant: str, config: ViewConfig, reference: Reference | None) -> str:
-    """In words: which fin, and what moves it."""
+    """Describe which fin is shown and what moves it."""
     where = "in the virtual tank" if plant == "tank" else f"in {Path(plant).name}"
     if reference is not None:
         asked = ", then ".join(f"({x:.3g}, {y:.3g})" for x, y in (reference, *config.next_references))

@@ -95,7 +95,7 @@ class EmulatedDrive:
             bus.shutdown()
 
     def remembered(self) -> dict[str, Any]:
-        """What it would lose with its supply: its zero, for JSON."""
+        """State that is lost with the supply, for JSON: the zero."""
         return {"zero_counts": self.motor.zero, "referenced": self.motor.referenced}
 
     def recall(self, remembered: dict[str, Any]) -> None:

@@ -26,7 +26,7 @@ _TYPES = {"b": od.INTEGER8, "h": od.INTEGER16, "i": od.INTEGER32,
           "B": od.UNSIGNED8, "H": od.UNSIGNED16, "I": od.UNSIGNED32}  # fmt: skip
 
 CANNOT_BE_MAPPED, OUT_OF_RANGE, WRONG_STATE = 0x06040041, 0x06090030, 0x08000022
-"""Why a write is refused (SDO abort codes)."""
+"""Reasons why a write is refused (SDO abort codes)."""
 
 
 def values(config: Epos2Config) -> dict[Object, int]:

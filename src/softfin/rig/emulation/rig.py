@@ -68,7 +68,7 @@ class EmulatedRig(contextlib.ExitStack):
         """Keep the state for the next command, where the rig is one of a file."""
 
     def description(self) -> str:
-        """Where it listens, in words."""
+        """Describe where the rig listens."""
         bus = f"socketcand {HOST}:{self.server.port}" if self.server else "in this process"
         pages = f"RDT port {self.sensor.rdt_port}, pages at http://{HOST}:{self.sensor.http_port}"
         return f"drive: {bus}, node {self._drive.node}; sensor: {HOST}, {pages}"

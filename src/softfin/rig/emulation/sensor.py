@@ -50,11 +50,11 @@ class EmulatedAxia80:
         """`units` and `counts` for one unit of force and of torque."""
         self.rate_hz = rate_hz
         self.pages = sensor_pages(units, counts)
-        """Its web pages, by path; may be changed at any time."""
+        """Web pages of the sensor, by path; may be changed at any time."""
         self.status = 0
         """Status of every record; a test may set its bits."""
         self.transmit: Callable[[bytes], Iterable[bytes]] = lambda datagram: (datagram,)
-        """What arrives of a datagram that is sent; a test may have it lost, doubled or late."""
+        """Datagrams that arrive for one that is sent; a test may have it lost, doubled or late."""
         self._fin, self._clock = fin, clock
         # The inverse of the client's: from softfin's axes into the sensor's.
         self._rotation = rotation(frame).T
@@ -184,7 +184,7 @@ def serve_pages(port: int, pages: Mapping[str, bytes]) -> ThreadingHTTPServer:
             self.wfile.write(body or b"")
 
         def log_message(self, format: str, *args: object) -> None:
-            """Nothing is logged."""
+            """Log nothing."""
 
     server = ThreadingHTTPServer((HOST, port), Handler)
     threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True, name="emulated sensor's pages").start()

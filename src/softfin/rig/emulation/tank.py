@@ -36,7 +36,7 @@ class TankFin:
         self._latest: tuple[float, FinMotion] | None = None
 
     def remembered(self) -> dict[str, Any]:
-        """All of its state, for JSON."""
+        """Return the whole state for JSON."""
         with self._lock:
             self._catch_up()
             leaves = [np.asarray(leaf).tolist() for leaf in jax.tree.leaves(self._plain())]
@@ -102,7 +102,7 @@ class TankFin:
 
 @jax.jit
 def _tick(tank: Tank, state: Any, command: Command) -> tuple[Any, Any]:
-    """One sample on: the state, and angle, velocity, the profile's angle, torque and both forces."""
+    """Advance by one sample: the state, and angle, velocity, the profile's angle, torque and both forces."""
     state, reading = tank.advance(state, command, 1)
     read: Reading = jax.tree.map(lambda x: x[0], reading)
     drive = state.drive

@@ -101,7 +101,7 @@ class Epos2(Exchange):
             self.carry_on()
 
     def complaints(self) -> tuple[str, ...]:
-        """What is wrong, each in one line with the way out; none when all is well."""
+        """Describe each problem in one line with the way out; empty when all is well."""
         with self.lock:
             status, fault, unanswered = self.status, self.status.fault(), self.handshake.unanswered
             silence = self.clock() - status.heartbeat_time
@@ -126,7 +126,7 @@ class Epos2(Exchange):
 
     @property
     def stop_unconfirmed(self) -> str | None:
-        """Why the motor may still be on after a stop; None where the drive confirmed that it is off."""
+        """Reason why the motor may still be on after a stop; None where the drive confirmed that it is off."""
         return UNCONFIRMED if self.powered else None
 
     @property
@@ -135,7 +135,7 @@ class Epos2(Exchange):
         return self.status.has(Bit.REFERENCED)
 
     def counters(self) -> dict[str, int]:
-        """What was counted since `open`, by name."""
+        """Counters since `open`, by name."""
         counted = self.status.counters + self.connection.counters
         return {"targets repeated": self.handshake.repeated} | dict(counted)
 

@@ -1,4 +1,4 @@
-"""What goes to and fro between host and drive: SYNC, process data, heartbeats, new targets, and the quick stop.
+"""Exchange between host and drive: SYNC, process data, heartbeats, new targets, and the quick stop.
 
 Frames are taken in the receiver's thread, everything else is sent from the caller's. Nothing that could move the fin is
 sent but under the lock, with `armed` set: so nothing follows a stop.
@@ -48,7 +48,7 @@ class DriveStatus:
         self.answered = 0
         """A bit for each process datum that came since the last SYNC."""
         self.sync_time = 0.0
-        """When the last SYNC was sent: the moment that the drive samples for its answers [s]."""
+        """Time of the last SYNC [s], at which the drive samples for its answers."""
         self.time = 0.0
         """The newest SYNC that all process data have answered [s]: none of the values is older."""
         self.heartbeat_time = 0.0
@@ -146,7 +146,7 @@ class Handshake:
         """Times in a row that the drive did not acknowledge the current target."""
 
     def step(self, acknowledged: bool, now: float) -> Setpoint | bool | None:
-        """What to send next: a target to raise, True to lower bit 4, or None."""
+        """Return the next thing to send: a target to raise, True to lower bit 4, or None."""
         late = now - self._since > self._patience
         if self._is_raised:
             if not (acknowledged or late):

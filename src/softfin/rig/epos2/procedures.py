@@ -22,7 +22,7 @@ REFUSED = 3
 """Orders in a row that the bus does not take, each after its time-out: then no later one is worth a wait."""
 NO_REMOTE_REQUEST = 1 << 30
 HOME = {protocol.HOMING_METHOD: protocol.HOME_HERE, protocol.HOME_OFFSET: 0, protocol.HOME_POSITION: 0}
-"""What makes the present position zero."""
+"""Homing method that makes the present position zero."""
 
 
 def identify(connection: CanConnection) -> None:
@@ -173,7 +173,7 @@ def home(exchange: Exchange) -> None:
 
 
 def rest(exchange: Exchange) -> bool:
-    """After a quick stop: wait for standstill, take the voltage off; whether the drive confirms that it is off."""
+    """Wait for standstill after a quick stop, take the voltage off; returns whether the drive confirms that it is off."""
     status, config = exchange.status, exchange.config
 
     def is_off() -> bool:

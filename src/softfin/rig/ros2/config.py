@@ -57,7 +57,7 @@ class NodeConfig(Configuration):
     reference_topic: TopicName = "/fin/reference"
     """The reference force, x and y [N]."""
     reference_type: Literal["wrench", "vector3"] = "wrench"
-    """Its type: geometry_msgs/WrenchStamped or geometry_msgs/Vector3Stamped."""
+    """Type of the message: geometry_msgs/WrenchStamped or geometry_msgs/Vector3Stamped."""
     stop_topic: TopicName = "/fin/stop"
     """std_msgs/Bool: true stops the fin; false does not take that back."""
     joint_name: str = "fin"
@@ -81,7 +81,7 @@ class NodeConfig(Configuration):
 
 
 class FlipperConfig(Configuration):
-    """Which message moves the flipper. A field is named by its path: ``zero_direction``, ``flippers.2.amplitude``."""
+    """Message that moves the flipper. A field is named by its path: ``zero_direction``, ``flippers.2.amplitude``."""
 
     type: MessageType
     """Type of the message: package/msg/Type."""
@@ -98,7 +98,7 @@ class FlipperConfig(Configuration):
 
 
 class Ros2PlantConfig(Configuration):
-    """Which topics are the fin. What depends on the robot has no default."""
+    """Topics of the fin. What depends on the robot has no default."""
 
     joint_topic: TopicName
     """sensor_msgs/JointState with the shaft's angle, at 100 Hz or more."""
@@ -111,7 +111,7 @@ class Ros2PlantConfig(Configuration):
     command_topic: TopicName
     """sensor_msgs/JointState with position and velocity, or the flipper's message."""
     flipper: FlipperConfig | None = None
-    """For robots of the U-CAT family: commands as flipper messages."""
+    """Configuration for robots of the U-CAT family: commands as flipper messages."""
     negate_angle: bool = False
     """The driver's angles, velocities and commands count the other way round."""
     limits: LimitsField

@@ -102,7 +102,7 @@ class Subscription(Generic[Value]):
         self._clock = StampClock()
         self.received = self.refused = self.not_newer = 0
         self.refusal: str | None = None
-        """Why the last message was refused; None where it was not."""
+        """Reason why the last message was refused; None where it was not."""
 
     def take(self) -> list[tuple[float, Value]]:
         """The usable messages that have come since the last call, oldest first, each with its time of our clock [s]."""

@@ -71,7 +71,7 @@ class RosNode:
         return None if newest is None else newest[1]
 
     def stop_reason(self) -> str | None:
-        """Why to stop, for good; None where nobody has asked for it. An unreadable message stops, too."""
+        """Reason to stop for good; None where nobody has asked for it. An unreadable message stops, too."""
         if self._stop is None:
             try:
                 if any(stop for _, stop in self._stops.take()):

@@ -74,7 +74,7 @@ class RclpyTransport:
         return take
 
     def topics(self) -> dict[str, str]:
-        """As `ros2 topic list -t` shows them, without ours."""
+        """Topics and types as `ros2 topic list -t` shows them, without ours."""
         found = sorted(self._node.get_topic_names_and_types())
         return {
             name: ", ".join(kinds) for name, kinds in found if self._node.count_publishers(name) > self._own.count(name)

@@ -1,4 +1,4 @@
-"""What softfin's bags hold: topics, their messages as CDR, and definitions by which any reader decodes them.
+"""Content of softfin's bags: topics, their messages as CDR, and definitions by which any reader decodes them.
 
 Times are nanoseconds since 1970. Names of types are full, as ``sensor_msgs/msg/JointState``: readers refuse others.
 """

@@ -147,7 +147,7 @@ def loss(
 
 
 def window_starts(rows: Sequence[int], window: int) -> Int[np.ndarray, "windows"]:
-    """Where windows begin in logs laid end to end, with their target inside the same log."""
+    """Return the rows where windows begin in logs laid end to end, with their target inside the same log."""
     offsets = np.cumsum([0, *rows[:-1]])
     parts = [offset + np.arange(max(count - window, 0)) for offset, count in zip(offsets, rows, strict=True)]
     return np.concatenate(parts).astype(np.int32)

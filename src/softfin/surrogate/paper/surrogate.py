@@ -61,7 +61,7 @@ class Surrogate(eqx.Module):
         return Limits(angle.data_min, angle.data_max, velocity.data_min, velocity.data_max)
 
     def init(self, key: PRNGKeyArray) -> SurrogateState:
-        """At rest at angle 0 for longer than the window. Nothing is random here: the key is not used."""
+        """Return the state of a fin at rest at angle 0 for longer than the window; the key is not used."""
         rest = self._scaled(rest_command(self.limits))
         angle = jnp.full(self.window, self.scaling.scaled(ANGLE, jnp.float32(0)))
         return SurrogateState(jnp.int32(0), jnp.tile(rest[:, None], self.window), angle)

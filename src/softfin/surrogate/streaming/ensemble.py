@@ -172,7 +172,7 @@ class Interval(Configuration):
         return self.factor * (means.var(axis=0) + self.floor_n**2) ** 0.5
 
     def caveat(self) -> str | None:
-        """Why the interval is not to be relied on, in a sentence; None if it may be."""
+        """Reason not to rely on the interval, in a sentence; None where there is none."""
         if self.logs >= ENOUGH_LOGS:
             return None
         return (
@@ -194,7 +194,7 @@ def calibrated(predicted: Sequence[Float[np.ndarray, "members rows 2"]], logs: S
 
 
 class Familiarity(eqx.Module):
-    """Where the training data lie in the memory of the first member's force net."""
+    """Training data in the memory of the first member's force net."""
 
     mean: Float[Array, "remembered"]
     whitening: Float[Array, "remembered remembered"]

@@ -197,7 +197,7 @@ class ForceNet(eqx.Module):
     mount_turn: Float[Array, ""]
     """Angle of the sensor against the tank's axes [rad]."""
     offset: Float[Array, "2"]
-    """What the sensor reads without force [force scale]."""
+    """Offset of the sensor: its reading without force [force scale]."""
     config: ForceNetConfig = eqx.field(static=True)
     scales: Scales = eqx.field(static=True)
 

@@ -48,7 +48,7 @@ class StreamingSurrogate(eqx.Module):
     members: Member
     """Members, stacked."""
     rest: MemberState
-    """Their states long at rest at angle 0, stacked."""
+    """States of the members long at rest at angle 0, stacked."""
     familiarity: Familiarity
     interval: Interval = eqx.field(static=True)
     limits: Limits = eqx.field(static=True)
@@ -92,7 +92,7 @@ class StreamingSurrogate(eqx.Module):
         return state, Reading(each.time[0], *(channel.mean(axis=0) for channel in each[1:]))
 
     def advance_members(self, state: StreamingState, command: Command, ticks: int) -> tuple[StreamingState, Reading]:
-        """As `advance`, with every member's own reading: fields ``(members, ticks)``."""
+        """Advance as `advance` does, with every member's own reading: fields ``(members, ticks)``."""
         held = Command(*(jnp.asarray(part, jnp.float32) for part in command))
 
         def one(member: Member, own: MemberState) -> tuple[MemberState, tuple[Motion, Array]]:

@@ -1,4 +1,4 @@
-"""What a calibration fits, to how much data, and how long it searches.
+"""Configuration of a calibration: parameters, data, search.
 
 The numbers that it may change have names such as ``fin.length_m``, and ranges. A search moves in scaled coordinates: 0
 is the low end of a parameter's range, 1 the high end, on a logarithmic scale where both are positive, else on a linear
@@ -153,7 +153,7 @@ class CalibrateConfig(Configuration):
     parameters: Ranges = Field(default_factory=every_range, validate_default=True)
     """Range [low, high] of each number that is sought; null keeps it as `tank` or `recording` has it."""
     tank: TankConfig = TankConfig()
-    """Where the search starts, and all that it does not change."""
+    """Tank where the search starts, which holds all that it does not change."""
     recording: RecordingConfig = RecordingConfig()
     """The recording at the start of the search, and all of it that the search does not change."""
     weights: Weights = Weights()
