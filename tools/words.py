@@ -62,7 +62,9 @@ PHRASES = {
 }
 """Phrases of docstrings, messages, help and documents -> what to write."""
 
-OPENINGS = re.compile(r"^(Of|From|Likewise|The same|As there|As here)\b(?!\w)")
+OPENINGS = re.compile(
+    r"^(Of|From|Likewise|The same|As the(re)?|As here|What|Those|Its|Their|They|It|In words|Which|Why|Where)\b"
+)
 """Beginnings of docstrings that cannot be understood alone."""
 
 

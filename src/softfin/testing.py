@@ -17,7 +17,7 @@ from softfin.core.quantities import ALLOWED_LIMITS, TICK_S, Command, Limits, Rea
 STROKE_TICKS = ACTION_TICKS[0]
 
 Problem = tuple[str, str]
-"""What is wrong, and what is asked."""
+"""Message: what is wrong, and what is required."""
 
 
 def check_plant(plant: Any) -> None:

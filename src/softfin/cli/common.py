@@ -1,4 +1,4 @@
-"""What commands share: kinds of options, the configuration, arming, progress on stderr, results on stdout; no JAX."""
+"""Parts that commands share: kinds of options, configuration, arming, progress on stderr, results on stdout; no JAX."""
 
 import sys
 import time

@@ -67,7 +67,7 @@ class TrainArguments(Configured):
     seeds: Annotated[str, Option("SEEDS")] | None = None
     """Several controllers in one program, as OUT/seed-N: how many, from --seed on, or which, such as --seeds=0,1,2."""
     engine: EngineName = "local"
-    """Where: in this process, or as tasks of Ray (extra ray), for many machines."""
+    """Engine of training: this process, or tasks of Ray (extra ray), for many machines."""
     split: Split | None = None
     """Into jobs: none, one a seed, or one a cell of each seed (local: none; Ray: seed of several, cell of one)."""
     cluster: Annotated[str, Option("HOST:PORT")] | None = None

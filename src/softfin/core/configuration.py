@@ -29,7 +29,7 @@ class Configuration(pydantic.BaseModel):
             raise ConfigurationError(f"{source}: {_explain(cls, error)}") from None
 
     def changed(self: Config, changes: Sequence[str]) -> Config:
-        """Return a copy with ``path=value`` changes applied, such as ``reward.smoothness=0.2``; values are read as YAML."""
+        """Return a copy with ``path=value`` changes, such as ``reward.smoothness=0.2``; values are read as YAML."""
         values = self.model_dump()
         for change in changes:
             path, sign, text = change.partition("=")

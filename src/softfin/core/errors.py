@@ -1,4 +1,4 @@
-"""Errors that softfin raises. Every message says what was wrong, where, what is allowed, and the way out, in one line."""
+"""Errors that softfin raises. Every message says what was wrong, where, what is allowed, what to do, in one line."""
 
 
 class SoftfinError(Exception):

@@ -44,7 +44,7 @@ WAVEFORMS = np.array([(1, -1, 1, -1, 1, -1), (1, -1, -1, 1, -1, -1), (1, 0.5, -0
 """Angles of a gait about its centre, in units of its amplitude: strokes of 0.67 s, 1 s and 2 s."""
 
 VELOCITIES, CENTRES, AMPLITUDES = (1.0, 0.3, -0.3), np.linspace(-1, 1, 11), np.linspace(0.05, 0.9, 7)
-"""What every waveform is tried with, as actions."""
+"""Parameters that every waveform is tried with, as actions."""
 
 NEAR = 0.2
 """Part of half the diagonal of all forces within which a gait counts as near to their middle."""

@@ -46,8 +46,8 @@ class TrainConfig(Configuration):
     policy: PolicyConfig = PolicyConfig()
     """Size and start of the networks."""
     ensemble: Literal["mean", "each"] = "mean"
-    """Use of an ensemble: fins are the mean of all members or each is another member; evaluated is the mean. Only ensembles
-    of two members or more take `each`."""
+    """Use of an ensemble: fins are the mean of all members or each is another member; the mean is evaluated. Only
+    ensembles of two members or more take `each`."""
     algorithm: Algorithm = "ppo"
     """LSTM-PPO, as the paper has it, or gradients through the plant."""
     ppo: PPOConfig = PPOConfig()

@@ -1,4 +1,4 @@
-"""Engines, which work on the parts of a run: one after the other in this process, or all at once by Ray (extra ``ray``).
+"""Engines, which work on the parts of a run: one after the other in this process, or all at once by Ray (extra `ray`).
 
 On Ray a part whose worker dies runs again, and nothing else is lost. A part that fails otherwise is reported when all
 others are done, so that their results are kept.

@@ -40,7 +40,7 @@ class SimulatedClock(Clock):
     def __init__(self) -> None:
         self._now, self._wall = BEGIN_S, time.time()
         self.shared: dict[Any, Any] = {}
-        """What is reached by its address in this time: buses, sockets and pages."""
+        """Buses, sockets and pages of this time, by their address."""
         self._guard = threading.RLock()
         """Protects everything below; held for moments, since other threads than members come in as well."""
         self._waiting: list[_Member] = []

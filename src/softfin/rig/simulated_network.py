@@ -1,4 +1,4 @@
-"""What emulated devices are reached by within the process, in simulated time: a CAN bus, datagrams and web pages."""
+"""Connections to emulated devices within the process, in simulated time: a CAN bus, datagrams, web pages."""
 
 import copy
 import itertools

@@ -1,4 +1,4 @@
-"""Ways to stop a moving fin besides the safety limits: signals, a key on the terminal, and a watchdog above the loop."""
+"""Ways to stop a moving fin besides the safety limits: signals, a key on the terminal, a watchdog above the loop."""
 
 import contextlib
 import signal

@@ -30,7 +30,7 @@ def map_forces(
     plant: str | Plant, out: Path, config: MapConfig | None = None, *,
     overwrite: bool = False, progress: Progress = silent,
 ) -> dict[str, Any]:  # fmt: skip
-    """Find the mean forces that a fin can make, their Sobolev cost, and the gaits that make them; writes the folder `out`."""
+    """Find the mean forces that a fin can make, their Sobolev cost and the gaits for them; writes the folder `out`."""
     config = config or MapConfig()
     artifacts.check_vacant(out, overwrite)
     moving = find_plant(plant)

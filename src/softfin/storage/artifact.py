@@ -213,7 +213,7 @@ def dump_json(value: Any) -> str:
 
 
 def plain(value: Any) -> Any:
-    """Convert a value to what JSON can hold: arrays as lists, numbers that are not finite as null, anything unknown as text."""
+    """Convert a value for JSON: arrays become lists, numbers that are not finite null, anything unknown a text."""
     if isinstance(value, Mapping):
         return {name: plain(each) for name, each in value.items()}
     if isinstance(value, list | tuple):

@@ -33,7 +33,7 @@ UNKNOWN: Mapping[str, Any] = {"training_range": None, "fin": None}
 
 
 class NetPrediction(NamedTuple):
-    """What a net predicts of logs: a row of Table I."""
+    """Predictions of a net for logs: a row of Table I."""
 
     channels: tuple[str, ...]
     series: Sequence[Float[np.ndarray, "predicted channels"]]

@@ -1,4 +1,4 @@
-"""What both kinds of nets share: the best weights are kept while they learn, and weights have names in files."""
+"""Parts that both kinds of nets share: the best weights are kept while they learn, and weights have names in files."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple

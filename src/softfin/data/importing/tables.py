@@ -48,7 +48,7 @@ def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[
 
 
 def _notes(name: str, names: list[str], found: dict[str, Column], config: ImportConfig) -> list[Issue]:
-    """Which column was taken for what and in which unit, wherever softfin's own names do not state it."""
+    """Describe which column was taken for what and in which unit, unless softfin's own names state it."""
     texts = [describe_columns(found)]
     fix = "if that is wrong: --columns CHANNEL=NAME (- for none), --angles, --force-unit, --time-unit" * bool(texts[0])
     options = {"command_velocity": (config.velocity_rad_s, "--velocity"), "time": (config.rate_hz, "--rate")}

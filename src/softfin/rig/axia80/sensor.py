@@ -42,7 +42,7 @@ class Axia80:
 
     @property
     def stream(self) -> ForceStream:
-        """Its stream while it is open; raises DeviceError else."""
+        """Stream of the sensor while it is open; raises DeviceError else."""
         if self._stream is None or self._stream.client.closed:
             raise DeviceError(f"{self._name}: not open; open it first")
         return self._stream

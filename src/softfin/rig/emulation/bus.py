@@ -68,7 +68,7 @@ class _Client(socketserver.BaseRequestHandler):
                 self.request.sendall(line_of(message).encode())
 
     def _lines(self) -> Iterator[str]:
-        """Yield what the client sends, cut at each '>'; ends with the client, or with a line longer than any allowed."""
+        """Yield what the client sends, cut at each '>'; ends with the client, or with a line that is too long."""
         rest = ""
         while not self.server.ending.is_set() and len(rest) <= 256:
             with contextlib.suppress(TimeoutError):

@@ -173,7 +173,7 @@ def home(exchange: Exchange) -> None:
 
 
 def rest(exchange: Exchange) -> bool:
-    """Wait for standstill after a quick stop, take the voltage off; returns whether the drive confirms that it is off."""
+    """Wait for standstill after a quick stop, take the voltage off; returns whether the drive confirms that."""
     status, config = exchange.status, exchange.config
 
     def is_off() -> bool:

@@ -1,4 +1,4 @@
-"""What is known of a recording: the last seconds of each topic, and what a person wants to know of them at a glance."""
+"""Summary of a recording: the last seconds of each topic, and what a person wants to know at a glance."""
 
 from collections import deque
 from collections.abc import Iterator, Mapping

@@ -41,7 +41,7 @@ class Server(socketserver.ThreadingTCPServer):
     def __init__(self, follower: Follower, host: str, port: int) -> None:
         self.host, self._follower = host, follower
         self._reading = threading.Lock()
-        """Held by the thread of the request that reads."""
+        """Lock of the thread whose request reads."""
         page = importlib.resources.files("softfin.rig.monitor").joinpath("page.html").read_text("utf-8")
         self.page = with_canvas(page).encode()
         try:

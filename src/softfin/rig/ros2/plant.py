@@ -74,7 +74,7 @@ class Commands:
         """`encode` makes a message of the target and the set-point [rad]."""
         self.publisher, self._encode, self._period = publisher, encode, period_s
         self.target: Target | None = None
-        """None: the set-point begins at the measured angle."""
+        """Target of the set-point; None where that begins at the measured angle."""
         self._setpoint = self._since = self._next = 0.0
 
     def send(self, target: Target, angle: float, now: float) -> None:

@@ -70,7 +70,7 @@ class Group(NamedTuple):
     """Seeds of one configuration, or the plant of the noise floor."""
 
     row: dict[str, Any]
-    """Its entry of the summary."""
+    """Entry of the group in the summary."""
     longest: list[HorizonScores]
     """Scores of each seed at the longest horizon."""
     reading: Reading
@@ -185,7 +185,7 @@ def _horizons(config: CompareConfig, scores: Sequence[Sequence[HorizonScores]]) 
 
 
 def _notes(row: Mapping[str, Any], surrogate: AnySurrogate) -> Iterator[str]:
-    """What a reader of a group's scores should know, in words."""
+    """Caveats for a reader of a group's scores."""
     if (seeds := row["seeds"]) < ENOUGH_SEEDS:
         yield f"{seeds} seed{'s' * (seeds > 1)}; fit at least {ENOUGH_SEEDS} before a difference is believed"
     if row["furthest_beyond_training"] > FAR:

@@ -22,7 +22,7 @@ TRACES = 3
 """Groups whose traces are shown: more cover each other."""
 
 SHARES = np.linspace(0, 1, 401)
-"""Where distributions are drawn."""
+"""Quantiles at which distributions are drawn."""
 
 STYLES = ((ORANGE, "--", "o"), (BLUE, "-", "s"), (GREEN, "-.", "^"), (BLACK, ":", "D"))
 """Colour, line and marker of the groups, in turn."""

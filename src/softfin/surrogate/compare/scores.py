@@ -42,7 +42,7 @@ Means = Float[np.ndarray, "segments windows 2"]
 
 
 Segment = tuple[int, int]
-"""Where a run of rows begins: log and row."""
+"""Beginning of a run of rows: log and row."""
 
 
 def segments_of(rows: Sequence[int], ticks: int, first: int) -> list[Segment]:

@@ -132,7 +132,7 @@ def predict_force(nets: ForceNet, motion: Sequence[Motion]) -> list[Float[np.nda
 
 
 def _together(records: Sequence[Any], rows: Sequence[int], predict: Callable[[Any], Any]) -> list[Any]:
-    """What `predict` makes of records of equal length, side by side on the second axis; of each record its own."""
+    """Predict for records of equal length, side by side on the second axis."""
     results: dict[int, Any] = {}
     for length in set(rows):
         index = [i for i, other in enumerate(rows) if other == length]
@@ -211,7 +211,7 @@ def remembered(state: ForceState) -> Float[Array, "remembered"]:
 
 
 def familiar(nets: ForceNet, motion: Sequence[Motion], burn_in: int) -> Familiarity:
-    """Where the training logs lie, from their predicted motion ``(members, rows)`` from the row `burn_in` + 1 on."""
+    """Compute where training logs lie, from their predicted motion ``(members, rows)`` behind row `burn_in`."""
     some = [single(each) for each in motion if each.angle.shape[1] > burn_in + 1][:LOGS]
     memory = np.concatenate([_memories(single(nets), each)[burn_in::EVERY] for each in some]).astype(np.float64)
     mean = memory.mean(axis=0)

@@ -108,7 +108,7 @@ class DriveNetConfig(Configuration):
 
 
 class FollowingState(NamedTuple):
-    """What the drive net carries from tick to tick."""
+    """State that the drive net carries from tick to tick."""
 
     profile: ProfileState
     memory: Parity
@@ -167,7 +167,7 @@ class ForceNetConfig(Configuration):
 
 
 class ForceState(NamedTuple):
-    """What the force net carries from tick to tick."""
+    """State that the force net carries from tick to tick."""
 
     memory: Parity
     wake: Parity

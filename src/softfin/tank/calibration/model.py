@@ -1,4 +1,4 @@
-"""What a tank is fitted to, and many tanks over it in one compiled program: points of a search in, residuals out.
+"""Data that a tank is fitted to, and many tanks over them in one compiled program: points in, residuals out.
 
 Logs of a dataset, or of a plant that is moved for the purpose, are cut into equal segments. R2 of a channel is pooled:
 1 - (sum of squared errors) / (sum of squared deviations from the mean), both sums and the mean over all compared ticks
