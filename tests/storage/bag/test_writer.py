@@ -166,6 +166,18 @@ def test_a_disk_that_hangs_is_told_and_close_gives_up(tmp_path, monkeypatch):
     recorder._thread.join(10)
 
 
+def test_a_disk_that_takes_nothing_for_long_is_told_at_the_next_row(tmp_path, monkeypatch):
+    monkeypatch.setattr(bag_writer, "POLL_S", 30.0)
+    recorder = BagRecorder(tmp_path / "run.mcap")
+    recorder.event(1.0, "first")
+    assert recorder.failure is None
+    monkeypatch.setattr(bag_writer, "STALL_S", 0.0)
+    recorder.event(2.0, "second")
+    assert "1 rows wait for the disk" in recorder.failure
+    recorder.close()
+    assert [row[1] for row in by_rosbags(recorder.path)[EVENTS]] == ["first", "second"]
+
+
 def test_a_disk_that_is_too_slow_is_told(tmp_path, monkeypatch):
     monkeypatch.setattr(bag_writer, "BACKLOG", 10)
     monkeypatch.setattr(bag_writer, "POLL_S", 30.0)

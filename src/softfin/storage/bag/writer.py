@@ -20,6 +20,9 @@ from softfin.storage.bag.messages import COMMAND, CURRENT, EVENTS, JOINT, REFERE
 POLL_S = 0.05
 """Period at which the queue is emptied [s]: so few rows at a time delay the loop by tenths of a millisecond at most."""
 
+STALL_S = 5.0
+"""Longest time without a flush, while rows come, before the recording counts as failed [s]."""
+
 BACKLOG = 50_000
 """Most rows that wait for a disk that hangs: two minutes at 400 per second, some 20 MB."""
 
@@ -101,10 +104,11 @@ class BagRecorder:
     def _hand_in(self, topic: str, time: float, values: Sequence[float] | str) -> None:
         if self._closing.is_set():
             return
-        if self._queue.qsize() < BACKLOG:
+        waiting = self._queue.qsize()
+        if waiting >= BACKLOG or self._clock() - self._flushed > STALL_S:
+            self._fail(f"{waiting:,} rows wait for the disk", "record on a faster disk")
+        if waiting < BACKLOG:
             self._queue.put((topic, time, values))
-        else:
-            self._fail(f"{BACKLOG:,} rows wait for the disk", "record on a faster disk")
 
     def _work(self) -> None:
         try:
