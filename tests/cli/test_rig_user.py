@@ -63,8 +63,8 @@ def test_a_recording_or_folder_that_is_there_is_neither_moved_nor_replaced(contr
     (tmp_path / "a.mcap").write_text("of yesterday")
     (tmp_path / "folder.mcap").mkdir()
     run = ["run", str(controller), "--reference=1,0", "--arm", "--yes", "--plant", f"rig:{tmp_path / 'no.yaml'}"]
-    refused(capsys, [*run, "--bag", str(tmp_path / "a.mcap")], "a.mcap: exists already; give another one")
-    refused(capsys, [*run, "--bag", str(tmp_path / "folder.mcap"), "--overwrite"], "folder.mcap: exists already")
+    refused(capsys, [*run, "--bag", str(tmp_path / "a.mcap")], "a.mcap: exists already; give another --bag")
+    refused(capsys, [*run, "--bag", str(tmp_path / "folder.mcap"), "--overwrite"], "folder.mcap: exists and is not")
     assert (tmp_path / "a.mcap").read_text() == "of yesterday"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "folder.mcap"]
 

@@ -162,7 +162,7 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
     with pytest.raises(SystemExit) as stop:
         main([*words, "--resume", "--seed", "7"])
     assert stop.value.code == 2
-    assert "holds another run (seed was 0 and is 7)" in capsys.readouterr().err
+    assert "is of another run (seed was 0 and is 7)" in capsys.readouterr().err
 
 
 def test_reproduce_takes_the_logs_that_it_recorded_as_they_are_and_fits_what_its_preset_says(tmp_path, monkeypatch):

@@ -54,7 +54,7 @@ def test_the_file_beside_one_is_the_default(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "rig.yaml").write_text(yaml.safe_dump(VALUES))
     assert find_robot("rig").fin == "blue"
-    with pytest.raises(RigError, match=r"ros2\.yaml: no such file"):
+    with pytest.raises(RigError, match=r"ros2\.yaml: cannot be read \(No such file"):
         find_robot("ros2")
 
 

@@ -29,6 +29,7 @@ from softfin.rig.robot_setup import RobotSetup, find_robot
 from softfin.rig.safety import Guard
 from softfin.rig.session import Observer, Session
 from softfin.rig.stop import StopRequest, listen_to_keyboard
+from softfin.storage import artifact as artifacts
 
 
 class Driving(Armed, Common):
@@ -54,8 +55,7 @@ class Driving(Armed, Common):
         if self.bag is not None:
             if self.bag.suffix != ".mcap":
                 raise ConfigurationError(f"--bag {self.bag}: a recording is a file NAME.mcap")
-            if self.bag.is_dir() or (self.bag.exists() and not self.overwrite):
-                raise ConfigurationError(f"--bag {self.bag}: exists; give another one, or --overwrite to replace it")
+            artifacts.check_file(self.bag, self.overwrite, "--bag")
         super().check()
 
     def parties(self) -> tuple[LoadedController, RobotSetup]:

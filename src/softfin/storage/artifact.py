@@ -48,10 +48,10 @@ def check_file(path: Path, overwrite: bool, option: str = "--out") -> None:
         raise ArtifactError(f"{path}: exists and is not a file; give another {option}")
     if path.exists() and not overwrite:
         raise ArtifactError(f"{path}: exists already; give another {option}, or --overwrite to replace it")
-    check_writable(path)
+    check_writable(path, option)
 
 
-def check_writable(path: Path) -> None:
+def check_writable(path: Path, option: str = "--out") -> None:
     """Raise ArtifactError unless a file or folder can be made at `path`; tried, since rights do not tell all."""
     parent = path.absolute().parent
     while not parent.exists():
@@ -59,7 +59,7 @@ def check_writable(path: Path) -> None:
     try:
         Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=parent)).rmdir()
     except OSError as error:
-        raise ArtifactError(f"{path}: cannot be written ({parent}: {error.strerror}); give another --out") from None
+        raise ArtifactError(f"{path}: cannot be written ({parent}: {error.strerror}); give another {option}") from None
 
 
 def is_kind(path: Path, kind: str) -> bool:
