@@ -178,7 +178,7 @@ def calibration_figure(
             axes.set(ylabel=title, xlim=(0, len(command) / RATE_HZ))
             axes.set_title(f"R² {scores[channel]['r2']:.3f} over all unseen segments", loc="right")
         panels[0].set_title("The unseen segment of median error", weight="bold")
-        panels[0].legend(ncols=3, loc="lower left", bbox_to_anchor=(0.25, 0.98), borderaxespad=0)
+        panels[0].legend(ncols=3, loc="lower left", bbox_to_anchor=(0.3, 0.98), borderaxespad=0)
         panels[-1].set_xlabel("time [s]")
         end = test.warm_up + (measured.shape[1] - test.warm_up) // WINDOW * WINDOW
         ours, theirs = (
