@@ -17,7 +17,7 @@ from jaxtyping import Array
 from softfin.core.errors import SoftfinError
 from softfin.core.quantities import RATE_HZ
 from softfin.data.collect import CollectConfig
-from softfin.stages.data import collect
+from softfin.stages.collect import collect
 from softfin.stages.surrogates import compare, fit
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.surrogate import StreamingConfig

@@ -25,7 +25,7 @@ from softfin.core.quantities import RATE_HZ, Log, Reading
 from softfin.core.randomness import key_of
 from softfin.core.window import moving_average
 from softfin.data.collect import CollectConfig
-from softfin.stages.data import collect
+from softfin.stages.collect import collect
 from softfin.stages.surrogates import fit
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset

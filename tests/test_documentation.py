@@ -245,7 +245,7 @@ def stop_at_work(monkeypatch):
     def work(*words, **options):
         raise Parsed
 
-    monkeypatch.setattr("softfin.stages.data.collect", work)
+    monkeypatch.setattr("softfin.stages.collect.collect", work)
     monkeypatch.setattr(Dataset, "open", work)
     monkeypatch.setattr(subprocess, "Popen", work)
 

@@ -55,7 +55,7 @@ def test_a_full_disk_is_one_line_that_names_the_folder(capsys, tmp_path, monkeyp
     def full(*words, **options):
         raise OSError(28, "No space left on device", "train/0000.parquet")
 
-    monkeypatch.setattr("softfin.stages.data.collect", full)
+    monkeypatch.setattr("softfin.stages.collect.collect", full)
     line, code = fails(capsys, "collect", "--out", str(tmp_path / "d"))
     assert "train/0000.parquet: No space left on device" in line
     assert code == 1

@@ -6,7 +6,7 @@ import pytest
 
 from softfin.cli import main
 from softfin.data.collect import CollectConfig
-from softfin.stages.data import collect
+from softfin.stages.collect import collect
 from softfin.storage.dataset import Dataset
 from softfin.surrogate import save_surrogate
 from tests.cli.test_cli import fails

@@ -53,7 +53,7 @@ class CollectArguments(Armed, Configured):
     def __call__(self) -> None:
         from softfin.data.collect import CollectConfig
         from softfin.rig.robot_setup import find_robot
-        from softfin.stages.data import collect
+        from softfin.stages.collect import collect
         from softfin.stages.live import collect_live
         from softfin.surrogate.active import ActiveCollectConfig
 
@@ -82,7 +82,7 @@ class InspectArguments(LogOptions, Common):
     """Folder to write inspection.json and the figure to."""
 
     def __call__(self) -> None:
-        from softfin.stages.data import inspect_logs
+        from softfin.stages.logs import inspect_logs
 
         result = self.stage(inspect_logs, self.logs, self.out, self.recordings)
         self.tell(result, inspection_table(result))
@@ -134,7 +134,7 @@ class ImportLogsArguments(LogOptions, Common):
     """Take logs with errors, too."""
 
     def __call__(self) -> None:
-        from softfin.stages.data import import_logs
+        from softfin.stages.logs import import_logs
 
         data, inspection = self.stage(
             import_logs, self.logs, self.out, self.recordings, ignore_errors=self.ignore_errors

@@ -26,8 +26,8 @@ from softfin.evaluation.report import prediction_figure, write_report
 from softfin.evaluation.scores import Scores, SurrogateUncertainty
 from softfin.learning.configuration import GRADIENT_GRID, GRADIENT_SINGLE, GRID, SINGLE, TrainConfig
 from softfin.learning.controllers import learning_figure
+from softfin.stages.collect import collect
 from softfin.stages.controllers import train
-from softfin.stages.data import collect
 from softfin.stages.evaluation import evaluation_of
 from softfin.stages.surrogates import fit
 from softfin.storage import artifact as artifacts
