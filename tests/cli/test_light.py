@@ -35,6 +35,7 @@ SLIPS: list[tuple[list[str], str]] = [
     (["collect", *OUT, "--arm"], "--arm: tank is simulated"),
     (["inspect", "nowhere"], "nowhere: no such file or folder; give a folder of CSV, Parquet or ROS 2 bags"),
     (["inspect", "log.csv", "--rate", "-1"], "rate_hz = -1.0: Input should be greater than 0"),
+    (["inspect", "log.csv"], "log.csv: empty: it has no header; the first line must name the columns"),
     (["import-logs", "full", *OUT], "full: holds no recordings; they are .csv, "),
     (["fit", "log.csv", *OUT, "--epochs", "3"], "only --model paper counts in epochs"),
     (["calibrate", "full", *OUT], "full: not a dataset"),
