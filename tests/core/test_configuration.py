@@ -61,6 +61,7 @@ def test_a_missing_key_is_named_alone_and_a_misspelt_one_as_it_was_written(value
 def test_values_change_by_path_and_the_original_stays():
     config = Outer()
     assert config.changed(["inner.rate=0.5", "steps=7"]) == Outer(inner=Inner(rate=0.5), steps=7)
+    assert config.changed(["inner={rate: 0.5}"]) == Outer(inner=Inner(rate=0.5))
     assert config == Outer()
 
 

@@ -161,7 +161,7 @@ def test_a_damaged_entry_is_compiled_again_and_replaced(tmp_path: Path, damage) 
 
 def test_what_was_not_used_for_longest_makes_room_and_no_other_file_is_touched(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("the user's" * 1000)
-    store = ProgramStore(tmp_path, largest_bytes=3 * 132)
+    store = ProgramStore(tmp_path, largest_bytes=4 * 132)
     for moment, key in enumerate(("first", "second", "third")):
         store.put(key, bytes(100))
         _set_time(tmp_path / f"{key}{SUFFIX}", moment)

@@ -42,9 +42,13 @@ class Configuration(pydantic.BaseModel):
                 raise ConfigurationError(
                     f"--set {change[:200]}: not YAML ({error}); quote it, or close its bracket"
                 ) from None
-            for name in reversed(path.strip().split(".")):
-                value = {name: value}
-            values = _merge(values, value)
+            *groups, name = path.strip().split(".")
+            group = values
+            for each in groups:
+                if not isinstance(group.get(each), dict):
+                    group[each] = {}
+                group = group[each]
+            group[name] = value
         return self.build(values, "--set")
 
     def merged(self: Config, values: Mapping[str, Any], source: str) -> Config:

@@ -20,6 +20,9 @@ JAX_VARIABLE = "JAX_COMPILATION_CACHE_DIR"
 LARGEST_BYTES = 2**30
 """Size that the folder may reach; the programs that were not used for longest are deleted first."""
 
+SPARE = 16
+"""Part of the size that is made free; the folder is looked through at the first entry, and after each such part."""
+
 SHORTEST_COMPILATION_S = 0.0
 """Programs that compile faster than this are not kept: none, since an evaluation in the tank has 45 small ones beside
 its large one, which take 30 ms each to compile and 6 ms to read back."""
@@ -66,7 +69,7 @@ class ProgramStore:
 
     def __init__(self, folder: Path, largest_bytes: int = LARGEST_BYTES) -> None:
         self._path, self.largest_bytes = folder, largest_bytes
-        self._has_failed = False
+        self._has_failed, self._unchecked_bytes = False, largest_bytes
 
     def get(self, key: str) -> bytes | None:
         """The content of an entry; none where it is missing or damaged."""
@@ -95,7 +98,10 @@ class ProgramStore:
                     Path(name).replace(self._path / f"{key}{SUFFIX}")
             finally:
                 Path(name).unlink(missing_ok=True)
-            self._evict()
+            self._unchecked_bytes += DIGEST_BYTES + len(value)
+            if self._unchecked_bytes > self.largest_bytes // SPARE:
+                self._evict(self.largest_bytes - self.largest_bytes // SPARE)
+                self._unchecked_bytes = 0
         except OSError as error:
             if not self._has_failed:
                 sys.stderr.write(
@@ -104,15 +110,16 @@ class ProgramStore:
                 )
             self._has_failed = True
 
-    def _evict(self) -> None:
+    def _evict(self, allowed_bytes: int) -> None:
         """Delete what was not used for longest until the rest is small enough; others may delete at the same time."""
         entries = []
         for path in self._path.glob(f"*{SUFFIX}"):
             with contextlib.suppress(FileNotFoundError):
-                entries.append((path.stat().st_mtime_ns, path.stat().st_size, path))
+                state = path.stat()
+                entries.append((state.st_mtime_ns, state.st_size, path))
         size = sum(size for _, size, _ in entries)
         for _, bytes_, path in sorted(entries):
-            if size <= self.largest_bytes:
+            if size <= allowed_bytes:
                 break
             path.unlink(missing_ok=True)
             size -= bytes_

@@ -87,6 +87,26 @@ def degrees(columns: Columns) -> None:
         columns[name] = np.degrees(columns[name])
 
 
+def test_a_velocity_that_was_told_is_not_taken_for_degrees():
+    def change(columns: Columns) -> None:
+        for name in ("command_angle_rad", "angle_rad", "velocity_rad_s"):
+            columns[name] = np.degrees(columns[name])
+        columns["command_velocity_rad_s"][:] = 3.1
+
+    told = inspected(change, ImportConfig(velocity_rad_s=3.1)).issues[0]
+    assert told.fix == "--angles command_angle=deg,angle=deg,velocity=deg"
+    assert inspected(change).issues[0].fix == "--angles deg"
+
+
+def test_short_logs_are_checked_together():
+    columns = [columns_of(cut(log, 0, 800)) for log in tank_logs(4)]
+    for one in columns:
+        mirrored_command(one)
+    inspection = inspect(named(*map(log_of, columns)))
+    assert grave(inspection)["command sign"] == "--negate command_angle"
+    assert next(one.log for one in inspection.issues if one.name == "command sign") == "the first 4 logs together"
+
+
 def angle_in_degrees(columns: Columns) -> None:
     columns["angle_rad"] = np.degrees(columns["angle_rad"])
     columns["velocity_rad_s"] = np.degrees(columns["velocity_rad_s"])

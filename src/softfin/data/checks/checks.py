@@ -54,7 +54,7 @@ class CheckedLog(NamedTuple):
 
 def check_degrees(log: CheckedLog) -> Iterator[Issue]:
     """Angles in degrees that were read as radians."""
-    if wrong := channels_in_degrees(log.raw):
+    if wrong := channels_in_degrees(log.raw, log.config.velocity_rad_s is not None):
         ranges = {name: getattr(log.raw, name) for name in wrong}
         spans = "; ".join(f"{name} spans {values.min():.4g} .. {values.max():.4g}" for name, values in ranges.items())
         option = "deg" if set(wrong) == set(ANGLES) else ",".join(f"{channel}=deg" for channel in wrong)

@@ -7,11 +7,30 @@ from typing import Any
 import numpy as np
 
 from softfin.core.progress import Progress
-from softfin.data.checks.checks import LOG_CHECKS, CheckedLog, check_dataset, check_lags
-from softfin.data.checks.statistics import LogStatistics, channels_in_degrees, columns_of, measure, without_spikes
+from softfin.core.quantities import RATE_HZ
+from softfin.data.checks.alignment import SHORTEST_S
+from softfin.data.checks.checks import (
+    LOG_CHECKS,
+    CheckedLog,
+    check_dataset,
+    check_following,
+    check_force_axes,
+    check_lags,
+)
+from softfin.data.checks.statistics import (
+    Columns,
+    LogStatistics,
+    channels_in_degrees,
+    columns_of,
+    measure,
+    without_spikes,
+)
 from softfin.data.importing.clocks import NamedLog
 from softfin.data.importing.importing import FORCE_FRAMES, ImportConfig
 from softfin.data.issues import SEVERITIES, Issue, merge_issues
+
+POOLED = 100
+"""Most logs that are checked together where each alone is too short for its sign, axes and lags."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,19 +68,27 @@ def inspect(
 ) -> Inspection:
     """Check logs; `issues` are those that were met when they were read with `config`."""
     config = config or ImportConfig()
-    found, statistics = list(issues), []
+    found, statistics, series = list(issues), [], []
     for index, named in enumerate(logs):
         # Channels are repaired where one fault would hide the next.
         raw = columns_of(named.log)
-        columns = raw._replace(**{channel: np.radians(getattr(raw, channel)) for channel in channels_in_degrees(raw)})
+        in_degrees = channels_in_degrees(raw, config.velocity_rad_s is not None)
+        columns = raw._replace(**{channel: np.radians(getattr(raw, channel)) for channel in in_degrees})
         # Not the velocity, which is mostly a difference of angles, and rough by nature.
         rough = {channel: without_spikes(getattr(columns, channel)) for channel in ("angle", "force_x", "force_y")}
         calm = columns._replace(**rough)
         statistics.append(measure(calm, named))
+        series.append(calm)
         log = CheckedLog(raw, columns, calm, statistics[-1], config)
         found += [issue for check in LOG_CHECKS for issue in check(log)]
         if progress is not None:
             progress("inspect", (index + 1) / len(logs), f"{index + 1:,} of {len(logs):,} logs")
+    if len(logs) > 1 and all(one.rows < SHORTEST_S * RATE_HZ for one in statistics):
+        # Short logs end to end: the seams are few beside the steps within.
+        joined = Columns(*map(np.concatenate, zip(*series[:POOLED], strict=True)))
+        together = measure(joined, logs[0]._replace(name=f"the first {len(series[:POOLED])} logs together"))
+        pooled = CheckedLog(joined, joined, joined, together, config)
+        found += [*check_following(pooled), *check_force_axes(pooled), *check_lags([together], config)]
     issues = [*found, *check_lags(statistics, config), *check_dataset(logs)]
     return Inspection(merge_issues(issues), statistics)
 

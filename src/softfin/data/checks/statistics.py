@@ -65,11 +65,15 @@ def columns_of(log: Log) -> Columns:
     return Columns(*(np.asarray(values, np.float64) for values in series))
 
 
-def channels_in_degrees(columns: Columns) -> list[str]:
-    """Find channels in degrees."""
+def channels_in_degrees(columns: Columns, is_velocity_given: bool) -> list[str]:
+    """Find channels in degrees; the commanded velocity is not in doubt where an option gave it in rad/s."""
     # The size of one sample in a hundred may be a spike's.
     found = [name for name, most in MOST_RADIANS.items() if np.percentile(np.abs(getattr(columns, name)), 99) > most]
-    return [*found, "velocity"] if "angle" in found and 0.5 < velocity_slope(columns)[1] < 2 else found
+    if "angle" in found and 0.5 < velocity_slope(columns)[1] < 2:
+        found.append("velocity")
+    if {"angle", "command_angle"} <= {*found} and "command_velocity" not in found and not is_velocity_given:
+        found.append("command_velocity")
+    return found
 
 
 def velocity_slope(columns: Columns) -> tuple[float, float]:

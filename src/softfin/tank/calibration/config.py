@@ -146,6 +146,12 @@ class Weights(Configuration):
     force_y: float = Field(1.0, ge=0)
     """Weight of 1 - R2 of the force along y."""
 
+    @model_validator(mode="after")
+    def _some(self) -> "Weights":
+        if self.angle + self.force_x + self.force_y == 0:
+            raise ValueError("at least one channel must weigh something")
+        return self
+
 
 class CalibrateConfig(Configuration):
     """How a tank is fitted."""
