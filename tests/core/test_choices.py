@@ -10,7 +10,7 @@ import softfin.cli
 from softfin.cli.surrogates import defaults
 from softfin.core import choices
 from softfin.data.importing.names import UNITS
-from softfin.evaluation.moving import SIGNALS
+from softfin.evaluation.moving_references import SIGNALS
 from softfin.learning.configuration import TRAIN_PRESETS
 from softfin.stages.reproduce import PRESETS as REPRODUCTIONS
 from softfin.tank.calibration.config import PRESETS as CALIBRATIONS

@@ -9,7 +9,7 @@ from softfin.core.errors import CoverageError, PlantError
 from softfin.core.quantities import Command
 from softfin.evaluation.evaluate import EvaluateConfig, evaluate, write_evaluation
 from softfin.evaluation.figures import moving_figure
-from softfin.evaluation.moving import SIGNALS, MovingPlan, _row, plan_moving, signals_of
+from softfin.evaluation.moving_references import SIGNALS, MovingPlan, _row, plan_moving, signals_of
 from softfin.evaluation.range_errors import range_of
 from softfin.gaits.reachable import Cell, Reachable
 from softfin.task.references import PAPER_CELLS, PAPER_RANGE

@@ -173,7 +173,7 @@ class BagArguments(LogOptions, Common):
         return self.tell(result, f"{self.columns_read(result['columns'])}{text}")
 
     def _recover(self) -> None:
-        from softfin.storage.bag.records import recover, recovered_path
+        from softfin.storage.bag.recovery import recover, recovered_path
 
         out = self.out or recovered_path(self.path)
         recovery = recover(self.path, out, self.overwrite)

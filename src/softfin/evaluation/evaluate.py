@@ -21,7 +21,7 @@ from softfin.core.randomness import key_of
 from softfin.core.window import CONFIDENCE, interval
 from softfin.evaluation.experiment import MIN_SECONDS, EvaluationTarget, ExperimentRecording, independent, run
 from softfin.evaluation.figures import error_map_figure, experiments_figure, moving_figure
-from softfin.evaluation.moving import MovingScores, plan_moving
+from softfin.evaluation.moving_references import MovingScores, plan_moving
 from softfin.evaluation.range_errors import MAX_RANDOM, ErrorMap, map_errors, random_errors
 from softfin.evaluation.scores import STILL_RAD_S, Scores, SurrogateUncertainty, score, uncertainty_of
 from softfin.gaits.reachable import PAPER_REFERENCES
@@ -56,7 +56,7 @@ class EvaluateConfig(ExperimentsConfig):
     """Experiments that a controller is scored by."""
 
     moving: tuple[MovingReference, ...] = ()
-    """Kinds of moving references: `softfin.evaluation.moving.SIGNALS`, laid out in the controller's range."""
+    """Kinds of moving references: `evaluation.moving_references.SIGNALS`, laid out in the controller's range."""
     recorded: Recorded | None = None
     """Another moving reference, as read from a file; its last force is held as long as the one before."""
     strict: bool = False

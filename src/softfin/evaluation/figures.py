@@ -13,7 +13,7 @@ from softfin.core.action_clock import WINDOW
 from softfin.core.quantities import AXES, RATE_HZ
 from softfin.core.window import moving_average
 from softfin.evaluation.experiment import ExperimentRecording
-from softfin.evaluation.moving import MovingScores
+from softfin.evaluation.moving_references import MovingScores
 from softfin.evaluation.range_errors import ErrorMap
 from softfin.evaluation.scores import SETTLED_N
 from softfin.gaits.reachable import PAPER_REFERENCES

@@ -11,7 +11,7 @@ from softfin.rig.monitor import follow
 from softfin.rig.monitor.follow import Follower
 from softfin.rig.monitor.summary import ROLES, decode_message
 from softfin.storage.bag.messages import TYPES
-from softfin.storage.bag.records import LARGEST_BYTES
+from softfin.storage.bag.recovery import LARGEST_BYTES
 from tests.rig.monitor.bags import START_NS, Recording
 
 

@@ -16,7 +16,7 @@ from softfin.data.importing.clocks import logs_of
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.importing.rosbag import read_bag
 from softfin.storage.bag.messages import COMMAND, JOINT, WRENCH
-from softfin.storage.bag.records import check_bag, recover, recovered_path
+from softfin.storage.bag.recovery import check_bag, recover, recovered_path
 from tests.data.recorded import by_mcap_ros2, by_rosbags, record
 
 LONG = os.environ.get("SOFTFIN_LONG") == "1"

@@ -13,7 +13,7 @@ from softfin.data.importing.rosbag import TYPES as READABLE
 from softfin.data.recordings import open_logs
 from softfin.storage.bag import writer as bag_writer
 from softfin.storage.bag.messages import COMMAND, CURRENT, DEFAULT_TOPICS, EVENTS, JOINT, REFERENCE, TYPES, WRENCH
-from softfin.storage.bag.records import recover
+from softfin.storage.bag.recovery import recover
 from softfin.storage.bag.writer import BagRecorder
 from tests.data.recorded import by_mcap_ros2, by_rosbags, record
 from tests.rig.machines import Hours

@@ -17,7 +17,7 @@ from softfin.data.importing.importing import ImportConfig, Topic
 from softfin.data.importing.tables import derived_velocity
 from softfin.data.issues import Issue, Severity
 from softfin.storage.bag.messages import DEFAULT_TOPICS, JOINT_STATE, WRENCH_STAMPED, type_store
-from softfin.storage.bag.records import check_bag
+from softfin.storage.bag.recovery import check_bag
 
 ARRAY = "std_msgs/msg/Float64MultiArray"
 

@@ -16,7 +16,7 @@ from mcap.records import Channel, Footer, Message, Schema
 from softfin.core.errors import LogError
 from softfin.core.printable import printable
 from softfin.rig.monitor.summary import MOST_CHARACTERS, ROLES, Summary, Trace, summarize
-from softfin.storage.bag.records import MAGIC, RawRecord, decode, read_records
+from softfin.storage.bag.recovery import MAGIC, RawRecord, decode, read_records
 from softfin.storage.paths import check_monitored
 
 READ_BYTES = 4 * 2**20
