@@ -64,7 +64,7 @@ SIZE = {
     "policy": {"units": 8, "width": 8},
     "task": {"episode_actions": 9},
 }
-LEARNING = {"warm_start": False, "num_envs": 2, "num_steps": 3, "shared_pretraining": None, "learning_rate": 1e-3}
+LEARNING = {"warm_start": False, "num_envs": 2, "num_steps": 3, "learning_rate": 1e-3}
 GRADIENT = {**SIZE, "steps": 6, "gradient": LEARNING}
 """One learning rate for both kinds of controller, so that one program learns both."""
 MAP = {

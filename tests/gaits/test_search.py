@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from softfin.gaits import search
 from softfin.gaits.gait import GaitTable
-from softfin.gaits.reachable import Cell, Reachable
+from softfin.gaits.reachable import Cell
 from softfin.gaits.search import GaitConfig, find_gaits
-from softfin.gaits.simulate import Survey, SurveyConfig, survey, tried_gaits
+from softfin.gaits.simulate import SurveyConfig, survey
 from softfin.gaits.simulate import simulate_gait as simulate
 from softfin.surrogate import import_keras
 from tests.gaits.test_survey import OwnFin
@@ -24,6 +25,7 @@ RANDOM = GaitTable(
     jnp.array([0.5, -1]), jnp.array([2.5, 2]), jax.random.uniform(KEY, (3, 4, 6, 2), minval=-1, maxval=1)
 )
 """Nodes 1 N apart."""
+LATTICE = GaitTable.empty((0.5, -0.5), (1.5, 0.5), (3, 3))
 
 blended = jax.jit(lambda table, x, y: table.gait(jnp.stack([x, y])))
 
@@ -56,36 +58,57 @@ def test_a_fin_without_any_choice_leaves_its_nodes_where_they_are() -> None:
     still = StrokeFin(gain=0.0, bias=(0.3, 0.0))
     few = SurveyConfig(cycles=2, batch=256, directions=8, pushes=1)
     found = find_gaits(
-        still, survey(still, few), GaitTable.empty((0, 0), (1, 1), (2, 2)), GaitConfig(cycles=2, steps=7)
+        still, survey(still, few), GaitTable.empty((0, 0), (1, 1), (2, 2)), GaitConfig(cycles=2, steps=7, halvings=0)
     )
     np.testing.assert_allclose(found.force, np.broadcast_to([0.3, 0], (2, 2, 2)), atol=1e-5)
     assert np.isfinite(found.table.actions).all()
 
 
-def test_smoothness_lowers_the_sobolev_term_of_gaits_that_make_the_same_forces() -> None:
-    lattice = GaitTable.empty((0.5, -0.5), (1.5, 0.5), (3, 3))
+def from_anywhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The survey's strokes are smooth and alike already."""
+    start = jax.random.normal(KEY, (9, 12)) / 2
+    monkeypatch.setattr(search, "_start", lambda *_: start)
+
+
+def test_smoothness_lowers_the_sobolev_term_of_gaits_that_make_the_same_forces(monkeypatch: pytest.MonkeyPatch) -> None:
+    from_anywhere(monkeypatch)
     rough, smooth = (
-        find_gaits(FIN, surveyed(), lattice, GaitConfig(cycles=2, steps=16, likeness=0.05, smoothness=weight))
-        for weight in (0.0, 3.0)
+        find_gaits(FIN, surveyed(), LATTICE, GAITS.model_copy(update={"likeness": 0.0, "smoothness": weight}))
+        for weight in (0.0, 1.0)
     )
-    assert max(rough.force_error().max(), smooth.force_error().max()) < 0.01
-    assert smooth.smoothness.sum() < 0.95 * rough.smoothness.sum()
+    assert smooth.force_error().mean() < 0.05
+    assert smooth.smoothness.sum() < 0.8 * rough.smoothness.sum()
 
 
-def test_likeness_brings_the_gaits_of_neighbours_together() -> None:
-    lattice = GaitTable.empty((0.5, -0.5), (1.5, 0.5), (3, 3))
+def test_likeness_brings_the_gaits_of_neighbours_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    from_anywhere(monkeypatch)
     apart, alike = (
-        np.abs(np.diff(find_gaits(FIN, surveyed(), lattice, config).table.actions, axis=0)).mean()
+        np.abs(np.diff(find_gaits(FIN, surveyed(), LATTICE, config).table.actions, axis=0)).mean()
         for config in (GAITS.model_copy(update={"likeness": weight}) for weight in (0.0, 0.6))
     )
-    assert alike < 0.95 * apart
+    assert alike < 0.8 * apart
 
 
 def test_a_plant_that_cannot_be_hashed_gets_the_same_gaits() -> None:
     lattice = GaitTable.empty((1, 0), (2, 0.5), (2, 2))
-    quick = GaitConfig(cycles=2, steps=6)
+    quick = GaitConfig(cycles=2, steps=6, halvings=0)
     own, same = (find_gaits(plant, surveyed(), lattice, quick) for plant in (OwnFin(), FIN))
     np.testing.assert_allclose(own.force, same.force, atol=1e-3)
+
+
+def test_halving_the_spacing_leaves_less_between_the_nodes() -> None:
+    places = np.random.default_rng(0).uniform((0.5, -0.5), (1.5, 0.5), (20, 2)).astype(np.float32)
+    coarse, fine = (
+        find_gaits(FIN, surveyed(), LATTICE, GAITS.model_copy(update={"halvings": count})) for count in (0, 1)
+    )
+    assert fine.table.nodes == (5, 5)
+    np.testing.assert_array_equal(fine.table.actions[::2, ::2], coarse.table.actions)
+    assert fine.force_error().max() < 0.01
+    left = [
+        np.mean([np.abs(simulate_gait(FIN, found.table.gait(place), 2, KEY).force - place) for place in places])
+        for found in (coarse, fine)
+    ]
+    assert left[1] < 0.5 * left[0]
 
 
 def test_a_lattice_has_the_corners_of_the_box_and_no_wider_spacing() -> None:
@@ -134,10 +157,8 @@ def test_a_lattice_for_a_single_force_has_its_gait() -> None:
 @pytest.mark.slow
 def test_a_gait_of_the_published_fin_holds_its_force_in_the_steady_state(published: Path) -> None:
     fin = import_keras(published / "cnn_pos_net.keras", published / "lstm_force_net.keras", published / "scalers.json")
-    strokes = tried_gaits()[0, :77:9]
-    got = jax.jit(jax.vmap(lambda gait: simulate(fin, gait, 2, KEY)))(jnp.asarray(strokes))
-    region = Reachable(np.array([2, 0], np.float32), np.ones(8, np.float32))
-    one = Survey(strokes[None], np.asarray(got.force)[None], region)
-    found = find_gaits(fin, one, GaitTable.empty((1.5, -0.25), (2, 0), (2, 2)), GaitConfig(cycles=2, steps=8))
+    surveyed = survey(fin, SurveyConfig(cycles=2, directions=8, pushes=0))
+    lattice = GaitTable.empty((1.5, -0.25), (2, 0), (2, 2))
+    found = find_gaits(fin, surveyed, lattice, GaitConfig(cycles=2, steps=8, halvings=0))
     response = jax.jit(lambda gait: simulate(fin, gait, 4, KEY))(found.table.gait(jnp.array([2.0, 0.0])))
     np.testing.assert_allclose(response.force, (2, 0), atol=0.02)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softfin.core.action_clock import ACTION_TICKS, WINDOW
-from softfin.gaits.simulate import AMPLITUDES, CENTRES, VELOCITIES, WAVEFORMS, tried_gaits
+from softfin.gaits.simulate import AMPLITUDES, FAMILIES, VELOCITIES, WAVEFORMS, strokes
 from tests.learning.mapped import simulate_gait, steady_state_force
 from tests.plants import AnalyticFin, StrokeFin
 
@@ -50,26 +50,31 @@ def test_the_last_cycle_counts():
 
 
 def test_in_the_steady_state_the_moving_average_has_no_ripple():
-    gait = tried_gaits()[2, 40]
+    gait = stroke(2, 1.0, -0.5, 0.75)
     force = np.asarray(steady_state_force(AnalyticFin(noise_n=0.0), gait, 3, KEY), float)
     averages = np.array([force[k : k + WINDOW].mean(axis=0) for k in range(WINDOW, 2 * WINDOW)])
     assert np.ptp(force[WINDOW:, 0]) > 0.1
     assert np.ptp(averages, axis=0).max() < 1e-4
 
 
-def test_all_waveforms_and_velocities_are_tried_over_all_centres_and_amplitudes():
-    found = tried_gaits()
-    each = len(CENTRES) * len(AMPLITUDES)
-    assert found.shape == (len(WAVEFORMS), 3 * each, 6, 2)
-    assert np.abs(found).max() <= 1
-    for part, velocity in zip(np.split(found, 3, axis=1), VELOCITIES, strict=True):
-        np.testing.assert_array_equal(part[..., 1], np.float32(velocity))
-    middle = found[0, len(CENTRES) // 2 * len(AMPLITUDES)]
+def stroke(waveform: int, velocity: float, centre: float, amplitude: float) -> np.ndarray:
+    return strokes(WAVEFORMS[waveform], velocity, np.array([centre]), np.array([amplitude]))[0]
+
+
+def test_strokes_beat_about_their_centres_at_one_velocity_within_the_limits():
+    middle = stroke(0, 0.3, 0.0, AMPLITUDES[0])
     np.testing.assert_allclose(middle[:, 0], AMPLITUDES[0] * WAVEFORMS[0], atol=1e-6)
+    np.testing.assert_array_equal(middle[:, 1], np.float32(0.3))
+    assert np.abs(stroke(1, 1.0, 1.0, 0.9)).max() == 1
+
+
+def test_every_waveform_is_tried_at_every_velocity():
+    assert len(FAMILIES) == len(WAVEFORMS) * len(VELOCITIES)
+    assert {velocity for _, velocity in FAMILIES} == set(VELOCITIES)
 
 
 def test_the_slope_of_the_mean_force_is_that_of_finite_differences():
-    gait = jnp.asarray(tried_gaits()[0, 38] * np.float32(0.8), jnp.float32)
+    gait = jnp.asarray(stroke(0, 0.8, 0.0, 0.4), jnp.float32)
     force = jax.jit(jax.value_and_grad(lambda gait: simulate_gait(StrokeFin(), gait, 2, KEY).force[0]))
     slope, step = force(gait)[1][2, 0], 1e-2
     up, down = (force(gait.at[2, 0].add(sign * step))[0] for sign in (1, -1))

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from softfin.core.quantities import PAPER_LIMITS, Limits
-from softfin.gaits.simulate import SurveyConfig, _middle, survey
+from softfin.gaits.simulate import AMPLITUDES, CENTRES, FAMILIES, SurveyConfig, _middle, strokes, survey
 from tests.learning.mapped import FIN, SURVEY, simulate_gait, surveyed
 from tests.plants import StrokeFin
 
@@ -16,9 +16,10 @@ MOST_N = np.pi
 
 def test_every_gait_was_tried_and_its_force_kept_beside_it() -> None:
     found = surveyed()
-    assert found.force.shape == (3, 231, 2)
-    for place in ((0, 3), (1, 117), (2, 230)):
-        alone = simulate_gait(FIN, found.gaits[place], SURVEY.cycles, jax.random.key(0))
+    assert found.force.shape == (9, 11, 7, 2)
+    for place in ((0, 0, 3), (4, 8, 2), (8, 10, 6)):
+        gait = strokes(*FAMILIES[place[0]], CENTRES[place[1] : place[1] + 1], AMPLITUDES[place[2] : place[2] + 1])[0]
+        alone = simulate_gait(FIN, gait, SURVEY.cycles, jax.random.key(0))
         np.testing.assert_allclose(found.force[place], alone.force, atol=1e-4)
 
 

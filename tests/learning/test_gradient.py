@@ -18,7 +18,7 @@ from softfin.gaits.force_map import MapConfig
 from softfin.gaits.reachable import PAPER_REFERENCES, Cell, Reachable
 from softfin.gaits.simulate import missing_gradient
 from softfin.learning.configuration import GRADIENT_SINGLE, GRID, TRAIN_PRESETS, TrainConfig, check, choose_preset
-from softfin.learning.gradient import CloningConfig, Gradient, GradientConfig
+from softfin.learning.gradient import Gradient, GradientConfig
 from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.rollout import AgentState, EnvState
 from softfin.learning.run import TrainingResult, TrainingRun
@@ -42,7 +42,6 @@ QUICK = GRADIENT_SINGLE.model_copy(
         "task": TaskConfig(phase=True, episode_actions=12, reference_actions=6),
         "gradient": GradientConfig(
             num_envs=4, num_steps=6, learning_rate=1e-2,
-            cloning=CloningConfig(num_envs=4, num_steps=12, num_updates=5, batch_size=4),
             map=MapConfig(survey=SURVEY, gaits=GAITS),
         ),
     }

@@ -1,11 +1,12 @@
 """The step of a policy: observation and memory in, memory and action out (paper Sec. III-C2).
 
     gates = [observation, hidden] kernel + bias;  cell' = s(f) cell + s(i) tanh(g);  hidden' = s(o) tanh(cell')
-    action = tanh(tanh(hidden' W + b) V + c)
+    action = tanh(tanh(hidden' W + b) V + c + atanh(gait))
 
 It is the LSTM of Hochreiter and Schmidhuber (1997) with forget gates, and one layer behind it. Two things are folded
 into the weights when they are read: the units and the normalisation of the observation, and 1/2 for the gates, since
-the logistic function is s(x) = 1/2 + tanh(x / 2) / 2, so that one tanh computes all four gates.
+the logistic function is s(x) = 1/2 + tanh(x / 2) / 2, so that one tanh computes all four gates. Policies that did not
+begin as gaits have no such term.
 """
 
 from collections.abc import Mapping
@@ -17,12 +18,19 @@ import pydantic
 from softfin.core.action_clock import CYCLE_ACTIONS
 from softfin.core.operations import Array, Number, Operations
 from softfin.core.quantities import Limits
+from softfin.gaits.gait import GaitTable
 
 MEASURED = 3
 """Numbers in an observation before the past actions: angle [rad] and reference (x, y) [N]."""
 
 ANGLE_SCALE_RAD = np.pi / 2
 """Unit of observed angles in training."""
+
+GAITS = "gaits"
+"""Name before the arrays of a policy's gaits."""
+
+GREATEST_ACTION = np.float32(0.999)
+"""Actions of gaits are scaled by this before their atanh."""
 
 LEAST_DEVIATION = 0.1
 """Observations that hardly varied in training are divided by this."""
@@ -92,11 +100,33 @@ class PolicyNetwork(NamedTuple):
         cell = opened[units : 2 * units] * memory.cell + opened[:units] * gates[3 * units :]
         return PolicyMemory(opened[2 * units :] * xp.tanh(cell), cell)
 
-    def action(self, ops: Operations, memory: PolicyMemory) -> Array:
-        """Compute the deterministic action in [-1, 1]^2."""
+    def action(self, ops: Operations, memory: PolicyMemory, gait: Array | None) -> Array:
+        """Compute the deterministic action in [-1, 1]^2; the `gait` is the action to add to, before the tanh."""
         tanh = ops.xp.tanh
         inner = tanh(ops.dot(memory.hidden, self.hidden) + self.hidden_bias)
-        return tanh(ops.dot(inner, self.output) + self.output_bias)
+        added = ops.dot(inner, self.output) + self.output_bias
+        return tanh(added if gait is None else added + gait)
+
+
+def gait_before_tanh(ops: Operations, gaits: GaitTable | None, reference: Array, age: Number) -> Array | None:
+    """Return the atanh of the action, the `age`-th since the start, of the gait for a reference; None without gaits."""
+    if gaits is None:
+        return None
+    # The atanh has no value at 1.
+    return ops.xp.atanh(GREATEST_ACTION * ops.row(gaits.gait(reference, ops), age % CYCLE_ACTIONS))
+
+
+def take_gaits(arrays: dict[str, np.ndarray], observation: Observation) -> GaitTable | None:
+    """Take a policy's gaits out of its arrays, over references in N; raises ValueError where they do not fit it."""
+    names = [f"{GAITS}.{name}" for name in GaitTable._fields]
+    if not set(names) <= set(arrays):
+        return None
+    low, high, actions = (np.asarray(arrays.pop(name), np.float32) for name in names)
+    if actions.ndim != 4 or actions.shape[2:] != (CYCLE_ACTIONS, 2) or low.shape != (2,) or high.shape != (2,):
+        raise ValueError(f"gaits of shape {actions.shape} from {low.shape} to {high.shape} are not a table of gaits")
+    if not observation.phase:
+        raise ValueError("task.phase is false; a policy with gaits observes the phase")
+    return GaitTable(low * observation.force_scale_n, high * observation.force_scale_n, actions)
 
 
 def fold(arrays: Mapping[str, np.ndarray], observation: Observation, stack: tuple[int, ...] = ()) -> PolicyNetwork:

@@ -7,9 +7,18 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from softfin.control.controller import STATIC
-from softfin.control.policy import Observation, PolicyMemory, PolicyNetwork, fold, rest_action
+from softfin.control.policy import (
+    Observation,
+    PolicyMemory,
+    PolicyNetwork,
+    fold,
+    gait_before_tanh,
+    rest_action,
+    take_gaits,
+)
 from softfin.core.operations import Array, Number, Operations
 from softfin.core.quantities import Limits
+from softfin.gaits.gait import GaitTable
 from softfin.gaits.reachable import Cell
 
 
@@ -33,16 +42,19 @@ class SingleStep:
     rest: tuple[float, float] = field(metadata=STATIC)
     """Action of a fin that stays where it is."""
     observation: Observation = field(metadata=STATIC)
+    gaits: GaitTable | None = None
+    """Gaits that the policy's actions are added to."""
 
     @classmethod
     def load(
-        cls, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray], limits: Limits, cells: tuple[Cell, ...]
+        cls, description: Mapping[str, Any], arrays: dict[str, np.ndarray], limits: Limits, cells: tuple[Cell, ...]
     ) -> tuple["SingleStep", tuple[Cell, ...]]:
         """Build it from a controller's description and arrays; returns it with its cell."""
         if len(cells) != 1:
             raise ValueError(f"cells: there are {len(cells)}; a single controller has one")
         observation = Observation.model_validate(description["task"])
-        return cls(fold(arrays, observation), rest_action(limits), observation), cells
+        gaits = take_gaits(arrays, observation)
+        return cls(fold(arrays, observation), rest_action(limits), observation, gaits), cells
 
     def init(self) -> SingleState:
         """Return the state of a fin at rest."""
@@ -55,5 +67,5 @@ class SingleStep:
         network: PolicyNetwork = ops.constant(self.network)
         observation = self.observation.observe(ops, now, state.actions, state.age)
         memory = network.remember(ops, PolicyMemory(state.hidden, state.cell), observation)
-        action = network.action(ops, memory)
+        action = network.action(ops, memory, gait_before_tanh(ops, self.gaits, now[1:], state.age))
         return SingleState(*memory, ops.xp.concat([action, state.actions[:-2]]), state.age + 1), action

@@ -37,7 +37,7 @@ class MapConfig(Configuration):
     box: Cell | None = None
     """Forces that are mapped [N]; none: all that the survey reached, rounded outwards to whole spacings."""
     spacing_n: PositiveFloat = 0.5
-    """Greatest distance between nodes of the lattice [N]."""
+    """Greatest distance between nodes of the lattice [N] before it is halved (`gaits.halvings`)."""
     tolerance_n: float = Field(default=0.1, gt=0)
     """Force error up to which a force counts as reachable [N]."""
     survey: SurveyConfig = SurveyConfig()
@@ -46,12 +46,13 @@ class MapConfig(Configuration):
     """Configuration of the search for the lattice's gaits."""
 
     def empty_table(self, surveyed: Reachable) -> GaitTable:
-        """Return a table without gaits over the box, or over the region that was surveyed."""
-        if self.box is not None:
-            return GaitTable.over(self.box, self.spacing_n)
-        low, high = (np.asarray(corner) / self.spacing_n for corner in surveyed.bounds())
-        low, high = np.floor(low) * self.spacing_n, np.ceil(high) * self.spacing_n
-        return GaitTable.over(Cell(low=tuple(low.tolist()), high=tuple(high.tolist())), self.spacing_n)
+        """Return a table without gaits over the box or the surveyed region, with the spacing before any halving."""
+        box = self.box
+        if box is None:
+            low, high = (np.asarray(corner) / self.spacing_n for corner in surveyed.bounds())
+            low, high = np.floor(low) * self.spacing_n, np.ceil(high) * self.spacing_n
+            box = Cell(low=tuple(low.tolist()), high=tuple(high.tolist()))
+        return GaitTable.over(box, self.spacing_n)
 
 
 def empty_map(table: GaitTable, directions: int) -> ForceMap:

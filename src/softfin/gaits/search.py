@@ -4,16 +4,23 @@ Mean force and Sobolev term of a gait are smooth functions of its twelve numbers
 Two of the twelve directions change the force; Gauss-Newton steps along these bring it to the reference, while the other
 ten lower the Sobolev term and keep each gait near those of its neighbours, so that gaits in between may be blended
 (null-space projection, as for redundant manipulators: Siciliano and Khatib, Handbook of Robotics, Sec. 10.3).
+
+The search begins with one family of strokes, so that neighbours are alike from the first. Then the lattice is halved:
+nodes in between begin as the blends of their neighbours and take the shortest steps to their own references, which
+takes off what blending leaves.
 """
 
+from collections.abc import Callable
 from functools import partial
+from itertools import product
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from pydantic import Field, NonNegativeFloat, PositiveInt
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveInt
+from scipy.interpolate import RegularGridInterpolator
 
 from softfin.core.action_clock import CYCLE_ACTIONS
 from softfin.core.configuration import Configuration
@@ -22,7 +29,19 @@ from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import AnyArray
 from softfin.core.randomness import key_of
 from softfin.gaits.gait import GaitSearchResult, GaitTable
-from softfin.gaits.simulate import CYCLES, GaitSensitivity, PreTanh, Report, Survey, gait_sensitivity, pre_tanh_of
+from softfin.gaits.simulate import (
+    AMPLITUDES,
+    CENTRES,
+    CYCLES,
+    FAMILIES,
+    GaitSensitivity,
+    PreTanh,
+    Report,
+    Survey,
+    gait_sensitivity,
+    pre_tanh_of,
+    strokes,
+)
 
 Forces = Float[AnyArray, "nodes 2"]
 Scales = Float[AnyArray, "nodes"]
@@ -34,16 +53,23 @@ class GaitConfig(Configuration):
 
     cycles: int = Field(default=CYCLES, ge=2)
     """Windows that a gait is repeated for from rest; the last one counts. The fin and its wake must settle before."""
-    steps: PositiveInt = 24
+    steps: PositiveInt = 10
     """Gauss-Newton steps; the last `EXACT` of them look at the force alone."""
     smoothness: NonNegativeFloat = 0.05
     """Weight of the Sobolev term (form `mean`) among what the force leaves open."""
-    likeness: NonNegativeFloat = 0.6
+    likeness: NonNegativeFloat = 1.0
     """Weight of the distance to the mean of the neighbours, squared."""
+    halvings: NonNegativeInt = 1
+    """Times that the spacing of the lattice is halved after these steps."""
+
+    def finest(self, table: GaitTable) -> GaitTable:
+        """Return an empty table over the same box with the spacing after all halvings."""
+        x, y = ((count - 1) * 2**self.halvings + 1 for count in table.nodes)
+        return table._replace(actions=np.zeros((x, y, CYCLE_ACTIONS, 2), np.float32))
 
 
-EXACT = 5
-"""Last steps, without any but the force to please."""
+EXACT = 2
+"""Last steps, without any but the force to please; as many bring a node in between to its force."""
 
 STUCK_N = 0.05
 """A node further from its force than this begins again where a neighbour is."""
@@ -51,9 +77,12 @@ STUCK_N = 0.05
 FORCE_STEP, FREE_STEP = 0.6, 0.25
 """Longest steps in the atanh of the actions, along the force and across."""
 
-SWEEPS, UNLIKE_N = 10, 0.5
-"""Rounds of choosing the gaits of the start, and the cost of a difference of 1 (rms, in the atanh of the actions) from
-the neighbours [N]."""
+SWEEPS, UNLIKE_N, LARGE_N = 10, 0.5, 0.1
+"""Rounds of choosing the gaits of the start; the cost of a difference of 1 (rms, in the atanh of the actions) from the
+neighbours [N], and in the first choice that of the greatest amplitude: large strokes make some forces a second time."""
+
+FINER = 5
+"""Strokes per step of the survey's centres and amplitudes, between which its forces are interpolated."""
 
 ENOUGH_N = 0.02
 """Force error that does not matter before the last steps [N]."""
@@ -64,14 +93,37 @@ def find_gaits(
 ) -> GaitSearchResult:
     """Find a gait for every node of an empty table, beginning with the gaits of a survey of the same plant.
 
-    A node beyond the fin's reach gets the nearest force that the fin can make.
+    The table that is returned has half the spacing, as often as the configuration says. A node beyond the fin's reach
+    gets the nearest force that the fin can make.
     """
+    plant, total, done = jit_argument(plant), config.steps + EXACT * config.halvings, 0
+
+    def told(nodes: GaitSensitivity, target: Forces) -> None:
+        nonlocal done
+        done += 1
+        error = np.linalg.norm(np.asarray(nodes.out)[:, :2] - np.asarray(target), axis=1)
+        report(done / total, f"error {np.median(error):.3f} N median, {error.max():.2f} N greatest")
+
+    nodes = _search(plant, survey, table, config, told)
+    for _ in range(config.halvings):
+        nodes, table = _between(plant, survey, nodes, _filled(table, nodes), config, told)
+    force, smoothness = (np.asarray(each).reshape(*table.nodes, 2) for each in (nodes.out[:, :2], nodes.smoothness))
+    return GaitSearchResult(_filled(table, nodes), force, smoothness)
+
+
+def _filled(table: GaitTable, nodes: GaitSensitivity) -> GaitTable:
+    return table._replace(actions=np.tanh(np.asarray(nodes.pre_tanh)).reshape(*table.nodes, CYCLE_ACTIONS, 2))
+
+
+def _search(
+    plant: Plant, survey: Survey, table: GaitTable, config: GaitConfig, told: Callable[[GaitSensitivity, Forces], None]
+) -> GaitSensitivity:
+    """Find gaits for the nodes of a table from the strokes of the survey."""
     # The key is no constant of the module: making it starts JAX, which an import must not.
-    plant, key, shape = jit_argument(plant), key_of(0, "gaits"), table.nodes
-    wanted = survey.reachable.nearest(table.references().reshape(-1, 2))
-    target = jnp.asarray(wanted, jnp.float32)
+    shape, key = table.nodes, key_of(0, "gaits")
+    target = jnp.asarray(survey.reachable.nearest(table.references().reshape(-1, 2)), jnp.float32)
     nodes = gait_sensitivity(plant, _start(survey, target, shape), config.cycles, key)
-    scale: AnyArray = np.ones(len(wanted), np.float32)
+    scale: AnyArray = np.ones(len(target), np.float32)
     for step in range(config.steps):
         exact = step >= config.steps - EXACT
         if step % 4 == 3 and not exact:
@@ -79,20 +131,50 @@ def find_gaits(
         moved = _stepped(nodes, target, scale, shape, config, exact)
         trial = gait_sensitivity(plant, moved, config.cycles, key)
         nodes, scale = _better(nodes, trial, target, scale, 0.0 if exact else config.smoothness)
-        error = np.linalg.norm(np.asarray(nodes.out)[:, :2] - wanted, axis=1)
-        report((step + 1) / config.steps, f"error {np.median(error):.3f} N median, {error.max():.2f} N greatest")
-    actions = np.tanh(nodes.pre_tanh).reshape(*shape, CYCLE_ACTIONS, 2)
-    force, smoothness = (np.asarray(each).reshape(*shape, 2) for each in (nodes.out[:, :2], nodes.smoothness))
-    return GaitSearchResult(table._replace(actions=actions), force, smoothness)
+        told(nodes, target)
+    return nodes
+
+
+def _between(
+    plant: Plant, survey: Survey, nodes: GaitSensitivity, table: GaitTable, config: GaitConfig,
+    told: Callable[[GaitSensitivity, Forces], None],
+) -> tuple[GaitSensitivity, GaitTable]:  # fmt: skip
+    """Add nodes halfway between those of a table, which begin as blends."""
+    finer, key = GaitConfig(halvings=1).finest(table), key_of(0, "gaits")
+    new = np.ones(finer.nodes, bool)
+    new[::2, ::2] = False
+    references = finer.references()[new]
+    target = jnp.asarray(survey.reachable.nearest(references), jnp.float32)
+    blends = np.stack([table.gait(reference) for reference in references])
+    added = gait_sensitivity(plant, pre_tanh_of(blends), config.cycles, key)
+    scale: AnyArray = np.ones(len(target), np.float32)
+    for _ in range(EXACT):
+        moved = _stepped(added, target, scale, (len(target), 1), config, True)
+        added, scale = _better(added, gait_sensitivity(plant, moved, config.cycles, key), target, scale, 0.0)
+        told(added, target)
+
+    def placed(old: AnyArray, added: AnyArray) -> AnyArray:
+        every = np.empty((new.size, *old.shape[1:]), np.float32)
+        every[new.reshape(-1)], every[~new.reshape(-1)] = added, old
+        return every
+
+    every: GaitSensitivity = jax.tree.map(placed, nodes, added)
+    return every, finer
 
 
 def _start(survey: Survey, target: Forces, shape: Shape) -> PreTanh:
-    """Choose the waveform that comes nearest; of it, gaits that come near and are like those of their neighbours."""
+    """Choose the family of strokes that comes nearest; of it, strokes that come near and are like their neighbours.
+
+    Centre and amplitude vary within a family, one waveform at one velocity.
+    """
     starts = []
-    for gaits, force in zip(survey.gaits, survey.force, strict=True):
-        pre_tanh = pre_tanh_of(gaits)
-        apart = np.linalg.norm(force[None] - np.asarray(target)[:, None], axis=-1)
-        nearest = np.argmin(apart, axis=1)
+    finer = [np.linspace(values[0], values[-1], FINER * (len(values) - 1) + 1) for values in (CENTRES, AMPLITUDES)]
+    places = np.array(list(product(*finer)))
+    for (waveform, velocity), force in zip(FAMILIES, survey.force, strict=True):
+        interpolated = RegularGridInterpolator((CENTRES, AMPLITUDES), force, method="cubic")(places)
+        pre_tanh = pre_tanh_of(strokes(waveform, velocity, *places.T))
+        apart = np.linalg.norm(interpolated[None] - np.asarray(target)[:, None], axis=-1)
+        nearest = np.argmin(apart + LARGE_N * places[:, 1] / AMPLITUDES[-1], axis=1)
         for _ in range(SWEEPS):
             middle = np.asarray(_neighbours(jnp.asarray(pre_tanh[nearest]), shape))
             unlike = np.sqrt(np.mean((pre_tanh[None] - middle[:, None]) ** 2, axis=-1))

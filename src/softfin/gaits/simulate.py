@@ -46,6 +46,9 @@ WAVEFORMS = np.array([(1, -1, 1, -1, 1, -1), (1, -1, -1, 1, -1, -1), (1, 0.5, -0
 VELOCITIES, CENTRES, AMPLITUDES = (1.0, 0.3, -0.3), np.linspace(-1, 1, 11), np.linspace(0.05, 0.9, 7)
 """Parameters that every waveform is tried with, as actions."""
 
+FAMILIES = tuple(product(WAVEFORMS, VELOCITIES))
+"""Waveform and velocity of each family of gaits; within a family, neighbouring forces come from neighbouring gaits."""
+
 NEAR = 0.2
 """Part of half the diagonal of all forces within which a gait counts as near to their middle."""
 
@@ -147,27 +150,26 @@ class SurveyConfig(Configuration):
 
 
 class Survey(NamedTuple):
-    """Gaits that were simulated, and the forces that they made."""
+    """Forces of the gaits that were simulated, and the region that a fin can reach."""
 
-    gaits: Float[np.ndarray, "waveforms gaits 6 2"]
-    force: Float[np.ndarray, "waveforms gaits 2"]
+    force: Float[np.ndarray, "families centres amplitudes 2"]
     """Mean force over a window [N]."""
     reachable: Reachable
 
 
-def tried_gaits() -> Float[np.ndarray, "waveforms gaits 6 2"]:
-    """Return all gaits that a survey tries: of one waveform, neighbouring forces come from neighbouring gaits."""
-    rest = list(product(VELOCITIES, CENTRES, AMPLITUDES))
-    angles = np.clip([[c + a * waveform for _, c, a in rest] for waveform in WAVEFORMS], -1, 1)
-    velocities = np.broadcast_to(np.array([v for v, *_ in rest])[:, None], angles.shape)
-    return np.stack([angles, velocities], axis=-1).astype(np.float32)
+def strokes(
+    waveform: Float[np.ndarray, "6"], velocity: float, centre: Float[np.ndarray, "n"], amplitude: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "n 6 2"]:
+    """Return gaits of one family."""
+    angle = np.clip(centre[:, None] + amplitude[:, None] * waveform, -1, 1)
+    return np.stack([angle, np.full_like(angle, velocity)], axis=-1).astype(np.float32)
 
 
 def survey(plant: Plant, config: SurveyConfig | None = None, report: Report = lambda *_: None) -> Survey:
     """Simulate all gaits in a plant and find the edge of the forces that it can make."""
     config, plant = config or SurveyConfig(), jit_argument(plant)
-    tried = tried_gaits()
-    gaits = tried.reshape(-1, *tried.shape[2:])
+    places = np.array(list(product(CENTRES, AMPLITUDES))).T
+    gaits = np.concatenate([strokes(*family, *places) for family in FAMILIES])
     padded, forces = np.resize(gaits, (-(-len(gaits) // config.batch), config.batch, *gaits.shape[1:])), []
     for index, part in enumerate(padded, start=1):
         forces.append(np.asarray(_mean_forces(plant, jnp.asarray(part), config.cycles)))
@@ -176,7 +178,7 @@ def survey(plant: Plant, config: SurveyConfig | None = None, report: Report = la
     force = np.concatenate(forces)[: len(gaits)]
     reachable = _pushed(plant, gaits, force, config)
     report(1.0, "")
-    return Survey(tried, force.reshape(*tried.shape[:2], 2), reachable)
+    return Survey(force.reshape(len(FAMILIES), len(CENTRES), len(AMPLITUDES), 2), reachable)
 
 
 @eqx.filter_jit

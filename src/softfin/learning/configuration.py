@@ -86,21 +86,6 @@ class TrainConfig(Configuration):
         """The box round all references that policies are trained for."""
         return bounding_box(self.cells).expanded(self.margin_n)
 
-    @property
-    def shared_pretraining(self) -> "TrainConfig | None":
-        """Training of one policy for all cells of a grid, which its policies begin as; None without."""
-        shared = self.gradient.shared_pretraining
-        if self.algorithm != "gradient" or self.controller != "grid" or shared is None:
-            return None
-        learning = {"num_envs": shared.num_envs, "learning_rate": shared.learning_rate, "shared_pretraining": None}
-        return self.merged(
-            {
-                "controller": "single", "cells": [bounding_box(self.cells).model_dump()], "lattice": shared.lattice,
-                "steps": shared.num_updates * shared.num_envs * self.gradient.num_steps, "gradient": learning,
-            },
-            "shared_pretraining",
-        )  # fmt: skip
-
     def evaluation_references(self, reachable: Reachable | None) -> Float[np.ndarray, "cells references 2"]:
         """The lattice of references of each cell [N], each as the nearest force that the fin can make."""
         lattices = [cell.lattice(self.lattice) for cell in self.cells]
@@ -130,11 +115,11 @@ GRADIENT_GRID = GRADIENT_SINGLE.merged(
     {
         "controller": "grid", "cells": GRID.model_dump()["cells"], "steps": 5_760, "num_evaluations": 5,
         "margin_n": 0.1, "switching": {"margin_n": 0.1},
-        "gradient": {"num_envs": 8, "learning_rate": 3e-4, "shared_pretraining": {}},
+        "gradient": {"num_envs": 8, "learning_rate": 3e-4},
     },
     "grid",
 )  # fmt: skip
-"""A policy a cell by gradients through the plant: 120 updates together, then 40 of each cell's own."""
+"""A policy a cell by gradients through the plant: 40 updates."""
 
 TRAIN_PRESETS: Mapping[tuple[Algorithm, PolicyLayout], TrainConfig] = MappingProxyType({
     ("ppo", "single"): SINGLE, ("ppo", "grid"): GRID,

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
+from softfin.control.policy import GAITS
 from softfin.control.store import write_controller
 from softfin.core.quantities import AXES
 from softfin.learning.configuration import TrainConfig
@@ -23,18 +24,16 @@ from softfin.surrogate.channels import UNKNOWN
 Curve = tuple[Sequence[int | float] | np.ndarray, Sequence[int | float] | np.ndarray]
 """(steps, values) of one run, steps increasing."""
 
-REFINED, SHARED = "refined", "shared"
-"""Folders of the logs of a refinement, and of the training of one policy for all cells."""
-GROUPS = {REFINED: "refined cells", SHARED: "one policy for all cells"}
-"""Runs of their own, which count their steps from 0, by the folder of their logs."""
+REFINED = "refined"
+"""Folder of the logs of a refinement, a run of its own that counts its steps from 0."""
 
 
 def write_learning(folder: Path) -> None:
     """Draw ``learning.svg`` beside the logs of a run and of its jobs, a curve for every seed of each log."""
     runs: dict[str, list[Curve]] = {}
     for log in sorted(folder.rglob(LOG)):
-        within = [GROUPS[part] for part in log.relative_to(folder).parts if part in GROUPS]
-        group = within[-1] if within else "error without exploration noise"
+        is_refined = REFINED in log.relative_to(folder).parts
+        group = "refined cells" if is_refined else "error without exploration noise"
         runs.setdefault(group, []).extend(curves(read_log(log)))
     if found := {group: each for group, each in runs.items() if each}:
         figure = learning_figure(found, "mean error of both axes [N]")
@@ -98,7 +97,11 @@ def save_controller(
         "configuration": config.model_dump(mode="json"),
         "provenance": provenance,
     }
-    write_controller(path, config.controller, trained.limits, keys, named(policies), extra_files, overwrite)
+    arrays = named(policies)
+    if config.controller == "grid":
+        # All policies have the same gaits.
+        arrays |= {name: array[0] for name, array in arrays.items() if name.startswith(f"{GAITS}.")}
+    write_controller(path, config.controller, trained.limits, keys, arrays, extra_files, overwrite)
 
 
 def _scores(

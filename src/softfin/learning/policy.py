@@ -2,6 +2,9 @@
 
 Actions are squashed Gaussians: a = tanh(u), u ~ N(mean(observations so far), std). The deterministic action is
 tanh(mean). So every action is within the limits, and none is clipped.
+
+A policy may begin as a table of gaits: its networks then learn what is added to the gait for the reference, before the
+tanh (residual policy learning: Silver et al. 2018; Johannink et al. 2019).
 """
 
 import math
@@ -14,8 +17,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from pydantic import Field, PositiveInt
 
-from softfin.control.policy import PolicyMemory
+from softfin.control.policy import MEASURED, PHASES, PolicyMemory, gait_before_tanh
 from softfin.core.configuration import Configuration
+from softfin.core.operations import jax_operations
+from softfin.gaits.gait import GaitTable
 from softfin.learning.layers import LinearLayer, LSTMCell, Normalisation
 
 
@@ -47,10 +52,15 @@ class Policy(eqx.Module):
     log_std: Float[Array, "actions"]
     normalisation: Normalisation
     """Normalisation of the observations."""
+    gaits: GaitTable | None = None
+    """Gaits that the networks' outputs are added to, over references in units of the observation; not trained."""
 
     @classmethod
-    def create(cls, key: PRNGKeyArray, config: PolicyConfig, observations: int, actions: int = 2) -> "Policy":
-        """New weights; at the start the mean action is near the middle whatever is observed."""
+    def create(
+        cls, key: PRNGKeyArray, config: PolicyConfig, observations: int, actions: int = 2,
+        gaits: GaitTable | None = None,
+    ) -> "Policy":  # fmt: skip
+        """New weights; at the start the mean action is nearly the gait's, or the middle, whatever is observed."""
         lstm, hidden, output = jax.random.split(key, 3)
         net = Layers(
             LSTMCell.create(lstm, observations, config.units),
@@ -58,7 +68,8 @@ class Policy(eqx.Module):
             LinearLayer.create(output, config.width, actions, 0.01),
         )
         log_std = jnp.full(actions, jnp.log(config.init_std))
-        return cls(net, jnp.asarray(log_std, jnp.float32), Normalisation.create(observations))
+        table = jax.tree.map(jnp.asarray, gaits)
+        return cls(net, jnp.asarray(log_std, jnp.float32), Normalisation.create(observations), table)
 
     def init(self) -> PolicyMemory:
         """Empty memory."""
@@ -76,16 +87,24 @@ class Policy(eqx.Module):
     ) -> tuple[PolicyMemory, Float[Array, "actions"]]:
         """The mean action before the tanh."""
         memory = self.net.lstm.step(memory, self.normalisation(observation))
-        return memory, self._mean(memory.hidden)
+        return memory, self._mean(memory.hidden) + self._gait(observation)
 
     def sequence(
         self, memory: PolicyMemory, observation: Float[Array, "time observations"], is_first: Bool[Array, "time"]
     ) -> Float[Array, "time actions"]:
         """The outputs of `step` over a sequence, the memory cleared before every step that `is_first`."""
-        return self._mean(self.net.lstm.sequence(memory, self.normalisation(observation), is_first))
+        hidden = self.net.lstm.sequence(memory, self.normalisation(observation), is_first)
+        return self._mean(hidden) + jax.vmap(self._gait)(observation)
 
     def _mean(self, hidden: Float[Array, "*time units"]) -> Float[Array, "*time actions"]:
         return self.net.output(jnp.tanh(self.net.hidden(hidden)))
+
+    def _gait(self, observation: Float[Array, "observations"]) -> Array:
+        """The action of the gait for the observed reference and phase, before the tanh; 0 without gaits."""
+        if self.gaits is None:
+            return jnp.zeros_like(self.log_std)
+        gaits, age = jax.lax.stop_gradient(self.gaits), jnp.argmax(PHASES @ observation[-PHASES.shape[1] :])
+        return jnp.asarray(gait_before_tanh(jax_operations(), gaits, observation[1:MEASURED], age))
 
     def update_statistics(self, observation: Float[Array, "*batch observations"]) -> "Policy":
         """The policy with observations counted in its normalisation."""

@@ -101,8 +101,6 @@ def _init(
 
 
 _init_new = used_once(_init)
-_init_cloned = eqx.filter_jit(_init)
-"""Cloning takes much longer than compiling it."""
 
 
 @eqx.filter_jit
@@ -133,10 +131,10 @@ class TrainingRun:
         # The key of an agent depends on its seed and cell alone, not on the agents beside it.
         keys = jnp.stack([key_of(seed, f"train/{cell}") for seed, cell in self.agents])
         boxes = stack_references([cell.expanded(self.config.margin_n) for _, cell in self.agents], self.reachable)
-        init, table = _init_new, None
-        if policies is None and self.force_map is not None and self.config.begins_as_gaits:
-            init, table = _init_cloned, self.force_map.gaits.table
-        agents = init(self.compiled, self.plant, table, *self.over_devices((keys, boxes)))
+        table = None
+        if self.force_map is not None and self.config.begins_as_gaits:
+            table = self.force_map.gaits.table
+        agents = _init_new(self.compiled, self.plant, table, *self.over_devices((keys, boxes)))
         if policies is not None:
             agents = agents._replace(policy=jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), policies))
             return RunState(agents, agents.policy, self.evaluate(agents.policy, 0))

@@ -27,7 +27,6 @@ from softfin.gaits.force_map import empty_map, map_forces
 from softfin.gaits.gait import ForceMap
 from softfin.gaits.reachable import Cell, Reachable
 from softfin.learning.configuration import TrainConfig, check
-from softfin.learning.controllers import SHARED
 from softfin.learning.engine import Engine
 from softfin.learning.policy import Policy
 from softfin.learning.run import BestPolicies, TrainingResult, TrainingRun, keep_best, summary, with_keys, without_keys
@@ -54,8 +53,6 @@ class Job(NamedTuple):
     seeds: tuple[int, ...]
     run_directory: RunDirectory
     token: str
-    start: Policy | None
-    """Policies that the job begins from."""
 
 
 def split_run(config: TrainConfig, seeds: Sequence[int], split: Split) -> dict[str, tuple[slice, slice]]:
@@ -89,17 +86,12 @@ def train_jobs(
     """
     check(plant, config, seeds, force_map)
     force_map = find_map(plant, config, run_directory, progress) if force_map is None else force_map
-    start = None
-    if (shared := config.shared_pretraining) is not None:
-        # Cells specialise from there: neighbours move in phase, and what holds for all cells is learnt once.
-        policy, _ = train(plant, shared, seeds, run_directory.part(SHARED), progress, force_map)
-        start = jax.tree.map(lambda leaf: np.repeat(leaf, len(config.cells), axis=1), policy)
     token, jobs = uuid4().hex, {}
     for name, at in split_run(config, seeds, split).items():
         part = run_directory if split == "none" else run_directory.part(name)
         write_file(part.folder / TOKEN, token)
         own = config.model_copy(update={"cells": config.cells[at[1]]})
-        jobs[name] = Job(own, tuple(seeds)[at[0]], part, token, jax.tree.map(lambda leaf, at=at: leaf[at], start))
+        jobs[name] = Job(own, tuple(seeds)[at[0]], part, token)
     work = partial(_train_job, plant, force_map)
     done = (engine or Engine()).map(f"train {config.controller}", work, jobs, progress)
     for job, (_, files) in zip(jobs.values(), done, strict=True):
@@ -120,11 +112,11 @@ def _train_job(
     """
     file = job.run_directory.folder / TOKEN
     if file.is_file() and file.read_text() == job.token:
-        return train(plant, job.config, job.seeds, job.run_directory, progress, force_map, job.start), {}
+        return train(plant, job.config, job.seeds, job.run_directory, progress, force_map), {}
     own = copy.copy(job.run_directory)
     with tempfile.TemporaryDirectory(prefix="softfin-", ignore_cleanup_errors=True) as name:
         own.folder = folder = Path(name)
-        result = train(plant, job.config, job.seeds, own, progress, force_map, job.start)
+        result = train(plant, job.config, job.seeds, own, progress, force_map)
         files = (path for path in folder.rglob("*") if path.is_file())
         return result, {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
@@ -176,7 +168,7 @@ def find_map(
         return None
     settings = config.gradient.map.merged({"box": config.training_range.model_dump()}, "cells")
     part = run_directory.part("map")
-    table = settings.empty_table(Reachable(np.zeros(2), np.ones(settings.survey.directions)))
+    table = settings.gaits.finest(settings.empty_table(Reachable(np.zeros(2), np.ones(settings.survey.directions))))
     if (resumed := part.load(empty_map(table, settings.survey.directions))) is not None:
         stored: ForceMap = jax.tree.map(np.asarray, resumed[0])
         return stored
