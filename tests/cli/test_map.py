@@ -16,7 +16,7 @@ QUICK = [
 def test_a_map_is_a_folder_and_a_summary(capsys, tmp_path):
     main(["map", "tests.plants:StrokeFin", *QUICK, "--out", str(tmp_path / "x"), "--json"])
     summary = json.loads(capsys.readouterr().out)
-    assert summary["nodes"] == 9
+    assert summary["nodes"] == 25
     assert summary["held"] >= 8
     assert summary["area_n2"] > 2
     assert (tmp_path / "x" / "map.png").is_file()

@@ -1,11 +1,17 @@
 """``softfin train``: which references its options ask for."""
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 
-from softfin.cli.controllers import asked_cells, asked_seeds
+from softfin.cli.controllers import TrainArguments, asked_cells, asked_seeds
 from softfin.core.errors import ConfigurationError
+from softfin.core.quantities import PAPER_LIMITS
+from softfin.gaits.force_map import MapConfig, save_map
 from softfin.gaits.reachable import Cell, bounding_box
 from softfin.task.references import PAPER_CELLS
+from tests.gaits.test_map_store import KNOWN
 
 
 def test_a_lattice_fills_the_range() -> None:
@@ -38,6 +44,18 @@ def test_without_options_the_configuration_stands_and_paper_is_its_default() -> 
 def test_what_does_not_go_together_is_refused(controller: str, cells: str, span: str, message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
         asked_cells(controller, cells, span)
+
+
+def test_a_range_of_map_is_the_box_round_all_that_the_fin_can_make(tmp_path: Path) -> None:
+    save_map(tmp_path / "map", KNOWN, MapConfig(), PAPER_LIMITS, {})
+    low, high = KNOWN.reachable.bounds()
+    (cell,) = asked_cells("single", None, "map", tmp_path / "map") or ()
+    np.testing.assert_allclose([cell.low, cell.high], [low, high], atol=1e-4)
+
+
+def test_a_range_of_map_needs_the_map() -> None:
+    with pytest.raises(ConfigurationError, match="--range map: give the map too: --map DIR"):
+        TrainArguments(surrogate="tank", out=Path("out"), range="map").check()
 
 
 def test_seeds_are_a_number_or_a_list() -> None:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, Float
@@ -19,7 +20,7 @@ from tests.control.test_controllers import SIZE, untrained
 from tests.gaits.test_map_store import KNOWN
 
 KINDS = ("single", "phased", "grid", "cold", "gaits")
-"""Grid: with the phase observed; cold: a grid without it, nor any replay or fading."""
+"""Phased and grid: with the phase observed, and gaits in the policies; cold: a grid without it, nor any replay or fading."""
 
 
 def folder_of(kind: str, folder: Path) -> Path:
@@ -49,8 +50,11 @@ def _phased(config: TrainConfig) -> TrainingResult:
     task = config.task.model_copy(update={"phase": True, "past_actions": 2})
     run = untrained(config.model_copy(update={"task": task}))
     keys = jax.random.split(jax.random.key(1), run.policies.log_std.shape[:2])
-    policies = jax.vmap(jax.vmap(lambda key: Policy.create(key, SIZE, task.observations)))(keys)
-    return _normalised(run._replace(policies=jax.tree.map(lambda x: 3 * x, policies)))
+    table, unit = KNOWN.gaits.table, task.force_scale_n
+    gaits = table._replace(low=table.low / unit, high=table.high / unit)
+    policies = jax.vmap(jax.vmap(lambda key: Policy.create(key, SIZE, task.observations, gaits=gaits)))(keys)
+    loud = jax.tree.map(lambda x: 3 * x, policies)
+    return _normalised(run._replace(policies=eqx.tree_at(lambda policy: policy.gaits, loud, policies.gaits)))
 
 
 def _normalised(run: TrainingResult) -> TrainingResult:

@@ -80,7 +80,9 @@ class CasePPO(PPO):
 
     def begun(self, case: Case, key: Any) -> AgentState:
         lane = PPO.init(self, key, case.references)
-        policy = Playing(lane.policy.net, lane.policy.log_std, lane.policy.normalisation, case.blind, case.forgets)
+        policy = Playing(
+            lane.policy.net, lane.policy.log_std, lane.policy.normalisation, None, case.blind, case.forgets
+        )
         networks = ActorCritic(policy, lane.networks.critic)
         return lane._replace(networks=networks, policy=policy, optimiser=self._optimiser().init(networks))
 

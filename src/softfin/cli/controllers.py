@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from softfin.gaits.reachable import Cell
 
 
+MAP = "map"
+"""Value of --range for all forces that the fin can make."""
+
+
 class MapArguments(Configured):
     """Find out which mean forces a fin can make in a plant, and the gaits that make them."""
 
@@ -55,7 +59,7 @@ class TrainArguments(Configured):
     cells: Annotated[str, Option("CELLS")] | None = None
     """Cells of a grid: paper (the default), a lattice over --range such as 3x3, or a .yaml file of boxes."""
     range: Annotated[str, Option("X0,Y0,X1,Y1")] | None = None
-    """References X0,Y0,X1,Y1 [N] to train for (default 0.5,-1.5,3.5,1.5)."""
+    """References X0,Y0,X1,Y1 [N] to train for (default 0.5,-1.5,3.5,1.5), or map: all that the fin can make (--map)."""
     map: Annotated[Path, folder_of("map")] | None = None
     """Folder of a map of this surrogate (softfin map): what its fin can do, and gaits to begin from."""
     refine: int = 0
@@ -78,7 +82,9 @@ class TrainArguments(Configured):
     def check(self) -> None:
         """Refuse options that do not go together."""
         asked_seeds(self.seed, self.seeds)
-        if self.range is not None:
+        if self.range == MAP and self.map is None:
+            raise ConfigurationError("--range map: give the map too: --map DIR, which softfin map writes")
+        if self.range not in (None, MAP):
             read_range(self.range)
         if self.cells is not None:
             read_cells(self.cells)
@@ -95,7 +101,8 @@ class TrainArguments(Configured):
         from softfin.storage.registry import find_plant
         from softfin.task.references import PAPER_RANGE
 
-        cells, seeds = asked_cells(self.controller, self.cells, self.range), asked_seeds(self.seed, self.seeds)
+        cells = asked_cells(self.controller, self.cells, self.range, self.map)
+        seeds = asked_seeds(self.seed, self.seeds)
         if self.controller == "gaits":
             box = None if cells is None else cells[0].model_dump()
             lattice = self.configured(MapConfig(box=PAPER_RANGE), box=box)
@@ -158,12 +165,23 @@ def asked_seeds(first: int, text: str | None) -> tuple[int, ...]:
     return numbers
 
 
-def asked_cells(controller: str, cells: str | None, span: str | None) -> "tuple[Cell, ...] | None":
-    """Return the cells of ``--cells`` and ``--range``, one cell unless it is a grid; None where neither is given."""
-    from softfin.gaits.reachable import bounding_box
+def asked_cells(
+    controller: str, cells: str | None, span: str | None, force_map: Path | None = None
+) -> "tuple[Cell, ...] | None":
+    """Return the cells of ``--cells`` and ``--range``, one cell unless it is a grid; None where neither is given.
+
+    A range of `map` is the box round all forces that the fin can make; training takes the nearest of these.
+    """
+    from softfin.gaits.force_map import load_map
+    from softfin.gaits.reachable import Cell, bounding_box
     from softfin.task.references import PAPER_RANGE, cells_of, range_of
 
-    within = PAPER_RANGE if span is None else range_of(span)
+    within = PAPER_RANGE
+    if span == MAP and force_map is not None:
+        low, high = load_map(force_map).force_map.reachable.bounds()
+        within = Cell(low=low, high=high)
+    elif span is not None:
+        within = range_of(span)
     if controller != "grid":
         if cells is not None:
             raise ConfigurationError(f"--cells {cells}: {controller} has no cells; give --range, or --controller grid")

@@ -106,20 +106,20 @@ SINGLE = TrainConfig(
 """The paper's single controller on its budget."""
 
 GRADIENT_SINGLE = SINGLE.changed(
-    ("algorithm=gradient", "steps=115200", "task.phase=true", "task.reward.target=window", "task.reference_actions=24",
-     "margin_n=0.1", "gradient.map.spacing_n=0.55")
+    ("algorithm=gradient", "steps=23040", "num_evaluations=5", "task.phase=true", "task.reward.target=window",
+     "task.reference_actions=24", "margin_n=0.1", "gradient.map.spacing_n=0.55")
 )  # fmt: skip
-"""One controller by gradients through the plant: 200 updates."""
+"""One controller by gradients through the plant: 40 updates."""
 
 GRADIENT_GRID = GRADIENT_SINGLE.merged(
     {
-        "controller": "grid", "cells": GRID.model_dump()["cells"], "steps": 5_760, "num_evaluations": 5,
+        "controller": "grid", "cells": GRID.model_dump()["cells"], "steps": 2_880, "num_evaluations": 5,
         "margin_n": 0.1, "switching": {"margin_n": 0.1},
         "gradient": {"num_envs": 8, "learning_rate": 3e-4},
     },
     "grid",
 )  # fmt: skip
-"""A policy a cell by gradients through the plant: 40 updates."""
+"""A policy a cell by gradients through the plant: 20 updates."""
 
 TRAIN_PRESETS: Mapping[tuple[Algorithm, PolicyLayout], TrainConfig] = MappingProxyType({
     ("ppo", "single"): SINGLE, ("ppo", "grid"): GRID,

@@ -52,7 +52,7 @@ class Policy(eqx.Module):
     log_std: Float[Array, "actions"]
     normalisation: Normalisation
     """Normalisation of the observations."""
-    gaits: GaitTable | None = None
+    gaits: GaitTable | None
     """Gaits that the networks' outputs are added to, over references in units of the observation; not trained."""
 
     @classmethod
