@@ -96,10 +96,10 @@ class Driving(Armed, Common):
 
 
 def typed(stop: StopRequest, terminal: Iterable[str]) -> Iterator[str]:
-    """Lines of the terminal; where they end or are no text, nobody can stop the fin by a key any more, so it stops."""
+    """Lines of the terminal; where they end or are not text, nobody can stop the fin by a key any more, so it stops."""
     with contextlib.suppress(OSError, ValueError):
         yield from terminal
-    stop.ask("emergency_stop", "the terminal's input ended or is no text, so no key could stop the fin")
+    stop.ask("emergency_stop", "the terminal's input ended or is not text, so no key could stop the fin")
 
 
 def say(text: str) -> None:

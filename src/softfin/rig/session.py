@@ -13,7 +13,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Literal, NoReturn
 
-from softfin.core.errors import RunError, SafetyStop, SoftfinError
+from softfin.core.errors import RunError, SafetyStop, SoftfinError, one_line
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.machine import Machine, Sample, Target, clock_of
 from softfin.rig.pace import Pace
@@ -259,4 +259,4 @@ def in_one_line(error: BaseException, what: str) -> str:
     """Describe an error: softfin's own say it all in one line; others need a word of what was going on."""
     if isinstance(error, SoftfinError):
         return str(error)
-    return f"{what} ({type(error).__name__}: {' '.join(str(error).split())[:300]}); see --debug"
+    return f"{what} ({type(error).__name__}: {one_line(error)}); see --debug"
