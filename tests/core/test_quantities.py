@@ -43,6 +43,8 @@ def test_limits_come_back_as_they_were_described():
         ({"velocity_min_rad_s": math.pi}, "velocity_min < velocity_max"),
         ({"angle_min_rad": "0"}, "angle_min_rad is '0'; it must be a number"),
         ({"angle_min_rad": None}, "angle_min_rad is missing; it must be a number"),
+        ({"velocity_max_rad_s": True}, "velocity_max_rad_s is True; it must be a number"),
+        ({"angle_max_rad": 10**400}, "angle_max_rad is 10{79}; it must be a number"),
     ],
 )
 def test_limits_that_no_fin_has_are_refused_with_what_is_allowed(changes, words):

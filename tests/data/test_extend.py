@@ -49,6 +49,10 @@ def test_a_plant_that_has_changed_under_its_name_is_refused(recorded):
         open_to_extend(recorded(plant="tank", plant_identity="softfin.tank 2"), TANK)
 
 
+def test_the_identity_that_an_earlier_version_wrote_is_known(recorded):
+    assert open_to_extend(recorded(**TANK | {"plant_identity": "softfin.tank 0"}), TANK, "softfin.tank 0")
+
+
 def test_a_dataset_that_names_no_plant_says_how_to_name_it(recorded):
     path = recorded()
     with pytest.raises(ConfigurationError, match=r'has no name, write "plant": "tank" into it'):

@@ -241,6 +241,21 @@ def test_what_was_stale_before_activation_may_become_fresh():
         assert 0.29 < made.hours.now - 100 < 0.5
 
 
+def test_one_slow_tick_before_activation_is_not_the_last_look():
+    made = Made()
+    began = made.hours.now
+
+    def slow_once(sample):
+        if made.hours.now < began + 1.0:
+            made.hours.now += 2.0
+        return sample
+
+    made.machine.altered = slow_once
+    with made.session as session:
+        session.activate()
+        assert session.state == "active"
+
+
 def test_the_first_command_is_to_stay_where_it_is():
     made = Made()
     made.machine.turn(0.7)

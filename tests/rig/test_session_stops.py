@@ -1,5 +1,7 @@
 """What a review found in sessions: stops that take their time, machines in doubt, an input that ends."""
 
+import io
+
 import pytest
 
 from softfin.cli.common import Armed
@@ -11,7 +13,7 @@ from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import Guard, SafetyConfig
 from softfin.rig.session import Session
 from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.stop import StopRequest
+from softfin.rig.stop import StopRequest, listen_to_keyboard
 from tests.rig.machines import FreeFin, Notes
 from tests.rig.rigs import config_of, simulated
 
@@ -85,6 +87,18 @@ def test_a_machine_that_never_knows_better_may_rest():
         session.activate()
         session.deactivate()
         assert session.state == "inactive"
+
+
+def _gone():
+    yield "2,1\n"
+    raise OSError(5, "Input/output error")
+
+
+@pytest.mark.parametrize("terminal", [_gone(), io.TextIOWrapper(io.BytesIO(b"\xfc\n"), "utf-8")])
+def test_an_input_that_cannot_be_read_stops_the_fin(terminal):
+    request = StopRequest()
+    listen_to_keyboard(request, print, typed(request, terminal)).join(5)
+    assert request.trip.cause == "emergency_stop"
 
 
 def test_an_input_that_ends_stops_the_fin():

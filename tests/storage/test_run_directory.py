@@ -43,6 +43,12 @@ def test_a_state_comes_back_with_its_leaves_named_by_their_paths(saved):
     assert names == {"tree.weights['kernel']", "tree.weights['bias']", "tree.pair[0]", "tree.pair[1]"}
 
 
+@pytest.mark.parametrize("rest", [b'{"step": 2, "lo', b"\0" * 9, b'\0\0\0"loss": 1.0}\n', b"\xff\n"])
+def test_a_log_is_read_up_to_what_a_cut_of_power_left(tmp_path, rest):
+    (tmp_path / "log.jsonl").write_bytes(b'{"step": 0}\n{"step": 1}\n' + rest)
+    assert checkpoint.read_log(tmp_path / "log.jsonl") == [{"step": 0}, {"step": 1}]
+
+
 def test_the_order_of_the_leaves_does_not_matter(saved):
     """Bias and second of the pair have the same shape: by number they would be taken for one another."""
     state, _ = saved.load(Other((jnp.int32(0), jnp.zeros(3)), STATE.weights))

@@ -81,7 +81,7 @@ def arguments_of(name: str) -> type[Any]:
 def _run(name: str, words: list[str]) -> None:
     # Imported here: --version needs none of it.
     from softfin.cli import options
-    from softfin.core.errors import SoftfinError
+    from softfin.core.errors import SoftfinError, one_line
 
     debug = "--debug" in words
     # XLA's notes on how it compiles would hide the lines of a command.
@@ -110,7 +110,7 @@ def _run(name: str, words: list[str]) -> None:
             _exit(f"softfin {name}: {error}", error.exit_code)
         if isinstance(error, OSError):
             _exit(f"softfin {name}: {error.filename or 'system'}: {error.strerror or error}", STOPPED)
-        _exit(f"softfin {name}: {type(error).__name__}: {' '.join(str(error).split())[:500]} "
+        _exit(f"softfin {name}: {type(error).__name__}: {one_line(error)} "
               "(this should not happen; --debug shows where)", STOPPED)  # fmt: skip
 
 

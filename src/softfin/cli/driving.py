@@ -1,5 +1,6 @@
 """Commands that let a controller drive a real fin: ``run`` with references live, ``ros2`` as a node; no JAX."""
 
+import contextlib
 import functools
 import sys
 import time
@@ -95,9 +96,10 @@ class Driving(Armed, Common):
 
 
 def typed(stop: StopRequest, terminal: Iterable[str]) -> Iterator[str]:
-    """Lines of the terminal; where they end, as at Ctrl-D, nobody can stop the fin by a key any more, so it stops."""
-    yield from terminal
-    stop.ask("emergency_stop", "the terminal's input ended, so no key could stop the fin")
+    """Lines of the terminal; where they end or are not text, nobody can stop the fin by a key any more, so it stops."""
+    with contextlib.suppress(OSError, ValueError):
+        yield from terminal
+    stop.ask("emergency_stop", "the terminal's input ended or is not text, so no key could stop the fin")
 
 
 def say(text: str) -> None:

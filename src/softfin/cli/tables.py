@@ -6,16 +6,7 @@ from typing import Any
 
 from softfin.core.quantities import AXES
 from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_II
-from softfin.surrogate.compare.scores import PAPER_TABLE_I
-
-NETS = {
-    "posnet": "PosNet 1D CNN",
-    "forcenet_measured": "ForceNet LSTM, given the angle",
-    "forcenet_free_running": "ForceNet LSTM, behind PosNet",
-    "drive": "drive nets",
-    "force_measured": "force nets, given the motion",
-    "force_free_running": "force nets, behind drive nets",
-}
+from softfin.surrogate.compare.scores import NETS, PAPER_TABLE_I
 
 
 def aligned(rows: Sequence[Sequence[object]], left: Sequence[int] = (0,)) -> list[str]:
@@ -35,9 +26,10 @@ def table_one(scores: dict[str, Any] | None) -> str:
         return "no test logs: Table I has no rows"
     rows: list[list[object]] = [["Table I", "window", "parameters", "", "RMSE", "MAE", "DTW"]]
     for name, row in scores.items():
-        titles = [NETS[name], row["window"] or "-", f"{row['parameters']:,}"]
+        what, in_unit, _ = NETS[name]
+        titles = [what, row["window"] or "-", f"{row['parameters']:,}"]
         for unit, label in (("physical", titles), ("scaled", ["", "", ""])):
-            measure = ("rad" if name in ("posnet", "drive") else "N") if unit == "physical" else "scaled"
+            measure = in_unit if unit == "physical" else "scaled"
             rows.append([*label, measure, *(f"{row[unit][key]:.4f}" for key in ("rmse", "mae", "dtw_mae"))])
     rows += [[f"the paper, {name}", row["window"], f"{row['parameters']:,}", "no unit",
               *(row[key] for key in ("rmse", "mae", "dtw"))] for name, row in PAPER_TABLE_I.items()]  # fmt: skip

@@ -44,7 +44,7 @@ def resolve_reference(controller: Any, reference: Force, strict: bool) -> tuple[
     """
     if not np.isfinite(reference).all():
         raise CoverageError(f"reference ({reference[0]:g}, {reference[1]:g}) N: give two finite numbers [N]")
-    x, y = resolve_references(controller, np.array([reference], float))[0].tolist()
+    x, y = nearest_trackable(controller, np.array([reference], float))[0].tolist()
     # To the last bit it is what was asked for, unless it is another one.
     if (x, y) == tuple(reference):
         return reference, None
@@ -54,7 +54,7 @@ def resolve_reference(controller: Any, reference: Force, strict: bool) -> tuple[
     return (x, y), f"{problem}, which is held instead"
 
 
-def resolve_references(controller: Any, forces: Float[np.ndarray, "forces 2"]) -> Float[np.ndarray, "forces 2"]:
+def nearest_trackable(controller: Any, forces: Float[np.ndarray, "forces 2"]) -> Float[np.ndarray, "forces 2"]:
     """Return each force, or where the fin cannot make it the nearest one that it can make in the controller's cells.
 
     Raises CoverageError for one that the fin can make but the controller was not trained for, and where the fin can

@@ -15,7 +15,7 @@ from softfin.control.grid import GridStep
 from softfin.control.single import SingleStep
 from softfin.core.action_clock import ACTION_RATE_HZ
 from softfin.core.configuration import Configuration
-from softfin.core.errors import ArtifactError
+from softfin.core.errors import ArtifactError, one_line
 from softfin.core.quantities import Limits
 from softfin.gaits.gait import ForceMap
 from softfin.gaits.reachable import Cell, Reachable
@@ -66,7 +66,7 @@ def build_controller(
         at = ".".join(map(str, first["loc"])) or error.title
         raise ArtifactError(f"{source}: {at} is {str(first['input'])[:80]}: {first['msg']}; {AGAIN}") from None
     except (KeyError, TypeError, ValueError) as error:
-        problem = f"{error.args[0]} is missing" if isinstance(error, KeyError) else " ".join(str(error).split())[:400]
+        problem = f"{error.args[0]} is missing" if isinstance(error, KeyError) else one_line(error)
         raise ArtifactError(f"{source}: {problem}; {AGAIN}") from None
     return LoadedController(step, limits, cells, reachable, Artifact(name, learnt, fin, description, digest))
 

@@ -1,5 +1,9 @@
 /* What the pages that draw on a canvas share; each has it inline, so that a page is one file. */
 
+const element = (id) => document.getElementById(id);
+
+let colours = {}, waiting = false;
+
 const numeral = (value, digits) => (value < 0 && Number(value.toFixed(digits)) !== 0 ? "\u2212" : "") + Math.abs(value).toFixed(digits);
 
 /* A canvas in CSS pixels, sharp on every screen. */
@@ -25,4 +29,99 @@ function marksOf(low, high, step) {
   const marks = [];
   for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) marks.push(k * step);
   return { marks, digits: Math.max(0, -Math.floor(Math.log10(step) + 1e-9)) };
+}
+
+/* Have the page's `draw` called before the screen is shown next. */
+function redraw() {
+  if (waiting) return;
+  waiting = true;
+  requestAnimationFrame(() => { waiting = false; draw(); });
+}
+
+/* Take colours from the page's style, now and whenever the screen turns dark or light. */
+function followColours(names) {
+  const read = () => {
+    const style = getComputedStyle(document.documentElement);
+    for (const name of names) colours[name] = style.getPropertyValue(`--${name}`).trim();
+    redraw();
+  };
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", read);
+  read();
+}
+
+/* A row for each panel in the table of values; the three cells of each. */
+function cellsOf(panels) {
+  return panels.map((panel) => {
+    const row = element("values").insertRow(), head = document.createElement("th");
+    head.scope = "row";
+    head.textContent = `${panel.name} [${panel.unit}]`;
+    row.append(head);
+    return [0, 1, 2].map(() => row.insertCell());
+  });
+}
+
+/* Title, marks and lines of a panel; `y` is the pixel of a value. */
+function drawAxis(pen, layout, panel, top, low, high, step, y) {
+  pen.lineWidth = 1;
+  pen.strokeStyle = colours.rule;
+  pen.fillStyle = colours.soft;
+  pen.textAlign = "right";
+  pen.textBaseline = "middle";
+  const { marks, digits } = marksOf(low, high, step);
+  for (const mark of marks) {
+    pen.beginPath();
+    pen.moveTo(layout.left, y(mark));
+    pen.lineTo(layout.right, y(mark));
+    pen.stroke();
+    pen.fillText(numeral(mark, digits), layout.left - 7, y(mark));
+  }
+  pen.textAlign = "left";
+  pen.textBaseline = "alphabetic";
+  pen.fillStyle = colours.text;
+  pen.fillText(`${panel.name} [${panel.unit}]`, layout.left, top - 8);
+}
+
+/* The axis of time below the last panel; `x` is the pixel of a time. */
+function drawTime(pen, layout, last, from, to, x, title) {
+  pen.fillStyle = colours.soft;
+  pen.textBaseline = "top";
+  const { marks, digits } = marksOf(from, to, stepOf(from, to, Math.max(3, Math.floor(layout.right / 80))));
+  const below = layout.top(last) + layout.each + 5;
+  for (const mark of marks) {
+    const edge = x(mark) > layout.right - 14;
+    pen.textAlign = edge ? "right" : "center";
+    pen.fillText(mark.toFixed(digits), edge ? layout.right : x(mark), below);
+  }
+  pen.textAlign = "center";
+  pen.fillText(title, (layout.left + layout.right) / 2, below + 19);
+}
+
+function rule(pen, x, top, tall, colour, dashes) {
+  pen.strokeStyle = colour;
+  pen.lineWidth = 1;
+  pen.setLineDash(dashes);
+  pen.beginPath();
+  pen.moveTo(x, top);
+  pen.lineTo(x, top + tall);
+  pen.stroke();
+  pen.setLineDash([]);
+}
+
+/* What was measured where the pointer is: a rule, a dot at a pixel, and a text beside it. */
+function drawPointed(pen, layout, top, x, y, text) {
+  rule(pen, x, top, layout.each, colours.soft, [4, 3]);
+  pen.fillStyle = colours.measured;
+  pen.beginPath();
+  pen.arc(x, y, 3.5, 0, 2 * Math.PI);
+  pen.fill();
+  const wide = pen.measureText(text).width + 10, leftwards = x + 8 + wide > layout.right;
+  const box = [leftwards ? x - 8 - wide : x + 8, Math.min(Math.max(y - 10, top), top + layout.each - 20)];
+  pen.fillStyle = colours.page;
+  pen.globalAlpha = 0.9;
+  pen.fillRect(...box, wide, 20);
+  pen.globalAlpha = 1;
+  pen.fillStyle = colours.text;
+  pen.textAlign = "left";
+  pen.textBaseline = "middle";
+  pen.fillText(text, box[0] + 5, box[1] + 10);
 }

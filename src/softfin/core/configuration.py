@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import pydantic
 import yaml
 
-from softfin.core.errors import ConfigurationError
+from softfin.core.errors import ConfigurationError, one_line
 
 # Not typing.Self: the run-time check of the tests decorates functions one by one, and cannot know their class.
 Config = TypeVar("Config", bound="Configuration")
@@ -74,7 +74,7 @@ def parse_yaml(text: str) -> Any:
     try:
         return yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise ValueError(" ".join(str(error).split())[:500]) from None
+        raise ValueError(one_line(error)) from None
 
 
 def _merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:

@@ -53,3 +53,8 @@ class SafetyStop(RunError):
     """Something was wrong or somebody said stop: the fin was stopped and the motor disabled."""
 
     exit_code = 3
+
+
+def one_line(error: BaseException) -> str:
+    """Message of an error of any library, in one line of at most 300 characters; its type where it has none."""
+    return " ".join(str(error).split())[:300] or type(error).__name__

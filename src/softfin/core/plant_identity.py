@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import PRNGKeyArray, PyTree
 
 from softfin.core.action_clock import ACTION_TICKS
-from softfin.core.errors import PlantError
+from softfin.core.errors import PlantError, one_line
 from softfin.core.plant import EnsemblePlant, Plant
 from softfin.core.quantities import Command, Limits
 
@@ -28,9 +28,11 @@ CALLBACK = re.compile(r"custom_call @\w*python\w*callback")
 """A call back into Python in a lowered program; what happens there is not part of the program."""
 
 
-def identity(plant: Plant) -> str:
+def identity(plant: Plant, computed: bool = False) -> str:
     """The type of a plant and a hash of what it computes: equal for equal plants in every process.
 
+    Of softfin's own it is a hash of what was loaded; with `computed` also of what XLA made of that, whose last bits
+    follow its options. Runs that go on where they stopped compare that, and files had it in earlier versions.
     The hash of a user's simulator also depends on the version of JAX, which writes the lowered program; it is named
     then. A simulator may state its identity itself, in an attribute `identity`; one that does not must be traceable
     and not call back into Python, else PlantError is raised.
@@ -42,6 +44,8 @@ def identity(plant: Plant) -> str:
     arrays, static = eqx.partition(plant, eqx.is_array)
     if _is_own(plant, static):
         leaves, structure = jax.tree.flatten(static)
+        for field_name in () if computed else getattr(plant, "computed", ()):
+            arrays = eqx.tree_at(lambda own, at=field_name: getattr(own, at), arrays, None)
         return f"{name} {_digest(arrays, str(leaves if leaves else '') + str(structure))}"
     program = _program(plant, arrays, static)
     if CALLBACK.search(program):
@@ -50,6 +54,11 @@ def identity(plant: Plant) -> str:
             "attribute `identity`, a string that holds them"
         )
     return f"{name} {_digest(arrays, program)} (jax {jax.__version__})"
+
+
+def is_of(stated: str | None, plant: Plant) -> bool:
+    """Whether the identity that a file states, of this version or an earlier one, is that of a plant."""
+    return stated in (identity(plant), identity(plant, computed=True))
 
 
 def jit_argument(plant: Plant) -> Plant:
@@ -131,7 +140,7 @@ def _program(plant: Plant, arrays: PyTree[Any], static: PyTree[Any]) -> str:
         return f"{limits} {traced.lower(lowering_platforms=('cpu',)).as_text()}"
     except Exception as error:
         # It is the user's code that runs here, and it may fail in any way.
-        reason = " ".join(str(error).split())[:300]
+        reason = one_line(error)
         raise PlantError(
             f"plant {type(plant).__qualname__}: cannot be traced ({type(error).__name__}: {reason}); "
             "softfin.testing.check_plant says what a plant must do"

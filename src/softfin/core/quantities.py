@@ -105,13 +105,15 @@ class Limits(NamedTuple):
     @classmethod
     def of(cls, description: Any, one_velocity: bool = False) -> "Limits":
         """Build from what `to_dict` returned; raises ValueError that says what is allowed."""
-        values: dict[str, Any] = {}
+        values = []
         for name in cls(0, 0, 0, 0).to_dict():
-            values[name] = description.get(name) if isinstance(description, dict) else None
-            if not isinstance(values[name], int | float):
-                met = "missing" if values[name] is None else repr(values[name])[:80]
+            value = description.get(name) if isinstance(description, dict) else None
+            # To Python `true` is an int, and ints may be larger than any float.
+            if not (isinstance(value, float) or (type(value) is int and abs(value) < 1e300)):
+                met = "missing" if value is None else repr(value)[:80]
                 raise ValueError(f"limits: {name} is {met}; it must be a number; {ALLOWED_LIMITS}")
-        limits = cls(*map(float, values.values()))
+            values.append(float(value))
+        limits = cls(*values)
         if problem := limits.problem(one_velocity):
             raise ValueError(problem)
         return limits

@@ -95,8 +95,10 @@ def collect(
     return write_dataset(out, new_train, new_test, description | (metadata or {}), overwrite)
 
 
-def open_to_extend(path: Path, metadata: dict[str, Any]) -> Dataset:
+def open_to_extend(path: Path, metadata: dict[str, Any], *earlier: str) -> Dataset:
     """Open a dataset to which logs are added of the plant with the ``plant`` and ``plant_identity`` in `metadata`.
+
+    `earlier` are identities that earlier versions wrote for it.
 
     Raises:
         ArtifactError: it is not a dataset, or damaged.
@@ -106,7 +108,7 @@ def open_to_extend(path: Path, metadata: dict[str, Any]) -> Dataset:
     recorded = {name: before.description.get(name) for name in ("plant", "plant_identity")}
     # Names may differ for one plant, and one name, as that of a file, may come to stand for another.
     decisive = "plant" if recorded["plant_identity"] is None else "plant_identity"
-    if recorded[decisive] != metadata[decisive]:
+    if recorded[decisive] not in (metadata[decisive], *earlier):
         now = str(metadata["plant"])
         raise ConfigurationError(
             f"{path}: recorded of {recorded['plant'] or 'a plant without a name'}, not of {now} as it is now; logs of "

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from softfin.control.controller import Controller
-from softfin.control.references import reachable_of, resolve_references
+from softfin.control.references import nearest_trackable, reachable_of
 from softfin.core.action_clock import WINDOW
 from softfin.core.choices import MovingReference
 from softfin.core.errors import CoverageError
@@ -134,7 +134,7 @@ def _resolve_signal(controller: Controller, signal: Signal, ticks: int, strict: 
     """The force to track at each tick, the nearest that the fin can make, and a warning where it is not the signal."""
     references = signal.sample(ticks)
     distinct, places = np.unique(references, axis=0, return_inverse=True)
-    near = resolve_references(controller, distinct).astype(np.float32)[places.reshape(-1)]
+    near = nearest_trackable(controller, distinct).astype(np.float32)[places.reshape(-1)]
     distance = np.hypot(*(near - references).T)
     if not distance.any():
         return references, None

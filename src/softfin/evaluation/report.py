@@ -20,22 +20,12 @@ from softfin.core.quantities import AXES, RATE_HZ
 from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_II, recomputed_means
 from softfin.storage import artifact as artifacts
 from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, inline_svg, new_figure, styled, with_minus_signs
-from softfin.surrogate.compare.scores import PAPER_TABLE_I
+from softfin.surrogate.compare.scores import NETS, PAPER_TABLE_I
 
 Figures = Mapping[str, Figure]
 """Figures by caption."""
 
 CONTROLLER_COLOURS = {"single": BLUE, "grid": ORANGE}
-
-NETS = {
-    "posnet": ("PosNet, commands to angle", "rad", "posnet"),
-    "forcenet_measured": ("ForceNet, given the measured angle", "N", "forcenet"),
-    "forcenet_free_running": ("ForceNet, free-running behind PosNet", "N", None),
-    "drive": ("Drive nets, commands to angle", "rad", "posnet"),
-    "force_measured": ("Force nets, given the measured motion", "N", "forcenet"),
-    "force_free_running": ("Force nets, free-running behind the drive nets", "N", None),
-}
-"""Rows of Table I: by key of `table_one`, what the row is, its unit, the paper's row to stand beside."""
 
 
 def write_report(path: Path, results: Mapping[str, Any], figures: Mapping[str, Figures] = MappingProxyType({})) -> None:

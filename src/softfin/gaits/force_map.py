@@ -11,9 +11,9 @@ from pydantic import Field, PositiveFloat
 from scipy.ndimage import map_coordinates
 
 from softfin.core.configuration import Configuration
-from softfin.core.errors import ArtifactError, PlantError
+from softfin.core.errors import ArtifactError, PlantError, one_line
 from softfin.core.plant import Plant
-from softfin.core.plant_identity import identity
+from softfin.core.plant_identity import identity, is_of
 from softfin.core.quantities import Limits
 from softfin.gaits.gait import ForceMap, GaitSearchResult, GaitTable
 from softfin.gaits.reachable import Cell, Reachable, directions
@@ -158,7 +158,7 @@ def load_map(path: Path) -> LoadedMap:
             description["provenance"].get("plant_identity"),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ArtifactError(f"{source}: not a valid map ({' '.join(str(error).split())}); map it again") from None
+        raise ArtifactError(f"{source}: not a valid map ({one_line(error)}); map it again") from None
 
 
 def load_force_map(path: Path, plant: Plant, name: str) -> LoadedMap:
@@ -166,10 +166,10 @@ def load_force_map(path: Path, plant: Plant, name: str) -> LoadedMap:
 
     Gaits are actions over the plant's limits, and another plant makes other forces of them.
     """
-    loaded, of = load_map(path), identity(plant)
-    if loaded.plant_identity != of or not np.allclose(loaded.limits, [float(x) for x in plant.limits], atol=1e-3):
+    loaded, limits = load_map(path), [float(x) for x in plant.limits]
+    if not is_of(loaded.plant_identity, plant) or not np.allclose(loaded.limits, limits, atol=1e-3):
         raise ArtifactError(
-            f"{path}: a map of another plant ({loaded.plant_identity}) or for other limits than {name} ({of}) has now; "
-            f"map this one: softfin map {name} --out DIR"
+            f"{path}: a map of another plant ({loaded.plant_identity}) or for other limits than {name} "
+            f"({identity(plant)}) has now; map this one: softfin map {name} --out DIR"
         )
     return loaded

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Literal, NoReturn
 
-from softfin.core.errors import RunError, SafetyStop, SoftfinError
+from softfin.core.errors import RunError, SafetyStop, SoftfinError, one_line
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.machine import Machine, Sample, Target, clock_of
 from softfin.rig.pace import Pace
@@ -26,8 +26,8 @@ State = Literal["unconfigured", "inactive", "active", "stopped"]
 Observer = Callable[[Sample, Target | None], None]
 """Called at each tick with the sample and the command under which it came about; must return at once."""
 
-FRESH_S = 1.0
-"""Longest time before activation within which all checks must pass once [s]."""
+FRESH_TICKS = 100
+"""Ticks before activation within which all checks must pass once; on a busy computer one alone may take a second."""
 
 STILL_RAD = 0.03
 """Angle and angular velocity below which the shaft is at rest at angle 0 [rad, rad/s]."""
@@ -150,9 +150,10 @@ class Session:
         self.pace.start()
         self.guard.restart()
         # Devices that were not read need a moment to be fresh.
-        latest = self.pace.clock() + FRESH_S
+        left = FRESH_TICKS
         while (trip := self.guard.check(sample := self.tick(), self.pace.clock())) is not None:
-            if self.pace.clock() >= latest:
+            left -= 1
+            if not left:
                 self.abort(trip)
         limits = self.machine.limits
         here = min(max(sample.angle, limits.angle_min), limits.angle_max)
@@ -258,4 +259,4 @@ def in_one_line(error: BaseException, what: str) -> str:
     """Describe an error: softfin's own say it all in one line; others need a word of what was going on."""
     if isinstance(error, SoftfinError):
         return str(error)
-    return f"{what} ({type(error).__name__}: {' '.join(str(error).split())[:300]}); see --debug"
+    return f"{what} ({type(error).__name__}: {one_line(error)}); see --debug"

@@ -33,7 +33,7 @@ def collect(
     artifacts.check_vacant(out, overwrite)
     moving = find_plant(plant)
     metadata: dict[str, Any] = {"plant": str(plant), "plant_identity": identity(moving)}
-    before = None if extend is None else open_to_extend(extend, metadata)
+    before = None if extend is None else open_to_extend(extend, metadata, identity(moving, computed=True))
     commands: Commands = config.excitation
     metadata["commands"] = {"excitation": "random"}
     if isinstance(config, ActiveCollectConfig):

@@ -103,7 +103,7 @@ def train(
     metadata = {
         "configuration": config.model_dump(mode="json"),
         "seeds": list(seeds),
-        "plant": origin["plant_identity"],
+        "plant": identity(moving, computed=True),
         "split": split,
         "refine": refine,
         "map": None if can is None else can.to_dict(),

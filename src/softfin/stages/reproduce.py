@@ -158,7 +158,8 @@ class _Reproduction:
         A complete run that is to be replaced is kept beside it until this one is complete.
         """
         configuration = self.config.model_dump(mode="json")
-        metadata = {"plant": identity(find_plant(self.plant)), "seed": self.seed, "configuration": configuration}
+        plant = identity(find_plant(self.plant), computed=True)
+        metadata = {"plant": plant, "seed": self.seed, "configuration": configuration}
         if resume and artifacts.is_kind(self.out, KIND):
             before = {name: artifacts.load_description(self.out, KIND).get(name) for name in metadata}
             check_same(self.out, before, metadata)

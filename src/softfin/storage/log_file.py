@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from softfin.core.errors import LogError
+from softfin.core.errors import LogError, one_line
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Log, Reading
 from softfin.storage import artifact as artifacts
 
@@ -117,6 +117,6 @@ def read_parquet(path: Path) -> pa.Table:
         # Arrow's own errors are OSError too, without a reason of the system's.
         if isinstance(error, OSError) and error.strerror:
             raise LogError(f"{path}: cannot be read ({error.strerror}); give the path of a Parquet file") from None
-        reason = " ".join(str(error).split())[:500]
+        reason = one_line(error)
         raise LogError(f"{path}: truncated, or not a Parquet file ({reason}); copy it again") from None
     return table

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from softfin.core.errors import PlantError
+from softfin.core.errors import PlantError, one_line
 from softfin.storage import artifact as artifacts
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ def _import_object(name: str, build: bool = False) -> Any:
             plant = plant()
     except Exception as error:
         # The user's code may raise anything.
-        reason = " ".join(str(error).split())
+        reason = one_line(error)
         raise PlantError(f"plant {name}: {type(error).__name__}: {reason}; give {HELP}") from error
     finally:
         sys.path.remove(here)

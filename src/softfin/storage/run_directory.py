@@ -154,9 +154,14 @@ class RunLog:
 
 
 def read_log(path: Path) -> list[dict[str, Any]]:
-    """The entries of a ``log.jsonl``; a last line that a kill cut short is left out."""
-    lines = path.read_text().splitlines() if path.is_file() else []
-    return [json.loads(line) for line in lines if line.endswith("}")]
+    """The entries of a ``log.jsonl``, up to the first line that a kill or a cut of power has left in pieces."""
+    entries = []
+    for line in path.read_text(errors="replace").splitlines() if path.is_file() else []:
+        try:
+            entries.append(json.loads(line))
+        except ValueError:
+            break
+    return entries
 
 
 def _software() -> str:

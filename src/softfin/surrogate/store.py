@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from softfin.core.errors import ArtifactError, ConfigurationError
+from softfin.core.errors import ArtifactError, ConfigurationError, one_line
 from softfin.core.quantities import RATE_HZ, Limits
 from softfin.storage import artifact as artifacts
 from softfin.surrogate.paper.surrogate import Surrogate
@@ -62,5 +62,5 @@ def load_surrogate(path: Path) -> AnySurrogate:
     except ConfigurationError as error:
         raise ArtifactError(f"{error}; this softfin has no such nets, so fit it again") from None
     except (KeyError, TypeError, ValueError) as error:
-        reason = " ".join(str(error).split())
+        reason = one_line(error)
         raise ArtifactError(f"{source}: not a surrogate's description ({reason}); fit it again") from None

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from pydantic import Field, FiniteFloat, NonNegativeFloat, PositiveFloat, model_validator
 
 from softfin.core.configuration import Configuration
-from softfin.core.errors import ConfigurationError, LogError
+from softfin.core.errors import ConfigurationError, LogError, one_line
 from softfin.core.quantities import RATE_HZ, TICK_S
 from softfin.storage.log_file import read_parquet
 from softfin.storage.paths import check_reference_file
@@ -175,7 +175,7 @@ def read_reference_file(path: Path) -> Recorded:
                 )
         values = np.stack([table.column(name).cast(pa.float64()).to_numpy() for name in COLUMNS], axis=1)
     except (OSError, LogError, UnicodeDecodeError, pa.ArrowException) as error:
-        reason = " ".join(str(error).split())[:300]
+        reason = one_line(error)
         raise ConfigurationError(f"{source}: not a table of numbers ({reason}); mend it, or write it again") from None
     if not 0 < len(values) <= MOST_ROWS:
         raise ConfigurationError(f"{source}: has {len(values):,} rows; 1 to {MOST_ROWS:,} are followed, from 0 s on")

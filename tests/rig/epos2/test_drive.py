@@ -415,6 +415,26 @@ def test_a_send_that_hangs_does_not_hang_the_stop() -> None:
         assert made.until(lambda: made.emulated.state is State.SWITCH_ON_DISABLED)
 
 
+def test_a_target_whose_first_frame_hangs_does_not_follow_the_stop_that_went_past_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with enabled(heartbeat_s=1.0) as made, Sniffer(made) as sniffer:
+        bus, stopped = made.drive.connection._bus, []
+        send = bus.send
+
+        def hang(message: can.Message, timeout: float | None = None) -> None:
+            send(message, timeout)
+            if message.arbitration_id == 0x300 + NODE and not stopped:
+                stopped.append(made.clock.spawn(made.drive.stop, "stop"))
+                made.clock.sleep(0.3)
+
+        monkeypatch.setattr(bus, "send", hang)
+        made.drive.command(Target(1.5, 1.0))
+        stopped[0].join()
+        assert made.until(lambda: made.emulated.state is State.SWITCH_ON_DISABLED)
+        assert protocol.NEW_TARGET not in sniffer.controlwords()
+
+
 def test_a_homing_that_failed_does_not_leave_its_mode_for_targets() -> None:
     with bench() as made:
         made.drive.open()

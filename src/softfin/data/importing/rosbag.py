@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from rosbags.rosbag2 import Reader
 
-from softfin.core.errors import LogError
+from softfin.core.errors import LogError, one_line
 from softfin.core.printable import printable
 from softfin.data.importing.clocks import Part, Recording, Track
 from softfin.data.importing.columns import converted
@@ -52,7 +52,7 @@ def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recordi
         raise
     except Exception as error:
         # Damaged bags fail in the reader, its storage, its decompression or its messages, each in a way of its own.
-        reason = _plain(" ".join(str(error).split()) or type(error).__name__)
+        reason = _plain(one_line(error))
         raise LogError(f"{path}: truncated, or not a ROS 2 bag ({reason}); copy it, or: ros2 bag reindex") from None
     if not any("velocity" in track.channels for track in tracks):
         issues.append(derived_velocity(name))

@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.csv
 from jaxtyping import Float
 
-from softfin.core.errors import LogError
+from softfin.core.errors import LogError, one_line
 from softfin.data.importing.clocks import Part, Recording, Track
 from softfin.data.importing.columns import Column, choose_columns, converted, describe_columns
 from softfin.data.importing.importing import ImportConfig
@@ -103,7 +103,7 @@ def _read_csv(path: Path, names: list[str], delimiter: str, columns: list[str]) 
             ),
         )
     except (pa.ArrowException, OSError) as error:
-        reason = " ".join(str(error).split())[:500]
+        reason = one_line(error)
         raise LogError(f"{path}: not a table of numbers ({reason}); correct that line, or leave it empty") from None
 
 

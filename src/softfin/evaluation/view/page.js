@@ -4,7 +4,6 @@
 
 const footage = JSON.parse(document.getElementById("footage").textContent);
 const { scale, ticks, points, window: span } = footage;
-const element = (id) => document.getElementById(id);
 const tank = element("tank"), traces = element("traces"), slider = element("time"), play = element("play");
 const panels = [
   { name: "angle", unit: "rad", measured: footage.angle, asked: footage.command, mean: null, range: scale.angle },
@@ -12,7 +11,7 @@ const panels = [
   { name: "force y", unit: "N", measured: footage.force_y, asked: footage.reference_y || null, mean: footage.mean_y, range: scale.force },
 ];
 
-let now = 0, playing = false, hovered = null, colours = {}, last = null, waiting = false, coming = null;
+let now = 0, playing = false, hovered = null, last = null, coming = null;
 
 const meanAt = (panel, tick) => (panel.mean && tick >= span - 1 ? panel.mean[tick - span + 1] : null);
 const secondsAt = (tick) => ((tick + 1) / footage.rate_hz).toFixed(2) + " s";
@@ -146,23 +145,7 @@ function drawTraces(tick, pointed) {
   panels.forEach((panel, k) => {
     const top = layout.top(k), [low, high] = panel.range;
     const y = (value) => top + (layout.each * (high - value)) / (high - low);
-    pen.lineWidth = 1;
-    pen.strokeStyle = colours.rule;
-    pen.fillStyle = colours.soft;
-    pen.textAlign = "right";
-    pen.textBaseline = "middle";
-    const { marks, digits } = marksOf(low, high, stepOf(low, high, 4));
-    for (const mark of marks) {
-      pen.beginPath();
-      pen.moveTo(layout.left, y(mark));
-      pen.lineTo(layout.right, y(mark));
-      pen.stroke();
-      pen.fillText(numeral(mark, digits), layout.left - 7, y(mark));
-    }
-    pen.textAlign = "left";
-    pen.textBaseline = "alphabetic";
-    pen.fillStyle = colours.text;
-    pen.fillText(`${panel.name} [${panel.unit}]`, layout.left, top - 7);
+    drawAxis(pen, layout, panel, top, low, high, stepOf(low, high, 4), y);
     const line = (series, first, from, to, colour, thickness, alpha, steps) => {
       pen.globalAlpha = alpha;
       pen.strokeStyle = colour;
@@ -185,61 +168,14 @@ function drawTraces(tick, pointed) {
     whole(0, tick, 1);
     rule(pen, layout.x(tick), top, layout.each, colours.text, []);
     if (pointed !== null) {
-      rule(pen, layout.x(pointed), top, layout.each, colours.soft, [4, 3]);
-      label(pen, layout, panel, pointed, top, y);
+      const value = panel.measured[pointed];
+      drawPointed(pen, layout, top, layout.x(pointed), y(value), `${numeral(value, 2)} ${panel.unit}`);
     }
   });
-  pen.fillStyle = colours.soft;
-  pen.textBaseline = "top";
-  const { marks, digits } = marksOf(0, ticks / footage.rate_hz, stepOf(0, ticks / footage.rate_hz, Math.max(3, Math.floor(width / 80))));
-  for (const mark of marks) {
-    const x = layout.x(mark * footage.rate_hz - 1);
-    pen.textAlign = x > layout.right - 12 ? "right" : "center";
-    pen.fillText(mark.toFixed(digits), x > layout.right - 12 ? layout.right : x, layout.top(2) + layout.each + 5);
-  }
-  pen.textAlign = "center";
-  pen.fillText("time [s]", (layout.left + layout.right) / 2, height - 15);
+  drawTime(pen, layout, 2, 0, ticks / footage.rate_hz, (time) => layout.x(time * footage.rate_hz - 1), "time [s]");
 }
 
-function rule(pen, x, top, tall, colour, dashes) {
-  pen.strokeStyle = colour;
-  pen.lineWidth = 1;
-  pen.setLineDash(dashes);
-  pen.beginPath();
-  pen.moveTo(x, top);
-  pen.lineTo(x, top + tall);
-  pen.stroke();
-  pen.setLineDash([]);
-}
-
-/* The measured value where the pointer is, beside its dot. */
-function label(pen, layout, panel, tick, top, y) {
-  const value = panel.measured[tick], x = layout.x(tick);
-  pen.fillStyle = colours.measured;
-  pen.beginPath();
-  pen.arc(x, y(value), 3.5, 0, 2 * Math.PI);
-  pen.fill();
-  const text = `${numeral(value, 2)} ${panel.unit}`;
-  const wide = pen.measureText(text).width + 10, leftwards = x + 8 + wide > layout.right;
-  const box = [leftwards ? x - 8 - wide : x + 8, Math.min(Math.max(y(value) - 10, top), top + layout.each - 20)];
-  pen.fillStyle = colours.page;
-  pen.globalAlpha = 0.9;
-  pen.fillRect(...box, wide, 20);
-  pen.globalAlpha = 1;
-  pen.fillStyle = colours.text;
-  pen.textAlign = "left";
-  pen.textBaseline = "middle";
-  pen.fillText(text, box[0] + 5, box[1] + 10);
-}
-
-const rows = panels.map((panel) => {
-  const row = element("values").insertRow();
-  const head = document.createElement("th");
-  head.scope = "row";
-  head.textContent = `${panel.name} [${panel.unit}]`;
-  row.append(head);
-  return [0, 1, 2].map(() => row.insertCell());
-});
+const rows = cellsOf(panels);
 
 function tell(tick) {
   element("now").textContent = secondsAt(tick);
@@ -250,20 +186,12 @@ function tell(tick) {
 }
 
 function draw() {
-  waiting = false;
   const tick = Math.floor(now);
   drawTank(tick);
   drawTraces(tick, hovered);
   tell(hovered === null ? tick : hovered);
   slider.value = tick;
   slider.setAttribute("aria-valuetext", secondsAt(tick));
-}
-
-function redraw() {
-  if (!waiting) {
-    waiting = true;
-    requestAnimationFrame(draw);
-  }
 }
 
 function advance(time) {
@@ -316,14 +244,6 @@ document.addEventListener("keydown", (event) => {
   event.preventDefault();
 });
 
-function readColours() {
-  const style = getComputedStyle(document.documentElement);
-  const names = ["page", "text", "soft", "rule", "grid", "fin", "measured", "asked", "mean", "shaft", "faint"];
-  for (const name of names) colours[name] = style.getPropertyValue(`--${name}`).trim();
-  redraw();
-}
-
-readColours();
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", readColours);
+followColours(["page", "text", "soft", "rule", "grid", "fin", "measured", "asked", "mean", "shaft", "faint"]);
 new ResizeObserver(redraw).observe(document.querySelector("main"));
 if (!matchMedia("(prefers-reduced-motion: reduce)").matches) setPlaying(true);

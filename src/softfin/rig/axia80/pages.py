@@ -15,7 +15,7 @@ import defusedxml.ElementTree
 import pydantic
 
 from softfin.core.configuration import Configuration
-from softfin.core.errors import ConfigurationError, DeviceError, RigError
+from softfin.core.errors import ConfigurationError, DeviceError, RigError, one_line
 
 SETTINGS = "/netftapi2.xml"
 CALIBRATION = "/netftcalapi.xml"
@@ -121,7 +121,7 @@ def _fields(page: bytes, source: str) -> dict[str, str]:
         root = defusedxml.ElementTree.fromstring(page, forbid_dtd=True)
     except (ParseError, ValueError, LookupError, RecursionError) as error:
         # Of defusedxml, too, whose errors are ValueErrors: a document type or entities.
-        reason = " ".join(str(error).split())
+        reason = one_line(error)
         raise RigError(f"{source}: not a page of an Axia80 ({reason}); check the address") from None
     texts = {element.tag: " ".join((element.text or "").split()) for element in root.iter()}
     return {name: text for name, text in texts.items() if text}

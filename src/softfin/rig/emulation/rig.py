@@ -13,7 +13,7 @@ from typing import Any
 import yaml
 
 from softfin.core.clock import Clock
-from softfin.core.errors import ConfigurationError, RigError
+from softfin.core.errors import ConfigurationError, RigError, one_line
 from softfin.rig.config import RigConfig
 from softfin.rig.emulation.bus import HOST, SocketcandServer
 from softfin.rig.emulation.drive import EmulatedDrive
@@ -129,7 +129,7 @@ class _KeptRig(EmulatedRig):
         except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
             self.close()
             raise RigError(
-                f"{self._state}: not the state of this emulated rig ({' '.join(str(error).split())[:200]}); remove it, "
+                f"{self._state}: not the state of this emulated rig ({one_line(error)}); remove it, "
                 "and the rig begins anew, not zeroed"
             ) from None
 

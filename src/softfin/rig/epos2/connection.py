@@ -15,7 +15,7 @@ from collections.abc import Callable
 import can
 
 from softfin.core.clock import REAL, Clock
-from softfin.core.errors import DeviceError, RigError
+from softfin.core.errors import DeviceError, RigError, one_line
 from softfin.rig.epos2 import protocol
 from softfin.rig.epos2.config import BusConfig
 from softfin.rig.epos2.protocol import Object
@@ -73,7 +73,7 @@ class CanConnection:
             # Every interface of python-can has errors of its own.
             self.close()
             raise RigError(
-                f"{self.name} cannot be opened ({_one_line(error)}); check bus.interface, bus.channel and bus.options "
+                f"{self.name} cannot be opened ({one_line(error)}); check bus.interface, bus.channel and bus.options "
                 "of the rig's file, and that the adapter is plugged in and up"
             ) from None
 
@@ -97,7 +97,7 @@ class CanConnection:
             bus.send(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False), SEND_TIMEOUT_S)
         except Exception as error:
             raise DeviceError(
-                f"{self.name} takes no frames ({_one_line(error)}); look at the adapter, cable, termination and bitrate"
+                f"{self.name} takes no frames ({one_line(error)}); look at the adapter, cable, termination and bitrate"
             ) from None
         finally:
             self._sending.release()
@@ -150,7 +150,7 @@ class CanConnection:
             except Exception as error:
                 if self._bus is bus:
                     self.counters["receiving errors"] += 1
-                    self._on_problem(f"{self.name} cannot be read ({_one_line(error)}); look at the adapter and cable")
+                    self._on_problem(f"{self.name} cannot be read ({one_line(error)}); look at the adapter and cable")
                     # A bus that is gone must not take a whole core.
                     self._clock.sleep(RECEIVER_CYCLE_S)
 
@@ -179,7 +179,3 @@ def download(entry: Object, value: int) -> bytes:
     except struct.error:
         raise DeviceError(f"drive's {entry} cannot hold {value}; change the value in the rig's file") from None
     return struct.pack("<BHB", 0x23 | unused << 2, entry.number, entry.sub) + data
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200] or type(error).__name__

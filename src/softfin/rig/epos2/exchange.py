@@ -256,7 +256,8 @@ class Exchange:
         step = self.handshake.step(self.status.has(Bit.ACKNOWLEDGED), self.clock())
         if isinstance(step, tuple):
             counts, rpm = step
-            if self.attempt(protocol.RPDO[1] + self.config.node, _VELOCITY.pack(rpm)):
+            # A stop does not wait for a send that hangs: where one has gone past this one, the target must not follow.
+            if self.attempt(protocol.RPDO[1] + self.config.node, _VELOCITY.pack(rpm)) and self.armed:
                 self.attempt(*self.order(protocol.NEW_TARGET, counts))
         elif step:
             target = self.handshake.current

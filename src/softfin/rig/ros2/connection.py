@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeAlias, TypeVar, runtime_checkable
 
+from softfin.core.errors import one_line
 from softfin.rig.machine import Wrench
 from softfin.storage.bag.messages import SECOND_NS, type_store
 
@@ -59,11 +60,6 @@ class Transport(Protocol):
 
     def close(self) -> None:
         """Leave; any number of times, never raises."""
-
-
-def one_line(error: Exception) -> str:
-    """The message of an error of any library, in one short line."""
-    return " ".join(str(error).split())[:160] or type(error).__name__
 
 
 class StampClock:

@@ -13,9 +13,9 @@ from typing import Any
 from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
-from softfin.core.errors import DeviceError, RigError
+from softfin.core.errors import DeviceError, RigError, one_line
 from softfin.rig.ros2.config import TransportConfig
-from softfin.rig.ros2.connection import DEPTH, Publisher, Take, one_line
+from softfin.rig.ros2.connection import DEPTH, Publisher, Take
 
 try:
     from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication

@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from softfin.core.errors import CommandError, DeviceError, RigError
+from softfin.core.errors import CommandError, DeviceError, RigError, one_line
 from softfin.core.quantities import Limits
 from softfin.rig.machine import Sample, Target, Wrench, rotated, rotation
 from softfin.rig.ros2.config import FlipperConfig, Ros2PlantConfig, TransportConfig
-from softfin.rig.ros2.connection import BOOL, Publisher, Subscription, Transport, joint_of, one_line, wrench_of
+from softfin.rig.ros2.connection import BOOL, Publisher, Subscription, Transport, joint_of, wrench_of
 from softfin.rig.safety import check_target
 from softfin.storage.bag.messages import JOINT_STATE, SECOND_NS, WRENCH_STAMPED, cdr, serialized, type_store
 

@@ -10,9 +10,9 @@ import time
 from collections import deque
 from typing import Any
 
-from softfin.core.errors import DeviceError, RigError
+from softfin.core.errors import DeviceError, RigError, one_line
 from softfin.rig.ros2.config import TransportConfig
-from softfin.rig.ros2.connection import DEPTH, Publisher, Take, one_line
+from softfin.rig.ros2.connection import DEPTH, Publisher, Take
 
 
 class RclpyTransport:

@@ -21,7 +21,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Footer, Message, Schema
 from mcap.stream_reader import breakup_chunk
 
-from softfin.core.errors import LogError
+from softfin.core.errors import LogError, one_line
 from softfin.storage import artifact as artifacts
 from softfin.storage.bag.messages import start_writer
 
@@ -90,7 +90,7 @@ def decode(record: RawRecord) -> list[Record]:
         return cast(list[Record], breakup_chunk(chunk, validate_crc=True))
     except (McapError, zstandard.ZstdError, ValueError, OverflowError, RuntimeError, EOFError, struct.error) as error:
         what = "chunk" if record.opcode == Opcode.CHUNK else "record"
-        raise LogError(f"a {what} that cannot be decoded ({' '.join(str(error).split())})") from None
+        raise LogError(f"a {what} that cannot be decoded ({one_line(error)})") from None
 
 
 def scan(path: Path) -> Iterator[Record | Damage]:

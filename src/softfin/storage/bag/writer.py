@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from softfin.core.clock import REAL, Clock
-from softfin.core.errors import LogError, RunError
+from softfin.core.errors import LogError, RunError, one_line
 from softfin.storage import artifact as artifacts
 from softfin.storage.bag.messages import COMMAND, CURRENT, EVENTS, JOINT, REFERENCE, SECOND_NS, WRENCH, BagWriter
 
@@ -120,7 +120,7 @@ class BagRecorder:
             self._flush(end=True)
         except Exception as error:
             # Whatever it is, the loop must be told and go on to stop the fin.
-            self._fail(f"{type(error).__name__}: {' '.join(str(error).split())}", f"softfin bag recover {self.path}")
+            self._fail(f"{type(error).__name__}: {one_line(error)}", f"softfin bag recover {self.path}")
         finally:
             with contextlib.suppress(OSError):
                 self._file.close()

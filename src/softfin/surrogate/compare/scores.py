@@ -35,6 +35,16 @@ PAPER_TABLE_I = {
 }
 """The paper's Table I; units and the normalisation of DTW are not stated there."""
 
+NETS = {
+    "posnet": ("PosNet, commands to angle", "rad", "posnet"),
+    "forcenet_measured": ("ForceNet, given the measured angle", "N", "forcenet"),
+    "forcenet_free_running": ("ForceNet, free-running behind PosNet", "N", None),
+    "drive": ("Drive nets, commands to angle", "rad", "posnet"),
+    "force_measured": ("Force nets, given the measured motion", "N", "forcenet"),
+    "force_free_running": ("Force nets, free-running behind the drive nets", "N", None),
+}
+"""Rows of Table I: by key of `table_one`, what the row is, its unit, the paper's row to stand beside."""
+
 Samples = Float[np.ndarray, "samples"]
 
 Means = Float[np.ndarray, "segments windows 2"]

@@ -14,7 +14,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from softfin.core.errors import ArtifactError, SoftfinError
+from softfin.core.errors import ArtifactError, SoftfinError, one_line
 from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, Scaling
 from softfin.surrogate.paper.network import Network, NetworkConfig
 from softfin.surrogate.paper.surrogate import Surrogate
@@ -79,7 +79,7 @@ def read_network(path: Path, channels: tuple[str, ...], outputs: tuple[str, ...]
         raise ArtifactError(f"{path}: cannot be read ({error.strerror or error})") from None
     except Exception as error:
         # Damaged files fail anywhere in zip, JSON and HDF5, and h5py makes of it whatever exception fits.
-        reason = " ".join(str(error).split())[:300] or type(error).__name__
+        reason = one_line(error)
         raise ArtifactError(f"{path}: not a whole Keras 2 .keras file ({reason})") from None
 
 

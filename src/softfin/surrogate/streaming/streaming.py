@@ -54,6 +54,8 @@ class StreamingSurrogate(eqx.Module):
     limits: Limits = eqx.field(static=True)
     """The range of the commands in the training data: beyond it the nets extrapolate."""
 
+    computed: ClassVar[tuple[str, ...]] = ("rest",)
+    """Fields that are computed from the others."""
     model: ClassVar[str] = "streaming"
     memory: ClassVar[int] = 300
     """Rows of a log that `warm` follows: a stroke at the paper's least velocity takes as long."""

@@ -114,7 +114,11 @@ def _of_plant(plant: Plant, config: CalibrateConfig, seed: int) -> tuple[list[Lo
         rows = round(config.segment_s * RATE_HZ) + 1
         return list(simulate([within] * count, keys, rows, config.excitation, count, lambda done: None))
 
-    return excited("train", config.segments), excited("test", config.test_segments), {"plant": identity(plant)}
+    return (
+        excited("train", config.segments),
+        excited("test", config.test_segments),
+        {"plant": identity(plant, computed=True)},
+    )
 
 
 Errors = Callable[[Sequence[Point]], Iterator[Float[np.ndarray, "segments compared channels"]]]
