@@ -12,7 +12,7 @@ PYTEST := $(RUN) pytest -n auto --dist loadfile --no-loadscope-reorder
 OUT ?= runs/demo
 PRESET ?= demo
 
-.PHONY: setup demo day test test-long lint structure bench clean
+.PHONY: setup demo day test test-long test-ray lint structure bench clean
 
 setup: .venv/.ready ## make the environment
 
@@ -36,6 +36,9 @@ test: setup ## all tests
 
 test-long: setup ## all tests, with more cases of each kind and twenty minutes of faults in real time
 	SOFTFIN_LONG=1 $(PYTEST)
+
+test-ray: setup ## the tests that need Ray, in a network of their own; installs the extra: 76 MB to fetch, 201 MB
+	$(RUN) --extra ray pytest -rs tests/learning/test_engine.py
 
 lint: setup ## style, types, the order of imports, the words
 	$(RUN) ruff check .

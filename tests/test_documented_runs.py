@@ -65,6 +65,8 @@ IN_THE_DAY = (
 
 ELSEWHERE = {
     "ros2 controller --reference=2,0 --arm": "tests/cli/test_ros2.py",
+    "train surrogate --controller grid --engine ray --out grid": "tests/learning/ray_cluster.py",
+    "train surrogate --controller grid --engine ray --cluster head:6379 --out grid": "tests/learning/ray_cluster.py",
     "reproduce --preset best --plant tank --out run": "tests/end_to_end/test_stages.py",
     "reproduce --preset paper --plant tank --out run --resume": "tests/end_to_end/test_stages.py",
     "reproduce --preset paper --plant tank --out run-tank": "tests/end_to_end/test_stages.py",

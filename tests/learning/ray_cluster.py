@@ -12,6 +12,7 @@ import socket
 import struct
 import subprocess
 import sys
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +28,11 @@ from softfin.learning.policy import PolicyConfig
 from softfin.learning.ppo import PPOConfig
 from softfin.learning.run import TrainingResult
 from softfin.learning.train import train_jobs
+from softfin.storage.artifact import WEIGHTS
 from softfin.storage.run_directory import LOG, RunDirectory, read_log
 from softfin.task.task import TaskConfig
 from tests.plants import AnalyticFin
+from tests.staged import GRADIENT
 
 SEEDS = (0, 1)
 
@@ -132,8 +135,22 @@ def failures(folder: Path) -> dict[str, Any]:
     engine.attempts = 2
     told: dict[str, Any] = {work.__name__: _failure(engine, work, folder) for work in (_refuse, _fail, _die)}
     told["finished"] = sorted(path.name for path in folder.glob("*-other"))
-    told["nowhere"] = _failure(RayEngine("127.0.0.1:9"), _refuse, folder)
     return told
+
+
+def commands(folder: Path) -> dict[str, Any]:
+    """``softfin train`` in this process, on Ray of this machine, and on a cluster that was there before it."""
+    (folder / "train.yaml").write_text(json.dumps(GRADIENT | {"cells": [cell.model_dump() for cell in SMALL.cells]}))
+    common = ("train", "tests.plants:AnalyticFin", "--controller", "grid", "--config", str(folder / "train.yaml"))
+    engines = {
+        "local": ("--split", "cell"),
+        "own": ("--engine", "ray"),
+        "cluster": ("--engine", "ray", "--cluster", _two_nodes()),
+    }
+    for name, options in engines.items():
+        command = [sys.executable, "-m", "softfin.cli", *common, *options]
+        subprocess.run([*command, "--out", str(folder / name)], check=True)
+    return {name: sha256((folder / name / WEIGHTS).read_bytes()).hexdigest() for name in engines}
 
 
 def _failure(engine: RayEngine, work: Any, folder: Path) -> list[Any]:

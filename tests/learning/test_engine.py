@@ -1,6 +1,8 @@
 """Engines: this process, and Ray, where it is installed and a network of its own can be had."""
 
+import socket
 import sys
+import types
 from pathlib import Path
 
 import pytest
@@ -46,6 +48,26 @@ def test_without_ray_it_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch):
         find_engine("ray", "127.0.0.1:6399")
 
 
+@pytest.mark.parametrize(
+    ("cluster", "message"),
+    [
+        ("127.0.0.1:{unused}", r"nothing answers there \(.*refused\); give --cluster HOST:PORT as `ray start --head` "),
+        ("no-such-host.invalid:6379", r"nothing answers there \(.*\); give --cluster HOST:PORT"),
+        ("auto", "not an address HOST:PORT; give --cluster HOST:PORT"),
+        ("127.0.0.1:65536", "not an address HOST:PORT"),
+    ],
+)
+def test_a_cluster_that_is_not_there_is_told_at_once_in_one_line(cluster, message, monkeypatch: pytest.MonkeyPatch):
+    """Before Ray does anything: one that is installed, and no more, stands in for it."""
+    monkeypatch.setitem(sys.modules, "ray", types.ModuleType("ray"))
+    with socket.socket() as bound:
+        # A port that nobody else gets, and where nobody listens.
+        bound.bind(("127.0.0.1", 0))
+        cluster = cluster.format(unused=bound.getsockname()[1])
+        with pytest.raises(ConfigurationError, match=f"^cluster {cluster}: {message}"):
+            find_engine("ray", cluster)
+
+
 @pytest.mark.slow
 def test_a_cluster_of_this_machine_works_on_other_processes_and_leaves_none(tmp_path: Path):
     told = within("own", tmp_path)
@@ -78,8 +100,9 @@ def test_a_part_that_fails_for_good_is_told_in_one_line_when_the_others_are_done
     assert message.endswith("what is finished is kept: look after memory and machines, and --resume")
     assert ["lost worker", 1, "part runs again, attempt 2 of 2"] in said
     assert told["finished"] == ["dead-other", "failed-other", "refused-other"]
-    kind, message, _ = told["nowhere"]
-    assert kind == "ConfigurationError"
-    assert message.startswith(
-        "cluster 127.0.0.1:9: Ray cannot use it (Failed to connect to Ray cluster at 127.0.0.1:9);"
-    )
+
+
+@pytest.mark.slow
+def test_the_documented_commands_write_the_same_bits_here_and_on_ray(tmp_path: Path):
+    told = within("commands", tmp_path)
+    assert told["own"] == told["cluster"] == told["local"]

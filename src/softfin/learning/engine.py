@@ -6,6 +6,7 @@ others are done, so that their results are kept.
 
 import os
 import secrets
+import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -21,6 +22,9 @@ from softfin.core.progress import Progress
 
 STORE_BYTES = 256 * 2**20
 """Memory for objects of a cluster started here: plants and policies are small; Ray would take a third of all memory."""
+
+CONNECTION_S = 5.0
+"""Longest wait for a cluster's address to accept a connection [s]."""
 
 HEAD = """
 import os, sys, ray
@@ -60,8 +64,10 @@ class RayEngine(Engine):
     """Times that a part is begun before it is given up."""
 
     def __init__(self, cluster: str | None = None) -> None:
-        """Raise ConfigurationError where Ray is not installed."""
+        """Raise ConfigurationError where Ray is not installed, or nothing answers at the cluster's address."""
         self.cluster, self._ray = cluster, _installed(own=cluster is None)
+        if cluster is not None:
+            _check_reachable(cluster)
 
     def map(self, stage: str, work: Work, parts: Mapping[str, Any], progress: Progress | None) -> list[Any]:
         """The result of every part, in their order; raises what the first failing part raised, or RunError."""
@@ -115,10 +121,7 @@ class RayEngine(Engine):
             try:
                 ray.init(address, log_to_driver=False, logging_level="ERROR")
             except (ConnectionError, RuntimeError, ValueError) as error:
-                raise ConfigurationError(
-                    f"cluster {address}: Ray cannot use it ({_reason(error)}); give --cluster HOST:PORT as "
-                    "`ray start --head` tells it, or none for this machine alone"
-                ) from error
+                raise _unusable(address, f"Ray cannot use it ({_reason(error)})") from error
             try:
                 yield ray
             finally:
@@ -132,6 +135,25 @@ def find_engine(name: EngineName, cluster: str | None = None) -> Engine:
     if cluster is not None:
         raise ConfigurationError(f"cluster {cluster}: the local engine has none; give --engine ray, or no --cluster")
     return Engine()
+
+
+def _check_reachable(cluster: str) -> None:
+    """Raise ConfigurationError where no program accepts connections at HOST:PORT; Ray itself would wait for minutes."""
+    host, _, port = cluster.rpartition(":")
+    if not (host and port.isdecimal() and int(port) < 2**16):
+        raise _unusable(cluster, "not an address HOST:PORT")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), CONNECTION_S).close()
+    except (OSError, UnicodeError) as error:
+        raise _unusable(cluster, f"nothing answers there ({error})") from error
+
+
+def _unusable(cluster: str, reason: str) -> ConfigurationError:
+    """The error of a cluster that cannot be used."""
+    return ConfigurationError(
+        f"cluster {cluster}: {reason}; give --cluster HOST:PORT as `ray start --head` tells it, or none for this "
+        "machine alone"
+    )
 
 
 @contextmanager
