@@ -91,7 +91,7 @@ def test_people_are_told_table_i_and_why_a_candidate_was_chosen(capsys, tmp_path
         (["--seed", "2147483648"], "--seed 2147483648: a seed is a whole number from 0"),
         (["--set", "epochs=3"], "--set: unknown key 'epochs'"),
         (["--set", "force.wakes=3"], "unknown key 'force.wakes'; did you mean 'wake'?"),
-        (["--model", "auto", "--set", "streaming.burn_in=900"], "burn_in must be less than ticks = 400"),
+        (["--model", "auto", "--set", "streaming.burn_in=900"], "burn_in must be less than ticks = 250"),
         (["--set", "ticks=300", "--set", "burn_in=10"], "has 300 rows; 321 are needed in one piece; record longer"),
     ],
 )

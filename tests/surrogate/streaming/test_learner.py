@@ -125,7 +125,7 @@ def test_two_calls_are_one_compiled_program(learner, monkeypatch):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ("burn_in=400", r"burn_in must be less than ticks = 400"),
+        ("burn_in=400", r"burn_in must be less than ticks = 250"),
         ("free_running=[0.8, 0.2]", r"two parts of the training in order, such as 0\.2, 0\.8"),
         ("free_running=[0.5, 1.2]", r"two parts of the training in order"),
         ("members=0", r"members = 0: Input should be greater than 0"),

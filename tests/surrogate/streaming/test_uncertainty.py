@@ -30,19 +30,32 @@ def test_means_are_those_of_whole_windows_behind_the_burn_in():
 
 @pytest.mark.parametrize("windows", [10, 200])
 def test_the_interval_holds_its_share_of_errors_that_it_was_not_calibrated_with(windows):
-    """Members that disagree more where they are more wrong; so few windows that one more or less is seen."""
+    """Members that disagree more where they are more wrong; so few logs, of a window each, that one more is seen."""
     random, held = np.random.default_rng(windows), []
     for _ in range(300):
         size = random.uniform(0.1, 1.0, (windows + 50, 2))
         error, spread = random.normal(0, 0.3, size.shape) * size, 0.3 * size
         members = [error + spread, error - spread]
         found = calibrated(
-            [said_of([m[:windows] for m in members])], [log_of(np.zeros((windows, 2)))], BURN_IN
+            [said_of([m[i : i + 1] for m in members]) for i in range(windows)],
+            [log_of(np.zeros((1, 2)))] * windows, BURN_IN,
         ) if windows == 10 or len(held) < 10 else found  # fmt: skip
         fresh = np.stack(members)[:, windows:]
         held.append(np.mean(np.abs(fresh.mean(axis=0)) <= found.half_width(fresh)))
     assert 0.895 <= np.mean(held) <= (0.96 if windows == 10 else 0.93)
     assert found.windows == 2 * windows
+
+
+@pytest.mark.parametrize("logs", [1, 2, 5])
+def test_the_interval_holds_its_share_where_the_errors_of_a_log_are_all_its_drift(logs):
+    """On average over calibrations: from few logs it is wider, for its scale is known from few drifts alone."""
+    random, held = np.random.default_rng(logs), []
+    for _ in range(400):
+        drifts = np.repeat(random.normal(0, 0.05, (logs + 20, 1, 2)), 3, axis=1)
+        means = drifts + random.normal(0, 0.01, drifts.shape)
+        found = calibrated([said_of([np.zeros((3, 2))] * 2)] * logs, [log_of(m) for m in means[:logs]], BURN_IN)
+        held.append(np.mean(np.abs(means[logs:]) <= found.half_width(np.zeros((2, 20, 3, 2)))))
+    assert 0.88 <= np.mean(held) <= 0.95
 
 
 def test_the_half_width_grows_with_the_spread_of_the_members():

@@ -1,10 +1,11 @@
 """Members of an ensemble, drive net and force net in a row, their predictions of logs, and estimates of their errors.
 
 The interval on the mean force is split conformal (Lei et al. 2018, J. Am. Stat. Assoc. 113:1094): errors on logs that
-no weight was trained on, divided by what the members' disagreement expects of them, and their quantile. The same logs
-chose among the ten sets of weights of each member, and windows of one log share its drift: so it is calibrated, not
-guaranteed. The distance of a motion from the training data is Mahalanobis's in the memory of a net (Lee et al. 2018,
-NeurIPS), which depends on the last motion.
+no weight was trained on, divided by what the members' disagreement expects of them, and their quantile. The errors of
+one log and axis share its drift, so K logs hold little more than 2 K independent ones: the quantile is widened by
+Student's t with 2 K degrees of freedom over the normal quantile, as for a scale estimated from so many. The same logs
+chose among the ten sets of weights of each member: so it is calibrated, not guaranteed. The distance of a motion from
+the training data is Mahalanobis's in the memory of a net (Lee et al. 2018, NeurIPS), which depends on the last motion.
 """
 
 import functools
@@ -17,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 from pydantic import Field
+from scipy.special import ndtri, stdtrit
 
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import AnyArray, Command, Log
@@ -36,7 +38,7 @@ COVERAGE = 0.9
 """Share of the mean forces that an interval should hold."""
 
 ENOUGH_LOGS = 10
-"""Held-out logs below which an interval hardly covers what differs from log to log, such as the sensor's drift."""
+"""Held-out logs below which it is luck how much of what differs from log to log, such as the drift, is known."""
 
 RARE = 0.999
 """Share of the training data that is nearer than distance 1."""
@@ -69,7 +71,6 @@ class Member(eqx.Module):
         return MemberState(drive, force), (drive.motion, predicted)
 
 
-@functools.partial(jax.jit, static_argnames=("count", "drive", "force", "scales"))
 def ensemble(count: int, drive: DriveNetConfig, force: ForceNetConfig, scales: Scales, key: PRNGKeyArray) -> Member:
     """Make members with fresh weights of their own: every array has a leading axis ``members``."""
 
@@ -160,7 +161,7 @@ class Interval(Configuration):
     coverage: float = Field(gt=0, lt=1)
     """Share of the means that it should hold [-]."""
     factor: float = Field(gt=0)
-    """Quantile of |error| / sqrt(spread^2 + floor^2) on the held-out logs [-]."""
+    """Quantile of |error| / sqrt(spread^2 + floor^2) on the held-out logs, widened as they are few [-]."""
     floor_n: float = Field(gt=0)
     """Root mean square error of the ensemble's mean there [N]: noise, drift, and what all members have wrong."""
     windows: int = Field(ge=1)
@@ -176,8 +177,8 @@ class Interval(Configuration):
         if self.logs >= ENOUGH_LOGS:
             return None
         return (
-            f"intervals come from {counted(self.logs, 'held-out log')}; with less than {ENOUGH_LOGS} they hardly cover "
-            "what differs from log to log, such as the sensor's drift"
+            f"intervals come from {counted(self.logs, 'held-out log')}; they are widened for that, but from less than "
+            f"{ENOUGH_LOGS} it is luck how much they hold of what differs from log to log, such as the sensor's drift"
         )
 
 
@@ -190,7 +191,10 @@ def calibrated(predicted: Sequence[Float[np.ndarray, "members rows 2"]], logs: S
     ratio = error / (means.var(axis=0) + floor_n**2) ** 0.5
     # One more than there are, so that the next error is covered and not only these.
     factor = float(np.quantile(ratio, min(1.0, COVERAGE * (1 + 1 / ratio.size)), method="inverted_cdf"))
-    return Interval(coverage=COVERAGE, factor=factor, floor_n=floor_n, windows=ratio.size, logs=len(logs))
+    # Errors of one log and axis are alike: they share its drift.
+    upper = (1 + COVERAGE) / 2
+    widened = factor * float(stdtrit(2 * len(logs), upper) / ndtri(upper))
+    return Interval(coverage=COVERAGE, factor=widened, floor_n=floor_n, windows=ratio.size, logs=len(logs))
 
 
 class Familiarity(eqx.Module):

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from pydantic import Field, PositiveInt, model_validator
 
 from softfin.core.action_clock import WINDOW
+from softfin.core.compilation import sooner_compiled, used_once
 from softfin.core.configuration import Configuration
 from softfin.core.errors import LogError
 from softfin.core.progress import Progress
@@ -59,17 +60,17 @@ class StreamingConfig(Configuration):
     """Motion to force."""
     members: PositiveInt = 5
     """Members of the ensemble, trained side by side from different weights on different segments."""
-    drive_updates: PositiveInt = 600
+    drive_updates: PositiveInt = 400
     """Updates of the drive nets; the learning rate falls to a hundredth over them (cosine)."""
     force_updates: PositiveInt = 2000
     """Updates of the force nets, likewise."""
-    batch: PositiveInt = 32
+    batch: PositiveInt = 16
     """Segments of the logs an update and member."""
-    ticks: int = Field(default=400, ge=2)
+    ticks: int = Field(default=250, ge=2)
     """Length of a segment [10 ms]; gradients go back through all of it."""
-    burn_in: int = Field(default=100, ge=0)
+    burn_in: int = Field(default=80, ge=0)
     """Ticks at the beginning of a segment whose errors do not count: what was before it is not known."""
-    learning_rate: float = Field(default=3e-3, gt=0)
+    learning_rate: float = Field(default=0.01, gt=0)
     """Greatest learning rate of Adam."""
     free_running: tuple[float, float] = (0.2, 0.8)
     """Parts of the force nets' training between which they change from the measured to the predicted motion."""
@@ -93,7 +94,7 @@ class StreamingLearner:
         rate = config.learning_rate
         schedule = optax.warmup_cosine_decay_schedule(0.0, rate, min(WARM_UP, updates // 4), updates, rate / 100)
         self.optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
-        self.run = eqx.filter_jit(self._run)
+        self.run = sooner_compiled(self._run)
 
     def start(self, nets: Any) -> TrainingState:
         """State before the first update."""
@@ -166,7 +167,8 @@ def fit_streaming(
 ) -> StreamingSurrogate:
     """Fit an ensemble to the training logs; goes on from the run_directory's checkpoint where there is one."""
     training, holding, scales, table = split_streaming(logs, config)
-    members = ensemble(config.members, config.drive, config.force, scales, key_of(seed, "fit/weights"))
+    start = used_once(ensemble)
+    members = start(config.members, config.drive, config.force, scales, key_of(seed, "fit/weights"))
     updates = {"drive": config.drive_updates, "force": config.force_updates}
     losses: dict[str, Loss] = {"drive": drive_loss, "force": force_loss}
     learners = {name: StreamingLearner(loss, config, updates[name]) for name, loss in losses.items()}

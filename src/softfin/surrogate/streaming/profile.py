@@ -21,7 +21,7 @@ from softfin.tank.drive import delayed, next_velocity
 STEPS = 2
 """Steps of the profile in a tick: a corner between two ticks is met within 5 ms."""
 
-SEGMENTS, TICKS = 96, 300
+SEGMENTS, TICKS = 48, 300
 """How many segments of the logs the coefficients are read off, and how long they are at most [10 ms]."""
 
 POPULATION, GENERATIONS, STARTS = 16, 150, 2
