@@ -69,7 +69,7 @@ def test_a_run_without_a_controller_is_refused():
 
 def test_a_reference_beyond_the_map_is_refused_before_anything_is_collected():
     box = {"low": [0.5, -0.5], "high": [3.5, 0.5]}
-    with pytest.raises(ConfigurationError, match=r"has \(1\.0, -1\.0\) N, which no cell of gaits covers"):
+    with pytest.raises(ConfigurationError, match=r"has \(1, -1\) N, which no cell of gaits covers"):
         ReproduceConfig.build({"single": GRADIENT_SINGLE.model_dump(), "grid": None, "gaits": {"box": box}})
 
 

@@ -80,7 +80,7 @@ def run(
 
 
 def run_together(
-    controller: Controller, plant: EvaluationTarget, experiments: Sequence[tuple[References, int]],
+    controller: Controller, plant: EvaluationTarget, experiments: Sequence[tuple[np.ndarray, int]],
     keys: Key[Array, "seeds"],
 ) -> list[ExperimentRecording]:  # fmt: skip
     """Run several sets of references, each for seconds of its own: in a simulated plant all in one program."""

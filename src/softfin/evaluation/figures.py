@@ -173,7 +173,7 @@ def held_figure(recording: ExperimentRecording) -> Figure:
     count, columns = len(recording.reference), min(len(recording.reference), 2)
     rows = math.ceil(count / columns)
     with styled():
-        figure = new_figure(3.9 * columns, 0.6 + 1.45 * rows)
+        figure = new_figure(3.1 * columns, 0.6 + 1.3 * rows)
         panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
         for axes in panels.flat[count:]:
             axes.set_visible(False)
@@ -183,7 +183,7 @@ def held_figure(recording: ExperimentRecording) -> Figure:
             for axis, (colour, name) in enumerate(((BLUE, "thrust x, forward"), (ORANGE, "side force y"))):
                 asked = float(recording.reference[index, axis])
                 axes.axhspan(asked - SETTLED_N, asked + SETTLED_N, color=colour, alpha=0.15, linewidth=0)
-                axes.axhline(asked, color=BLACK, linestyle="--", linewidth=1, label="asked for (reference)")
+                axes.axhline(asked, color=BLACK, linestyle="--", linewidth=1, zorder=3, label="asked for (reference)")
                 axes.plot(time, average[:, axis], color=colour, linewidth=1.8, label=name)
             x, y = recording.reference[index]
             axes.set_title(with_minus_signs(f"asked for: x {x:g} N, y {y:g} N"), weight="bold")

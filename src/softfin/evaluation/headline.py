@@ -9,6 +9,9 @@ from softfin.evaluation.scores import SETTLED_N
 from softfin.storage.figures import with_minus_signs
 
 
+NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
+
+
 class Headline(NamedTuple):
     """The controller of a run with the smallest mean error in the plant, and what it does."""
 
@@ -33,9 +36,10 @@ def headline(results: Mapping[str, Any]) -> Headline | None:
     missed = {reference: error for reference, error in errors.items() if error > SETTLED_N}
     still = any(row["still"] for row in rows)
     plain = results["controllers"][name] if results.get("trimmed") else None
-    count = f"each of {len(rows)} forces" if len(rows) > 1 else "the force"
+    held, count = (NUMBERS[n] if n < len(NUMBERS) else str(n) for n in (len(rows) - len(missed), len(rows)))
+    each = f"each of {count} forces" if len(rows) > 1 else "the force"
     if not missed and not still:
-        sentence = f"The fin holds {count} within {within(max(errors.values()))} N on average"
+        sentence = f"The fin holds {each} within {within(max(errors.values()))} N on average"
         if plain is not None:
             before = max(map(greatest_error, plain["references"]))
             sentence += f"; without correcting itself by the measured force, within {within(before)} N"
@@ -45,7 +49,7 @@ def headline(results: Mapping[str, Any]) -> Headline | None:
         worst = max(missed, key=lambda reference: missed[reference])
         force = with_minus_signs(f"({worst[0]:g}, {worst[1]:g})")
         sentence = (
-            f"The fin holds {len(errors) - len(missed)} of {len(rows)} forces within {SETTLED_N:g} N on average; it "
+            f"The fin holds {held} of {count} forces within {SETTLED_N:g} N on average; it "
             f"misses {force} N by {missed[worst]:.2f} N"
         )
     seconds, window = summary["conditions"]["duration_s"], summary["conditions"]["window_samples"]

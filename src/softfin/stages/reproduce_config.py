@@ -89,7 +89,7 @@ PRESETS: dict[ReproducePreset, ReproduceConfig] = {
     ),
     "demo": ReproduceConfig(
         collect=CollectConfig(logs=10, test_logs=1, rows=6_000),
-        fit=StreamingConfig(members=3, drive_updates=200, force_updates=300),
+        fit=StreamingConfig(members=3, drive_updates=200, force_updates=400),
         gaits=GRADIENT_SINGLE.gradient.map,
         single=GRADIENT_SINGLE.changed(["steps=23040", "num_evaluations=4"]),
         grid=None,
