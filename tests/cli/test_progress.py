@@ -28,6 +28,13 @@ def test_lines_come_at_a_steady_pace_while_nothing_is_reported(lines, capsys):
     assert len(capsys.readouterr().err.splitlines()) == 1 + 3
 
 
+def test_a_stage_that_has_ended_is_told_once(lines, capsys):
+    lines.report(0.0, "fit", 1.0, "")
+    for second in range(1, 60):
+        lines.write(float(second))
+    assert capsys.readouterr().err == "fit: 100%\n"
+
+
 def test_the_time_left_follows_from_what_was_done_since_the_first_report(lines, capsys):
     """The first report of a resumed stage, and of one that was compiled, says nothing of its pace."""
     lines.report(100.0, "train", 0.5, "")

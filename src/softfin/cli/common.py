@@ -219,7 +219,7 @@ class ProgressLines:
     def write(self, now: float) -> None:
         """Write where the stage is, if a line is due."""
         with self._lock:
-            if now < self._next_s or not self._stage:
+            if now < self._next_s or (self._done >= 1 and now > self._last[0]) or not self._stage:
                 return
             self._next_s = now + PACE_S
             left = self._left_s(now)
@@ -246,11 +246,11 @@ def progress() -> Iterator[Callable[[str, float, str], None]]:
     if not console.is_terminal:
         lines, ended = ProgressLines(time.monotonic()), threading.Event()
 
-        def beat() -> None:
+        def keep_pace() -> None:
             while not ended.wait(PACE_S / 10):
                 lines.write(time.monotonic())
 
-        threading.Thread(target=beat, daemon=True).start()
+        threading.Thread(target=keep_pace, daemon=True).start()
         try:
             yield lambda stage, done, note: lines.report(time.monotonic(), stage, done, note)
         finally:

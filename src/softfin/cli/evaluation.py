@@ -232,9 +232,12 @@ class ReproduceArguments(Configured):
         config = self.configured(PRESETS[self.preset])
         results = self.stage(reproduce, self.plant, self.out, config, seed=self.seed, resume=self.resume)
         parts = [] if results["surrogate"] is None else [table_one(results["surrogate"]["scores"])]
-        judged = {f"On {self.plant}": "controllers", "The same, correcting themselves by the measured force": "trimmed",
-                  "The same in the surrogate that they were trained in": "in_surrogate"}  # fmt: skip
-        for title, key in judged.items():
+        evaluated = {
+            f"On {self.plant}": "controllers",
+            "The same, correcting themselves by the measured force": "trimmed",
+            "The same in the surrogate that they were trained in": "in_surrogate",
+        }
+        for title, key in evaluated.items():
             if summaries := results[key]:
                 moving = {name: moving_table(rows) for name, each in summaries.items() if (rows := each.get("moving"))}
                 parts.append("\n".join([title, table_two(summaries), *(f"{k}, {v}" for k, v in moving.items())]))

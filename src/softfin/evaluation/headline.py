@@ -1,4 +1,4 @@
-"""What a whole run comes to, in one sentence: does the controller hold the forces that are asked for?"""
+"""The outcome of a whole run in one sentence: does the controller hold the forces that are asked for?"""
 
 import math
 from collections.abc import Mapping
@@ -8,37 +8,36 @@ from softfin.core.quantities import AXES
 from softfin.evaluation.scores import SETTLED_N
 from softfin.storage.figures import with_minus_signs
 
-
 NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 
 
 class Headline(NamedTuple):
-    """The controller of a run with the smallest mean error in the plant, and what it does."""
+    """The controller of a run with the smallest mean error in the plant, and the outcome."""
 
     controller: str
     """Kind of the controller."""
     sentence: str
     """Whether it holds the references."""
     caption: str
-    """What the figure of it shows."""
+    """Caption of its figure."""
     holds: bool
     """Whether its error at every reference is at most `SETTLED_N` on both axes."""
 
 
 def headline(results: Mapping[str, Any]) -> Headline | None:
     """Choose the best controller of a run's ``results.json``, with the outer loop where there is one; None of none."""
-    judged = results.get("trimmed") or results.get("controllers")
-    if not judged:
+    evaluated = results.get("trimmed") or results.get("controllers")
+    if not evaluated:
         return None
-    name, summary = min(judged.items(), key=lambda item: greatest_error(item[1]["mean"]))
+    name, summary = min(evaluated.items(), key=lambda item: greatest_error(item[1]["mean"]))
     rows = summary["references"]
     errors = {tuple(row["reference_n"]): greatest_error(row) for row in rows}
-    missed = {reference: error for reference, error in errors.items() if error > SETTLED_N}
+    too_far = {reference: error for reference, error in errors.items() if error > SETTLED_N}
     still = any(row["still"] for row in rows)
     plain = results["controllers"][name] if results.get("trimmed") else None
-    held, count = (NUMBERS[n] if n < len(NUMBERS) else str(n) for n in (len(rows) - len(missed), len(rows)))
+    held, count = (NUMBERS[n] if n < len(NUMBERS) else str(n) for n in (len(rows) - len(too_far), len(rows)))
     each = f"each of {count} forces" if len(rows) > 1 else "the force"
-    if not missed and not still:
+    if not too_far and not still:
         sentence = f"The fin holds {each} within {within(max(errors.values()))} N on average"
         if plain is not None:
             before = max(map(greatest_error, plain["references"]))
@@ -46,11 +45,11 @@ def headline(results: Mapping[str, Any]) -> Headline | None:
     elif still:
         sentence = "The fin stands still at some of the forces that were asked for: this controller does not work"
     else:
-        worst = max(missed, key=lambda reference: missed[reference])
+        worst = max(too_far, key=lambda reference: too_far[reference])
         force = with_minus_signs(f"({worst[0]:g}, {worst[1]:g})")
         sentence = (
             f"The fin holds {held} of {count} forces within {SETTLED_N:g} N on average; it "
-            f"misses {force} N by {missed[worst]:.2f} N"
+            f"misses {force} N by {too_far[worst]:.2f} N"
         )
     seconds, window = summary["conditions"]["duration_s"], summary["conditions"]["window_samples"]
     rate = summary["conditions"]["rate_hz"]
@@ -59,7 +58,7 @@ def headline(results: Mapping[str, Any]) -> Headline | None:
         f"{SETTLED_N:g} N on both sides), from rest for {seconds} s: controller {name}"
         f"{', correcting itself' if plain is not None else ''}, the first of {summary['conditions']['seeds']} runs."
     )
-    return Headline(name, f"{sentence}.", caption, not missed and not still)
+    return Headline(name, f"{sentence}.", caption, not too_far and not still)
 
 
 def greatest_error(row: Mapping[str, Any]) -> float:
@@ -73,7 +72,7 @@ def within(error_n: float) -> str:
 
 
 def over_seeds(scores: Mapping[str, Any], name: str, digits: int = 3) -> str:
-    """What stands behind a mean over seeds: half its interval, the range of both of two seeds, nothing of one."""
+    """Text behind a mean over seeds: half its interval, the range of both of two seeds, nothing of one."""
     interval, seeds = scores[f"{name}_interval_n"], scores.get(f"{name}_seeds_n") or []
     if interval is not None:
         return f"±{(interval[1] - interval[0]) / 2:.{digits - 1}f}"

@@ -125,15 +125,15 @@ def _cell(scores: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 def _overview(results: Mapping[str, Any]) -> list[dict[str, Any]]:
     """A row for each controller: mean errors in the plant, with the outer loop, in the surrogate; settling times."""
-    judged = [results.get(part) or {} for part in ("controllers", "trimmed", "in_surrogate")]
+    parts = [results.get(part) or {} for part in ("controllers", "trimmed", "in_surrogate")]
     return [
         {
             "name": name,
             "errors": [[_cell(part[name]["mean"][axis], "error") for axis in AXES] if name in part else None
-                       for part in judged],
-            "settling": [_settling(part[name].get("moving", [])) if name in part else None for part in judged[:2]],
+                       for part in parts],
+            "settling": [_settling(part[name].get("moving", [])) if name in part else None for part in parts[:2]],
         }
-        for name in judged[0]
+        for name in parts[0]
     ]  # fmt: skip
 
 

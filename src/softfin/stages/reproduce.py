@@ -12,7 +12,6 @@ import numpy as np
 import yaml
 from matplotlib.figure import Figure
 
-from softfin.core.choices import ControllerKind
 from softfin.core.plant import EnsemblePlant
 from softfin.core.plant_identity import identity
 from softfin.core.progress import Progress, silent
@@ -39,7 +38,7 @@ RESULTS = "results.json"
 SHOWN_S = 8
 """Length of the stretch of a test log in the report [s]."""
 
-Evaluated: TypeAlias = dict[ControllerKind, tuple[dict[str, Any], Evaluation]]
+Evaluated: TypeAlias = dict[str, tuple[dict[str, Any], Evaluation]]
 """By kind of controller, what its ``evaluation.json`` holds, and the evaluation."""
 
 
@@ -76,16 +75,16 @@ def reproduce(
         "configuration": config.model_dump(mode="json"),
         "provenance": artifacts.provenance(seed=seed, plant=plant),
     }
-    judged, best = observed or evaluated, headline(results)
+    shown, best = observed or evaluated, headline(results)
     figures = {
-        "headline": {} if best is None else {best.caption: held_figure(judged[best.controller][1].recording)},
+        "headline": {} if best is None else {best.caption: held_figure(shown[best.controller][1].recording)},
         "surrogate": run.surrogate_figures() if scores is not None else {},
         "learning": run.learning_figures(),
         "experiment": {
             f"{kind} controller, seed {seed}": experiments_figure(e.recording) for kind, (_, e) in evaluated.items()
         },
         "moving": {
-            f"{kind} controller, seed {seed}": moving_figure(e.moving) for kind, (_, e) in judged.items() if e.moving
+            f"{kind} controller, seed {seed}": moving_figure(e.moving) for kind, (_, e) in shown.items() if e.moving
         },
     }
     write_report(out / "report.html", results, figures)
@@ -128,13 +127,14 @@ class _Reproduction:
         """Do the work unless its result stands there from before; `what` describes the result."""
         if not result.exists():
             start = time.perf_counter()
-            work(*given, **options, progress=self.numbered())
+            work(*given, **options, progress=self.begin(name))
             self.wall_s[name] = time.perf_counter() - start
         self.stages.append({"stage": name, "what": what, "wall_s": self.wall_s.get(name)})
 
-    def numbered(self) -> Progress:
-        """Progress of the next stage, which tells how many there are."""
+    def begin(self, name: str) -> Progress:
+        """Begin a stage; returns its progress, which tells how many there are."""
         number, count = len(self.stages) + 1, self.count
+        self.progress(f"{number}/{count} {name}", 0.0, "")
         return lambda stage, done, note: self.progress(f"{number}/{count} {stage}", done, note)
 
     @property
@@ -176,7 +176,7 @@ class _Reproduction:
 
     def evaluate(self, plant: str, folder: str, *, trim: bool = False, moving: bool = True) -> Evaluated:
         """Every seed's controller of each kind on a plant, as one evaluation over the seeds."""
-        start, evaluated, target, progress = time.perf_counter(), Evaluated(), find_plant(plant), self.numbered()
+        start, evaluated, target, progress = time.perf_counter(), Evaluated(), find_plant(plant), self.begin(folder)
         changes: dict[str, Any] = {} if trim else {"trim": None}
         changes |= {} if moving else {"moving": (), "recorded": None}
         for place, kind in enumerate(self.config.kinds):
