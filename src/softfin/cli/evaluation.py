@@ -242,7 +242,9 @@ class ReproduceArguments(Configured):
                 moving = {name: moving_table(rows) for name, each in summaries.items() if (rows := each.get("moving"))}
                 parts.append("\n".join([title, table_two(summaries), *(f"{k}, {v}" for k, v in moving.items())]))
         took = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in results["wall_s"].items())
-        parts.append(f"{took}: {sum(results['wall_s'].values()):.0f} s; {results['peak_memory_gib']:.1f} GiB at most")
+        processor_s = sum(stage["processor_s"] or 0.0 for stage in results["stages"])
+        parts.append(f"{took}: {sum(results['wall_s'].values()):.0f} s, {processor_s:.0f} s of processor time; "
+                     f"{results['peak_memory_gib']:.1f} GiB at most")  # fmt: skip
         best = headline(results)
         parts.append(f"{'' if best is None else best.sentence}\n{self.out / 'report.html'} shows it")
         self.tell(results, "\n\n".join(parts))

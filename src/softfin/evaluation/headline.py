@@ -25,15 +25,21 @@ class Headline(NamedTuple):
 
 
 def headline(results: Mapping[str, Any]) -> Headline | None:
-    """Choose the best controller of a run's ``results.json``, with the outer loop where there is one; None of none."""
+    """Choose the best controller of a run's ``results.json``, with the outer loop where there is one; None of none.
+
+    A controller under which the fin stands still comes last, however small its error.
+    """
     evaluated = results.get("trimmed") or results.get("controllers")
     if not evaluated:
         return None
-    name, summary = min(evaluated.items(), key=lambda item: greatest_error(item[1]["mean"]))
-    rows = summary["references"]
+
+    def still_or_error(item: tuple[str, Any]) -> tuple[bool, float]:
+        return any(row["still"] for row in item[1]["references"]), greatest_error(item[1]["mean"])
+
+    name, summary = min(evaluated.items(), key=still_or_error)
+    (still, _), rows = still_or_error((name, summary)), summary["references"]
     errors = {tuple(row["reference_n"]): greatest_error(row) for row in rows}
     too_far = {reference: error for reference, error in errors.items() if error > SETTLED_N}
-    still = any(row["still"] for row in rows)
     plain = results["controllers"][name] if results.get("trimmed") else None
     held, count = (NUMBERS[n] if n < len(NUMBERS) else str(n) for n in (len(rows) - len(too_far), len(rows)))
     each = f"each of {count} forces" if len(rows) > 1 else "the force"

@@ -70,7 +70,7 @@ def reproduce(
         "trimmed": summaries(observed),
         "in_surrogate": summaries(within),
         "stages": run.stages,
-        "wall_s": run.wall_s,
+        "wall_s": {stage["stage"]: stage["wall_s"] for stage in run.stages if stage["wall_s"] is not None},
         "peak_memory_gib": _peak_memory_gib(),
         "configuration": config.model_dump(mode="json"),
         "provenance": artifacts.provenance(seed=seed, plant=plant),
@@ -99,7 +99,7 @@ class _Reproduction:
 
     def __init__(self, plant: str, out: Path, config: ReproduceConfig, seed: int, progress: Progress) -> None:
         self.plant, self.out, self.config, self.seed, self.progress = plant, out, config, seed, progress
-        self.dataset, self.wall_s, self.stages = out / "dataset", dict[str, float](), list[dict[str, Any]]()
+        self.dataset, self.stages = out / "dataset", list[dict[str, Any]]()
         self.surrogate = Path(plant) if is_surrogate(plant) else out / "surrogate"
         self.seeds = tuple(range(seed, seed + config.seeds))
         self.replaced = out.absolute().with_name(f".{out.absolute().name}.replaced")
@@ -126,10 +126,16 @@ class _Reproduction:
     def stage(self, name: str, what: str, result: Path, work: Callable[..., Any], *given: Any, **options: Any) -> None:
         """Do the work unless its result stands there from before; `what` describes the result."""
         if not result.exists():
-            start = time.perf_counter()
+            start = time.perf_counter(), time.process_time()
             work(*given, **options, progress=self.begin(name))
-            self.wall_s[name] = time.perf_counter() - start
-        self.stages.append({"stage": name, "what": what, "wall_s": self.wall_s.get(name)})
+            self.end(name, what, start)
+        else:
+            self.stages.append({"stage": name, "what": what, "wall_s": None, "processor_s": None})
+
+    def end(self, name: str, what: str, start: tuple[float, float]) -> None:
+        """Take down what a stage made, and the seconds on the wall and of the processor since its `start`."""
+        wall_s, processor_s = time.perf_counter() - start[0], time.process_time() - start[1]
+        self.stages.append({"stage": name, "what": what, "wall_s": wall_s, "processor_s": processor_s})
 
     def begin(self, name: str) -> Progress:
         """Begin a stage; returns its progress, which tells how many there are."""
@@ -176,7 +182,8 @@ class _Reproduction:
 
     def evaluate(self, plant: str, folder: str, *, trim: bool = False, moving: bool = True) -> Evaluated:
         """Every seed's controller of each kind on a plant, as one evaluation over the seeds."""
-        start, evaluated, target, progress = time.perf_counter(), Evaluated(), find_plant(plant), self.begin(folder)
+        start = time.perf_counter(), time.process_time()
+        evaluated, target, progress = Evaluated(), find_plant(plant), self.begin(folder)
         changes: dict[str, Any] = {} if trim else {"trim": None}
         changes |= {} if moving else {"moving": (), "recorded": None}
         for place, kind in enumerate(self.config.kinds):
@@ -191,10 +198,8 @@ class _Reproduction:
             repetitions = "of the plant's noise" if kind == "gaits" else "controllers trained from different seeds"
             metadata = {"controller": kind, "plant": plant, "repetitions": repetitions}
             evaluated[kind] = write_evaluation(whole, self.out / folder / kind, metadata, overwrite=True), whole
-        self.wall_s[folder] = time.perf_counter() - start
-        what = f"these controllers judged in {'the surrogate' if plant == str(self.surrogate) else plant}"
-        what += ", correcting themselves by the measured force (--trim)" if trim else ""
-        self.stages.append({"stage": folder, "what": what, "wall_s": self.wall_s[folder]})
+        what = f"these controllers tried in {'the surrogate' if plant == str(self.surrogate) else plant}"
+        self.end(folder, what + (", correcting themselves by the measured force (--trim)" if trim else ""), start)
         return evaluated
 
     def learning_figures(self) -> dict[str, Figure]:
