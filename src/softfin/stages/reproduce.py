@@ -186,14 +186,14 @@ class _Reproduction:
         evaluated, target, progress = Evaluated(), find_plant(plant), self.begin(folder)
         changes: dict[str, Any] = {} if trim else {"trim": None}
         changes |= {} if moving else {"moving": (), "recorded": None}
-        for place, kind in enumerate(self.config.kinds):
+        for place, kind in enumerate(self.config.kinds, start=1):
             each = []
-            for index, seed in enumerate(self.seeds):
+            for seed in self.seeds:
                 path = self.out / kind / f"seed-{seed}" if kind != "gaits" and len(self.seeds) > 1 else self.out / kind
                 config = self.config.evaluate.model_copy(update=changes | {"seed": seed})
                 each.append(evaluation_of(path, target, config, plant))
-                done = (place + (index + 1) / len(self.seeds)) / len(self.config.kinds)
-                progress(folder, done, f"{kind}, seed {seed}")
+            # Not after every seed: the first one is waited for, the others share its program.
+            progress(folder, place / len(self.config.kinds), kind)
             whole = together(each)
             repetitions = "of the plant's noise" if kind == "gaits" else "controllers trained from different seeds"
             metadata = {"controller": kind, "plant": plant, "repetitions": repetitions}

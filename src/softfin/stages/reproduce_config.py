@@ -100,7 +100,7 @@ PRESETS: dict[ReproducePreset, ReproduceConfig] = {
         collect=CollectConfig(logs=3, test_logs=1, rows=1500),
         fit=StreamingConfig(members=2, drive_updates=20, force_updates=20, batch=8, ticks=200),
         gaits=MapConfig(spacing_n=1.7, survey=SurveyConfig(pushes=1), gaits=GaitConfig(steps=2)),
-        single=GRADIENT_SINGLE.changed(["steps=1152", "num_evaluations=1", "gradient.cloning.num_updates=20"]),
+        single=GRADIENT_SINGLE.changed(["steps=1152", "num_evaluations=1"]),
         grid=GRID.model_copy(update={"steps": 960}),
         evaluate=EvaluateConfig(seeds=1, seconds=6, recorded=ONE_STEP, trim=DisturbanceObserverConfig()),
         seeds=2,
