@@ -24,7 +24,7 @@ setup: .venv/.ready ## make the environment
 	$(UV) sync --frozen --python $(PYTHON)
 	touch $@
 
-demo: setup ## collect, fit, train, evaluate, report: at most 5 minutes on 2 cores
+demo: setup ## collect, fit, find gaits, train, evaluate, report: some minutes on 2 cores
 	$(RUN) softfin reproduce --preset $(PRESET) --plant tank --out $(OUT) --overwrite
 
 day: OUT = runs/day

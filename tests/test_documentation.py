@@ -32,7 +32,7 @@ from softfin.gaits.force_map import MapConfig
 from softfin.learning.configuration import TRAIN_PRESETS
 from softfin.rig.config import load_rig, load_ros2
 from softfin.rig.ros2.config import NodeConfig
-from softfin.stages.reproduce import PRESETS
+from softfin.stages.reproduce_config import PRESETS
 from softfin.storage.dataset import Dataset
 from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig
 from softfin.surrogate.active import ActiveCollectConfig

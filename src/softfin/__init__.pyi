@@ -22,9 +22,9 @@ from .stages.evaluation import evaluate as evaluate
 from .stages.evaluation import view as view
 from .stages.logs import import_logs as import_logs
 from .stages.logs import inspect_logs as inspect_logs
-from .stages.reproduce import PRESETS as PRESETS
-from .stages.reproduce import ReproduceConfig as ReproduceConfig
 from .stages.reproduce import reproduce as reproduce
+from .stages.reproduce_config import PRESETS as PRESETS
+from .stages.reproduce_config import ReproduceConfig as ReproduceConfig
 from .stages.surrogates import calibrate as calibrate
 from .stages.surrogates import compare as compare
 from .stages.surrogates import fit as fit

@@ -3,7 +3,7 @@ from pydantic import Field, model_validator
 
 from softfin.core.configuration import Configuration, read_yaml
 from softfin.core.errors import ConfigurationError
-from softfin.stages.reproduce import ReproduceConfig
+from softfin.stages.reproduce_config import ReproduceConfig
 
 
 class Inner(Configuration):

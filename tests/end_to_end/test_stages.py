@@ -2,6 +2,7 @@
 
 import json
 import signal
+from itertools import product
 
 import pytest
 import yaml
@@ -9,7 +10,7 @@ import yaml
 from softfin.cli import main
 from softfin.core.errors import LogError
 from softfin.learning.run import TrainingRun
-from softfin.stages.reproduce import PRESETS
+from softfin.stages.reproduce_config import PRESETS
 from softfin.storage.run_directory import TRAINING_LOG
 from tests.staged import FIT, ROWS, STREAMING, short_search  # noqa: F401  # pytest finds fixtures here
 from tests.surrogate import small
@@ -110,7 +111,8 @@ def reproduction(tmp_path):
         "fit": FIT,
         "single": {**TRAIN, "cells": cells},
         "grid": {**TRAIN, "cells": cells},
-        "evaluate": {"seconds": 3},
+        "gaits": {"spacing_n": 1.7, "survey": {"pushes": 0}, "gaits": {"steps": 1}},
+        "evaluate": {"seconds": 3, "moving": ["step"], "trim": {}},
         "seeds": 2,
     }
     return write(tmp_path / "run.yaml", config)
@@ -121,7 +123,9 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
 ):
     """Stopped while the controllers train; the second call neither records nor fits again."""
     out = tmp_path / "run"
-    words = ("reproduce", "--plant", PLANT, "--config", reproduction(tmp_path), "--out", str(out))
+    words = (
+        "reproduce", "--preset", "paper", "--plant", PLANT, "--config", reproduction(tmp_path), "--out", str(out)
+    )  # fmt: skip
     update, updates = TrainingRun.update, []
 
     def counted(run, agents, number):
@@ -149,10 +153,16 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
     assert "fit" not in results["wall_s"]
 
     assert results == json.loads((out / "results.json").read_text())
-    for kind in ("single", "grid"):
-        rows = results["controllers"][kind]["references"]
+    for kind, part in product(("gaits", "single", "grid"), ("controllers", "trimmed", "in_surrogate")):
+        rows = results[part][kind]["references"]
         assert len(rows) == 6
-        assert all(row[axis]["error_interval_n"] is not None for row in rows for axis in ("x", "y"))
+        for row, axis in product(rows, ("x", "y")):
+            assert len(row[axis]["error_seeds_n"]) == 2
+            assert row[axis]["error_interval_n"] is None
+    assert all(len(results["trimmed"][kind]["moving"]) == 4 for kind in ("gaits", "single", "grid"))
+    assert [stage["stage"] for stage in results["stages"]][:6] == [
+        "collect", "fit", "map", "gaits", "train single", "train grid"
+    ]  # fmt: skip
     page = (out / "report.html").read_text()
     assert "<svg" in page
     assert "src=" not in page

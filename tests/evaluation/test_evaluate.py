@@ -28,7 +28,7 @@ def test_every_reference_and_axis_has_its_scores_and_intervals(evaluation):
     for i, row in enumerate(summary["references"]):
         for k, axis in enumerate("xy"):
             assert set(row[axis]) == {
-                f"{name}{part}_n" for name in ("error", "std", "raw_std") for part in ("", "_interval")
+                f"{name}{part}_n" for name in ("error", "std", "raw_std") for part in ("", "_interval", "_seeds")
             }
             assert row[axis]["error_n"] == pytest.approx(evaluation.scores.error[i, :, k].mean())
             low, high = row[axis]["raw_std_interval_n"]

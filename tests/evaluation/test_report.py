@@ -6,9 +6,11 @@ import jax
 import numpy as np
 import pytest
 
+from softfin.core.window import interval
 from softfin.evaluation.evaluate import EvaluateConfig, evaluate
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.figures import experiments_figure
+from softfin.evaluation.headline import headline, over_seeds
 from softfin.evaluation.report import prediction_figure, write_report
 from softfin.learning.controllers import learning_figure
 from tests.plants import AnalyticFin, Flapper
@@ -114,7 +116,7 @@ def test_table_one_has_each_net_in_both_units_beside_the_paper(page):
 
 def test_table_two_stands_beside_the_papers_figures(page, evaluation):
     error = evaluation.scores.error[0, :, 0].mean()
-    assert re.search(rf"\(1, .1\) {error:#.3g} ± [\d.]+ 1\.07 ", page.words)
+    assert re.search(rf"\(1, .1\) {error:#.3g} ±[\d.]+ 1\.07 ", page.words)
     assert "as printed 0.828 0.408 0.685 0.392" in page.words
     assert "as printed 0.435 0.325 0.537 0.201" in page.words
     assert page.words.count("stands still") == 6 + 1
@@ -150,6 +152,54 @@ def test_references_of_ones_own_have_no_column_of_the_paper(tmp_path):
     assert "as printed" not in words.split("Definitions")[1].split("Control")[-1]
     assert "One seed, hence no intervals" in words
     assert "±" not in words.partition("Definitions")[0]
+
+
+def with_errors(summary, errors):
+    """The summary of an evaluation, its references changed to these errors in y, alike at all seeds."""
+    rows = [
+        row | {"still": False, "x": row["x"] | {"error_n": 0.0}, "y": row["y"] | {"error_n": error}}
+        for row, error in zip(summary["references"], errors, strict=True)
+    ]
+    mean = {axis: {"error_n": np.mean([row[axis]["error_n"] for row in rows])} for axis in "xy"}
+    return summary | {"references": rows, "mean": mean}
+
+
+def test_the_headline_is_of_the_best_controller_and_bounds_its_error_at_every_reference(evaluation):
+    summary = evaluation.summary()
+    good = with_errors(summary, [0.01, 0.02, 0.031, 0.0, 0.02, 0.02])
+    best = headline({"controllers": {"bad": with_errors(summary, [0.1] * 6), "good": good}})
+    assert best.controller == "good"
+    assert best.holds
+    assert best.sentence == "The fin holds each of six forces within 0.04 N on average."
+    corrected = headline({"controllers": {"good": good}, "trimmed": {"good": with_errors(summary, [0.01] * 6)}})
+    assert (
+        "within 0.01 N on average; without correcting itself by the measured force, within 0.04" in corrected.sentence
+    )
+
+
+def test_the_headline_says_which_forces_are_missed_and_that_a_fin_stands_still(evaluation):
+    missing = with_errors(evaluation.summary(), [0.01, 0.3, 0.1, 0.0, 0.02, 0.25])
+    said = headline({"controllers": {"single": missing}})
+    assert not said.holds
+    assert (
+        "holds four of six forces within 0.2 N on average; it misses (2, \N{MINUS SIGN}1) N by 0.30 N" in said.sentence
+    )
+    missing["references"][3]["still"] = True
+    assert "stands still" in headline({"controllers": {"single": missing}}).sentence
+    assert headline({}) is None
+
+
+def test_the_page_begins_with_the_headline(page):
+    assert page.tags.index("strong") < page.tags.index("nav") < page.tags.index("table")
+    assert "stands still at some of the forces" in page.words or "of six forces within" in page.words
+    assert "window" in page.words.partition("Definitions")[0]
+
+
+@pytest.mark.parametrize(("seeds", "shown"), [(1, ""), (2, " (0.100 to 0.300)"), (3, " ±0.25")])
+def test_behind_an_error_stand_two_seeds_values_or_an_interval(seeds, shown):
+    values = np.array([0.1, 0.3, 0.2][:seeds])
+    scores = {"error_interval_n": interval(values), "error_seeds_n": values.tolist()}
+    assert over_seeds(scores, "error") == shown.strip()
 
 
 def test_text_is_escaped(results, tmp_path):

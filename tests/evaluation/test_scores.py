@@ -90,7 +90,7 @@ def test_a_fin_that_stops_after_a_while_is_seen():
     assert scores.late_travel[0, 0] == 0
 
 
-@pytest.mark.parametrize(("freedom", "quantile"), [(1, 12.7062), (2, 4.3027), (4, 2.7764), (9, 2.2622), (30, 2.0423)])
+@pytest.mark.parametrize(("freedom", "quantile"), [(2, 4.3027), (4, 2.7764), (9, 2.2622), (30, 2.0423)])
 def test_the_half_width_is_students_quantile_over_the_root_of_the_samples(freedom, quantile):
     values = np.arange(freedom + 1.0)
     low, high = interval(values)
@@ -103,8 +103,9 @@ def test_a_95_percent_interval_holds_the_mean_in_95_of_100_samples():
     assert np.mean(held) == pytest.approx(0.95, abs=0.012)
 
 
-def test_one_seed_has_no_interval():
+def test_one_seed_or_two_have_no_interval():
     assert interval(np.array([1.0])) is None
+    assert interval(np.array([1.0, 1.1])) is None
 
 
 def test_the_papers_rows_are_complete_and_its_printed_means_disagree_where_we_say():

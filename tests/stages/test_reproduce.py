@@ -4,10 +4,13 @@ import pytest
 from softfin.core.errors import ConfigurationError
 from softfin.core.progress import silent
 from softfin.core.quantities import Command, Reading
-from softfin.evaluation.evaluate import EvaluateConfig, Evaluation
+from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, together
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.scores import Scores, SurrogateUncertainty
-from softfin.stages.reproduce import RESULTS, ReproduceConfig, _Reproduction, _together
+from softfin.learning.configuration import GRADIENT_SINGLE
+from softfin.stages.reproduce import RESULTS, _Reproduction
+from softfin.stages.reproduce_config import PRESETS, ReproduceConfig
+from softfin.task.references import PAPER_RANGE
 
 ROWS = np.zeros((1, 1, 3))
 RECORDING = ExperimentRecording(
@@ -22,7 +25,7 @@ def evaluated(distance, fraction, *warnings):
 
 
 def test_of_several_controllers_the_furthest_distance_is_that_of_the_one_that_went_furthest():
-    both = _together([evaluated(1.0, 0.1), evaluated(5.0, 0.3)])
+    both = together([evaluated(1.0, 0.1), evaluated(5.0, 0.3)])
     assert both.uncertainty.furthest.tolist() == [5.0]
     np.testing.assert_allclose(both.uncertainty.out_of_distribution_fraction, [0.2])
     np.testing.assert_allclose(both.uncertainty.half_width, [[0.2, 0.6]])
@@ -31,14 +34,43 @@ def test_of_several_controllers_the_furthest_distance_is_that_of_the_one_that_we
 
 def test_what_several_controllers_warn_of_is_said_once():
     each = [evaluated(1.0, 0.1, "one"), evaluated(1.0, 0.1, "one", "another")]
-    assert _together(each).warnings == ("one", "another")
+    assert together(each).warnings == ("one", "another")
 
 
-@pytest.mark.parametrize("asked", [{"moving": ["step"]}, {"error_map": 3}, {"random": 9}])
+@pytest.mark.parametrize("asked", [{"error_map": 3}, {"random": 9}])
 def test_experiments_that_a_reproduction_does_not_do_are_refused(asked):
     (name,) = asked
     with pytest.raises(ConfigurationError, match=rf"evaluate\.{name} is set; .* leave it out; .* softfin evaluate"):
         ReproduceConfig.build({"evaluate": asked})
+
+
+@pytest.mark.parametrize("name", list(PRESETS))
+def test_a_preset_maps_all_that_its_policies_are_trained_for(name):
+    """`softfin.learning.configuration.check` would refuse the map otherwise, after the surrogate was fitted."""
+    config = PRESETS[name]
+    assert (config.map is None) == (config.gaits is None)
+    for policy in config.policies.values():
+        assert config.map is not None or not policy.begins_as_gaits
+        if config.map is not None:
+            assert all(config.map.box.distance(corner) == 0 for corner in policy.training_range.lattice(2))
+
+
+def test_gaits_alone_are_mapped_over_the_papers_range_unless_they_have_a_box():
+    alone = {"single": None, "grid": None, "gaits": {}}
+    assert ReproduceConfig.build(alone).map.box == PAPER_RANGE
+    box = {"low": [0.5, -1.5], "high": [4.0, 1.5]}
+    assert ReproduceConfig.build(alone | {"gaits": {"box": box}}).map.box.high == (4.0, 1.5)
+
+
+def test_a_run_without_a_controller_is_refused():
+    with pytest.raises(ConfigurationError, match="gaits, single and grid are null"):
+        ReproduceConfig.build({"single": None, "grid": None})
+
+
+def test_a_reference_beyond_the_map_is_refused_before_anything_is_collected():
+    box = {"low": [0.5, -0.5], "high": [3.5, 0.5]}
+    with pytest.raises(ConfigurationError, match=r"has \(1, -1\) N, which no cell of gaits covers"):
+        ReproduceConfig.build({"single": GRADIENT_SINGLE.model_dump(), "grid": None, "gaits": {"box": box}})
 
 
 def test_a_complete_run_is_kept_until_the_one_that_replaces_it_is_complete(tmp_path):

@@ -1,6 +1,7 @@
 """Parts that commands share: kinds of options, configuration, arming, progress on stderr, results on stdout; no JAX."""
 
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
 
 Config = TypeVar("Config", bound=Configuration)
 Result = TypeVar("Result")
+
+PACE_S = 10.0
+"""Time between two lines of progress [s]."""
 
 WORD = "move"
 """Word that a person types to let the fin move."""
@@ -193,24 +197,64 @@ class Armed(Configuration):
             raise ConfigurationError(f"{name}: not confirmed with {WORD!r}; nothing moved")
 
 
+class ProgressLines:
+    """Progress as lines on standard error: at both ends of a stage, and at a steady pace however seldom it reports."""
+
+    def __init__(self, now: float) -> None:
+        self._lock, self._next_s = threading.Lock(), now + PACE_S
+        self._stage, self._note, self._done = "", "", 0.0
+        self._first = self._last = (now, 0.0)
+
+    def report(self, now: float, stage: str, done: float, note: str) -> None:
+        """Take a report of the work at a time [s]; write it where the stage begins or ends."""
+        with self._lock:
+            begins, ends = stage != self._stage, done >= 1 > self._done
+            if begins:
+                self._stage, self._first = stage, (now, done)
+            self._note, self._done, self._last = note, done, (now, done)
+            if begins or ends:
+                self._next_s = now
+        self.write(now)
+
+    def write(self, now: float) -> None:
+        """Write where the stage is, if a line is due."""
+        with self._lock:
+            if now < self._next_s or (self._done >= 1 and now > self._last[0]) or not self._stage:
+                return
+            self._next_s = now + PACE_S
+            left = self._left_s(now)
+            told = "" if left is None else f" (about {left // 60:.0f}:{left % 60:02.0f} left)"
+            sys.stderr.write(f"{self._stage}: {self._done:.0%} {printable(self._note)}".rstrip() + f"{told}\n")
+            sys.stderr.flush()
+
+    def _left_s(self, now: float) -> float | None:
+        """Time that the stage has left [s], by what it did since its first report; None before the second."""
+        (begin, first), (end, last) = self._first, self._last
+        if last <= first or last >= 1:
+            return None
+        return max(float(round((end - begin) / (last - first) * (1 - last) - (now - end))), 0.0)
+
+
 @contextmanager
 def progress() -> Iterator[Callable[[str, float, str], None]]:
-    """Show a bar on standard error, or a line every ten seconds where that is not a terminal."""
+    """Show bars on standard error, or where that is not a terminal lines, with the time that each stage has left."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
     from rich.table import Column
 
     console = Console(stderr=True)
     if not console.is_terminal:
-        shown, next_s = "", 0.0
+        lines, ended = ProgressLines(time.monotonic()), threading.Event()
 
-        def line(stage: str, done: float, note: str) -> None:
-            nonlocal shown, next_s
-            if stage != shown or time.monotonic() >= next_s or done >= 1:
-                sys.stderr.write(f"{stage}: {done:.0%} {printable(note)}\n")
-                shown, next_s = stage, time.monotonic() + 10
+        def keep_pace() -> None:
+            while not ended.wait(PACE_S / 10):
+                lines.write(time.monotonic())
 
-        yield line
+        threading.Thread(target=keep_pace, daemon=True).start()
+        try:
+            yield lambda stage, done, note: lines.report(time.monotonic(), stage, done, note)
+        finally:
+            ended.set()
         return
     # On a narrow terminal the bar gives way first, then the end of the note.
     bar, note = Column(min_width=4, ratio=1), Column(no_wrap=True, overflow="ellipsis")

@@ -209,13 +209,13 @@ class ViewArguments(Configured):
 
 
 class ReproduceArguments(Configured):
-    """Collect, fit, train, evaluate and report in one run: results.json, report.html, both tables of the paper."""
+    """Collect, fit, find gaits, train, evaluate, report in one run: results.json, report.html, the paper's tables."""
 
     out: Out
     """Folder of the run."""
     preset: ReproducePreset = "demo"
     """How much: demo takes minutes, paper is the paper's full data and budgets, streaming the same with a streaming
-    surrogate, best that surrogate and controllers trained by gradients through it, tiny only shows that all works."""
+    surrogate, best that surrogate, gaits and policies by gradients through it, tiny only shows that all works."""
     plant: Plant = "tank"
     """The fin: tank, package.module:plant, or the folder of a surrogate, which skips collect and fit."""
     seed: int = 0
@@ -225,14 +225,26 @@ class ReproduceArguments(Configured):
 
     def __call__(self) -> None:
         from softfin.cli.tables import table_one, table_two
-        from softfin.stages.reproduce import PRESETS, reproduce
+        from softfin.evaluation.headline import headline
+        from softfin.stages.reproduce import reproduce
+        from softfin.stages.reproduce_config import PRESETS
 
         config = self.configured(PRESETS[self.preset])
         results = self.stage(reproduce, self.plant, self.out, config, seed=self.seed, resume=self.resume)
         parts = [] if results["surrogate"] is None else [table_one(results["surrogate"]["scores"])]
-        parts.append(f"On {self.plant}\n{table_two(results['controllers'])}")
-        if results["in_surrogate"]:
-            parts.append(f"The same in the surrogate that they were trained in\n{table_two(results['in_surrogate'])}")
+        evaluated = {
+            f"On {self.plant}": "controllers",
+            "The same, correcting themselves by the measured force": "trimmed",
+            "The same in the surrogate that they were trained in": "in_surrogate",
+        }
+        for title, key in evaluated.items():
+            if summaries := results[key]:
+                moving = {name: moving_table(rows) for name, each in summaries.items() if (rows := each.get("moving"))}
+                parts.append("\n".join([title, table_two(summaries), *(f"{k}, {v}" for k, v in moving.items())]))
         took = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in results["wall_s"].items())
-        parts.append(f"{took}; {results['peak_memory_gib']:.1f} GiB at most\n{self.out / 'report.html'}")
+        processor_s = sum(stage["processor_s"] or 0.0 for stage in results["stages"])
+        parts.append(f"{took}: {sum(results['wall_s'].values()):.0f} s, {processor_s:.0f} s of processor time; "
+                     f"{results['peak_memory_gib']:.1f} GiB at most")  # fmt: skip
+        best = headline(results)
+        parts.append(f"{'' if best is None else best.sentence}\n{self.out / 'report.html'} shows it")
         self.tell(results, "\n\n".join(parts))

@@ -18,6 +18,9 @@ from softfin.core.quantities import AnyArray
 
 CONFIDENCE = 0.95
 
+FEWEST = 3
+"""Samples from which on an interval of their mean is stated: that of two is 12.7 times as wide as they are apart."""
+
 
 def window_mean(forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""]) -> Any:
     """Mean force over the last `count` of `n` samples [N]; ``count >= 1``."""
@@ -71,9 +74,9 @@ def window_means(
 
 
 def interval(values: Float[np.ndarray, "samples"]) -> list[float] | None:
-    """[low, high] of the mean over independent samples, by Student's t; None where there are fewer than two."""
+    """[low, high] of the mean over independent samples, by Student's t; None of fewer than `FEWEST`."""
     n = len(values)
-    if n < 2:
+    if n < FEWEST:
         return None
     half = float(stdtrit(n - 1, (1 + CONFIDENCE) / 2)) * float(np.std(values, ddof=1)) / math.sqrt(n)
     mean = float(np.mean(values))

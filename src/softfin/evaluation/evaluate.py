@@ -1,7 +1,7 @@
 """Evaluate a controller on a plant: experiment, scores over seeds, ``evaluation.json`` and figures as one folder."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +19,9 @@ from softfin.core.configuration import Configuration
 from softfin.core.quantities import AXES, RATE_HZ
 from softfin.core.randomness import key_of
 from softfin.core.window import CONFIDENCE, interval
-from softfin.evaluation.experiment import MIN_SECONDS, EvaluationTarget, ExperimentRecording, independent, run
+from softfin.evaluation.experiment import MIN_SECONDS, EvaluationTarget, ExperimentRecording, independent, run_together
 from softfin.evaluation.figures import error_map_figure, experiments_figure, moving_figure
-from softfin.evaluation.moving_references import MovingScores, plan_moving
+from softfin.evaluation.moving_references import MovingScores, moving_together, plan_moving
 from softfin.evaluation.range_errors import MAX_RANDOM, ErrorMap, map_errors, random_errors
 from softfin.evaluation.scores import STILL_RAD_S, Scores, SurrogateUncertainty, score, uncertainty_of
 from softfin.gaits.reachable import PAPER_REFERENCES
@@ -43,7 +43,7 @@ class ExperimentsConfig(Configuration):
     seconds: int = pydantic.Field(default=30, ge=MIN_SECONDS)
     """Length of each experiment [s], whole, from rest; the paper's 30. The first 2 s only fill the first window."""
     seeds: int = pydantic.Field(default=5, ge=1)
-    """Repetitions, each with its own randomness of the plant; intervals need at least 2."""
+    """Repetitions, each with its own randomness of the plant; intervals need at least 3."""
     seed: int = pydantic.Field(default=0, ge=0)
     """The run's seed, from which those of the repetitions, and whatever else is random, are drawn."""
 
@@ -131,6 +131,7 @@ def _row(scores: Scores) -> dict[str, Any]:
     for name in ("error", "std", "raw_std"):
         for axis, values in zip(AXES, getattr(scores, name).T, strict=True):
             row[axis] |= {f"{name}_n": float(values.mean()), f"{name}_interval_n": interval(values)}
+            row[axis] |= {f"{name}_seeds_n": values.tolist()}
     travels = {"command": scores.command_travel, "shaft": scores.shaft_travel}
     return row | {f"{name}_travel_rad_s": float(travel.mean()) for name, travel in travels.items()}
 
@@ -147,13 +148,15 @@ def evaluate(controller: Controller, plant: EvaluationTarget, config: EvaluateCo
         controller = DisturbanceObserver(controller, config.trim)
     plans = plan_moving(controller, config.moving, config.recorded, config.strict)
     keys, seconds = config.keys(), config.seconds
-    evaluation = score_experiments(run(controller, plant, tracked, seconds, keys), plant, config)
+    experiments = [(tracked, seconds), *((plan.tracked, plan.seconds) for plan in plans)]
+    constant, *moving = run_together(controller, plant, experiments, keys)
+    evaluation = score_experiments(constant, plant, config)
     warnings = [warning for _, warning in resolved if warning is not None]
     points, count = config.error_map, config.random
     return dataclasses.replace(
         evaluation,
         warnings=(*warnings, *(warning for plan in plans for warning in plan.warnings)),
-        moving=tuple(plan.run(controller, plant, keys) for plan in plans),
+        moving=tuple(plan.score(recording) for plan, recording in zip(plans, moving, strict=True)),
         error_map=None if points is None else map_errors(controller, plant, points, seconds, keys[0]),
         random=None if count is None else random_errors(controller, plant, count, config.seed, seconds, keys[0]),
     )
@@ -164,6 +167,21 @@ def score_experiments(recording: ExperimentRecording, plant: EvaluationTarget, c
     recording = independent(recording)
     first, repetitions = recording.first(), recording.reading.angle.shape[1]
     return Evaluation(config, score(recording), repetitions, first, uncertainty_of(plant, first))
+
+
+def together(each: Sequence[Evaluation]) -> Evaluation:
+    """One evaluation whose repetitions are these, each the mean of its own; the recordings are the first's."""
+    means = [[field.mean(axis=1) for field in e.scores] for e in each]
+    scores = Scores(*(np.stack(fields, axis=1) for fields in zip(*means, strict=True)))
+    estimates = [e.uncertainty for e in each if e.uncertainty is not None]
+    uncertainty = SurrogateUncertainty(
+        np.mean([estimate.out_of_distribution_fraction for estimate in estimates], axis=0),
+        np.max([estimate.furthest for estimate in estimates], axis=0),
+        np.mean([estimate.half_width for estimate in estimates], axis=0),
+    ) if estimates else None  # fmt: skip
+    warnings = tuple(dict.fromkeys(warning for e in each for warning in e.warnings))
+    moving = tuple(map(moving_together, zip(*(e.moving for e in each), strict=True)))
+    return Evaluation(each[0].config, scores, len(each), each[0].recording, uncertainty, warnings, moving)
 
 
 def write_evaluation(

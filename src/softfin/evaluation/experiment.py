@@ -4,6 +4,7 @@ Controller, plant and reference forces, constant or moving, go in, a recording o
 and seeds run side by side in one compiled program.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import jax
@@ -76,6 +77,28 @@ def run(
     starts = np.cumsum([0, *ticks_of(seconds * len(ACTION_TICKS))])[:-1]
     command, reading = _program((controller, jit_argument(plant)), jnp.asarray(series[:, starts]), keys)
     return ExperimentRecording(references, command, reading)
+
+
+def run_together(
+    controller: Controller, plant: EvaluationTarget, experiments: Sequence[tuple[np.ndarray, int]],
+    keys: Key[Array, "seeds"],
+) -> list[ExperimentRecording]:  # fmt: skip
+    """Run several sets of references, each for seconds of its own: in a simulated plant all in one program."""
+    if isinstance(plant, RealTime) or len(experiments) == 1:
+        return [run(controller, plant, references, seconds, keys) for references, seconds in experiments]
+    ticks, series = max(seconds for _, seconds in experiments) * RATE_HZ, []
+    for references, _ in experiments:
+        asked = np.asarray(references, np.float32)
+        asked = asked[:, None] if asked.ndim == 2 else asked
+        # Beyond its end the last force is held, and what comes of it is left out below.
+        series.append(np.pad(asked, ((0, 0), (0, ticks - asked.shape[1]), (0, 0)), mode="edge"))
+    whole, first, recordings = run(controller, plant, np.concatenate(series), ticks // RATE_HZ, keys), 0, []
+    for references, seconds in experiments:
+        part = slice(first, first + len(references)), slice(None), slice(seconds * RATE_HZ)
+        command, reading = jax.tree.map(lambda x, part=part: x[part], (whole.command, whole.reading))
+        recordings.append(ExperimentRecording(references, command, reading))
+        first += len(references)
+    return recordings
 
 
 def independent(recording: ExperimentRecording) -> ExperimentRecording:

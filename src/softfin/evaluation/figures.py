@@ -166,3 +166,33 @@ def error_map_figure(errors: ErrorMap) -> Figure:
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure
+
+
+def held_figure(recording: ExperimentRecording) -> Figure:
+    """The moving average beside each reference, at the first seed: both axes in one panel."""
+    count, columns = len(recording.reference), min(len(recording.reference), 2)
+    rows = math.ceil(count / columns)
+    with styled():
+        figure = new_figure(3.1 * columns, 0.6 + 1.3 * rows)
+        panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+        for axes in panels.flat[count:]:
+            axes.set_visible(False)
+        for index, axes in enumerate(panels.flat[:count]):
+            average = moving_average(np.asarray(recording.reading.force[index, 0]))
+            time = np.arange(WINDOW, WINDOW + len(average)) / RATE_HZ
+            for axis, (colour, name) in enumerate(((BLUE, "thrust x, forward"), (ORANGE, "side force y"))):
+                asked = float(recording.reference[index, axis])
+                axes.axhspan(asked - SETTLED_N, asked + SETTLED_N, color=colour, alpha=0.15, linewidth=0)
+                axes.axhline(asked, color=BLACK, linestyle="--", linewidth=1, zorder=3, label="asked for (reference)")
+                axes.plot(time, average[:, axis], color=colour, linewidth=1.8, label=name)
+            x, y = recording.reference[index]
+            axes.set_title(with_minus_signs(f"asked for: x {x:g} N, y {y:g} N"), weight="bold")
+            axes.set_xlim(0, time[-1])
+        for axes in panels[-1]:
+            axes.set_xlabel("time [s]")
+        for axes in panels[:, 0]:
+            axes.set_ylabel("mean [N]")
+        handles, labels = panels[0, 0].get_legend_handles_labels()
+        shown = dict(zip(labels, handles, strict=True))
+        figure.legend(shown.values(), shown.keys(), loc="outside upper center", ncols=len(shown))
+    return figure

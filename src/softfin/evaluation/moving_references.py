@@ -3,11 +3,12 @@
 Controller, plant and signals go in; recordings, tracking errors and the responses to every step come out.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float, Key
+from jaxtyping import Float
 
 from softfin.control.controller import Controller
 from softfin.control.references import nearest_trackable, reachable_of
@@ -16,7 +17,7 @@ from softfin.core.choices import MovingReference
 from softfin.core.errors import CoverageError
 from softfin.core.quantities import AXES, RATE_HZ
 from softfin.core.window import interval, moving_error
-from softfin.evaluation.experiment import MIN_SECONDS, EvaluationTarget, ExperimentRecording, independent, run
+from softfin.evaluation.experiment import MIN_SECONDS, ExperimentRecording, independent
 from softfin.evaluation.range_errors import range_of
 from softfin.evaluation.scores import score, step_responses
 from softfin.gaits.reachable import Cell, Reachable
@@ -93,9 +94,9 @@ class MovingPlan(NamedTuple):
         warnings = tuple(warning for _, warning in pairs if warning is not None)
         return cls(signals, seconds, np.stack([series for series, _ in pairs]), warnings)
 
-    def run(self, controller: Controller, plant: EvaluationTarget, keys: Key[Array, "seeds"]) -> MovingScores:
-        """Run and score the signals, each with every key; errors are against the tracked reference."""
-        recording = independent(run(controller, plant, self.tracked, self.seconds, keys))
+    def score(self, recording: ExperimentRecording) -> MovingScores:
+        """Score the signals, each at every seed; errors are against the tracked reference."""
+        recording = independent(recording)
         forces, errors = np.asarray(recording.reading.force, np.float64), score(recording).error
         each = zip(self.signals, self.tracked, forces, errors, strict=True)
         return MovingScores(recording.first(), [_row(*signal) for signal in each])
@@ -106,11 +107,7 @@ def _row(signal: Signal, tracked: Series, forces: np.ndarray, error: Float[np.nd
     # Against the reference of that very instant, so the window's own delay counts too.
     instantaneous = moving_error(forces, np.asarray(tracked, np.float64)[WINDOW - 1 :])
     axes = {
-        axis: {
-            "error_n": float(error[:, k].mean()),
-            "error_interval_n": interval(error[:, k]),
-            "instantaneous_error_n": float(instantaneous[:, k].mean()),
-        }
+        axis: _errors(error[:, k]) | {"instantaneous_error_n": float(instantaneous[:, k].mean())}
         for k, axis in enumerate(AXES)
     }
     times = [step["settling_s"] for seed in responses for step in seed]
@@ -128,6 +125,29 @@ def _row(signal: Signal, tracked: Series, forces: np.ndarray, error: Float[np.nd
         "longest_settling_s": max(times) if settles else None,
         "steps": [list(step) for step in zip(*responses, strict=True)],
     }
+
+
+def moving_together(each: Sequence[MovingScores]) -> MovingScores:
+    """Scores of the same signals, each at one seed, as those of all these seeds; the recording is the first's."""
+    return MovingScores(each[0].recording, [_row_together(rows) for rows in zip(*(e.rows for e in each), strict=True)])
+
+
+def _row_together(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    axes = {}
+    for axis in AXES:
+        errors = np.concatenate([row[axis]["error_seeds_n"] for row in rows])
+        instantaneous = float(np.mean([row[axis]["instantaneous_error_n"] for row in rows]))
+        axes[axis] = _errors(errors) | {"instantaneous_error_n": instantaneous}
+    settles = None if rows[0]["settles"] is None else all(row["settles"] for row in rows)
+    return rows[0] | axes | {
+        "settles": settles,
+        "longest_settling_s": max(row["longest_settling_s"] for row in rows) if settles else None,
+        "steps": [list(chain(*steps)) for steps in zip(*(row["steps"] for row in rows), strict=True)],
+    }  # fmt: skip
+
+
+def _errors(errors: Float[np.ndarray, " seeds"]) -> dict[str, Any]:
+    return {"error_n": float(errors.mean()), "error_interval_n": interval(errors), "error_seeds_n": errors.tolist()}
 
 
 def _resolve_signal(controller: Controller, signal: Signal, ticks: int, strict: bool) -> tuple[Series, str | None]:

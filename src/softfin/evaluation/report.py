@@ -17,19 +17,24 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from softfin.core.quantities import AXES, RATE_HZ
+from softfin.evaluation.headline import headline, over_seeds
 from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_II, recomputed_means
+from softfin.evaluation.scores import SETTLED_N
 from softfin.storage import artifact as artifacts
-from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, inline_svg, new_figure, styled, with_minus_signs
+from softfin.storage.figures import BLACK, BLUE, GREEN, GREY, ORANGE, inline_svg, new_figure, styled, with_minus_signs
 from softfin.surrogate.compare.scores import NETS, PAPER_TABLE_I
 
 Figures = Mapping[str, Figure]
 """Figures by caption."""
 
-CONTROLLER_COLOURS = {"single": BLUE, "grid": ORANGE}
+PARTS = ("headline", "surrogate", "learning", "experiment", "moving")
+"""Parts of the page that have figures."""
+
+CONTROLLER_COLOURS = {"gaits": GREEN, "single": BLUE, "grid": ORANGE}
 
 
 def write_report(path: Path, results: Mapping[str, Any], figures: Mapping[str, Figures] = MappingProxyType({})) -> None:
-    """Write the page, with `figures` of the parts ``surrogate``, ``learning``, ``experiment``.
+    """Write the page, with `figures` of the parts named in `PARTS`.
 
     `results` may hold any of these; what it lacks is left out:
 
@@ -37,7 +42,9 @@ def write_report(path: Path, results: Mapping[str, Any], figures: Mapping[str, F
     ``title``         text of the heading
     ``plant``         what the controllers were evaluated on, in words
     ``surrogate``     ``{"scores": ...}`` of `softfin.surrogate.compare.scores.table_one`, or None (imported)
-    ``controllers``   by name (``single``, ``grid``), what `write_evaluation` gives
+    ``stages``        what was done, each with ``what`` and ``wall_s``
+    ``controllers``   by name (``gaits``, ``single``, ``grid``), what `write_evaluation` gives
+    ``trimmed``       the same of these controllers with the outer loop about them
     ``in_surrogate``  the same of these controllers in the surrogate that they were trained in
     ``configuration`` nested mappings
     ``provenance``    a mapping
@@ -47,10 +54,17 @@ def write_report(path: Path, results: Mapping[str, Any], figures: Mapping[str, F
     scores = (results.get("surrogate") or {}).get("scores") or {}
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
     environment.filters["number"] = _number
+    environment.filters["capitalize_first"] = lambda text: text[:1].upper() + text[1:]
+    first = next((summary["references"][0] for summary in controllers.values()), None)
     template = importlib.resources.files("softfin.evaluation").joinpath("report.html.jinja").read_text("utf-8")
     page = environment.from_string(template).render(
         title=results.get("title", "softfin: force control of a soft fin"),
         plant=results.get("plant"),
+        headline=headline(results),
+        stages=results.get("stages") or [],
+        overview=_overview(results),
+        settled=SETTLED_N,
+        intervals=first is not None and first["x"]["error_interval_n"] is not None,
         table_one=[
             {**scores[key], "text": text, "unit": unit, "paper": PAPER_TABLE_I[published] if published else None}
             for key, (text, unit, published) in NETS.items()
@@ -60,7 +74,7 @@ def write_report(path: Path, results: Mapping[str, Any], figures: Mapping[str, F
         in_surrogate={name: _table_two(name, summary) for name, summary in (results.get("in_surrogate") or {}).items()},
         conditions=next((summary["conditions"] for summary in controllers.values()), None),
         table_two_svg=_svgs({"errors": table_two_figure(controllers)})["errors"] if controllers else None,
-        **{f"{part}_figures": _svgs(figures.get(part, {})) for part in ("surrogate", "learning", "experiment")},
+        **{f"{part}_figures": _svgs(figures.get(part, {})) for part in PARTS},
         configuration=yaml.safe_dump(configuration, sort_keys=False, allow_unicode=True) if configuration else None,
         provenance=results.get("provenance"),
     )
@@ -96,8 +110,31 @@ def _table_two(name: str, summary: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _cell(scores: Mapping[str, Any], name: str) -> dict[str, Any]:
-    interval = scores[f"{name}_interval_n"]
-    return {"mean": scores[f"{name}_n"], "half": None if interval is None else (interval[1] - interval[0]) / 2}
+    return {"mean": scores[f"{name}_n"], "over_seeds": over_seeds(scores, name)}
+
+
+def _overview(results: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """A row for each controller: mean errors in the plant, with the outer loop, in the surrogate; settling times."""
+    parts = [results.get(part) or {} for part in ("controllers", "trimmed", "in_surrogate")]
+    return [
+        {
+            "name": name,
+            "errors": [[_cell(part[name]["mean"][axis], "error") for axis in AXES] if name in part else None
+                       for part in parts],
+            "settling": [_settling(part[name].get("moving", [])) if name in part else None for part in parts[:2]],
+        }
+        for name in parts[0]
+    ]  # fmt: skip
+
+
+def _settling(rows: Iterable[Mapping[str, Any]]) -> str | None:
+    """The longest time that a step takes at any seed, or that there is one that never settles; None without steps."""
+    stepped = [row for row in rows if row["settles"] is not None]
+    if not stepped:
+        return None
+    if not all(row["settles"] for row in stepped):
+        return "never"
+    return f"{max(row['longest_settling_s'] for row in stepped):.1f} s"
 
 
 def _force(reference: Iterable[float | int]) -> str:
@@ -119,8 +156,13 @@ def table_two_figure(summaries: Mapping[str, Mapping[str, Any]]) -> Figure:
             bars: list[tuple[list[float], dict[str, Any]]] = []
             for name, summary in summaries.items():
                 rows = [row[axis] for row in (*summary["references"], summary["mean"])]
-                several = rows[0]["error_interval_n"] is not None
-                half = [row["error_interval_n"][1] - row["error_n"] for row in rows] if several else None
+                ends = [
+                    row["error_interval_n"] or (min(row["error_seeds_n"]), max(row["error_seeds_n"])) for row in rows
+                ]
+                marks = np.abs(
+                    np.transpose([np.subtract(row["error_n"], end) for row, end in zip(rows, ends, strict=True)])
+                )
+                half = marks if len(rows[0]["error_seeds_n"]) > 1 else None
                 colour, published = CONTROLLER_COLOURS.get(name, GREY), PAPER_TABLE_II.get(name, {})
                 looks = {"label": name, "yerr": half, "facecolor": colour, "edgecolor": colour}
                 bars.append(([row["error_n"] for row in rows], looks))

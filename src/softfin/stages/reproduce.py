@@ -6,99 +6,40 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import yaml
 from matplotlib.figure import Figure
-from pydantic import PositiveInt, model_validator
 
-from softfin.core.choices import ReproducePreset
-from softfin.core.configuration import Configuration
 from softfin.core.plant import EnsemblePlant
 from softfin.core.plant_identity import identity
 from softfin.core.progress import Progress, silent
 from softfin.core.quantities import RATE_HZ
-from softfin.data.collect import CollectConfig
-from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, write_evaluation
-from softfin.evaluation.figures import experiments_figure
+from softfin.evaluation.evaluate import Evaluation, together, write_evaluation
+from softfin.evaluation.figures import experiments_figure, held_figure, moving_figure
+from softfin.evaluation.headline import headline
 from softfin.evaluation.report import prediction_figure, write_report
-from softfin.evaluation.scores import Scores, SurrogateUncertainty
-from softfin.learning.configuration import GRADIENT_GRID, GRADIENT_SINGLE, GRID, SINGLE, TrainConfig
 from softfin.learning.controllers import learning_figure
 from softfin.stages.collect import collect
-from softfin.stages.controllers import train
+from softfin.stages.controllers import find_gaits, map_forces, train
 from softfin.stages.evaluation import evaluation_of
+from softfin.stages.reproduce_config import PRESETS, ReproduceConfig
 from softfin.stages.surrogates import fit
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset
 from softfin.storage.registry import find_plant, is_surrogate
 from softfin.storage.run_directory import LOG, TRAINING_LOG, check_same, read_log
-from softfin.surrogate import FitConfig, StreamingConfig, load_surrogate
+from softfin.surrogate import load_surrogate
 from softfin.surrogate.compare.scores import free_run
-
-CONTROLLERS = ("single", "grid")
-
-
-class ReproduceConfig(Configuration):
-    """All stages; the defaults are the paper's data and budgets."""
-
-    collect: CollectConfig = CollectConfig()
-    """Logs of the plant; not used when the plant is a surrogate."""
-    fit: FitConfig | StreamingConfig = FitConfig()
-    """The surrogate, the paper's nets or streaming ones; not used when the plant is one."""
-    single: TrainConfig = SINGLE
-    """One controller for all references."""
-    grid: TrainConfig = GRID
-    """One policy a cell."""
-    evaluate: EvaluateConfig = EvaluateConfig(seeds=1)
-    """The experiments; each trained controller does all of them, `seeds` times."""
-    seeds: PositiveInt = 5
-    """Controllers trained of each kind, from seeds 0, 1, ...: the intervals are over these."""
-
-    @model_validator(mode="after")
-    def _covered(self) -> "ReproduceConfig":
-        for name in ("moving", "recorded", "error_map", "random"):
-            if getattr(self.evaluate, name):
-                raise ValueError(f"evaluate.{name} is set; a reproduction evaluates constant references: leave it out; "
-                                 "give it to softfin evaluate with a controller of the reproduction")  # fmt: skip
-        for reference in self.evaluate.references:
-            for kind in CONTROLLERS:
-                if all(cell.distance(reference) > 0 for cell in getattr(self, kind).cells):
-                    missing = f"evaluate.references has {reference} N, which no cell of {kind} covers"
-                    raise ValueError(f"{missing}; add a cell")
-        return self
-
-
-PRESETS: dict[ReproducePreset, ReproduceConfig] = {
-    "paper": ReproduceConfig(),
-    "streaming": ReproduceConfig(fit=StreamingConfig()),
-    "best": ReproduceConfig(fit=StreamingConfig(), single=GRADIENT_SINGLE, grid=GRADIENT_GRID),
-    "demo": ReproduceConfig(
-        collect=CollectConfig(logs=20, rows=12_000),
-        fit=FitConfig(epochs=4),
-        single=SINGLE.model_copy(update={"steps": 20_000}),
-        grid=GRID.model_copy(update={"steps": 8_000}),
-        seeds=2,
-    ),
-    "tiny": ReproduceConfig(
-        collect=CollectConfig(logs=3, test_logs=1, rows=1500),
-        fit=FitConfig(epochs=1),
-        single=SINGLE.model_copy(update={"steps": 960}),
-        grid=GRID.model_copy(update={"steps": 960}),
-        evaluate=EvaluateConfig(seeds=1, seconds=6),
-        seeds=2,
-    ),
-}
-"""``paper``: the paper's full data and budgets. ``streaming``: the same with a streaming surrogate.
-``best``: that surrogate, and controllers by gradients through it.
-``demo``: a few minutes, with two thirds of the paper's steps or more.
-``tiny``: does every stage work at all?"""
 
 KIND = "reproduction"
 RESULTS = "results.json"
 SHOWN_S = 8
 """Length of the stretch of a test log in the report [s]."""
+
+Evaluated: TypeAlias = dict[str, tuple[dict[str, Any], Evaluation]]
+"""By kind of controller, what its ``evaluation.json`` holds, and the evaluation."""
 
 
 def reproduce(
@@ -110,10 +51,14 @@ def reproduce(
     run = _Reproduction(plant, out, config, seed, progress)
     run.claim(resume, overwrite)
     scores = None if is_surrogate(plant) else run.learn_surrogate()
-    for kind in CONTROLLERS:
-        run.train(kind)
+    run.make_controllers()
     evaluated = run.evaluate(plant, "evaluation")
-    within = None if is_surrogate(plant) else run.evaluate(str(run.surrogate), "evaluation-in-surrogate")
+    observed = None if config.evaluate.trim is None else run.evaluate(plant, "evaluation-trimmed", trim=True)
+    within = None if is_surrogate(plant) else run.evaluate(str(run.surrogate), "evaluation-in-surrogate", moving=False)
+
+    def summaries(evaluated: Evaluated | None) -> dict[str, Any] | None:
+        return None if evaluated is None else {kind: summary for kind, (summary, _) in evaluated.items()}
+
     results = {
         "title": "softfin: force control of a soft fin",
         "preset": next((name for name, preset in PRESETS.items() if preset == config), "custom"),
@@ -121,18 +66,25 @@ def reproduce(
         "seed": seed,
         "seeds": config.seeds,
         "surrogate": None if scores is None else {"scores": scores},
-        "controllers": {kind: summary for kind, (summary, _) in evaluated.items()},
-        "in_surrogate": None if within is None else {kind: summary for kind, (summary, _) in within.items()},
-        "wall_s": run.wall_s,
+        "controllers": summaries(evaluated),
+        "trimmed": summaries(observed),
+        "in_surrogate": summaries(within),
+        "stages": run.stages,
+        "wall_s": {stage["stage"]: stage["wall_s"] for stage in run.stages if stage["wall_s"] is not None},
         "peak_memory_gib": _peak_memory_gib(),
         "configuration": config.model_dump(mode="json"),
         "provenance": artifacts.provenance(seed=seed, plant=plant),
     }
+    shown, best = observed or evaluated, headline(results)
     figures = {
+        "headline": {} if best is None else {best.caption: held_figure(shown[best.controller][1].recording)},
         "surrogate": run.surrogate_figures() if scores is not None else {},
         "learning": run.learning_figures(),
         "experiment": {
             f"{kind} controller, seed {seed}": experiments_figure(e.recording) for kind, (_, e) in evaluated.items()
+        },
+        "moving": {
+            f"{kind} controller, seed {seed}": moving_figure(e.moving) for kind, (_, e) in shown.items() if e.moving
         },
     }
     write_report(out / "report.html", results, figures)
@@ -147,7 +99,7 @@ class _Reproduction:
 
     def __init__(self, plant: str, out: Path, config: ReproduceConfig, seed: int, progress: Progress) -> None:
         self.plant, self.out, self.config, self.seed, self.progress = plant, out, config, seed, progress
-        self.dataset, self.wall_s = out / "dataset", dict[str, float]()
+        self.dataset, self.stages = out / "dataset", list[dict[str, Any]]()
         self.surrogate = Path(plant) if is_surrogate(plant) else out / "surrogate"
         self.seeds = tuple(range(seed, seed + config.seeds))
         self.replaced = out.absolute().with_name(f".{out.absolute().name}.replaced")
@@ -172,46 +124,90 @@ class _Reproduction:
         artifacts.write_file(self.out / f"{KIND}.json", artifacts.dump_json(metadata))
         artifacts.write_file(self.out / "configuration.yaml", yaml.safe_dump(configuration, sort_keys=False))
 
-    def stage(self, name: str, result: Path, work: Callable[..., Any], source: Any, config: Any, **given: Any) -> None:
-        """Do the work unless its result stands there from before."""
+    def stage(self, name: str, what: str, result: Path, work: Callable[..., Any], *given: Any, **options: Any) -> None:
+        """Do the work unless its result stands there from before; `what` describes the result."""
         if not result.exists():
-            start = time.perf_counter()
-            work(source, result, config, **given, progress=self.progress)
-            self.wall_s[name] = time.perf_counter() - start
+            start = time.perf_counter(), time.process_time()
+            work(*given, **options, progress=self.begin(name))
+            self.end(name, what, start)
+        else:
+            self.stages.append({"stage": name, "what": what, "wall_s": None, "processor_s": None})
+
+    def end(self, name: str, what: str, start: tuple[float, float]) -> None:
+        """Take down what a stage made, and the seconds on the wall and of the processor since its `start`."""
+        wall_s, processor_s = time.perf_counter() - start[0], time.process_time() - start[1]
+        self.stages.append({"stage": name, "what": what, "wall_s": wall_s, "processor_s": processor_s})
+
+    def begin(self, name: str) -> Progress:
+        """Begin a stage; returns its progress, which tells how many there are."""
+        number, count = len(self.stages) + 1, self.count
+        self.progress(f"{number}/{count} {name}", 0.0, "")
+        return lambda stage, done, note: self.progress(f"{number}/{count} {stage}", done, note)
+
+    @property
+    def count(self) -> int:
+        """Number of stages."""
+        config = self.config
+        before = 0 if is_surrogate(self.plant) else 3
+        return before + 2 * (config.gaits is not None) + len(config.policies) + (config.evaluate.trim is not None) + 1
 
     def learn_surrogate(self) -> dict[str, Any] | None:
         """Collect and fit; Table I."""
         settings = self.config.collect.merged({"seed": self.seed}, "seed")
-        self.stage("collect", self.dataset, collect, self.plant, settings)
-        given = self.dataset, self.config.fit
-        self.stage("fit", self.surrogate, fit, *given, seed=self.seed, resume=True, ignore_errors=True)
+        minutes = settings.logs * settings.rows / (60 * RATE_HZ)
+        what = f"{minutes:.3g} minutes of random strokes of the fin and the force that they made, {settings.logs} logs"
+        self.stage("collect", what, self.dataset, collect, self.plant, self.dataset, settings)
+        what = "a surrogate: neural networks that predict motion and force of the fin from its commands"
+        options = {"seed": self.seed, "resume": True, "ignore_errors": True}
+        self.stage("fit", what, self.surrogate, fit, self.dataset, self.surrogate, self.config.fit, **options)
         scores: dict[str, Any] | None = artifacts.load_description(self.surrogate, "surrogate")["scores"]
         return scores
 
-    def train(self, kind: str) -> None:
-        """All seeds of one kind of controller, in one program."""
-        config, surrogate = getattr(self.config, kind), str(self.surrogate)
-        self.stage(f"train {kind}", self.out / kind, train, surrogate, config, seeds=self.seeds, resume=True)
+    def make_controllers(self) -> None:
+        """One map, its gaits as a controller, and policies of all seeds, those of one kind in one program."""
+        surrogate, mapped = str(self.surrogate), None
+        if (settings := self.config.map) is not None:
+            mapped = self.out / "map"
+            what = "the mean forces that the fin can make, and gaits, six strokes each, that make them in the surrogate"
+            self.stage("map", what, mapped, map_forces, surrogate, mapped, settings)
+            gaits = self.out / "gaits"
+            what = "the controller gaits: those gaits as a table, blended between its nodes"
+            self.stage("gaits", what, gaits, find_gaits, surrogate, gaits, force_map=mapped)
+        for kind, config in self.config.policies.items():
+            algorithm = "gradients through it" if config.algorithm == "gradient" else "LSTM-PPO"
+            what = (f"the controller {kind}: recurrent policies trained in the surrogate by {algorithm}, "
+                    f"{config.steps:,} actions each, from {self.config.seeds} seeds")  # fmt: skip
+            given = surrogate, self.out / kind, config
+            options = {"force_map": mapped if config.begins_as_gaits else None, "seeds": self.seeds, "resume": True}
+            self.stage(f"train {kind}", what, self.out / kind, train, *given, **options)
 
-    def evaluate(self, plant: str, folder: str) -> dict[str, tuple[dict[str, Any], Evaluation]]:
+    def evaluate(self, plant: str, folder: str, *, trim: bool = False, moving: bool = True) -> Evaluated:
         """Every seed's controller of each kind on a plant, as one evaluation over the seeds."""
-        start, evaluated, moving = time.perf_counter(), {}, find_plant(plant)
-        for kind in CONTROLLERS:
+        start = time.perf_counter(), time.process_time()
+        evaluated, target, progress = Evaluated(), find_plant(plant), self.begin(folder)
+        changes: dict[str, Any] = {} if trim else {"trim": None}
+        changes |= {} if moving else {"moving": (), "recorded": None}
+        for place, kind in enumerate(self.config.kinds, start=1):
             each = []
-            for index, seed in enumerate(self.seeds):
-                self.progress(f"evaluate {kind}", (index + 1) / len(self.seeds), plant)
-                path = self.out / kind / f"seed-{seed}" if len(self.seeds) > 1 else self.out / kind
-                config = self.config.evaluate.model_copy(update={"seed": seed})
-                each.append(evaluation_of(path, moving, config, plant))
-            whole = _together(each)
-            metadata = {"controller": kind, "plant": plant, "repetitions": "controllers trained from different seeds"}
+            for seed in self.seeds:
+                path = self.out / kind / f"seed-{seed}" if kind != "gaits" and len(self.seeds) > 1 else self.out / kind
+                config = self.config.evaluate.model_copy(update=changes | {"seed": seed})
+                each.append(evaluation_of(path, target, config, plant))
+            # Not after every seed: the first one is waited for, the others share its program.
+            progress(folder, place / len(self.config.kinds), kind)
+            whole = together(each)
+            repetitions = "of the plant's noise" if kind == "gaits" else "controllers trained from different seeds"
+            metadata = {"controller": kind, "plant": plant, "repetitions": repetitions}
             evaluated[kind] = write_evaluation(whole, self.out / folder / kind, metadata, overwrite=True), whole
-        self.wall_s[folder] = time.perf_counter() - start
+        what = f"these controllers tried in {'the surrogate' if plant == str(self.surrogate) else plant}"
+        self.end(folder, what + (", correcting themselves by the measured force (--trim)" if trim else ""), start)
         return evaluated
 
     def learning_figures(self) -> dict[str, Figure]:
         """Reward over the steps, and the error of the policies without their noise."""
-        logs = {kind: read_log(self.out / kind / TRAINING_LOG / LOG) for kind in CONTROLLERS}
+        logs = {kind: read_log(self.out / kind / TRAINING_LOG / LOG) for kind in self.config.policies}
+        if not logs:
+            return {}
 
         def curve(log: list[dict[str, Any]], keys: list[str]) -> tuple[list[int], list[float]]:
             entries = [entry for entry in log if keys[0] in entry]
@@ -246,20 +242,6 @@ class _Reproduction:
         return {"Force in a test log and in the surrogate": prediction_figure(
             np.asarray(log.reading.force[stretch]), predicted, first / RATE_HZ
         )}  # fmt: skip
-
-
-def _together(each: list[Evaluation]) -> Evaluation:
-    """One evaluation whose repetitions are the controllers, each the mean of its own; the recording is the first's."""
-    means = [[field.mean(axis=1) for field in e.scores] for e in each]
-    scores = Scores(*(np.stack(fields, axis=1) for fields in zip(*means, strict=True)))
-    estimates = [e.uncertainty for e in each if e.uncertainty is not None]
-    uncertainty = SurrogateUncertainty(
-        np.mean([estimate.out_of_distribution_fraction for estimate in estimates], axis=0),
-        np.max([estimate.furthest for estimate in estimates], axis=0),
-        np.mean([estimate.half_width for estimate in estimates], axis=0),
-    ) if estimates else None  # fmt: skip
-    warnings = tuple(dict.fromkeys(warning for e in each for warning in e.warnings))
-    return Evaluation(each[0].config, scores, len(each), each[0].recording, uncertainty, warnings)
 
 
 def _peak_memory_gib() -> float:

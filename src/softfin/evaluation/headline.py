@@ -1,0 +1,85 @@
+"""The outcome of a whole run in one sentence: does the controller hold the forces that are asked for?"""
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from softfin.core.quantities import AXES
+from softfin.evaluation.scores import SETTLED_N
+from softfin.storage.figures import with_minus_signs
+
+NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
+
+
+class Headline(NamedTuple):
+    """The controller of a run with the smallest mean error in the plant, and the outcome."""
+
+    controller: str
+    """Kind of the controller."""
+    sentence: str
+    """Whether it holds the references."""
+    caption: str
+    """Caption of its figure."""
+    holds: bool
+    """Whether its error at every reference is at most `SETTLED_N` on both axes."""
+
+
+def headline(results: Mapping[str, Any]) -> Headline | None:
+    """Choose the best controller of a run's ``results.json``, with the outer loop where there is one; None of none.
+
+    A controller under which the fin stands still comes last, however small its error.
+    """
+    evaluated = results.get("trimmed") or results.get("controllers")
+    if not evaluated:
+        return None
+
+    def still_or_error(item: tuple[str, Any]) -> tuple[bool, float]:
+        return any(row["still"] for row in item[1]["references"]), greatest_error(item[1]["mean"])
+
+    name, summary = min(evaluated.items(), key=still_or_error)
+    (still, _), rows = still_or_error((name, summary)), summary["references"]
+    errors = {tuple(row["reference_n"]): greatest_error(row) for row in rows}
+    too_far = {reference: error for reference, error in errors.items() if error > SETTLED_N}
+    plain = results["controllers"][name] if results.get("trimmed") else None
+    held, count = (NUMBERS[n] if n < len(NUMBERS) else str(n) for n in (len(rows) - len(too_far), len(rows)))
+    each = f"each of {count} forces" if len(rows) > 1 else "the force"
+    if not too_far and not still:
+        sentence = f"The fin holds {each} within {within(max(errors.values()))} N on average"
+        if plain is not None:
+            before = max(map(greatest_error, plain["references"]))
+            sentence += f"; without correcting itself by the measured force, within {within(before)} N"
+    elif still:
+        sentence = "The fin stands still at some of the forces that were asked for: this controller does not work"
+    else:
+        worst = max(too_far, key=lambda reference: too_far[reference])
+        force = with_minus_signs(f"({worst[0]:g}, {worst[1]:g})")
+        sentence = (
+            f"The fin holds {held} of {count} forces within {SETTLED_N:g} N on average; it "
+            f"misses {force} N by {too_far[worst]:.2f} N"
+        )
+    seconds, window = summary["conditions"]["duration_s"], summary["conditions"]["window_samples"]
+    rate = summary["conditions"]["rate_hz"]
+    caption = (
+        f"The mean force over the last {window / rate:g} s (lines) and the force that was asked for (dashed, with "
+        f"{SETTLED_N:g} N on both sides), from rest for {seconds} s: controller {name}"
+        f"{', correcting itself' if plain is not None else ''}, the first of {summary['conditions']['seeds']} runs."
+    )
+    return Headline(name, f"{sentence}.", caption, not too_far and not still)
+
+
+def greatest_error(row: Mapping[str, Any]) -> float:
+    """The greater of both axes' errors [N]."""
+    return max(float(row[axis]["error_n"]) for axis in AXES)
+
+
+def within(error_n: float) -> str:
+    """A bound of two decimals that the error does not exceed."""
+    return f"{math.ceil(round(100 * error_n, 6)) / 100:.2f}"
+
+
+def over_seeds(scores: Mapping[str, Any], name: str, digits: int = 3) -> str:
+    """Text behind a mean over seeds: half its interval, the range of both of two seeds, nothing of one."""
+    interval, seeds = scores[f"{name}_interval_n"], scores.get(f"{name}_seeds_n") or []
+    if interval is not None:
+        return f"±{(interval[1] - interval[0]) / 2:.{digits - 1}f}"
+    return f"({min(seeds):.{digits}f} to {max(seeds):.{digits}f})" if len(set(seeds)) > 1 else ""
