@@ -75,11 +75,11 @@ def shown(stated: Mapping[str, Any], form: str = ".3f", summary: str | None = No
     if "text" in stated:
         return re.sub(" \N{PLUS-MINUS SIGN} [0-9.]+", "", stated["text"]) if summary == "plain" else stated["text"]
     values, summary = [value for value in stated["values"] if value is not None], summary or stated["summary"]
-    if len(values) < len(stated["values"]) and summary != "mean":
-        # A force that never settles, an error that is never reached: no median of the others stands for it.
-        return f"not in {len(stated['values']) - len(values)} of {len(stated['values'])}"
     if not values:
         return "\N{EN DASH}"
+    if len(values) < len(stated["values"]):
+        # A force that never settles, a search that finds nothing: no mean or median of the others stands for it.
+        return f"not in {len(stated['values']) - len(values)} of {len(stated['values'])}"
     axes = np.atleast_2d(np.asarray(values, float).T)
     unit = f" {stated['unit']}" if summary == "median" and stated["unit"] in UNITS else ""
     return " / ".join(_summed(axis, form, summary) for axis in axes) + unit

@@ -37,7 +37,7 @@ def demo(seeds: Sequence[int]) -> Part:
 
     def read(work: Work) -> Figures:
         names, found = names_of(runs), [work.json(f"{run.name}/results.json") for run in runs]
-        figures = {key: figure("s", work.spent(names, key), seeds, "median") for key in ("wall_s", "processor_s")}
+        figures = {key: work.spent([[name] for name in names], seeds, key) for key in ("wall_s", "processor_s")}
         for kind in found[0]["controllers"]:
             figures[f"{kind}.error"] = figure("N", [pair(row["controllers"][kind]["mean"]) for row in found], seeds)
         return figures
@@ -83,7 +83,8 @@ def bench(name: str) -> Callable[[Sequence[int]], Part]:
 
 PARTS: dict[str, Callable[[Sequence[int]], Part]] = {
     "surrogates": surrogates, "controllers-published": controllers_published, "controllers-tank": controllers_tank,
-    "controllers-paper": controllers_paper, "baselines-published": baselines_published, "baselines-tank": baselines_tank, "recurrent": recurrent, "choices": choices,
+    "controllers-paper": controllers_paper, "baselines-published": baselines_published,
+    "baselines-tank": baselines_tank, "recurrent": recurrent, "choices": choices,
     "whole-map": whole_map, "ablation": ablation, "data-efficiency": data_efficiency, "tank": tank,
     "logs-to-controller": logs_to_controller, "demo": demo, "rig-day": rig_day,
     **{f"bench-{name.replace('_', '-')}": bench(name) for name in BENCHMARKS},

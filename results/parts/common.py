@@ -28,10 +28,15 @@ class Work(NamedTuple):
         """The ``evaluation.json`` of some steps."""
         return [self.json(f"{name}/evaluation.json") for name in names]
 
-    def spent(self, steps: Sequence[str], kind: str = "wall_s") -> list[Value]:
-        """Wall or processor time [s], or peak memory [GiB], of each step; null of one that was stopped in between."""
-        records = [self.json(f"{name}.step.json") for name in steps]
-        return [None if record["resumed"] else record[kind] for record in records]
+    def spent(self, steps: Sequence[Sequence[str]], seeds: Sequence[int], kind: str = "wall_s") -> dict[str, Any]:
+        """Wall or processor time [s], or peak memory [GiB], of the steps of each seed.
+
+        Seeds of which a step was stopped in between are left out: what it took before is not known.
+        """
+        records = [[self.json(f"{name}.step.json") for name in names] for names in steps]
+        whole = [(seed, each) for seed, each in zip(seeds, records, strict=True) if not any(r["resumed"] for r in each)]
+        values = [round(sum(record[kind] for record in each), 2) for _, each in whole]
+        return figure("GiB" if kind == "peak_gib" else "s", values, [seed for seed, _ in whole], "median")
 
 
 class Part(NamedTuple):

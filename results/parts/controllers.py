@@ -37,11 +37,11 @@ def controllers_published(seeds: Sequence[int]) -> Part:
     def read(work: Work) -> Figures:
         figures: Figures = {}
         for kind in CONTROLLERS:
-            own, names = [each.seed or 0 for each in trained[kind]], names_of(trained[kind])
+            own, names = [each.seed or 0 for each in trained[kind]], [[each.name] for each in trained[kind]]
             rows = work.evaluations(names_of(judged[kind]))
             figures[f"{kind}.error"] = figure("N", [pair(row["mean"]) for row in rows], own)
-            figures[f"{kind}.trained_in"] = figure("s", work.spent(names), own, "median")
-            figures[f"{kind}.processor"] = figure("s", work.spent(names, "processor_s"), own, "median")
+            figures[f"{kind}.trained_in"] = work.spent(names, own)
+            figures[f"{kind}.processor"] = work.spent(names, own, "processor_s")
             for score, summary in (("mean", "mean"), ("worst", "worst")):
                 drawn = [pair(row["random"], f"{score}_n") for row in rows]
                 lattice = [[row["error_map"][f"{score}_{axis}_n"] for axis in "xy"] for row in rows]
@@ -135,7 +135,10 @@ def _baselines(plant: str, options: str, before: Sequence[Step], seeds: Sequence
 
 def _means(work: Work, plant: str, seeds: Sequence[int]) -> Figures:
     found = [work.json(f"baselines-{plant}-{seed}/baselines.json")["baselines"] for seed in seeds]
-    return {name: figure("N", [pair(row[name]["mean"]) for row in found], seeds) for name in found[0]}
+    return {
+        name: figure("N", [pair(row[name]["mean"]) if name in row else None for row in found], seeds)
+        for name in dict.fromkeys(name for row in found for name in row)
+    }
 
 
 def recurrent(seeds: Sequence[int]) -> Part:
@@ -183,7 +186,7 @@ def whole_map(seeds: Sequence[int]) -> Part:
 
     def read(work: Work) -> Figures:
         (row,) = work.evaluations([judged.name])
-        figures = {"map_s": figure("s", work.spent(["map"]), summary="median")}
+        figures = {"map_s": work.spent([["map"]], (0,))}
         for score in ("mean", "worst"):
             figures[f"gaits.random_{score}"] = figure("N", [pair(row["random"], f"{score}_n")])
         return figures
@@ -207,9 +210,7 @@ def logs_to_controller(seeds: Sequence[int]) -> Part:
             rows = work.evaluations([f"judged-{kind}-ten-fit-{seed}" for seed in seeds])
             figures[f"{kind}.error"] = figure("N", [pair(row["mean"]) for row in rows], seeds)
         for key in ("wall_s", "processor_s"):
-            times = [work.spent(names_of(chain), key) for chain in chains.values()]
-            whole = [None if None in row else sum(row) for row in times]  # type: ignore[arg-type]
-            figures[key] = figure("s", whole, seeds, "median")
+            figures[key] = work.spent([names_of(chain) for chain in chains.values()], seeds, key)
         return figures
 
     steps = tuple(each for chain in chains.values() for each in chain)

@@ -58,9 +58,8 @@ def surrogates(seeds: Sequence[int]) -> Part:
                     flops = [group["flops_per_tick"] for group in groups]
                     figures[f"{model}.flops"] = figure("FLOPs a tick", flops, seeds)
         for model, steps in fits.items():
-            for key, kind, unit in (("fit", "wall_s", "s"), ("fit_processor", "processor_s", "s"),
-                                    ("peak", "peak_gib", "GiB")):  # fmt: skip
-                figures[f"{model}.{key}"] = figure(unit, work.spent(names_of(steps), kind), seeds, "median")
+            for key, kind in (("fit", "wall_s"), ("fit_processor", "processor_s"), ("peak", "peak_gib")):
+                figures[f"{model}.{key}"] = work.spent([[each.name] for each in steps], seeds, kind)
         return figures
 
     steps = (DATASET, SAME_LOGS, SAME, *fits["streaming"], *fits["paper"], *compared, drawn)
@@ -120,15 +119,18 @@ def tank(seeds: Sequence[int]) -> Part:
     """The default tank against the published fin."""
     others = [11 + seed for seed in seeds]
     command = "softfin calibrate published --velocity 0.5,1.57 --config docs/calibration.yaml --evaluations 0"
-    tiny = "--set segments=2 --set test_segments=2 --set segment_s=3 --set iterations=1 --set step=0.3"
+    tiny = "--set segments=2 --set test_segments=2 --set segment_s=4 --set iterations=1 --set step=0.3"
     fitted = step("calibration", command, 30, tiny=tiny)
     judged = step("tank-r2", f"python -m results.scripts tank-r2 published tank-r2 {' '.join(map(str, others))}", 10)
 
     def read(work: Work) -> Figures:
         figures: Figures = {}
-        scores, found = work.json("calibration/calibration.json")["scores"]["test"], work.json("tank-r2/r2.json")
+        calibration, found = work.json("calibration/calibration.json"), work.json("tank-r2/r2.json")
+        for name, row in calibration["parameters"].items():
+            figures[f"value of {name}"] = figure(row["unit"], [row["value"]])
+            figures[f"error of {name}"] = figure(row["unit"], [row["standard_error"]])
         for channel in ("angle", "force_x", "force_y"):
-            figures[f"fitted.{channel}"] = figure("R2", [scores[channel]["r2"]])
+            figures[f"fitted.{channel}"] = figure("R2", [calibration["scores"]["test"][channel]["r2"]])
             for low, rows in found.items():
                 figures[f"from_{low}.{channel}"] = figure("R2", scores_of(rows, channel), others)
         return figures
