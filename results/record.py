@@ -94,8 +94,11 @@ def _summed(values: np.ndarray, form: str, summary: str) -> str:
         )
         return middle if least == most else f"{middle} ({least} to {most})"
     mean, between = format(values.mean(), form), interval(values)
-    if summary == "plain" or between is None:
+    if summary == "plain" or len(values) == 1:
         return mean
+    if len(values) == 2 or between is None:
+        # Two values have no interval that tells anything.
+        return " and ".join(format(value, form) for value in values)
     half = (between[1] - between[0]) / 2
     return mean if math.isclose(half, 0, abs_tol=1e-12) else f"{mean} \N{PLUS-MINUS SIGN} {format(half, form)}"
 

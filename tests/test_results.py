@@ -56,7 +56,8 @@ def test_a_result_is_of_a_part_and_says_where_it_comes_from(file):
 def test_figures_are_stated_with_their_spread():
     # t(4, 0.975) = 2.776, and the standard deviation of 1 .. 5 is 1.581.
     assert record.shown(record.figure("N", [1, 2, 3, 4, 5])) == "3.000 ± 1.963"
-    assert record.shown(record.figure("N", [[1, 3], [1, 3]]), ".1f") == "1.0 / 3.0"
+    assert record.shown(record.figure("N", [[1, 3], [1, 3], [1, 3]]), ".1f") == "1.0 / 3.0"
+    assert record.shown(record.figure("N", [[1, 3], [2, 4]]), ".0f") == "1 and 2 / 3 and 4"
     assert record.shown(record.figure("N", [1, 2]), ".1f", "plain") == "1.5"
     assert record.shown(record.figure("s", [3.0, 90.0, 4.0], summary="median"), ".0f") == "4 (3 to 90) s"
     assert record.shown(record.figure("N", [[1, 4], [2, 3]], summary="worst"), ".0f") == "2 / 4"

@@ -38,8 +38,9 @@ def demo(seeds: Sequence[int]) -> Part:
     def read(work: Work) -> Figures:
         names, found = names_of(runs), [work.json(f"{run.name}/results.json") for run in runs]
         figures = {key: work.spent([[name] for name in names], seeds, key) for key in ("wall_s", "processor_s")}
-        for kind in found[0]["controllers"]:
-            figures[f"{kind}.error"] = figure("N", [pair(row["controllers"][kind]["mean"]) for row in found], seeds)
+        for key, name in (("error", "controllers"), ("trim", "trimmed")):
+            for kind in found[0].get(name) or ():
+                figures[f"{kind}.{key}"] = figure("N", [pair(row[name][kind]["mean"]) for row in found], seeds)
         return figures
 
     return Part("make demo", tuple(runs), read)
@@ -68,12 +69,13 @@ def bench(name: str) -> Callable[[Sequence[int]], Part]:
             figures: Figures = {}
             for rows in zip(*tables, strict=True):
                 title = rows[0]["figure"].replace(":", "")
-                for key, value in rows[0].items():
-                    if isinstance(value, int | float) and key != "met":
-                        own = key == "value"
-                        values = [row[key] for row in rows]
-                        unit = rows[0].get("unit", "") if own else ""
-                        figures[title if own else f"{title}.{key}"] = figure(unit, values, seeds, "median")
+                for key in sorted(rows[0].keys() - {"met"}):
+                    values = [row.get(key) for row in rows]
+                    # A time of something that no run reached is no figure; one that some reached has nulls.
+                    if any(isinstance(value, int | float) for value in values):
+                        unit = rows[0].get("unit", "") if key == "value" else ""
+                        name = title if key == "value" else f"{title}.{key}"
+                        figures[name] = figure(unit, values, seeds, "median")
             return figures
 
         return Part(f"Benchmark {name}", tuple(runs), read)

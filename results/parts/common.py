@@ -88,17 +88,10 @@ TINY_NETS = "--set members=2 --set drive_updates=2 --set force_updates=2 --set b
 TINY_POLICY = "--set num_evaluations=1 --set policy.units=8 --set policy.width=8"
 
 
-def tiny_map(prefix: str = "") -> str:
-    """A search for gaits of a few steps."""
-    changes = ("gaits.steps=6", "survey.directions=8", "survey.pushes=0", "spacing_n=1")
-    return " ".join(f"--set {prefix}{change}" for change in changes)
-
-
 TINY = {
-    "gaits": tiny_map(),
+    "gaits": "--set gaits.steps=6 --set survey.directions=8 --set survey.pushes=0 --set spacing_n=1",
     "ppo": f"{TINY_POLICY} --set steps=960",
-    "gradient": f"{TINY_POLICY} --set steps=144 --set gradient.num_envs=4 --set gradient.cloning.num_updates=2 "
-    f"--set gradient.shared_pretraining.num_updates=2 {tiny_map('gradient.map.')}",
+    "gradient": f"{TINY_POLICY} --set steps=144 --set gradient.num_envs=4 --set gradient.warm_start=false",
 }
 """Options of `softfin train` at the tiny scale, by what it trains."""
 

@@ -157,7 +157,6 @@ def choices(seeds: Sequence[int]) -> Part:
     variants = {
         "no-margin": ("single", "--set margin_n=0"),
         "moving": ("single", "--set task.reference_actions=15 --set task.ramps=0.25"),
-        "no-shared": ("grid", "--set gradient.shared_pretraining=null --set steps=14400"),
     }
     trained, judged = dict[str, list[Step]](), dict[str, list[Step]]()
     for name, (kind, options) in variants.items():

@@ -119,7 +119,7 @@ def tank(seeds: Sequence[int]) -> Part:
     """The default tank against the published fin."""
     others = [11 + seed for seed in seeds]
     command = "softfin calibrate published --velocity 0.5,1.57 --config docs/calibration.yaml --evaluations 0"
-    tiny = "--set segments=2 --set test_segments=2 --set segment_s=4 --set iterations=1 --set step=0.3"
+    tiny = "--set segments=10 --set test_segments=2 --set segment_s=6 --set iterations=1 --set step=0.3"
     fitted = step("calibration", command, 30, tiny=tiny)
     judged = step("tank-r2", f"python -m results.scripts tank-r2 published tank-r2 {' '.join(map(str, others))}", 10)
 
