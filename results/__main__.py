@@ -62,14 +62,14 @@ def main() -> int:
 
 
 def run(runner: Runner, name: str, part: Part, seed: str, end: float, folder: Path) -> bool:
-    """Run a part, or its steps of one seed; whether its JSON could be written or more time is all that is missing."""
+    """Run a part, or its steps of one seed; False where a step failed or its files cannot be read."""
     for each in wanted(runner, part, seed):
         if runner.record(each) is not None:
             continue
         if (reason := each.missing()) is not None:
             say(f"{name}: not run, {reason}")
             skipped(name, reason, folder)
-            return False
+            return True
         if time.monotonic() + 60 * each.minutes > end:
             say(f"{name}: {each.name} needs about {each.minutes:g} minutes; goes on here next time")
             return True
@@ -83,7 +83,11 @@ def run(runner: Runner, name: str, part: Part, seed: str, end: float, folder: Pa
     if missing := [step_name for step_name, record in records if record is None]:
         say(f"{name}: {len(missing)} of {len(records)} steps are left")
         return True
-    record = assemble(runner, part, {step_name: record for step_name, record in records if record is not None})
+    try:
+        record = assemble(runner, part, {step_name: record for step_name, record in records if record is not None})
+    except (LookupError, OSError, TypeError, ValueError) as error:
+        say(f"{name}: all steps stand, but their files are not as expected: {error!r}")
+        return False
     for target, source in part.pictures.items():
         if folder == FOLDER:
             subprocess.run([sys.executable, "docs/figure.py", runner.work / source, target], cwd=ROOT, check=True)

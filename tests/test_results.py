@@ -155,5 +155,5 @@ def test_a_step_that_fails_is_told_and_one_that_cannot_be_run_keeps_its_reason(r
     without = Part("Cannot", (step("short-0", COLLECT, 1, extra="no_such_module"),), rows)
     monkeypatch.setattr(program, "parts", lambda seeds: {"short": without})
     record.write("short", {"title": "", "carried_over": "abc", "figures": {}}, tmp_path / "results")
-    assert run("short") == 1
+    assert run("short") == 0
     assert record.load("short", tmp_path / "results")["skipped"] == "no_such_module is not installed"
