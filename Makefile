@@ -12,7 +12,7 @@ PYTEST := $(RUN) pytest -n auto --dist loadfile --no-loadscope-reorder
 OUT ?= runs/demo
 PRESET ?= demo
 
-.PHONY: setup demo day test test-long test-ray lint structure bench clean
+.PHONY: setup demo day test test-long test-ray lint structure bench results figures clean
 
 setup: .venv/.ready ## make the environment
 
@@ -53,6 +53,13 @@ structure: setup ## rooms, lines and the counts by which the structure is judged
 bench: setup ## speed and memory, as JSON; EXTRAS="--extra sb3" brings the peer, 5 GB
 	$(UV) sync --frozen $(EXTRAS)
 	$(RUN) $(EXTRAS) python -m benchmarks
+
+results: setup ## what the tables state, where it is not there or out of date: hours; MINUTES=60 PART="surrogates choices/3"
+	$(RUN) $(EXTRAS) python -m results $(PART) $(if $(MINUTES),--minutes $(MINUTES))
+	$(RUN) python -m results --write
+
+figures: setup ## README and docs take their figures from results/
+	$(RUN) python -m results --write
 
 clean:
 	rm -rf .venv .tools build dist .mypy_cache .ruff_cache .pytest_cache

@@ -5,34 +5,17 @@ Both learn the same Gymnasium task with their own defaults; RecurrentPPO's are t
 does not decide. Compilation is not counted: it is paid once, and its time is stated.
 """
 
-import tempfile
 import time
-from pathlib import Path
 from typing import Any
 
+from benchmarks.controllers import run
 from benchmarks.measure import entry
 from benchmarks.nets import published_layout
 from softfin.core.gym_registration import register
-from softfin.learning.configuration import GRID, SINGLE, TrainConfig
-from softfin.learning.train import train_jobs
-from softfin.storage.run_directory import RunDirectory
+from softfin.learning.configuration import GRID, SINGLE
 from softfin.surrogate import Surrogate
 
 PEER_STEPS = 512
-
-
-def softfin_speed(plant: Surrogate, config: TrainConfig) -> dict[str, float]:
-    """Environment steps a second over all lanes, scoring and checkpoints included, and the time before the first."""
-    moments: list[tuple[float, float]] = []
-    with tempfile.TemporaryDirectory() as folder:
-        start = time.perf_counter()
-        run_directory = RunDirectory(Path(folder) / "controller", {})
-        train_jobs(plant, config, (0,), run_directory, lambda _, done, __: moments.append((time.perf_counter(), done)))
-    # The first scoring compiles too, so the clock starts behind it.
-    first = max(1, round(len(moments) / config.num_evaluations))
-    (begin, before), (end, after) = moments[first], moments[-1]
-    steps = (after - before) * config.num_updates * config.ppo.steps_per_update * len(config.cells)
-    return {"steps_per_s": steps / (end - begin), "before_first_s": moments[0][0] - start}
 
 
 def peer_speed(plant: Surrogate, units: int) -> float:
@@ -51,7 +34,7 @@ def peer_speed(plant: Surrogate, units: int) -> float:
 
 def main() -> list[dict[str, Any]]:
     plant = published_layout()
-    grid, single = softfin_speed(plant, GRID), softfin_speed(plant, SINGLE)
+    grid, single = run(plant, GRID), run(plant, SINGLE)
     details: dict[str, Any] = {
         "grid_steps_per_s": grid["steps_per_s"],
         "single_steps_per_s": single["steps_per_s"],

@@ -16,6 +16,8 @@ from softfin.data.simulate import simulate
 from softfin.tank import Tank, TankConfig
 
 TICKS = 1000
+MORE = (8, 32, 512)
+"""Batches beside those of 1 and 128 fins."""
 
 
 def moving(tank: Tank, batch: int) -> Callable[[], Any]:
@@ -56,13 +58,17 @@ def main() -> list[dict[str, Any]]:
     tank = Tank()
     cores = len(os.sched_getaffinity(0))
     product, of_product = matmul()
-    many, one, square = interleaved([moving(tank, 128), moving(tank, 1), product], repeats=5)
+    calls = [moving(tank, batch) for batch in (128, 1, *MORE)]
+    many, one, *more, square = interleaved([*calls, product], repeats=5)
     rate, per_tick = of_product / square, flops()
     achieved = per_tick * 128 * TICKS / many
+    of_batches = {
+        f"batch_{batch}": batch * TICKS * TICK_S / each / cores for batch, each in zip(MORE, more, strict=True)
+    }
     return [
         entry("tank, 128 fins, simulated over real time, a core", 128 * TICKS * TICK_S / many / cores, "-", 150,
               cores=cores, ticks_per_s=128 * TICKS / many, flops_per_tick=per_tick, achieved_gflop_s=achieved / 1e9,
-              matmul_gflop_s=rate / 1e9, share_of_matmul=achieved / rate),
+              matmul_gflop_s=rate / 1e9, share_of_matmul=achieved / rate, **of_batches),
         entry("tank, one fin, simulated over real time", TICKS * TICK_S / one, "-", 20),
         entry("tank, compile time of the collect program", compile_time(tank), "s", 20, at_least=False),
     ]  # fmt: skip

@@ -1,19 +1,45 @@
-"""Task steps a second in the published surrogate, no learning, against the machine's matrix-product rate."""
+"""Task steps a second in the published surrogate, no learning, against the machine's matrix-product rate.
+
+The same without what makes it quick: one fin after another instead of a batch, and tick by tick instead of the
+surrogate's own program for a whole action.
+"""
 
 from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import PRNGKeyArray
 
 from benchmarks.measure import entry, interleaved, matmul
 from benchmarks.nets import published_layout
 from softfin.core.action_clock import ACTION_TICKS, ticks_of
+from softfin.core.plant import State
+from softfin.core.quantities import Command, Limits, Reading
+from softfin.surrogate import Surrogate
 from softfin.task.references import PAPER_RANGE, References
 from softfin.task.task import ForceTracking, TaskConfig
 
 TICKS = sum(ACTION_TICKS)
+BATCHES = (1, 4, 16, 64, 256)
+
+
+class TickByTick(eqx.Module):
+    """A surrogate that is advanced a tick at a time."""
+
+    surrogate: Surrogate
+
+    @property
+    def limits(self) -> Limits:
+        return self.surrogate.limits
+
+    def init(self, key: PRNGKeyArray) -> State:
+        return self.surrogate.init(key)
+
+    def advance(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
+        return self.surrogate.advance(state, command, ticks)
 
 
 def steps(task: ForceTracking, batch: int, cycles: int) -> Callable[[], Any]:
@@ -36,16 +62,21 @@ def steps(task: ForceTracking, batch: int, cycles: int) -> Callable[[], Any]:
 def main() -> list[dict[str, Any]]:
     surrogate = published_layout()
     task = ForceTracking(surrogate, TaskConfig())
+    slow = ForceTracking(TickByTick(surrogate), TaskConfig())
     product, flops = matmul()
-    large, small = 20, 100
-    sixty_four, one, square = interleaved([steps(task, 64, large), steps(task, 1, small), product])
-    rate, many = flops / square, 64 * large
-    achieved = many * TICKS * surrogate.flops_per_tick() / sixty_four
+    cycles = {batch: max(2, min(100, 1280 // batch)) for batch in BATCHES}
+    calls = [steps(task, batch, count) for batch, count in cycles.items()]
+    *times, by_tick, square = interleaved([*calls, steps(slow, 64, cycles[64]), product])
+    rates = {batch: 3 * cycles[batch] * batch / each for batch, each in zip(BATCHES, times, strict=True)}
+    rate, achieved = flops / square, rates[64] / 3 * TICKS * surrogate.flops_per_tick()
     details = {"flops_per_tick": surrogate.flops_per_tick(), "matmul_gflop_s": rate / 1e9}
     per_action = {"ticks_per_action": TICKS / 3}
+    of_batches = {f"batch_{batch}_actions_per_s": value for batch, value in rates.items()}
     return [
-        entry("task steps/s, batch 64", 3 * many / sixty_four, "actions/s", 5000, **per_action),
+        entry("task steps/s, batch 64", rates[64], "actions/s", 5000, **per_action),
         entry("task, batch 64, share of the matmul rate", achieved / rate, "-", 0.7,
               achieved_gflop_s=achieved / 1e9, **details),
-        entry("task steps/s, batch 1", 3 * small / one, "actions/s", 2000, **per_action),
+        entry("task steps/s, batch 1", rates[1], "actions/s", 2000, **per_action),
+        entry("task, batch 64 / one fin after another", rates[64] / rates[1], "ratio", 1, **of_batches),
+        entry("task, batch 64, whole actions / tick by tick", by_tick * rates[64] / (3 * cycles[64] * 64), "ratio", 1),
     ]  # fmt: skip

@@ -2,11 +2,12 @@
 
     python docs/ablation.py RUN --dataset dataset --minutes 10 --updates 600 --members 2 --batch 64
 
-Prints a table of free-running errors over 30 s, on the test logs of a dataset, as Markdown. Each variant keeps its
-folder in RUN, so a stopped run goes on where it was. Without --dataset one is recorded first.
+Prints a table of free-running errors over 30 s, on the test logs of a dataset, as Markdown, and writes ablation.json.
+Each variant keeps its folder in RUN, so a stopped run goes on where it was. Without --dataset one is recorded first.
 """
 
 import argparse
+import json
 from pathlib import Path
 
 import equinox as eqx
@@ -70,6 +71,8 @@ def main() -> None:
     parser.add_argument("--updates", type=int, default=600)
     parser.add_argument("--members", type=int, default=2)
     parser.add_argument("--batch", type=int, default=64)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--horizon", type=float, default=30.0)
     parser.add_argument("--only", nargs="*", default=list(VARIANTS))
     words = parser.parse_args()
     if words.dataset is None:
@@ -80,25 +83,28 @@ def main() -> None:
     updates = (f"drive_updates={words.updates // 2}", f"force_updates={words.updates}")
     segments = (f"batch={words.batch}", "ticks=400", "burn_in=100", "learning_rate=0.003")
     base = (f"members={words.members}", *segments, *updates)
+    written: dict[str, dict[str, float]] = {}
     print("| variant | angle RMSE [rad] | force RMSE x, y [N] | mean force, mean error, 95% [N] | FLOPs a tick |")
     print("| --- | --- | --- | --- | --- |")
     for name in words.only:
         ensemble.ForceNet = WithoutQuasiSteady if name == WITHOUT_QUASI_STEADY else ForceNet
         jax.clear_caches()
-        size = f"{words.minutes:g}min-{words.members}x{words.batch}x{words.updates}"
+        size = f"{words.minutes:g}min-{words.members}x{words.batch}x{words.updates}-seed-{words.seed}"
         folder = words.out / f"{size}-{name.replace(' ', '-')}"
         if not (folder / "surrogate.json").exists():
             try:
-                fit(data, folder, StreamingConfig().changed((*base, *VARIANTS[name])), resume=True)
+                fit(data, folder, StreamingConfig().changed((*base, *VARIANTS[name])), seed=words.seed, resume=True)
             except SoftfinError as error:
                 raise SystemExit(f"{error}") from None
-        found = compare([folder], data, config=CompareConfig(horizons_s=(30.0,)))["groups"][0]
+        found = compare([folder], data, config=CompareConfig(horizons_s=(words.horizon,)))["groups"][0]
         row = {key: value["mean"] for key, value in found["horizons"][0].items() if isinstance(value, dict)}
+        written[name] = row | {"flops_per_tick": found["flops_per_tick"]}
         print(
             f"| {name} | {row['angle_rmse_rad']:.4f} | {row['force_x_rmse_n']:.3f}, {row['force_y_rmse_n']:.3f} | "
             f"{row['mean_force_mae_n']:.3f}, {row['mean_force_p95_n']:.3f} | {found['flops_per_tick']:,} |",
             flush=True,
         )
+    (words.out / "ablation.json").write_text(json.dumps(written))
 
 
 if __name__ == "__main__":

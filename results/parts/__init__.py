@@ -1,0 +1,99 @@
+"""The parts: the steps of each, and how its figures are read from what these wrote; each is a ``results/NAME.json``."""
+
+import json
+from collections.abc import Callable, Sequence
+
+from results.parts.common import Figures, Part, Work, names_of, pair
+from results.parts.controllers import (
+    baselines_published,
+    baselines_tank,
+    choices,
+    controllers_paper,
+    controllers_published,
+    controllers_tank,
+    logs_to_controller,
+    recurrent,
+    whole_map,
+)
+from results.parts.surrogates import ablation, data_efficiency, surrogates, tank
+from results.record import figure
+from results.steps import step
+
+__all__ = ["BENCHMARKS", "PARTS", "SEEDS", "Part", "Work", "parts"]
+
+SEEDS = (0, 1, 2, 3, 4)
+
+BENCHMARKS = {
+    "tank": 2, "task": 3, "surrogate": 3, "fit": 6, "ppo": 8, "controllers": 20, "cells": 6, "compile": 12,
+    "memory": 12, "controller_step": 2, "recording": 2, "rig": 5,
+}  # fmt: skip
+"""Benchmarks, and minutes of each run."""
+
+
+def demo(seeds: Sequence[int]) -> Part:
+    """``make demo``."""
+    command = "softfin reproduce --preset demo --plant tank --seed"
+    runs = [step(f"demo-{seed}", f"{command} {seed}", 6, seed) for seed in seeds]
+
+    def read(work: Work) -> Figures:
+        names, found = names_of(runs), [work.json(f"{run.name}/results.json") for run in runs]
+        figures = {key: work.spent([[name] for name in names], seeds, key) for key in ("wall_s", "processor_s")}
+        for key, name in (("error", "controllers"), ("trim", "trimmed")):
+            for kind in found[0].get(name) or ():
+                figures[f"{kind}.{key}"] = figure("N", [pair(row[name][kind]["mean"]) for row in found], seeds)
+        return figures
+
+    return Part("make demo", tuple(runs), read)
+
+
+def rig_day(seeds: Sequence[int]) -> Part:
+    """The day at an emulated rig."""
+    day = step("rig-day", "python examples/rig_day.py --out rig-day", 20, tiny="--quick")
+
+    def read(work: Work) -> Figures:
+        return {"error": figure("N", [pair(work.json("rig-day/evaluation/evaluation.json")["mean"])])}
+
+    return Part("A day at an emulated rig", (day,), read)
+
+
+def bench(name: str) -> Callable[[Sequence[int]], Part]:
+    """A benchmark, run as often as there are seeds, each time in a process of its own."""
+
+    def make(seeds: Sequence[int]) -> Part:
+        extra, minutes = "sb3_contrib" if name == "ppo" else None, BENCHMARKS[name]
+        command = f"python -m benchmarks {name}"
+        runs = [step(f"bench-{name}-{seed}", command, minutes, seed, extra=extra) for seed in seeds]
+
+        def read(work: Work) -> Figures:
+            tables = [json.loads((work.folder / f"{run.name}.out").read_text()) for run in runs]
+            figures: Figures = {}
+            for rows in zip(*tables, strict=True):
+                title = rows[0]["figure"].replace(":", "")
+                for key in sorted(rows[0].keys() - {"met"}):
+                    values = [row.get(key) for row in rows]
+                    # A time of something that no run reached is no figure; one that some reached has nulls.
+                    if any(isinstance(value, int | float) for value in values):
+                        unit = rows[0].get("unit", "") if key == "value" else ""
+                        name = title if key == "value" else f"{title}.{key}"
+                        figures[name] = figure(unit, values, seeds, "median")
+            return figures
+
+        return Part(f"Benchmark {name}", tuple(runs), read)
+
+    return make
+
+
+PARTS: dict[str, Callable[[Sequence[int]], Part]] = {
+    "surrogates": surrogates, "controllers-published": controllers_published, "controllers-tank": controllers_tank,
+    "controllers-paper": controllers_paper, "baselines-published": baselines_published,
+    "baselines-tank": baselines_tank, "recurrent": recurrent, "choices": choices,
+    "whole-map": whole_map, "ablation": ablation, "data-efficiency": data_efficiency, "tank": tank,
+    "logs-to-controller": logs_to_controller, "demo": demo, "rig-day": rig_day,
+    **{f"bench-{name.replace('_', '-')}": bench(name) for name in BENCHMARKS},
+}  # fmt: skip
+"""Parts by name, in the order in which they are run."""
+
+
+def parts(seeds: Sequence[int] = SEEDS) -> dict[str, Part]:
+    """All parts over some seeds."""
+    return {name: make(seeds) for name, make in PARTS.items()}

@@ -1,0 +1,135 @@
+"""What parts are made of: steps that several share, and how their files are read.
+
+Names end in the seed. Whole chains are repeated: controllers for the tank of seed N are trained with seed N in the
+surrogate of seed N.
+"""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from results.record import Value, figure
+from results.steps import Step, step
+
+Figures = dict[str, dict[str, Any]]
+
+
+class Work(NamedTuple):
+    """The folder in which all steps ran."""
+
+    folder: Path
+
+    def json(self, path: str) -> Any:
+        """A JSON file below it."""
+        return json.loads((self.folder / path).read_text())
+
+    def evaluations(self, names: Sequence[str]) -> list[dict[str, Any]]:
+        """The ``evaluation.json`` of some steps."""
+        return [self.json(f"{name}/evaluation.json") for name in names]
+
+    def spent(self, steps: Sequence[Sequence[str]], seeds: Sequence[int], kind: str = "wall_s") -> dict[str, Any]:
+        """Wall or processor time [s], or peak memory [GiB], of the steps of each seed.
+
+        Seeds of which a step was stopped in between are left out: what it took before is not known.
+        """
+        records = [[self.json(f"{name}.step.json") for name in names] for names in steps]
+        whole = [(seed, each) for seed, each in zip(seeds, records, strict=True) if not any(r["resumed"] for r in each)]
+        values = [round(sum(record[kind] for record in each), 2) for _, each in whole]
+        return figure("GiB" if kind == "peak_gib" else "s", values, [seed for seed, _ in whole], "median")
+
+
+class Part(NamedTuple):
+    """One JSON."""
+
+    title: str
+    steps: tuple[Step, ...]
+    figures: Callable[[Work], Figures]
+    pictures: Mapping[str, str] = {}
+    """Pictures of docs, and where the steps write them."""
+
+
+def names_of(steps: Sequence[Step]) -> list[str]:
+    """The names of some steps."""
+    return [each.name for each in steps]
+
+
+def pair(row: Mapping[str, Any], name: str = "error_n") -> list[float]:
+    """x and y of a score."""
+    return [row["x"][name], row["y"][name]]
+
+
+def scores_of(rows: Sequence[Mapping[str, Any]], *scores: str, factor: float = 1) -> list[Value]:
+    """One score of each row, or two."""
+    values = [[factor * row[score] for score in scores] for row in rows]
+    return [value if len(value) > 1 else value[0] for value in values]
+
+
+def step_times(figures: Figures, key: str, judged: Sequence[Mapping[str, Any]], seeds: Sequence[int]) -> None:
+    """Add the settling time of each of the default steps, and the longest, at the slowest of the plant's seeds."""
+    rows = [[row["longest_settling_s"] for row in each["moving"]] for each in judged]
+    for index in range(len(rows[0])):
+        figures[f"{key}.step_{index + 1}"] = figure("s", [row[index] for row in rows], seeds, "median")
+    figures[f"{key}.settling"] = figure("s", [None if None in row else max(row) for row in rows], seeds, "median")
+
+
+PUBLISHED = step(
+    "published",
+    "softfin import-keras $SOFTFIN_PUBLISHED/cnn_pos_net.keras $SOFTFIN_PUBLISHED/lstm_force_net.keras "
+    "--scalers $SOFTFIN_PUBLISHED/scalers.json",
+    0.2,
+)
+DATASET = step("dataset", "softfin collect --plant tank", 2, tiny="--logs 12 --test-logs 1 --rows 1500")
+SAME_LOGS = step("same-logs", "softfin collect --plant tank --logs 12 --test-logs 0 --seed 777", 1,
+                 tiny="--logs 2 --rows 1500")  # fmt: skip
+SAME = step("same", "python -m results.scripts as-test same-logs same", 0.2)
+
+TINY_NETS = "--set members=2 --set drive_updates=2 --set force_updates=2 --set batch=8"
+TINY_POLICY = "--set num_evaluations=1 --set policy.units=8 --set policy.width=8"
+
+
+TINY = {
+    "gaits": "--set gaits.steps=6 --set survey.directions=8 --set survey.pushes=0 --set spacing_n=1",
+    "ppo": f"{TINY_POLICY} --set steps=960",
+    "gradient": f"{TINY_POLICY} --set steps=144 --set gradient.num_envs=4 --set gradient.warm_start=false",
+}
+"""Options of `softfin train` at the tiny scale, by what it trains."""
+
+
+def streaming(seed: int) -> Step:
+    """Fit of the streaming surrogate on the paper's rows."""
+    return step(f"streaming-{seed}", f"softfin fit dataset --seed {seed}", 10, seed, TINY_NETS)
+
+
+def paper(seed: int) -> Step:
+    """Fit of the paper's nets on the same rows."""
+    command = f"softfin fit dataset --model paper --seed {seed}"
+    return step(f"paper-{seed}", command, 10, seed, "--epochs 1 --set batch=64")
+
+
+CONTROLLERS = {
+    "gaits": ("--controller gaits", 2),
+    "single": ("--controller single --algorithm gradient", 4),
+    "grid": ("--controller grid --algorithm gradient", 4),
+    "single-ppo": ("--controller single --algorithm ppo", 1.5),
+    "grid-ppo": ("--controller grid --algorithm ppo", 2),
+    "grid-ppo-phase": ("--controller grid --algorithm ppo --set task.phase=true", 2),
+}
+"""Ways to a controller: options of `softfin train`, and minutes."""
+
+
+def train(kind: str, options: str, surrogate: str, seed: int | None, minutes: float) -> Step:
+    """Training of one controller."""
+    # Gaits are searched without any randomness of their own.
+    name, chance = f"{kind}-{surrogate}", "" if kind == "gaits" else f" --seed {seed}"
+    if kind != "gaits" and not surrogate.endswith(f"-{seed}"):
+        name += f"-{seed}"
+    tiny = TINY["gaits" if kind == "gaits" else "ppo" if "ppo" in options else "gradient"]
+    return step(name, f"softfin train {surrogate} {options}{chance}", minutes, seed, tiny)
+
+
+def evaluate(controller: Step, plant: str, name: str, options: str, minutes: float) -> Step:
+    """Evaluation of a trained controller."""
+    tiny = "--seconds 6 --random 3" if "--random" in options else "--seconds 6"
+    command = f"softfin evaluate {controller.name} --plant {plant} {options}"
+    return step(f"{name}-{controller.name}", command, minutes, controller.seed, tiny)

@@ -1,0 +1,216 @@
+"""Parts about controllers and baselines."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+from results.parts.common import (
+    CONTROLLERS,
+    DATASET,
+    PUBLISHED,
+    TINY,
+    TINY_NETS,
+    Figures,
+    Part,
+    Work,
+    evaluate,
+    names_of,
+    pair,
+    paper,
+    step_times,
+    streaming,
+    train,
+)
+from results.record import figure
+from results.steps import Step, step
+
+JUDGED = "--seeds 1 --moving step --random 100"
+"""Options of the evaluation in the published surrogate, which has no randomness."""
+
+
+def controllers_published(seeds: Sequence[int]) -> Part:
+    """All controllers in the authors' published surrogate."""
+    trained, judged = dict[str, list[Step]](), dict[str, list[Step]]()
+    for kind, (options, minutes) in CONTROLLERS.items():
+        own = (None,) if kind == "gaits" else seeds
+        trained[kind] = [train(kind, options, "published", seed, minutes) for seed in own]
+        judged[kind] = [evaluate(each, "published", "judged", f"{JUDGED} --error-map", 1.5) for each in trained[kind]]
+
+    def read(work: Work) -> Figures:
+        figures: Figures = {}
+        for kind in CONTROLLERS:
+            own, names = [each.seed or 0 for each in trained[kind]], [[each.name] for each in trained[kind]]
+            rows = work.evaluations(names_of(judged[kind]))
+            figures[f"{kind}.error"] = figure("N", [pair(row["mean"]) for row in rows], own)
+            figures[f"{kind}.trained_in"] = work.spent(names, own)
+            figures[f"{kind}.processor"] = work.spent(names, own, "processor_s")
+            for score, summary in (("mean", "mean"), ("worst", "worst")):
+                drawn = [pair(row["random"], f"{score}_n") for row in rows]
+                lattice = [[row["error_map"][f"{score}_{axis}_n"] for axis in "xy"] for row in rows]
+                figures[f"{kind}.random_{score}"] = figure("N", drawn, own, summary)
+                figures[f"{kind}.map_{score}"] = figure("N", lattice, own, summary)
+            step_times(figures, kind, rows, own)
+        return figures
+
+    steps = (PUBLISHED, *(each for kind in CONTROLLERS for each in (*trained[kind], *judged[kind])))
+    pictures = {"docs/error_map.png": "judged-single-published-0/error_map.png",
+                "docs/experiments.png": "judged-grid-published-0/experiments.png"}  # fmt: skip
+    return Part("Controllers in the published surrogate", steps, read, pictures)
+
+
+def controllers_tank(seeds: Sequence[int]) -> Part:
+    """All controllers from streaming surrogates of the tank in the tank."""
+    kinds = ("gaits", "single", "grid", "single-ppo", "grid-ppo")
+    ways = {"tank": "--moving step", "others": "--randomize 0.15 --seeds 20",
+            "trim": "--randomize 0.15 --seeds 20 --trim --moving step"}  # fmt: skip
+    return _in_tank("Controllers from streaming surrogates in the tank", kinds, "streaming", streaming, seeds, ways)
+
+
+def controllers_paper(seeds: Sequence[int]) -> Part:
+    """The paper's method in the tank: Tables I and II."""
+    kinds = ("single-ppo", "grid-ppo")
+    part = _in_tank("The paper's method in the tank", kinds, "paper", paper, seeds, {"tank": ""})
+
+    def read(work: Work) -> Figures:
+        figures = part.figures(work)
+        found = [work.json(f"paper-{seed}/surrogate.json")["scores"] for seed in seeds]
+        for net in ("posnet", "forcenet_measured", "forcenet_free_running"):
+            for scale, scores in (("physical", ("rmse", "mae", "dtw_mae")), ("scaled", ("rmse", "mae"))):
+                for score in scores:
+                    unit = "" if scale == "scaled" else "rad" if net == "posnet" else "N"
+                    values = [each[net][scale][score] for each in found]
+                    figures[f"{net}.{scale}_{score}"] = figure(unit, values, seeds)
+        return figures
+
+    return part._replace(figures=read)
+
+
+def _in_tank(
+    title: str, kinds: Sequence[str], model: str, fit: Callable[[int], Step], seeds: Sequence[int],
+    ways: Mapping[str, str],
+) -> Part:  # fmt: skip
+    """Controllers trained in the surrogate of each seed, judged in that surrogate and in some ways in the tank."""
+    steps = [DATASET]
+    for seed in seeds:
+        steps.append(fit(seed))
+        for kind in kinds:
+            options, minutes = CONTROLLERS[kind]
+            trained = train(kind, options, f"{model}-{seed}", seed, minutes)
+            within = evaluate(trained, f"{model}-{seed}", "within", "--seeds 1", 0.5)
+            steps += [trained, within, *(evaluate(trained, "tank", name, way, 1.5) for name, way in ways.items())]
+
+    def read(work: Work) -> Figures:
+        figures: Figures = {}
+        for kind in kinds:
+            for way in ("within", *ways):
+                key = f"{kind}.{way}"
+                rows = work.evaluations([f"{way}-{kind}-{model}-{seed}" for seed in seeds])
+                figures[key] = figure("N", [pair(row["mean"]) for row in rows], seeds)
+                for index, row in enumerate(rows[0]["references"]):
+                    x, y = row["reference_n"]
+                    values = [pair(each["references"][index]) for each in rows]
+                    figures[f"{key}.{x:g},{y:g}"] = figure("N", values, seeds)
+                if "moving" in rows[0]:
+                    step_times(figures, key, rows, seeds)
+        return figures
+
+    return Part(title, tuple(steps), read)
+
+
+def baselines_published(seeds: Sequence[int]) -> Part:
+    """What needs no learning, in the published surrogate."""
+    return _baselines("published", "--plant published", (PUBLISHED,), seeds)
+
+
+def baselines_tank(seeds: Sequence[int]) -> Part:
+    """What needs no learning, searched for in the surrogate of each seed, in the tank."""
+    fits = (streaming(seed) for seed in seeds)
+    return _baselines("tank", "--plant tank --surrogate streaming-{}", (DATASET, *fits), seeds)
+
+
+def _baselines(plant: str, options: str, before: Sequence[Step], seeds: Sequence[int]) -> Part:
+    tiny = "--seconds 6 --seeds 1 --set search.gaits=8 --set search.kept=1 --set search.refinements=0"
+    command = f"softfin baselines {options} --seed"
+    steps = [step(f"baselines-{plant}-{seed}", f"{command.format(seed)} {seed}", 4, seed, tiny) for seed in seeds]
+    return Part(f"Baselines, {plant}", (*before, *steps), lambda work: _means(work, plant, seeds))
+
+
+def _means(work: Work, plant: str, seeds: Sequence[int]) -> Figures:
+    found = [work.json(f"baselines-{plant}-{seed}/baselines.json")["baselines"] for seed in seeds]
+    return {
+        name: figure("N", [pair(row[name]["mean"]) if name in row else None for row in found], seeds)
+        for name in dict.fromkeys(name for row in found for name in row)
+    }
+
+
+def recurrent(seeds: Sequence[int]) -> Part:
+    """RecurrentPPO with the library's defaults."""
+    command, tiny = "softfin baselines --plant published --recurrent 30000 --seed", "--seconds 6 --recurrent 128"
+    steps = [step(f"baselines-recurrent-{seed}", f"{command} {seed}", 12, seed, tiny, "sb3_contrib") for seed in seeds]
+
+    def read(work: Work) -> Figures:
+        return {"single.error": _means(work, "recurrent", seeds)["recurrent_ppo"]}
+
+    return Part("RecurrentPPO of sb3-contrib", (PUBLISHED, *steps), read)
+
+
+def choices(seeds: Sequence[int]) -> Part:
+    """What single choices of training are worth, in the published surrogate."""
+    variants = {
+        "no-margin": ("single", "--set margin_n=0"),
+        "moving": ("single", "--set task.reference_actions=15 --set task.ramps=0.25"),
+    }
+    trained, judged = dict[str, list[Step]](), dict[str, list[Step]]()
+    for name, (kind, options) in variants.items():
+        trained[name] = [train(name, f"{CONTROLLERS[kind][0]} {options}", "published", seed, 5) for seed in seeds]
+        judged[name] = [evaluate(each, "published", "judged", JUDGED, 1.5) for each in trained[name]]
+
+    def read(work: Work) -> Figures:
+        figures: Figures = {}
+        for name in variants:
+            rows = work.evaluations(names_of(judged[name]))
+            figures[f"{name}.error"] = figure("N", [pair(row["mean"]) for row in rows], seeds)
+            worst = [pair(row["random"], "worst_n") for row in rows]
+            figures[f"{name}.random_worst"] = figure("N", worst, seeds, "worst")
+            step_times(figures, name, rows, seeds)
+        return figures
+
+    steps = (PUBLISHED, *(each for name in variants for each in (*trained[name], *judged[name])))
+    return Part("Choices of training", steps, read)
+
+
+def whole_map(seeds: Sequence[int]) -> Part:
+    """Gaits for all that the fin can do, at random references between their nodes."""
+    mapped = step("map", "softfin map published", 3, tiny=TINY["gaits"])
+    gaits = step("map-gaits", "softfin train published --controller gaits --map map", 0.5)
+    judged = evaluate(gaits, "published", "judged", "--seeds 1 --random 100", 1)
+
+    def read(work: Work) -> Figures:
+        (row,) = work.evaluations([judged.name])
+        figures = {"map_s": work.spent([["map"]], (0,))}
+        for score in ("mean", "worst"):
+            figures[f"gaits.random_{score}"] = figure("N", [pair(row["random"], f"{score}_n")])
+        return figures
+
+    return Part("Over the whole map of the published surrogate", (PUBLISHED, mapped, gaits, judged), read)
+
+
+def logs_to_controller(seeds: Sequence[int]) -> Part:
+    """Ten minutes of tank time to controllers that are judged."""
+    chains, kinds = dict[int, list[Step]](), ("gaits", "single")
+    for seed in seeds:
+        record = f"softfin collect --plant tank --logs 10 --test-logs 0 --rows 6000 --seed {seed}"
+        ten = step(f"ten-{seed}", record, 1, seed, "--logs 3 --rows 1500")
+        fit = step(f"ten-fit-{seed}", f"softfin fit ten-{seed} --seed {seed}", 8, seed, TINY_NETS)
+        trained = [train(kind, CONTROLLERS[kind][0], fit.name, seed, CONTROLLERS[kind][1]) for kind in kinds]
+        chains[seed] = [ten, fit, *trained, *(evaluate(each, "tank", "judged", "", 1) for each in trained)]
+
+    def read(work: Work) -> Figures:
+        figures: Figures = {}
+        for kind in kinds:
+            rows = work.evaluations([f"judged-{kind}-ten-fit-{seed}" for seed in seeds])
+            figures[f"{kind}.error"] = figure("N", [pair(row["mean"]) for row in rows], seeds)
+        for key in ("wall_s", "processor_s"):
+            figures[key] = work.spent([names_of(chain) for chain in chains.values()], seeds, key)
+        return figures
+
+    steps = tuple(each for chain in chains.values() for each in chain)
+    return Part("From ten minutes of logs to controllers", steps, read)

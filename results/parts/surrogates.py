@@ -1,0 +1,139 @@
+"""Parts about surrogates and the tank."""
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+from results.parts.common import (
+    DATASET,
+    PUBLISHED,
+    SAME,
+    SAME_LOGS,
+    Figures,
+    Part,
+    Work,
+    names_of,
+    paper,
+    scores_of,
+    streaming,
+)
+from results.record import figure
+from results.steps import step
+
+ERRORS = {
+    "angle_rmse": ("rad", 1, ("angle_rmse_rad",)),
+    "force_rmse": ("N", 1, ("force_x_rmse_n", "force_y_rmse_n")),
+    "mean_force": ("N", 1, ("mean_force_mae_n", "mean_force_p95_n")),
+    "coverage": ("%", 100, ("coverage",)),
+    "coverage_axes": ("%", 100, ("coverage_x", "coverage_y")),
+}
+"""Figures of a comparison: unit, factor, scores."""
+
+
+def surrogates(seeds: Sequence[int]) -> Part:
+    """Both surrogates on the same rows."""
+    sets = {"same": SAME.name, "other": DATASET.name}
+    fits = {"streaming": [streaming(seed) for seed in seeds], "paper": [paper(seed) for seed in seeds]}
+    floor = "--noise-floor tank"
+    compared = [
+        step(f"compare-{name}-{seed}", f"softfin compare streaming-{seed} paper-{seed} --dataset {data} {floor} "
+             f"--seed {seed} --horizons 30", 2, seed, "--horizons 2")
+        for seed in seeds for name, data in sets.items()
+    ]  # fmt: skip
+    every = " ".join(name for steps in fits.values() for name in names_of(steps))
+    drawn = step("compare", f"softfin compare {every} --dataset same {floor}", 10, tiny="--horizons 2")
+
+    def read(work: Work) -> Figures:
+        figures: Figures = {}
+        for name in sets:
+            found = [work.json(f"compare-{name}-{seed}/comparison.json") for seed in seeds]
+            for index, model in enumerate((*fits, "again")):
+                groups = [[*each["groups"], each["noise_floor"]][index] for each in found]
+                rows = [_means(group["horizons"][-1]) for group in groups]
+                for key, (unit, factor, scores) in ERRORS.items():
+                    if scores[0] in rows[0]:
+                        values = scores_of(rows, *scores, factor=factor)
+                        figures[f"{model}.{name}.{key}"] = figure(unit, values, seeds)
+                if model in fits:
+                    flops = [group["flops_per_tick"] for group in groups]
+                    figures[f"{model}.flops"] = figure("FLOPs a tick", flops, seeds)
+        for model, steps in fits.items():
+            for key, kind in (("fit", "wall_s"), ("fit_processor", "processor_s"), ("peak", "peak_gib")):
+                figures[f"{model}.{key}"] = work.spent([[each.name] for each in steps], seeds, kind)
+        return figures
+
+    steps = (DATASET, SAME_LOGS, SAME, *fits["streaming"], *fits["paper"], *compared, drawn)
+    pictures = {"docs/surrogates.png": "compare/comparison.png"}
+    return Part("Surrogates, free-running for 30 s", steps, read, pictures)
+
+
+def _means(horizon: dict[str, Any]) -> dict[str, float]:
+    return {score: row["mean"] for score, row in horizon.items() if isinstance(row, dict)}
+
+
+def ablation(seeds: Sequence[int]) -> Part:
+    """What each part of the streaming surrogate is worth."""
+    command = "python docs/ablation.py ablation-{0} --dataset dataset --minutes 10 --seed {0}"
+    tiny = "--minutes 1 --updates 2 --members 1 --batch 4 --horizon 2"
+    steps = [step(f"ablation-{seed}", command.format(seed), 30, seed, tiny) for seed in seeds]
+
+    def read(work: Work) -> Figures:
+        figures: Figures = {}
+        found = [work.json(f"ablation-{seed}/ablation.json") for seed in seeds]
+        for name, first in found[0].items():
+            rows = [each[name] for each in found]
+            for key in ("angle_rmse", "force_rmse", "mean_force"):
+                unit, _, scores = ERRORS[key]
+                figures[f"{name}.{key}"] = figure(unit, scores_of(rows, *scores), seeds)
+            figures[f"{name}.flops"] = figure("FLOPs a tick", [first["flops_per_tick"]])
+        return figures
+
+    return Part("Parts of the streaming surrogate", (DATASET, *steps), read)
+
+
+def data_efficiency(seeds: Sequence[int]) -> Part:
+    """How long to record."""
+    command = "python docs/data_efficiency.py efficiency-{0} --minutes 2,5,10,30,100 --active 5 --seeds {0} "
+    command += "--set members=3 --set drive_updates=300 --set force_updates=800 --set batch=32"
+    tiny = "--minutes 2 --active 3 --set members=2 --set force_updates=2 --set drive_updates=2"
+    runs = [step(f"efficiency-{seed}", command.format(seed), 40, seed, tiny) for seed in seeds]
+    every = " ".join(names_of(runs))
+    drawn = step("efficiency", f"python -m results.scripts efficiency efficiency {every}", 0.5)
+
+    def read(work: Work) -> Figures:
+        figures: Figures = {}
+        for case in sorted((work.folder / "efficiency" / "scores").iterdir()):
+            files = sorted(case.glob("*.json"))
+            own, found = [int(file.stem[5:]) for file in files], [json.loads(file.read_text()) for file in files]
+            for name, scores in found[0].items():
+                for score in scores:
+                    values = [each[name].get(score) for each in found]
+                    figures[f"{case.name}.{name}.{score}"] = figure("", values, own)
+        return figures
+
+    pictures = {"docs/data_efficiency.png": "efficiency/data_efficiency.png"}
+    return Part("How long to record", (*runs, drawn), read, pictures)
+
+
+def tank(seeds: Sequence[int]) -> Part:
+    """The default tank against the published fin."""
+    others = [11 + seed for seed in seeds]
+    command = "softfin calibrate published --velocity 0.5,1.57 --config docs/calibration.yaml --evaluations 0"
+    tiny = "--set segments=10 --set test_segments=2 --set segment_s=6 --set iterations=1 --set step=0.3"
+    fitted = step("calibration", command, 30, tiny=tiny)
+    judged = step("tank-r2", f"python -m results.scripts tank-r2 published tank-r2 {' '.join(map(str, others))}", 10)
+
+    def read(work: Work) -> Figures:
+        figures: Figures = {}
+        calibration, found = work.json("calibration/calibration.json"), work.json("tank-r2/r2.json")
+        for name, row in calibration["parameters"].items():
+            figures[f"value of {name}"] = figure(row["unit"], [row["value"]])
+            figures[f"error of {name}"] = figure(row["unit"], [row["standard_error"]])
+        for channel in ("angle", "force_x", "force_y"):
+            figures[f"fitted.{channel}"] = figure("R2", [calibration["scores"]["test"][channel]["r2"]])
+            for low, rows in found.items():
+                figures[f"from_{low}.{channel}"] = figure("R2", scores_of(rows, channel), others)
+        return figures
+
+    pictures = {"docs/calibration.png": "calibration/calibration.png"}
+    return Part("The default tank against the published fin", (PUBLISHED, fitted, judged), read, pictures)
