@@ -20,7 +20,7 @@ from tests.control.test_controllers import SIZE, untrained
 from tests.gaits.test_map_store import KNOWN
 
 KINDS = ("single", "phased", "grid", "cold", "gaits")
-"""Phased and grid: with the phase observed, and gaits in the policies; cold: a grid without it, nor any replay or fading."""
+"""Phased and grid: with the phase observed, and gaits in the policies; cold: a grid without any of it."""
 
 
 def folder_of(kind: str, folder: Path) -> Path:

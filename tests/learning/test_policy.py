@@ -109,7 +109,7 @@ def test_damaged_gaits_of_a_policy_are_refused(with_gaits: Policy) -> None:
     broken = weights(with_gaits) | {"gaits.actions": np.zeros((2, 2, 5, 2), np.float32)}
     with pytest.raises(ValueError, match=r"gaits of shape \(2, 2, 5, 2\)"):
         take_gaits(broken, OBSERVATION)
-    with pytest.raises(ValueError, match="task.phase is false; a policy with gaits observes the phase"):
+    with pytest.raises(ValueError, match=r"task\.phase is false; a policy with gaits observes the phase"):
         take_gaits(weights(with_gaits), Observation())
 
 
