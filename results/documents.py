@@ -60,7 +60,12 @@ def block(text: str, read: Callable[[str], dict[str, Any]] = load) -> str:
     done = PLACE.sub(fill, text)
     if not any(line.startswith("|") for line in text.splitlines()):
         return done
-    return f"{done}\n*Sources: {'; '.join(sources.values())}.*\n"
+    # Files with the same note stand together.
+    files: dict[str, list[str]] = {}
+    for file, _, note in (each.partition(" ") for each in sources.values()):
+        files.setdefault(note, []).append(file)
+    told = "; ".join(f"{', '.join(those)} {note}" for note, those in files.items())
+    return f"{done}\n*Sources: {told}.*\n"
 
 
 def differing(read: Callable[[str], dict[str, Any]] = load) -> list[Path]:
