@@ -155,12 +155,12 @@ def recurrent(seeds: Sequence[int]) -> Part:
 def choices(seeds: Sequence[int]) -> Part:
     """What single choices of training are worth, in the published surrogate."""
     variants = {
-        "no-margin": ("single", "--set margin_n=0"),
-        "moving": ("single", "--set task.reference_actions=15 --set task.ramps=0.25"),
+        "untrained": ("single", "--set steps=576 --set num_evaluations=1"),
+        "no-gaits": ("single", "--set gradient.warm_start=false"),
     }
     trained, judged = dict[str, list[Step]](), dict[str, list[Step]]()
     for name, (kind, options) in variants.items():
-        trained[name] = [train(name, f"{CONTROLLERS[kind][0]} {options}", "published", seed, 5) for seed in seeds]
+        trained[name] = [train(name, f"{CONTROLLERS[kind][0]} {options}", "published", seed, 2) for seed in seeds]
         judged[name] = [evaluate(each, "published", "judged", JUDGED, 1.5) for each in trained[name]]
 
     def read(work: Work) -> Figures:
@@ -178,19 +178,27 @@ def choices(seeds: Sequence[int]) -> Part:
 
 
 def whole_map(seeds: Sequence[int]) -> Part:
-    """Gaits for all that the fin can do, at random references between their nodes."""
+    """Gaits and policies for all that the fin can do, at random references."""
     mapped = step("map", "softfin map published", 3, tiny=TINY["gaits"])
     gaits = step("map-gaits", "softfin train published --controller gaits --map map", 0.5)
-    judged = evaluate(gaits, "published", "judged", "--seeds 1 --random 100", 1)
+    options = "--controller single --map map --range map"
+    trained = {"gaits": [gaits], "single": [train("map-single", options, "published", seed, 2) for seed in seeds]}
+    judged = {
+        kind: [evaluate(each, "published", "judged", "--seeds 1 --random 100", 1) for each in those]
+        for kind, those in trained.items()
+    }
 
     def read(work: Work) -> Figures:
-        (row,) = work.evaluations([judged.name])
         figures = {"map_s": work.spent([["map"]], (0,))}
-        for score in ("mean", "worst"):
-            figures[f"gaits.random_{score}"] = figure("N", [pair(row["random"], f"{score}_n")])
+        for kind, those in judged.items():
+            rows, own = work.evaluations(names_of(those)), [each.seed or 0 for each in those]
+            for score, summary in (("mean", "mean"), ("worst", "worst")):
+                drawn = [pair(row["random"], f"{score}_n") for row in rows]
+                figures[f"{kind}.random_{score}"] = figure("N", drawn, own, summary)
         return figures
 
-    return Part("Over the whole map of the published surrogate", (PUBLISHED, mapped, gaits, judged), read)
+    steps = (PUBLISHED, mapped, *(each for kind in trained for each in (*trained[kind], *judged[kind])))
+    return Part("Over the whole map of the published surrogate", steps, read)
 
 
 def logs_to_controller(seeds: Sequence[int]) -> Part:
