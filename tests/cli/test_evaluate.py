@@ -38,7 +38,7 @@ def test_a_reference_file_and_a_map_go_into_table_and_folder(controller, capsys,
     main(["evaluate", controller, *QUICK, "--out", str(out), *options])
     text = capsys.readouterr().out
     assert "references that move" in text
-    assert [line.split()[-1] for line in text.splitlines() if " recorded, 2 rows over 3 s " in line] == ["never"]
+    assert [line.split()[-1] for line in text.splitlines() if " step (1, -1) to (2, 0) N at 3 s " in line] == ["never"]
     assert sum("sine about" in line for line in text.splitlines()) == 2
     assert "error map, 3 x 3 references over x 0.5 .. 3.5, y -1.5 .. 1.5 N, 3 not covered: mean " in text
     written = json.loads((out / "evaluation.json").read_text())

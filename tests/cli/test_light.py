@@ -1,6 +1,7 @@
 """What was typed is checked before JAX is imported: help and slips are answered at once."""
 
 import json
+import os
 import subprocess
 import sys
 from typing import Any
@@ -85,3 +86,23 @@ def test_a_slip_is_one_line_before_jax_is_imported(answers: Any) -> None:
         assert expected in answer["err"], words
         assert answer["err"].count("\n") == 1, words
         assert (answer["code"], answer["out"]) == (2, ""), words
+
+
+def test_a_command_lets_numpy_count_on_one_thread_unless_the_user_says_otherwise() -> None:
+    """Threads of OpenBLAS spin while they wait; their number is read when NumPy is imported, so not before that."""
+    code = (
+        "import os, sys, softfin.cli; assert 'numpy' not in sys.modules\n"
+        "try: softfin.cli.main(['inspect', 'nowhere'])\n"
+        "except SystemExit: print(os.environ.get('OPENBLAS_NUM_THREADS'))"
+    )
+    rest = {
+        name: value for name, value in os.environ.items() if name not in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
+    }
+
+    def threads(**given: str) -> str:
+        command = [sys.executable, "-c", code]
+        return subprocess.run(command, env=rest | given, capture_output=True, text=True, check=True).stdout.strip()
+
+    assert threads() == "1"
+    assert threads(OPENBLAS_NUM_THREADS="3") == "3"
+    assert threads(OMP_NUM_THREADS="2") == "None"

@@ -138,7 +138,9 @@ def test_a_moving_reference_beyond_reach_is_brought_to_it_and_told():
     config = EvaluateConfig(references=((1, 0),), seconds=3, seeds=1, recorded=recorded)
     summary = evaluate(Weak(), AnalyticFin(), config).summary()
     assert summary["moving"][0]["replaced_s"] == 3.0
-    assert "recorded, 2 rows over 3 s: this fin cannot make what is asked in 3 of 6 s, from 3 s" in summary["warning"]
+    assert (
+        "step (1, 0) to (3, 0) N at 3 s: this fin cannot make what is asked in 3 of 6 s, from 3 s" in summary["warning"]
+    )
     (plan,) = plan_moving(Weak(), [], recorded)
     np.testing.assert_allclose(plan.tracked[0, [0, 299, 300, 599], 0], [1, 1, 2, 2], atol=2e-3)
 

@@ -86,6 +86,10 @@ def _run(name: str, words: list[str]) -> None:
     debug = "--debug" in words
     # XLA's notes on how it compiles would hide the lines of a command.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
+    # Threads of OpenBLAS spin while they wait for one another: beside other work, sums that NumPy does in 0.1 s of
+    # processor time on one thread took 9 s, and a minute. They count when NumPy is imported, which is below.
+    if "OMP_NUM_THREADS" not in os.environ:
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # JAX makes millions of small objects while it traces; to look them through so often is a sixth of that time.
     gc.set_threshold(50_000, 20, 10)
     arguments: Any = None

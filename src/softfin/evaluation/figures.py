@@ -88,7 +88,8 @@ def moving_figure(experiments: Sequence[MovingScores]) -> Figure:
             _draw_moving(panel, moving, index)
         labelled = {label: handle for axes in figure.get_axes()[:3]
                     for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}  # fmt: skip
-        figure.legend(labelled.values(), labelled.keys(), loc="outside lower center", ncols=len(labelled))
+        # As many side by side as one panel is wide for.
+        figure.legend(labelled.values(), labelled.keys(), loc="outside lower center", ncols=3 * columns)
     return figure
 
 

@@ -91,7 +91,7 @@ PRESETS: dict[ReproducePreset, ReproduceConfig] = {
         collect=CollectConfig(logs=10, test_logs=1, rows=6_000),
         fit=StreamingConfig(members=3, drive_updates=200, force_updates=400),
         gaits=GRADIENT_SINGLE.gradient.map,
-        single=GRADIENT_SINGLE.changed(["steps=23040", "num_evaluations=4"]),
+        single=GRADIENT_SINGLE.changed(["steps=11520", "num_evaluations=4"]),
         grid=None,
         evaluate=EvaluateConfig(seeds=1, recorded=ONE_STEP, trim=DisturbanceObserverConfig()),
         seeds=2,

@@ -150,6 +150,8 @@ class Recorded(Signal):
         return np.asarray(self.force_n)[np.searchsorted(self.time_s, time_s + CLOCK_S, side="right") - 1]
 
     def __str__(self) -> str:
+        if len(self.force_n) == 2:
+            return str(Step(start_n=self.force_n[0], to_n=self.force_n[1], at_s=self.time_s[1]))
         return f"recorded, {len(self.time_s)} rows over {self.time_s[-1]:g} s"
 
 
