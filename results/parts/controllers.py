@@ -187,7 +187,7 @@ def whole_map(seeds: Sequence[int]) -> Part:
         (row,) = work.evaluations([judged.name])
         figures = {"map_s": work.spent([["map"]], (0,))}
         for score in ("mean", "worst"):
-            figures[f"gaits.random_{score}"] = figure("N", [pair(row["random"], f"{score}_n")])
+            figures[f"gaits.random_{score}"] = figure("N", [pair(row["random"], f"{score}_n")], summary=score)
         return figures
 
     return Part("Over the whole map of the published surrogate", (PUBLISHED, mapped, gaits, judged), read)
