@@ -121,7 +121,7 @@ class Runner:
         # Every step compiles its programs anew, so that times do not depend on what ran before.
         paths = os.pathsep.join((str(PACKAGE.parent), str(ROOT)))
         environment = os.environ | {"SOFTFIN_CACHE": "off", "PYTHONPATH": paths}
-        load, busy, start = os.getloadavg()[0], _busy_s(), time.perf_counter()
+        version, load, busy, start = commit(), os.getloadavg()[0], _busy_s(), time.perf_counter()
         with (self.work / f"{each.name}.out").open("w") as told, (self.work / f"{each.name}.log").open("w") as log:
             process = subprocess.Popen(words, cwd=self.work, env=environment, stdout=told, stderr=log)
             _, status, usage = os.wait4(process.pid, 0)
@@ -131,7 +131,7 @@ class Runner:
         wall, cpu = time.perf_counter() - start, usage.ru_utime + usage.ru_stime
         now = _busy_s()
         record = {
-            "command": each.command, "digest": digest, **commit(), "date": time.strftime("%Y-%m-%d"),
+            "command": each.command, "digest": digest, **version, "date": time.strftime("%Y-%m-%d"),
             "wall_s": round(wall, 1), "processor_s": round(cpu, 1), "peak_gib": round(usage.ru_maxrss / 2**20, 2),
             "load_before": round(load, 2), "load_after": round(os.getloadavg()[0], 2),
             "others_cores": None if busy is None or now is None else round(max((now - busy - cpu) / wall, 0.0), 2),

@@ -192,9 +192,9 @@ def whole_map(seeds: Sequence[int]) -> Part:
         figures = {"map_s": work.spent([["map"]], (0,))}
         for kind, those in judged.items():
             rows, own = work.evaluations(names_of(those)), [each.seed or 0 for each in those]
-            for score, summary in (("mean", "mean"), ("worst", "worst")):
+            for score in ("mean", "worst"):
                 drawn = [pair(row["random"], f"{score}_n") for row in rows]
-                figures[f"{kind}.random_{score}"] = figure("N", drawn, own, summary)
+                figures[f"{kind}.random_{score}"] = figure("N", drawn, own, score)
         return figures
 
     steps = (PUBLISHED, mapped, *(each for kind in trained for each in (*trained[kind], *judged[kind])))
