@@ -188,7 +188,8 @@ class PPO:
 
         A reward is known for every reference (hindsight: Andrychowicz et al. 2017, for policy gradients Rauber et al.
         2019). Actions weigh as often as the policy would choose them there, at most 1, and ratios are against the
-        policy there, so that clipping stays what it was (Hilton et al. 2022).
+        policy there, so that clipping stays what it was (Hilton et al. 2022). The window is scored as if the other
+        reference had been asked for all along.
         """
         if not self.config.relabelling:
             return rollout
@@ -210,7 +211,8 @@ class PPO:
             next_privileged_observation=self.task.shifted(rollout.next_privileged_observation, shift),
             weight=jnp.exp(jnp.minimum(log_prob - rollout.log_prob, 0)),
         )
-        return jax.tree.map(lambda *x: jnp.concatenate(x, axis=1), rollout, other)
+        both: Rollout = jax.tree.map(lambda *x: jnp.concatenate(x, axis=1), rollout, other)
+        return both
 
     def _learn(
         self, agent: AgentState, networks: ActorCritic, rollout: Rollout, key: PRNGKeyArray
