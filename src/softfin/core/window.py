@@ -30,8 +30,8 @@ def window_mean(forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""]) -> Any
 
 
 def window_error(forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""], reference: Float[AnyArray, "2"]) -> Any:
-    """|F_e| = |mean(F) - F_r| over the last `count` samples [N]."""
-    return abs(window_mean(forces, count) - reference)
+    """F_e = mean(F) - F_r over the last `count` samples [N]."""
+    return window_mean(forces, count) - reference
 
 
 def sobolev(forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""], form: Literal["sum", "mean"] = "mean") -> Any:

@@ -1,10 +1,11 @@
 """LSTM-PPO (Schulman et al. 2017): collect, advantages, epochs of clipped updates. Pure; one agent, `vmap` adds more.
 
 The networks' inputs and values are normalised by their own running mean and deviation, and the policy that is kept is
-an average over the last updates.
+an average over the last updates. Every rollout is learnt from for other references, too, whose rewards are known.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -19,10 +20,13 @@ from softfin.core.configuration import Configuration
 from softfin.learning.policy import ActorCritic, Critic, Policy, PolicyConfig
 from softfin.learning.rollout import AgentState, Metrics, Rollout, clipped_adam, collect, start_episodes
 from softfin.task.references import References
-from softfin.task.task import ForceTracking
+from softfin.task.task import ForceTracking, RewardTerms
 
 RECENT_UPDATES = 4
 """Rollouts over which values are normalised: values rise as the policy learns."""
+
+MOST_LOG_RATIO = 20.0
+"""Logarithm up to which ratios of probabilities are told apart."""
 
 PerStep = Float[Array, "time environments"]
 
@@ -36,8 +40,11 @@ class PPOConfig(Configuration):
     """Actions of each fin between updates, whole cycles of three; gradients reach back as far."""
     num_epochs: PositiveInt = 20
     """Passes over each rollout."""
+    relabelling: NonNegativeFloat = 1.0
+    """Distance of the other references that a rollout is learnt from as well, in root mean square and units of that of
+    its force error; 0 learns from the references asked for alone."""
     num_minibatches: PositiveInt = 4
-    """Updates a pass; each takes whole sequences of num_envs/num_minibatches fins."""
+    """Updates a pass; each takes whole sequences of num_envs/num_minibatches fins, and as many relabelled ones."""
     learning_rate: PositiveFloat = 3e-3
     """Learning rate of Adam, at the start."""
     final_learning_rate: float = Field(default=0.1, ge=0, le=1)
@@ -128,7 +135,7 @@ class PPO:
         batch, metrics = self.batch(networks.critic, rollout)
         recent = RECENT_UPDATES * self.config.steps_per_update
         critic = networks.critic.update_statistics(rollout.privileged_observation, batch.target, recent)
-        learnt = self._learn(agent, ActorCritic(networks.policy, critic), batch, learn_key)
+        learnt = self._learn(agent, ActorCritic(networks.policy, critic), rollout, learn_key)
         networks, averaged, optimiser, learning = learnt
         # After the learning, so that the probabilities there are those of the rollout.
         policy = networks.policy.update_statistics(rollout.observation)
@@ -144,13 +151,15 @@ class PPO:
         discount = self.config.discount
         value, next_value = critic(rollout.privileged_observation), critic(rollout.next_privileged_observation)
         reward = (1 - discount) * rollout.reward
-        advantage = advantages(reward, value, next_value, rollout.truncated, discount, self.config.gae_lambda)
+        # The later part of an advantage counts as far as the actions there do (Munos et al. 2016).
+        traces = self.config.gae_lambda * jnp.roll(rollout.weight, -1, axis=0)
+        advantage = advantages(reward, value, next_value, rollout.truncated, discount, traces)
         normalised = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
         target = advantage + value
         return Batch(rollout, normalised, target), {
             "reward": rollout.reward.mean(),
-            "error_x_n": rollout.error[..., 0].mean(),
-            "error_y_n": rollout.error[..., 1].mean(),
+            "error_x_n": jnp.abs(rollout.force_error[..., 0]).mean(),
+            "error_y_n": jnp.abs(rollout.force_error[..., 1]).mean(),
             "explained": 1 - jnp.var(advantage) / (jnp.var(target) + 1e-8),
         }
 
@@ -159,46 +168,97 @@ class PPO:
     ) -> tuple[Float[Array, ""], Metrics]:
         """Clipped surrogate objective, squared error of the critic, weighed entropy; whole sequences from `start`."""
         config, rollout = self.config, batch.rollout
-        replay = jax.vmap(networks.policy.sequence, in_axes=(0, 1, 1), out_axes=1)
-        mean = replay(start, rollout.observation, rollout.is_first)
+        mean = _replay(networks.policy, start, rollout.observation, rollout.is_first)
         log_ratio = networks.policy.log_prob(mean, rollout.pre_tanh_action) - rollout.log_prob
-        ratio = jnp.exp(log_ratio)
+        # Finite, so that a weight of 0 makes it 0.
+        ratio = jnp.exp(jnp.minimum(log_ratio, MOST_LOG_RATIO))
         clipped = jnp.clip(ratio, 1 - config.clip_ratio, 1 + config.clip_ratio)
-        objective = jnp.minimum(ratio * batch.advantage, clipped * batch.advantage).mean()
+        gain = jnp.minimum(ratio * batch.advantage, clipped * batch.advantage)
+        objective = jnp.mean(rollout.weight * gain)
         value_loss = networks.critic.loss(rollout.privileged_observation, batch.target)
         loss = -objective + config.value_coef * value_loss - entropy_coef * networks.policy.action_entropy()
         beyond_clip = jnp.mean(jnp.abs(ratio - 1) > config.clip_ratio)
-        kl = jnp.mean(ratio - 1 - log_ratio)
+        kl = jnp.mean(rollout.weight * (ratio - 1 - log_ratio))
         return loss, {"loss": loss, "value_loss": value_loss, "kl": kl, "clipped": beyond_clip}
 
+    def relabelled(
+        self, policy: Policy, rollout: Rollout, start: PolicyMemory, references: References, key: PRNGKeyArray
+    ) -> Rollout:
+        """The rollout, and beside it the same actions as if other references had been asked for.
+
+        A reward is known for every reference (hindsight: Andrychowicz et al. 2017, for policy gradients Rauber et al.
+        2019). Actions weigh as often as the policy would choose them there, at most 1, and ratios are against the
+        policy there, so that clipping stays what it was (Hilton et al. 2022). The window is scored as if the other
+        reference had been asked for all along.
+        """
+        if not self.config.relabelling:
+            return rollout
+        spread = self.config.relabelling * jnp.sqrt(jnp.mean(rollout.force_error**2, axis=(0, 1)))
+        wanted = rollout.reference + spread * jax.random.normal(key, rollout.reference.shape[1:])
+        reference = jax.vmap(References.nearest, in_axes=(0, 1), out_axes=1)(references, wanted)
+        shift = reference - rollout.reference
+        force_error = rollout.force_error - shift
+        change = RewardTerms(jnp.abs(force_error) - jnp.abs(rollout.force_error), jnp.zeros_like(force_error))
+        observation = self.task.shifted(rollout.observation, shift)
+        log_prob = policy.log_prob(_replay(policy, start, observation, rollout.is_first), rollout.pre_tanh_action)
+        other = rollout._replace(
+            observation=observation,
+            log_prob=log_prob,
+            reward=rollout.reward + self.task.config.reward.value(change),
+            reference=reference,
+            force_error=force_error,
+            privileged_observation=self.task.shifted(rollout.privileged_observation, shift),
+            next_privileged_observation=self.task.shifted(rollout.next_privileged_observation, shift),
+            weight=jnp.exp(jnp.minimum(log_prob - rollout.log_prob, 0)),
+        )
+        both: Rollout = jax.tree.map(lambda *x: jnp.concatenate(x, axis=1), rollout, other)
+        return both
+
     def _learn(
-        self, agent: AgentState, networks: ActorCritic, batch: Batch, key: PRNGKeyArray
+        self, agent: AgentState, networks: ActorCritic, rollout: Rollout, key: PRNGKeyArray
     ) -> tuple[ActorCritic, Policy, Any, Metrics]:
         """Epochs of minibatches; the networks, the averaged policy and the optimiser after them."""
-        config, optimiser = self.config, self._optimiser()
+        config, optimiser, behaviour = self.config, self._optimiser(), agent.networks
+        assert behaviour is not None
         entropy_coef = jnp.asarray(config.entropy_coefs(self.num_updates)(agent.num_updates))
         newest = 1 / max(1.0, config.averaging * config.gradients_per_update)
+        memories, references = agent.env_state.memories, agent.env_state.states.references
 
-        def minibatch(carry: tuple[ActorCritic, Policy, Any], chosen: Int[Array, "some"]) -> tuple[Any, Metrics]:
+        def minibatch(
+            batch: Batch, carry: tuple[ActorCritic, Policy, Any], chosen: Int[Array, "some"]
+        ) -> tuple[Any, Metrics]:
             networks, averaged, state = carry
             part = jax.tree.map(lambda x: x[:, chosen], batch)
-            start = jax.tree.map(lambda x: x[chosen], agent.env_state.memories)
+            start = jax.tree.map(lambda x: x[chosen % config.num_envs], memories)
             gradient, metrics = jax.grad(self.loss, has_aux=True)(networks, part, start, entropy_coef)
             change, state = optimiser.update(gradient, state, networks)
             metrics["gradient_norm"] = optax.tree.norm(gradient)
             networks = optax.apply_updates(networks, change)
             return (networks, optax.incremental_update(networks.policy, averaged, newest), state), metrics
 
-        fins = jnp.tile(jnp.arange(config.num_envs), (config.num_epochs, 1))
-        order = jax.random.permutation(key, fins, axis=1, independent=True)
+        def epoch(carry: tuple[ActorCritic, Policy, Any], key: PRNGKeyArray) -> tuple[Any, Metrics]:
+            order_key, relabel_key = jax.random.split(key)
+            extended = self.relabelled(behaviour.policy, rollout, memories, references, relabel_key)
+            order = jax.random.permutation(order_key, extended.reward.shape[1]).reshape(config.num_minibatches, -1)
+            return jax.lax.scan(partial(minibatch, self.batch(behaviour.critic, extended)[0]), carry, order)
+
         start = (networks, agent.policy, agent.optimiser)
-        order = order.reshape(config.gradients_per_update, -1)
-        (networks, averaged, state), metrics = jax.lax.scan(minibatch, start, order)
+        (networks, averaged, state), metrics = jax.lax.scan(epoch, start, jax.random.split(key, config.num_epochs))
         metrics["std"] = jnp.exp(networks.policy.log_std)
         return networks, averaged, state, jax.tree.map(jnp.mean, metrics)
 
     def _optimiser(self) -> optax.GradientTransformation:
         return clipped_adam(self.config.learning_rates(self.num_updates), self.config.max_grad_norm)
+
+
+def _replay(
+    policy: Policy,
+    start: PolicyMemory,
+    observation: Float[Array, "time fins observations"],
+    is_first: Bool[Array, "time fins"],
+) -> Float[Array, "time fins actions"]:
+    """Mean actions of whole sequences, each from its own memory."""
+    return jax.vmap(policy.sequence, in_axes=(0, 1, 1), out_axes=1)(start, observation, is_first)
 
 
 def advantages(
@@ -207,9 +267,9 @@ def advantages(
     next_value: PerStep,
     truncated: Bool[Array, "time environments"],
     discount: float,
-    gae_lambda: float,
+    gae_lambda: PerStep | float,
 ) -> PerStep:
-    """A_t = d_t + discount lambda A_{t+1},  d_t = r_t + discount V'_t - V_t (Schulman et al. 2016).
+    """A_t = d_t + discount lambda_t A_{t+1},  d_t = r_t + discount V'_t - V_t (Schulman et al. 2016).
 
     V' is the value of the state after the action, before any reset: the fin could have gone on, so a truncated episode
     is bootstrapped with it, and only the sum stops there.
@@ -217,8 +277,9 @@ def advantages(
     errors = reward + discount * next_value - value
 
     def back(advantage: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
-        error, is_last = now
-        advantage = error + discount * gae_lambda * jnp.where(is_last, 0.0, advantage)
+        error, factor = now
+        advantage = error + factor * advantage
         return advantage, advantage
 
-    return jax.lax.scan(back, jnp.zeros_like(errors[0]), (errors, truncated), reverse=True)[1]
+    factors = jnp.where(truncated, 0.0, discount * gae_lambda)
+    return jax.lax.scan(back, jnp.zeros_like(errors[0]), (errors, factors), reverse=True)[1]

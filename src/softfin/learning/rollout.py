@@ -64,8 +64,10 @@ class Rollout(NamedTuple):
     log_prob: Float[Array, "*batch"]
     """Log-density of the action before the tanh."""
     reward: Float[Array, "*batch"]
-    error: Float[Array, "*batch 2"]
-    """|F_e| of the window [N]."""
+    reference: Float[Array, "*batch 2"]
+    """Reference that was observed [N]."""
+    force_error: Float[Array, "*batch 2"]
+    """F_e of the window [N]."""
     privileged_observation: Float[Array, "*batch privileged"]
     """Input of the critic before the action."""
     next_privileged_observation: Float[Array, "*batch privileged"]
@@ -74,6 +76,8 @@ class Rollout(NamedTuple):
     """Whether the environment was reset just before the action."""
     truncated: Bool[Array, "*batch"]
     """Whether the episode was truncated just after the action."""
+    weight: Float[Array, "*batch"]
+    """Weight of the transition: less than 1 where the policy would seldom act so, given this reference."""
 
 
 def start_episodes(
@@ -117,11 +121,13 @@ def _act(
         pre_tanh_action=pre_tanh_action,
         log_prob=policy.log_prob(mean, pre_tanh_action),
         reward=outcome.reward,
-        error=outcome.terms.error,
+        reference=env_state.states.reference,
+        force_error=outcome.force_error,
         privileged_observation=jax.vmap(task.privileged_observation)(env_state.states),
         next_privileged_observation=jax.vmap(task.privileged_observation)(states),
         is_first=env_state.is_first,
         truncated=nowhere,
+        weight=jnp.ones_like(outcome.reward),
     )
     return EnvState(states, memories, nowhere), step
 

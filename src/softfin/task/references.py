@@ -58,8 +58,12 @@ class References(NamedTuple):
 
     def at(self, place: Float[Array, "2"]) -> Float[Array, "2"]:
         """The reference at (0 to 1, 0 to 1) of the box; beyond the fin's reach, the one on the edge of the reach."""
-        reference = self.low + place * (self.high - self.low)
-        return reference if self.reachable is None else jnp.asarray(self.reachable.project(reference))
+        return self.nearest(self.low + place * (self.high - self.low))
+
+    def nearest(self, force: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
+        """The reference of the box that is nearest to a force; beyond the fin's reach, the one on its edge."""
+        inside = jnp.clip(force, self.low, self.high)
+        return inside if self.reachable is None else jnp.asarray(self.reachable.project(inside))
 
 
 def stack_references(cells: Sequence[Cell], reachable: Reachable | None = None) -> References:

@@ -127,6 +127,8 @@ class Outcome(NamedTuple):
     reward: Float[Array, ""]
     terms: RewardTerms
     """Terms that the reward was computed from."""
+    force_error: Float[Array, "2"]
+    """F_e: the window's mean force less its target [N]."""
     forces: Float[Array, "ticks 2"]
     """Forces while the action was held [N]; the last of the 34 rows counts only for an action of 34 ticks."""
 
@@ -176,7 +178,8 @@ class ForceTracking:
         forces = _last(state.forces, jnp.asarray(reading.force), ticks)
         samples = jnp.minimum(state.samples + ticks, self.config.window_samples)
         target = state.reference if config.target == "now" else window_mean(past_references, samples)
-        terms = RewardTerms(window_error(forces, samples, target), sobolev(forces, samples, config.sobolev))
+        force_error = window_error(forces, samples, target)
+        terms = RewardTerms(jnp.abs(force_error), sobolev(forces, samples, config.sobolev))
         # A chain: each key is used once, so neither another action nor the next episode draws the same numbers.
         key, noise_key, reference_key = jax.random.split(state.key, 3)
         noise = sensing.noise_rad * jax.random.normal(noise_key)
@@ -198,7 +201,13 @@ class ForceTracking:
             samples=samples,
             age=age,
             key=key,
-        ), Outcome(config.value(terms), terms, jnp.asarray(reading.force))
+        ), Outcome(config.value(terms), terms, force_error, jnp.asarray(reading.force))
+
+    def shifted(
+        self, observation: Float[Array, "*batch n"], shift: Float[Array, "*batch 2"]
+    ) -> Float[Array, "*batch n"]:
+        """Observations, privileged or not, as they would be with references `shift` [N] away."""
+        return observation.at[..., 1:3].add(shift / self.config.force_scale_n)
 
     def truncated(self, state: TaskState) -> Bool[Array, ""]:
         """Whether the episode is over: truncated, not terminated, since the fin could go on."""
