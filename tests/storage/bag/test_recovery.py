@@ -177,9 +177,10 @@ def test_messages_of_which_nothing_says_the_topic_are_counted(several, tmp_path)
         recover(path, tmp_path / "saved.mcap")
 
 
-def test_an_index_that_is_damaged_is_written_anew(several, tmp_path):
+@pytest.mark.parametrize("place", [-60, -21, -26], ids=["index", "its start", "a little of that"])
+def test_an_index_that_is_damaged_is_written_anew(several, tmp_path, place):
     path, data, _ = several(CompressionType.ZSTD)
-    data[-60] ^= 0xFF
+    data[place] ^= 0xFF
     path.write_bytes(data)
     with pytest.raises(LogError, match="softfin bag recover"):
         check_bag(path)
