@@ -258,7 +258,7 @@ def test_no_mutation_of_a_bag_does_more_than_raise_one_line(tmp_path):
     counts = Counter()
     config = ImportConfig()
     slowest = 0.0
-    for seed in range(100_000 if LONG else 300):
+    for seed in range(100_000 if LONG else 500):
         path.write_bytes(mutated(small, random.Random(seed)))
         start = time.perf_counter()
         counts["recovered", refusal(lambda: recover(path, out)) is None] += 1
