@@ -6,6 +6,7 @@ it computes is known: a gain may be an attribute, a constant of its module, a cl
 """
 
 import hashlib
+import operator
 import re
 from dataclasses import dataclass, field
 from typing import Any
@@ -44,8 +45,8 @@ def identity(plant: Plant, computed: bool = False) -> str:
     arrays, static = eqx.partition(plant, eqx.is_array)
     if _is_own(plant, static):
         leaves, structure = jax.tree.flatten(static)
-        for field_name in () if computed else getattr(plant, "computed", ()):
-            arrays = eqx.tree_at(lambda own, at=field_name: getattr(own, at), arrays, None)
+        for each in () if computed else getattr(plant, "computed", ()):
+            arrays = eqx.tree_at(operator.attrgetter(each), arrays, None)
         return f"{name} {_digest(arrays, str(leaves if leaves else '') + str(structure))}"
     program = _program(plant, arrays, static)
     if CALLBACK.search(program):

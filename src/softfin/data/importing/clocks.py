@@ -131,9 +131,11 @@ def _valid_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, l
         row = int(np.flatnonzero(good)[late[0]])
         issues.append(Issue("error", "repeated time", name, message, fix, "time", row))
     valid = finite.take(forward)
-    rate = 1 / float(np.median(np.diff(valid.time)))
     if valid.channels.keys() <= COMMANDS:
         return valid, issues
+    if len(valid.time) < 2:
+        raise LogError(f"{name}: its time stays at {valid.time[0]:g} s; record it again")
+    rate = 1 / float(np.median(np.diff(valid.time)))
     if not RATES_HZ[0] <= rate <= RATES_HZ[1]:
         raise LogError(
             f"{name}: column time: a row every {1 / rate:g} s ({rate:g} Hz); allowed are {RATES_HZ[0]:g} to "

@@ -160,8 +160,10 @@ def _is_end(file: io.BufferedIOBase, record: RawRecord) -> bool:
     if file.read() != MAGIC or len(record.content) < 20:
         return False
     start, _, checksum = struct.unpack_from("<QQI", record.content)
+    if start > record.start:
+        return False
     # The checksum covers the index from its start on, and the footer but for the checksum itself.
-    file.seek(min(start, record.start))
+    file.seek(start)
     return not (start and checksum) or zlib.crc32(file.read(record.end - 4 - start)) == checksum
 
 
