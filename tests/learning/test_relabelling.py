@@ -34,7 +34,7 @@ def relabelled() -> Relabelled:
         agent = ppo.init(key, box(LOW, HIGH))
         # Its output layer grows, so that the mean action depends on the reference.
         policy = jax.tree.map(lambda x: 3 * x, agent.policy.net)
-        policy = type(agent.policy)(policy, agent.policy.log_std, agent.policy.normalisation)
+        policy = type(agent.policy)(policy, agent.policy.log_std, agent.policy.normalisation, None)
         start = agent.env_state
         rollout = collect(ppo.task, policy, start, jax.random.key(1), ACTIONS // 3)[1]
         references = start.states.references
