@@ -43,7 +43,7 @@ def test_the_time_left_follows_from_what_was_done_since_the_first_report(lines, 
     lines.write(125.0)
     assert capsys.readouterr().err == "train: 60% (about 0:25 left)\n"
     lines.write(205.0)
-    assert capsys.readouterr().err == "train: 60% (about 0:00 left)\n"
+    assert capsys.readouterr().err == "train: 60%\n"
 
 
 def test_each_stage_has_a_pace_of_its_own(lines, capsys):

@@ -223,12 +223,12 @@ class ProgressLines:
                 return
             self._next_s = now + PACE_S
             left = self._left_s(now)
-            told = "" if left is None else f" (about {left // 60:.0f}:{left % 60:02.0f} left)"
+            told = "" if not left else f" (about {left // 60:.0f}:{left % 60:02.0f} left)"
             sys.stderr.write(f"{self._stage}: {self._done:.0%} {printable(self._note)}".rstrip() + f"{told}\n")
             sys.stderr.flush()
 
     def _left_s(self, now: float) -> float | None:
-        """Time that the stage has left [s], by what it did since its first report; None before the second."""
+        """Time that the stage has left [s], by what it did since its first report; None before the second, 0 beyond."""
         (begin, first), (end, last) = self._first, self._last
         if last <= first or last >= 1:
             return None
