@@ -75,6 +75,7 @@ def main() -> None:
     parser.add_argument("--horizon", type=float, default=30.0)
     parser.add_argument("--only", nargs="*", default=list(VARIANTS))
     words = parser.parse_args()
+    written: dict[str, dict[str, float]] = {}
     if words.dataset is None:
         words.dataset = words.out / "recorded"
         if not (words.dataset / "dataset.json").exists():
@@ -82,7 +83,6 @@ def main() -> None:
     data = shortened(words.dataset, words.minutes, words.out / f"{words.minutes:g}min")
     updates = (f"drive_updates={words.updates // 2}", f"force_updates={words.updates}")
     base = (f"members={words.members}", f"batch={words.batch}", *updates)
-    written: dict[str, dict[str, float]] = {}
     print("| variant | angle RMSE [rad] | force RMSE x, y [N] | mean force, mean error, 95% [N] | FLOPs a tick |")
     print("| --- | --- | --- | --- | --- |")
     for name in words.only:
