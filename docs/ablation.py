@@ -75,15 +75,14 @@ def main() -> None:
     parser.add_argument("--horizon", type=float, default=30.0)
     parser.add_argument("--only", nargs="*", default=list(VARIANTS))
     words = parser.parse_args()
+    written: dict[str, dict[str, float]] = {}
     if words.dataset is None:
         words.dataset = words.out / "recorded"
         if not (words.dataset / "dataset.json").exists():
             collect("tank", words.dataset, CollectConfig(logs=max(2, round(words.minutes / 3)), rows=18_000))
     data = shortened(words.dataset, words.minutes, words.out / f"{words.minutes:g}min")
     updates = (f"drive_updates={words.updates // 2}", f"force_updates={words.updates}")
-    segments = (f"batch={words.batch}", "ticks=400", "burn_in=100", "learning_rate=0.003")
-    base = (f"members={words.members}", *segments, *updates)
-    written: dict[str, dict[str, float]] = {}
+    base = (f"members={words.members}", f"batch={words.batch}", *updates)
     print("| variant | angle RMSE [rad] | force RMSE x, y [N] | mean force, mean error, 95% [N] | FLOPs a tick |")
     print("| --- | --- | --- | --- | --- |")
     for name in words.only:

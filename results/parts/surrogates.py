@@ -94,7 +94,7 @@ def ablation(seeds: Sequence[int]) -> Part:
 def data_efficiency(seeds: Sequence[int]) -> Part:
     """How long to record."""
     command = "python docs/data_efficiency.py efficiency-{0} --minutes 2,5,10,30,100 --active 5 --seeds {0} "
-    command += "--set members=3 --set drive_updates=300 --set force_updates=800 --set batch=32"
+    command += "--set members=3 --set drive_updates=300 --set force_updates=800"
     tiny = "--minutes 2 --active 3 --set members=2 --set force_updates=2 --set drive_updates=2"
     runs = [step(f"efficiency-{seed}", command.format(seed), 40, seed, tiny) for seed in seeds]
     every = " ".join(names_of(runs))
