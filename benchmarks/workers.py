@@ -1,6 +1,6 @@
 """Twelve cells as jobs on Ray: nodes of one core each, as if of as many machines (extra ray; docs/scaling.md).
 
-Needs a network of its own, because Ray listens more widely than it is told. Each cell takes twelve updates of the
+Needs a network of its own, because Ray listens more widely than it is told. Each cell takes eight updates of the
 default LSTM-PPO in a surrogate of the published layout. The first run on a cluster starts its workers and compiles
 their programs, or loads them; the second finds both there. Where others load the machine, the ratio of processor times
 tells what that of wall-clock times would be without them: the one node's over that of the busier of two. `local` is the
@@ -26,7 +26,7 @@ from softfin.learning.train import train_jobs
 from softfin.storage.run_directory import RunDirectory
 from softfin.task.references import PAPER_RANGE, lattice
 
-UPDATES = 12
+UPDATES = 8
 ADDRESS = "127.0.0.1:6380"
 
 

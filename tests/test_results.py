@@ -82,7 +82,7 @@ def test_a_step_is_a_command_that_there_is_and_takes_an_hour_at_most(name, monke
 
 def test_every_benchmark_is_a_part():
     files = {file.stem for file in (ROOT / "benchmarks").glob("*.py")}
-    assert files - set(BENCHMARKS) == {"__init__", "__main__", "compilation", "measure", "nets"}
+    assert files - set(BENCHMARKS) == {"__init__", "__main__", "compilation", "measure", "nets", "workers"}
 
 
 COLLECT = "softfin collect --plant tests.plants:AnalyticFin --logs 1 --test-logs 0 --rows 40"
