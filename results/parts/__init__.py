@@ -24,8 +24,8 @@ __all__ = ["BENCHMARKS", "PARTS", "SEEDS", "Part", "Work", "parts"]
 SEEDS = (0, 1, 2, 3, 4)
 
 BENCHMARKS = {
-    "tank": 2, "task": 3, "surrogate": 3, "fit": 6, "ppo": 8, "controllers": 20, "cells": 6, "compile": 12,
-    "memory": 12, "controller_step": 2, "recording": 2, "rig": 5,
+    "tank": 2, "task": 3, "surrogate": 3, "fit": 6, "ppo": 8, "controllers": 8, "cells": 6, "compile": 8,
+    "memory": 8, "controller_step": 2, "recording": 2, "rig": 5,
 }  # fmt: skip
 """Benchmarks, and minutes of each run."""
 
@@ -33,7 +33,7 @@ BENCHMARKS = {
 def demo(seeds: Sequence[int]) -> Part:
     """``make demo``."""
     command = "softfin reproduce --preset demo --plant tank --seed"
-    runs = [step(f"demo-{seed}", f"{command} {seed}", 6, seed) for seed in seeds]
+    runs = [step(f"demo-{seed}", f"{command} {seed}", 2.5, seed) for seed in seeds]
 
     def read(work: Work) -> Figures:
         names, found = names_of(runs), [work.json(f"{run.name}/results.json") for run in runs]

@@ -98,7 +98,7 @@ TINY = {
 
 def streaming(seed: int) -> Step:
     """Fit of the streaming surrogate on the paper's rows."""
-    return step(f"streaming-{seed}", f"softfin fit dataset --seed {seed}", 10, seed, TINY_NETS)
+    return step(f"streaming-{seed}", f"softfin fit dataset --seed {seed}", 4, seed, TINY_NETS)
 
 
 def paper(seed: int) -> Step:
@@ -108,10 +108,10 @@ def paper(seed: int) -> Step:
 
 
 CONTROLLERS = {
-    "gaits": ("--controller gaits", 2),
-    "single": ("--controller single --algorithm gradient", 4),
-    "grid": ("--controller grid --algorithm gradient", 4),
-    "single-ppo": ("--controller single --algorithm ppo", 1.5),
+    "gaits": ("--controller gaits", 1),
+    "single": ("--controller single --algorithm gradient", 1.5),
+    "grid": ("--controller grid --algorithm gradient", 1.5),
+    "single-ppo": ("--controller single --algorithm ppo", 1),
     "grid-ppo": ("--controller grid --algorithm ppo", 2),
     "grid-ppo-phase": ("--controller grid --algorithm ppo --set task.phase=true", 2),
 }

@@ -161,19 +161,23 @@ def choices(seeds: Sequence[int]) -> Part:
     trained, judged = dict[str, list[Step]](), dict[str, list[Step]]()
     for name, (kind, options) in variants.items():
         trained[name] = [train(name, f"{CONTROLLERS[kind][0]} {options}", "published", seed, 2) for seed in seeds]
-        judged[name] = [evaluate(each, "published", "judged", JUDGED, 1.5) for each in trained[name]]
+    options = "softfin train published --controller gaits --set gaits.halvings=0"
+    trained["coarse-gaits"] = [step("coarse-gaits-published", options, 1, tiny=TINY["gaits"])]
+    for name, those in trained.items():
+        judged[name] = [evaluate(each, "published", "judged", JUDGED, 1.5) for each in those]
 
     def read(work: Work) -> Figures:
         figures: Figures = {}
-        for name in variants:
-            rows = work.evaluations(names_of(judged[name]))
-            figures[f"{name}.error"] = figure("N", [pair(row["mean"]) for row in rows], seeds)
-            worst = [pair(row["random"], "worst_n") for row in rows]
-            figures[f"{name}.random_worst"] = figure("N", worst, seeds, "worst")
-            step_times(figures, name, rows, seeds)
+        for name, those in judged.items():
+            rows, own = work.evaluations(names_of(those)), [each.seed or 0 for each in those]
+            figures[f"{name}.error"] = figure("N", [pair(row["mean"]) for row in rows], own)
+            for score in ("mean", "worst"):
+                drawn = [pair(row["random"], f"{score}_n") for row in rows]
+                figures[f"{name}.random_{score}"] = figure("N", drawn, own, score)
+            step_times(figures, name, rows, own)
         return figures
 
-    steps = (PUBLISHED, *(each for name in variants for each in (*trained[name], *judged[name])))
+    steps = (PUBLISHED, *(each for name in trained for each in (*trained[name], *judged[name])))
     return Part("Choices of training", steps, read)
 
 
