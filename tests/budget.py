@@ -34,9 +34,9 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
 
 
 LONGEST_FIRST = (
-    "tests/test_documented_runs.py", "tests/end_to_end/test_stages.py", "tests/tank/test_tank.py",
-    "tests/calibration/test_calibrate.py", "tests/training/test_sharding.py", "tests/surrogate/test_choice.py",
-    "tests/training/test_ppo.py", "tests/training/test_gaits.py", "tests/surrogate/streaming/test_fit.py",
+    "tests/test_documented_runs.py", "tests/end_to_end/test_stages.py", "tests/test_documentation.py",
+    "tests/gaits/test_search.py", "tests/tank/test_tank.py", "tests/learning/test_ppo.py",
+    "tests/tank/calibration/test_calibrate.py", "tests/rig/test_soak.py",
 )  # fmt: skip
 """Files that the others are then dealt out around, so that no worker waits for another at the end."""
 

@@ -53,7 +53,7 @@ class GaitConfig(Configuration):
 
     cycles: int = Field(default=CYCLES, ge=2)
     """Windows that a gait is repeated for from rest; the last one counts. The fin and its wake must settle before."""
-    steps: PositiveInt = 10
+    steps: PositiveInt = 8
     """Gauss-Newton steps; the last `EXACT` of them look at the force alone."""
     smoothness: NonNegativeFloat = 0.05
     """Weight of the Sobolev term (form `mean`) among what the force leaves open."""

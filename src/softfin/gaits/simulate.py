@@ -145,7 +145,7 @@ class SurveyConfig(Configuration):
     """Gaits that are simulated side by side."""
     directions: int = Field(default=32, ge=8)
     """Corners of the region."""
-    pushes: int = Field(default=12, ge=0)
+    pushes: int = Field(default=8, ge=0)
     """Gradient steps by which each corner is pushed outwards; 0 keeps the farthest of the tried ones."""
 
 
