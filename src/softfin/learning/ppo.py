@@ -38,7 +38,7 @@ class PPOConfig(Configuration):
     """Fins that each policy moves side by side."""
     num_steps: int = Field(default=30, ge=3, multiple_of=3)
     """Actions of each fin between updates, whole cycles of three; gradients reach back as far."""
-    num_epochs: PositiveInt = 20
+    num_epochs: PositiveInt = 10
     """Passes over each rollout."""
     relabelling: NonNegativeFloat = 1.0
     """Distance of the other references that a rollout is learnt from as well, in root mean square and units of that of
