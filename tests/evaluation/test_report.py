@@ -116,7 +116,7 @@ def test_table_one_has_each_net_in_both_units_beside_the_paper(page):
 
 def test_table_two_stands_beside_the_papers_figures(page, evaluation):
     error = evaluation.scores.error[0, :, 0].mean()
-    assert re.search(rf"\(1, .1\) {error:#.3g} ±[\d.]+ 1\.07 ", page.words)
+    assert re.search(rf"\(1, .1\) {error:.3f} ±[\d.]+ 1\.07 ", page.words)
     assert "as printed 0.828 0.408 0.685 0.392" in page.words
     assert "as printed 0.435 0.325 0.537 0.201" in page.words
     assert page.words.count("stands still") == 6 + 1

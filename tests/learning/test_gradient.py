@@ -144,6 +144,12 @@ def test_the_loss_is_the_reward_of_the_task_but_for_the_rounding() -> None:
     np.testing.assert_allclose(-float(got.loss), float(got.reward), rtol=1e-5)
 
 
+def test_a_policy_that_begins_as_gaits_must_observe_the_phase() -> None:
+    with pytest.raises(ConfigurationError, match=r"task\.phase is false, and a policy that begins as gaits observes"):
+        GRADIENT_SINGLE.changed(["task.phase=false"])
+    assert not GRADIENT_SINGLE.changed(["task.phase=false", "gradient.warm_start=false"]).begins_as_gaits
+
+
 class Numb(StrokeFin):
     """A fin whose force knows nothing of its commands, as far as slopes go."""
 

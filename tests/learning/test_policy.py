@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.control.policy import PHASES, Observation, take_gaits
+from softfin.control.policy import PHASES, Observation, fold
 from softfin.control.single import SingleStep
 from softfin.core.operations import NUMPY
 from softfin.core.quantities import PAPER_LIMITS
@@ -105,12 +105,21 @@ def test_a_stored_policy_with_gaits_acts_the_same_on_a_robot(with_gaits: Policy)
         np.testing.assert_allclose(action, expected, atol=1e-5)
 
 
+def one_missing(policy: Policy) -> dict[str, np.ndarray]:
+    return {name: array for name, array in weights(policy).items() if name != "gaits.high"}
+
+
 def test_damaged_gaits_of_a_policy_are_refused(with_gaits: Policy) -> None:
     broken = weights(with_gaits) | {"gaits.actions": np.zeros((2, 2, 5, 2), np.float32)}
     with pytest.raises(ValueError, match=r"gaits of shape \(2, 2, 5, 2\)"):
-        take_gaits(broken, OBSERVATION)
+        fold(broken, OBSERVATION)
+    for beyond in (weights(with_gaits) | {"gaits.actions": 2 * np.ones((2, 2, 6, 2))}, one_missing(with_gaits)):
+        with pytest.raises(
+            ValueError, match=r"not within \[-1, 1\]|a table of gaits is not gaits\.actions, gaits\.low"
+        ):
+            fold(beyond, OBSERVATION)
     with pytest.raises(ValueError, match=r"task\.phase is false; a policy with gaits observes the phase"):
-        take_gaits(weights(with_gaits), Observation())
+        fold(weights(with_gaits), Observation())
 
 
 def test_weights_and_normalisation_go_by_name(policy: Policy) -> None:

@@ -32,7 +32,7 @@ class GaitStep:
 
     @classmethod
     def load(
-        cls, description: Mapping[str, Any], arrays: dict[str, np.ndarray], limits: Limits, cells: tuple[Cell, ...]
+        cls, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray], limits: Limits, cells: tuple[Cell, ...]
     ) -> tuple["GaitStep", tuple[Cell, ...]]:
         """Build it from a controller's description and arrays; returns it with its lattice's box."""
         table = ForceMap.from_dict(description, arrays).gaits.table

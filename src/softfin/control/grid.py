@@ -14,15 +14,7 @@ import numpy as np
 from pydantic import Field, NonNegativeFloat, PositiveFloat
 
 from softfin.control.controller import STATIC
-from softfin.control.policy import (
-    Observation,
-    PolicyMemory,
-    PolicyNetwork,
-    fold,
-    gait_before_tanh,
-    rest_action,
-    take_gaits,
-)
+from softfin.control.policy import Observation, PolicyMemory, PolicyNetwork, fold, rest_action
 from softfin.core.action_clock import CYCLE_ACTIONS
 from softfin.core.configuration import Configuration
 from softfin.core.operations import Array, Number, Operations
@@ -84,7 +76,7 @@ class GridStep:
 
     @classmethod
     def load(
-        cls, description: Mapping[str, Any], arrays: dict[str, np.ndarray], limits: Limits, cells: tuple[Cell, ...]
+        cls, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray], limits: Limits, cells: tuple[Cell, ...]
     ) -> tuple["GridStep", tuple[Cell, ...]]:
         """Build it from a controller's description and arrays; returns it with its cells."""
         if not cells:
@@ -92,7 +84,7 @@ class GridStep:
         observation = Observation.model_validate(description["task"])
         low, high = (np.array([getattr(cell, corner) for cell in cells], np.float32) for corner in ("low", "high"))
         switching = SwitchingConfig.model_validate(description.get("switching") or {})
-        gaits, networks = take_gaits(arrays, observation), fold(arrays, observation, (len(cells),))
+        networks, gaits = fold(arrays, observation, (len(cells),))
         return cls(networks, low, high, rest_action(limits), observation, switching, gaits), cells
 
     def init(self) -> GridState:
@@ -123,8 +115,7 @@ class GridStep:
         memory = network.remember(ops, memory, self.observation.observe(ops, now, state.actions, state.age))
         blend = self._blend(ops, state, switched, reference)
         before = state.actions[2 * (CYCLE_ACTIONS - 1) : 2 * CYCLE_ACTIONS]
-        gait = gait_before_tanh(ops, self.gaits, reference, state.age)
-        action = (1 - blend) * network.action(ops, memory, gait) + blend * before
+        action = (1 - blend) * network.action(ops, memory, self.gaits, reference, state.age) + blend * before
         less = blend - 1 / max(1, self.switching.fade_actions)
         after = GridState(
             *memory,

@@ -100,40 +100,32 @@ class PolicyNetwork(NamedTuple):
         cell = opened[units : 2 * units] * memory.cell + opened[:units] * gates[3 * units :]
         return PolicyMemory(opened[2 * units :] * xp.tanh(cell), cell)
 
-    def action(self, ops: Operations, memory: PolicyMemory, gait: Array | None) -> Array:
-        """Compute the deterministic action in [-1, 1]^2; the `gait` is the action to add to, before the tanh."""
+    def action(
+        self, ops: Operations, memory: PolicyMemory, gaits: GaitTable | None, reference: Array, age: Number
+    ) -> Array:
+        """Compute the deterministic action in [-1, 1]^2, the `age`-th since the start, for a reference [N]."""
         tanh = ops.xp.tanh
         inner = tanh(ops.dot(memory.hidden, self.hidden) + self.hidden_bias)
-        added = ops.dot(inner, self.output) + self.output_bias
-        return tanh(added if gait is None else added + gait)
+        before = ops.dot(inner, self.output) + self.output_bias
+        return tanh(before if gaits is None else before + gait_before_tanh(ops, gaits, reference, age))
 
 
-def gait_before_tanh(ops: Operations, gaits: GaitTable | None, reference: Array, age: Number) -> Array | None:
-    """Return the atanh of the action, the `age`-th since the start, of the gait for a reference; None without gaits."""
-    if gaits is None:
-        return None
+def gait_before_tanh(ops: Operations, gaits: GaitTable, reference: Array, age: Number) -> Array:
+    """Return the atanh of the action, the `age`-th since the start, of the gait for a reference."""
     # The atanh has no value at 1.
     return ops.xp.atanh(GREATEST_ACTION * ops.row(gaits.gait(reference, ops), age % CYCLE_ACTIONS))
 
 
-def take_gaits(arrays: dict[str, np.ndarray], observation: Observation) -> GaitTable | None:
-    """Take a policy's gaits out of its arrays, over references in N; raises ValueError where they do not fit it."""
-    names = [f"{GAITS}.{name}" for name in GaitTable._fields]
-    if not set(names) <= set(arrays):
-        return None
-    low, high, actions = (np.asarray(arrays.pop(name), np.float32) for name in names)
-    if actions.ndim != 4 or actions.shape[2:] != (CYCLE_ACTIONS, 2) or low.shape != (2,) or high.shape != (2,):
-        raise ValueError(f"gaits of shape {actions.shape} from {low.shape} to {high.shape} are not a table of gaits")
-    if not observation.phase:
-        raise ValueError("task.phase is false; a policy with gaits observes the phase")
-    return GaitTable(low * observation.force_scale_n, high * observation.force_scale_n, actions)
-
-
-def fold(arrays: Mapping[str, np.ndarray], observation: Observation, stack: tuple[int, ...] = ()) -> PolicyNetwork:
+def fold(
+    arrays: Mapping[str, np.ndarray], observation: Observation, stack: tuple[int, ...] = ()
+) -> tuple[PolicyNetwork, GaitTable | None]:
     """Build a network from a trained policy's named arrays, or from policies stacked along a leading axis.
 
+    Returns it with the gaits that its actions are added to, over references in N, where the policy began as gaits.
     Raises ValueError where arrays are missing, unknown or have another shape.
     """
+    gaits = _gaits({name: array for name, array in arrays.items() if name.startswith(f"{GAITS}.")}, observation)
+    arrays = {name: array for name, array in arrays.items() if not name.startswith(f"{GAITS}.")}
     # The first axis of a layer's kernel is as long as its input; a missing array is refused below.
     units, width = (sum(np.shape(arrays.get(f"net.{layer}.kernel", ()))[-2:-1]) for layer in ("hidden", "output"))
     size = observation.size
@@ -166,7 +158,23 @@ def fold(arrays: Mapping[str, np.ndarray], observation: Observation, stack: tupl
         gates(np.concatenate([normalised / observation.units()[:, None], recurrent], axis=-2)),
         gates(bias),
         *(arrays[f"net.{layer}.{part}"] for layer in ("hidden", "output") for part in ("kernel", "bias")),
-    )
+    ), gaits
+
+
+def _gaits(arrays: Mapping[str, np.ndarray], observation: Observation) -> GaitTable | None:
+    if not arrays:
+        return None
+    if {*arrays} != {f"{GAITS}.{name}" for name in GaitTable._fields}:
+        raise ValueError(f"a table of gaits is not {', '.join(sorted(arrays))[:200]}")
+    low, high, actions = (np.asarray(arrays[f"{GAITS}.{name}"], np.float32) for name in GaitTable._fields)
+    if actions.ndim != 4 or actions.shape[2:] != (CYCLE_ACTIONS, 2) or low.shape != (2,) or high.shape != (2,):
+        raise ValueError(f"gaits of shape {actions.shape} from {low.shape} to {high.shape} are not a table of gaits")
+    # Actions were rounded to float32.
+    if min(actions.shape[:2]) < 2 or np.abs(actions).max() > 1 + 1e-5:
+        raise ValueError("gaits: there are fewer than 2 x 2, or their actions are not within [-1, 1]")
+    if not observation.phase:
+        raise ValueError("task.phase is false; a policy with gaits observes the phase")
+    return GaitTable(low * observation.force_scale_n, high * observation.force_scale_n, actions)
 
 
 def rest_action(limits: Limits) -> tuple[float, float]:

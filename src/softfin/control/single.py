@@ -7,15 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from softfin.control.controller import STATIC
-from softfin.control.policy import (
-    Observation,
-    PolicyMemory,
-    PolicyNetwork,
-    fold,
-    gait_before_tanh,
-    rest_action,
-    take_gaits,
-)
+from softfin.control.policy import Observation, PolicyMemory, PolicyNetwork, fold, rest_action
 from softfin.core.operations import Array, Number, Operations
 from softfin.core.quantities import Limits
 from softfin.gaits.gait import GaitTable
@@ -47,14 +39,14 @@ class SingleStep:
 
     @classmethod
     def load(
-        cls, description: Mapping[str, Any], arrays: dict[str, np.ndarray], limits: Limits, cells: tuple[Cell, ...]
+        cls, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray], limits: Limits, cells: tuple[Cell, ...]
     ) -> tuple["SingleStep", tuple[Cell, ...]]:
         """Build it from a controller's description and arrays; returns it with its cell."""
         if len(cells) != 1:
             raise ValueError(f"cells: there are {len(cells)}; a single controller has one")
         observation = Observation.model_validate(description["task"])
-        gaits = take_gaits(arrays, observation)
-        return cls(fold(arrays, observation), rest_action(limits), observation, gaits), cells
+        network, gaits = fold(arrays, observation)
+        return cls(network, rest_action(limits), observation, gaits), cells
 
     def init(self) -> SingleState:
         """Return the state of a fin at rest."""
@@ -67,5 +59,5 @@ class SingleStep:
         network: PolicyNetwork = ops.constant(self.network)
         observation = self.observation.observe(ops, now, state.actions, state.age)
         memory = network.remember(ops, PolicyMemory(state.hidden, state.cell), observation)
-        action = network.action(ops, memory, gait_before_tanh(ops, self.gaits, now[1:], state.age))
+        action = network.action(ops, memory, self.gaits, now[1:], state.age)
         return SingleState(*memory, ops.xp.concat([action, state.actions[:-2]]), state.age + 1), action

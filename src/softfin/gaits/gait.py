@@ -39,6 +39,11 @@ class GaitTable(NamedTuple):
         x, y = (max(2, math.ceil((b - a) / spacing_n - 1e-6) + 1) for a, b in zip(cell.low, cell.high, strict=True))
         return cls.empty(cell.low, cell.high, (x, y))
 
+    def halved(self, times: int = 1) -> "GaitTable":
+        """An empty table over the same box, its spacing halved so many times."""
+        x, y = ((count - 1) * 2**times + 1 for count in self.nodes)
+        return self._replace(actions=np.zeros((x, y, CYCLE_ACTIONS, 2), np.float32))
+
     @property
     def nodes(self) -> tuple[int, int]:
         """Number of nodes in x and y."""

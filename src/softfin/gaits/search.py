@@ -62,11 +62,6 @@ class GaitConfig(Configuration):
     halvings: NonNegativeInt = 1
     """Times that the spacing of the lattice is halved after these steps."""
 
-    def finest(self, table: GaitTable) -> GaitTable:
-        """Return an empty table over the same box with the spacing after all halvings."""
-        x, y = ((count - 1) * 2**self.halvings + 1 for count in table.nodes)
-        return table._replace(actions=np.zeros((x, y, CYCLE_ACTIONS, 2), np.float32))
-
 
 EXACT = 2
 """Last steps, without any but the force to please; as many bring a node in between to its force."""
@@ -140,7 +135,7 @@ def _between(
     told: Callable[[GaitSensitivity, Forces], None],
 ) -> tuple[GaitSensitivity, GaitTable]:  # fmt: skip
     """Add nodes halfway between those of a table, which begin as blends."""
-    finer, key = GaitConfig(halvings=1).finest(table), key_of(0, "gaits")
+    finer, key = table.halved(), key_of(0, "gaits")
     new = np.ones(finer.nodes, bool)
     new[::2, ::2] = False
     references = finer.references()[new]

@@ -64,6 +64,9 @@ class TrainConfig(Configuration):
         if self.controller == "single" and len(self.cells) != 1:
             raise ValueError(f"a single controller has one cell, not {len(self.cells)}; give one, or controller=grid")
         check_apart(self.cells, "cells")
+        if self.begins_as_gaits and not self.task.phase:
+            raise ValueError("task.phase is false, and a policy that begins as gaits observes the phase; leave it "
+                             "true, or give gradient.warm_start=false")  # fmt: skip
         return self
 
     @property

@@ -94,13 +94,11 @@ def _learner(config: TrainConfig, plant: Plant, table: GaitTable | None) -> PPO 
     return Gradient(task, config.gradient, config.policy, config.num_updates, table)
 
 
+@used_once
 def _init(
     config: TrainConfig, plant: Plant, table: GaitTable | None, keys: Key[Array, "agents"], boxes: References
 ) -> AgentState:
     return jax.vmap(_learner(config, plant, table).init)(keys, boxes)
-
-
-_init_new = used_once(_init)
 
 
 @eqx.filter_jit
@@ -134,7 +132,7 @@ class TrainingRun:
         table = None
         if self.force_map is not None and self.config.begins_as_gaits:
             table = self.force_map.gaits.table
-        agents = _init_new(self.compiled, self.plant, table, *self.over_devices((keys, boxes)))
+        agents = _init(self.compiled, self.plant, table, *self.over_devices((keys, boxes)))
         if policies is not None:
             agents = agents._replace(policy=jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), policies))
             return RunState(agents, agents.policy, self.evaluate(agents.policy, 0))

@@ -168,8 +168,9 @@ def find_map(
         return None
     settings = config.gradient.map.merged({"box": config.training_range.model_dump()}, "cells")
     part = run_directory.part("map")
-    table = settings.gaits.finest(settings.empty_table(Reachable(np.zeros(2), np.ones(settings.survey.directions))))
-    if (resumed := part.load(empty_map(table, settings.survey.directions))) is not None:
+    coarse = settings.empty_table(Reachable(np.zeros(2), np.ones(settings.survey.directions)))
+    like = empty_map(coarse.halved(settings.gaits.halvings), settings.survey.directions)
+    if (resumed := part.load(like)) is not None:
         stored: ForceMap = jax.tree.map(np.asarray, resumed[0])
         return stored
     found = map_forces(plant, settings, None if progress is None else partial(progress, "map"))

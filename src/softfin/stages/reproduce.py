@@ -168,14 +168,15 @@ class _Reproduction:
         surrogate, mapped = str(self.surrogate), None
         if (settings := self.config.map) is not None:
             mapped = self.out / "map"
-            what = "the mean forces that the fin can make, and gaits, six strokes each, that make them in the surrogate"
+            what = "the mean forces that the fin can make, and gaits, six actions each, that make them in the surrogate"
             self.stage("map", what, mapped, map_forces, surrogate, mapped, settings)
             gaits = self.out / "gaits"
             what = "the controller gaits: those gaits as a table, blended between its nodes"
             self.stage("gaits", what, gaits, find_gaits, surrogate, gaits, force_map=mapped)
         for kind, config in self.config.policies.items():
             algorithm = "gradients through it" if config.algorithm == "gradient" else "LSTM-PPO"
-            what = (f"the controller {kind}: recurrent policies trained in the surrogate by {algorithm}, "
+            added = " that add to the gaits" if config.begins_as_gaits else ""
+            what = (f"the controller {kind}: recurrent policies{added}, trained in the surrogate by {algorithm}, "
                     f"{config.steps:,} actions each, from {self.config.seeds} seeds")  # fmt: skip
             given = surrogate, self.out / kind, config
             options = {"force_map": mapped if config.begins_as_gaits else None, "seeds": self.seeds, "resume": True}
@@ -199,7 +200,8 @@ class _Reproduction:
             repetitions = "of the plant's noise" if kind == "gaits" else "controllers trained from different seeds"
             metadata = {"controller": kind, "plant": plant, "repetitions": repetitions}
             evaluated[kind] = write_evaluation(whole, self.out / folder / kind, metadata, overwrite=True), whole
-        what = f"these controllers tried in {'the surrogate' if plant == str(self.surrogate) else plant}"
+        where = {str(self.surrogate): "the surrogate", "tank": "the virtual tank"}.get(plant, plant)
+        what = f"these controllers tried in {where}"
         self.end(folder, what + (", correcting themselves by the measured force (--trim)" if trim else ""), start)
         return evaluated
 
