@@ -1,6 +1,6 @@
 """What each part of the streaming surrogates is worth: the same fit with one thing changed at a time.
 
-    python docs/ablation.py RUN --dataset dataset --minutes 10 --updates 600 --members 2 --batch 64
+    python docs/ablation.py RUN --dataset dataset --minutes 10 --updates 800 --members 2 --batch 16
 
 Prints a table of free-running errors over 30 s, on the test logs of a dataset, as Markdown, and writes ablation.json.
 Each variant keeps its folder in RUN, so a stopped run goes on where it was. Without --dataset one is recorded first.
@@ -68,9 +68,9 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--dataset", type=Path)
     parser.add_argument("--minutes", type=float, default=10)
-    parser.add_argument("--updates", type=int, default=600)
+    parser.add_argument("--updates", type=int, default=800)
     parser.add_argument("--members", type=int, default=2)
-    parser.add_argument("--batch", type=int, default=64)
+    parser.add_argument("--batch", type=int, default=16)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--horizon", type=float, default=30.0)
     parser.add_argument("--only", nargs="*", default=list(VARIANTS))

@@ -66,8 +66,8 @@ def controllers_tank(seeds: Sequence[int]) -> Part:
 
 def controllers_paper(seeds: Sequence[int]) -> Part:
     """The paper's method in the tank: Tables I and II."""
-    kinds = ("single-ppo", "grid-ppo")
-    part = _in_tank("The paper's method in the tank", kinds, "paper", paper, seeds, {"tank": ""})
+    kinds, ways = ("single-ppo", "grid-ppo"), {"within": "", "tank": ""}
+    part = _in_tank("The paper's method in the tank", kinds, "paper", paper, seeds, ways)
 
     def read(work: Work) -> Figures:
         figures = part.figures(work)
@@ -87,20 +87,21 @@ def _in_tank(
     title: str, kinds: Sequence[str], model: str, fit: Callable[[int], Step], seeds: Sequence[int],
     ways: Mapping[str, str],
 ) -> Part:  # fmt: skip
-    """Controllers trained in the surrogate of each seed, judged in that surrogate and in some ways in the tank."""
+    """Controllers trained in the surrogate of each seed, judged in some ways in the tank, or within that surrogate."""
     steps = [DATASET]
     for seed in seeds:
         steps.append(fit(seed))
         for kind in kinds:
             options, minutes = CONTROLLERS[kind]
             trained = train(kind, options, f"{model}-{seed}", seed, minutes)
-            within = evaluate(trained, f"{model}-{seed}", "within", "--seeds 1", 0.5)
-            steps += [trained, within, *(evaluate(trained, "tank", name, way, 1.5) for name, way in ways.items())]
+            plants = {"within": f"{model}-{seed}"}
+            judged = [evaluate(trained, plants.get(name, "tank"), name, way, 0.5) for name, way in ways.items()]
+            steps += [trained, *judged]
 
     def read(work: Work) -> Figures:
         figures: Figures = {}
         for kind in kinds:
-            for way in ("within", *ways):
+            for way in ways:
                 key = f"{kind}.{way}"
                 rows = work.evaluations([f"{way}-{kind}-{model}-{seed}" for seed in seeds])
                 figures[key] = figure("N", [pair(row["mean"]) for row in rows], seeds)

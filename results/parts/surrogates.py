@@ -73,7 +73,7 @@ def _means(horizon: dict[str, Any]) -> dict[str, float]:
 
 def ablation(seeds: Sequence[int]) -> Part:
     """What each part of the streaming surrogate is worth."""
-    command = "python docs/ablation.py ablation-{0} --dataset dataset --minutes 10 --seed {0}"
+    command = "python docs/ablation.py ablation-{0} --dataset dataset --seed {0}"
     tiny = "--minutes 1 --updates 2 --members 1 --batch 4 --horizon 2"
     steps = [step(f"ablation-{seed}", command.format(seed), 30, seed, tiny) for seed in seeds]
 

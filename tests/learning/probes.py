@@ -116,7 +116,8 @@ def learner(plant: Any, updates: int, episode: int = 12, past_actions: int = 0, 
     task = TaskConfig(
         window_samples=32, episode_actions=episode, reference_actions=episode, past_actions=past_actions, reward=SMOOTH
     )
-    config = PPOConfig(**{"num_envs": 16, "num_steps": episode, "num_epochs": 8, **changes})
+    config = PPOConfig(**{"num_envs": 16, "num_steps": episode, "num_epochs": 8, "num_minibatches": 4,
+                          "final_learning_rate": 0.1, **changes})  # fmt: skip
     return PPO(ForceTracking(plant, task), config, PolicyConfig(units=16, width=16), updates)
 
 

@@ -103,7 +103,7 @@ SINGLE = TrainConfig(
     steps=30_000,
     cells=(PAPER_RANGE,),
     task=TaskConfig(reference_actions=45),
-    ppo=PPOConfig(num_envs=32, num_steps=15, num_minibatches=8, num_epochs=8, final_learning_rate=0.03),
+    ppo=PPOConfig(num_envs=32, num_epochs=8),
     lattice=3,
 )
 """The paper's single controller on its budget."""

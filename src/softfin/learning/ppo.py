@@ -34,20 +34,20 @@ PerStep = Float[Array, "time environments"]
 class PPOConfig(Configuration):
     """Settings of LSTM-PPO, tuned for the paper's budgets: a few tens of updates, from each of which much is learnt."""
 
-    num_envs: PositiveInt = 8
+    num_envs: PositiveInt = 16
     """Fins that each policy moves side by side."""
-    num_steps: int = Field(default=30, ge=3, multiple_of=3)
+    num_steps: int = Field(default=15, ge=3, multiple_of=3)
     """Actions of each fin between updates, whole cycles of three; gradients reach back as far."""
     num_epochs: PositiveInt = 10
     """Passes over each rollout."""
     relabelling: NonNegativeFloat = 1.0
     """Distance of the other references that a rollout is learnt from as well, in root mean square and units of that of
     its force error; 0 learns from the references asked for alone."""
-    num_minibatches: PositiveInt = 4
+    num_minibatches: PositiveInt = 8
     """Updates a pass; each takes whole sequences of num_envs/num_minibatches fins, and as many relabelled ones."""
     learning_rate: PositiveFloat = 3e-3
     """Learning rate of Adam, at the start."""
-    final_learning_rate: float = Field(default=0.1, ge=0, le=1)
+    final_learning_rate: float = Field(default=0.03, ge=0, le=1)
     """Learning rate at the end, as a part of that at the start; in between it falls linearly."""
     discount: float = Field(default=0.8, gt=0, lt=1)
     """Gamma an action; 0.8 looks ahead 5 actions, and the window of the reward holds the last 6."""
