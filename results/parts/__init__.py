@@ -11,7 +11,7 @@ from results.parts.controllers import (
     controllers_paper,
     controllers_published,
     controllers_tank,
-    logs_to_controller,
+    faster,
     recurrent,
     whole_map,
 )
@@ -87,8 +87,8 @@ PARTS: dict[str, Callable[[Sequence[int]], Part]] = {
     "surrogates": surrogates, "controllers-published": controllers_published, "controllers-tank": controllers_tank,
     "controllers-paper": controllers_paper, "baselines-published": baselines_published,
     "baselines-tank": baselines_tank, "recurrent": recurrent, "choices": choices,
-    "whole-map": whole_map, "ablation": ablation, "data-efficiency": data_efficiency, "tank": tank,
-    "logs-to-controller": logs_to_controller, "demo": demo, "rig-day": rig_day,
+    "whole-map": whole_map, "faster": faster, "ablation": ablation, "data-efficiency": data_efficiency, "tank": tank,
+    "demo": demo, "rig-day": rig_day,
     **{f"bench-{name.replace('_', '-')}": bench(name) for name in BENCHMARKS},
 }  # fmt: skip
 """Parts by name, in the order in which they are run."""

@@ -7,7 +7,6 @@ from results.parts.common import (
     DATASET,
     PUBLISHED,
     TINY,
-    TINY_NETS,
     Figures,
     Part,
     Work,
@@ -206,24 +205,18 @@ def whole_map(seeds: Sequence[int]) -> Part:
     return Part("Over the whole map of the published surrogate", steps, read)
 
 
-def logs_to_controller(seeds: Sequence[int]) -> Part:
-    """Ten minutes of tank time to controllers that are judged."""
-    chains, kinds = dict[int, list[Step]](), ("gaits", "single")
-    for seed in seeds:
-        record = f"softfin collect --plant tank --logs 10 --test-logs 0 --rows 6000 --seed {seed}"
-        ten = step(f"ten-{seed}", record, 1, seed, "--logs 3 --rows 1500")
-        fit = step(f"ten-fit-{seed}", f"softfin fit ten-{seed} --seed {seed}", 8, seed, TINY_NETS)
-        trained = [train(kind, CONTROLLERS[kind][0], fit.name, seed, CONTROLLERS[kind][1]) for kind in kinds]
-        chains[seed] = [ten, fit, *trained, *(evaluate(each, "tank", "judged", "", 1) for each in trained)]
+def faster(seeds: Sequence[int]) -> Part:
+    """Settling time against ripple, with other action rates and windows."""
+    command = f"python docs/faster_reaction.py streaming-0 faster --seeds {len(seeds)}"
+    study = step("faster", command, 20, tiny="--tiny")
 
     def read(work: Work) -> Figures:
         figures: Figures = {}
-        for kind in kinds:
-            rows = work.evaluations([f"judged-{kind}-ten-fit-{seed}" for seed in seeds])
-            figures[f"{kind}.error"] = figure("N", [pair(row["mean"]) for row in rows], seeds)
-        for key in ("wall_s", "processor_s"):
-            figures[key] = work.spent([names_of(chain) for chain in chains.values()], seeds, key)
+        for name, rows in work.json("faster/faster_reaction.json").items():
+            key, own = name.replace(",", ""), range(len(rows))
+            figures[f"{key}.settling"] = figure("s", [row["settling_s"] for row in rows], own, "median")
+            for score in ("error", "std", "raw_std"):
+                figures[f"{key}.{score}"] = figure("N", [row[score] for row in rows], own)
         return figures
 
-    steps = tuple(each for chain in chains.values() for each in chain)
-    return Part("From ten minutes of logs to controllers", steps, read)
+    return Part("Other action rates and windows", (DATASET, streaming(0), study), read)
