@@ -140,12 +140,12 @@ def main(path: Path) -> None:
     """Print the table and draw the default tank's."""
     print("| tank | " + " | ".join(f"{frequency:g} Hz" for frequency in FREQUENCIES_HZ) + " |")
     print("| --- |" + " --- |" * len(FREQUENCIES_HZ))
-    for name, each in TANKS.items():
-        best = optima(sweep(each))
+    found = {name: sweep(each) for name, each in TANKS.items()}
+    for name, each in found.items():
+        best = optima(each)
         cells = (f"{lag:.0f} ({stiffness:.2f}, {thrust:.2f} N)" for stiffness, thrust, lag in zip(*best, strict=True))
         print(f"| {name} | " + " | ".join(cells) + " |")
-    found = sweep(TANKS["default"])
-    save_figure(draw(found, optima(found)), path.parent, path.stem, ("png",))
+    save_figure(draw(found["default"], optima(found["default"])), path.parent, path.stem, ("png",))
 
 
 if __name__ == "__main__":

@@ -215,7 +215,9 @@ def test_what_pip_installs_is_softfin_or_a_part_of_what_it_needs(shown):
             assert not extra or extra in project["optional-dependencies"]
 
 
-@pytest.mark.parametrize("shown", [shown for shown in commands() if shown.words[0] == "python"], ids=str)
+@pytest.mark.parametrize(
+    "shown", {shown.words: shown for shown in commands() if shown.words[0] == "python"}.values(), ids=str
+)
 def test_a_script_is_there_and_understands_its_options(shown, monkeypatch, tmp_path):
     program, *words = shown.words[1:]
     if program == "-m":
