@@ -162,6 +162,7 @@ def test_a_gait_of_the_published_fin_holds_its_force_in_the_steady_state(
     """Of two families of strokes, so that the search is short."""
     for module in (survey_module, search):
         monkeypatch.setattr(module, "FAMILIES", FAMILIES[:2])
+    monkeypatch.setattr(survey_module, "SIDE_BY_SIDE", 4)
     fin = import_keras(published / "cnn_pos_net.keras", published / "lstm_force_net.keras", published / "scalers.json")
     surveyed = survey(fin, SurveyConfig(cycles=2, directions=8, pushes=0))
     lattice = GaitTable.empty((1.5, -0.25), (2, 0), (2, 2))
