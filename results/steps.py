@@ -34,6 +34,13 @@ ROOMS = {
     "train": ("control", "gaits", "learning", "surrogate", "task"),
     "evaluate": ("control", "evaluation", "gaits", "surrogate", "tank", "task"),
     "baselines": ("evaluation", "gaits", "surrogate", "tank", "task"),
+    "reproduce": ("control", "data", "evaluation", "gaits", "learning", "stages", "surrogate", "tank", "task"),
+    "docs/ablation.py": ("data", "surrogate", "tank"),
+    "docs/data_efficiency.py": ("data", "surrogate", "tank"),
+    "docs/faster_reaction.py": ("control", "evaluation", "gaits", "learning", "surrogate", "tank", "task"),
+    "as-test": (),
+    "tank-r2": ("surrogate", "tank"),
+    "efficiency": (),
 }
 """Rooms of softfin whose code decides what a command gives, beside `BELOW`; of any other command all of softfin."""
 
@@ -149,7 +156,8 @@ def _runnable(words: Sequence[str]) -> list[str]:
 
 def code(words: Sequence[str]) -> str:
     """Digest of the code that a command runs, without comments and docstrings."""
-    places = [PACKAGE / room for room in (*BELOW, *ROOMS[words[1]])] if words[1] in ROOMS else [PACKAGE]
+    name = words[3] if words[1:3] == ("-m", "results.scripts") else words[1]
+    places = [PACKAGE / room for room in (*BELOW, *ROOMS[name])] if name in ROOMS else [PACKAGE]
     places += [ROOT / word for word in words if (ROOT / word).is_file()]
     if words[1] == "-m":
         module = ROOT / words[2].replace(".", "/")
