@@ -51,3 +51,22 @@ def test_numpys_global_generator_is_left_alone_and_the_seed_alone_decides(monkey
         np.testing.assert_equal(after, before)
     assert same(found[0], found[1])
     assert not same(identify(logs, seed=2), found[0])
+
+
+def test_searches_begin_at_several_delays_and_the_best_counts(monkeypatch):
+    """From one delay alone, one search in five ends at a wrong one."""
+    monkeypatch.setattr(module, "GENERATIONS", 1)
+    monkeypatch.setattr(module, "SEGMENTS", 2)
+    begun, errors, search = [], [], module.cma_es
+
+    def noted(guess, step, *words, **options):
+        begun.append((guess[2], step))
+        made = search(guess, step, *words, **options)
+        tell = made.tell
+        made.tell = lambda asked, told: (errors.append(min(told)), tell(asked, told))
+        return made
+
+    monkeypatch.setattr(module, "cma_es", noted)
+    _, error = identify([small.recorded(80, 0)], seed=1)
+    assert set(begun) == {(3.0, 0.2), (2.0, 0.2), (3.0, 0.4), (2.0, 0.4)}
+    assert error == min(errors)
