@@ -82,7 +82,7 @@ PUBLISHED = step(
 DATASET = step("dataset", "softfin collect --plant tank", 2, tiny="--logs 12 --test-logs 1 --rows 1500")
 SAME_LOGS = step("same-logs", "softfin collect --plant tank --logs 12 --test-logs 0 --seed 777", 1,
                  tiny="--logs 2 --rows 1500")  # fmt: skip
-OTHERS = step("others", "softfin collect --plant tank --logs 1 --test-logs 36 --rows 6400 --seed 778", 1,
+OTHERS = step("others", "softfin collect --plant tank --logs 1 --test-logs 120 --rows 3400 --seed 778", 1,
               tiny="--test-logs 2 --rows 1500")  # fmt: skip
 """As many other tanks as tell how often intervals hold: drift does not forget itself within a log."""
 SAME = step("same", "python -m results.scripts as-test same-logs same", 0.2)
