@@ -27,7 +27,7 @@ def test_a_figure_that_changes_makes_a_document_differ(part):
     def changed(name):
         loaded = record.load(name)
         if name == part:
-            loaded["figures"] = {key: {"text": "12345"} for key in loaded["figures"]}
+            loaded["figures"] = {key: each | {"text": "12345"} for key, each in loaded["figures"].items()}
         return loaded
 
     assert documents.differing(changed)
