@@ -79,7 +79,7 @@ PUBLISHED = step(
     "--scalers $SOFTFIN_PUBLISHED/scalers.json",
     0.2,
 )
-DATASET = step("dataset", "softfin collect --plant tank", 2, tiny="--logs 12 --test-logs 1 --rows 1500")
+DATASET = step("dataset", "softfin collect --plant tank", 0.5, tiny="--logs 12 --test-logs 1 --rows 1500")
 SAME_LOGS = step("same-logs", "softfin collect --plant tank --logs 12 --test-logs 0 --seed 777", 1,
                  tiny="--logs 2 --rows 1500")  # fmt: skip
 OTHERS = step("others", "softfin collect --plant tank --logs 1 --test-logs 120 --rows 3400 --seed 778", 1,
@@ -101,7 +101,7 @@ TINY = {
 
 def streaming(seed: int) -> Step:
     """Fit of the streaming surrogate on the paper's rows."""
-    return step(f"streaming-{seed}", f"softfin fit dataset --seed {seed}", 4, seed, TINY_NETS)
+    return step(f"streaming-{seed}", f"softfin fit dataset --seed {seed}", 3, seed, TINY_NETS)
 
 
 def paper(seed: int) -> Step:
@@ -111,12 +111,12 @@ def paper(seed: int) -> Step:
 
 
 CONTROLLERS = {
-    "gaits": ("--controller gaits", 1),
+    "gaits": ("--controller gaits", 0.8),
     "single": ("--controller single --algorithm gradient", 1.5),
     "grid": ("--controller grid --algorithm gradient", 1.5),
-    "single-ppo": ("--controller single --algorithm ppo", 1),
-    "grid-ppo": ("--controller grid --algorithm ppo", 2),
-    "grid-ppo-phase": ("--controller grid --algorithm ppo --set task.phase=true", 2),
+    "single-ppo": ("--controller single --algorithm ppo", 0.7),
+    "grid-ppo": ("--controller grid --algorithm ppo", 1),
+    "grid-ppo-phase": ("--controller grid --algorithm ppo --set task.phase=true", 1),
 }
 """Ways to a controller: options of `softfin train`, and minutes."""
 

@@ -31,7 +31,7 @@ def controllers_published(seeds: Sequence[int]) -> Part:
     for kind, (options, minutes) in CONTROLLERS.items():
         own = (None,) if kind == "gaits" else seeds
         trained[kind] = [train(kind, options, "published", seed, minutes) for seed in own]
-        judged[kind] = [evaluate(each, "published", "judged", f"{JUDGED} --error-map", 1.5) for each in trained[kind]]
+        judged[kind] = [evaluate(each, "published", "judged", f"{JUDGED} --error-map", 0.5) for each in trained[kind]]
 
     def read(work: Work) -> Figures:
         figures: Figures = {}
@@ -129,7 +129,7 @@ def baselines_tank(seeds: Sequence[int]) -> Part:
 def _baselines(plant: str, options: str, before: Sequence[Step], seeds: Sequence[int]) -> Part:
     tiny = "--seconds 6 --seeds 1 --set search.gaits=8 --set search.kept=1 --set search.refinements=0"
     command = f"softfin baselines {options} --seed"
-    steps = [step(f"baselines-{plant}-{seed}", f"{command.format(seed)} {seed}", 4, seed, tiny) for seed in seeds]
+    steps = [step(f"baselines-{plant}-{seed}", f"{command.format(seed)} {seed}", 2, seed, tiny) for seed in seeds]
     return Part(f"Baselines, {plant}", (*before, *steps), lambda work: _means(work, plant, seeds))
 
 
@@ -164,7 +164,7 @@ def choices(seeds: Sequence[int]) -> Part:
     options = "softfin train published --controller gaits --set gaits.halvings=0"
     trained["coarse-gaits"] = [step("coarse-gaits-published", options, 1, tiny=TINY["gaits"])]
     for name, those in trained.items():
-        judged[name] = [evaluate(each, "published", "judged", JUDGED, 1.5) for each in those]
+        judged[name] = [evaluate(each, "published", "judged", JUDGED, 0.5) for each in those]
 
     def read(work: Work) -> Figures:
         figures: Figures = {}
