@@ -38,7 +38,7 @@ test-long: setup ## all tests, with more cases of each kind and twenty minutes o
 	SOFTFIN_LONG=1 $(PYTEST)
 
 test-ray: setup ## the tests that need Ray, in a network of their own; installs the extra: 76 MB to fetch, 201 MB
-	$(RUN) --extra ray pytest -rs tests/learning/test_engine.py
+	$(RUN) --extra ray pytest -n auto --dist load -rs tests/learning/test_engine.py
 
 lint: setup ## style, types, the order of imports, the words
 	$(RUN) ruff check .

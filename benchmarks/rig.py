@@ -117,7 +117,7 @@ def _emulators(file: Path) -> Iterator[RigConfig]:
 
 FAULTS: dict[str, Callable[[EmulatedRig], None]] = {
     "emergency frame": lambda rig: rig.drive.fault(0x2310),
-    "sensor's status": lambda rig: rig.sensor.status(0x88000000),
+    "sensor's status": lambda rig: setattr(rig.sensor, "status", 0x88000000),
     "force": lambda rig: setattr(rig.fin, "pulled", True),
     "heartbeat": lambda rig: rig.drive.drop_heartbeat(),
 }
@@ -164,13 +164,17 @@ def _stop(name: str, provoke: Callable[[EmulatedRig], None]) -> float:
         # At any moment of a tick, from a thread that the loop knows nothing of.
         timer = threading.Timer(0.1 + 0.05 * (time.monotonic() % 1), fault)
         with _QuickStop(values["bus"]["channel"]) as listener:
-            with contextlib.suppress(SafetyStop), Session(rig, Guard(rig.config.safety, rig.limits)) as session:
-                session.activate()
-                session.command(Target(1.5, 1.0))
-                timer.start()
-                for _ in range(200):
-                    session.tick()
-            timer.join()
+            try:
+                with Session(rig, Guard(rig.config.safety, rig.limits)) as session:
+                    session.activate()
+                    session.command(Target(1.5, 1.0))
+                    timer.start()
+                    for _ in range(200):
+                        session.tick()
+            except SafetyStop:
+                timer.join()
+            else:
+                raise SystemExit(f"{name}: nothing stopped for 2 s")
             # That a heartbeat is missing is known only when the time after the last one is over.
             known = listener.beat + HEARTBEAT_S if name == "heartbeat" else began[0]
             return next(at for at in listener.times if at >= began[0]) - known

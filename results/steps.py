@@ -159,12 +159,21 @@ def code(words: Sequence[str]) -> str:
     name = words[3] if words[1:3] == ("-m", "results.scripts") else words[1]
     places = [PACKAGE / room for room in (*BELOW, *ROOMS[name])] if name in ROOMS else [PACKAGE]
     places += [ROOT / word for word in words if (ROOT / word).is_file()]
-    if words[1] == "-m":
-        module = ROOT / words[2].replace(".", "/")
-        places.append(module if module.is_dir() else module.with_suffix(".py"))
+    if words[1:3] == ("-m", "benchmarks"):
+        places += sorted({ROOT / "benchmarks" / "__main__.py", *_with_imports(ROOT / "benchmarks" / f"{words[3]}.py")})
+    elif words[1] == "-m":
+        places.append((ROOT / words[2].replace(".", "/")).with_suffix(".py"))
     # The paper's nets and the authors' need nothing of the streaming ones.
     streaming = words[0] != "softfin" or words[1] == "reproduce" or any("streaming" in word for word in words)
     return _hash(*(_code_of(place, streaming) for place in places))
+
+
+def _with_imports(file: Path) -> set[Path]:
+    """A benchmark and what it imports of the others, which import nothing in circles."""
+    nodes = ast.walk(ast.parse(file.read_text()))
+    modules = [node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)]
+    names = [module.partition(".")[2] for module in modules if module.startswith("benchmarks.")]
+    return {file}.union(*(_with_imports(file.with_name(f"{name}.py")) for name in names))
 
 
 @cache

@@ -105,19 +105,15 @@ def test_a_stored_policy_with_gaits_acts_the_same_on_a_robot(with_gaits: Policy)
         np.testing.assert_allclose(action, expected, atol=1e-5)
 
 
-def one_missing(policy: Policy) -> dict[str, np.ndarray]:
-    return {name: array for name, array in weights(policy).items() if name != "gaits.high"}
-
-
 def test_damaged_gaits_of_a_policy_are_refused(with_gaits: Policy) -> None:
     broken = weights(with_gaits) | {"gaits.actions": np.zeros((2, 2, 5, 2), np.float32)}
     with pytest.raises(ValueError, match=r"gaits of shape \(2, 2, 5, 2\)"):
         fold(broken, OBSERVATION)
-    for beyond in (weights(with_gaits) | {"gaits.actions": 2 * np.ones((2, 2, 6, 2))}, one_missing(with_gaits)):
-        with pytest.raises(
-            ValueError, match=r"not within \[-1, 1\]|a table of gaits is not gaits\.actions, gaits\.low"
-        ):
-            fold(beyond, OBSERVATION)
+    with pytest.raises(ValueError, match=r"their actions are not within \[-1, 1\]"):
+        fold(weights(with_gaits) | {"gaits.actions": 2 * np.ones((2, 2, 6, 2))}, OBSERVATION)
+    missing = {name: array for name, array in weights(with_gaits).items() if name != "gaits.high"}
+    with pytest.raises(ValueError, match=r"a table of gaits is not gaits\.actions, gaits\.low"):
+        fold(missing, OBSERVATION)
     with pytest.raises(ValueError, match=r"task\.phase is false; a policy with gaits observes the phase"):
         fold(weights(with_gaits), Observation())
 
