@@ -104,7 +104,9 @@ class Drive(eqx.Module):
         mean = (velocity + state.profile_velocity) / 2
         return state._replace(profile_angle=state.profile_angle + seconds * mean, profile_velocity=velocity)
 
-    def shaft(self, before: DriveState, planned: DriveState, seconds: float) -> Shaft:
+    def shaft(
+        self, before: DriveState, planned: DriveState, seconds: float, carried: Float[Array, ""] | float = 0.0
+    ) -> Shaft:
         """Return the shaft on which the fin hangs while the profile goes from one state to the next."""
         half = seconds / 2
         pull, grip, rotor = self._servo(before, planned, half)
@@ -115,7 +117,7 @@ class Drive(eqx.Module):
             limited = jnp.clip(torque, -self.torque_limit, self.torque_limit)
             return jnp.where(limited == torque, free, (rotor * before.rate + limited + load) / (rotor + drag))
 
-        return Shaft(before.angle, self.backlash, turn)
+        return Shaft(before.angle, self.backlash, turn, carried)
 
     def follow(self, before: DriveState, planned: DriveState, mean: Float[Array, ""], seconds: float) -> DriveState:
         """Return the state after a step in which the motor turned at that mean rate [rad/s]."""

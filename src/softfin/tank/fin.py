@@ -104,17 +104,31 @@ class FinState(NamedTuple):
     """State of the plates."""
 
     angles: PerPlate
-    """Absolute angle of each plate [rad]."""
+    """Angle of each plate from the axes of the tank [rad]."""
     rates: PerPlate
-    """Angular velocity of each plate [rad/s]."""
+    """Angular velocity of each plate, that of a turning mount included [rad/s]."""
     accelerations: PerPlate
     """Accelerations in the last step [rad/s2]."""
     earlier: PerPlate
     """Accelerations in the step before that [rad/s2]."""
 
 
+class Mount(NamedTuple):
+    """Motion, during a tick, of the robot that carries the fin, at the shaft: in the axes of the tank, which turn along.
+
+    Motion along the shaft, and turning about other axes than the shaft's, are left out: they move the fin edgewise.
+    """
+
+    velocity: Float[Array, "2"]
+    """Velocity (x, y) relative to water far away, which is at rest [m/s]."""
+    acceleration: Float[Array, "2"]
+    """Acceleration (x, y) relative to that water [m/s2]."""
+    turn: Scalar
+    """Angular velocity about the shaft, in the sense of the shaft's angle [rad/s]."""
+
+
 class Shaft(NamedTuple):
-    """Motion of the fin's mount at the start of a step."""
+    """Motion of the shaft at the start of a step."""
 
     angle: Scalar
     """Angle of the shaft [rad]."""
@@ -122,6 +136,8 @@ class Shaft(NamedTuple):
     """Angle over which the joint between shaft and fin transmits nothing [rad]: the gearbox's backlash."""
     turn: Callable[[Scalar, Scalar], Scalar]
     """Function from load and drag to the shaft's mean rate [rad/s], where the fin exerts load - drag * rate on it."""
+    carried: Scalar | float = 0.0
+    """Angular velocity of the mount, to which the shaft's own rate adds [rad/s]."""
 
 
 class Surroundings(NamedTuple):
@@ -130,9 +146,11 @@ class Surroundings(NamedTuple):
     inertia: Moments
     """Inertia of the water that each plate carries [kg, kg m, kg m2]."""
     stream: Float[Array, "2"]
-    """Velocity (x, y) of the water far from the fin [m/s]; inertia and loads are those of the motion relative to it."""
+    """Velocity (x, y) of the water past the mount [m/s]; inertia and loads are those of the motion relative to it."""
     loads: Callable[[Motion], tuple[Moments, Wrench]]
     """Effects of water on moving plates besides inertia: resistance [kg/s] and forces [N]."""
+    acceleration: Float[Array, "2"] | None = None
+    """Acceleration (x, y) of the mount through the water [m/s2]; None: it stands still."""
 
 
 class Fin(eqx.Module):
@@ -182,14 +200,34 @@ class Fin(eqx.Module):
             chain.resultant(state.angles, around.inertia.times(self.relative(state, around))),
         )
 
+    def inertial_force(self, state: FinState, around: Surroundings, mount: Mount) -> Float[Array, "2"]:
+        """Return the part of the momenta's rate of change that comes of the mount's motion, in its axes [N].
+
+        The rest is the change of `momenta` in those axes, at the mount's velocity.
+        """
+
+        def turned(vector: Float[Array, "2"]) -> Float[Array, "2"]:
+            return mount.turn * jnp.stack([vector[1], -vector[0]])
+
+        def needed(inertia: Moments, acceleration: Float[Array, "2"]) -> Float[Array, "2"]:
+            return chain.resultant(state.angles, inertia.times(chain.components(state.angles, acceleration)))
+
+        own, added = self.momenta(state, around)
+        acceleration = mount.acceleration
+        return (
+            turned(own + added)
+            + needed(self.inertia, acceleration)
+            + needed(around.inertia, acceleration - turned(mount.velocity))
+        )
+
     def step(
         self, state: FinState, shaft: Shaft, around: Surroundings, seconds: float
     ) -> tuple[FinState, Scalar, Float[Array, "2"]]:
-        """Take one step of time; return also the shaft's mean rate in it [rad/s] and the loads' mean force [N]."""
+        """Take one step of time; return also the shaft's mean rate on its mount [rad/s] and the loads' mean force [N]."""
         half = seconds / 2
         # The midpoint rule leaves stiff modes ringing from step to step; over two steps their accelerations cancel.
         predicted = state.rates + half * (state.accelerations + state.earlier) / 2
-        angles = state.angles + half * (state.rates + predicted) / 2
+        angles = state.angles + half * (state.rates + predicted) / 2 - half * shaft.carried
         pose = chain.pose(angles, self.plate_length)
         stream = chain.components(angles, around.stream)
         motion = chain.motion(pose, predicted)
@@ -197,12 +235,15 @@ class Fin(eqx.Module):
         resistance, push = around.loads(relative)
         push = jax.tree.map(jnp.add, push, resistance.times(stream))
         inertia = jax.tree.map(jnp.add, self.inertia, around.inertia)
+        driven = push
+        if around.acceleration is not None:
+            driven = jax.tree.map(jnp.subtract, push, inertia.times(chain.components(angles, around.acceleration)))
         impulse = jax.tree.map(
             lambda p, c, w, f: p + half * (c + w + f),
             inertia.times(chain.motion(pose, state.rates)),
             chain.centripetal(pose, self.inertia, motion),
             chain.centripetal(pose, around.inertia, relative),
-            push,
+            driven,
         )
         grips = half * (self.damping + half * self.stiffness)
         bends = state.angles - jnp.concatenate([shaft.angle[None], state.angles[:-1]])
@@ -215,7 +256,10 @@ class Fin(eqx.Module):
         mean = expand(first)
         force = jax.tree.map(lambda f, r: f - r, push, resistance.times(chain.motion(pose, mean)))
         after = FinState(
-            state.angles + seconds * mean, 2 * mean - state.rates, (mean - state.rates) / half, state.accelerations
+            state.angles + seconds * mean - seconds * shaft.carried,
+            2 * mean - state.rates,
+            (mean - state.rates) / half,
+            state.accelerations,
         )
         return after, rate, chain.resultant(angles, force)
 
@@ -226,7 +270,7 @@ class Fin(eqx.Module):
 def _held(
     inertia: Scalar, impulse: Scalar, shaft: Shaft, stiffness: Scalar, grip: Scalar, bend: Scalar, half: float
 ) -> tuple[Scalar, Scalar]:
-    """Mean rates of the first plate and of the shaft over a step.
+    """Mean rates over a step, of the first plate and of the shaft on its mount.
 
     The joint between them has a stiffness [N m/rad], a bend at the start [rad] and, where it is tight, a grip: angular
     impulse over relative rate [N m s2/rad]. Where the step's midpoint would be within the joint's play if it were
@@ -236,14 +280,15 @@ def _held(
 
     def rates(strain: Scalar, grip: Scalar) -> tuple[Scalar, Scalar]:
         total = inertia + grip
-        load = (strain * inertia + grip * impulse) / total
-        rate = shaft.turn(load / half, grip * inertia / total / half)
-        return (impulse - strain + grip * rate) / total, rate
+        drag = grip * inertia / total
+        load = (strain * inertia + grip * impulse) / total - drag * shaft.carried
+        rate = shaft.turn(load / half, drag / half)
+        return (impulse - strain + grip * (rate + shaft.carried)) / total, rate
 
     nothing = jnp.zeros_like(grip)
     first, rate = rates(nothing, nothing)
     edge = shaft.play / 2
-    middle = bend + half * (first - rate)
+    middle = bend + half * (first - rate - shaft.carried)
     for beyond, slack in ((middle >= edge, edge), (middle <= -edge, -edge)):
         tight = rates(half * stiffness * (bend - slack), grip)
         first, rate = jnp.where(beyond, tight[0], first), jnp.where(beyond, tight[1], rate)

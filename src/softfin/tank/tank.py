@@ -15,7 +15,7 @@ from softfin.core.configuration import Configuration
 from softfin.core.plant import check_commands
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Limits, Reading
 from softfin.tank.drive import Drive, DriveConfig, DriveState
-from softfin.tank.fin import Fin, FinConfig, FinState
+from softfin.tank.fin import Fin, FinConfig, FinState, Mount
 from softfin.tank.hydrodynamics import Flow, Water, WaterConfig
 from softfin.tank.sensor import Sensor, SensorConfig, SensorState
 
@@ -44,6 +44,15 @@ class TankState(NamedTuple):
     flow: Flow
     sensor: SensorState
     key: PRNGKeyArray
+
+
+class Load(NamedTuple):
+    """Mean load of a fin on its mount over a tick, without the errors of a sensor."""
+
+    force: Float[Array, "2"]
+    """Force (x, y) [N]."""
+    torque: Float[Array, ""]
+    """Torque about the shaft, in the sense of the shaft's angle [N m]."""
 
 
 class Tank(eqx.Module):
@@ -80,34 +89,53 @@ class Tank(eqx.Module):
         check_commands(self.limits, command)
         dtype = state.fin.angles.dtype
         command = Command(jnp.asarray(command.angle, dtype), jnp.asarray(command.velocity, dtype))
-        return jax.lax.scan(lambda state, _: self._tick(state, command), state, length=ticks)
+
+        def tick(state: TankState, _: None) -> tuple[TankState, Reading]:
+            state, reading, _load = self.tick(state, command)
+            return state, reading
+
+        return jax.lax.scan(tick, state, length=ticks)
 
     def shape(self, state: TankState) -> Float[Array, "points 2"]:
         """Return where the fin is: the shaft and the outer end of each plate, in the axes of the tank [m]."""
         return self.fin.shape(state.fin)
 
-    def _tick(self, state: TankState, command: Command) -> tuple[TankState, Reading]:
+    def tick(self, state: TankState, command: Command, mount: Mount | None = None) -> tuple[TankState, Reading, Load]:
+        """Hold a command for one sample of 10 ms, on a mount that moves or stands still.
+
+        The mount's motion is held within the tick; all forces are in its axes. The wake stays with the fin.
+        """
         seconds = TICK_S / self.steps_per_tick
-        around = self.water.around(state.flow)
+        around, carried = self.water.around(state.flow), 0.0 if mount is None else mount.turn
+        if mount is not None:
+            around = around._replace(stream=around.stream - mount.velocity, acceleration=mount.acceleration)
         drive, obeyed = self.drive.receive(state.drive, command)
 
-        def step(moving: tuple[DriveState, FinState], _: None) -> tuple[tuple[DriveState, FinState], Float[Array, "2"]]:
+        def step(
+            moving: tuple[DriveState, FinState], _: None
+        ) -> tuple[tuple[DriveState, FinState], tuple[Float[Array, "2"], Float[Array, ""]]]:
             drive, fin = moving
             planned = self.drive.plan(drive, obeyed, seconds)
-            fin, rate, force = self.fin.step(fin, self.drive.shaft(drive, planned, seconds), around, seconds)
-            return (self.drive.follow(drive, planned, rate, seconds), fin), force
+            fin, rate, force = self.fin.step(fin, self.drive.shaft(drive, planned, seconds, carried), around, seconds)
+            drive = self.drive.follow(drive, planned, rate, seconds)
+            return (drive, fin), (force, drive.torque)
 
-        (drive, fin), forces = jax.lax.scan(step, (drive, state.fin), length=self.steps_per_tick)
+        (drive, fin), (forces, torques) = jax.lax.scan(step, (drive, state.fin), length=self.steps_per_tick)
         # The fin presses on its mount with what the water exerts on it less what goes into its own momentum.
-        own, carried = (
+        own, added = (
             (after - before) / TICK_S
             for before, after in zip(self.fin.momenta(state.fin, around), self.fin.momenta(fin, around), strict=True)
         )
         loads = forces.mean(0)
+        force = loads - added - own
+        if mount is not None:
+            force -= self.fin.inertial_force(fin, around, mount)
         noise = jax.random.fold_in(state.key, state.ticks)
-        sensor, measured = self.sensor.read(state.sensor, loads - carried - own, noise)
+        sensor, measured = self.sensor.read(state.sensor, force, noise)
         flow = self.water.stirred(state.flow, self.fin.relative(fin, around), loads)
         angle, velocity = self.drive.read(drive)
         ticks = state.ticks + 1
         reading = Reading(ticks * jnp.asarray(TICK_S, angle.dtype), angle, velocity, measured)
-        return TankState(ticks, drive, fin, flow, sensor, state.key), reading
+        # The fin turns the gearbox's housing with what the motor does not need to speed up its own inertia.
+        torque = self.drive.inertia * (drive.rate - state.drive.rate) / TICK_S - torques.mean()
+        return TankState(ticks, drive, fin, flow, sensor, state.key), reading, Load(force, torque)
