@@ -1,0 +1,1 @@
+"""Robots with several fins on one body: forces and torques asked for, fins that make them, control of motion."""

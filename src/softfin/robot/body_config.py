@@ -1,0 +1,66 @@
+"""Configuration of a robot's body: inertia, added mass, drag, weight and buoyancy."""
+
+import numpy as np
+from pydantic import NonNegativeFloat, PositiveFloat, model_validator
+
+from softfin.core.configuration import Configuration
+
+GRAVITY_M_S2 = 9.81
+
+Three = tuple[float, float, float]
+Least0 = NonNegativeFloat
+SixNotNegative = tuple[Least0, Least0, Least0, Least0, Least0, Least0]
+
+
+class BodyConfig(Configuration):
+    """A rigid body in water; six numbers are of x, y, z and of roll, pitch, yaw, in body axes about the origin."""
+
+    mass_kg: PositiveFloat
+    """Mass [kg]."""
+    inertia_kg_m2: Three | tuple[Three, Three, Three]
+    """Inertia about the centre of gravity: about the three axes, or as a matrix [kg m2]."""
+    added_mass: SixNotNegative = (0, 0, 0, 0, 0, 0)
+    """Added mass [kg] and added inertia [kg m2]."""
+    drag_linear: SixNotNegative = (0, 0, 0, 0, 0, 0)
+    """Linear drag [N s/m, N m s]."""
+    drag_quadratic: SixNotNegative = (0, 0, 0, 0, 0, 0)
+    """Quadratic drag [N s2/m2, N m s2]."""
+    centre_of_gravity_m: Three = (0, 0, 0)
+    """Centre of gravity [m]."""
+    centre_of_buoyancy_m: Three = (0, 0, 0)
+    """Centre of buoyancy [m]."""
+    buoyancy_n: NonNegativeFloat | None = None
+    """Buoyancy [N]; none: that of a body that neither sinks nor rises."""
+
+    @property
+    def upward_n(self) -> float:
+        """Buoyancy [N]."""
+        return self.mass_kg * GRAVITY_M_S2 if self.buoyancy_n is None else self.buoyancy_n
+
+    def moments(self) -> np.ndarray:
+        """Return the inertia about the centre of gravity as a matrix ``(3, 3)`` [kg m2]."""
+        given = np.asarray(self.inertia_kg_m2, float)
+        return np.diag(given) if given.ndim == 1 else given
+
+    def own_inertia(self) -> np.ndarray:
+        """Return the inertia about the origin as a matrix ``(6, 6)``, without the added mass (Fossen 2021, 3.3)."""
+        x, y, z = self.centre_of_gravity_m
+        lever = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        mass = self.mass_kg
+        return np.block(
+            [[mass * np.eye(3), -mass * lever], [mass * lever, self.moments() - mass * lever @ lever]]
+        )
+
+    @model_validator(mode="after")
+    def _is_a_body(self) -> "BodyConfig":
+        moments = self.moments()
+        if not np.allclose(moments, moments.T):
+            raise ValueError(f"inertia_kg_m2 = {moments.tolist()} is not symmetric; give a symmetric matrix")
+        least, middle, most = np.linalg.eigvalsh(moments)
+        if least <= 0:
+            raise ValueError(f"inertia_kg_m2 = {np.asarray(self.inertia_kg_m2).tolist()} is singular or negative: its "
+                             f"least principal moment is {least:.4g}; all must be over 0 kg m2")  # fmt: skip
+        if least + middle < most * (1 - 1e-6):
+            raise ValueError(f"inertia_kg_m2 has principal moments {least:.4g}, {middle:.4g}, {most:.4g}: no body has "
+                             "one greater than the sum of the others")  # fmt: skip
+        return self

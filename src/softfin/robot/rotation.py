@@ -1,0 +1,81 @@
+"""Rotations as unit quaternions (w, x, y, z) that take body axes to world axes; NumPy on the robot, JAX in programs."""
+
+from typing import Any
+
+import numpy as np
+
+from softfin.core.operations import Array, operations_of
+
+IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
+"""Body axes along world axes."""
+
+
+def _namespace(*arrays: Array) -> Any:
+    return operations_of(*arrays).xp
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Return the vector product of two vectors ``(3,)``; much quicker than NumPy's own on such short ones."""
+    xp = _namespace(a, b)
+    (a0, a1, a2), (b0, b1, b2) = a, b
+    return xp.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
+
+
+def matrix(quaternion: Array) -> Array:
+    """Return the rotation matrix ``(3, 3)`` that takes vectors in body axes to world axes."""
+    xp = _namespace(quaternion)
+    w, x, y, z = quaternion
+    return xp.stack(
+        [
+            xp.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]),
+            xp.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]),
+            xp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]),
+        ]
+    )
+
+
+def multiply(a: Array, b: Array) -> Array:
+    """Return the rotation that does `b` first, then `a`."""
+    xp = _namespace(a, b)
+    (aw, ax, ay, az), (bw, bx, by, bz) = a, b
+    return xp.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ]
+    )
+
+
+def inverse(quaternion: Array) -> Array:
+    """Return the opposite rotation."""
+    return quaternion * _namespace(quaternion).asarray([1.0, -1.0, -1.0, -1.0])
+
+
+def normalized(quaternion: Array) -> Array:
+    """Return the quaternion with a length of 1."""
+    return quaternion / (quaternion @ quaternion) ** 0.5
+
+
+def from_vector(vector: Array) -> Array:
+    """Return the rotation about a vector by its length [rad]."""
+    xp = _namespace(vector)
+    # sinc has a derivative at 0, where a quotient has none.
+    half = xp.sqrt(vector @ vector + 1e-30) / 2
+    return xp.concatenate([xp.cos(half)[None], vector * (xp.sin(half) / (2 * half))])
+
+
+def to_vector(quaternion: Array) -> Array:
+    """Return the vector of a rotation: its axis times its angle, 0 .. pi [rad]."""
+    xp = _namespace(quaternion)
+    quaternion = xp.where(quaternion[0] < 0, -quaternion, quaternion)
+    sine = xp.sqrt(quaternion[1:] @ quaternion[1:] + 1e-30)
+    return quaternion[1:] * (2 * xp.arctan2(sine, quaternion[0]) / sine)
+
+
+def from_euler(roll: float, pitch: float, yaw: float) -> np.ndarray:
+    """Return the rotation by yaw about z, pitch about the new y, roll about the new x [rad] (REP 103)."""
+    turns = (np.array([roll, 0.0, 0.0]), np.array([0.0, pitch, 0.0]), np.array([0.0, 0.0, yaw]))
+    x, y, z = (from_vector(turn) for turn in turns)
+    return np.asarray(multiply(z, multiply(y, x)))
