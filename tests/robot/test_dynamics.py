@@ -22,7 +22,7 @@ def double():
 
 def run(config, state, seconds, wrench=(0.0,) * 6, current=(0.0,) * 3, step_s=0.01):
     """States after each step, the first among them."""
-    dynamics = Dynamics(config)
+    dynamics = Dynamics.of(config)
     wrench, current = jnp.asarray(wrench, float), jnp.asarray(current, float)
 
     @jax.jit
@@ -82,7 +82,7 @@ def test_in_an_ideal_fluid_momentum_and_energy_are_conserved():
 
 def test_a_body_that_drifts_broadside_on_is_turned_by_munk_s_moment():
     config = BodyConfig(**SPHERE, added_mass=(2, 22, 0, 0, 0, 0))
-    found = Dynamics(config).gyroscopic(jnp.asarray([0.3, 0.2, 0, 0, 0, 0]))
+    found = Dynamics.of(config).gyroscopic(jnp.asarray([0.3, 0.2, 0, 0, 0, 0]))
     assert found[5] == pytest.approx((2 - 22) * 0.3 * 0.2)
 
 

@@ -34,6 +34,7 @@ COMMANDS = {
     "bag": ("data", "recover a recording that was cut off; convert recordings to logs and back"),
     "monitor": ("rig", "watch a recording while it is made, in the terminal or as a page"),
     "ros2": ("driving", "run as a ROS 2 node: readings out, references in"),
+    "robot": ("robot", "a robot with several fins: what it can do, how it holds its place and follows a path"),
     "export": ("controllers", "write a controller as ONNX, for hosts without Python"),
     "reproduce": ("evaluation", "run all stages, with the paper's tables and figures"),
 }

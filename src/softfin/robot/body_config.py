@@ -47,9 +47,7 @@ class BodyConfig(Configuration):
         x, y, z = self.centre_of_gravity_m
         lever = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
         mass = self.mass_kg
-        return np.block(
-            [[mass * np.eye(3), -mass * lever], [mass * lever, self.moments() - mass * lever @ lever]]
-        )
+        return np.block([[mass * np.eye(3), -mass * lever], [mass * lever, self.moments() - mass * lever @ lever]])
 
     @model_validator(mode="after")
     def _is_a_body(self) -> "BodyConfig":

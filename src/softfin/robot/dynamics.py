@@ -3,17 +3,15 @@
 Body axes are x forward, y left, z up (REP 103), world axes have z up. A twist is (velocity of the body's origin, angular
 velocity) and a wrench (force, moment about the origin), six numbers each, in body axes. The added mass is part of the
 inertia, and the body's momentum obeys Kirchhoff's equations (Lamb 1932, art. 124), which hold the Coriolis forces of
-body and water and the Munk moment.
+body and water and the Munk moment. The formulas run with NumPy on the robot, and with JAX in simulations.
 """
 
 from typing import NamedTuple
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from softfin.core.operations import operations_of
 from softfin.core.quantities import TICK_S, AnyArray
 from softfin.robot.body_config import GRAVITY_M_S2, BodyConfig
 from softfin.robot.rotation import IDENTITY, cross, matrix, multiply, normalized
@@ -35,85 +33,81 @@ class BodyState(NamedTuple):
     @classmethod
     def rest(cls) -> "BodyState":
         """At the world's origin, upright, still."""
-        return cls(jnp.zeros(3), jnp.asarray(IDENTITY, float), jnp.zeros(6))
+        return cls(np.zeros(3), IDENTITY, np.zeros(6))
 
 
-class Dynamics(eqx.Module):
+class Dynamics(NamedTuple):
     """Inertia, drag and weight as arrays."""
 
-    own_inertia: Float[Array, "6 6"]
-    """Inertia of the body without water, about its origin."""
-    inertia: Float[Array, "6 6"]
-    """The same with the added mass."""
-    inverse: Float[Array, "6 6"]
-    drag_linear: Float[Array, "6"]
-    drag_quadratic: Float[Array, "6"]
-    weight: Float[Array, ""]
+    inertia: Float[AnyArray, "6 6"]
+    """Inertia of body and water about the body's origin."""
+    inverse: Float[AnyArray, "6 6"]
+    drag_linear: SixVector
+    drag_quadratic: SixVector
+    weight: float
     """[N]"""
-    buoyancy: Float[Array, ""]
+    buoyancy: float
     """[N]"""
-    centre_of_gravity: Float[Array, "3"]
-    centre_of_buoyancy: Float[Array, "3"]
+    centre_of_gravity: Vector
+    centre_of_buoyancy: Vector
 
-    def __init__(self, config: BodyConfig):
-        own = config.own_inertia()
-        whole = own + np.diag(config.added_mass)
-        self.own_inertia, self.inertia = jnp.asarray(own, float), jnp.asarray(whole, float)
-        self.inverse = jnp.asarray(np.linalg.inv(whole), float)
-        self.drag_linear = jnp.asarray(config.drag_linear, float)
-        self.drag_quadratic = jnp.asarray(config.drag_quadratic, float)
-        self.weight = jnp.asarray(config.mass_kg * GRAVITY_M_S2, float)
-        self.buoyancy = jnp.asarray(config.upward_n, float)
-        self.centre_of_gravity = jnp.asarray(config.centre_of_gravity_m, float)
-        self.centre_of_buoyancy = jnp.asarray(config.centre_of_buoyancy_m, float)
+    @classmethod
+    def of(cls, config: BodyConfig) -> "Dynamics":
+        """Build them from a configuration."""
+        inertia = config.own_inertia() + np.diag(config.added_mass)
+        vectors = config.drag_linear, config.drag_quadratic, config.centre_of_gravity_m, config.centre_of_buoyancy_m
+        linear, quadratic, gravity, buoyancy = (np.asarray(vector, float) for vector in vectors)
+        weight = config.mass_kg * GRAVITY_M_S2
+        return cls(inertia, np.linalg.inv(inertia), linear, quadratic, weight, config.upward_n, gravity, buoyancy)
 
     def relative_twist(self, state: BodyState, current: Vector) -> SixVector:
         """Return the twist relative to a steady current (x, y, z) in world axes [m/s]."""
-        return jnp.concatenate([state.twist[:3] - current @ matrix(state.attitude), state.twist[3:]])
+        xp = operations_of(*state, current).xp
+        return xp.concatenate([state.twist[:3] - current @ matrix(state.attitude), state.twist[3:]])
 
     def drag(self, twist: SixVector) -> SixVector:
         """Return the wrench of the water's drag at a twist relative to the water."""
-        return -(self.drag_linear + self.drag_quadratic * jnp.abs(twist)) * twist
+        return -(self.drag_linear + self.drag_quadratic * abs(twist)) * twist
 
     def restoring(self, attitude: Float[AnyArray, "4"]) -> SixVector:
         """Return the wrench of weight and buoyancy."""
         up = matrix(attitude)[2]
-        lifts = ((-self.weight, self.centre_of_gravity), (self.buoyancy, self.centre_of_buoyancy))
-        return sum((jnp.concatenate([lift * up, cross(at, lift * up)]) for lift, at in lifts), jnp.zeros(6))
+        lever = self.buoyancy * self.centre_of_buoyancy - self.weight * self.centre_of_gravity
+        return operations_of(up).xp.concatenate([(self.buoyancy - self.weight) * up, cross(lever, up)])
 
     def gyroscopic(self, twist: SixVector) -> SixVector:
         """Return the wrench by which the momentum of body and water turns along with the body."""
         momentum, velocity, turn = self.inertia @ twist, twist[:3], twist[3:]
         linear, angular = momentum[:3], momentum[3:]
-        return jnp.concatenate([cross(linear, turn), cross(angular, turn) + cross(linear, velocity)])
+        return operations_of(twist).xp.concatenate(
+            [cross(linear, turn), cross(angular, turn) + cross(linear, velocity)]
+        )
 
     def acceleration(self, state: BodyState, wrench: SixVector, current: Vector) -> SixVector:
         """Return the rate of change of the twist relative to the water, component by component."""
         twist = self.relative_twist(state, current)
-        return self.inverse @ (
-            wrench + self.gyroscopic(twist) + self.drag(twist) + self.restoring(state.attitude)
-        )
+        return self.inverse @ (wrench + self.gyroscopic(twist) + self.drag(twist) + self.restoring(state.attitude))
 
     def step(self, state: BodyState, wrench: SixVector, current: Vector, seconds: float = TICK_S) -> BodyState:
         """Hold a wrench of the fins for a step of time (Runge and Kutta's of fourth order)."""
 
         def rates(state: BodyState) -> BodyState:
-            turn = state.twist[3:]
+            xp, turn = operations_of(*state, wrench, current).xp, state.twist[3:]
             # Seen from the body, a steady current turns.
             seen = cross(current @ matrix(state.attitude), turn)
             return BodyState(
                 matrix(state.attitude) @ state.twist[:3],
-                multiply(state.attitude, jnp.append(0.0, turn / 2)),
-                self.acceleration(state, wrench, current).at[:3].add(seen),
+                multiply(state.attitude, xp.concatenate([xp.zeros(1), turn / 2])),
+                self.acceleration(state, wrench, current) + xp.concatenate([seen, xp.zeros(3)]),
             )
 
         def after(slope: BodyState, seconds: float) -> BodyState:
-            moved: BodyState = jax.tree.map(lambda x, rate: x + seconds * rate, state, slope)
-            return moved
+            return BodyState(*(x + seconds * rate for x, rate in zip(state, slope, strict=True)))
 
         first = rates(state)
         second = rates(after(first, seconds / 2))
         third = rates(after(second, seconds / 2))
         fourth = rates(after(third, seconds))
-        moved = after(jax.tree.map(lambda a, b, c, d: (a + 2 * b + 2 * c + d) / 6, first, second, third, fourth), seconds)
+        slopes = zip(first, second, third, fourth, strict=True)
+        moved = after(BodyState(*((a + 2 * b + 2 * c + d) / 6 for a, b, c, d in slopes)), seconds)
         return moved._replace(attitude=normalized(moved.attitude))

@@ -1,0 +1,107 @@
+"""``robot``: a body with several fins; what it can do, how well it holds and follows, and a page that shows it."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from softfin.cli.common import Configured
+from softfin.cli.options import Option
+from softfin.core.choices import RobotTask
+from softfin.core.errors import ConfigurationError
+
+
+class RobotArguments(Configured):
+    """Check, evaluate or show a robot with several fins."""
+
+    action: Annotated[Literal["check", "evaluate", "view"], Option(positional=True)]
+    """check: rank, singular values and reach; evaluate: wrenches, holding and paths in simulation, as JSON, figures and
+    pages; view: one trial as a page in three dimensions."""
+    robot: Annotated[str, Option("ROBOT", positional=True)] = "ucat"
+    """The robot: ucat, or a YAML file."""
+    out: Annotated[Path, Option("PATH")] | None = None
+    """Folder that evaluate writes to (runs/robot), or page that view writes (robot.html)."""
+    wrenches: bool = False
+    """With evaluate: mean wrenches on a body that is held. Without any task, all are evaluated."""
+    hold: bool = False
+    """With evaluate or view: hold a place against a push and a current."""
+    lemniscate: bool = False
+    """With evaluate or view: follow a figure of eight."""
+    lissajous: bool = False
+    """With evaluate or view: follow a three-dimensional Lissajous curve."""
+    dead: bool = False
+    """A fin dies at a random moment, each in turn."""
+    seeds: int | None = None
+    """With evaluate: repetitions of each trial (5)."""
+    seed: int | None = None
+    """Seed of noise and disturbances (0)."""
+
+    def check(self) -> None:
+        """Refuse tasks that do not go with the action."""
+        super().check()
+        if self.action == "check" and self._tasks():
+            raise ConfigurationError(f"--{self._tasks()[0]}: robot check runs no trial; see robot evaluate")
+        if self.action == "view" and (len(self._tasks()) > 1 or self.wrenches):
+            raise ConfigurationError("robot view shows one of --hold, --lemniscate, --lissajous")
+
+    def _tasks(self) -> tuple[RobotTask, ...]:
+        names: tuple[RobotTask, ...] = ("wrenches", "hold", "lemniscate", "lissajous")
+        return tuple(name for name in names if getattr(self, name))
+
+    def __call__(self) -> None:
+        {"check": self._check, "evaluate": self._evaluate, "view": self._view}[self.action]()
+
+    def _check(self) -> None:
+        from softfin.stages.robot import check
+
+        found = check(self.robot)
+        lines = [
+            f"{found['robot']}: {found['fins']} fins, rank {found['rank']} of 6",
+            "singular values  " + "  ".join(f"{value:.3f}" for value in found["singular_values"]),
+            *(f"without {name}: rank {rank}" for name, rank in found["rank_without"].items()),
+            "mean force of each fin  " + ", ".join(f"{name} {n:.2f} N" for name, n in found["fin_reach_n"].items()),
+            *(f"{name:6} up to {value:.2f} {'N' if i < 3 else 'N m'}"
+              for i, (name, value) in enumerate(found["reach"].items())),
+        ]  # fmt: skip
+        if abs(found["sinks_n"]) > 1e-3:
+            lines.append(f"{'sinks' if found['sinks_n'] > 0 else 'rises'} with {abs(found['sinks_n']):.2f} N")
+        self.tell(found, "\n".join(lines))
+
+    def _evaluate(self) -> None:
+        from softfin.robot.evaluate import RobotEvaluateConfig
+        from softfin.stages.robot import evaluate
+
+        config = self.configured(RobotEvaluateConfig(), tasks=self._tasks(), dead=self.dead or None)
+        out = self.out or Path("runs/robot")
+        found = self.stage(evaluate, self.robot, out, config)
+        self.tell(found, "\n".join([*_table(found), f"{out}: pages, figures and robot.json"]))
+
+    def _view(self) -> None:
+        from softfin.stages.robot import RobotViewConfig, view
+
+        base = RobotViewConfig(task=(*self._tasks(), "hold")[0])
+        trial = self.configured(base.evaluation, dead=self.dead or None)
+        out = self.out or Path("robot.html")
+        row = self.stage(view, self.robot, out, base.model_copy(update={"evaluation": trial}))
+        self.tell(row, f"{out}: {base.task}, off by {100 * row['position_rms_m']:.1f} cm rms; open it in a browser")
+
+
+def _table(found: dict[str, Any]) -> list[str]:
+    from softfin.cli.tables import aligned
+
+    lines = []
+    if (row := found.get("wrenches")) is not None:
+        lines.append(
+            f"{row['count']} wrenches, mean over 2 s: off by {row['force_error_n']:.3f} N and {row['moment_error_nm']:.3f} "
+            f"N m (worst {row['force_error_worst_n']:.3f} N, {row['moment_error_worst_nm']:.3f} N m); ripple of roll "
+            f"{row['roll_ripple_ratio']:.2f} of that with independent phases"
+        )
+    trials = {task: found[task] for task in ("hold", "lemniscate", "lissajous") if task in found}
+    if trials:
+        cells = [["", "seed", "off [cm rms]", "worst", "tilt [deg rms]", "worst", ""]]
+        for task, rows in trials.items():
+            for row in rows:
+                note = f"{row['dead']} dead at {row['dead_at_s']:.0f} s" if "dead" in row else ""
+                cells.append([task, str(row["seed"]), f"{100 * row['position_rms_m']:.2f}",
+                              f"{100 * row['position_worst_m']:.1f}", f"{row['attitude_rms_deg']:.2f}",
+                              f"{row['attitude_worst_deg']:.1f}", note])  # fmt: skip
+        lines.append("\n".join(aligned(cells, (0, 6))))
+    return lines

@@ -1,0 +1,96 @@
+"""The robot's file: its body, its fins, how motion is controlled. `ucat` is built in. No JAX."""
+
+from importlib.resources import files
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import Field, PositiveFloat, model_validator
+
+from softfin.core.configuration import Configuration, parse_yaml, read_yaml
+from softfin.core.errors import ConfigurationError
+from softfin.robot.body_config import BodyConfig, Three
+from softfin.robot.control_config import AllocationConfig, ControlConfig
+
+BUILT_IN = ("ucat",)
+"""Robots that are part of softfin."""
+
+AXES = ("surge", "sway", "heave", "roll", "pitch", "yaw")
+"""Names of the six numbers of a wrench or a twist."""
+
+UNIT_TOLERANCE = 1e-3
+
+
+class FinMountConfig(Configuration):
+    """Where a fin sits on the body, and what fin it is."""
+
+    position_m: Three
+    """Shaft, where its force acts [m]."""
+    zero_direction: Three
+    """Unit vector along which the fin's thrust pushes the body when the shaft is at angle 0: x of the fin's axes."""
+    shaft_axis: Three
+    """Unit vector about which positive angles turn, by the right hand."""
+    range_rad: tuple[float, float] | None = None
+    """Least and greatest angle of the shaft [rad]; none: it turns all the way round."""
+    plant: str = "tank"
+    """Fin: tank, the YAML file of a tank, the folder of a surrogate, or package.module:plant."""
+
+    @model_validator(mode="after")
+    def _has_axes(self) -> "FinMountConfig":
+        for name in ("zero_direction", "shaft_axis"):
+            length = float(np.linalg.norm(getattr(self, name)))
+            if abs(length - 1) > UNIT_TOLERANCE:
+                raise ValueError(f"{name} = {list(getattr(self, name))} has length {length:.4g}; give a unit vector")
+        along = float(np.dot(self.zero_direction, self.shaft_axis))
+        if abs(along) > UNIT_TOLERANCE:
+            raise ValueError(f"zero_direction and shaft_axis have the scalar product {along:.3g}; a fin pushes at right "
+                             "angles to its shaft")  # fmt: skip
+        if self.range_rad is not None and not self.range_rad[0] < self.range_rad[1]:
+            raise ValueError(f"range_rad = {list(self.range_rad)}: the least angle comes first")
+        return self
+
+    def axes(self) -> Float[np.ndarray, "3 2"]:
+        """Return the x and y of the fin's own forces, as columns in body axes."""
+        x, shaft = np.asarray(self.zero_direction), np.asarray(self.shaft_axis)
+        # A positive angle turns thrust from +x towards -y.
+        return np.stack([x, np.cross(x, shaft)], axis=1)
+
+
+class RobotConfig(Configuration):
+    """A robot with fins."""
+
+    name: str
+    """Name of the robot."""
+    size_m: tuple[PositiveFloat, PositiveFloat, PositiveFloat] = (0.5, 0.3, 0.2)
+    """Length, width, height [m]: only to draw it."""
+    body: BodyConfig
+    """Body without fins."""
+    fins: dict[str, FinMountConfig] = Field(min_length=1)
+    """Fins by name."""
+    allocation: AllocationConfig = AllocationConfig()
+    """How a wrench is shared among the fins."""
+    control: ControlConfig = ControlConfig()
+    """How motion is controlled."""
+    silent_fin: Literal["stop", "dead"] = "stop"
+    """When a fin faults or falls silent: stop the robot, or go on without it."""
+
+    def matrix(self) -> Float[np.ndarray, "6 columns"]:
+        """Return the wrench in body axes of each fin's unit forces: columns x and y of the first fin, of the second."""
+        columns = []
+        for fin in self.fins.values():
+            axes = fin.axes()
+            columns.append(np.concatenate([axes, np.cross(np.asarray(fin.position_m), axes, axisb=0).T]))
+        return np.concatenate(columns, axis=1)
+
+
+def load_robot(name: str) -> RobotConfig:
+    """Load a robot that is built in, or a YAML file; raises ConfigurationError in one line for anything else."""
+    if name in BUILT_IN:
+        text = files("softfin.robot").joinpath(f"robots/{name}.yaml").read_text()
+        return RobotConfig.build(parse_yaml(text), name)
+    path = Path(name)
+    if not path.is_file():
+        raise ConfigurationError(f"robot {name}: there is no such file; give a YAML file, or {', '.join(BUILT_IN)}, "
+                                 "which is built in")  # fmt: skip
+    return RobotConfig.build(read_yaml(path), name)

@@ -1,0 +1,222 @@
+"""What a robot can do, in figures: wrenches, holding against push and current, paths, each with all fins or one dead."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from pydantic import Field, PositiveFloat, PositiveInt
+
+from softfin.core.action_clock import CYCLE_ACTIONS, WINDOW, rows_of
+from softfin.core.choices import RobotTask
+from softfin.core.configuration import Configuration
+from softfin.core.plant import Plant
+from softfin.core.quantities import RATE_HZ, Command
+from softfin.core.randomness import generator_of
+from softfin.robot.description import AXES, RobotConfig
+from softfin.robot.fin_driver import FinGaits
+from softfin.robot.fin_gaits import find_fin_gaits
+from softfin.robot.paths import Path, hold, lemniscate, lissajous
+from softfin.robot.phases import PHASES, Phases
+from softfin.robot.simulation import Orders, RobotSimulation
+from softfin.robot.trial import Disturbances, NoiseConfig, Record, run_trial
+from softfin.robot.wrench_driver import WrenchDriver
+
+Report = Callable[[float, str], None]
+
+
+class RobotEvaluateConfig(Configuration):
+    """Configuration of the evaluation of a robot."""
+
+    tasks: tuple[RobotTask, ...] = ("wrenches", "hold", "lemniscate", "lissajous")
+    """What is evaluated."""
+    seeds: PositiveInt = 5
+    """Repetitions; each has its own noise, and its own directions of push and current."""
+    wrenches: PositiveInt = 100
+    """Wrenches that are drawn."""
+    part_of_reach: float = Field(0.7, gt=0, le=1)
+    """Part of the reach within which they are drawn."""
+    hold_s: PositiveFloat = 120
+    """Time of holding [s]."""
+    path_s: PositiveFloat = 150
+    """Time of following a path [s]."""
+    settled_s: PositiveFloat = 30
+    """Time from the start, from the push and from a fin's death after which errors count [s]."""
+    push_n_s: float = Field(1.0, ge=0)
+    """Push on the body while it holds, horizontal [N s]."""
+    current_m_s: float = Field(0.05, ge=0)
+    """Current while it holds, horizontal [m/s]."""
+    lemniscate_m_s: PositiveFloat = 0.08
+    """Mean speed along the lemniscate of 2 m by 1 m [m/s]."""
+    lissajous_m_s: PositiveFloat = 0.08
+    """Mean speed along the Lissajous curve of 2 m by 1 m by 0.5 m [m/s]."""
+    dead: bool = False
+    """A fin dies at a random moment of every trial, each fin in turn."""
+    noise: NoiseConfig = NoiseConfig()
+    """Noise of the estimate of the robot's state."""
+    seed: int = Field(0, ge=0)
+    """Seed of all of it."""
+
+
+class RobotEvaluation(NamedTuple):
+    """Figures of every task, and the record of the first trial of each."""
+
+    figures: dict[str, Any]
+    records: dict[str, Record]
+
+
+def evaluate_robot(
+    robot: RobotConfig, plants: Sequence[Plant], config: RobotEvaluateConfig, report: Report = lambda *_: None,
+    gaits: Sequence[FinGaits] | None = None,
+) -> RobotEvaluation:  # fmt: skip
+    """Evaluate a robot with these plants as fins, in simulation."""
+    report(0.0, "gaits of the fins")
+    gaits = gaits or gaits_of(plants)
+    simulation = RobotSimulation(robot, plants)
+    figures: dict[str, Any] = {"robot": robot.name, "reach_n": [round(each.reach, 3) for each in gaits]}
+    records: dict[str, Record] = {}
+    done, total = 0, len(config.tasks) * config.seeds
+    for task in config.tasks:
+        if task == "wrenches":
+            figures[task] = wrench_errors(robot, simulation, gaits, config)
+            done += config.seeds
+            continue
+        rows = []
+        for seed in range(config.seeds):
+            report(done / total, f"{task}, seed {seed}")
+            record, row = trial(robot, simulation, gaits, task, config, config.seed + seed)
+            rows.append(row)
+            records.setdefault(task, record)
+            done += 1
+        figures[task] = rows
+    report(1.0, "")
+    return RobotEvaluation(figures, records)
+
+
+def gaits_of(plants: Sequence[Plant]) -> tuple[FinGaits, ...]:
+    """Find the gaits of each fin; fins of one plant share them."""
+    found: list[tuple[Plant, FinGaits]] = []
+    for plant in plants:
+        known = next((gaits for other, gaits in found if other is plant), None)
+        found.append((plant, known or find_fin_gaits(plant)))
+    return tuple(gaits for _, gaits in found)
+
+
+def trial(
+    robot: RobotConfig, simulation: RobotSimulation, gaits: Sequence[FinGaits], task: RobotTask,
+    config: RobotEvaluateConfig, seed: int,
+) -> tuple[Record, dict[str, Any]]:  # fmt: skip
+    """Run one trial of a task, and score it."""
+    random = generator_of(seed, f"robot/{task}")
+    seconds = float(config.hold_s if task == "hold" else config.path_s)
+    ways = {
+        "lemniscate": lambda: lemniscate(config.lemniscate_m_s),
+        "lissajous": lambda: lissajous(config.lissajous_m_s),
+    }
+    path: Path = hold() if task == "hold" else ways[task]()
+    trouble, counted = Disturbances(), np.arange(round(seconds * RATE_HZ)) >= config.settled_s * RATE_HZ
+    told: dict[str, Any] = {"seed": seed}
+    if task == "hold":
+        current, push = random.uniform(-np.pi, np.pi, 2)
+        at = random.uniform(1, 2) * config.settled_s
+        trouble = trouble._replace(
+            current_m_s=(config.current_m_s * np.cos(current), config.current_m_s * np.sin(current), 0.0),
+            push_n_s=(config.push_n_s * np.cos(push), config.push_n_s * np.sin(push), 0.0), push_at_s=at,
+        )  # fmt: skip
+        counted &= ~_after(at, config.settled_s, len(counted))
+        told |= {"current_from_deg": round(float(np.degrees(current)) % 360 - 180), "push_at_s": round(at, 1)}
+    if config.dead:
+        fin, at = seed % len(robot.fins), random.uniform(0.2, 0.6) * seconds
+        trouble = trouble._replace(dead_fin=fin, dead_at_s=at)
+        counted &= np.arange(len(counted)) >= (at + config.settled_s) * RATE_HZ
+        told |= {"dead": list(robot.fins)[fin], "dead_at_s": round(at, 1)}
+    record = run_trial(simulation, WrenchDriver(robot, gaits), path, seconds, trouble, config.noise, seed)
+    counted = counted[: len(record.time)]
+    position, attitude = record.position_error()[counted], record.attitude_error()[counted]
+    told |= {
+        "position_rms_m": _rms(position), "position_worst_m": float(position.max()),
+        "attitude_rms_deg": float(np.degrees(_rms(attitude))), "attitude_worst_deg": float(np.degrees(attitude.max())),
+        "given_up": {AXES[i]: float(record.given_up[:, i].mean()) for i in range(6)},
+    }  # fmt: skip
+    if task != "hold":
+        told["speed_m_s"] = float(config.lemniscate_m_s if task == "lemniscate" else config.lissajous_m_s)
+    return record, told
+
+
+def _after(start_s: float, seconds: float, count: int) -> np.ndarray:
+    ticks = np.arange(count)
+    return (ticks >= start_s * RATE_HZ) & (ticks < (start_s + seconds) * RATE_HZ)
+
+
+def _rms(values: Float[np.ndarray, "n"]) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def draw_wrenches(
+    robot: RobotConfig, gaits: Sequence[FinGaits], config: RobotEvaluateConfig
+) -> Float[np.ndarray, "n 6"]:
+    """Draw wrenches within a part of the reach: those that forces of so much less, each in a direction of its own, make."""
+    random = generator_of(config.seed, "robot/wrenches")
+    reach = np.array([each.reach for each in gaits])
+    size = config.part_of_reach * reach * np.sqrt(random.uniform(size=(config.wrenches, len(gaits))))
+    angle = random.uniform(-np.pi, np.pi, size.shape)
+    forces = np.stack([size * np.cos(angle), size * np.sin(angle)], axis=-1)
+    return np.asarray(forces.reshape(config.wrenches, -1) @ robot.matrix().T)
+
+
+WRENCH_ACTIONS = 4 * CYCLE_ACTIONS
+"""Actions that each wrench is held for, from rest; the last window counts."""
+
+
+def wrench_errors(
+    robot: RobotConfig, simulation: RobotSimulation, gaits: Sequence[FinGaits], config: RobotEvaluateConfig
+) -> dict[str, Any]:
+    """Compare mean wrenches over a window with those asked for, the body held; and the ripple with and without phases."""
+    wrenches = draw_wrenches(robot, gaits, config)
+    chosen = [_orders(robot, gaits, wrench) for wrench in wrenches]
+    random = generator_of(config.seed, "robot/phases")
+    # Independent phases, as of fins that do not know each other.
+    free = [_orders(robot, gaits, wrench, random.integers(0, PHASES, len(gaits))) for wrench in wrenches]
+    made, by_chance = (_held(simulation, orders) for orders in (chosen, free))
+    window = slice(-WINDOW, None)
+    error = made[:, window].mean(axis=1) - wrenches
+    ripple, chance = (np.sqrt(each[:, window].var(axis=1).mean(axis=0)) for each in (made, by_chance))
+    return {
+        "count": len(wrenches),
+        "force_error_n": float(np.linalg.norm(error[:, :3], axis=1).mean()),
+        "force_error_worst_n": float(np.linalg.norm(error[:, :3], axis=1).max()),
+        "moment_error_nm": float(np.linalg.norm(error[:, 3:], axis=1).mean()),
+        "moment_error_worst_nm": float(np.linalg.norm(error[:, 3:], axis=1).max()),
+        "ripple": dict(zip(AXES, map(float, ripple), strict=True)),
+        "ripple_independent": dict(zip(AXES, map(float, chance), strict=True)),
+        "roll_ripple_ratio": float(ripple[3] / chance[3]),
+    }
+
+
+def _orders(
+    robot: RobotConfig, gaits: Sequence[FinGaits], wrench: Float[np.ndarray, "6"], phases: Phases | None = None
+) -> Orders:
+    """Return what a driver orders for one wrench, ``(actions, fins)``; with phases given, in these for good."""
+    driver = WrenchDriver(robot, gaits, phases=phases is None)
+    state, orders = driver.init(), []
+    if phases is not None:
+        state = state._replace(phases=phases)
+    before = Command(np.zeros(len(gaits)), np.array([each.limits.velocity_min for each in gaits]))
+    for _ in range(WRENCH_ACTIONS):
+        state, made = driver.act(state, wrench)
+        now = Command(*map(np.array, zip(*made.commands, strict=True)))
+        orders.append(Orders(before, now, np.array(made.delays)))
+        before = now
+    stacked: Orders = jax.tree.map(lambda *rows: np.stack(rows), *orders)
+    return stacked
+
+
+def _held(simulation: RobotSimulation, orders: Sequence[Orders]) -> Float[np.ndarray, "n ticks 6"]:
+    """Return the wrenches that the fins make on a body that does not move."""
+    all_of_them = jax.tree.map(lambda *rows: jnp.asarray(np.stack(rows)), *orders)
+    single = jax.tree.map(lambda x: x.astype(jnp.float32) if x.dtype == jnp.float64 else x, all_of_them)
+    made = np.asarray(eqx.filter_jit(jax.vmap(simulation.held))(single), float)
+    return made.reshape(len(orders), -1, 6)[:, np.array(rows_of(WRENCH_ACTIONS))]

@@ -1,0 +1,155 @@
+"""Control of motion in 6 degrees of freedom: computed torque about a path, with an observer of each axis. NumPy alone.
+
+The wrench that the path needs is computed from the body's model; errors are corrected by proportional and derivative
+action; and a Kalman filter of each axis estimates error, its rate and a constant disturbance, which is taken off. The
+filter is told the wrench that the allocator made, not the one that was asked for, so nothing winds up (Fossen 2021,
+ch. 13 and 15; Sariyildiz, Oboe and Ohnishi 2020).
+
+Fins stroke at half the actions' rate. So an error is the mean over two actions, in which strokes cancel: seen once an
+action, each of them alone would look like an error that does not move.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from softfin.core.action_clock import ACTION_RATE_HZ
+from softfin.core.errors import RunError
+from softfin.robot.control_config import ControlConfig
+from softfin.robot.description import RobotConfig
+from softfin.robot.dynamics import Dynamics, SixVector
+from softfin.robot.paths import Target
+from softfin.robot.rotation import cross, inverse, matrix, multiply, normalized, to_vector
+
+ACTION_S = 1 / ACTION_RATE_HZ
+
+SEEN_ACTIONS = 2
+"""Actions whose mean is an error: a whole period of the strokes."""
+
+
+class AxisFilter(NamedTuple):
+    """Filters of the six axes: x = (error, its rate, disturbance's acceleration), u = acceleration by the fins."""
+
+    forward: Float[np.ndarray, "6 3 3"]
+    """From one action to the next."""
+    driven: Float[np.ndarray, "6 3"]
+    gain: Float[np.ndarray, "6 3 2"]
+    """Steady-state gain of the Kalman filter."""
+    back: Float[np.ndarray, "6 2 3"]
+    """From the state now to the mean error and rate over the last two actions."""
+    driven_back: Float[np.ndarray, "6 2"]
+
+    @classmethod
+    def of(
+        cls, config: ControlConfig, stiffness: SixVector, damping: SixVector,
+        noise: Float[np.ndarray, "6 2"],
+    ) -> "AxisFilter":  # fmt: skip
+        """Build them; stiffness [1/s2] and damping [1/s] are those of the body itself, noise that of error and rate."""
+        forwards, drives, gains, backs, back_drives = [], [], [], [], []
+        for axis in range(6):
+            slope = np.array([[0, 1, 0, 0], [-stiffness[axis], -damping[axis], 1, 1], [0, 0, 0, 0], [0, 0, 0, 0]])
+            step, half = _exponential(slope * ACTION_S), np.linalg.inv(_exponential(slope * ACTION_S))
+            forward, driven = step[:3, :3], step[:3, 3]
+            back, driven_back = half[:2, :3], half[:2, 3]
+            walk = config.disturbance[axis] ** 2 * ACTION_S
+            spread = np.outer(driven, driven) * config.force_noise[axis] ** 2
+            spread[2, 2] += walk
+            measured = np.diag(noise[axis] ** 2)
+            covariance = np.eye(3)
+            for _ in range(STEADY):
+                ahead = forward @ covariance @ forward.T + spread
+                gain = ahead @ back.T @ np.linalg.inv(back @ ahead @ back.T + measured)
+                covariance = (np.eye(3) - gain @ back) @ ahead
+            forwards.append(forward)
+            drives.append(driven)
+            gains.append(gain)
+            backs.append(back)
+            back_drives.append(driven_back)
+        return cls(*(np.array(each) for each in (forwards, drives, gains, backs, back_drives)))
+
+
+STEADY = 600
+"""Actions after which a filter's gain has settled."""
+
+
+class ControlState(NamedTuple):
+    """What the controller remembers."""
+
+    estimate: Float[np.ndarray, "6 3"]
+    """Error, its rate and the disturbance, axis by axis, in the axes of the path [m, rad; and per s, per s2]."""
+    acceleration: SixVector
+    """Acceleration that the fins were last made to add to the path's [m/s2, rad/s2]."""
+
+
+class MotionController:
+    """Follows a path, or holds a place, by wrenches."""
+
+    def __init__(self, robot: RobotConfig) -> None:
+        config = robot.control
+        self.dynamics = Dynamics.of(robot.body)
+        self._rate = np.asarray(config.bandwidth_rad_s, float)
+        self._damping = config.damping
+        inertia = self.dynamics.inertia.diagonal()
+        lever = self.dynamics.buoyancy * self.dynamics.centre_of_buoyancy[2]
+        lever -= self.dynamics.weight * self.dynamics.centre_of_gravity[2]
+        self._stiffness = np.array([0, 0, 0, lever, lever, 0]) / inertia
+        noise = np.array([[config.position_noise_m, config.velocity_noise_m_s]] * 3
+                         + [[config.attitude_noise_rad, config.rate_noise_rad_s]] * 3)  # fmt: skip
+        self._filter = AxisFilter.of(config, self._stiffness, self.dynamics.drag_linear / inertia, noise)
+
+    def init(self) -> ControlState:
+        """Return the state before the first action: nothing is known."""
+        return ControlState(np.zeros((6, 3)), np.zeros(6))
+
+    def act(self, state: ControlState, seen: Sequence[np.ndarray], middle: Target, now: Target,
+            ahead: Target) -> tuple[ControlState, SixVector]:  # fmt: skip
+        """Return the wrench in body axes for the next action [N, N m].
+
+        `seen` are positions ``(ticks, 3)``, attitudes ``(ticks, 4)`` and twists ``(ticks, 6)`` of the last two actions;
+        the targets are those in the middle of these, now, and in the middle of the action that begins.
+
+        Raises:
+            RunError: a number of the robot's state is not finite.
+        """
+        if not all(np.isfinite(each).all() for each in seen):
+            raise RunError("robot: its state holds numbers that are not finite; check what estimates it")
+        position, twist = seen[0].mean(axis=0), seen[2].mean(axis=0)
+        # Near one another, so that their mean is theirs but for its length.
+        attitude = normalized((seen[1] * np.sign(seen[1] @ seen[1][-1])[:, None]).mean(axis=0))
+        axes = matrix(middle.attitude)
+        error = np.concatenate(
+            [(position - middle.position) @ axes, to_vector(multiply(inverse(middle.attitude), attitude))]
+        )
+        path_twist = np.concatenate([middle.velocity @ axes, middle.turn @ axes])
+        measured = np.stack([error, twist - path_twist], axis=1)
+        f = self._filter
+        guess = np.einsum("aij,aj->ai", f.forward, state.estimate) + f.driven * state.acceleration[:, None]
+        expected = np.einsum("aij,aj->ai", f.back, guess) + f.driven_back * state.acceleration[:, None]
+        estimate = guess + np.einsum("aij,aj->ai", f.gain, measured - expected)
+        correction = -(self._rate**2) * estimate[:, 0] - 2 * self._damping * self._rate * estimate[:, 1]
+        correction -= estimate[:, 2]
+        return ControlState(estimate, correction), self._needed(ahead) + self.dynamics.inertia @ correction
+
+    def made(self, state: ControlState, wrench: SixVector, ahead: Target) -> ControlState:
+        """Tell the observer what wrench the fins make of the one asked for."""
+        return state._replace(acceleration=self.dynamics.inverse @ (wrench - self._needed(ahead)))
+
+    def _needed(self, target: Target) -> SixVector:
+        """Return the wrench that keeps the body on the path in still water, upright."""
+        axes = matrix(target.attitude)
+        velocity, turn = target.velocity @ axes, target.turn @ axes
+        twist = np.concatenate([velocity, turn])
+        acceleration = np.concatenate([target.acceleration @ axes - cross(turn, velocity), target.turning @ axes])
+        d = self.dynamics
+        return d.inertia @ acceleration - d.gyroscopic(twist) - d.drag(twist) - d.restoring(target.attitude)
+
+
+def _exponential(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+    """Return the matrix exponential by scaling and Taylor's series, as NumPy has none."""
+    small, result, term = matrix / 64, np.eye(len(matrix)), np.eye(len(matrix))
+    for order in range(1, 10):
+        term = term @ small / order
+        result = result + term
+    return np.asarray(np.linalg.matrix_power(result, 64))

@@ -1,0 +1,98 @@
+"""Paths to follow, and the state that a robot should have on them: functions of time."""
+
+from collections.abc import Callable
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from jaxtyping import Float
+
+from softfin.robot.rotation import from_euler
+
+Vector = Float[np.ndarray, "3"]
+
+
+class Target(NamedTuple):
+    """Where the robot should be, and how it should move; velocities and accelerations in world axes."""
+
+    position: Vector
+    """[m]"""
+    attitude: Float[np.ndarray, "4"]
+    """Unit quaternion from body to world axes."""
+    velocity: Vector
+    """[m/s]"""
+    acceleration: Vector
+    """[m/s2]"""
+    turn: Vector
+    """Angular velocity [rad/s]."""
+    turning: Vector
+    """Angular acceleration [rad/s2]."""
+
+
+Path: TypeAlias = Callable[[float], Target]
+
+STEP_S = 0.01
+"""Step of the differences by which a path's velocity and acceleration are found [s]."""
+
+STARTING_S = 10.0
+"""Time in which a path's speed grows from 0 [s]."""
+
+
+def hold(position: tuple[float, float, float] = (0.0, 0.0, 0.0), yaw: float = 0.0) -> Path:
+    """Stay at a place, upright."""
+    still = Target(np.asarray(position, float), from_euler(0.0, 0.0, yaw), *np.zeros((4, 3)))
+    return lambda time: still
+
+
+def along(curve: Callable[[float], Vector], speed_m_s: float, length_m: float) -> Path:
+    """Follow a closed curve, ``curve(0 .. 1)``, at a mean speed, beginning slowly, the nose along the way."""
+
+    def part(time: float) -> float:
+        rate = speed_m_s / length_m
+        if time < STARTING_S:
+            # A smooth start: the integral of a smoothstep.
+            u = max(time, 0.0) / STARTING_S
+            return rate * STARTING_S * (u**3 - u**4 / 2)
+        return rate * (time - STARTING_S / 2)
+
+    def place(time: float) -> Vector:
+        return np.asarray(curve(part(time)), float)
+
+    def heading(time: float) -> float:
+        at = part(time)
+        ahead = np.asarray(curve(at + 1e-4), float) - np.asarray(curve(at - 1e-4), float)
+        return float(np.arctan2(ahead[1], ahead[0]))
+
+    def target(time: float) -> Target:
+        before, now, after = (place(time + k * STEP_S) for k in (-1, 0, 1))
+        yaws = np.unwrap([heading(time + k * STEP_S) for k in (-1, 0, 1)])
+        turn, turning = np.zeros(3), np.zeros(3)
+        turn[2], turning[2] = (yaws[2] - yaws[0]) / (2 * STEP_S), (yaws[2] - 2 * yaws[1] + yaws[0]) / STEP_S**2
+        return Target(now, from_euler(0.0, 0.0, float(yaws[1])), (after - before) / (2 * STEP_S),
+                      (after - 2 * now + before) / STEP_S**2, turn, turning)  # fmt: skip
+
+    return target
+
+
+def _length(curve: Callable[[float], Vector]) -> float:
+    points = np.array([curve(u) for u in np.linspace(0, 1, 2001)])
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+
+
+def lemniscate(speed_m_s: float, length_m: float = 2.0, width_m: float = 1.0) -> Path:
+    """Follow a figure of eight in the horizontal plane (Gerono's), of that length and width."""
+
+    def curve(u: float) -> Vector:
+        s = 2 * np.pi * u
+        return np.array([length_m / 2 * np.sin(s), width_m / 2 * np.sin(2 * s), 0.0])
+
+    return along(curve, speed_m_s, _length(curve))
+
+
+def lissajous(speed_m_s: float, size_m: tuple[float, float, float] = (2.0, 1.0, 0.5)) -> Path:
+    """Follow a three-dimensional Lissajous curve of that size with frequencies 1, 2 and 1."""
+
+    def curve(u: float) -> Vector:
+        s = 2 * np.pi * u
+        return np.array([size_m[0] / 2 * np.sin(s), size_m[1] / 2 * np.sin(2 * s), size_m[2] / 2 * (np.cos(s) - 1)])
+
+    return along(curve, speed_m_s, _length(curve))

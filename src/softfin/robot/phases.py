@@ -1,0 +1,69 @@
+"""Phases of the fins' strokes, chosen so that the ripple of the wrench cancels. NumPy alone.
+
+A period of two strokes has six phases: a fin begins its strokes with the action, a third or two thirds of it later, to
+one side or to the other. Of four fins there are 216 patterns relative to the first, and the best is found by trying all.
+"""
+
+from functools import cache
+from itertools import product
+
+import numpy as np
+from jaxtyping import Complex, Float, Int
+
+from softfin.core.action_clock import ACTION_TICKS
+
+PHASES = 6
+DELAY_TICKS = ACTION_TICKS[0] // 3
+"""Ticks between a phase and the next."""
+
+MUCH = 0.4
+"""While the fins stroke, another pattern is taken only where its ripple is below this part of the present one's: a fin
+that changes its phase misses a stroke, and a robot that holds its place asks for another wrench in every action."""
+
+METRES_PER_RADIAN = 2.0
+"""Ripple in attitude counts against ripple in position as a degree against 3.5 cm: fins tilt a body, but hardly move
+it."""
+
+Phases = Int[np.ndarray, "fins"]
+
+
+def delay_of(phase: int) -> int:
+    """Return the ticks by which a fin's strokes lag the action's beginning."""
+    return phase % 3 * DELAY_TICKS
+
+
+def side_of(phase: int, action: int) -> int:
+    """Return the side, 1 or -1, to which a fin strokes in an action, counted from 0."""
+    return 1 if (phase // 3 + action) % 2 == 0 else -1
+
+
+@cache
+def _patterns(count: int) -> tuple[Int[np.ndarray, "patterns fins"], Complex[np.ndarray, "patterns fins"]]:
+    """All phases of fins relative to the first, and by what they turn the ripple."""
+    phases = np.array([(0, *rest) for rest in product(range(PHASES), repeat=count - 1)])
+    return phases, np.exp(-2j * np.pi / PHASES * phases)
+
+
+def choose_phases(
+    present: Phases, starting: bool, ripple: Complex[np.ndarray, "6 fins"], inverse_inertia: Float[np.ndarray, "6 6"]
+) -> Phases:
+    """Return the phases whose ripple moves the body least; unless `starting`, only where the present ones' is much more."""
+    moved = inverse_inertia @ ripple
+    moved[3:] *= METRES_PER_RADIAN
+    phases, turns = _patterns(len(present))
+    costs = (np.abs(turns @ moved.T) ** 2).sum(axis=1)
+    best, part = int(costs.argmin()), 1.0 if starting else MUCH
+    now = float((np.abs(moved @ np.exp(-2j * np.pi / PHASES * present)) ** 2).sum())
+    return (present[0] + phases[best]) % PHASES if costs[best] < part**2 * now else present
+
+
+def wrench_ripple(
+    matrix: Float[np.ndarray, "6 columns"], shafts: Float[np.ndarray, "fins 3"],
+    directions: Float[np.ndarray, "fins"], ripple: Complex[np.ndarray, "fins 2"],
+) -> Complex[np.ndarray, "6 fins"]:  # fmt: skip
+    """Return each fin's ripple as a wrench on the body, where it strokes about a direction [rad]."""
+    # Across the thrust (cos a, -sin a) of a fin is (sin a, cos a).
+    across = np.stack([np.sin(directions), np.cos(directions)], axis=1)
+    wrench = np.einsum("afi,fi->af", matrix.reshape(6, -1, 2), across) * ripple[:, 0]
+    wrench[3:] += shafts.T * ripple[:, 1]
+    return wrench

@@ -1,0 +1,176 @@
+"""A robot in the water: its body, and each fin in a tank on a mount that moves along.
+
+Fins that are not tanks know still water alone: their forces do not change with the body's motion.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from softfin.core.action_clock import MOST_TICKS, ticks_of
+from softfin.core.plant import Plant
+from softfin.core.quantities import Command
+from softfin.robot.description import RobotConfig
+from softfin.robot.dynamics import BodyState, Dynamics
+from softfin.robot.rotation import cross
+from softfin.tank import Tank
+from softfin.tank.fin import Mount
+from softfin.tank.tank import Load
+
+
+class Surroundings(NamedTuple):
+    """What acts on the robot from outside during an action."""
+
+    current: Float[Array, "3"]
+    """Velocity of the water, steady, in world axes [m/s]."""
+    push: Float[Array, "6"]
+    """Wrench on the body, in body axes [N, N m]."""
+
+
+class Orders(NamedTuple):
+    """Commands of all fins during an action, fields ``(fins,)``."""
+
+    before: Command
+    """Commands of the action before."""
+    now: Command
+    delays: Int[Array, "fins"]
+    """Ticks into the action at which each fin gets its command."""
+
+    def at(self, tick: Int[Array, ""]) -> Command:
+        """Return the commands in force at a tick of the action."""
+        return jax.tree.map(lambda old, new: jnp.where(tick < self.delays, old, new), self.before, self.now)
+
+
+class RobotState(NamedTuple):
+    """State of body and fins."""
+
+    body: BodyState
+    acceleration: Float[Array, "6"]
+    """Rate of change of the twist relative to the water in the last tick."""
+    fins: Any
+
+
+class Ticks(NamedTuple):
+    """What happened in each tick of an action."""
+
+    body: BodyState
+    wrench: Float[Array, "ticks 6"]
+    """Wrench of the fins on the body, in body axes [N, N m]."""
+    shapes: Float[Array, "ticks fins points 2"] | None
+    """Shaft and outer end of each plate, in each fin's axes [m]; None where fins are not tanks."""
+
+
+class RobotSimulation:
+    """A robot and its fins as programs."""
+
+    def __init__(self, robot: RobotConfig, plants: Sequence[Plant]) -> None:
+        self.robot, self.dynamics = robot, Dynamics.of(robot.body)
+        mounts = robot.fins.values()
+        self._places = np.array([fin.position_m for fin in mounts])
+        self._axes = np.array([fin.axes() for fin in mounts])
+        self._shafts = np.array([fin.shaft_axis for fin in mounts])
+        self._matrix = robot.matrix()
+        self.tanks = all(isinstance(plant, Tank) for plant in plants)
+        # Tanks of one kind are one program over all of them.
+        self.plants = jax.tree.map(lambda *x: jnp.stack(x), *plants) if self.tanks else tuple(plants)
+        self._advance = eqx.filter_jit(self._held)
+
+    def init(self, key: PRNGKeyArray, body: BodyState | None = None) -> RobotState:
+        """Return fins at rest on a body that is at rest, unless it is given."""
+        keys = jax.random.split(key, len(self._places))
+        if self.tanks:
+            fins = eqx.filter_vmap(lambda plant, key: plant.init(key))(self.plants, keys)
+        else:
+            fins = tuple(plant.init(key) for plant, key in zip(self.plants, keys, strict=True))
+        start = jax.tree.map(jnp.float32, body or BodyState.rest())
+        return RobotState(start, jnp.zeros(6), fins)
+
+    def advance(
+        self, state: RobotState, orders: Orders, around: Surroundings, ticks: Int[Array, ""] | int
+    ) -> tuple[RobotState, Ticks]:
+        """Advance by an action of 33 or 34 ticks; rows of 34, of which the first `ticks` count."""
+        advanced: tuple[RobotState, Ticks] = self._advance(state, orders, around, ticks)
+        return advanced
+
+    def _held(
+        self, state: RobotState, orders: Orders, around: Surroundings, ticks: Int[Array, ""] | int
+    ) -> tuple[RobotState, Ticks]:
+        def one(state: RobotState, index: Int[Array, ""]) -> tuple[RobotState, Ticks]:
+            after, row = self.tick(state, orders.at(index), around)
+            return jax.tree.map(lambda new, old: jnp.where(index < ticks, new, old), after, state), row
+
+        return jax.lax.scan(one, state, jnp.arange(MOST_TICKS))
+
+    def held(self, orders: Orders) -> Float[Array, "actions ticks 6"]:
+        """Return the wrench of the fins on a body that is held, from rest, under the orders ``(actions, fins)`` of some
+        actions; rows of 34 ticks an action."""
+        start = self.init(jax.random.key(0))
+        still = jax.tree.map(
+            lambda x: jnp.zeros((len(self._places), *x.shape)), Mount(jnp.zeros(2), jnp.zeros(2), jnp.zeros(()))
+        )
+
+        def action(fins: Any, now: tuple[Orders, Array]) -> tuple[Any, Array]:
+            orders, ticks = now
+
+            def one(fins: Any, index: Array) -> tuple[Any, Array]:
+                after, loads, _ = self._fins(fins, orders.at(index), still)
+                return jax.tree.map(lambda new, old: jnp.where(index < ticks, new, old), after, fins), self._wrench(
+                    loads
+                )
+
+            return jax.lax.scan(one, fins, jnp.arange(MOST_TICKS))
+
+        return jax.lax.scan(action, start.fins, (orders, jnp.asarray(ticks_of(len(orders.delays)))))[1]
+
+    def _wrench(self, loads: Load) -> Float[Array, "6"]:
+        wrench = jnp.asarray(self._matrix, jnp.float32) @ loads.force.reshape(-1)
+        return wrench.at[3:].add(loads.torque @ self._shafts)
+
+    def tick(self, state: RobotState, commands: Command, around: Surroundings) -> tuple[RobotState, Ticks]:
+        """Advance by one tick of 10 ms."""
+        mounts = self._mounts(self.dynamics.relative_twist(state.body, around.current), state.acceleration)
+        fins, loads, shapes = self._fins(state.fins, commands, mounts)
+        wrench = self._wrench(loads)
+        acceleration = self.dynamics.acceleration(state.body, wrench + around.push, around.current)
+        body = self.dynamics.step(state.body, wrench + around.push, around.current)
+        return RobotState(body, acceleration, fins), Ticks(body, wrench, shapes)
+
+    def _mounts(self, twist: Float[Array, "6"], acceleration: Float[Array, "6"]) -> Mount:
+        """Return the motion of each fin's mount through the water, in its own axes."""
+        velocity, turn = twist[:3], twist[3:]
+        # Of the origin, in axes that do not turn.
+        linear = acceleration[:3] + cross(turn, velocity)
+
+        def each(place: Array, axes: Array, shaft: Array) -> Mount:
+            around = cross(turn, place)
+            speeding = linear + cross(acceleration[3:], place) + cross(turn, around)
+            return Mount((velocity + around) @ axes, speeding @ axes, turn @ shaft)
+
+        return jax.vmap(each)(*(jnp.asarray(x, jnp.float32) for x in (self._places, self._axes, self._shafts)))
+
+    def _fins(self, states: Any, commands: Command, mounts: Mount) -> tuple[Any, Load, Array | None]:
+        if self.tanks:
+
+            def each(plant: Tank, state: Any, command: Command, mount: Mount) -> tuple[Any, Load, Array]:
+                state, _, load = plant.tick(state, command, mount)
+                return state, load, plant.shape(state)
+
+            advanced: tuple[Any, Load, Array] = eqx.filter_vmap(each)(self.plants, states, commands, mounts)
+            return advanced
+        after, forces, torques = [], [], []
+        for fin, plant in enumerate(self.plants):
+            command, mount = (jax.tree.map(lambda x: x[fin], each) for each in (commands, mounts))
+            if isinstance(plant, Tank):
+                state, _, load = plant.tick(states[fin], command, mount)
+            else:
+                state, reading = plant.advance(states[fin], command, 1)
+                load = Load(reading.force[0], jnp.float32(0))
+            after.append(state)
+            forces.append(load.force)
+            torques.append(load.torque)
+        return tuple(after), Load(jnp.stack(forces), jnp.stack(torques)), None

@@ -1,0 +1,152 @@
+"""A trial: a robot holds its place or follows a path in simulation, with the noise of a real estimate."""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from pydantic import NonNegativeFloat, PositiveFloat
+from scipy.signal import lfilter
+
+from softfin.core.action_clock import ACTION_RATE_HZ, ticks_of
+from softfin.core.configuration import Configuration
+from softfin.core.quantities import TICK_S, Command
+from softfin.core.randomness import generator_of
+from softfin.robot.body_config import Three
+from softfin.robot.dynamics import BodyState
+from softfin.robot.motion_control import SEEN_ACTIONS, MotionController
+from softfin.robot.paths import Path
+from softfin.robot.rotation import multiply
+from softfin.robot.simulation import Orders, RobotSimulation, Surroundings
+from softfin.robot.wrench_driver import WrenchDriver
+
+
+class NoiseConfig(Configuration):
+    """Noise of the estimate of the robot's state, normal, each number by itself."""
+
+    position_m: NonNegativeFloat = 0.01
+    """Standard deviation of each coordinate [m]."""
+    attitude_rad: NonNegativeFloat = 0.0087
+    """Standard deviation about each axis [rad]: half a degree."""
+    velocity_m_s: NonNegativeFloat = 0.01
+    """Standard deviation of each velocity [m/s]."""
+    rate_rad_s: NonNegativeFloat = 0.01
+    """Standard deviation of each angular velocity [rad/s]."""
+    memory_s: PositiveFloat = 0.1
+    """Time constant with which the noise forgets itself [s]: an estimate's errors are no white noise."""
+
+
+class Disturbances(NamedTuple):
+    """What happens to the robot."""
+
+    current_m_s: Three = (0.0, 0.0, 0.0)
+    """Current, steady, in world axes."""
+    push_n_s: Three = (0.0, 0.0, 0.0)
+    """Impulse on the origin in body axes, within one action [N s]."""
+    push_at_s: float = 10.0
+    dead_fin: int | None = None
+    """Fin that dies: its shaft stays where it is, and the controller is told."""
+    dead_at_s: float = 20.0
+
+
+class Record(NamedTuple):
+    """What happened; rows are ticks, or actions where it is said."""
+
+    time: Float[np.ndarray, "ticks"]
+    body: BodyState
+    target_position: Float[np.ndarray, "ticks 3"]
+    target_attitude: Float[np.ndarray, "ticks 4"]
+    made: Float[np.ndarray, "ticks 6"]
+    """Wrench of the fins [N, N m]."""
+    shapes: np.ndarray | None
+    """``(ticks, fins, points, 2)`` [m]."""
+    asked: Float[np.ndarray, "actions 6"]
+    """Wrench that the controller asked for [N, N m]."""
+    expected: Float[np.ndarray, "actions 6"]
+    """Wrench that the fins were expected to make of it in still water."""
+    forces: Float[np.ndarray, "actions fins 2"]
+    """Mean force that each fin was asked for [N]."""
+    given_up: np.ndarray
+    """``(actions, 6)``"""
+
+    def position_error(self) -> Float[np.ndarray, "ticks"]:
+        """Return the distance from the path [m]."""
+        return np.asarray(np.linalg.norm(self.body.position - self.target_position, axis=1))
+
+    def attitude_error(self) -> Float[np.ndarray, "ticks"]:
+        """Return the angle between the robot and the path [rad]."""
+        between = np.abs((self.target_attitude * self.body.attitude).sum(axis=1))
+        return np.asarray(2 * np.arccos(np.minimum(between, 1)))
+
+
+def run_trial(
+    simulation: RobotSimulation, driver: WrenchDriver, path: Path, seconds: float | int,
+    disturbances: Disturbances | None = None, noise: NoiseConfig | None = None, seed: int = 0,
+) -> Record:  # fmt: skip
+    """Run a trial from rest at the path's beginning."""
+    trouble, noise = disturbances or Disturbances(), noise or NoiseConfig()
+    controller, random = MotionController(simulation.robot), generator_of(seed, "robot/noise")
+    start = path(0.0)
+    state = simulation.init(jax.random.key(seed), BodyState(start.position, start.attitude, np.zeros(6)))
+    deviation = np.zeros((1, 12))
+    scale = np.repeat([noise.position_m, noise.attitude_rad, noise.velocity_m_s, noise.rate_rad_s], 3)
+    forget = float(np.exp(-TICK_S / noise.memory_s))
+    fresh = np.sqrt(1 - forget**2)
+    control, driving = controller.init(), driver.init()
+    before = commands_of([Command(0.0, gaits.limits.velocity_min) for gaits in driver.gaits])
+    rows, asked, expected, forces, given_up = [], [], [], [], []
+    seen: list[tuple[np.ndarray, ...]] = [(start.position[None], start.attitude[None], np.zeros((1, 6)))]
+    time = 0.0
+    for ticks in ticks_of(round(seconds * ACTION_RATE_HZ)):
+        if trouble.dead_fin is not None and time >= trouble.dead_at_s and trouble.dead_fin not in driver.dead:
+            driver.declare_dead(trouble.dead_fin)
+        last = [np.concatenate(part) for part in zip(*seen[-SEEN_ACTIONS:], strict=True)]
+        middle = time - len(last[0]) * TICK_S / 2 if len(seen) > 1 else time
+        ahead = path(time + ticks * TICK_S / 2)
+        control, wrench = controller.act(control, last, path(middle), path(time), ahead)
+        driving, made = driver.act(driving, wrench)
+        control = controller.made(control, made.wrench, ahead)
+        commands = commands_of(made.commands)
+        orders, before = Orders(before, commands, jnp.asarray(made.delays)), commands
+        push = np.zeros(6)
+        if 0 <= time - trouble.push_at_s < 1 / ACTION_RATE_HZ:
+            push[:3] = np.asarray(trouble.push_n_s) / (ticks * TICK_S)
+        around = Surroundings(jnp.asarray(trouble.current_m_s, jnp.float32), jnp.asarray(push, jnp.float32))
+        state, happened = simulation.advance(state, orders, around, ticks)
+        happened = jax.tree.map(partial(_first, ticks), happened)
+        rows.append(happened)
+        noisy, deviation = lfilter([1.0], [1.0, -forget], fresh * random.normal(size=(ticks, 12)), axis=0, zi=deviation)
+        seen = [*seen[-1:], _estimated(happened.body, noisy * scale)]
+        asked.append(wrench)
+        expected.append(made.wrench)
+        forces.append(made.forces)
+        given_up.append(made.given_up)
+        time += ticks * TICK_S
+    happened = jax.tree.map(lambda *parts: np.concatenate(parts), *rows)
+    times = TICK_S * np.arange(1, len(happened.wrench) + 1)
+    targets = [path(float(at)) for at in times]
+    return Record(
+        times, BodyState(*(np.asarray(part, float) for part in happened.body)),
+        np.array([target.position for target in targets]), np.array([target.attitude for target in targets]),
+        np.asarray(happened.wrench, float), happened.shapes, np.array(asked), np.array(expected), np.array(forces),
+        np.array(given_up),
+    )  # fmt: skip
+
+
+def commands_of(commands: Sequence[Command]) -> Command:
+    """Return the commands of all fins as one, fields ``(fins,)``."""
+    return Command(*(jnp.asarray(x, jnp.float32) for x in zip(*commands, strict=True)))
+
+
+def _first(count: int, rows: jax.Array) -> np.ndarray:
+    return np.asarray(rows)[:count]
+
+
+def _estimated(body: BodyState, noise: Float[np.ndarray, "ticks 12"]) -> tuple[np.ndarray, ...]:
+    """Return position, attitude and twist with noise."""
+    turn = np.concatenate([np.ones((1, len(noise))), noise[:, 3:6].T / 2])
+    attitude = multiply(np.asarray(body.attitude, float).T, turn / np.linalg.norm(turn, axis=0)).T
+    return np.asarray(body.position, float) + noise[:, :3], attitude, np.asarray(body.twist, float) + noise[:, 6:]

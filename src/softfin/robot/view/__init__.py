@@ -1,0 +1,1 @@
+"""A robot's trial as a page in three dimensions."""

@@ -1,0 +1,84 @@
+"""A trial as one HTML page that plays it in three dimensions; three.js (MIT licence) is part of the page."""
+
+import base64
+import importlib.resources
+import json
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+from markupsafe import Markup
+
+from softfin.core.action_clock import ACTION_RATE_HZ
+from softfin.core.canvas import with_canvas
+from softfin.core.quantities import RATE_HZ
+from softfin.robot.description import AXES, RobotConfig
+from softfin.robot.trial import Record
+from softfin.storage import artifact as artifacts
+
+FRAME_TICKS = 5
+"""Ticks between two frames of the page, which blends in between."""
+
+SHAPE_UNIT_M = 1e-4
+"""Unit of the fins' shapes, which are whole numbers: finer than a pixel, in few bytes."""
+
+FIN_SPAN_M = 0.081
+"""Width at which a fin is drawn [m]."""
+
+
+def write_page(path: Path, robot: RobotConfig, record: Record, title: str) -> None:
+    """Write the page: nothing is fetched."""
+    folder = importlib.resources.files("softfin.robot.view")
+    template, script = (folder.joinpath(name).read_text("utf-8") for name in ("page.html.jinja", "page.js"))
+    library = base64.b64encode(folder.joinpath("three.module.min.js").read_bytes()).decode()
+    page = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(template).render(
+        title=title,
+        trial=Markup(json.dumps(to_dict(robot, record), separators=(",", ":"), allow_nan=False)),
+        library=Markup(library),
+        script=Markup(with_canvas(script)),
+    )  # fmt: skip
+    artifacts.write_file(path, page)
+
+
+def to_dict(robot: RobotConfig, record: Record) -> dict[str, Any]:
+    """Return the data that the page draws, as plain numbers; series are flat, row after row."""
+    frames = np.arange(0, len(record.time), FRAME_TICKS)
+    actions = np.minimum((record.time[frames] * ACTION_RATE_HZ - 1e-6).astype(int), len(record.asked) - 1)
+    series = {
+        "position": (record.body.position[frames], 4),
+        "attitude": (record.body.attitude[frames], 5),
+        "target": (record.target_position[frames], 4),
+        "asked": (record.asked[actions], 3),
+        "made": (_recent_mean(record.made)[frames], 3),
+        "off_cm": (100 * record.position_error()[frames], 2),
+        "tilt_deg": (np.degrees(record.attitude_error()[frames]), 2),
+        "given_up": (record.given_up[actions].astype(int), 0),
+    }
+    fins = [
+        {"name": name, "place": list(fin.position_m), "axes": fin.axes().ravel().round(6).tolist(),
+         "shaft": list(fin.shaft_axis)}
+        for name, fin in robot.fins.items()
+    ]  # fmt: skip
+    shapes = None if record.shapes is None else record.shapes[frames]
+    return {
+        "rate_hz": RATE_HZ / FRAME_TICKS,
+        "frames": len(frames),
+        "axes": AXES,
+        "size": robot.size_m,
+        "fins": fins,
+        "span": FIN_SPAN_M,
+        **{name: [round(float(x), digits) for x in np.ravel(values)] for name, (values, digits) in series.items()},
+        "shape_unit": SHAPE_UNIT_M,
+        "points": 0 if shapes is None else shapes.shape[2],
+        "shapes": [] if shapes is None else np.rint(shapes / SHAPE_UNIT_M).astype(int).ravel().tolist(),
+    }
+
+
+def _recent_mean(wrench: np.ndarray) -> np.ndarray:
+    """Mean over the period of two strokes that ends at each tick: what the body feels of the fins."""
+    ticks = round(2 * RATE_HZ / ACTION_RATE_HZ)
+    total = np.cumsum(np.concatenate([np.zeros((1, 6)), wrench]), axis=0)
+    start = np.maximum(np.arange(len(wrench)) + 1 - ticks, 0)
+    end = np.arange(len(wrench)) + 1
+    return np.asarray((total[end] - total[start]) / (end - start)[:, None])
