@@ -32,6 +32,8 @@ class ControlConfig(Configuration):
     bandwidth_rad_s: SixNotNegative = (0.7, 0.7, 0.5, 0, 0, 0.6)
     """Frequency at which errors are corrected [rad/s]. Forces follow a command by half a second or so, the mean over
     an action and its gait; a third of 1/delay keeps 60 degrees of phase."""
+    lag_s: float = Field(0.25, ge=0, le=0.33)
+    """Time by which forces follow their commands [s]: fins swing to their new direction, and set the water going."""
     damping: PositiveFloat = 1.0
     """Damping ratio of the correction [-]."""
     disturbance: Six = (0.005, 0.005, 0.003, 0.01, 0.01, 0.01)

@@ -40,6 +40,9 @@ class AxisFilter(NamedTuple):
     back: Float[np.ndarray, "6 2 3"]
     """From the state now to the mean error and rate over the last two actions."""
     driven_back: Float[np.ndarray, "6 2"]
+    ahead: Float[np.ndarray, "6 3 3"]
+    """From now to the time at which new forces act."""
+    driven_ahead: Float[np.ndarray, "6 3"]
 
     @classmethod
     def of(
@@ -47,7 +50,7 @@ class AxisFilter(NamedTuple):
         noise: Float[np.ndarray, "6 2"],
     ) -> "AxisFilter":  # fmt: skip
         """Build them; stiffness [1/s2] and damping [1/s] are those of the body itself, noise that of error and rate."""
-        forwards, drives, gains, backs, back_drives = [], [], [], [], []
+        rows = []
         for axis in range(6):
             slope = np.array([[0, 1, 0, 0], [-stiffness[axis], -damping[axis], 1, 1], [0, 0, 0, 0], [0, 0, 0, 0]])
             step, half = _exponential(slope * ACTION_S), np.linalg.inv(_exponential(slope * ACTION_S))
@@ -62,12 +65,9 @@ class AxisFilter(NamedTuple):
                 ahead = forward @ covariance @ forward.T + spread
                 gain = ahead @ back.T @ np.linalg.inv(back @ ahead @ back.T + measured)
                 covariance = (np.eye(3) - gain @ back) @ ahead
-            forwards.append(forward)
-            drives.append(driven)
-            gains.append(gain)
-            backs.append(back)
-            back_drives.append(driven_back)
-        return cls(*(np.array(each) for each in (forwards, drives, gains, backs, back_drives)))
+            lag = _exponential(slope * config.lag_s)
+            rows.append((forward, driven, gain, back, driven_back, lag[:3, :3], lag[:3, 3]))
+        return cls(*map(np.array, zip(*rows, strict=True)))
 
 
 STEADY = 600
@@ -79,8 +79,8 @@ class ControlState(NamedTuple):
 
     estimate: Float[np.ndarray, "6 3"]
     """Error, its rate and the disturbance, axis by axis, in the axes of the path [m, rad; and per s, per s2]."""
-    acceleration: SixVector
-    """Acceleration that the fins were last made to add to the path's [m/s2, rad/s2]."""
+    accelerations: Float[np.ndarray, "2 6"]
+    """Accelerations that the fins were made to add to the path's in the last two actions, the newest first."""
 
 
 class MotionController:
@@ -90,7 +90,7 @@ class MotionController:
         config = robot.control
         self.dynamics = Dynamics.of(robot.body)
         self._rate = np.asarray(config.bandwidth_rad_s, float)
-        self._damping = config.damping
+        self._damping, self._lag = config.damping, config.lag_s / ACTION_S
         inertia = self.dynamics.inertia.diagonal()
         lever = self.dynamics.buoyancy * self.dynamics.centre_of_buoyancy[2]
         lever -= self.dynamics.weight * self.dynamics.centre_of_gravity[2]
@@ -101,7 +101,7 @@ class MotionController:
 
     def init(self) -> ControlState:
         """Return the state before the first action: nothing is known."""
-        return ControlState(np.zeros((6, 3)), np.zeros(6))
+        return ControlState(np.zeros((6, 3)), np.zeros((2, 6)))
 
     def act(self, state: ControlState, seen: Sequence[np.ndarray], middle: Target, now: Target,
             ahead: Target) -> tuple[ControlState, SixVector]:  # fmt: skip
@@ -125,16 +125,18 @@ class MotionController:
         path_twist = np.concatenate([middle.velocity @ axes, middle.turn @ axes])
         measured = np.stack([error, twist - path_twist], axis=1)
         f = self._filter
-        guess = np.einsum("aij,aj->ai", f.forward, state.estimate) + f.driven * state.acceleration[:, None]
-        expected = np.einsum("aij,aj->ai", f.back, guess) + f.driven_back * state.acceleration[:, None]
+        acted = ((1 - self._lag) * state.accelerations[0] + self._lag * state.accelerations[1])[:, None]
+        guess = np.einsum("aij,aj->ai", f.forward, state.estimate) + f.driven * acted
+        expected = np.einsum("aij,aj->ai", f.back, guess) + f.driven_back * acted
         estimate = guess + np.einsum("aij,aj->ai", f.gain, measured - expected)
-        correction = -(self._rate**2) * estimate[:, 0] - 2 * self._damping * self._rate * estimate[:, 1]
-        correction -= estimate[:, 2]
-        return ControlState(estimate, correction), self._needed(ahead) + self.dynamics.inertia @ correction
+        then = np.einsum("aij,aj->ai", f.ahead, estimate) + f.driven_ahead * state.accelerations[0][:, None]
+        correction = -(self._rate**2) * then[:, 0] - 2 * self._damping * self._rate * then[:, 1] - then[:, 2]
+        return state._replace(estimate=estimate), self._needed(ahead) + self.dynamics.inertia @ correction
 
     def made(self, state: ControlState, wrench: SixVector, ahead: Target) -> ControlState:
         """Tell the observer what wrench the fins make of the one asked for."""
-        return state._replace(acceleration=self.dynamics.inverse @ (wrench - self._needed(ahead)))
+        acceleration = self.dynamics.inverse @ (wrench - self._needed(ahead))
+        return state._replace(accelerations=np.stack([acceleration, state.accelerations[0]]))
 
     def _needed(self, target: Target) -> SixVector:
         """Return the wrench that keeps the body on the path in still water, upright."""
