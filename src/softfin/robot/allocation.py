@@ -78,6 +78,16 @@ class Allocator:
         self._blocks, self._eye = np.zeros((count, 2 * count)), np.eye(count)
         self._x, self._y = (self._blocks.reshape(-1)[axis :: 2 * count + 2] for axis in (0, 1))
 
+    def reach_along(self, axis: int) -> float:
+        """Return the greatest force or moment along one axis with none along the others [N, N m], within 1%."""
+        unit = np.eye(6)[axis]
+        low, high = 0.0, float(np.abs(self.matrix[axis]) @ self._scale) + 1e-9
+        for _ in range(12):
+            middle = (low + high) / 2
+            missed = np.abs(self.allocate(middle * unit).wrench - middle * unit).max()
+            low, high = (middle, high) if missed < 0.01 * middle else (low, middle)
+        return low
+
     def allocate(self, wrench: SixVector, preferred: Forces | None = None) -> Allocation:
         """Share a wrench in body axes [N, N m]; every finite wrench has an answer."""
         near = np.zeros(len(self._scale))

@@ -17,6 +17,7 @@ def check_robot(robot: RobotConfig, gaits: Sequence[FinGaits]) -> dict[str, Any]
     """Return rank and singular values, with all fins and without each of them, and the reach of every axis."""
     matrix, count = robot.matrix(), len(robot.fins)
     reach = np.array([each.reach for each in gaits])
+    allocator = Allocator(matrix, reach)
     without = {name: _rank(np.delete(matrix, [2 * fin, 2 * fin + 1], axis=1)) for fin, name in enumerate(robot.fins)}
     return {
         "robot": robot.name,
@@ -25,7 +26,7 @@ def check_robot(robot: RobotConfig, gaits: Sequence[FinGaits]) -> dict[str, Any]
         "singular_values": [round(float(value), 4) for value in np.linalg.svd(matrix)[1]],
         "rank_without": without if count > 1 else {},
         "fin_reach_n": dict(zip(robot.fins, (round(float(r), 3) for r in reach), strict=True)),
-        "reach": {name: _reach(matrix, reach, axis) for axis, name in enumerate(AXES)},
+        "reach": {name: round(allocator.reach_along(axis), 3) for axis, name in enumerate(AXES)},
         "sinks_n": round(robot.body.mass_kg * 9.81 - robot.body.upward_n, 3),
     }
 
@@ -34,14 +35,3 @@ def _rank(matrix: np.ndarray) -> int:
     values = np.linalg.svd(matrix)[1] if matrix.size else np.zeros(1)
     return int((values > WEAK * values[0]).sum()) if values[0] > 0 else 0
 
-
-def _reach(matrix: np.ndarray, reach: np.ndarray, axis: int) -> float:
-    """Return the greatest force or moment along one axis with none along the others [N, N m], within 1%."""
-    unit = np.eye(6)[axis]
-    allocator = Allocator(matrix, reach)
-    low, high = 0.0, float(np.abs(matrix[axis]) @ np.repeat(reach, 2)) + 1e-9
-    for _ in range(12):
-        middle = (low + high) / 2
-        missed = np.abs(allocator.allocate(middle * unit).wrench - middle * unit).max()
-        low, high = (middle, high) if missed < 0.01 * middle else (low, middle)
-    return round(low, 3)

@@ -36,6 +36,11 @@ class ControlConfig(Configuration):
     """Time by which forces follow their commands [s]: fins swing to their new direction, and set the water going."""
     damping: PositiveFloat = 1.0
     """Damping ratio of the correction [-]."""
+    sway_part: float = Field(0.6, gt=0)
+    """A robot that has lost a fin and holds its place turns nose or stern into a current that takes more than this part of
+    what its other fins make to the side. Fins make a quarter less in a current than in still water, and some for yaw."""
+    weathervane_rad_s: NonNegativeFloat = 0.1
+    """Fastest turning to that end [rad/s]; 0: it keeps its heading."""
     disturbance: Six = (0.005, 0.005, 0.003, 0.01, 0.01, 0.01)
     """How fast disturbances change: random walk of the acceleration [m/s2, rad/s2 per square root of a second]."""
     force_noise: Six = (0.005, 0.005, 0.003, 0.05, 0.03, 0.02)

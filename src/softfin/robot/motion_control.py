@@ -21,7 +21,7 @@ from softfin.robot.control_config import ControlConfig
 from softfin.robot.description import RobotConfig
 from softfin.robot.dynamics import Dynamics, SixVector
 from softfin.robot.paths import Target
-from softfin.robot.rotation import cross, inverse, matrix, multiply, normalized, to_vector
+from softfin.robot.rotation import cross, from_euler, inverse, matrix, multiply, normalized, to_vector
 
 ACTION_S = 1 / ACTION_RATE_HZ
 
@@ -70,6 +70,9 @@ class AxisFilter(NamedTuple):
         return cls(*map(np.array, zip(*rows, strict=True)))
 
 
+STILL_M_S = 0.01
+"""A path slower than this is a place to hold."""
+
 STEADY = 600
 """Actions after which a filter's gain has settled."""
 
@@ -81,6 +84,8 @@ class ControlState(NamedTuple):
     """Error, its rate and the disturbance, axis by axis, in the axes of the path [m, rad; and per s, per s2]."""
     accelerations: Float[np.ndarray, "2 6"]
     """Accelerations that the fins were made to add to the path's in the last two actions, the newest first."""
+    heading: float
+    """Angle by which the robot has turned from the path's heading into a current [rad]."""
 
 
 class MotionController:
@@ -88,6 +93,9 @@ class MotionController:
 
     def __init__(self, robot: RobotConfig) -> None:
         config = robot.control
+        self._config = config
+        self.sway_reach_n = np.inf
+        """Greatest force to the side that the fins make, once one of them is dead [N]; with all fins the heading is kept."""
         self.dynamics = Dynamics.of(robot.body)
         self._rate = np.asarray(config.bandwidth_rad_s, float)
         self._damping, self._lag = config.damping, config.lag_s / ACTION_S
@@ -101,7 +109,7 @@ class MotionController:
 
     def init(self) -> ControlState:
         """Return the state before the first action: nothing is known."""
-        return ControlState(np.zeros((6, 3)), np.zeros((2, 6)))
+        return ControlState(np.zeros((6, 3)), np.zeros((2, 6)), 0.0)
 
     def act(self, state: ControlState, seen: Sequence[np.ndarray], middle: Target, now: Target,
             ahead: Target) -> tuple[ControlState, SixVector]:  # fmt: skip
@@ -115,6 +123,7 @@ class MotionController:
         """
         if not all(np.isfinite(each).all() for each in seen):
             raise RunError("robot: its state holds numbers that are not finite; check what estimates it")
+        middle, now, ahead = (_turned(target, state.heading) for target in (middle, now, ahead))
         position, twist = seen[0].mean(axis=0), seen[2].mean(axis=0)
         # Near one another, so that their mean is theirs but for its length.
         attitude = normalized((seen[1] * np.sign(seen[1] @ seen[1][-1])[:, None]).mean(axis=0))
@@ -131,11 +140,22 @@ class MotionController:
         estimate = guess + np.einsum("aij,aj->ai", f.gain, measured - expected)
         then = np.einsum("aij,aj->ai", f.ahead, estimate) + f.driven_ahead * state.accelerations[0][:, None]
         correction = -(self._rate**2) * then[:, 0] - 2 * self._damping * self._rate * then[:, 1] - then[:, 2]
-        return state._replace(estimate=estimate), self._needed(ahead) + self.dynamics.inertia @ correction
+        state = state._replace(estimate=estimate, heading=self._headed(state.heading, estimate, now))
+        return state, self._needed(ahead) + self.dynamics.inertia @ correction
+
+    def _headed(self, heading: float, estimate: Float[np.ndarray, "6 3"], now: Target) -> float:
+        """Return the heading further into the current, where that is more than the fins hold abeam."""
+        surge, sway = -(self.dynamics.inertia @ estimate[:, 2])[:2]
+        excess = abs(sway) / (self._config.sway_part * self.sway_reach_n) - 1
+        if excess <= 0 or np.linalg.norm(now.velocity) > STILL_M_S:
+            return heading
+        # On with the turn that was begun, else the shorter way.
+        way = np.sign(heading) or np.sign(sway) * (np.sign(surge) or 1.0)
+        return float(heading + way * self._config.weathervane_rad_s * ACTION_S * min(excess, 1.0))
 
     def made(self, state: ControlState, wrench: SixVector, ahead: Target) -> ControlState:
         """Tell the observer what wrench the fins make of the one asked for."""
-        acceleration = self.dynamics.inverse @ (wrench - self._needed(ahead))
+        acceleration = self.dynamics.inverse @ (wrench - self._needed(_turned(ahead, state.heading)))
         return state._replace(accelerations=np.stack([acceleration, state.accelerations[0]]))
 
     def _needed(self, target: Target) -> SixVector:
@@ -146,6 +166,10 @@ class MotionController:
         acceleration = np.concatenate([target.acceleration @ axes - cross(turn, velocity), target.turning @ axes])
         d = self.dynamics
         return d.inertia @ acceleration - d.gyroscopic(twist) - d.drag(twist) - d.restoring(target.attitude)
+
+
+def _turned(target: Target, heading: float) -> Target:
+    return target._replace(attitude=multiply(target.attitude, from_euler(0.0, 0.0, heading))) if heading else target
 
 
 def _exponential(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:

@@ -24,6 +24,9 @@ from softfin.robot.simulation import Orders, RobotSimulation, Surroundings
 from softfin.robot.wrench_driver import WrenchDriver
 
 
+SWAY = 1
+
+
 class NoiseConfig(Configuration):
     """Noise of the estimate of the robot's state, normal, each number by itself."""
 
@@ -103,6 +106,7 @@ def run_trial(
     for ticks in ticks_of(round(seconds * ACTION_RATE_HZ)):
         if trouble.dead_fin is not None and time >= trouble.dead_at_s and trouble.dead_fin not in driver.dead:
             driver.declare_dead(trouble.dead_fin)
+            controller.sway_reach_n = driver.allocator.reach_along(SWAY)
         last = [np.concatenate(part) for part in zip(*seen[-SEEN_ACTIONS:], strict=True)]
         middle = time - len(last[0]) * TICK_S / 2 if len(seen) > 1 else time
         ahead = path(time + ticks * TICK_S / 2)
