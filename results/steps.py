@@ -38,6 +38,7 @@ ROOMS = {
     "docs/ablation.py": ("data", "surrogate", "tank"),
     "docs/data_efficiency.py": ("data", "surrogate", "tank"),
     "docs/faster_reaction.py": ("control", "evaluation", "gaits", "learning", "surrogate", "tank", "task"),
+    "robot": ("robot", "tank"),
     "as-test": (),
     "tank-r2": ("surrogate", "tank"),
     "efficiency": (),
@@ -165,7 +166,10 @@ def code(words: Sequence[str]) -> str:
         places.append((ROOT / words[2].replace(".", "/")).with_suffix(".py"))
     # The paper's nets and the authors' need nothing of the streaming ones.
     streaming = words[0] != "softfin" or words[1] == "reproduce" or any("streaming" in word for word in words)
-    return _hash(*(_code_of(place, streaming) for place in places))
+    left_out = () if streaming else (PACKAGE / "surrogate" / "streaming",)
+    # Of all commands, those of robots alone run their code.
+    left_out += () if name == "robot" else (PACKAGE / "robot",)
+    return _hash(*(_code_of(place, left_out) for place in places))
 
 
 def _with_imports(file: Path) -> set[Path]:
@@ -177,9 +181,9 @@ def _with_imports(file: Path) -> set[Path]:
 
 
 @cache
-def _code_of(place: Path, streaming: bool) -> list[str]:
+def _code_of(place: Path, left_out: tuple[Path, ...]) -> list[str]:
     files = [place] if place.is_file() else sorted(place.rglob("*.py"))
-    return [_bare(file) for file in files if streaming or PACKAGE / "surrogate" / "streaming" not in file.parents]
+    return [_bare(file) for file in files if not any(folder in file.parents for folder in left_out)]
 
 
 def _bare(file: Path) -> str:

@@ -15,6 +15,7 @@ from results.parts.controllers import (
     recurrent,
     whole_map,
 )
+from results.parts.robot import robot
 from results.parts.surrogates import ablation, data_efficiency, surrogates, tank
 from results.record import figure
 from results.steps import step
@@ -88,7 +89,7 @@ PARTS: dict[str, Callable[[Sequence[int]], Part]] = {
     "controllers-paper": controllers_paper, "baselines-published": baselines_published,
     "baselines-tank": baselines_tank, "recurrent": recurrent, "choices": choices,
     "whole-map": whole_map, "faster": faster, "ablation": ablation, "data-efficiency": data_efficiency, "tank": tank,
-    "demo": demo, "rig-day": rig_day,
+    "demo": demo, "rig-day": rig_day, "robot": robot,
     **{f"bench-{name.replace('_', '-')}": bench(name) for name in BENCHMARKS},
 }  # fmt: skip
 """Parts by name, in the order in which they are run."""

@@ -1,31 +1,77 @@
-"""A robot's computer: the commands that run there need none of what learns."""
+"""``softfin robot`` as a user types it."""
 
-import subprocess
-import sys
+import json
 
 import pytest
 
-ABSENT = ("jax", "jaxlib", "equinox", "optax", "cma", "gymnasium", "h5py", "pyarrow", "scipy", "matplotlib", "PIL",
-          "dtaidistance", "tensorboardX", "jinja2")  # fmt: skip
-
-BLOCKED = f"""
-import sys
-
-class Absent:
-    def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in {ABSENT!r}:
-            raise ModuleNotFoundError(f"{{name}} is not on this computer")
-
-sys.meta_path.insert(0, Absent())
 from softfin.cli import main
-main(sys.argv[1:])
-"""
 
 
-@pytest.mark.parametrize("command", ["run", "rig", "ros2", "monitor", "bag", "export"])
-def test_a_command_of_the_rig_starts_without_what_learns(command: str) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", BLOCKED, command, "--help"], capture_output=True, text=True, timeout=120, check=False
+def refused(capsys, *words):
+    with pytest.raises(SystemExit) as stop:
+        main(["robot", *words])
+    assert stop.value.code == 2
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    return told
+
+
+def test_check_prints_rank_and_reach(capsys):
+    main(["robot", "check", "ucat"])
+    told = capsys.readouterr().out
+    assert "U-CAT: 4 fins, rank 6 of 6" in told
+    assert "without back_left: rank 6" in told
+
+
+@pytest.mark.slow
+def test_evaluate_writes_figures_and_a_page(capsys, tmp_path):
+    out = tmp_path / "out"
+    main(["robot", "evaluate", "ucat", "--hold", "--wrenches", "--seeds", "1", "--out", str(out), "--json",
+          "--set", "hold_s=20", "--set", "settled_s=6", "--set", "wrenches=2"])  # fmt: skip
+    found = json.loads(capsys.readouterr().out)
+    assert found["wrenches"]["count"] == 2
+    assert json.loads((out / "robot.json").read_text())["hold"][0]["seed"] == 0
+    assert {file.name for file in out.iterdir()} == {"robot.json", "hold.html", "hold.png", "hold.svg"}
+    page = (out / "hold.html").read_text()
+    # Nothing is fetched; the library is in the page, with its licence.
+    assert "src=" not in page
+    assert "data:text/javascript;base64," in page
+
+
+@pytest.mark.slow
+def test_view_writes_a_page(capsys, tmp_path):
+    page = tmp_path / "lem.html"
+    main(["robot", "view", "--lemniscate", "--out", str(page), "--set", "path_s=20", "--set", "settled_s=5"])
+    assert "lemniscate" in capsys.readouterr().out
+    assert page.stat().st_size < 2_500_000
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("check", "ucat", "--hold"), "robot check runs no trial"),
+        (("view", "--hold", "--lissajous"), "robot view shows one of"),
+        (("view", "--wrenches"), "robot view shows one of"),
+        (("view", "ucat", "--out", "robot.gif"), "ends in .html"),
+        (("evaluate", "nemo.yaml"), "nemo.yaml: there is no such file"),
+        (("evaluate", "--set", "seeds=0"), "seeds"),
+    ],
+)
+def test_what_cannot_be_done_is_told_in_one_line(capsys, words, told):
+    assert told in refused(capsys, *words)
+
+
+def test_fins_that_the_simulation_does_not_know_are_refused(capsys, tmp_path, ucat_file):
+    text = ucat_file.replace(
+        "    shaft_axis: [0.5, 0.8660254, 0]", "    shaft_axis: [0.5, 0.8660254, 0]\n    range_rad: [-1, 1]"
     )
-    assert (done.returncode, done.stderr) == (0, "")
-    assert f"softfin {command}" in done.stdout
+    file = tmp_path / "limited.yaml"
+    file.write_text(text)
+    assert "front_left turns within a range" in refused(capsys, "evaluate", str(file))
+
+
+@pytest.fixture
+def ucat_file():
+    from importlib.resources import files
+
+    return files("softfin.robot").joinpath("robots/ucat.yaml").read_text()

@@ -58,7 +58,7 @@ def test_roll_and_pitch_swing_with_the_period_of_a_pendulum(axis):
     config = BodyConfig(**SPHERE, added_mass=(0, 0, 0, 0.1, 0.2, 0), centre_of_gravity_m=(0, 0, -0.02),
                         centre_of_buoyancy_m=(0, 0, 0.03))  # fmt: skip
     angles = 0.01 * np.eye(3)[axis]
-    dynamics, states = run(config, moving(np.zeros(6), from_euler(*angles)), 30)
+    _, states = run(config, moving(np.zeros(6), from_euler(*angles)), 30)
     angle = np.array([to_vector(np.asarray(q))[axis] for q in states.attitude])
     # The centre of gravity swings along, unless something holds the origin; so it is about the centre of gravity.
     inertia = (0.3, 0.6)[axis]

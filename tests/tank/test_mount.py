@@ -66,9 +66,8 @@ def test_the_thrust_of_a_pitching_plate_in_a_stream_is_lighthill_s(slip: float) 
     frequency, amplitude, rate = 2 * np.pi, 0.05, LENGTH * 2 * np.pi
     drive = DriveConfig(dead_time_s=0, acceleration_rad_s2=4000, stiffness_nm_rad=3000, torque_limit_nm=1e4,
                         fastest_rad_s=50)  # fmt: skip
-    config = TankConfig(fin=RIGID, drive=drive, steps_per_tick=8,
-                        water=STILL.model_copy(update={"drag_coefficient": 0.0, "friction_coefficient": 0.0}))  # fmt: skip
-    swung = Tank(config)
+    water = STILL.model_copy(update={"drag_coefficient": 0.0, "friction_coefficient": 0.0})
+    swung = Tank(TankConfig(fin=RIGID, drive=drive, water=water, steps_per_tick=8))
     moved = mount((slip * rate, 0))
     targets = amplitude * np.sin(frequency * TICK_S * np.arange(401))
     # At this velocity the profile arrives at the end of the tick, and does not stop within it.

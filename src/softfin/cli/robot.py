@@ -75,13 +75,14 @@ class RobotArguments(Configured):
         self.tell(found, "\n".join([*_table(found), f"{out}: pages, figures and robot.json"]))
 
     def _view(self) -> None:
-        from softfin.stages.robot import RobotViewConfig, view
+        from softfin.stages.robot import VIEWED, view
 
-        base = RobotViewConfig(task=(*self._tasks(), "hold")[0])
-        trial = self.configured(base.evaluation, dead=self.dead or None)
+        config = self.configured(VIEWED, tasks=self._tasks(), dead=self.dead or None)
         out = self.out or Path("robot.html")
-        row = self.stage(view, self.robot, out, base.model_copy(update={"evaluation": trial}))
-        self.tell(row, f"{out}: {base.task}, off by {100 * row['position_rms_m']:.1f} cm rms; open it in a browser")
+        row = self.stage(view, self.robot, out, config)
+        self.tell(
+            row, f"{out}: {config.tasks[0]}, off by {100 * row['position_rms_m']:.1f} cm rms; open it in a browser"
+        )
 
 
 def _table(found: dict[str, Any]) -> list[str]:
@@ -90,8 +91,9 @@ def _table(found: dict[str, Any]) -> list[str]:
     lines = []
     if (row := found.get("wrenches")) is not None:
         lines.append(
-            f"{row['count']} wrenches, mean over 2 s: off by {row['force_error_n']:.3f} N and {row['moment_error_nm']:.3f} "
-            f"N m (worst {row['force_error_worst_n']:.3f} N, {row['moment_error_worst_nm']:.3f} N m); ripple of roll "
+            f"{row['count']} wrenches, mean over 2 s: off by {row['force_error_n']:.3f} N and "
+            f"{row['moment_error_nm']:.3f} N m (worst {row['force_error_worst_n']:.3f} N, "
+            f"{row['moment_error_worst_nm']:.3f} N m); ripple of roll "
             f"{row['roll_ripple_ratio']:.2f} of that with independent phases"
         )
     trials = {task: found[task] for task in ("hold", "lemniscate", "lissajous") if task in found}

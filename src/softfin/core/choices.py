@@ -28,7 +28,7 @@ Split: TypeAlias = Literal["none", "seed", "cell"]
 """All lanes in one training job; one job for every seed; one for every cell of every seed."""
 
 RobotTask: TypeAlias = Literal["wrenches", "hold", "lemniscate", "lissajous"]
-"""What a robot is evaluated by."""
+"""Tasks by which a robot is evaluated."""
 
 TransportName: TypeAlias = Literal["auto", "rclpy", "dds"]
 """How a ROS 2 node reaches others; auto: rclpy where it is installed, else DDS."""

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 RIDGE = 1e-5
-"""Weight of the distance to the preferred forces; 10,000 times it would miss a third of a newton in the weakest axis."""
+"""Weight of the distance to the preferred forces; 10,000 times it would miss 0.3 N in the weakest axis."""
 
 MOST_STEPS = 40
 """Steps of Newton's method; four of five saturated wrenches take at most 5. Steps are shortened from the sixth on, as
@@ -84,8 +84,8 @@ class Allocator:
         low, high = 0.0, float(np.abs(self.matrix[axis]) @ self._scale) + 1e-9
         for _ in range(12):
             middle = (low + high) / 2
-            missed = np.abs(self.allocate(middle * unit).wrench - middle * unit).max()
-            low, high = (middle, high) if missed < 0.01 * middle else (low, middle)
+            missing = np.abs(self.allocate(middle * unit).wrench - middle * unit).max()
+            low, high = (middle, high) if missing < 0.01 * middle else (low, middle)
         return low
 
     def allocate(self, wrench: SixVector, preferred: Forces | None = None) -> Allocation:
@@ -98,17 +98,17 @@ class Allocator:
         if lengths.max() > 1 + CLOSE:
             parts = self._within(self._share @ wrench + RIDGE * near, lengths)
         forces = parts * self._scale
-        made = self.matrix @ forces
-        missing = np.abs(made - wrench)
+        wrench_of = self.matrix @ forces
+        missing = np.abs(wrench_of - wrench)
         given_up = missing > np.maximum(SMALL, GIVEN_UP * np.abs(wrench).max())
-        return Allocation(forces.reshape(-1, 2), made, given_up)
+        return Allocation(forces.reshape(-1, 2), wrench_of, given_up)
 
     def _within(self, right: Columns, lengths: Float[np.ndarray, "fins"]) -> Columns:
         """Return the best forces over reaches of which none is longer than 1.
 
         `right` is the right side of the normal equations, `lengths` are those of the best forces without that bound.
         """
-        multipliers = np.where(lengths > 1, FIRST * self._stiffness * np.minimum(lengths - 1, 2), 0)
+        multipliers: np.ndarray = np.where(lengths > 1, FIRST * self._stiffness * np.minimum(lengths - 1, 2), 0)
         for step in range(MOST_STEPS):
             self._diagonal[:] = self._free_diagonal + np.repeat(multipliers, 2)
             inverse = np.linalg.inv(self._work)
@@ -126,4 +126,4 @@ class Allocator:
             wanted, least = multipliers - (1 if step < 5 else 0.6 if step < 15 else 0.35) * change, LEAST * multipliers
             free = (lengths < 1) & (multipliers < NOTHING * self._stiffness)
             multipliers = np.where(wanted > least, wanted, np.where(free, 0, least))
-        return parts / np.repeat(np.maximum(lengths, 1), 2)
+        return np.asarray(parts / np.repeat(np.maximum(lengths, 1), 2))

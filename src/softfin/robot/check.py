@@ -1,4 +1,4 @@
-"""What a robot with these fins can do: rank, singular values and reach, from geometry alone."""
+"""Rank, singular values and reach of a robot's fins."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -34,4 +34,3 @@ def check_robot(robot: RobotConfig, gaits: Sequence[FinGaits]) -> dict[str, Any]
 def _rank(matrix: np.ndarray) -> int:
     values = np.linalg.svd(matrix)[1] if matrix.size else np.zeros(1)
     return int((values > WEAK * values[0]).sum()) if values[0] > 0 else 0
-

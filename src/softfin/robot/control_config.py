@@ -14,11 +14,11 @@ class AllocationConfig(Configuration):
     """How a wrench is shared among the fins."""
 
     priority: Six = (1, 1, 1, 30, 30, 30)
-    """Cost of missing a wrench, axis by axis [1/N, 1/(N m)]: a metre of lever is worth about what 0.03 m are, as a
-    robot that tilts pushes the wrong way."""
+    """Cost of missing a wrench, axis by axis: a newton metre counts as five newtons, as a robot that tilts pushes the
+    wrong way."""
     brace_n: NonNegativeFloat = 1.5
-    """Force that each fin makes at least where the others can cancel it [N]. The direction of a weak force flickers with
-    every small change of the wrench, and a fin that swings round pushes aside; 0: no bracing."""
+    """Force that each fin makes at least where the others can cancel it [N]. The direction of a weak force flickers
+    with every small change of the wrench, and a fin that swings round pushes aside; 0: no bracing."""
     brace_change: NonNegativeFloat = 0.3
     """Cost of changing the bracing, in squares of newtons, against that of lacking force."""
     smoothing: float = Field(0.5, ge=0, lt=1)
@@ -37,8 +37,8 @@ class ControlConfig(Configuration):
     damping: PositiveFloat = 1.0
     """Damping ratio of the correction [-]."""
     sway_part: float = Field(0.6, gt=0)
-    """A robot that has lost a fin and holds its place turns nose or stern into a current that takes more than this part of
-    what its other fins make to the side. Fins make a quarter less in a current than in still water, and some for yaw."""
+    """A robot that has lost a fin and holds its place turns nose or stern into a current that takes more than this part
+    of what its other fins make to the side: they make a quarter less in a current, and need something for yaw."""
     weathervane_rad_s: NonNegativeFloat = 0.1
     """Fastest turning to that end [rad/s]; 0: it keeps its heading."""
     disturbance: Six = (0.005, 0.005, 0.003, 0.01, 0.01, 0.01)

@@ -23,7 +23,7 @@ UNIT_TOLERANCE = 1e-3
 
 
 class FinMountConfig(Configuration):
-    """Where a fin sits on the body, and what fin it is."""
+    """Mount of a fin on the body, and the fin's plant."""
 
     position_m: Three
     """Shaft, where its force acts [m]."""
@@ -44,8 +44,8 @@ class FinMountConfig(Configuration):
                 raise ValueError(f"{name} = {list(getattr(self, name))} has length {length:.4g}; give a unit vector")
         along = float(np.dot(self.zero_direction, self.shaft_axis))
         if abs(along) > UNIT_TOLERANCE:
-            raise ValueError(f"zero_direction and shaft_axis have the scalar product {along:.3g}; a fin pushes at right "
-                             "angles to its shaft")  # fmt: skip
+            raise ValueError(f"zero_direction and shaft_axis have the scalar product {along:.3g}; a fin pushes at "
+                             "right angles to its shaft")  # fmt: skip
         if self.range_rad is not None and not self.range_rad[0] < self.range_rad[1]:
             raise ValueError(f"range_rad = {list(self.range_rad)}: the least angle comes first")
         return self

@@ -1,9 +1,9 @@
 """A rigid body in water, in 6 degrees of freedom (Fossen 2021, Handbook of Marine Craft, ch. 6 to 8).
 
-Body axes are x forward, y left, z up (REP 103), world axes have z up. A twist is (velocity of the body's origin, angular
-velocity) and a wrench (force, moment about the origin), six numbers each, in body axes. The added mass is part of the
-inertia, and the body's momentum obeys Kirchhoff's equations (Lamb 1932, art. 124), which hold the Coriolis forces of
-body and water and the Munk moment. The formulas run with NumPy on the robot, and with JAX in simulations.
+Body axes are x forward, y left, z up (REP 103), world axes have z up. A twist is (velocity of the body's origin,
+angular velocity) and a wrench (force, moment about the origin), six numbers each, in body axes. The added mass is part
+of the inertia, and the body's momentum obeys Kirchhoff's equations (Lamb 1932, art. 124), which hold the Coriolis
+forces of body and water and the Munk moment. The formulas run with NumPy on the robot, and with JAX in simulations.
 """
 
 from typing import NamedTuple
@@ -21,7 +21,7 @@ SixVector = Float[AnyArray, "6"]
 
 
 class BodyState(NamedTuple):
-    """Where the body is and how it moves."""
+    """Position, attitude and twist of the body."""
 
     position: Vector
     """Body's origin in world axes [m]."""
@@ -63,25 +63,29 @@ class Dynamics(NamedTuple):
     def relative_twist(self, state: BodyState, current: Vector) -> SixVector:
         """Return the twist relative to a steady current (x, y, z) in world axes [m/s]."""
         xp = operations_of(*state, current).xp
-        return xp.concatenate([state.twist[:3] - current @ matrix(state.attitude), state.twist[3:]])
+        twist: SixVector = xp.concatenate([state.twist[:3] - current @ matrix(state.attitude), state.twist[3:]])
+        return twist
 
     def drag(self, twist: SixVector) -> SixVector:
         """Return the wrench of the water's drag at a twist relative to the water."""
-        return -(self.drag_linear + self.drag_quadratic * abs(twist)) * twist
+        speeds: SixVector = operations_of(twist).xp.abs(twist)
+        return -(self.drag_linear + self.drag_quadratic * speeds) * twist
 
     def restoring(self, attitude: Float[AnyArray, "4"]) -> SixVector:
         """Return the wrench of weight and buoyancy."""
         up = matrix(attitude)[2]
         lever = self.buoyancy * self.centre_of_buoyancy - self.weight * self.centre_of_gravity
-        return operations_of(up).xp.concatenate([(self.buoyancy - self.weight) * up, cross(lever, up)])
+        wrench: SixVector = operations_of(up).xp.concatenate([(self.buoyancy - self.weight) * up, cross(lever, up)])
+        return wrench
 
     def gyroscopic(self, twist: SixVector) -> SixVector:
         """Return the wrench by which the momentum of body and water turns along with the body."""
         momentum, velocity, turn = self.inertia @ twist, twist[:3], twist[3:]
         linear, angular = momentum[:3], momentum[3:]
-        return operations_of(twist).xp.concatenate(
+        wrench: SixVector = operations_of(twist).xp.concatenate(
             [cross(linear, turn), cross(angular, turn) + cross(linear, velocity)]
         )
+        return wrench
 
     def acceleration(self, state: BodyState, wrench: SixVector, current: Vector) -> SixVector:
         """Return the rate of change of the twist relative to the water, component by component."""

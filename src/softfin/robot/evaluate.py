@@ -1,4 +1,4 @@
-"""What a robot can do, in figures: wrenches, holding against push and current, paths, each with all fins or one dead."""
+"""Evaluation of a robot: wrenches, holding against push and current, paths, with all fins or with one dead."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -13,17 +13,17 @@ from pydantic import Field, PositiveFloat, PositiveInt
 from softfin.core.action_clock import CYCLE_ACTIONS, WINDOW, rows_of
 from softfin.core.choices import RobotTask
 from softfin.core.configuration import Configuration
-from softfin.core.plant import Plant
 from softfin.core.quantities import RATE_HZ, Command
 from softfin.core.randomness import generator_of
 from softfin.robot.description import AXES, RobotConfig
 from softfin.robot.fin_driver import FinGaits
 from softfin.robot.fin_gaits import find_fin_gaits
-from softfin.robot.paths import Path, hold, lemniscate, lissajous
+from softfin.robot.paths import hold, lemniscate, lissajous
 from softfin.robot.phases import PHASES, Phases
 from softfin.robot.simulation import Orders, RobotSimulation
 from softfin.robot.trial import Disturbances, NoiseConfig, Record, run_trial
 from softfin.robot.wrench_driver import WrenchDriver
+from softfin.tank import Tank
 
 Report = Callable[[float, str], None]
 
@@ -32,7 +32,7 @@ class RobotEvaluateConfig(Configuration):
     """Configuration of the evaluation of a robot."""
 
     tasks: tuple[RobotTask, ...] = ("wrenches", "hold", "lemniscate", "lissajous")
-    """What is evaluated."""
+    """Tasks, in order."""
     seeds: PositiveInt = 5
     """Repetitions; each has its own noise, and its own directions of push and current."""
     wrenches: PositiveInt = 100
@@ -69,13 +69,13 @@ class RobotEvaluation(NamedTuple):
 
 
 def evaluate_robot(
-    robot: RobotConfig, plants: Sequence[Plant], config: RobotEvaluateConfig, report: Report = lambda *_: None,
+    robot: RobotConfig, tanks: Sequence[Tank], config: RobotEvaluateConfig, report: Report = lambda *_: None,
     gaits: Sequence[FinGaits] | None = None,
 ) -> RobotEvaluation:  # fmt: skip
-    """Evaluate a robot with these plants as fins, in simulation."""
+    """Evaluate a robot with these tanks as fins, in simulation."""
     report(0.0, "gaits of the fins")
-    gaits = gaits or gaits_of(plants)
-    simulation = RobotSimulation(robot, plants)
+    gaits = gaits or gaits_of(tanks)
+    simulation = RobotSimulation(robot, tanks)
     figures: dict[str, Any] = {"robot": robot.name, "reach_n": [round(each.reach, 3) for each in gaits]}
     records: dict[str, Record] = {}
     done, total = 0, len(config.tasks) * config.seeds
@@ -96,13 +96,10 @@ def evaluate_robot(
     return RobotEvaluation(figures, records)
 
 
-def gaits_of(plants: Sequence[Plant]) -> tuple[FinGaits, ...]:
-    """Find the gaits of each fin; fins of one plant share them."""
-    found: list[tuple[Plant, FinGaits]] = []
-    for plant in plants:
-        known = next((gaits for other, gaits in found if other is plant), None)
-        found.append((plant, known or find_fin_gaits(plant)))
-    return tuple(gaits for _, gaits in found)
+def gaits_of(tanks: Sequence[Tank]) -> tuple[FinGaits, ...]:
+    """Find the gaits of each fin; fins that are the same object share them."""
+    found = {id(tank): find_fin_gaits(tank) for tank in {id(tank): tank for tank in tanks}.values()}
+    return tuple(found[id(tank)] for tank in tanks)
 
 
 def trial(
@@ -112,11 +109,8 @@ def trial(
     """Run one trial of a task, and score it."""
     random = generator_of(seed, f"robot/{task}")
     seconds = float(config.hold_s if task == "hold" else config.path_s)
-    ways = {
-        "lemniscate": lambda: lemniscate(config.lemniscate_m_s),
-        "lissajous": lambda: lissajous(config.lissajous_m_s),
-    }
-    path: Path = hold() if task == "hold" else ways[task]()
+    speed = config.lissajous_m_s if task == "lissajous" else config.lemniscate_m_s
+    path = hold() if task == "hold" else (lissajous if task == "lissajous" else lemniscate)(speed)
     trouble, counted = Disturbances(), np.arange(round(seconds * RATE_HZ)) >= config.settled_s * RATE_HZ
     told: dict[str, Any] = {"seed": seed}
     if task == "hold":
@@ -142,7 +136,7 @@ def trial(
         "given_up": {AXES[i]: float(record.given_up[:, i].mean()) for i in range(6)},
     }  # fmt: skip
     if task != "hold":
-        told["speed_m_s"] = float(config.lemniscate_m_s if task == "lemniscate" else config.lissajous_m_s)
+        told["speed_m_s"] = float(speed)
     return record, told
 
 
@@ -158,7 +152,7 @@ def _rms(values: Float[np.ndarray, "n"]) -> float:
 def draw_wrenches(
     robot: RobotConfig, gaits: Sequence[FinGaits], config: RobotEvaluateConfig
 ) -> Float[np.ndarray, "n 6"]:
-    """Draw wrenches within a part of the reach: those that forces of so much less, each in a direction of its own, make."""
+    """Draw wrenches within a part of the reach: of forces so much smaller, each in a direction of its own."""
     random = generator_of(config.seed, "robot/wrenches")
     reach = np.array([each.reach for each in gaits])
     size = config.part_of_reach * reach * np.sqrt(random.uniform(size=(config.wrenches, len(gaits))))
@@ -174,16 +168,16 @@ WRENCH_ACTIONS = 4 * CYCLE_ACTIONS
 def wrench_errors(
     robot: RobotConfig, simulation: RobotSimulation, gaits: Sequence[FinGaits], config: RobotEvaluateConfig
 ) -> dict[str, Any]:
-    """Compare mean wrenches over a window with those asked for, the body held; and the ripple with and without phases."""
+    """Compare mean wrenches over a window with those asked for, on a body that is held; and ripple with any phases."""
     wrenches = draw_wrenches(robot, gaits, config)
     chosen = [_orders(robot, gaits, wrench) for wrench in wrenches]
     random = generator_of(config.seed, "robot/phases")
     # Independent phases, as of fins that do not know each other.
     free = [_orders(robot, gaits, wrench, random.integers(0, PHASES, len(gaits))) for wrench in wrenches]
-    made, by_chance = (_held(simulation, orders) for orders in (chosen, free))
+    held, by_chance = (_held(simulation, orders) for orders in (chosen, free))
     window = slice(-WINDOW, None)
-    error = made[:, window].mean(axis=1) - wrenches
-    ripple, chance = (np.sqrt(each[:, window].var(axis=1).mean(axis=0)) for each in (made, by_chance))
+    error = held[:, window].mean(axis=1) - wrenches
+    ripple, chance = (np.sqrt(each[:, window].var(axis=1).mean(axis=0)) for each in (held, by_chance))
     return {
         "count": len(wrenches),
         "force_error_n": float(np.linalg.norm(error[:, :3], axis=1).mean()),
@@ -206,9 +200,9 @@ def _orders(
         state = state._replace(phases=phases)
     before = Command(np.zeros(len(gaits)), np.array([each.limits.velocity_min for each in gaits]))
     for _ in range(WRENCH_ACTIONS):
-        state, made = driver.act(state, wrench)
-        now = Command(*map(np.array, zip(*made.commands, strict=True)))
-        orders.append(Orders(before, now, np.array(made.delays)))
+        state, driven = driver.act(state, wrench)
+        now = Command(*map(np.array, zip(*driven.commands, strict=True)))
+        orders.append(Orders(before, now, jnp.asarray(driven.delays)))
         before = now
     stacked: Orders = jax.tree.map(lambda *rows: np.stack(rows), *orders)
     return stacked
@@ -218,5 +212,5 @@ def _held(simulation: RobotSimulation, orders: Sequence[Orders]) -> Float[np.nda
     """Return the wrenches that the fins make on a body that does not move."""
     all_of_them = jax.tree.map(lambda *rows: jnp.asarray(np.stack(rows)), *orders)
     single = jax.tree.map(lambda x: x.astype(jnp.float32) if x.dtype == jnp.float64 else x, all_of_them)
-    made = np.asarray(eqx.filter_jit(jax.vmap(simulation.held))(single), float)
-    return made.reshape(len(orders), -1, 6)[:, np.array(rows_of(WRENCH_ACTIONS))]
+    wrenches = np.asarray(eqx.filter_jit(jax.vmap(simulation.held))(single), float)
+    return wrenches.reshape(len(orders), -1, 6)[:, np.array(rows_of(WRENCH_ACTIONS))]

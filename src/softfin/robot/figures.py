@@ -21,7 +21,7 @@ def draw_trials(folder: Path, records: Mapping[str, Record]) -> None:
             if task == "hold":
                 place.plot(0, 0, "+", color=ORANGE, ms=12, mew=2)
             place.set(xlabel="x [cm]", ylabel="y [cm]", aspect="equal", title="seen from above")
-            place.legend(loc="upper right")
+            place.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
             off.plot(record.time, 100 * record.position_error(), color=BLUE)
             off.set(ylabel="off the path [cm]", ylim=(0, None))
             tilt.plot(record.time, np.degrees(record.attitude_error()), color=BLUE)

@@ -26,8 +26,8 @@ class FinGaits(NamedTuple):
     amplitude: Float[np.ndarray, "gaits"]
     """Angle of a stroke to either side [rad]."""
     ripple: Complex[np.ndarray, "gaits 2"]
-    """Of the stroke's own frequency, where strokes begin to the positive side: force across the direction of pushing
-    [N], and moment about the shaft [N m]."""
+    """Ripple of the strokes' own frequency, where strokes begin to the positive side: force across the direction of
+    pushing [N], and moment about the shaft [N m]."""
     limits: Limits
     """Velocities of the drive; angles are not limited."""
 
@@ -63,6 +63,13 @@ REST = DriverState(0.0, 0.0)
 """A fin at rest at angle 0."""
 
 
+def fin_command(angle_rad: float, velocity_rad_s: float) -> Command:
+    """Return a command of plain numbers, as drives and messages take them."""
+    command: Any = Command
+    numbers: Command = command(angle_rad, velocity_rad_s)
+    return numbers
+
+
 def stroke(gaits: FinGaits, state: DriverState, force: Any, side: int) -> tuple[DriverState, Command]:
     """Return the next stroke, to the given side, for a mean force (x, y) in the fin's axes [N]."""
     x, y = float(force[0]), float(force[1])
@@ -73,4 +80,4 @@ def stroke(gaits: FinGaits, state: DriverState, force: Any, side: int) -> tuple[
         direction += math.remainder(math.atan2(-y, x) - direction, 2 * math.pi)
     target = direction + side * gaits.amplitude_of(size)
     velocity = gaits.velocity_of(abs(target - state.target))
-    return DriverState(direction, target), Command(target, velocity)
+    return DriverState(direction, target), fin_command(target, velocity)

@@ -33,15 +33,15 @@ class AxisFilter(NamedTuple):
     """Filters of the six axes: x = (error, its rate, disturbance's acceleration), u = acceleration by the fins."""
 
     forward: Float[np.ndarray, "6 3 3"]
-    """From one action to the next."""
+    """Transition from one action to the next."""
     driven: Float[np.ndarray, "6 3"]
     gain: Float[np.ndarray, "6 3 2"]
     """Steady-state gain of the Kalman filter."""
     back: Float[np.ndarray, "6 2 3"]
-    """From the state now to the mean error and rate over the last two actions."""
+    """Mean error and rate over the last two actions, from the state now."""
     driven_back: Float[np.ndarray, "6 2"]
     ahead: Float[np.ndarray, "6 3 3"]
-    """From now to the time at which new forces act."""
+    """Transition to the time at which new forces act."""
     driven_ahead: Float[np.ndarray, "6 3"]
 
     @classmethod
@@ -78,7 +78,7 @@ STEADY = 600
 
 
 class ControlState(NamedTuple):
-    """What the controller remembers."""
+    """State of the controller between actions."""
 
     estimate: Float[np.ndarray, "6 3"]
     """Error, its rate and the disturbance, axis by axis, in the axes of the path [m, rad; and per s, per s2]."""
@@ -95,7 +95,7 @@ class MotionController:
         config = robot.control
         self._config = config
         self.sway_reach_n = np.inf
-        """Greatest force to the side that the fins make, once one of them is dead [N]; with all fins the heading is kept."""
+        """Greatest force to the side that the fins make once one is dead [N]; with all fins the heading is kept."""
         self.dynamics = Dynamics.of(robot.body)
         self._rate = np.asarray(config.bandwidth_rad_s, float)
         self._damping, self._lag = config.damping, config.lag_s / ACTION_S
@@ -112,7 +112,7 @@ class MotionController:
         return ControlState(np.zeros((6, 3)), np.zeros((2, 6)), 0.0)
 
     def act(self, state: ControlState, seen: Sequence[np.ndarray], middle: Target, now: Target,
-            ahead: Target) -> tuple[ControlState, SixVector]:  # fmt: skip
+            ahead: Target) -> tuple[ControlState, np.ndarray]:  # fmt: skip
         """Return the wrench in body axes for the next action [N, N m].
 
         `seen` are positions ``(ticks, 3)``, attitudes ``(ticks, 4)`` and twists ``(ticks, 6)`` of the last two actions;
@@ -141,7 +141,7 @@ class MotionController:
         then = np.einsum("aij,aj->ai", f.ahead, estimate) + f.driven_ahead * state.accelerations[0][:, None]
         correction = -(self._rate**2) * then[:, 0] - 2 * self._damping * self._rate * then[:, 1] - then[:, 2]
         state = state._replace(estimate=estimate, heading=self._headed(state.heading, estimate, now))
-        return state, self._needed(ahead) + self.dynamics.inertia @ correction
+        return state, np.asarray(self._needed(ahead) + self.dynamics.inertia @ correction)
 
     def _headed(self, heading: float, estimate: Float[np.ndarray, "6 3"], now: Target) -> float:
         """Return the heading further into the current, where that is more than the fins hold abeam."""
@@ -153,7 +153,7 @@ class MotionController:
         way = np.sign(heading) or np.sign(sway) * (np.sign(surge) or 1.0)
         return float(heading + way * self._config.weathervane_rad_s * ACTION_S * min(excess, 1.0))
 
-    def made(self, state: ControlState, wrench: SixVector, ahead: Target) -> ControlState:
+    def acknowledge(self, state: ControlState, wrench: SixVector, ahead: Target) -> ControlState:
         """Tell the observer what wrench the fins make of the one asked for."""
         acceleration = self.dynamics.inverse @ (wrench - self._needed(_turned(ahead, state.heading)))
         return state._replace(accelerations=np.stack([acceleration, state.accelerations[0]]))

@@ -9,10 +9,11 @@ from jaxtyping import Float
 from softfin.robot.rotation import from_euler
 
 Vector = Float[np.ndarray, "3"]
+Point: TypeAlias = tuple[float | int, float | int, float | int]
 
 
 class Target(NamedTuple):
-    """Where the robot should be, and how it should move; velocities and accelerations in world axes."""
+    """State that the robot should have; velocities and accelerations in world axes."""
 
     position: Vector
     """[m]"""
@@ -37,13 +38,13 @@ STARTING_S = 10.0
 """Time in which a path's speed grows from 0 [s]."""
 
 
-def hold(position: tuple[float, float, float] = (0.0, 0.0, 0.0), yaw: float = 0.0) -> Path:
+def hold(position: Point = (0.0, 0.0, 0.0), yaw: float | int = 0.0) -> Path:
     """Stay at a place, upright."""
     still = Target(np.asarray(position, float), from_euler(0.0, 0.0, yaw), *np.zeros((4, 3)))
     return lambda time: still
 
 
-def along(curve: Callable[[float], Vector], speed_m_s: float, length_m: float) -> Path:
+def along(curve: Callable[[float], Vector], speed_m_s: float | int, length_m: float | int) -> Path:
     """Follow a closed curve, ``curve(0 .. 1)``, at a mean speed, beginning slowly, the nose along the way."""
 
     def part(time: float) -> float:
@@ -78,7 +79,7 @@ def _length(curve: Callable[[float], Vector]) -> float:
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
-def lemniscate(speed_m_s: float, length_m: float = 2.0, width_m: float = 1.0) -> Path:
+def lemniscate(speed_m_s: float | int, length_m: float | int = 2.0, width_m: float | int = 1.0) -> Path:
     """Follow a figure of eight in the horizontal plane (Gerono's), of that length and width."""
 
     def curve(u: float) -> Vector:
@@ -88,7 +89,7 @@ def lemniscate(speed_m_s: float, length_m: float = 2.0, width_m: float = 1.0) ->
     return along(curve, speed_m_s, _length(curve))
 
 
-def lissajous(speed_m_s: float, size_m: tuple[float, float, float] = (2.0, 1.0, 0.5)) -> Path:
+def lissajous(speed_m_s: float | int, size_m: Point = (2.0, 1.0, 0.5)) -> Path:
     """Follow a three-dimensional Lissajous curve of that size with frequencies 1, 2 and 1."""
 
     def curve(u: float) -> Vector:

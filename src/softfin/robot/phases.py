@@ -1,7 +1,8 @@
 """Phases of the fins' strokes, chosen so that the ripple of the wrench cancels. NumPy alone.
 
-A period of two strokes has six phases: a fin begins its strokes with the action, a third or two thirds of it later, to
-one side or to the other. Of four fins there are 216 patterns relative to the first, and the best is found by trying all.
+A period of two strokes has six phases: a fin begins its strokes with the action, a third or two thirds of it later,
+to one side or to the other. Of four fins there are 216 patterns relative to the first, and the best is found by trying
+all.
 """
 
 from functools import cache
@@ -47,7 +48,7 @@ def _patterns(count: int) -> tuple[Int[np.ndarray, "patterns fins"], Complex[np.
 def choose_phases(
     present: Phases, starting: bool, ripple: Complex[np.ndarray, "6 fins"], inverse_inertia: Float[np.ndarray, "6 6"]
 ) -> Phases:
-    """Return the phases whose ripple moves the body least; unless `starting`, only where the present ones' is much more."""
+    """Return the phases whose ripple moves the body least; unless `starting`, only where the present ones' is more."""
     moved = inverse_inertia @ ripple
     moved[3:] *= METRES_PER_RADIAN
     phases, turns = _patterns(len(present))
@@ -64,6 +65,6 @@ def wrench_ripple(
     """Return each fin's ripple as a wrench on the body, where it strokes about a direction [rad]."""
     # Across the thrust (cos a, -sin a) of a fin is (sin a, cos a).
     across = np.stack([np.sin(directions), np.cos(directions)], axis=1)
-    wrench = np.einsum("afi,fi->af", matrix.reshape(6, -1, 2), across) * ripple[:, 0]
+    wrench: np.ndarray = np.einsum("afi,fi->af", matrix.reshape(6, -1, 2), across) * ripple[:, 0]
     wrench[3:] += shafts.T * ripple[:, 1]
     return wrench

@@ -1,7 +1,4 @@
-"""A robot in the water: its body, and each fin in a tank on a mount that moves along.
-
-Fins that are not tanks know still water alone: their forces do not change with the body's motion.
-"""
+"""A robot in the water: its body, and each fin in a virtual tank on a mount that moves along."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -13,18 +10,17 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from softfin.core.action_clock import MOST_TICKS, ticks_of
-from softfin.core.plant import Plant
 from softfin.core.quantities import Command
 from softfin.robot.description import RobotConfig
 from softfin.robot.dynamics import BodyState, Dynamics
 from softfin.robot.rotation import cross
-from softfin.tank import Tank
+from softfin.tank import Tank, TankState
 from softfin.tank.fin import Mount
 from softfin.tank.tank import Load
 
 
 class Surroundings(NamedTuple):
-    """What acts on the robot from outside during an action."""
+    """Current, and a push from outside, during an action."""
 
     current: Float[Array, "3"]
     """Velocity of the water, steady, in world axes [m/s]."""
@@ -43,7 +39,8 @@ class Orders(NamedTuple):
 
     def at(self, tick: Int[Array, ""]) -> Command:
         """Return the commands in force at a tick of the action."""
-        return jax.tree.map(lambda old, new: jnp.where(tick < self.delays, old, new), self.before, self.now)
+        held: Command = jax.tree.map(lambda old, new: jnp.where(tick < self.delays, old, new), self.before, self.now)
+        return held
 
 
 class RobotState(NamedTuple):
@@ -52,41 +49,37 @@ class RobotState(NamedTuple):
     body: BodyState
     acceleration: Float[Array, "6"]
     """Rate of change of the twist relative to the water in the last tick."""
-    fins: Any
+    fins: TankState
 
 
 class Ticks(NamedTuple):
-    """What happened in each tick of an action."""
+    """Motion and wrench of each tick of an action."""
 
     body: BodyState
     wrench: Float[Array, "ticks 6"]
     """Wrench of the fins on the body, in body axes [N, N m]."""
-    shapes: Float[Array, "ticks fins points 2"] | None
-    """Shaft and outer end of each plate, in each fin's axes [m]; None where fins are not tanks."""
+    shapes: Float[Array, "ticks fins points 2"]
+    """Shaft and outer end of each plate, in each fin's axes [m]."""
 
 
 class RobotSimulation:
     """A robot and its fins as programs."""
 
-    def __init__(self, robot: RobotConfig, plants: Sequence[Plant]) -> None:
+    def __init__(self, robot: RobotConfig, tanks: Sequence[Tank]) -> None:
         self.robot, self.dynamics = robot, Dynamics.of(robot.body)
         mounts = robot.fins.values()
         self._places = np.array([fin.position_m for fin in mounts])
         self._axes = np.array([fin.axes() for fin in mounts])
         self._shafts = np.array([fin.shaft_axis for fin in mounts])
         self._matrix = robot.matrix()
-        self.tanks = all(isinstance(plant, Tank) for plant in plants)
-        # Tanks of one kind are one program over all of them.
-        self.plants = jax.tree.map(lambda *x: jnp.stack(x), *plants) if self.tanks else tuple(plants)
+        # One program over all of them.
+        self.tanks: Tank = jax.tree.map(lambda *x: jnp.stack(x), *tanks)
         self._advance = eqx.filter_jit(self._held)
 
     def init(self, key: PRNGKeyArray, body: BodyState | None = None) -> RobotState:
         """Return fins at rest on a body that is at rest, unless it is given."""
         keys = jax.random.split(key, len(self._places))
-        if self.tanks:
-            fins = eqx.filter_vmap(lambda plant, key: plant.init(key))(self.plants, keys)
-        else:
-            fins = tuple(plant.init(key) for plant, key in zip(self.plants, keys, strict=True))
+        fins = eqx.filter_vmap(lambda tank, key: tank.init(key))(self.tanks, keys)
         start = jax.tree.map(jnp.float32, body or BodyState.rest())
         return RobotState(start, jnp.zeros(6), fins)
 
@@ -133,12 +126,12 @@ class RobotSimulation:
 
     def tick(self, state: RobotState, commands: Command, around: Surroundings) -> tuple[RobotState, Ticks]:
         """Advance by one tick of 10 ms."""
-        mounts = self._mounts(self.dynamics.relative_twist(state.body, around.current), state.acceleration)
+        mounts = self._mounts(jnp.asarray(self.dynamics.relative_twist(state.body, around.current)), state.acceleration)
         fins, loads, shapes = self._fins(state.fins, commands, mounts)
         wrench = self._wrench(loads)
         acceleration = self.dynamics.acceleration(state.body, wrench + around.push, around.current)
         body = self.dynamics.step(state.body, wrench + around.push, around.current)
-        return RobotState(body, acceleration, fins), Ticks(body, wrench, shapes)
+        return RobotState(body, jnp.asarray(acceleration), fins), Ticks(body, wrench, shapes)
 
     def _mounts(self, twist: Float[Array, "6"], acceleration: Float[Array, "6"]) -> Mount:
         """Return the motion of each fin's mount through the water, in its own axes."""
@@ -153,24 +146,10 @@ class RobotSimulation:
 
         return jax.vmap(each)(*(jnp.asarray(x, jnp.float32) for x in (self._places, self._axes, self._shafts)))
 
-    def _fins(self, states: Any, commands: Command, mounts: Mount) -> tuple[Any, Load, Array | None]:
-        if self.tanks:
+    def _fins(self, states: TankState, commands: Command, mounts: Mount) -> tuple[TankState, Load, Array]:
+        def each(tank: Tank, state: TankState, command: Command, mount: Mount) -> tuple[TankState, Load, Array]:
+            state, _, load = tank.tick(state, command, mount)
+            return state, load, tank.shape(state)
 
-            def each(plant: Tank, state: Any, command: Command, mount: Mount) -> tuple[Any, Load, Array]:
-                state, _, load = plant.tick(state, command, mount)
-                return state, load, plant.shape(state)
-
-            advanced: tuple[Any, Load, Array] = eqx.filter_vmap(each)(self.plants, states, commands, mounts)
-            return advanced
-        after, forces, torques = [], [], []
-        for fin, plant in enumerate(self.plants):
-            command, mount = (jax.tree.map(lambda x: x[fin], each) for each in (commands, mounts))
-            if isinstance(plant, Tank):
-                state, _, load = plant.tick(states[fin], command, mount)
-            else:
-                state, reading = plant.advance(states[fin], command, 1)
-                load = Load(reading.force[0], jnp.float32(0))
-            after.append(state)
-            forces.append(load.force)
-            torques.append(load.torque)
-        return tuple(after), Load(jnp.stack(forces), jnp.stack(torques)), None
+        advanced: tuple[TankState, Load, Array] = eqx.filter_vmap(each)(self.tanks, states, commands, mounts)
+        return advanced

@@ -17,12 +17,12 @@ from softfin.core.quantities import TICK_S, Command
 from softfin.core.randomness import generator_of
 from softfin.robot.body_config import Three
 from softfin.robot.dynamics import BodyState
+from softfin.robot.fin_driver import fin_command
 from softfin.robot.motion_control import SEEN_ACTIONS, MotionController
 from softfin.robot.paths import Path
 from softfin.robot.rotation import multiply
 from softfin.robot.simulation import Orders, RobotSimulation, Surroundings
 from softfin.robot.wrench_driver import WrenchDriver
-
 
 SWAY = 1
 
@@ -43,7 +43,7 @@ class NoiseConfig(Configuration):
 
 
 class Disturbances(NamedTuple):
-    """What happens to the robot."""
+    """Disturbances of a trial."""
 
     current_m_s: Three = (0.0, 0.0, 0.0)
     """Current, steady, in world axes."""
@@ -56,15 +56,15 @@ class Disturbances(NamedTuple):
 
 
 class Record(NamedTuple):
-    """What happened; rows are ticks, or actions where it is said."""
+    """Record of a trial; rows are ticks, or actions where it is said."""
 
     time: Float[np.ndarray, "ticks"]
     body: BodyState
     target_position: Float[np.ndarray, "ticks 3"]
     target_attitude: Float[np.ndarray, "ticks 4"]
-    made: Float[np.ndarray, "ticks 6"]
+    fin_wrench: Float[np.ndarray, "ticks 6"]
     """Wrench of the fins [N, N m]."""
-    shapes: np.ndarray | None
+    shapes: np.ndarray
     """``(ticks, fins, points, 2)`` [m]."""
     asked: Float[np.ndarray, "actions 6"]
     """Wrench that the controller asked for [N, N m]."""
@@ -97,9 +97,9 @@ def run_trial(
     deviation = np.zeros((1, 12))
     scale = np.repeat([noise.position_m, noise.attitude_rad, noise.velocity_m_s, noise.rate_rad_s], 3)
     forget = float(np.exp(-TICK_S / noise.memory_s))
-    fresh = np.sqrt(1 - forget**2)
+    innovation = np.sqrt(1 - forget**2)
     control, driving = controller.init(), driver.init()
-    before = commands_of([Command(0.0, gaits.limits.velocity_min) for gaits in driver.gaits])
+    before = commands_of([fin_command(0.0, gaits.limits.velocity_min) for gaits in driver.gaits])
     rows, asked, expected, forces, given_up = [], [], [], [], []
     seen: list[tuple[np.ndarray, ...]] = [(start.position[None], start.attitude[None], np.zeros((1, 6)))]
     time = 0.0
@@ -111,10 +111,10 @@ def run_trial(
         middle = time - len(last[0]) * TICK_S / 2 if len(seen) > 1 else time
         ahead = path(time + ticks * TICK_S / 2)
         control, wrench = controller.act(control, last, path(middle), path(time), ahead)
-        driving, made = driver.act(driving, wrench)
-        control = controller.made(control, made.wrench, ahead)
-        commands = commands_of(made.commands)
-        orders, before = Orders(before, commands, jnp.asarray(made.delays)), commands
+        driving, driven = driver.act(driving, wrench)
+        control = controller.acknowledge(control, driven.wrench, ahead)
+        commands = commands_of(driven.commands)
+        orders, before = Orders(before, commands, jnp.asarray(driven.delays)), commands
         push = np.zeros(6)
         if 0 <= time - trouble.push_at_s < 1 / ACTION_RATE_HZ:
             push[:3] = np.asarray(trouble.push_n_s) / (ticks * TICK_S)
@@ -122,12 +122,14 @@ def run_trial(
         state, happened = simulation.advance(state, orders, around, ticks)
         happened = jax.tree.map(partial(_first, ticks), happened)
         rows.append(happened)
-        noisy, deviation = lfilter([1.0], [1.0, -forget], fresh * random.normal(size=(ticks, 12)), axis=0, zi=deviation)
+        noisy, deviation = lfilter(
+            [1.0], [1.0, -forget], innovation * random.normal(size=(ticks, 12)), axis=0, zi=deviation
+        )
         seen = [*seen[-1:], _estimated(happened.body, noisy * scale)]
         asked.append(wrench)
-        expected.append(made.wrench)
-        forces.append(made.forces)
-        given_up.append(made.given_up)
+        expected.append(driven.wrench)
+        forces.append(driven.forces)
+        given_up.append(driven.given_up)
         time += ticks * TICK_S
     happened = jax.tree.map(lambda *parts: np.concatenate(parts), *rows)
     times = TICK_S * np.arange(1, len(happened.wrench) + 1)

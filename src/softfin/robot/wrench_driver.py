@@ -2,7 +2,7 @@
 
 driver = WrenchDriver(robot, gaits)
 state = driver.init()
-state, made = driver.act(state, wrench)     # 3 times a second; made.commands go to the fins
+state, orders = driver.act(state, wrench)     # 3 times a second; orders.commands go to the fins
 """
 
 import itertools
@@ -16,7 +16,7 @@ from softfin.core.errors import RunError
 from softfin.core.quantities import Command
 from softfin.robot.allocation import Allocator, Forces, SixVector
 from softfin.robot.description import AXES, RobotConfig
-from softfin.robot.fin_driver import REST, DriverState, FinGaits, stroke
+from softfin.robot.fin_driver import REST, DriverState, FinGaits, fin_command, stroke
 from softfin.robot.phases import Phases, choose_phases, delay_of, side_of, wrench_ripple
 
 WAYS, SIZES = 8, (0.5, 1.0, 1.5)
@@ -27,8 +27,8 @@ STARTING = 2
 """First actions, in which the fins' phases are free."""
 
 
-class Made(NamedTuple):
-    """What one action makes of a wrench."""
+class FinOrders(NamedTuple):
+    """Orders to the fins for one action, and the wrench that they make."""
 
     commands: tuple[Command, ...]
     """For each fin [rad, rad/s]."""
@@ -51,7 +51,7 @@ class Made(NamedTuple):
 
 
 class WrenchDriverState(NamedTuple):
-    """What the driver remembers between actions."""
+    """State of the driver between actions."""
 
     forces: Forces
     """Forces of the last action [N]."""
@@ -95,7 +95,7 @@ class WrenchDriver:
         self._allocator.reach = reach
         self._braces = self._bracing()
 
-    def act(self, state: WrenchDriverState, wrench: SixVector) -> tuple[WrenchDriverState, Made]:
+    def act(self, state: WrenchDriverState, wrench: SixVector) -> tuple[WrenchDriverState, FinOrders]:
         """Take one action of 1/3 s for a mean wrench in body axes [N, N m].
 
         Raises:
@@ -114,16 +114,16 @@ class WrenchDriver:
         for fin, gaits in enumerate(self.gaits):
             if fin in self.dead:
                 fins.append(state.fins[fin])
-                commands.append(Command(state.fins[fin].target, gaits.limits.velocity_min))
+                commands.append(fin_command(state.fins[fin].target, gaits.limits.velocity_min))
                 continue
             side = side_of(int(phases[fin]), state.action)
             moved, command = stroke(gaits, state.fins[fin], forces[fin], side)
             fins.append(moved)
             commands.append(command)
         after = WrenchDriverState(forces, brace, state.action + 1, phases, tuple(fins))
-        made = self._allocator.matrix @ forces.ravel()
+        together = self._allocator.matrix @ forces.ravel()
         delays = tuple(delay_of(int(phase)) for phase in phases)
-        return after, Made(tuple(commands), delays, forces, made, found.given_up)
+        return after, FinOrders(tuple(commands), delays, forces, together, found.given_up)
 
     def _choose_phases(self, state: WrenchDriverState, forces: Forces, alive: list[int]) -> Phases:
         if not self._phases:

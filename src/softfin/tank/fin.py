@@ -114,7 +114,7 @@ class FinState(NamedTuple):
 
 
 class Mount(NamedTuple):
-    """Motion, during a tick, of the robot that carries the fin, at the shaft: in the axes of the tank, which turn along.
+    """Motion of the robot that carries the fin, at the shaft, during a tick; in the axes of the tank, which turn along.
 
     Motion along the shaft, and turning about other axes than the shaft's, are left out: they move the fin edgewise.
     """
@@ -223,7 +223,7 @@ class Fin(eqx.Module):
     def step(
         self, state: FinState, shaft: Shaft, around: Surroundings, seconds: float
     ) -> tuple[FinState, Scalar, Float[Array, "2"]]:
-        """Take one step of time; return also the shaft's mean rate on its mount [rad/s] and the loads' mean force [N]."""
+        """Take one step of time; return also the shaft's mean rate in it [rad/s] and the loads' mean force [N]."""
         half = seconds / 2
         # The midpoint rule leaves stiff modes ringing from step to step; over two steps their accelerations cancel.
         predicted = state.rates + half * (state.accelerations + state.earlier) / 2

@@ -170,7 +170,7 @@ function tell(frame) {
   const lost = [];
   rows.forEach(([asked, made], i) => {
     asked.textContent = numeral(trial.asked[6 * frame + i], 2);
-    made.textContent = numeral(trial.made[6 * frame + i], 2);
+    made.textContent = numeral(trial.driven[6 * frame + i], 2);
     const given = trial.given_up[6 * frame + i] === 1;
     asked.className = given ? "lost" : "";
     if (given) lost.push(trial.axes[i]);
@@ -203,7 +203,7 @@ function draw() {
   const above = robot.position.clone().add(new THREE.Vector3(0, 0, trial.size[2] / 2 + 0.03));
   const force = (series) => new THREE.Vector3(...series.slice(6 * frame, 6 * frame + 3)).applyQuaternion(robot.quaternion);
   askedArrow(above, force(trial.asked));
-  madeArrow(above, force(trial.made));
+  madeArrow(above, force(trial.driven));
   if (element("follow").checked) view.at.copy(robot.position).applyEuler(world.rotation);
   else if (!view.placed) { view.at.copy(centre).applyEuler(world.rotation); view.placed = true; }
   look();

@@ -50,7 +50,7 @@ def to_dict(robot: RobotConfig, record: Record) -> dict[str, Any]:
         "attitude": (record.body.attitude[frames], 5),
         "target": (record.target_position[frames], 4),
         "asked": (record.asked[actions], 3),
-        "made": (_recent_mean(record.made)[frames], 3),
+        "driven": (_recent_mean(record.fin_wrench)[frames], 3),
         "off_cm": (100 * record.position_error()[frames], 2),
         "tilt_deg": (np.degrees(record.attitude_error()[frames]), 2),
         "given_up": (record.given_up[actions].astype(int), 0),
@@ -60,7 +60,7 @@ def to_dict(robot: RobotConfig, record: Record) -> dict[str, Any]:
          "shaft": list(fin.shaft_axis)}
         for name, fin in robot.fins.items()
     ]  # fmt: skip
-    shapes = None if record.shapes is None else record.shapes[frames]
+    shapes = record.shapes[frames]
     return {
         "rate_hz": RATE_HZ / FRAME_TICKS,
         "frames": len(frames),
@@ -70,8 +70,8 @@ def to_dict(robot: RobotConfig, record: Record) -> dict[str, Any]:
         "span": FIN_SPAN_M,
         **{name: [round(float(x), digits) for x in np.ravel(values)] for name, (values, digits) in series.items()},
         "shape_unit": SHAPE_UNIT_M,
-        "points": 0 if shapes is None else shapes.shape[2],
-        "shapes": [] if shapes is None else np.rint(shapes / SHAPE_UNIT_M).astype(int).ravel().tolist(),
+        "points": shapes.shape[2],
+        "shapes": np.rint(shapes / SHAPE_UNIT_M).astype(int).ravel().tolist(),
     }
 
 

@@ -1,0 +1,39 @@
+"""Parts about robots with several fins."""
+
+from collections.abc import Sequence
+
+from results.parts.common import Figures, Part, Work
+from results.record import figure
+from results.steps import step
+
+TINY = "--set hold_s=20 --set path_s=20 --set settled_s=6 --set wrenches=2"
+
+
+def robot(seeds: Sequence[int]) -> Part:
+    """U-CAT with all fins and with one that dies: wrenches, holding, paths."""
+    command = f"softfin robot evaluate ucat --seeds {len(seeds)}"
+    whole = step("robot", command, 2, tiny=TINY)
+    # Each fin dies in one of the first four; the others have other directions of current and push.
+    dead = step("robot-dead", f"{command} --hold --lemniscate --lissajous --dead", 2, tiny=TINY)
+
+    def read(work: Work) -> Figures:
+        figures: Figures = {}
+        for prefix, name in (("", "robot"), ("dead.", "robot-dead")):
+            found = work.json(f"{name}/robot.json")
+            for task in ("hold", "lemniscate", "lissajous"):
+                rows = found[task]
+                for key, score, factor in (
+                    ("position", "position_rms_m", 100), ("worst", "position_worst_m", 100),
+                    ("attitude", "attitude_rms_deg", 1),
+                ):  # fmt: skip
+                    unit = "degrees" if key == "attitude" else "cm"
+                    figures[f"{prefix}{task}.{key}"] = figure(unit, [factor * row[score] for row in rows], seeds)
+            if "wrenches" in found:
+                for key in ("force_error_n", "force_error_worst_n", "moment_error_nm", "moment_error_worst_nm",
+                            "roll_ripple_ratio"):  # fmt: skip
+                    figures[key] = figure("", [found["wrenches"][key]])
+        figures["reach"] = figure("N", [work.json("robot/robot.json")["reach_n"][0]])
+        return figures
+
+    pictures = {"docs/robot.png": "robot/lemniscate.png"}
+    return Part("U-CAT with four fins", (whole, dead), read, pictures)

@@ -1,0 +1,69 @@
+"""Robots' files: what is refused, and how."""
+
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
+import yaml
+
+from softfin.core.errors import ConfigurationError
+from softfin.robot.check import check_robot
+from softfin.robot.description import RobotConfig, load_robot
+
+
+@pytest.fixture
+def values(ucat):
+    return ucat.model_dump(mode="json")
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        ("fins.front_left.shaft_axis", [0.5, 0.5, 0.0], "shaft_axis = .* has length 0.7071; give a unit vector"),
+        ("fins.front_left.zero_direction", [0.5, 0.8660254, 0.0], "at right angles to its shaft"),
+        ("fins.front_left.range_rad", [1.0, -1.0], "least angle comes first"),
+        ("body.inertia_kg_m2", [0.1, 0.0, 0.1], "singular"),
+        ("fins", {}, "fins"),
+        ("body.mas_kg", 3, "unknown key 'body.mas_kg'; did you mean 'mass_kg'"),
+    ],
+)
+def test_a_file_that_describes_no_robot_is_refused_in_one_line(values, path, value, words, tmp_path):
+    *parents, name = path.split(".")
+    place = values
+    for parent in parents:
+        place = place[parent]
+    place[name] = value
+    file = tmp_path / "robot.yaml"
+    file.write_text(yaml.safe_dump(values))
+    with pytest.raises(ConfigurationError, match=words) as caught:
+        load_robot(str(file))
+    assert str(file) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_robot_that_is_not_there_is_told_with_those_that_are():
+    with pytest.raises(ConfigurationError, match=r"robot nemo.yaml: .* or ucat"):
+        load_robot("nemo.yaml")
+
+
+def test_a_check_tells_rank_and_reach(ucat, gaits):
+    found = check_robot(ucat, gaits)
+    assert found["rank"] == 6
+    assert set(found["rank_without"].values()) == {6}
+    reach = found["fin_reach_n"]["front_left"]
+    # Along the nose each fin has the cosine of 30 degrees of its force, upwards all of it.
+    assert found["reach"]["surge"] == pytest.approx(4 * 0.866 * reach, rel=0.02)
+    assert found["reach"]["heave"] == pytest.approx(4 * reach, rel=0.02)
+    assert found["sinks_n"] == 0
+
+
+def test_a_fin_s_axes_turn_from_thrust_towards_minus_y(ucat):
+    axes = ucat.fins["front_right"].axes()
+    assert axes[:, 1].tolist() == pytest.approx([0, 0, 1], abs=1e-6)
+    assert isinstance(ucat, RobotConfig)
+
+
+def test_the_example_of_the_document_is_a_robot():
+    text = (Path(__file__).parents[2] / "docs" / "robot.md").read_text()
+    example = dedent(text.partition("## The robot's file\n\n")[2].partition("\n\nUnits")[0])
+    assert RobotConfig.build(yaml.safe_load(example)).matrix().shape == (6, 4)

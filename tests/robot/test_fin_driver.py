@@ -1,0 +1,48 @@
+"""A fin's strokes: their mean force is the one asked for, in every direction."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softfin.core.action_clock import WINDOW, ticks_of
+from softfin.core.quantities import Command
+from softfin.robot.fin_driver import REST, stroke
+from softfin.tank import Tank
+
+
+def test_gaits_begin_at_rest_and_grow(gaits):
+    assert gaits[0].force[0] == 0
+    assert (np.diff(gaits[0].force) > 0).all()
+    assert gaits[0].reach > 3.5
+
+
+@pytest.mark.parametrize("force", [(1.5, 0.0), (-1.0, 2.0), (0.0, -3.0)])
+def test_strokes_make_the_mean_force_asked_for(gaits, force):
+    tank, state, commands = Tank(), REST, []
+    for action in range(24):
+        state, command = stroke(gaits[0], state, force, 1 if action % 2 == 0 else -1)
+        commands.append(command)
+    each_tick = Command(*(np.repeat(part, ticks_of(24)) for part in zip(*commands, strict=True)))
+
+    def tick(state, command):
+        state, _, load = tank.tick(state, command)
+        return state, load.force
+
+    run = jax.jit(lambda commands: jax.lax.scan(tick, tank.init(jax.random.key(0)), commands)[1])
+    found = np.asarray(run(jax.tree.map(jnp.float32, each_tick)))
+    np.testing.assert_allclose(found[-WINDOW:].mean(axis=0), force, atol=0.06)
+
+
+def test_a_fin_swings_round_the_shorter_way(gaits):
+    state, _ = stroke(gaits[0], REST, (-1.0, 0.1), 1)
+    assert abs(state.direction) < np.pi
+    further, _ = stroke(gaits[0], state, (-1.0, -0.1), 1)
+    assert abs(further.direction - state.direction) == pytest.approx(0.2, abs=0.01)
+
+
+def test_a_force_of_zero_keeps_the_direction(gaits):
+    state, _ = stroke(gaits[0], REST, (0.0, 1.0), 1)
+    rested, command = stroke(gaits[0], state, (0.0, 0.0), -1)
+    assert rested.direction == state.direction
+    assert command.angle == pytest.approx(state.direction)

@@ -1,0 +1,67 @@
+"""A robot in simulation: it holds its place, follows a path, goes on without a fin."""
+
+import numpy as np
+import pytest
+
+from softfin.core.errors import RunError
+from softfin.robot.evaluate import RobotEvaluateConfig, trial
+from softfin.robot.motion_control import MotionController
+from softfin.robot.paths import hold, lemniscate, lissajous
+from softfin.robot.trial import Disturbances, NoiseConfig, run_trial
+from softfin.robot.wrench_driver import WrenchDriver
+
+SHORT = RobotEvaluateConfig(hold_s=40, settled_s=12, path_s=45)
+
+
+@pytest.mark.slow
+def test_it_holds_its_place_against_a_push_and_a_current(ucat, simulation, gaits):
+    record, row = trial(ucat, simulation, gaits, "hold", SHORT, 0)
+    assert row["position_rms_m"] < 0.03
+    assert row["attitude_rms_deg"] < 4
+    assert len(record.time) == 4000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task", ["lemniscate", "lissajous"])
+def test_it_follows_paths(ucat, simulation, gaits, task):
+    record, row = trial(ucat, simulation, gaits, task, SHORT, 1)
+    assert row["position_rms_m"] < 0.06
+    assert np.ptp(record.body.position[:, 0]) > 1
+
+
+@pytest.mark.slow
+def test_it_goes_on_holding_when_a_fin_dies(ucat, simulation, gaits):
+    trouble = Disturbances(current_m_s=(-0.03, 0.0, 0.0), dead_fin=2, dead_at_s=5)
+    record = run_trial(simulation, WrenchDriver(ucat, gaits), hold(), 40, trouble, seed=3)
+    assert np.sqrt((record.position_error()[-1500:] ** 2).mean()) < 0.06
+    np.testing.assert_allclose(record.forces[-1, 2], 0, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_without_noise_and_disturbance_it_stays_where_it_is(ucat, simulation, gaits):
+    none = NoiseConfig(position_m=0, attitude_rad=0, velocity_m_s=0, rate_rad_s=0)
+    record = run_trial(simulation, WrenchDriver(ucat, gaits), hold(), 10, noise=none)
+    assert record.position_error().max() < 0.005
+
+
+@pytest.mark.parametrize("path", [hold((1, 2, 3), 0.5), lemniscate(0.1), lissajous(0.1)])
+def test_velocity_and_acceleration_are_the_path_s_derivatives(path):
+    for time in (0.0, 4.0, 30.0):
+        before, now, after = (path(time + k * 0.02) for k in (-1, 0, 1))
+        np.testing.assert_allclose((after.position - before.position) / 0.04, now.velocity, atol=2e-4)
+        np.testing.assert_allclose((after.velocity - before.velocity) / 0.04, now.acceleration, atol=2e-3)
+
+
+def test_paths_begin_slowly_and_reach_their_speed():
+    path = lissajous(0.1)
+    assert np.linalg.norm(path(0.0).velocity) < 1e-3
+    speeds = [np.linalg.norm(path(time).velocity) for time in np.linspace(20, 20 + 5, 200)]
+    assert 0.05 < np.mean(speeds) < 0.2
+
+
+def test_a_state_that_is_not_finite_is_refused(ucat):
+    controller = MotionController(ucat)
+    still = hold()(0.0)
+    seen = [np.full((1, 3), np.nan), still.attitude[None], np.zeros((1, 6))]
+    with pytest.raises(RunError, match="not finite"):
+        controller.act(controller.init(), seen, still, still, still)

@@ -1,0 +1,76 @@
+"""Wrenches asked for and made; phases; dead fins."""
+
+import numpy as np
+import pytest
+
+from softfin.core.errors import RunError
+from softfin.robot.evaluate import RobotEvaluateConfig, wrench_errors
+from softfin.robot.phases import choose_phases, delay_of, side_of
+from softfin.robot.wrench_driver import WrenchDriver
+
+
+def acted(driver, wrench, actions):
+    state = driver.init()
+    for _ in range(actions):
+        state, orders = driver.act(state, np.asarray(wrench, float))
+    return state, orders
+
+
+@pytest.mark.slow
+def test_fins_in_the_tank_make_the_wrenches_and_their_ripple_cancels(ucat, simulation, gaits):
+    found = wrench_errors(ucat, simulation, gaits, RobotEvaluateConfig(wrenches=16))
+    assert found["force_error_n"] <= 0.15
+    assert found["moment_error_nm"] <= 0.04
+    assert found["roll_ripple_ratio"] <= 0.7
+
+
+def test_a_robot_that_is_asked_for_nothing_braces_its_fins(ucat, gaits):
+    _, orders = acted(WrenchDriver(ucat, gaits), np.zeros(6), 12)
+    assert (np.linalg.norm(orders.forces, axis=1) > 1).all()
+    np.testing.assert_allclose(orders.wrench, 0, atol=0.01)
+
+
+def test_all_of_a_wrench_within_reach_is_made_without_one_fin(ucat, gaits):
+    driver = WrenchDriver(ucat, gaits)
+    driver.declare_dead(1)
+    _, orders = acted(driver, [1, 0.5, 0, 0, 0, 0.1], 16)
+    np.testing.assert_allclose(orders.wrench, [1, 0.5, 0, 0, 0, 0.1], atol=0.02)
+    assert orders.forces[1].tolist() == [0, 0]
+    assert not orders.given_up.any()
+
+
+def test_what_is_given_up_is_told_in_words(ucat, gaits):
+    wrench = np.array([0, 20, 0, 0, 0, 0], float)
+    _, orders = acted(WrenchDriver(ucat, gaits), wrench, 12)
+    assert orders.told(wrench).startswith("beyond the fins' reach: sway 8.")
+    assert orders.told(wrench).endswith("of 20.00 N")
+    assert acted(WrenchDriver(ucat, gaits), np.zeros(6), 2)[1].told(np.zeros(6)) == ""
+
+
+def test_a_wrench_that_is_not_finite_changes_nothing(ucat, gaits):
+    driver = WrenchDriver(ucat, gaits)
+    with pytest.raises(RunError, match="six finite numbers"):
+        driver.act(driver.init(), np.array([0, np.nan, 0, 0, 0, 0]))
+
+
+def test_equal_ripples_that_oppose_each_other_are_put_in_phase():
+    ripple = np.zeros((6, 2), complex)
+    ripple[3] = 1, -1
+    assert len(set(choose_phases(np.array([0, 3]), True, ripple, np.eye(6)).tolist())) == 1
+    ripple[3] = 1, 1
+    phases = choose_phases(np.array([2, 2]), True, ripple, np.eye(6))
+    assert (phases[1] - phases[0]) % 6 == 3
+
+
+def test_while_fins_stroke_a_little_ripple_more_is_kept():
+    ripple = np.zeros((6, 2), complex)
+    ripple[3] = 1, 0.2
+    present = np.array([0, 0])
+    assert choose_phases(present, False, ripple, np.eye(6)) is present
+
+
+def test_phases_are_sixths_of_a_period():
+    assert [(delay_of(phase), side_of(phase, 0)) for phase in range(6)] == [
+        (0, 1), (11, 1), (22, 1), (0, -1), (11, -1), (22, -1),
+    ]  # fmt: skip
+    assert side_of(0, 1) == -1
