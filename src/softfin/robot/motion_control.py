@@ -20,7 +20,7 @@ from softfin.core.errors import RunError
 from softfin.robot.control_config import ControlConfig
 from softfin.robot.description import RobotConfig
 from softfin.robot.dynamics import Dynamics, SixVector
-from softfin.robot.paths import Target
+from softfin.robot.paths import PathPoint
 from softfin.robot.rotation import cross, from_euler, inverse, matrix, multiply, normalized, to_vector
 
 ACTION_S = 1 / ACTION_RATE_HZ
@@ -111,8 +111,8 @@ class MotionController:
         """Return the state before the first action: nothing is known."""
         return ControlState(np.zeros((6, 3)), np.zeros((2, 6)), 0.0)
 
-    def act(self, state: ControlState, seen: Sequence[np.ndarray], middle: Target, now: Target,
-            ahead: Target) -> tuple[ControlState, np.ndarray]:  # fmt: skip
+    def act(self, state: ControlState, seen: Sequence[np.ndarray], middle: PathPoint, now: PathPoint,
+            ahead: PathPoint) -> tuple[ControlState, np.ndarray]:  # fmt: skip
         """Return the wrench in body axes for the next action [N, N m].
 
         `seen` are positions ``(ticks, 3)``, attitudes ``(ticks, 4)`` and twists ``(ticks, 6)`` of the last two actions;
@@ -143,7 +143,7 @@ class MotionController:
         state = state._replace(estimate=estimate, heading=self._headed(state.heading, estimate, now))
         return state, np.asarray(self._needed(ahead) + self.dynamics.inertia @ correction)
 
-    def _headed(self, heading: float, estimate: Float[np.ndarray, "6 3"], now: Target) -> float:
+    def _headed(self, heading: float, estimate: Float[np.ndarray, "6 3"], now: PathPoint) -> float:
         """Return the heading further into the current, where that is more than the fins hold abeam."""
         surge, sway = -(self.dynamics.inertia @ estimate[:, 2])[:2]
         excess = abs(sway) / (self._config.sway_part * self.sway_reach_n) - 1
@@ -153,12 +153,12 @@ class MotionController:
         way = np.sign(heading) or np.sign(sway) * (np.sign(surge) or 1.0)
         return float(heading + way * self._config.weathervane_rad_s * ACTION_S * min(excess, 1.0))
 
-    def acknowledge(self, state: ControlState, wrench: SixVector, ahead: Target) -> ControlState:
+    def acknowledge(self, state: ControlState, wrench: SixVector, ahead: PathPoint) -> ControlState:
         """Tell the observer what wrench the fins make of the one asked for."""
         acceleration = self.dynamics.inverse @ (wrench - self._needed(_turned(ahead, state.heading)))
         return state._replace(accelerations=np.stack([acceleration, state.accelerations[0]]))
 
-    def _needed(self, target: Target) -> SixVector:
+    def _needed(self, target: PathPoint) -> SixVector:
         """Return the wrench that keeps the body on the path in still water, upright."""
         axes = matrix(target.attitude)
         velocity, turn = target.velocity @ axes, target.turn @ axes
@@ -168,7 +168,7 @@ class MotionController:
         return d.inertia @ acceleration - d.gyroscopic(twist) - d.drag(twist) - d.restoring(target.attitude)
 
 
-def _turned(target: Target, heading: float) -> Target:
+def _turned(target: PathPoint, heading: float) -> PathPoint:
     return target._replace(attitude=multiply(target.attitude, from_euler(0.0, 0.0, heading))) if heading else target
 
 

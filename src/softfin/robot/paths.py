@@ -12,7 +12,7 @@ Vector = Float[np.ndarray, "3"]
 Point: TypeAlias = tuple[float | int, float | int, float | int]
 
 
-class Target(NamedTuple):
+class PathPoint(NamedTuple):
     """State that the robot should have; velocities and accelerations in world axes."""
 
     position: Vector
@@ -29,7 +29,7 @@ class Target(NamedTuple):
     """Angular acceleration [rad/s2]."""
 
 
-Path: TypeAlias = Callable[[float], Target]
+Path: TypeAlias = Callable[[float], PathPoint]
 
 STEP_S = 0.01
 """Step of the differences by which a path's velocity and acceleration are found [s]."""
@@ -40,7 +40,7 @@ STARTING_S = 10.0
 
 def hold(position: Point = (0.0, 0.0, 0.0), yaw: float | int = 0.0) -> Path:
     """Stay at a place, upright."""
-    still = Target(np.asarray(position, float), from_euler(0.0, 0.0, yaw), *np.zeros((4, 3)))
+    still = PathPoint(np.asarray(position, float), from_euler(0.0, 0.0, yaw), *np.zeros((4, 3)))
     return lambda time: still
 
 
@@ -63,12 +63,12 @@ def along(curve: Callable[[float], Vector], speed_m_s: float | int, length_m: fl
         ahead = np.asarray(curve(at + 1e-4), float) - np.asarray(curve(at - 1e-4), float)
         return float(np.arctan2(ahead[1], ahead[0]))
 
-    def target(time: float) -> Target:
+    def target(time: float) -> PathPoint:
         before, now, after = (place(time + k * STEP_S) for k in (-1, 0, 1))
         yaws = np.unwrap([heading(time + k * STEP_S) for k in (-1, 0, 1)])
         turn, turning = np.zeros(3), np.zeros(3)
         turn[2], turning[2] = (yaws[2] - yaws[0]) / (2 * STEP_S), (yaws[2] - 2 * yaws[1] + yaws[0]) / STEP_S**2
-        return Target(now, from_euler(0.0, 0.0, float(yaws[1])), (after - before) / (2 * STEP_S),
+        return PathPoint(now, from_euler(0.0, 0.0, float(yaws[1])), (after - before) / (2 * STEP_S),
                       (after - 2 * now + before) / STEP_S**2, turn, turning)  # fmt: skip
 
     return target

@@ -19,7 +19,7 @@ from softfin.tank.fin import Mount
 from softfin.tank.tank import Load
 
 
-class Surroundings(NamedTuple):
+class Ambient(NamedTuple):
     """Current, and a push from outside, during an action."""
 
     current: Float[Array, "3"]
@@ -84,14 +84,14 @@ class RobotSimulation:
         return RobotState(start, jnp.zeros(6), fins)
 
     def advance(
-        self, state: RobotState, orders: Orders, around: Surroundings, ticks: Int[Array, ""] | int
+        self, state: RobotState, orders: Orders, around: Ambient, ticks: Int[Array, ""] | int
     ) -> tuple[RobotState, Ticks]:
         """Advance by an action of 33 or 34 ticks; rows of 34, of which the first `ticks` count."""
         advanced: tuple[RobotState, Ticks] = self._advance(state, orders, around, ticks)
         return advanced
 
     def _held(
-        self, state: RobotState, orders: Orders, around: Surroundings, ticks: Int[Array, ""] | int
+        self, state: RobotState, orders: Orders, around: Ambient, ticks: Int[Array, ""] | int
     ) -> tuple[RobotState, Ticks]:
         def one(state: RobotState, index: Int[Array, ""]) -> tuple[RobotState, Ticks]:
             after, row = self.tick(state, orders.at(index), around)
@@ -124,7 +124,7 @@ class RobotSimulation:
         wrench = jnp.asarray(self._matrix, jnp.float32) @ loads.force.reshape(-1)
         return wrench.at[3:].add(loads.torque @ self._shafts)
 
-    def tick(self, state: RobotState, commands: Command, around: Surroundings) -> tuple[RobotState, Ticks]:
+    def tick(self, state: RobotState, commands: Command, around: Ambient) -> tuple[RobotState, Ticks]:
         """Advance by one tick of 10 ms."""
         mounts = self._mounts(jnp.asarray(self.dynamics.relative_twist(state.body, around.current)), state.acceleration)
         fins, loads, shapes = self._fins(state.fins, commands, mounts)

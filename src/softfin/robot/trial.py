@@ -21,7 +21,7 @@ from softfin.robot.fin_driver import fin_command
 from softfin.robot.motion_control import SEEN_ACTIONS, MotionController
 from softfin.robot.paths import Path
 from softfin.robot.rotation import multiply
-from softfin.robot.simulation import Orders, RobotSimulation, Surroundings
+from softfin.robot.simulation import Ambient, Orders, RobotSimulation
 from softfin.robot.wrench_driver import WrenchDriver
 
 SWAY = 1
@@ -118,7 +118,7 @@ def run_trial(
         push = np.zeros(6)
         if 0 <= time - trouble.push_at_s < 1 / ACTION_RATE_HZ:
             push[:3] = np.asarray(trouble.push_n_s) / (ticks * TICK_S)
-        around = Surroundings(jnp.asarray(trouble.current_m_s, jnp.float32), jnp.asarray(push, jnp.float32))
+        around = Ambient(jnp.asarray(trouble.current_m_s, jnp.float32), jnp.asarray(push, jnp.float32))
         state, happened = simulation.advance(state, orders, around, ticks)
         happened = jax.tree.map(partial(_first, ticks), happened)
         rows.append(happened)
