@@ -17,6 +17,7 @@ NAMES = (
     "controller_step",
     "recording",
     "rig",
+    "robot",
 )
 
 

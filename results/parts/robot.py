@@ -12,7 +12,7 @@ TINY = "--set hold_s=20 --set path_s=20 --set settled_s=6 --set wrenches=2"
 def robot(seeds: Sequence[int]) -> Part:
     """U-CAT with all fins and with one that dies: wrenches, holding, paths."""
     command = f"softfin robot evaluate ucat --seeds {len(seeds)}"
-    whole = step("robot", command, 2, tiny=TINY)
+    whole = step("robot", f"{command} --baselines", 4, tiny=TINY)
     # Each fin dies in one of the first four; the others have other directions of current and push.
     dead = step("robot-dead", f"{command} --hold --lemniscate --lissajous --dead", 2, tiny=TINY)
 
@@ -32,6 +32,16 @@ def robot(seeds: Sequence[int]) -> Part:
                 for key in ("force_error_n", "force_error_worst_n", "moment_error_nm", "moment_error_worst_nm",
                             "roll_ripple_ratio"):  # fmt: skip
                     figures[key] = figure("", [found["wrenches"][key]])
+        for name, row in work.json("robot/robot.json")["baselines"].items():
+            key = name.replace(" ", "-")
+            for score in ("force_error_n", "moment_error_nm"):
+                figures[f"{key}.{score}"] = figure("", [row["wrenches"][score]])
+            figures[f"{key}.roll_ripple"] = figure("N m", [row["wrenches"]["ripple"]["roll"]])
+            for task in ("hold", "lemniscate"):
+                figures[f"{key}.{task}"] = figure("cm", [100 * each["position_rms_m"] for each in row[task]], seeds)
+                figures[f"{key}.{task}.attitude"] = figure(
+                    "degrees", [each["attitude_rms_deg"] for each in row[task]], seeds
+                )
         figures["reach"] = figure("N", [work.json("robot/robot.json")["reach_n"][0]])
         return figures
 

@@ -59,6 +59,8 @@ def test_where_fins_are_at_their_reach_it_is_the_optimum(matrix, seed):
     wrench, preferred = random.normal(size=6) * [6, 5, 6, 1, 1.5, 1.5], random.normal(size=(4, 2))
     allocator = Allocator(matrix, reach, priority)
     found = allocator.allocate(wrench, preferred)
+    for _ in range(20):
+        found = allocator.allocate(wrench, preferred, found.forces)
 
     def cost(forces):
         missing = matrix @ forces - wrench

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import RunError
+from softfin.robot.baselines import drivers_of
 from softfin.robot.evaluate import RobotEvaluateConfig, trial
 from softfin.robot.motion_control import MotionController
 from softfin.robot.paths import hold, lemniscate, lissajous
@@ -15,7 +16,7 @@ SHORT = RobotEvaluateConfig(hold_s=40, settled_s=12, path_s=45)
 
 @pytest.mark.slow
 def test_it_holds_its_place_against_a_push_and_a_current(ucat, simulation, gaits):
-    record, row = trial(ucat, simulation, gaits, "hold", SHORT, 0)
+    record, row = trial(simulation, drivers_of(ucat, gaits)["whole"], "hold", SHORT, 0)
     assert row["position_rms_m"] < 0.03
     assert row["attitude_rms_deg"] < 4
     assert len(record.time) == 4000
@@ -24,7 +25,7 @@ def test_it_holds_its_place_against_a_push_and_a_current(ucat, simulation, gaits
 @pytest.mark.slow
 @pytest.mark.parametrize("task", ["lemniscate", "lissajous"])
 def test_it_follows_paths(ucat, simulation, gaits, task):
-    record, row = trial(ucat, simulation, gaits, task, SHORT, 1)
+    record, row = trial(simulation, drivers_of(ucat, gaits)["whole"], task, SHORT, 1)
     assert row["position_rms_m"] < 0.06
     assert np.ptp(record.body.position[:, 0]) > 1
 

@@ -29,6 +29,8 @@ class RobotArguments(Configured):
     """With evaluate or view: follow a three-dimensional Lissajous curve."""
     dead: bool = False
     """A fin dies at a random moment, each in turn."""
+    baselines: bool = False
+    """With evaluate: the same with simpler drivers."""
     seeds: int | None = None
     """With evaluate: repetitions of each trial (5)."""
     seed: int | None = None
@@ -69,7 +71,8 @@ class RobotArguments(Configured):
         from softfin.robot.evaluate import RobotEvaluateConfig
         from softfin.stages.robot import evaluate
 
-        config = self.configured(RobotEvaluateConfig(), tasks=self._tasks(), dead=self.dead or None)
+        config = self.configured(RobotEvaluateConfig(), tasks=self._tasks(), dead=self.dead or None,
+                                 baselines=self.baselines or None)  # fmt: skip
         out = self.out or Path("runs/robot")
         found = self.stage(evaluate, self.robot, out, config)
         self.tell(found, "\n".join([*_table(found), f"{out}: pages, figures and robot.json"]))
@@ -106,4 +109,21 @@ def _table(found: dict[str, Any]) -> list[str]:
                               f"{100 * row['position_worst_m']:.1f}", f"{row['attitude_rms_deg']:.2f}",
                               f"{row['attitude_worst_deg']:.1f}", note])  # fmt: skip
         lines.append("\n".join(aligned(cells, (0, 6))))
+    if "baselines" in found:
+        titles = ("mean over seeds", "force [N]", "moment [N m]", "roll ripple [N m]")
+        cells = [[*titles, *(f"{task} [cm; deg]" for task in trials)]]
+        for name, row in found["baselines"].items():
+            scores = row["wrenches"]
+            errors = (
+                [
+                    sum(each[score] for each in row[task]) / len(row[task])
+                    for score in ("position_rms_m", "attitude_rms_deg")
+                ]
+                for task in trials
+            )
+            cells.append(
+                [name, f"{scores['force_error_n']:.3f}", f"{scores['moment_error_nm']:.3f}",
+                 f"{scores['ripple']['roll']:.2f}", *(f"{100 * off:.1f}; {tilt:.1f}" for off, tilt in errors)]
+            )  # fmt: skip
+        lines.append("\n".join(aligned(cells)))
     return lines

@@ -15,11 +15,11 @@ from softfin.core.choices import RobotTask
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import RATE_HZ, Command
 from softfin.core.randomness import generator_of
+from softfin.robot.baselines import MakeDriver, drivers_of
 from softfin.robot.description import AXES, RobotConfig
 from softfin.robot.fin_driver import FinGaits
 from softfin.robot.fin_gaits import find_fin_gaits
 from softfin.robot.paths import hold, lemniscate, lissajous
-from softfin.robot.phases import PHASES, Phases
 from softfin.robot.simulation import Orders, RobotSimulation
 from softfin.robot.trial import Disturbances, NoiseConfig, Record, run_trial
 from softfin.robot.wrench_driver import WrenchDriver
@@ -53,6 +53,8 @@ class RobotEvaluateConfig(Configuration):
     """Mean speed along the lemniscate of 2 m by 1 m [m/s]."""
     lissajous_m_s: PositiveFloat = 0.08
     """Mean speed along the Lissajous curve of 2 m by 1 m by 0.5 m [m/s]."""
+    baselines: bool = False
+    """The same with simpler drivers: without phases, with the pseudo-inverse, with an analytic model of the fin."""
     dead: bool = False
     """A fin dies at a random moment of every trial, each fin in turn."""
     noise: NoiseConfig = NoiseConfig()
@@ -76,22 +78,36 @@ def evaluate_robot(
     report(0.0, "gaits of the fins")
     gaits = gaits or gaits_of(tanks)
     simulation = RobotSimulation(robot, tanks)
+    drivers = drivers_of(robot, gaits)
     figures: dict[str, Any] = {"robot": robot.name, "reach_n": [round(each.reach, 3) for each in gaits]}
     records: dict[str, Record] = {}
     done, total = 0, len(config.tasks) * config.seeds
     for task in config.tasks:
         if task == "wrenches":
-            figures[task] = wrench_errors(robot, simulation, gaits, config)
+            figures[task] = wrench_errors(simulation, drivers["whole"], draw_wrenches(robot, gaits, config))
+            free = wrench_errors(simulation, drivers["without phases"], draw_wrenches(robot, gaits, config))
+            figures[task]["roll_ripple_ratio"] = figures[task]["ripple"]["roll"] / free["ripple"]["roll"]
             done += config.seeds
             continue
         rows = []
         for seed in range(config.seeds):
             report(done / total, f"{task}, seed {seed}")
-            record, row = trial(robot, simulation, gaits, task, config, config.seed + seed)
+            record, row = trial(simulation, drivers["whole"], task, config, config.seed + seed)
             rows.append(row)
             records.setdefault(task, record)
             done += 1
         figures[task] = rows
+    if config.baselines:
+        figures["baselines"] = {}
+        for name, driver in drivers.items():
+            report(0.99, f"baseline: {name}")
+            figures["baselines"][name] = {
+                "wrenches": wrench_errors(simulation, driver, draw_wrenches(robot, gaits, config))
+            } | {
+                task: [trial(simulation, driver, task, config, config.seed + seed)[1] for seed in range(config.seeds)]
+                for task in config.tasks
+                if task != "wrenches"
+            }
     report(1.0, "")
     return RobotEvaluation(figures, records)
 
@@ -103,9 +119,8 @@ def gaits_of(tanks: Sequence[Tank]) -> tuple[FinGaits, ...]:
 
 
 def trial(
-    robot: RobotConfig, simulation: RobotSimulation, gaits: Sequence[FinGaits], task: RobotTask,
-    config: RobotEvaluateConfig, seed: int,
-) -> tuple[Record, dict[str, Any]]:  # fmt: skip
+    simulation: RobotSimulation, driver: MakeDriver, task: RobotTask, config: RobotEvaluateConfig, seed: int
+) -> tuple[Record, dict[str, Any]]:
     """Run one trial of a task, and score it."""
     random = generator_of(seed, f"robot/{task}")
     seconds = float(config.hold_s if task == "hold" else config.path_s)
@@ -123,11 +138,12 @@ def trial(
         counted &= ~_after(at, config.settled_s, len(counted))
         told |= {"current_from_deg": round(float(np.degrees(current)) % 360 - 180), "push_at_s": round(at, 1)}
     if config.dead:
-        fin, at = seed % len(robot.fins), random.uniform(0.2, 0.6) * seconds
+        fins = list(simulation.robot.fins)
+        fin, at = seed % len(fins), random.uniform(0.2, 0.6) * seconds
         trouble = trouble._replace(dead_fin=fin, dead_at_s=at)
         counted &= np.arange(len(counted)) >= (at + config.settled_s) * RATE_HZ
-        told |= {"dead": list(robot.fins)[fin], "dead_at_s": round(at, 1)}
-    record = run_trial(simulation, WrenchDriver(robot, gaits), path, seconds, trouble, config.noise, seed)
+        told |= {"dead": fins[fin], "dead_at_s": round(at, 1)}
+    record = run_trial(simulation, driver(seed), path, seconds, trouble, config.noise, seed)
     counted = counted[: len(record.time)]
     position, attitude = record.position_error()[counted], record.attitude_error()[counted]
     told |= {
@@ -166,18 +182,13 @@ WRENCH_ACTIONS = 4 * CYCLE_ACTIONS
 
 
 def wrench_errors(
-    robot: RobotConfig, simulation: RobotSimulation, gaits: Sequence[FinGaits], config: RobotEvaluateConfig
+    simulation: RobotSimulation, driver: MakeDriver, wrenches: Float[np.ndarray, "n 6"]
 ) -> dict[str, Any]:
-    """Compare mean wrenches over a window with those asked for, on a body that is held; and ripple with any phases."""
-    wrenches = draw_wrenches(robot, gaits, config)
-    chosen = [_orders(robot, gaits, wrench) for wrench in wrenches]
-    random = generator_of(config.seed, "robot/phases")
-    # Independent phases, as of fins that do not know each other.
-    free = [_orders(robot, gaits, wrench, random.integers(0, PHASES, len(gaits))) for wrench in wrenches]
-    held, by_chance = (_held(simulation, orders) for orders in (chosen, free))
+    """Compare mean wrenches over a window with those asked for, on a body that is held; and tell their ripple."""
+    held = _held(simulation, [_orders(driver(index), wrench) for index, wrench in enumerate(wrenches)])
     window = slice(-WINDOW, None)
     error = held[:, window].mean(axis=1) - wrenches
-    ripple, chance = (np.sqrt(each[:, window].var(axis=1).mean(axis=0)) for each in (held, by_chance))
+    ripple = np.sqrt(held[:, window].var(axis=1).mean(axis=0))
     return {
         "count": len(wrenches),
         "force_error_n": float(np.linalg.norm(error[:, :3], axis=1).mean()),
@@ -185,20 +196,13 @@ def wrench_errors(
         "moment_error_nm": float(np.linalg.norm(error[:, 3:], axis=1).mean()),
         "moment_error_worst_nm": float(np.linalg.norm(error[:, 3:], axis=1).max()),
         "ripple": dict(zip(AXES, map(float, ripple), strict=True)),
-        "ripple_independent": dict(zip(AXES, map(float, chance), strict=True)),
-        "roll_ripple_ratio": float(ripple[3] / chance[3]),
     }
 
 
-def _orders(
-    robot: RobotConfig, gaits: Sequence[FinGaits], wrench: Float[np.ndarray, "6"], phases: Phases | None = None
-) -> Orders:
-    """Return what a driver orders for one wrench, ``(actions, fins)``; with phases given, in these for good."""
-    driver = WrenchDriver(robot, gaits, phases=phases is None)
+def _orders(driver: WrenchDriver, wrench: Float[np.ndarray, "6"]) -> Orders:
+    """Return what a driver orders for one wrench, from rest, ``(actions, fins)``."""
     state, orders = driver.init(), []
-    if phases is not None:
-        state = state._replace(phases=phases)
-    before = Command(np.zeros(len(gaits)), np.array([each.limits.velocity_min for each in gaits]))
+    before = Command(np.zeros(len(driver.gaits)), np.array([each.limits.velocity_min for each in driver.gaits]))
     for _ in range(WRENCH_ACTIONS):
         state, driven = driver.act(state, wrench)
         now = Command(*map(np.array, zip(*driven.commands, strict=True)))

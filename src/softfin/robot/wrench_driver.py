@@ -65,9 +65,9 @@ class WrenchDriverState(NamedTuple):
 
 
 class WrenchDriver:
-    """Turns wrenches into commands for the fins of one robot."""
+    """Turns wrenches into commands for the fins of one robot; with `phases` the fins keep these."""
 
-    def __init__(self, robot: RobotConfig, gaits: Sequence[FinGaits], phases: bool = True) -> None:
+    def __init__(self, robot: RobotConfig, gaits: Sequence[FinGaits], phases: Phases | None = None) -> None:
         self.robot, self.gaits, self._phases = robot, tuple(gaits), phases
         config = robot.allocation
         reach = np.array([each.reach for each in gaits])
@@ -104,8 +104,9 @@ class WrenchDriver:
         wrench = np.asarray(wrench, float)
         if not np.isfinite(wrench).all():
             raise RunError(f"wrench {wrench.tolist()}: must be six finite numbers, 3 forces [N] and 3 moments [N m]")
-        brace = self._brace(self._allocator.allocate(wrench).forces, state.brace)
-        found = self._allocator.allocate(wrench, self._braces[brace])
+        start = state.forces
+        brace = self._brace(self._allocator.allocate(wrench, start=start).forces, state.brace)
+        found = self._allocator.allocate(wrench, self._braces[brace], start)
         smoothing = self.robot.allocation.smoothing
         forces = smoothing * state.forces + (1 - smoothing) * found.forces
         alive = [fin for fin in range(len(self.gaits)) if fin not in self.dead]
@@ -126,8 +127,8 @@ class WrenchDriver:
         return after, FinOrders(tuple(commands), delays, forces, together, found.given_up)
 
     def _choose_phases(self, state: WrenchDriverState, forces: Forces, alive: list[int]) -> Phases:
-        if not self._phases:
-            return state.phases
+        if self._phases is not None:
+            return self._phases
         sizes = np.hypot(*forces.T)
         ripple = np.concatenate([self.gaits[fin].ripple_of(sizes[fin : fin + 1]) for fin in range(len(sizes))])
         directions = np.arctan2(-forces[:, 1], forces[:, 0])

@@ -5,6 +5,7 @@ from typing import Any
 
 from softfin.core.errors import ConfigurationError
 from softfin.core.progress import Progress, silent
+from softfin.robot.baselines import drivers_of
 from softfin.robot.check import check_robot
 from softfin.robot.description import RobotConfig, load_robot
 from softfin.robot.evaluate import RobotEvaluateConfig, evaluate_robot, gaits_of, trial
@@ -64,7 +65,8 @@ def view(
     progress("robot", 0.0, "gaits of the fins")
     gaits = gaits_of(tanks)
     progress("robot", 0.3, task)
-    record, row = trial(body, RobotSimulation(body, tanks), gaits, task, config, config.seed)
+    driver = drivers_of(body, gaits)["whole"]
+    record, row = trial(RobotSimulation(body, tanks), driver, task, config, config.seed)
     write_page(out, body, record, _title(body, task, config.dead))
     progress("robot", 1.0, "")
     return row

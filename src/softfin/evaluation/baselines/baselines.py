@@ -29,6 +29,7 @@ from softfin.evaluation.baselines.open_loop import ShaftSine, inverse
 from softfin.evaluation.baselines.recurrent import run_recurrent, train_recurrent
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, ExperimentsConfig, score_experiments
 from softfin.evaluation.experiment import ExperimentRecording
+from softfin.gaits.inverse_model import InverseConfig
 from softfin.gaits.reachable import Cell, bounding_box
 from softfin.storage import artifact as artifacts
 from softfin.task.task import TaskConfig
@@ -41,7 +42,7 @@ class BaselinesConfig(ExperimentsConfig):
 
     search: open_loop.SearchConfig = open_loop.SearchConfig()
     """Search of the sines and gaits."""
-    inverse: open_loop.InverseConfig = open_loop.InverseConfig()
+    inverse: InverseConfig = InverseConfig()
     """Coefficients of the inverse model."""
     inverse_frequencies_hz: tuple[PositiveFloat, ...] = Field(default=(2.1, 1.1, 1.0), min_length=1)
     """Frequencies of the inverse model [Hz]: the fast and the slow mode of the U-CAT robots, and 1 Hz, whose periods

@@ -6,12 +6,7 @@ The drive runs a velocity profile to its target angle, so the target goes along 
 is a ceiling, stays at the sine's greatest speed. A ceiling that follows the sine's own speed holds the profile back at
 each turn: on the virtual tank a sine of 0.4 rad and 2 Hz then comes out as one of 0.25 rad, and as 0.39 rad this way.
 
-The inverse model chooses a sine for a force:
-
-    |F| = K f^2 (1 - cos A),  K = 8 rho C_d S r_c^2 pi^2,  about the direction of the wanted force
-
-is `forceToAmplitude` of the WrenchDriver in the ROS 1 package ``tut_arrows`` of Tallinn University of Technology, with
-its coefficients.
+The inverse model, `softfin.gaits.inverse_model`, chooses a sine for a force.
 """
 
 from itertools import product
@@ -22,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key, PRNGKeyArray
-from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, PositiveFloat, PositiveInt
 
 from softfin.core.action_clock import CYCLE_ACTIONS, ticks_of
 from softfin.core.configuration import Configuration
@@ -32,6 +27,7 @@ from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import RATE_HZ, TICK_S, AnyArray, Command, Limits, Reading
 from softfin.core.randomness import generator_of, key_of
 from softfin.core.window import moving_error
+from softfin.gaits.inverse_model import InverseConfig, amplitude_of
 
 Forces = Float[np.ndarray, "cases ticks 2"]
 References = Float[np.ndarray, "references 2"]
@@ -75,34 +71,6 @@ class ShaftSine(NamedTuple):
         return command, outside.mean(axis=-1), too_fast.mean(axis=-1)
 
 
-class InverseConfig(Configuration):
-    """Coefficients of the U-CAT robots."""
-
-    density_kg_m3: PositiveFloat = 1000.0
-    """Density rho of fresh water [kg/m3]."""
-    drag_coefficient: PositiveFloat = 0.15
-    """Drag coefficient C_d of the flapping fin."""
-    area_m2: PositiveFloat = 0.02
-    """Area S of the fin [m2]."""
-    arm_m: PositiveFloat = 0.1
-    """Distance r_c from the shaft to the fin's centre [m]."""
-    amplitude_min_rad: float = Field(default=0.1, ge=0)
-    """Least amplitude that their driver asks for [rad]."""
-    amplitude_max_rad: float = Field(default=1.2, gt=0, le=np.pi)
-    """Greatest amplitude that their driver asks for [rad]."""
-
-    @model_validator(mode="after")
-    def _ordered(self) -> "InverseConfig":
-        if self.amplitude_min_rad > self.amplitude_max_rad:
-            raise ValueError(f"amplitude_min_rad must not be above amplitude_max_rad = {self.amplitude_max_rad:g}")
-        return self
-
-    @property
-    def constant(self) -> float:
-        """The model's constant K [N s2]."""
-        return 8 * self.density_kg_m3 * self.drag_coefficient * self.area_m2 * self.arm_m**2 * np.pi**2
-
-
 def inverse(
     force: Float[np.ndarray, "forces 2"], frequency: float, limits: Limits, config: InverseConfig, constant: float
 ) -> tuple[ShaftSine, list[dict[str, Any]]]:
@@ -114,7 +82,7 @@ def inverse(
     """
     wanted = np.arctan2(-force[:, 1], force[:, 0])
     centre = np.clip(wanted, limits.angle_min, limits.angle_max)
-    exact = np.arccos(np.maximum(1 - np.linalg.norm(force, axis=1) / (constant * frequency**2), -1.0))
+    exact = amplitude_of(np.linalg.norm(force, axis=1), frequency, constant)
     amplitude = np.clip(exact, config.amplitude_min_rad, config.amplitude_max_rad)
     limited = [
         {"amplitude_limited": bool(size), "direction_limited": bool(direction), "constant_n_s2": constant}

@@ -1,0 +1,51 @@
+"""Drivers to compare with: what allocation, phases and measured gaits are each worth."""
+
+from collections.abc import Callable, Sequence
+from typing import TypeAlias
+
+import numpy as np
+
+from softfin.core.action_clock import ACTION_RATE_HZ
+from softfin.core.randomness import generator_of
+from softfin.gaits.inverse_model import InverseConfig, amplitude_of
+from softfin.robot.description import RobotConfig
+from softfin.robot.fin_driver import FinGaits
+from softfin.robot.phases import PHASES
+from softfin.robot.wrench_driver import WrenchDriver
+
+MakeDriver: TypeAlias = Callable[[int], WrenchDriver]
+"""Makes the driver of a trial from its seed."""
+
+STROKE_HZ = ACTION_RATE_HZ / 2
+FORCES_N = np.linspace(0, 12, 49)
+"""Forces for which the inverse model gives amplitudes [N]."""
+
+
+def drivers_of(robot: RobotConfig, gaits: Sequence[FinGaits]) -> dict[str, MakeDriver]:
+    """Return drivers by name, the simplest last.
+
+    Independent phases are drawn anew for every trial. The pseudo-inverse has no bracing and shares a wrench by least
+    squares. The analytic driver is that of the U-CAT robots, its amplitude law at the frequency of our strokes.
+    """
+    plain = robot.merged({"allocation": {"brace_n": 0, "smoothing": 0}}, "baseline")
+    analytic = [_analytic(each) for each in gaits]
+
+    def independent(seed: int) -> np.ndarray:
+        return generator_of(seed, "robot/phases").integers(0, PHASES, len(gaits))
+
+    return {
+        "whole": lambda seed: WrenchDriver(robot, gaits),
+        "without phases": lambda seed: WrenchDriver(robot, gaits, independent(seed)),
+        "pseudo-inverse": lambda seed: WrenchDriver(plain, gaits, independent(seed)),
+        "analytic": lambda seed: WrenchDriver(plain, analytic, independent(seed)),
+    }
+
+
+def _analytic(gaits: FinGaits) -> FinGaits:
+    """The amplitudes of the inverse model, up to its greatest, with the limits and the ripple of a fin's gaits."""
+    model = InverseConfig()
+    amplitude = amplitude_of(FORCES_N, STROKE_HZ, model.constant)
+    count = max(2, int((amplitude <= model.amplitude_max_rad).sum()))
+    amplitude = np.maximum(amplitude[:count], model.amplitude_min_rad)
+    ripple = np.stack([np.interp(amplitude, gaits.amplitude, part) for part in gaits.ripple.T], axis=1)
+    return FinGaits(FORCES_N[:count], amplitude, ripple, gaits.limits)
