@@ -32,6 +32,7 @@ from softfin.gaits.force_map import MapConfig
 from softfin.learning.configuration import TRAIN_PRESETS
 from softfin.rig.config import load_rig, load_ros2
 from softfin.rig.ros2.config import NodeConfig
+from softfin.robot.evaluate import RobotEvaluateConfig
 from softfin.stages.reproduce_config import PRESETS
 from softfin.storage.dataset import Dataset
 from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig
@@ -47,6 +48,7 @@ CONFIGURATIONS: dict[str, tuple[Configuration, ...]] = {
     "compare": (CompareConfig(),),
     "map": (MapConfig(),),
     "train": (*TRAIN_PRESETS.values(), MapConfig()),
+    "robot": (RobotEvaluateConfig(),),
     "evaluate": (EvaluateConfig(),),
     "baselines": (BaselinesConfig(),),
     "view": (ViewConfig(),),

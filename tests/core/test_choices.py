@@ -40,8 +40,8 @@ def test_every_model_has_a_configuration() -> None:
     assert len({type(defaults(model)) for model in get_args(choices.ModelName)}) == len(get_args(choices.ModelName))
 
 
-OWN_ACTIONS = {"data", "rig"}
-"""Modules of the commands bag and rig, whose choices are their own actions, known nowhere else."""
+OWN_ACTIONS = {"data", "rig", "robot"}
+"""Modules of the commands bag, rig and robot, whose choices are their own actions, known nowhere else."""
 
 
 @pytest.mark.parametrize("file", sorted(COMMAND_LINE.glob("*.py")), ids=lambda file: file.stem)
