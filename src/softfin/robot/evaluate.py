@@ -54,7 +54,7 @@ class RobotEvaluateConfig(Configuration):
     lissajous_m_s: PositiveFloat = 0.08
     """Mean speed along the Lissajous curve of 2 m by 1 m by 0.5 m [m/s]."""
     baselines: bool = False
-    """The same with simpler drivers: without phases, with the pseudo-inverse, with an analytic model of the fin."""
+    """Simpler drivers beside it: without phases, with the pseudo-inverse, with an analytic model of the fin."""
     dead: bool = False
     """A fin dies at a random moment of every trial, each fin in turn."""
     noise: NoiseConfig = NoiseConfig()
