@@ -12,13 +12,15 @@ from softfin.core.errors import ConfigurationError
 class RobotArguments(Configured):
     """Check, evaluate or show a robot with several fins."""
 
-    action: Annotated[Literal["check", "evaluate", "view"], Option(positional=True)]
+    action: Annotated[Literal["check", "evaluate", "view", "train"], Option(positional=True)]
     """check: rank, singular values and reach; evaluate: wrenches, holding and paths in simulation, as JSON, figures and
-    pages; view: one trial as a page in three dimensions."""
+    pages; view: one trial as a page in three dimensions; train: a policy that adds to the motion controller."""
     robot: Annotated[str, Option("ROBOT", positional=True)] = "ucat"
     """The robot: ucat, or a YAML file."""
     out: Annotated[Path, Option("PATH")] | None = None
-    """Folder that evaluate writes to (runs/robot), or page that view writes (robot.html)."""
+    """Folder that evaluate (runs/robot) or train (runs/robot-policy) writes, or page that view writes (robot.html)."""
+    policy: Annotated[Path, Option("FOLDER")] | None = None
+    """With evaluate: policy that adds to the motion controller, as robot train writes one."""
     wrenches: bool = False
     """With evaluate: mean wrenches on a body that is held. Without any task, all are evaluated."""
     hold: bool = False
@@ -39,8 +41,10 @@ class RobotArguments(Configured):
     def check(self) -> None:
         """Refuse tasks that do not go with the action."""
         super().check()
-        if self.action == "check" and self._tasks():
-            raise ConfigurationError(f"--{self._tasks()[0]}: robot check runs no trial; see robot evaluate")
+        if self.action in ("check", "train") and self._tasks():
+            raise ConfigurationError(f"--{self._tasks()[0]}: robot {self.action} runs no trial; see robot evaluate")
+        if self.action != "evaluate" and self.policy is not None:
+            raise ConfigurationError("--policy goes with robot evaluate")
         if self.action == "view" and (len(self._tasks()) > 1 or self.wrenches):
             raise ConfigurationError("robot view shows one of --hold, --lemniscate, --lissajous")
 
@@ -49,7 +53,7 @@ class RobotArguments(Configured):
         return tuple(name for name in names if getattr(self, name))
 
     def __call__(self) -> None:
-        {"check": self._check, "evaluate": self._evaluate, "view": self._view}[self.action]()
+        {"check": self._check, "evaluate": self._evaluate, "view": self._view, "train": self._train}[self.action]()
 
     def _check(self) -> None:
         from softfin.stages.robot import check
@@ -74,7 +78,7 @@ class RobotArguments(Configured):
         config = self.configured(RobotEvaluateConfig(), tasks=self._tasks(), dead=self.dead or None,
                                  baselines=self.baselines or None)  # fmt: skip
         out = self.out or Path("runs/robot")
-        found = self.stage(evaluate, self.robot, out, config)
+        found = self.stage(evaluate, self.robot, out, config, policy=self.policy)
         self.tell(found, "\n".join([*_table(found), f"{out}: pages, figures and robot.json"]))
 
     def _view(self) -> None:
@@ -86,6 +90,15 @@ class RobotArguments(Configured):
         self.tell(
             row, f"{out}: {config.tasks[0]}, off by {100 * row['position_rms_m']:.1f} cm rms; open it in a browser"
         )
+
+    def _train(self) -> None:
+        from softfin.robot.train import RobotTrainConfig
+        from softfin.stages.robot import train
+
+        out = self.out or Path("runs/robot-policy")
+        row = self.stage(train, self.robot, out, self.configured(RobotTrainConfig()))
+        self.tell(row, f"{out}: off by {100 * row['position_rms_m']:.1f} cm rms in training; next: softfin robot "
+                       f"evaluate {self.robot} --policy {out}")  # fmt: skip
 
 
 def _table(found: dict[str, Any]) -> list[str]:

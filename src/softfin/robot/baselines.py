@@ -48,4 +48,4 @@ def _analytic(gaits: FinGaits) -> FinGaits:
     count = max(2, int((amplitude <= model.amplitude_max_rad).sum()))
     amplitude = np.maximum(amplitude[:count], model.amplitude_min_rad)
     ripple = np.stack([np.interp(amplitude, gaits.amplitude, part) for part in gaits.ripple.T], axis=1)
-    return FinGaits(FORCES_N[:count], amplitude, ripple, gaits.limits)
+    return FinGaits(FORCES_N[:count], amplitude, ripple, np.zeros((count, 2)), gaits.limits)

@@ -19,8 +19,8 @@ class AllocationConfig(Configuration):
     brace_n: NonNegativeFloat = 1.5
     """Force that each fin makes at least where the others can cancel it [N]. The direction of a weak force flickers
     with every small change of the wrench, and a fin that swings round pushes aside; 0: no bracing."""
-    brace_change: NonNegativeFloat = 0.3
-    """Cost of changing the bracing, in squares of newtons, against that of lacking force."""
+    brace_change: NonNegativeFloat = 1.0
+    """Cost of changing the bracing, in squares of newtons, against that of lacking force: it swings fins round."""
     smoothing: float = Field(0.5, ge=0, lt=1)
     """Part of the change of the forces that waits for the next action: a swing that is spread over two actions
     disturbs half as much, and delays by half an action."""
@@ -29,7 +29,7 @@ class AllocationConfig(Configuration):
 class ControlConfig(Configuration):
     """Constants of the motion controller; six numbers are of surge, sway, heave, roll, pitch, yaw."""
 
-    bandwidth_rad_s: SixNotNegative = (0.7, 0.7, 0.5, 0, 0, 0.6)
+    bandwidth_rad_s: SixNotNegative = (0.7, 0.7, 0.42, 0, 0, 0.6)
     """Frequency at which errors are corrected [rad/s]. Forces follow a command by half a second or so, the mean over
     an action and its gait; a third of 1/delay keeps 60 degrees of phase."""
     lag_s: float = Field(0.25, ge=0, le=0.33)
@@ -49,7 +49,7 @@ class ControlConfig(Configuration):
     """Noise that the estimate's position is taken to have [m]."""
     attitude_noise_rad: PositiveFloat = 0.0087
     """Noise that its attitude is taken to have [rad]: half a degree."""
-    velocity_noise_m_s: PositiveFloat = 0.01
-    """Noise that its velocity is taken to have [m/s]."""
+    velocity_noise_m_s: PositiveFloat = 0.02
+    """Noise that its velocity is taken to have [m/s]: strokes add as much again to the estimate's own."""
     rate_noise_rad_s: PositiveFloat = 0.01
     """Noise that its angular velocity is taken to have [rad/s]."""

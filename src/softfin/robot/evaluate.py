@@ -20,6 +20,7 @@ from softfin.robot.description import AXES, RobotConfig
 from softfin.robot.fin_driver import FinGaits
 from softfin.robot.fin_gaits import find_fin_gaits
 from softfin.robot.paths import hold, lemniscate, lissajous
+from softfin.robot.residual_policy import ResidualPolicy
 from softfin.robot.simulation import Orders, RobotSimulation
 from softfin.robot.trial import Disturbances, NoiseConfig, Record, run_trial
 from softfin.robot.wrench_driver import WrenchDriver
@@ -72,9 +73,9 @@ class RobotEvaluation(NamedTuple):
 
 def evaluate_robot(
     robot: RobotConfig, tanks: Sequence[Tank], config: RobotEvaluateConfig, report: Report = lambda *_: None,
-    gaits: Sequence[FinGaits] | None = None,
+    gaits: Sequence[FinGaits] | None = None, policy: ResidualPolicy | None = None,
 ) -> RobotEvaluation:  # fmt: skip
-    """Evaluate a robot with these tanks as fins, in simulation."""
+    """Evaluate a robot with these tanks as fins, in simulation; a policy adds to its motion controller."""
     report(0.0, "gaits of the fins")
     gaits = gaits or gaits_of(tanks)
     simulation = RobotSimulation(robot, tanks)
@@ -92,7 +93,7 @@ def evaluate_robot(
         rows = []
         for seed in range(config.seeds):
             report(done / total, f"{task}, seed {seed}")
-            record, row = trial(simulation, drivers["whole"], task, config, config.seed + seed)
+            record, row = trial(simulation, drivers["whole"], task, config, config.seed + seed, policy)
             rows.append(row)
             records.setdefault(task, record)
             done += 1
@@ -119,7 +120,12 @@ def gaits_of(tanks: Sequence[Tank]) -> tuple[FinGaits, ...]:
 
 
 def trial(
-    simulation: RobotSimulation, driver: MakeDriver, task: RobotTask, config: RobotEvaluateConfig, seed: int
+    simulation: RobotSimulation,
+    driver: MakeDriver,
+    task: RobotTask,
+    config: RobotEvaluateConfig,
+    seed: int,
+    policy: ResidualPolicy | None = None,
 ) -> tuple[Record, dict[str, Any]]:
     """Run one trial of a task, and score it."""
     random = generator_of(seed, f"robot/{task}")
@@ -143,7 +149,7 @@ def trial(
         trouble = trouble._replace(dead_fin=fin, dead_at_s=at)
         counted &= np.arange(len(counted)) >= (at + config.settled_s) * RATE_HZ
         told |= {"dead": fins[fin], "dead_at_s": round(at, 1)}
-    record = run_trial(simulation, driver(seed), path, seconds, trouble, config.noise, seed)
+    record = run_trial(simulation, driver(seed), path, seconds, trouble, config.noise, seed, policy)
     counted = counted[: len(record.time)]
     position, attitude = record.position_error()[counted], record.attitude_error()[counted]
     told |= {

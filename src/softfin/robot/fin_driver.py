@@ -28,6 +28,8 @@ class FinGaits(NamedTuple):
     ripple: Complex[np.ndarray, "gaits 2"]
     """Ripple of the strokes' own frequency, where strokes begin to the positive side: force across the direction of
     pushing [N], and moment about the shaft [N m]."""
+    stream_loss: Float[np.ndarray, "gaits 2"]
+    """Force lost per velocity of the fin through the water, along and across the direction of pushing [N s/m]."""
     limits: Limits
     """Velocities of the drive; angles are not limited."""
 
@@ -44,10 +46,24 @@ class FinGaits(NamedTuple):
         """Return the ripple of mean forces."""
         return np.stack([np.interp(force_n, self.force, part) for part in self.ripple.T], axis=1)
 
+    def lost(self, force: Float[np.ndarray, "2"], velocity: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
+        """Return what a mean force loses where the fin moves through the water [N]; both in the fin's axes [N, m/s]."""
+        size = math.hypot(*force)
+        if size < WEAK_N:
+            return np.zeros(2)
+        along = force / size
+        part = (velocity @ along) * along
+        loss = [float(np.interp(size, self.force, each)) for each in self.stream_loss.T]
+        return loss[0] * part + loss[1] * (velocity - part)
+
     def velocity_of(self, way_rad: float) -> float:
         """Return the velocity at which a fin arrives within its action, or the nearest that the drive has."""
         wanted = way_rad * ACTION_RATE_HZ / MOVING
         return min(max(wanted, self.limits.velocity_min), self.limits.velocity_max)
+
+
+WEAK_N = 1e-6
+"""A force below this has no direction [N]."""
 
 
 class DriverState(NamedTuple):
@@ -75,7 +91,7 @@ def stroke(gaits: FinGaits, state: DriverState, force: Any, side: int) -> tuple[
     x, y = float(force[0]), float(force[1])
     size = math.hypot(x, y)
     direction = state.direction
-    if size > 1e-6:
+    if size > WEAK_N:
         # At angle a the fin's thrust points along (cos a, -sin a); the shorter way round leads there.
         direction += math.remainder(math.atan2(-y, x) - direction, 2 * math.pi)
     target = direction + side * gaits.amplitude_of(size)

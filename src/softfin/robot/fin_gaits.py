@@ -12,6 +12,7 @@ from softfin.core.quantities import RATE_HZ, Command
 from softfin.core.randomness import key_of
 from softfin.robot.fin_driver import MOVING, FinGaits
 from softfin.tank import Tank, TankState
+from softfin.tank.fin import Mount
 from softfin.tank.tank import Load
 
 AMPLITUDES = np.linspace(0, 1.2, 41)
@@ -24,11 +25,19 @@ ASIDE = 0.05
 """Part of its force that a gait may make across the direction of pushing in the mean: beyond, strokes do not end within
 their action and each begins another way."""
 
+STREAM_M_S = 0.05
+"""Velocity through the water at which the loss of force is measured: along the direction of pushing, and across."""
+
 
 def find_fin_gaits(tank: Tank) -> FinGaits:
     """Simulate strokes about angle 0, and keep those whose mean force grows with the amplitude."""
-    forces, moments = (np.asarray(each, float) for each in _strokes(tank, jnp.asarray(AMPLITUDES)))
+    amplitudes = jnp.asarray(AMPLITUDES)
+    (forces, moments), *streams = [
+        [np.asarray(each, float) for each in _strokes(tank, amplitudes, jnp.asarray(stream))]
+        for stream in ((0.0, 0.0), (STREAM_M_S, 0.0), (0.0, STREAM_M_S))
+    ]
     mean = forces.mean(axis=1)
+    loss = np.stack([(mean - moving[0].mean(axis=1))[:, axis] for axis, moving in enumerate(streams)], axis=1)
     # Of a sine at the strokes' frequency, which is half of the actions'; a stroke to the positive side begins at 0.
     turn = np.exp(-1j * np.pi * ACTION_RATE_HZ / RATE_HZ * np.arange(WINDOW))
     ripple = np.stack([forces[..., 1] @ turn, moments @ turn], axis=1) * 2 / WINDOW
@@ -42,12 +51,15 @@ def find_fin_gaits(tank: Tank) -> FinGaits:
                          f"{mean[1, 0]:.3g} and {mean[2, 0]:.3g} N of thrust in this tank; a fin's thrust must grow "
                          "with its strokes")  # fmt: skip
     mean[0] = 0
-    return FinGaits(mean[:count, 0], AMPLITUDES[:count], ripple[:count], tank.limits)
+    return FinGaits(mean[:count, 0], AMPLITUDES[:count], ripple[:count], loss[:count] / STREAM_M_S, tank.limits)
 
 
 @eqx.filter_jit
-def _strokes(tank: Tank, amplitudes: Float[Array, "n"]) -> tuple[Float[Array, "n ticks 2"], Float[Array, "n ticks"]]:
-    """Forces [N] and moments about the shaft [N m] over the last window."""
+def _strokes(
+    tank: Tank, amplitudes: Float[Array, "n"], velocity_m_s: Float[Array, "2"]
+) -> tuple[Float[Array, "n ticks 2"], Float[Array, "n ticks"]]:
+    """Forces [N] and moments about the shaft [N m] over the last window, of a fin that is towed."""
+    mount = Mount(velocity_m_s, jnp.zeros(2), jnp.zeros(()))
     limits = tank.limits
     sides = np.repeat([1.0, -1.0] * (CYCLE_ACTIONS // 2 * CYCLES), ticks_of(CYCLE_ACTIONS * CYCLES))
 
@@ -55,7 +67,7 @@ def _strokes(tank: Tank, amplitudes: Float[Array, "n"]) -> tuple[Float[Array, "n
         velocity = jnp.clip(2 * amplitude * ACTION_RATE_HZ / MOVING, limits.velocity_min, limits.velocity_max)
 
         def tick(state: TankState, side: Float[Array, ""]) -> tuple[TankState, Load]:
-            state, _, load = tank.tick(state, Command(amplitude * side, velocity))
+            state, _, load = tank.tick(state, Command(amplitude * side, velocity), mount)
             return state, load
 
         load = jax.lax.scan(tick, tank.init(key_of(0, "gaits")), jnp.asarray(sides))[1]

@@ -17,10 +17,13 @@ from jaxtyping import Float
 
 from softfin.core.action_clock import ACTION_RATE_HZ
 from softfin.core.errors import RunError
+from softfin.core.operations import operations_of
+from softfin.core.quantities import AnyArray
 from softfin.robot.control_config import ControlConfig
 from softfin.robot.description import RobotConfig
 from softfin.robot.dynamics import Dynamics, SixVector
-from softfin.robot.paths import PathPoint
+from softfin.robot.paths import PathPoint, twist_of
+from softfin.robot.residual_policy import ResidualPolicy
 from softfin.robot.rotation import cross, from_euler, inverse, matrix, multiply, normalized, to_vector
 
 ACTION_S = 1 / ACTION_RATE_HZ
@@ -91,8 +94,8 @@ class ControlState(NamedTuple):
 class MotionController:
     """Follows a path, or holds a place, by wrenches."""
 
-    def __init__(self, robot: RobotConfig) -> None:
-        config = robot.control
+    def __init__(self, robot: RobotConfig, policy: ResidualPolicy | None = None) -> None:
+        config, self.policy = robot.control, policy
         self._config = config
         self.sway_reach_n = np.inf
         """Greatest force to the side that the fins make once one is dead [N]; with all fins the heading is kept."""
@@ -111,12 +114,15 @@ class MotionController:
         """Return the state before the first action: nothing is known."""
         return ControlState(np.zeros((6, 3)), np.zeros((2, 6)), 0.0)
 
-    def act(self, state: ControlState, seen: Sequence[np.ndarray], middle: PathPoint, now: PathPoint,
-            ahead: PathPoint) -> tuple[ControlState, np.ndarray]:  # fmt: skip
+    def act(
+        self, state: ControlState, seen: Sequence[np.ndarray], middle: PathPoint, now: PathPoint, ahead: PathPoint,
+        later: Sequence[PathPoint] = (),
+    ) -> tuple[ControlState, np.ndarray]:  # fmt: skip
         """Return the wrench in body axes for the next action [N, N m].
 
         `seen` are positions ``(ticks, 3)``, attitudes ``(ticks, 4)`` and twists ``(ticks, 6)`` of the last two actions;
-        the targets are those in the middle of these, now, and in the middle of the action that begins.
+        the targets are those in the middle of these, now, and in the middle of the action that begins; a policy needs
+        `later` ones, too: `LATER_S` after now.
 
         Raises:
             RunError: a number of the robot's state is not finite.
@@ -124,24 +130,41 @@ class MotionController:
         if not all(np.isfinite(each).all() for each in seen):
             raise RunError("robot: its state holds numbers that are not finite; check what estimates it")
         middle, now, ahead = (_turned(target, state.heading) for target in (middle, now, ahead))
+        estimate = np.asarray(self.observed(state.estimate, state.accelerations, seen, middle))
+        correction = self.corrected(estimate, state.accelerations)
+        if self.policy is not None:
+            later = [_turned(target, state.heading) for target in later]
+            correction = correction + self.policy.act(estimate, state.accelerations, [now, *later])
+        state = state._replace(estimate=estimate, heading=self._headed(state.heading, estimate, now))
+        return state, np.asarray(self.needed(ahead) + self.dynamics.inertia @ correction)
+
+    def observed(
+        self, estimate: Float[AnyArray, "6 3"], accelerations: Float[AnyArray, "2 6"], seen: Sequence[AnyArray],
+        middle: PathPoint,
+    ) -> Float[AnyArray, "6 3"]:  # fmt: skip
+        """Return the estimate after two actions were seen; NumPy, or JAX where a policy is trained."""
+        xp = operations_of(estimate, *seen).xp
         position, twist = seen[0].mean(axis=0), seen[2].mean(axis=0)
         # Near one another, so that their mean is theirs but for its length.
-        attitude = normalized((seen[1] * np.sign(seen[1] @ seen[1][-1])[:, None]).mean(axis=0))
+        attitude = normalized((seen[1] * xp.sign(seen[1] @ seen[1][-1])[:, None]).mean(axis=0))
         axes = matrix(middle.attitude)
-        error = np.concatenate(
+        error = xp.concatenate(
             [(position - middle.position) @ axes, to_vector(multiply(inverse(middle.attitude), attitude))]
         )
-        path_twist = np.concatenate([middle.velocity @ axes, middle.turn @ axes])
-        measured = np.stack([error, twist - path_twist], axis=1)
+        measured = xp.stack([error, twist - twist_of(middle)], axis=1)
         f = self._filter
-        acted = ((1 - self._lag) * state.accelerations[0] + self._lag * state.accelerations[1])[:, None]
-        guess = np.einsum("aij,aj->ai", f.forward, state.estimate) + f.driven * acted
-        expected = np.einsum("aij,aj->ai", f.back, guess) + f.driven_back * acted
-        estimate = guess + np.einsum("aij,aj->ai", f.gain, measured - expected)
-        then = np.einsum("aij,aj->ai", f.ahead, estimate) + f.driven_ahead * state.accelerations[0][:, None]
-        correction = -(self._rate**2) * then[:, 0] - 2 * self._damping * self._rate * then[:, 1] - then[:, 2]
-        state = state._replace(estimate=estimate, heading=self._headed(state.heading, estimate, now))
-        return state, np.asarray(self._needed(ahead) + self.dynamics.inertia @ correction)
+        acted = ((1 - self._lag) * accelerations[0] + self._lag * accelerations[1])[:, None]
+        guess = xp.einsum("aij,aj->ai", f.forward, estimate) + f.driven * acted
+        expected = xp.einsum("aij,aj->ai", f.back, guess) + f.driven_back * acted
+        updated: Float[AnyArray, "6 3"] = guess + xp.einsum("aij,aj->ai", f.gain, measured - expected)
+        return updated
+
+    def corrected(self, estimate: Float[AnyArray, "6 3"], accelerations: Float[AnyArray, "2 6"]) -> SixVector:
+        """Return the acceleration that corrects an error [m/s2, rad/s2]."""
+        xp, f = operations_of(estimate).xp, self._filter
+        then = xp.einsum("aij,aj->ai", f.ahead, estimate) + f.driven_ahead * accelerations[0][:, None]
+        correction: SixVector = -(self._rate**2) * then[:, 0] - 2 * self._damping * self._rate * then[:, 1] - then[:, 2]
+        return correction
 
     def _headed(self, heading: float, estimate: Float[np.ndarray, "6 3"], now: PathPoint) -> float:
         """Return the heading further into the current, where that is more than the fins hold abeam."""
@@ -155,17 +178,20 @@ class MotionController:
 
     def acknowledge(self, state: ControlState, wrench: SixVector, ahead: PathPoint) -> ControlState:
         """Tell the observer what wrench the fins make of the one asked for."""
-        acceleration = self.dynamics.inverse @ (wrench - self._needed(_turned(ahead, state.heading)))
+        acceleration = self.dynamics.inverse @ (wrench - self.needed(_turned(ahead, state.heading)))
         return state._replace(accelerations=np.stack([acceleration, state.accelerations[0]]))
 
-    def _needed(self, target: PathPoint) -> SixVector:
+    def needed(self, target: PathPoint) -> SixVector:
         """Return the wrench that keeps the body on the path in still water, upright."""
-        axes = matrix(target.attitude)
-        velocity, turn = target.velocity @ axes, target.turn @ axes
-        twist = np.concatenate([velocity, turn])
-        acceleration = np.concatenate([target.acceleration @ axes - cross(turn, velocity), target.turning @ axes])
+        axes, twist = matrix(target.attitude), twist_of(target)
+        velocity, turn = twist[:3], twist[3:]
+        xp = operations_of(*target).xp
+        acceleration = xp.concatenate([target.acceleration @ axes - cross(turn, velocity), target.turning @ axes])
         d = self.dynamics
-        return d.inertia @ acceleration - d.gyroscopic(twist) - d.drag(twist) - d.restoring(target.attitude)
+        needed: SixVector = (
+            d.inertia @ acceleration - d.gyroscopic(twist) - d.drag(twist) - d.restoring(target.attitude)
+        )
+        return needed
 
 
 def _turned(target: PathPoint, heading: float) -> PathPoint:

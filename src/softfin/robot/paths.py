@@ -6,9 +6,12 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from softfin.robot.rotation import from_euler
+from softfin.core.operations import operations_of
+from softfin.core.quantities import AnyArray
+from softfin.robot.rotation import from_euler, matrix
 
-Vector = Float[np.ndarray, "3"]
+Vector = Float[AnyArray, "3"]
+SixVector = Float[AnyArray, "6"]
 Point: TypeAlias = tuple[float | int, float | int, float | int]
 
 
@@ -17,7 +20,7 @@ class PathPoint(NamedTuple):
 
     position: Vector
     """[m]"""
-    attitude: Float[np.ndarray, "4"]
+    attitude: Float[AnyArray, "4"]
     """Unit quaternion from body to world axes."""
     velocity: Vector
     """[m/s]"""
@@ -27,6 +30,13 @@ class PathPoint(NamedTuple):
     """Angular velocity [rad/s]."""
     turning: Vector
     """Angular acceleration [rad/s2]."""
+
+
+def twist_of(target: PathPoint) -> SixVector:
+    """Return the twist of a body on the path, in its own axes [m/s, rad/s]."""
+    axes = matrix(target.attitude)
+    twist: SixVector = operations_of(axes).xp.concatenate([target.velocity @ axes, target.turn @ axes])
+    return twist
 
 
 Path: TypeAlias = Callable[[float], PathPoint]

@@ -19,7 +19,8 @@ from softfin.robot.body_config import Three
 from softfin.robot.dynamics import BodyState
 from softfin.robot.fin_driver import fin_command
 from softfin.robot.motion_control import SEEN_ACTIONS, MotionController
-from softfin.robot.paths import Path
+from softfin.robot.paths import Path, twist_of
+from softfin.robot.residual_policy import LATER_S, ResidualPolicy
 from softfin.robot.rotation import multiply
 from softfin.robot.simulation import Ambient, Orders, RobotSimulation
 from softfin.robot.wrench_driver import WrenchDriver
@@ -88,10 +89,11 @@ class Record(NamedTuple):
 def run_trial(
     simulation: RobotSimulation, driver: WrenchDriver, path: Path, seconds: float | int,
     disturbances: Disturbances | None = None, noise: NoiseConfig | None = None, seed: int = 0,
+    policy: ResidualPolicy | None = None,
 ) -> Record:  # fmt: skip
     """Run a trial from rest at the path's beginning."""
     trouble, noise = disturbances or Disturbances(), noise or NoiseConfig()
-    controller, random = MotionController(simulation.robot), generator_of(seed, "robot/noise")
+    controller, random = MotionController(simulation.robot, policy), generator_of(seed, "robot/noise")
     start = path(0.0)
     state = simulation.init(jax.random.key(seed), BodyState(start.position, start.attitude, np.zeros(6)))
     deviation = np.zeros((1, 12))
@@ -101,7 +103,9 @@ def run_trial(
     control, driving = controller.init(), driver.init()
     before = commands_of([fin_command(0.0, gaits.limits.velocity_min) for gaits in driver.gaits])
     rows, asked, expected, forces, given_up = [], [], [], [], []
-    seen: list[tuple[np.ndarray, ...]] = [(start.position[None], start.attitude[None], np.zeros((1, 6)))]
+    seen: list[tuple[np.ndarray, ...]] = [
+        (np.asarray(start.position)[None], np.asarray(start.attitude)[None], np.zeros((1, 6)))
+    ]
     time = 0.0
     for ticks in ticks_of(round(seconds * ACTION_RATE_HZ)):
         if trouble.dead_fin is not None and time >= trouble.dead_at_s and trouble.dead_fin not in driver.dead:
@@ -110,8 +114,9 @@ def run_trial(
         last = [np.concatenate(part) for part in zip(*seen[-SEEN_ACTIONS:], strict=True)]
         middle = time - len(last[0]) * TICK_S / 2 if len(seen) > 1 else time
         ahead = path(time + ticks * TICK_S / 2)
-        control, wrench = controller.act(control, last, path(middle), path(time), ahead)
-        driving, driven = driver.act(driving, wrench)
+        seen_later = [path(time + later) for later in LATER_S] if policy is not None else []
+        control, wrench = controller.act(control, last, path(middle), path(time), ahead, seen_later)
+        driving, driven = driver.act(driving, wrench, np.asarray(twist_of(ahead)))
         control = controller.acknowledge(control, driven.wrench, ahead)
         commands = commands_of(driven.commands)
         orders, before = Orders(before, commands, jnp.asarray(driven.delays)), commands

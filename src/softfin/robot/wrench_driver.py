@@ -18,10 +18,14 @@ from softfin.robot.allocation import Allocator, Forces, SixVector
 from softfin.robot.description import AXES, RobotConfig
 from softfin.robot.fin_driver import REST, DriverState, FinGaits, fin_command, stroke
 from softfin.robot.phases import Phases, choose_phases, delay_of, side_of, wrench_ripple
+from softfin.robot.rotation import cross
 
 WAYS, SIZES = 8, (0.5, 1.0, 1.5)
 """Bracing that is tried: ways within the forces that cancel, sizes over the least force."""
 
+
+STILL = np.zeros(6)
+"""Twist of a body that does not move."""
 
 STARTING = 2
 """First actions, in which the fins' phases are free."""
@@ -73,6 +77,8 @@ class WrenchDriver:
         reach = np.array([each.reach for each in gaits])
         self._allocator = Allocator(robot.matrix(), reach, np.asarray(config.priority, float))
         self._shafts = np.array([fin.shaft_axis for fin in robot.fins.values()], float)
+        self._places = np.array([fin.position_m for fin in robot.fins.values()], float)
+        self._axes = np.array([fin.axes() for fin in robot.fins.values()])
         self._inverse = np.linalg.inv(robot.body.own_inertia() + np.diag(robot.body.added_mass))
         self.dead: tuple[int, ...] = ()
         self._braces = self._bracing()
@@ -95,8 +101,13 @@ class WrenchDriver:
         self._allocator.reach = reach
         self._braces = self._bracing()
 
-    def act(self, state: WrenchDriverState, wrench: SixVector) -> tuple[WrenchDriverState, FinOrders]:
+    def act(
+        self, state: WrenchDriverState, wrench: SixVector, twist: SixVector = STILL
+    ) -> tuple[WrenchDriverState, FinOrders]:
         """Take one action of 1/3 s for a mean wrench in body axes [N, N m].
+
+        `twist` is that with which the body is going to move through the water, as far as it is known [m/s, rad/s]: its
+        fins then make up for the force that they lose by it.
 
         Raises:
             RunError: the wrench is not of finite numbers; the state is as it was.
@@ -118,7 +129,8 @@ class WrenchDriver:
                 commands.append(fin_command(state.fins[fin].target, gaits.limits.velocity_min))
                 continue
             side = side_of(int(phases[fin]), state.action)
-            moved, command = stroke(gaits, state.fins[fin], forces[fin], side)
+            velocity = (twist[:3] + cross(twist[3:], self._places[fin])) @ self._axes[fin]
+            moved, command = stroke(gaits, state.fins[fin], forces[fin] + gaits.lost(forces[fin], velocity), side)
             fins.append(moved)
             commands.append(command)
         after = WrenchDriverState(forces, brace, state.action + 1, phases, tuple(fins))

@@ -1,0 +1,95 @@
+"""A policy that adds to the acceleration by which the motion controller corrects errors. NumPy; JAX in training.
+
+It sees what the controller knows: its estimate, what the fins were made to do, and the path now and later.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from softfin.core.errors import ArtifactError
+from softfin.core.operations import operations_of
+from softfin.core.quantities import AnyArray
+from softfin.robot.description import RobotConfig
+from softfin.robot.dynamics import SixVector
+from softfin.robot.paths import PathPoint, twist_of
+from softfin.storage import artifact as artifacts
+
+KIND, FORMAT = "robot-policy", 1
+
+TRAINED_FOR = ("body", "fins", "allocation", "control")
+"""Parts of a robot's file that a policy is trained for."""
+
+LATER_S = (0.5, 1.0, 2.0)
+"""Times after now at which a policy sees the path [s]."""
+
+OBSERVED = 18 + 12 + 6 * (1 + len(LATER_S))
+"""Numbers that a policy sees."""
+
+ERROR = np.array([0.02, 0.02, 0.02, 0.05, 0.05, 0.05])
+RATE = np.array([0.02, 0.02, 0.02, 0.1, 0.1, 0.1])
+TWIST = np.array([0.1, 0.1, 0.1, 0.3, 0.3, 0.3])
+"""Usual sizes of what it sees [m, rad; and per s]."""
+
+Seen = Float[AnyArray, "inputs"]
+
+
+def observed(
+    estimate: Float[AnyArray, "6 3"], accelerations: Float[AnyArray, "2 6"], path: Sequence[PathPoint], bound: SixVector
+) -> Seen:
+    """Return the numbers that a policy sees, each over its usual size; `path` is that now and `LATER_S` after."""
+    error, rate, disturbance = estimate.T
+    twists = [twist_of(point) / TWIST for point in path]
+    changes = [later - twists[0] for later in twists[1:]]
+    parts = [error / ERROR, rate / RATE, disturbance / bound, (accelerations / bound).reshape(-1), twists[0], *changes]
+    seen: Seen = operations_of(estimate).xp.concatenate(parts)
+    return seen
+
+
+class ResidualPolicy(NamedTuple):
+    """A perceptron with two hidden layers; its outputs are bounded."""
+
+    first: Float[AnyArray, "inputs hidden"]
+    first_bias: Float[AnyArray, "hidden"]
+    second: Float[AnyArray, "hidden hidden"]
+    second_bias: Float[AnyArray, "hidden"]
+    last: Float[AnyArray, "hidden 6"]
+    bound: SixVector
+    """Greatest acceleration that it adds, axis by axis [m/s2, rad/s2]."""
+
+    def act(
+        self, estimate: Float[AnyArray, "6 3"], accelerations: Float[AnyArray, "2 6"], path: Sequence[PathPoint]
+    ) -> SixVector:
+        """Return the acceleration to add, in body axes; `path` is that now and `LATER_S` after."""
+        return self.added(observed(estimate, accelerations, path, self.bound))
+
+    def added(self, seen: Seen) -> SixVector:
+        """Return the acceleration to add."""
+        xp = operations_of(seen).xp
+        hidden = xp.tanh(seen @ self.first + self.first_bias)
+        hidden = xp.tanh(hidden @ self.second + self.second_bias)
+        added: SixVector = self.bound * xp.tanh(hidden @ self.last)
+        return added
+
+    def save(self, path: Path, robot: RobotConfig, training: Mapping[str, Any], overwrite: bool = False) -> None:
+        """Write a folder with the weights, the robot that it is for, and how it was trained."""
+        description = {"kind": KIND, "format": FORMAT, "robot": robot.model_dump(mode="json"), **training}
+        artifacts.save(path, KIND, description, self._asdict(), overwrite=overwrite)
+
+    @classmethod
+    def load(cls, path: Path, robot: RobotConfig) -> "ResidualPolicy":
+        """Load the policy of a robot; raises ArtifactError where the folder holds another thing, or another robot's."""
+        description, weights = artifacts.load(path, KIND)
+        if description.get("format") != FORMAT:
+            raise ArtifactError(f"{path}: format {description.get('format')}; this softfin reads {FORMAT}; update it")
+        own = robot.model_dump(mode="json")
+        other = [name for name in own if name in TRAINED_FOR and own[name] != description["robot"].get(name)]
+        if other:
+            raise ArtifactError(f"{path}: trained for another {' and another '.join(other)} than this robot's; train "
+                                "one for it: softfin robot train")  # fmt: skip
+        if set(weights) != set(cls._fields) or weights["first"].shape[0] != OBSERVED:
+            raise ArtifactError(f"{path}: its weights are not those of a policy for robots; copy it again")
+        return cls(**weights)
