@@ -56,7 +56,7 @@ class BracedAllocation:
         _, values, rows = np.linalg.svd(weighted)
         rank = int((values > 1e-6 * values[0]).sum())
         # Of the directions that make no wrench, those of dead fins are none.
-        free = [row for row in rows[rank:] if np.abs(row[np.repeat(reach > 0, 2)]).max() > 1e-6]
+        free = [row for row in rows[rank:] if np.abs(row[np.repeat(reach > 0, 2)]).max(initial=0) > 1e-6]
         basis = np.array([row * np.repeat(reach > 0, 2) for row in free]).reshape(-1, len(rows))
         least = self._config.brace_n
         found = [np.zeros(len(rows))]
