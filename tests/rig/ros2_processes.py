@@ -175,7 +175,9 @@ def robot(folder: Path) -> dict[str, Any]:
     from softfin.robot.description import load_robot
 
     transport = open_transport(TransportConfig(transport="dds"))
-    config = RobotNodeConfig.build({"max_thrust": 4.0, "wait_s": 20.0, "fin_timeout_s": 2.0})
+    config = RobotNodeConfig.build(
+        {"max_thrust": 4.0, "wait_s": 20.0, "fin_timeout_s": 10.0, "reference_timeout_s": 10.0}
+    )
     told: list[str] = []
     try:
         RobotNode(transport, load_robot("ucat"), config, told.append).run(StopRequest())
@@ -262,6 +264,7 @@ def node_child(folder: Path) -> None:
 def robot_child(folder: Path) -> None:
     """Four fins that publish until they are told to stop, and somebody who asks for a wrench and, later, for a stop."""
     child, names = Child(), ("front_right", "back_right", "back_left", "front_left")
+    asked = (1.0, 0.5, 0.0, 0.0, 0.0, 0.1)
     joints = {name: child.writer(f"/{name}/joint_states", JointState) for name in names}
     references = {name: child.reader(f"/{name}/reference", WrenchStamped) for name in names}
     stops = {name: child.reader(f"/{name}/stop", Bool) for name in names}
@@ -269,28 +272,29 @@ def robot_child(folder: Path) -> None:
     achieved, saturated = child.reader("/robot/wrench", WrenchStamped), child.reader("/robot/saturated", Bool)
     newest: dict[str, Any] = {}
     stopped: set[str] = set()
-    count = 0
+    is_settled = False
     while len(stopped) < len(names):
         for name in names:
             if name not in stopped:
                 joints[name].write(JointState(header(), ["fin"], [0.1], [0.2], []))
             for sample in taken(references[name]):
-                if count < 12:
+                if not is_settled:
                     newest[name] = [sample.wrench.force.x, sample.wrench.force.y]
             if any(sample.data for sample in taken(stops[name])):
                 stopped.add(name)
-        wrenches.write(WrenchStamped(header("base_link"), Wrench(Vector3(1.0, 0.5, 0.0), Vector3(0.0, 0.0, 0.1))))
+        wrenches.write(WrenchStamped(header("base_link"), Wrench(Vector3(*asked[:3]), Vector3(*asked[3:]))))
         for sample in taken(achieved):
-            count += 1
             force, torque = sample.wrench.force, sample.wrench.torque
             newest["achieved"] = [force.x, force.y, force.z, torque.x, torque.y, torque.z]
+            error = max(abs(one - other) for one, other in zip(newest["achieved"], asked, strict=True))
+            is_settled = is_settled or (error < 0.002 and len(newest) == len(names) + 2)
         for sample in taken(saturated):
             newest["saturated"] = sample.data
-        if count >= 12:
+        if is_settled:
             stop.write(Bool(True))
         time.sleep(0.01)
-    seen = {"references": {name: newest[name] for name in names}, "stopped": sorted(stopped)}
-    (folder / "seen.json").write_text(json.dumps(newest | seen))
+    (folder / "seen.json").write_text(json.dumps(newest | {"stopped": sorted(stopped)}))
+    # Until the parent ends it.
     time.sleep(60)
 
 

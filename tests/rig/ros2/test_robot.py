@@ -236,6 +236,15 @@ def test_a_fin_that_is_not_there_at_the_start_may_be_dead():
     np.testing.assert_allclose(pool.achieved()[-1], WRENCH, atol=0.01)
 
 
+def test_a_wrench_from_before_the_start_does_not_count():
+    pool = Pool()
+    pool.alive.discard("front_left")
+    pool.at(1.0, lambda: setattr(pool, "wrench", None))
+    pool.at(3.0, lambda: pool.alive.add("front_left"))
+    pool.run(6.0)
+    assert not pool.together().any()
+
+
 def test_fins_that_come_late_are_waited_for():
     pool = Pool()
     pool.alive.discard("front_left")
@@ -308,7 +317,7 @@ def test_the_node_needs_no_jax():
         "from softfin.robot.description import load_robot\n"
         "from tests.rig.ros2_memory import MemoryTransport\n"
         "node = RobotNode(MemoryTransport(), load_robot('ucat'), RobotNodeConfig(max_thrust=4), print)\n"
-        "node.act()\n"
+        "node.send_references()\n"
         "assert 'jax' not in sys.modules and 'equinox' not in sys.modules\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
@@ -319,7 +328,7 @@ def test_another_process_asks_for_a_wrench_and_plays_the_fins(tmp_path):
     pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
     told = within("robot", tmp_path)
     matrix = load_robot("ucat").matrix()
-    np.testing.assert_allclose(matrix @ np.ravel([told["references"][name] for name in FINS]), WRENCH, atol=0.02)
+    np.testing.assert_allclose(matrix @ np.ravel([told[name] for name in FINS]), WRENCH, atol=0.02)
     np.testing.assert_allclose(told["achieved"], WRENCH, atol=0.02)
     assert told["saturated"] is False
     assert told["error"] == "emergency stop on /robot/stop; every fin was told to stop"

@@ -27,6 +27,9 @@ from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr, seria
 STOPPING_S = 3.0
 """Time for which fins are told to stop, until they fall silent [s]; a fin brakes and powers off within one or two."""
 
+QUIET_S = 0.5
+"""Silence of a fin that was told to stop after which it counts as stopped [s]."""
+
 WRENCH_LIMIT = 1e6
 """Numbers beyond this one are refused as no wrench [N, N m]."""
 
@@ -93,14 +96,14 @@ class RobotNode:
             self._await_fins(pace, request)
             self._once.report(f"{self.robot.name}: takes wrenches on {self.config.reference_topic}")
             for ticks in itertools.cycle(ACTION_TICKS):
-                self.act()
+                self.send_references()
                 for _ in range(ticks):
                     pace.wait()
                     self.watch(request)
         finally:
             self._stop_fins(pace)
 
-    def act(self) -> None:
+    def send_references(self) -> None:
         """Publish the references of one action, the wrench that they make, and whether that is less than asked for."""
         wrench = self._wrenches.newest()
         if wrench is None:
@@ -124,8 +127,6 @@ class RobotNode:
     def watch(self, request: StopRequest) -> None:
         """Pass on stops, and look for silent fins: at every tick of 10 ms; raises SafetyStop."""
         self._listen(request)
-        # Taken here too, so that its age counts from when it came, not from the next action.
-        self._wrenches.newest()
         now, timeout = self._clock(), self.config.fin_timeout_s
         for number, fin in enumerate(self.fins):
             if number not in self._allocation.dead and fin.is_silent(now, timeout):
@@ -151,7 +152,9 @@ class RobotNode:
             self._declare_dead(number, f"{self.fins[number].name} is not there: {', '.join(found)}")
 
     def _listen(self, request: StopRequest) -> None:
-        """Take the fins' messages; raises SafetyStop where somebody asked for a stop."""
+        """Take what has come; raises SafetyStop where somebody asked for a stop."""
+        # Wrenches too, so that the age of each counts from when it came, not from the next action.
+        self._wrenches.newest()
         try:
             for fin in self.fins:
                 fin.listen()
@@ -186,7 +189,7 @@ class RobotNode:
                     fin.listen()
                 except DeviceError:
                     return
-                if not fin.is_silent(now, self.config.fin_timeout_s):
+                if not fin.is_silent(now, QUIET_S):
                     going.append(fin.name)
             if not going:
                 return
