@@ -70,10 +70,10 @@ class RobotNode:
         self, transport: Transport, robot: RobotConfig, config: RobotNodeConfig, report: Callable[[str], None],
         clock: Clock = REAL,
     ) -> None:  # fmt: skip
-        """`report` gets remarks for the user; raises ConfigurationError before anything is opened."""
+        """`report` gets remarks for the user; raises InputError where robot and configuration do not fit."""
         self._allocation = BracedAllocation(robot, fin_reach(robot, config))
         check_topics(robot, config)
-        self.robot, self.config, self._clock, self._transport = robot, config, clock, transport
+        self.robot, self.config, self._clock = robot, config, clock
         self._once = OnceReporter(report)
         self.fins = [FinTopics(transport, name, config.fin_prefix) for name in robot.fins]
         self._achieved = transport.publish(config.wrench_topic, WRENCH_STAMPED)
