@@ -31,7 +31,7 @@ from softfin.evaluation.view.view import ViewConfig
 from softfin.gaits.force_map import MapConfig
 from softfin.learning.configuration import TRAIN_PRESETS
 from softfin.rig.config import load_rig, load_ros2
-from softfin.rig.ros2.config import NodeConfig
+from softfin.rig.ros2.config import NodeConfig, RobotNodeConfig
 from softfin.robot.evaluate import RobotEvaluateConfig
 from softfin.stages.reproduce_config import PRESETS
 from softfin.storage.dataset import Dataset
@@ -48,7 +48,7 @@ CONFIGURATIONS: dict[str, tuple[Configuration, ...]] = {
     "compare": (CompareConfig(),),
     "map": (MapConfig(),),
     "train": (*TRAIN_PRESETS.values(), MapConfig()),
-    "robot": (RobotEvaluateConfig(),),
+    "robot": (RobotEvaluateConfig(), RobotNodeConfig()),
     "evaluate": (EvaluateConfig(),),
     "baselines": (BaselinesConfig(),),
     "view": (ViewConfig(),),

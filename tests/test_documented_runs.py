@@ -67,6 +67,11 @@ IN_THE_DAY = (
 
 ELSEWHERE = {
     "ros2 controller --reference=2,0 --arm": "tests/cli/test_ros2.py",
+    "ros2 controller --reference=0,0 --plant rig:front_left.yaml --arm "
+    "--set joint_topic=/front_left/joint_states --set reference_topic=/front_left/reference "
+    "--set stop_topic=/front_left/stop --set wrench_topic=/front_left/wrench "
+    "--set command_topic=/front_left/command": "tests/cli/test_ros2.py",
+    "robot ros2 ucat --set max_thrust=3": "tests/cli/test_robot.py",
     "train surrogate --controller grid --engine ray --out grid": "tests/learning/ray_cluster.py",
     "train surrogate --controller grid --engine ray --cluster head:6379 --out grid": "tests/learning/ray_cluster.py",
     "reproduce --preset best --plant tank --out run": "tests/end_to_end/test_stages.py",

@@ -1,10 +1,12 @@
 """``softfin robot`` as a user types it."""
 
 import json
+import time
 
 import pytest
 
 from softfin.cli import main
+from tests.rig.ros2_memory import MemoryTransport
 
 
 def refused(capsys, *words):
@@ -55,9 +57,14 @@ def test_view_writes_a_page(capsys, tmp_path):
         (("view", "ucat", "--out", "robot.gif"), "ends in .html"),
         (("evaluate", "nemo.yaml"), "nemo.yaml: there is no such file"),
         (("evaluate", "--set", "seeds=0"), "seeds"),
+        (("ros2", "ucat", "--hold"), "robot ros2 runs no trial"),
+        (("ros2", "ucat"), "max_thrust: missing"),
+        (("ros2", "ucat", "--set", "max_thrust=3", "--set", "stop_topic=stop"), "stop_topic = 'stop'"),
+        (("ros2", "ucat", "--set", "max_thrust.tail=3"), "max_thrust is of tail; U-CAT has the fins front_right"),
+        (("ros2", "ucat", "--domain", "300"), "connection.domain = 300"),
     ],
 )
-def test_what_cannot_be_done_is_told_in_one_line(capsys, words, told):
+def test_what_cannot_be_done_is_told_in_one_line(capsys, transport, words, told):
     assert told in refused(capsys, *words)
 
 
@@ -68,6 +75,34 @@ def test_fins_that_the_simulation_does_not_know_are_refused(capsys, tmp_path, uc
     file = tmp_path / "limited.yaml"
     file.write_text(text)
     assert "front_left turns within a range" in refused(capsys, "evaluate", str(file))
+
+
+@pytest.fixture
+def transport(monkeypatch):
+    transport = MemoryTransport(time.monotonic)
+    monkeypatch.setattr("softfin.rig.ros2.plant.open_transport", lambda config: transport)
+    return transport
+
+
+def test_a_stop_by_its_topic_ends_the_node_with_the_exit_code_of_a_stop(capsys, transport):
+    transport.put("/robot/stop", transport.messages.make("std_msgs/msg/Bool", True))
+    with pytest.raises(SystemExit) as stop:
+        main(["robot", "ros2", "ucat", "--set", "max_thrust=3"])
+    assert stop.value.code == 3
+    told = capsys.readouterr().err
+    assert "in memory" in told
+    assert told.endswith("softfin robot: emergency stop on /robot/stop; every fin was told to stop\n")
+    assert all(
+        transport.sent[f"/{name}_{side}/stop"][-1].data for name in ("front", "back") for side in ("left", "right")
+    )
+    assert transport.closed
+
+
+def test_fins_that_are_not_there_end_the_node_in_one_line(capsys, transport):
+    with pytest.raises(SystemExit) as stop:
+        main(["robot", "ros2", "ucat", "--set", "max_thrust=3", "--set", "wait_s=0.1", "--set", "fin_prefix=/ucat"])
+    assert stop.value.code == 1
+    assert "after 0.1 s nobody publishes /ucat/front_right/joint_states, " in capsys.readouterr().err.splitlines()[-1]
 
 
 @pytest.fixture

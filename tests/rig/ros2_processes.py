@@ -165,6 +165,29 @@ def node(_: Path) -> dict[str, Any]:
     return {"reference": reference, "stop": stop, "unsent": ros_node.counters()["unsent"], "listening": listening}
 
 
+def robot(folder: Path) -> dict[str, Any]:
+    """A robot's node: the child plays four fins, asks for a wrench, then for a stop."""
+    from softfin.core.errors import SafetyStop
+    from softfin.rig.ros2.config import RobotNodeConfig, TransportConfig
+    from softfin.rig.ros2.plant import open_transport
+    from softfin.rig.ros2.robot import RobotNode
+    from softfin.rig.stop import StopRequest
+    from softfin.robot.description import load_robot
+
+    transport = open_transport(TransportConfig(transport="dds"))
+    config = RobotNodeConfig.build(
+        {"max_thrust": 4.0, "wait_s": 20.0, "fin_timeout_s": 10.0, "reference_timeout_s": 10.0}
+    )
+    told: list[str] = []
+    try:
+        RobotNode(transport, load_robot("ucat"), config, told.append).run(StopRequest())
+    except SafetyStop as error:
+        reason = str(error)
+    transport.close()
+    seen: dict[str, Any] = json.loads((folder / "seen.json").read_text())
+    return seen | {"error": reason, "told": told}
+
+
 def _ticked(machine: Any) -> Any:
     time.sleep(0.01)
     return machine.read()
@@ -236,6 +259,43 @@ def node_child(folder: Path) -> None:
         references.write(WrenchStamped(header("fin_mount"), Wrench(Vector3(1.5, -2.5, 0.0), Vector3(0.0, 0.0, 0.0))))
         time.sleep(0.2)
         stops.write(Bool(True))
+
+
+def robot_child(folder: Path) -> None:
+    """Four fins that publish until they are told to stop, and somebody who asks for a wrench and, later, for a stop."""
+    child, names = Child(), ("front_right", "back_right", "back_left", "front_left")
+    asked = (1.0, 0.5, 0.0, 0.0, 0.0, 0.1)
+    joints = {name: child.writer(f"/{name}/joint_states", JointState) for name in names}
+    references = {name: child.reader(f"/{name}/reference", WrenchStamped) for name in names}
+    stops = {name: child.reader(f"/{name}/stop", Bool) for name in names}
+    wrenches, stop = child.writer("/robot/reference", WrenchStamped), child.writer("/robot/stop", Bool)
+    achieved, saturated = child.reader("/robot/wrench", WrenchStamped), child.reader("/robot/saturated", Bool)
+    newest: dict[str, Any] = {}
+    stopped: set[str] = set()
+    is_settled = False
+    while len(stopped) < len(names):
+        for name in names:
+            if name not in stopped:
+                joints[name].write(JointState(header(), ["fin"], [0.1], [0.2], []))
+            for sample in taken(references[name]):
+                if not is_settled:
+                    newest[name] = [sample.wrench.force.x, sample.wrench.force.y]
+            if any(sample.data for sample in taken(stops[name])):
+                stopped.add(name)
+        wrenches.write(WrenchStamped(header("base_link"), Wrench(Vector3(*asked[:3]), Vector3(*asked[3:]))))
+        for sample in taken(achieved):
+            force, torque = sample.wrench.force, sample.wrench.torque
+            newest["achieved"] = [force.x, force.y, force.z, torque.x, torque.y, torque.z]
+            error = max(abs(one - other) for one, other in zip(newest["achieved"], asked, strict=True))
+            is_settled = is_settled or (error < 0.002 and len(newest) == len(names) + 2)
+        for sample in taken(saturated):
+            newest["saturated"] = sample.data
+        if is_settled:
+            stop.write(Bool(True))
+        time.sleep(0.01)
+    (folder / "seen.json").write_text(json.dumps(newest | {"stopped": sorted(stopped)}))
+    # Until the parent ends it.
+    time.sleep(60)
 
 
 def _loopback() -> None:

@@ -1,20 +1,23 @@
-"""``robot``: a body with several fins; what it can do, how well it holds and follows, and a page that shows it."""
+"""``robot``: a body with several fins; what it can do, how well it holds and follows, a page, a node of ROS 2."""
 
+import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from softfin.cli.common import Configured
+from softfin.cli.common import Configured, on_terminal
 from softfin.cli.options import Option
-from softfin.core.choices import RobotTask
+from softfin.core.choices import RobotTask, TransportName
 from softfin.core.errors import ConfigurationError
 
 
 class RobotArguments(Configured):
-    """Check, evaluate or show a robot with several fins."""
+    """Check, evaluate or show a robot with several fins, or share wrenches among real ones as a ROS 2 node."""
 
-    action: Annotated[Literal["check", "evaluate", "view", "train"], Option(positional=True)]
+    action: Annotated[Literal["check", "evaluate", "view", "train", "ros2"], Option(positional=True)]
     """check: rank, singular values and reach; evaluate: wrenches, holding and paths in simulation, as JSON, figures and
-    pages; view: one trial as a page in three dimensions; train: a policy that adds to the motion controller."""
+    pages; view: one trial as a page in three dimensions; train: a policy that adds to the motion controller; ros2: a
+    node that takes wrenches and asks the fins' nodes for forces; it moves nothing by itself, Enter or a topic stops it
+    and the fins (docs/robot.md)."""
     robot: Annotated[str, Option("ROBOT", positional=True)] = "ucat"
     """The robot: ucat, or a YAML file."""
     out: Annotated[Path, Option("PATH")] | None = None
@@ -37,11 +40,18 @@ class RobotArguments(Configured):
     """With evaluate: repetitions of each trial (5)."""
     seed: int | None = None
     """Seed of noise and disturbances (0)."""
+    transport: TransportName | None = None
+    """With ros2: auto: rclpy where it is installed, else DDS without ROS 2."""
+    domain: int | None = None
+    """With ros2: ROS domain (the variable ROS_DOMAIN_ID, else 0)."""
+    network: str | None = None
+    """With ros2 and DDS: the network interface, as eth0, whose others may read and write the topics; else this computer
+    alone."""
 
     def check(self) -> None:
         """Refuse tasks that do not go with the action."""
         super().check()
-        if self.action in ("check", "train") and self._tasks():
+        if self.action in ("check", "train", "ros2") and self._tasks():
             raise ConfigurationError(f"--{self._tasks()[0]}: robot {self.action} runs no trial; see robot evaluate")
         if self.action != "evaluate" and self.policy is not None:
             raise ConfigurationError("--policy goes with robot evaluate")
@@ -53,7 +63,9 @@ class RobotArguments(Configured):
         return tuple(name for name in names if getattr(self, name))
 
     def __call__(self) -> None:
-        {"check": self._check, "evaluate": self._evaluate, "view": self._view, "train": self._train}[self.action]()
+        actions = {"check": self._check, "evaluate": self._evaluate, "view": self._view, "train": self._train,
+                   "ros2": self._ros2}  # fmt: skip
+        actions[self.action]()
 
     def _check(self) -> None:
         from softfin.stages.robot import check
@@ -99,6 +111,30 @@ class RobotArguments(Configured):
         row = self.stage(train, self.robot, out, self.configured(RobotTrainConfig()))
         self.tell(row, f"{out}: off by {100 * row['position_rms_m']:.1f} cm rms in training; next: softfin robot "
                        f"evaluate {self.robot} --policy {out}")  # fmt: skip
+
+    def _ros2(self) -> None:
+        from softfin.cli.driving import say, typed
+        from softfin.rig.ros2.config import RobotNodeConfig
+        from softfin.rig.ros2.plant import open_transport
+        from softfin.rig.ros2.robot import RobotNode
+        from softfin.rig.stop import StopRequest, listen_to_keyboard, stopped_by_signals
+        from softfin.robot.description import load_robot
+
+        options = {"transport": self.transport, "domain": self.domain, "network": self.network}
+        given = {name: value for name, value in options.items() if value is not None}
+        config, robot = self.configured(RobotNodeConfig(), connection=given or None), load_robot(self.robot)
+        transport, request = open_transport(config.connection), StopRequest()
+        try:
+            node = RobotNode(transport, robot, config, say)
+            for note in transport.notes:
+                say(note)
+            if on_terminal():
+                line = "wrenches come by their topic; Enter alone stops the fins"
+                listen_to_keyboard(request, lambda _: say(line), typed(request, sys.stdin))
+            with stopped_by_signals(request):
+                node.run(request)
+        finally:
+            transport.close()
 
 
 def _table(found: dict[str, Any]) -> list[str]:

@@ -5,24 +5,20 @@ state = driver.init()
 state, orders = driver.act(state, wrench)     # 3 times a second; orders.commands go to the fins
 """
 
-import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from softfin.core.errors import RunError
 from softfin.core.quantities import Command
 from softfin.robot.allocation import Allocator, Forces, SixVector
+from softfin.robot.bracing import BracedAllocation
 from softfin.robot.description import AXES, RobotConfig
 from softfin.robot.fin_driver import REST, DriverState, FinGaits, fin_command, stroke
 from softfin.robot.phases import Phases, choose_phases, delay_of, side_of, wrench_ripple
 from softfin.robot.rotation import cross
-
-WAYS, SIZES = 8, (0.5, 1.0, 1.5)
-"""Bracing that is tried: ways within the forces that cancel, sizes over the least force."""
-
 
 STILL = np.zeros(6)
 """Twist of a body that does not move."""
@@ -73,20 +69,21 @@ class WrenchDriver:
 
     def __init__(self, robot: RobotConfig, gaits: Sequence[FinGaits], phases: Phases | None = None) -> None:
         self.robot, self.gaits, self._phases = robot, tuple(gaits), phases
-        config = robot.allocation
-        reach = np.array([each.reach for each in gaits])
-        self._allocator = Allocator(robot.matrix(), reach, np.asarray(config.priority, float))
+        self._allocation = BracedAllocation(robot, [each.reach for each in gaits])
         self._shafts = np.array([fin.shaft_axis for fin in robot.fins.values()], float)
         self._places = np.array([fin.position_m for fin in robot.fins.values()], float)
         self._axes = np.array([fin.axes() for fin in robot.fins.values()])
         self._inverse = np.linalg.inv(robot.body.own_inertia() + np.diag(robot.body.added_mass))
-        self.dead: tuple[int, ...] = ()
-        self._braces = self._bracing()
 
     @property
     def allocator(self) -> Allocator:
         """The allocation, with the reaches of the fins that are alive."""
-        return self._allocator
+        return self._allocation.allocator
+
+    @property
+    def dead(self) -> tuple[int, ...]:
+        """Fins that were declared dead, by their numbers."""
+        return self._allocation.dead
 
     def init(self) -> WrenchDriverState:
         """Return the state of fins at rest at angle 0."""
@@ -95,11 +92,7 @@ class WrenchDriver:
 
     def declare_dead(self, fin: int) -> None:
         """Ask nothing more of a fin; the others make what they can."""
-        self.dead = (*self.dead, fin)
-        reach = self._allocator.reach.copy()
-        reach[fin] = 0
-        self._allocator.reach = reach
-        self._braces = self._bracing()
+        self._allocation.declare_dead(fin)
 
     def act(
         self, state: WrenchDriverState, wrench: SixVector, twist: SixVector = STILL
@@ -115,11 +108,7 @@ class WrenchDriver:
         wrench = np.asarray(wrench, float)
         if not np.isfinite(wrench).all():
             raise RunError(f"wrench {wrench.tolist()}: must be six finite numbers, 3 forces [N] and 3 moments [N m]")
-        start = state.forces
-        brace = self._brace(self._allocator.allocate(wrench, start=start).forces, state.brace)
-        found = self._allocator.allocate(wrench, self._braces[brace], start)
-        smoothing = self.robot.allocation.smoothing
-        forces = smoothing * state.forces + (1 - smoothing) * found.forces
+        (forces, together, given_up), brace = self._allocation.share(wrench, state.forces, state.brace)
         alive = [fin for fin in range(len(self.gaits)) if fin not in self.dead]
         phases = self._choose_phases(state, forces, alive)
         fins, commands = [], []
@@ -134,9 +123,8 @@ class WrenchDriver:
             fins.append(moved)
             commands.append(command)
         after = WrenchDriverState(forces, brace, state.action + 1, phases, tuple(fins))
-        together = self._allocator.matrix @ forces.ravel()
         delays = tuple(delay_of(int(phase)) for phase in phases)
-        return after, FinOrders(tuple(commands), delays, forces, together, found.given_up)
+        return after, FinOrders(tuple(commands), delays, forces, together, given_up)
 
     def _choose_phases(self, state: WrenchDriverState, forces: Forces, alive: list[int]) -> Phases:
         if self._phases is not None:
@@ -144,44 +132,7 @@ class WrenchDriver:
         sizes = np.hypot(*forces.T)
         ripple = np.concatenate([self.gaits[fin].ripple_of(sizes[fin : fin + 1]) for fin in range(len(sizes))])
         directions = np.arctan2(-forces[:, 1], forces[:, 0])
-        wrench = wrench_ripple(self._allocator.matrix, self._shafts, directions, ripple)
+        wrench = wrench_ripple(self.allocator.matrix, self._shafts, directions, ripple)
         phases = state.phases.copy()
         phases[alive] = choose_phases(phases[alive], state.action < STARTING, wrench[:, alive], self._inverse)
         return phases
-
-    def _bracing(self) -> Float[np.ndarray, "braces fins 2"]:
-        """Forces that cancel one another, about the least force in size; the first is none."""
-        reach = self._allocator.reach
-        weighted = self._allocator.matrix * np.repeat(reach > 0, 2)
-        _, values, rows = np.linalg.svd(weighted)
-        rank = int((values > 1e-6 * values[0]).sum())
-        # Of the directions that make no wrench, those of dead fins are none.
-        free = [row for row in rows[rank:] if np.abs(row[np.repeat(reach > 0, 2)]).max() > 1e-6]
-        basis = np.array([row * np.repeat(reach > 0, 2) for row in free]).reshape(-1, len(rows))
-        least = self.robot.allocation.brace_n
-        found = [np.zeros(len(rows))]
-        if least and len(basis):
-            for angle, size in itertools.product(np.linspace(0, 2 * np.pi, WAYS, endpoint=False), SIZES):
-                way = basis[0] * np.cos(angle) + (basis[1] * np.sin(angle) if len(basis) > 1 else 0)
-                greatest = np.sqrt((way.reshape(-1, 2) ** 2).sum(axis=1)).max()
-                if greatest > 1e-6:
-                    found.append(size * least * way / greatest)
-        return np.array(found).reshape(len(found), -1, 2)
-
-    def _brace(self, forces: Forces, present: int) -> int:
-        """Return the bracing under which fins make the least force, or nearly so, with little effort."""
-        least = self.robot.allocation.brace_n
-        if len(self._braces) == 1:
-            return 0
-        alive = self._allocator.reach > 0
-        together = forces + self._braces
-        sizes = np.sqrt((together**2).sum(axis=2))
-        lacking = (np.maximum(least - sizes, 0) ** 2)[:, alive].sum(axis=1)
-        beyond = (np.maximum(sizes - self._allocator.reach, 0) ** 2)[:, alive].sum(axis=1)
-        costs = lacking + 10 * beyond + EFFORT * (together**2).sum(axis=(1, 2))
-        costs[present] -= self.robot.allocation.brace_change
-        return int(costs.argmin())
-
-
-EFFORT = 0.02
-"""Cost of a newton of force, squared, against that of a newton too little."""

@@ -1,6 +1,7 @@
-"""Configuration of ROS 2: how to reach other nodes, the topics of softfin's node, the topics of a fin."""
+"""Configuration of ROS 2: how to reach other nodes, the topics of softfin's nodes, the topics of a fin."""
 
 import os
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, PlainSerializer, PositiveFloat, StringConstraints, model_validator
@@ -74,10 +75,46 @@ class NodeConfig(Configuration):
 
     @model_validator(mode="after")
     def _apart(self) -> "NodeConfig":
-        names = [value for name, value in self if name.endswith("_topic")]
-        if twice := {name for name in names if names.count(name) > 1}:
-            raise ValueError(f"{', '.join(twice)} is the name of two topics; give each its own")
+        check_names([value for name, value in self if name.endswith("_topic")])
         return self
+
+
+class RobotNodeConfig(Configuration):
+    """Topics of a robot's node, its frame, and what its fins can make.
+
+    `vehicle_frame_id` and `max_thrust` mean what they mean in auv_controllers; its allocation matrix (`tam`) and names
+    (`thrusters`) follow from the robot's file here.
+    """
+
+    reference_topic: TopicName = "/robot/reference"
+    """geometry_msgs/WrenchStamped: the wrench that is asked for, force [N] and torque [N m] about the origin."""
+    wrench_topic: TopicName = "/robot/wrench"
+    """geometry_msgs/WrenchStamped: the wrench that the fins' references make together."""
+    saturated_topic: TopicName = "/robot/saturated"
+    """std_msgs/Bool: some of the wrench that is asked for is beyond the fins."""
+    stop_topic: TopicName = "/robot/stop"
+    """std_msgs/Bool: true stops every fin, and this node; false does not take that back."""
+    vehicle_frame_id: str = "base_link"
+    """Frame of both wrenches: x forward, y left, z up (REP 103)."""
+    fin_prefix: str = Field(default="", pattern=r"^(/[A-Za-z_][A-Za-z0-9_]*)*$")
+    """Namespace of the fins, as /ucat: the topics of each are PREFIX/NAME/reference, /joint_states and /stop."""
+    max_thrust: PositiveFloat | dict[str, PositiveFloat] | None = None
+    """Greatest mean force that a fin makes in every direction [N]: one number, or one for each fin by name. Required:
+    it is of your fins, and of their controllers."""
+    reference_timeout_s: PositiveFloat = 1.0
+    """Age beyond which a wrench does not count any more [s]; then the fins are asked for no force."""
+    fin_timeout_s: PositiveFloat = 0.5
+    """Silence of a fin's joint_states beyond which it counts as silent [s]."""
+    wait_s: PositiveFloat = Field(default=60.0, le=600)
+    """Longest wait for all fins at the start [s]."""
+    connection: TransportConfig = Field(default_factory=lambda: TransportConfig(node="softfin_robot"))
+    """How to reach other nodes."""
+
+
+def check_names(topics: Sequence[str]) -> None:
+    """Raise ValueError where two topics have one name."""
+    if twice := sorted({name for name in topics if topics.count(name) > 1}):
+        raise ValueError(f"{', '.join(twice)} is the name of two topics; give each its own")
 
 
 class FlipperConfig(Configuration):

@@ -158,11 +158,16 @@ def wrench_of(message: Any) -> Wrench:
 
 def reference_of(message: Any, frame: str) -> tuple[float, float]:
     """The reference force of a WrenchStamped or a Vector3Stamped in our frame, or without one."""
+    check_frame(message, frame)
+    vector = message.wrench.force if hasattr(message, "wrench") else message.vector
+    return _finite("x", vector.x), _finite("y", vector.y)
+
+
+def check_frame(message: Any, frame: str) -> None:
+    """Raise ValueError where a message is in another frame than ours; an empty one is ours."""
     theirs = message.header.frame_id
     if theirs not in ("", frame):
         raise ValueError(f"it is in the frame {theirs!r}; this node's is {frame!r}")
-    vector = message.wrench.force if hasattr(message, "wrench") else message.vector
-    return _finite("x", vector.x), _finite("y", vector.y)
 
 
 def _finite(name: str, value: Any) -> float:

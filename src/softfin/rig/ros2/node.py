@@ -11,7 +11,8 @@ from softfin.core.errors import DeviceError, SoftfinError
 from softfin.rig.loop import Force, ResolveReference
 from softfin.rig.machine import Sample, Target
 from softfin.rig.ros2.config import NodeConfig
-from softfin.rig.ros2.connection import BOOL, VECTOR, Subscription, Transport, reference_of
+from softfin.rig.ros2.connection import VECTOR, Subscription, Transport, reference_of
+from softfin.rig.ros2.inputs import EmergencyStop, NewestReference, OnceReporter
 from softfin.rig.stop import StopRequest
 from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr
 
@@ -24,19 +25,17 @@ class RosNode:
         resolve: ResolveReference = lambda force: (force, None), clock: Callable[[], float] = time.monotonic,
     ) -> None:  # fmt: skip
         """`report` gets remarks for the user, each once; `resolve` maps a reference to the one that is tracked."""
-        self.config, self._clock, self._report = topics, clock, report
+        self.config, self._report_once = topics, OnceReporter(report)
         # References are published again and again: the newest one is kept.
         self._resolve = functools.lru_cache(maxsize=1)(resolve)
         self.joint = transport.publish(topics.joint_topic, JOINT_STATE)
         self._wrench = transport.publish(topics.wrench_topic, WRENCH_STAMPED)
         self._command = transport.publish(topics.command_topic, JOINT_STATE)
         kind = WRENCH_STAMPED if topics.reference_type == "wrench" else VECTOR
-        self._references = Subscription(transport, topics.reference_topic, kind, self._tracked, stamped=False)
-        self._stops = Subscription(transport, topics.stop_topic, BOOL, lambda message: message.data, stamped=False)
-        self._newest: tuple[float, Force] | None = None
+        subscription = Subscription(transport, topics.reference_topic, kind, self._tracked, stamped=False)
+        self._references = NewestReference(subscription, topics.reference_timeout_s, clock, self._report_once)
+        self._stop = EmergencyStop(transport, topics.stop_topic)
         self._published: Target | None = None
-        self._stop: str | None = None
-        self._reported: set[str] = set()
         self._unsent = 0
 
     def publish(self, sample: Sample, target: Target | None) -> None:
@@ -57,30 +56,11 @@ class RosNode:
 
     def reference(self) -> Force | None:
         """The newest reference that counts; None where none has come, or the newest is too old."""
-        try:
-            self._newest = next(reversed(self._references.take()), self._newest)
-        except DeviceError as error:
-            self._report_once(str(error))
-        if self._references.refusal is not None:
-            self._report_once(self._references.refusal)
-        newest, timeout = self._newest, self.config.reference_timeout_s
-        if newest is not None and timeout is not None and self._clock() - newest[0] > timeout:
-            self._newest = newest = None
-            topic = self.config.reference_topic
-            self._report(f"{topic}: no reference for {timeout:g} s: the last one does not count any more")
-        return None if newest is None else newest[1]
+        return self._references.newest()
 
     def stop_reason(self) -> str | None:
         """Reason to stop for good; None where nobody has asked for it. An unreadable message stops, too."""
-        if self._stop is None:
-            try:
-                if any(stop for _, stop in self._stops.take()):
-                    self._stop = f"emergency stop on {self.config.stop_topic}"
-                elif self._stops.refusal is not None:
-                    self._stop = f"emergency stop: {self._stops.refusal}"
-            except DeviceError as error:
-                self._stop = f"emergency stop cannot be heard: {error}"
-        return self._stop
+        return self._stop.reason()
 
     def observe(self, request: StopRequest, sample: Sample, target: Target | None) -> None:
         """Publish a sample, and pass on a stop: as an observer of the session."""
@@ -93,10 +73,11 @@ class RosNode:
 
     def counters(self) -> dict[str, int]:
         """Counts of references and stops that came and were refused, and of samples that did not go out."""
+        references = self._references.subscription
         return {
-            "references": self._references.received - self._references.refused,
-            "references_refused": self._references.refused,
-            "stops_refused": self._stops.refused,
+            "references": references.received - references.refused,
+            "references_refused": references.refused,
+            "stops_refused": self._stop.subscription.refused,
             "unsent": self._unsent,
         }
 
@@ -112,9 +93,3 @@ class RosNode:
         if warning is not None:
             self._report_once(warning)
         return tracked
-
-    def _report_once(self, line: str) -> None:
-        """Report a line that was not there before; many different ones are only counted."""
-        if line not in self._reported and len(self._reported) < 20:
-            self._reported.add(line)
-            self._report(line)
