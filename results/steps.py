@@ -38,7 +38,7 @@ ROOMS = {
     "docs/ablation.py": ("data", "surrogate", "tank"),
     "docs/data_efficiency.py": ("data", "surrogate", "tank"),
     "docs/faster_reaction.py": ("control", "evaluation", "gaits", "learning", "surrogate", "tank", "task"),
-    "robot": ("robot", "tank"),
+    "robot": ("gaits", "learning", "robot", "tank"),
     "as-test": (),
     "tank-r2": ("surrogate", "tank"),
     "efficiency": (),

@@ -9,6 +9,7 @@ from softfin.core.action_clock import WINDOW, ticks_of
 from softfin.core.quantities import Command
 from softfin.robot.fin_driver import REST, stroke
 from softfin.tank import Tank
+from softfin.tank.fin import Mount
 
 
 def test_gaits_begin_at_rest_and_grow(gaits):
@@ -17,21 +18,39 @@ def test_gaits_begin_at_rest_and_grow(gaits):
     assert gaits[0].reach > 3.5
 
 
-@pytest.mark.parametrize("force", [(1.5, 0.0), (-1.0, 2.0), (0.0, -3.0)])
-def test_strokes_make_the_mean_force_asked_for(gaits, force):
-    tank, state, commands = Tank(), REST, []
-    for action in range(24):
-        state, command = stroke(gaits[0], state, force, 1 if action % 2 == 0 else -1)
-        commands.append(command)
-    each_tick = Command(*(np.repeat(part, ticks_of(24)) for part in zip(*commands, strict=True)))
+@jax.jit
+def simulated(commands, velocity):
+    """Forces of a fin that is towed [N]."""
+    tank, mount = Tank(), Mount(velocity, jnp.zeros(2), jnp.zeros(()))
 
     def tick(state, command):
-        state, _, load = tank.tick(state, command)
+        state, _, load = tank.tick(state, command, mount)
         return state, load.force
 
-    run = jax.jit(lambda commands: jax.lax.scan(tick, tank.init(jax.random.key(0)), commands)[1])
-    found = np.asarray(run(jax.tree.map(jnp.float32, each_tick)))
-    np.testing.assert_allclose(found[-WINDOW:].mean(axis=0), force, atol=0.06)
+    return jax.lax.scan(tick, tank.init(jax.random.key(0)), commands)[1]
+
+
+def mean_force(gaits, force, velocity=(0.0, 0.0)):
+    state, commands = REST, []
+    for action in range(24):
+        state, command = stroke(gaits, state, force, 1 if action % 2 == 0 else -1)
+        commands.append(command)
+    each_tick = Command(*(np.repeat(part, ticks_of(24)) for part in zip(*commands, strict=True)))
+    found = np.asarray(simulated(jax.tree.map(jnp.float32, each_tick), jnp.asarray(velocity)))
+    return found[-WINDOW:].mean(axis=0)
+
+
+@pytest.mark.parametrize("force", [(1.5, 0.0), (-1.0, 2.0), (0.0, -3.0)])
+def test_strokes_make_the_mean_force_asked_for(gaits, force):
+    np.testing.assert_allclose(mean_force(gaits[0], force), force, atol=0.06)
+
+
+@pytest.mark.parametrize("velocity", [(0.08, 0.0), (0.0, 0.06), (-0.05, -0.03)])
+def test_a_fin_makes_up_for_the_force_that_motion_costs_it(gaits, velocity):
+    force = np.array([-1.0, 2.0])
+    lost = gaits[0].lost(force, np.array(velocity))
+    assert np.linalg.norm(mean_force(gaits[0], force, velocity) - force) > 0.15
+    np.testing.assert_allclose(mean_force(gaits[0], force + lost, velocity), force, atol=0.1)
 
 
 def test_a_fin_swings_round_the_shorter_way(gaits):

@@ -6,7 +6,7 @@ motion controller takes it to have. The controller is the robot's own.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -122,26 +122,28 @@ class AveragedRobot:
         swung = jnp.sqrt(((forces - state.forces) ** 2).sum(axis=1, keepdims=True) + SMALL_N**2) - SMALL_N
         aside = SWUNG_ASIDE * swung * jax.random.normal(others[0], forces.shape)
         push = push + self._force_noise @ jax.random.normal(others[1], (6,)) + self._matrix @ aside.reshape(-1)
-        draws = jax.random.normal(key, (STEPS, 12))
-        body, noise, outcomes, seen = state.body, state.noise, [], []
-        for step in range(STEPS):
-            acting = (state.forces, state.path_twist) if step < STEPS - 1 else (forces, twist)
-            wrench = self._wrench(acting[0], acting[1], body, state.current)
+        # In the last step alone the new forces act.
+        is_last = jnp.arange(STEPS) == STEPS - 1
+        targets = PathPoint(*(part[BEFORE + 1 : BEFORE + 1 + STEPS] for part in path))
+
+        def advance(now: tuple[BodyState, AnyArray], step: tuple[Any, ...]) -> tuple[Any, Any]:
+            (body, noise), (last, draw, target) = now, step
+            acting, expected = jnp.where(last, forces, state.forces), jnp.where(last, twist, state.path_twist)
+            wrench = self._wrench(acting, expected, body, state.current)
             body = self.dynamics.step(body, wrench + push, state.current, STEP_S)
-            noise = self._forget * noise + (1 - self._forget**2) ** 0.5 * self._noise * draws[step]
-            seen.append(_estimated(body, noise))
-            target = _at(path, BEFORE + step + 1)
-            outcomes.append(
-                Outcome((body.position - target.position) @ matrix(target.attitude),
-                        to_vector(multiply(inverse(target.attitude), body.attitude)))
-            )  # fmt: skip
-        newest = Seen(*(jnp.stack(part) for part in zip(*seen, strict=True)))
+            noise = self._forget * noise + (1 - self._forget**2) ** 0.5 * self._noise * draw
+            error = (body.position - target.position) @ matrix(target.attitude)
+            turned = to_vector(multiply(inverse(target.attitude), body.attitude))
+            return (body, noise), (Outcome(error, turned), Seen(*_estimated(body, noise)))
+
+        draws = jax.random.normal(key, (STEPS, 12))
+        (body, noise), (outcome, newest) = jax.lax.scan(advance, (state.body, state.noise), (is_last, draws, targets))
         after = state._replace(
             body=body, forces=forces, path_twist=twist, noise=noise, estimate=estimate,
             seen=Seen(*(jnp.concatenate([a[STEPS:], b]) for a, b in zip(state.seen, newest, strict=True))),
             accelerations=jnp.stack([accelerated, state.accelerations[0]]),
         )  # fmt: skip
-        return after, Outcome(*(jnp.stack(part) for part in zip(*outcomes, strict=True)))
+        return after, outcome
 
     def _wrench(
         self, forces: Float[AnyArray, "fins 2"], expected: SixVector, body: BodyState, current: Float[AnyArray, "3"]

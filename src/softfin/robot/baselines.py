@@ -24,9 +24,11 @@ FORCES_N = np.linspace(0, 12, 49)
 def drivers_of(robot: RobotConfig, gaits: Sequence[FinGaits]) -> dict[str, MakeDriver]:
     """Return drivers by name, the simplest last.
 
-    Independent phases are drawn anew for every trial. The pseudo-inverse has no bracing and shares a wrench by least
-    squares. The analytic driver is that of the U-CAT robots, its amplitude law at the frequency of our strokes.
+    In `still water`, fins do not make up for what the robot's motion costs them. Independent phases are drawn anew for
+    every trial. The pseudo-inverse has no bracing and shares a wrench by least squares. The analytic driver is that of
+    the U-CAT robots, its amplitude law at the frequency of our strokes.
     """
+    still = [each._replace(stream_loss=np.zeros_like(each.stream_loss)) for each in gaits]
     plain = robot.merged({"allocation": {"brace_n": 0, "smoothing": 0}}, "baseline")
     analytic = [_analytic(each) for each in gaits]
 
@@ -35,6 +37,7 @@ def drivers_of(robot: RobotConfig, gaits: Sequence[FinGaits]) -> dict[str, MakeD
 
     return {
         "whole": lambda seed: WrenchDriver(robot, gaits),
+        "still water": lambda seed: WrenchDriver(robot, still),
         "without phases": lambda seed: WrenchDriver(robot, gaits, independent(seed)),
         "pseudo-inverse": lambda seed: WrenchDriver(plain, gaits, independent(seed)),
         "analytic": lambda seed: WrenchDriver(plain, analytic, independent(seed)),

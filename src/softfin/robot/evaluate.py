@@ -50,9 +50,9 @@ class RobotEvaluateConfig(Configuration):
     """Push on the body while it holds, horizontal [N s]."""
     current_m_s: float = Field(0.05, ge=0)
     """Current while it holds, horizontal [m/s]."""
-    lemniscate_m_s: PositiveFloat = 0.08
+    lemniscate_m_s: PositiveFloat = 0.1
     """Mean speed along the lemniscate of 2 m by 1 m [m/s]."""
-    lissajous_m_s: PositiveFloat = 0.08
+    lissajous_m_s: PositiveFloat = 0.1
     """Mean speed along the Lissajous curve of 2 m by 1 m by 0.5 m [m/s]."""
     baselines: bool = False
     """Simpler drivers beside it: without phases, with the pseudo-inverse, with an analytic model of the fin."""

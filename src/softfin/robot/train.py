@@ -162,7 +162,8 @@ class Trainer:
         return PathPoint(*(jax.lax.dynamic_slice_in_dim(part[robot.path], robot.step - BEFORE, BEFORE + AFTER + 1)
                            for part in self.paths))  # fmt: skip
 
-    def _act(self, policy: ResidualPolicy | None, robot: Robots, key: PRNGKeyArray) -> tuple[Robots, Outcome]:
+    def act(self, policy: ResidualPolicy | None, robot: Robots, key: PRNGKeyArray) -> tuple[Robots, Outcome]:
+        """Let one robot take one action; a push may come from any side."""
         keys = jax.random.split(key, 3)
         angle, size, chance = jax.random.uniform(keys[0], (3,))
         force = jnp.where(chance < PUSHED, size * self.config.push_n_s * ACTION_RATE_HZ, 0.0)
@@ -197,7 +198,7 @@ class Trainer:
 
         def loss(policy: ResidualPolicy) -> tuple[Array, Any]:
             def act(robots: Robots, keys: Array) -> tuple[Robots, Any]:
-                after, outcome = jax.vmap(partial(self._act, policy))(robots, keys)
+                after, outcome = jax.vmap(partial(self.act, policy))(robots, keys)
                 return after, (jax.vmap(self.cost)(outcome), jax.lax.stop_gradient((after, outcome)))
 
             robots, (costs, happened) = jax.lax.scan(act, agent.robots, keys)
@@ -224,10 +225,14 @@ class Trainer:
         def miss(critic: Network) -> Array:
             return ((jax.vmap(jax.vmap(partial(self._value, critic)))(befores) - targets) ** 2).mean()
 
-        critic, critic_optimiser = agent.critic, agent.critic_optimiser
-        for _ in range(CRITIC_STEPS):
-            step, critic_optimiser = self.optimiser.update(jax.grad(miss)(critic), critic_optimiser, critic)
-            critic = optax.apply_updates(critic, step)
+        def learn(now: tuple[Network, Any], _: None) -> tuple[tuple[Network, Any], None]:
+            critic, optimiser = now
+            step, optimiser = self.optimiser.update(jax.grad(miss)(critic), optimiser, critic)
+            return (optax.apply_updates(critic, step), optimiser), None
+
+        (critic, critic_optimiser), _ = jax.lax.scan(
+            learn, (agent.critic, agent.critic_optimiser), None, length=CRITIC_STEPS
+        )
         slow = jax.tree.map(lambda a, b: 0.9 * a + 0.1 * b, agent.slow, critic)
         begun = jax.vmap(self._begin)(jax.random.split(beginning, config.num_envs))
         ended = robots.left <= 0

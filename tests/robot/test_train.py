@@ -1,0 +1,97 @@
+"""The averaged robot, and policies that are trained in it."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softfin.core.errors import ArtifactError
+from softfin.core.randomness import key_of
+from softfin.robot.averaged import AFTER, BEFORE, AveragedRobot
+from softfin.robot.description import load_robot
+from softfin.robot.dynamics import BodyState
+from softfin.robot.paths import PathPoint, hold
+from softfin.robot.residual_policy import OBSERVED, ResidualPolicy, observed
+from softfin.robot.train import RobotTrainConfig, Trainer
+from softfin.robot.trial import NoiseConfig
+
+SILENT = NoiseConfig(position_m=0, attitude_rad=0, velocity_m_s=0, rate_rad_s=0)
+
+
+@pytest.fixture(scope="module")
+def held(ucat, gaits):
+    """A robot without noise that holds its place for 40 s in a current of 4 cm/s."""
+    quiet = ucat.merged({"control": {"force_noise": [1e-9] * 6}}, "test")
+    model = AveragedRobot(quiet, gaits, SILENT)
+    path = PathPoint(*(jnp.asarray(np.repeat(part[None], BEFORE + AFTER + 1, axis=0)) for part in hold()(0.0)))
+
+    def act(state, key):
+        return model.act(state, None, path, jnp.zeros(6), key)
+
+    start = model.init(key_of(0, "test"), jax.tree.map(jnp.float32, BodyState.rest()), jnp.array([0.0, 0.04, 0.0]))
+    state, outcome = jax.jit(lambda: jax.lax.scan(act, start, jax.random.split(key_of(1, "test"), 120)))()
+    return state, np.asarray(outcome.position).reshape(-1, 3)
+
+
+def test_the_averaged_robot_drifts_with_a_current_and_comes_back(held):
+    _, position = held
+    assert 0.01 < np.abs(position[:, 1]).max() < 0.1
+    assert np.linalg.norm(position[-30:], axis=1).max() < 0.003
+
+
+def test_its_fins_make_more_than_the_drag_by_what_they_lose_in_the_current(held, ucat):
+    state, _ = held
+    asked = ucat.matrix() @ np.asarray(state.forces).ravel()
+    drag = ucat.body.drag_linear[1] * 0.04 + ucat.body.drag_quadratic[1] * 0.04**2
+    assert asked[1] < -1.05 * drag
+
+
+def policy_of(seed, bound=0.1):
+    random = np.random.default_rng(seed)
+    shapes = (OBSERVED, 8), (8,), (8, 8), (8,), (8, 6)
+    return ResidualPolicy(*(random.normal(size=shape).astype(np.float32) for shape in shapes), np.full(6, bound))
+
+
+def test_a_policy_is_bounded_and_sees_the_path_ahead():
+    policy, still = policy_of(0), hold()(0.0)
+    moving = still._replace(velocity=np.array([0.1, 0.0, 0.0]))
+    nothing = np.zeros((6, 3)), np.zeros((2, 6))
+    seen = [observed(*nothing, [still, still, still, later], policy.bound) for later in (still, moving)]
+    assert np.abs(seen[0]).max() == 0
+    assert np.flatnonzero(seen[1]).tolist() == [OBSERVED - 6]
+    far = policy.act(np.full((6, 3), 1e6), np.full((2, 6), -1e6), [still] * 4)
+    assert np.abs(far).max() <= 0.1
+
+
+def test_a_policy_is_the_same_after_it_was_saved(tmp_path, ucat):
+    policy, still = policy_of(1), hold()(0.0)
+    policy.save(tmp_path / "policy", ucat, {"training": []})
+    again = ResidualPolicy.load(tmp_path / "policy", load_robot("ucat"))
+    inputs = np.ones((6, 3)), np.ones((2, 6)), [still] * 4
+    np.testing.assert_array_equal(again.act(*inputs), policy.act(*inputs))
+    heavier = ucat.merged({"body": {"mass_kg": 20}}, "test")
+    with pytest.raises(ArtifactError, match="trained for another body"):
+        ResidualPolicy.load(tmp_path / "policy", heavier)
+
+
+@pytest.mark.slow
+def test_training_lowers_the_cost(ucat, gaits):
+    config = RobotTrainConfig(num_envs=16, num_steps=8, num_updates=50, hidden=16, learning_rate=5e-3)
+    trainer = Trainer(ucat, gaits, config)
+    first = agent = trainer.init()
+    for _ in range(config.num_updates):
+        agent, metrics = trainer.update(agent)
+    assert np.isfinite([float(value) for value in metrics.values()]).all()
+    keys = jax.random.split(key_of(2, "test"), (60, 16))
+
+    @jax.jit
+    def cost(policy):
+        def act(robots, keys):
+            robots, outcome = jax.vmap(partial(trainer.act, policy))(robots, keys)
+            return robots, jax.vmap(trainer.cost)(outcome)
+
+        return jax.lax.scan(act, first.robots, keys)[1].mean()
+
+    assert float(cost(agent.policy)) < 0.97 * float(cost(first.policy))
