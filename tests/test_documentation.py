@@ -33,6 +33,7 @@ from softfin.learning.configuration import TRAIN_PRESETS
 from softfin.rig.config import load_rig, load_ros2
 from softfin.rig.ros2.config import NodeConfig, RobotNodeConfig
 from softfin.robot.evaluate import RobotEvaluateConfig
+from softfin.robot.train import RobotTrainConfig
 from softfin.stages.reproduce_config import PRESETS
 from softfin.storage.dataset import Dataset
 from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig
@@ -48,7 +49,7 @@ CONFIGURATIONS: dict[str, tuple[Configuration, ...]] = {
     "compare": (CompareConfig(),),
     "map": (MapConfig(),),
     "train": (*TRAIN_PRESETS.values(), MapConfig()),
-    "robot": (RobotEvaluateConfig(), RobotNodeConfig()),
+    "robot": (RobotEvaluateConfig(), RobotTrainConfig(), RobotNodeConfig()),
     "evaluate": (EvaluateConfig(),),
     "baselines": (BaselinesConfig(),),
     "view": (ViewConfig(),),

@@ -47,6 +47,7 @@ TINY = {
     "baselines": f"--config baselines.yaml --seconds 3 --seeds 1 --plant {staged.PLANT}",
     "view": "--seconds 0.5 --plant tank.yaml",
     "robot evaluate": "--seeds 1 --set hold_s=8 --set path_s=8 --set settled_s=2 --set wrenches=1",
+    "robot train": "--set num_updates=1 --set num_envs=2 --set num_steps=2 --set hidden=4",
     "robot view": "--set hold_s=8 --set path_s=8 --set settled_s=2",
     "monitor": "--json",
     "inspect --rows-per-log": f"--rows-per-log {staged.ROWS}",
@@ -71,6 +72,9 @@ ELSEWHERE = {
     "--set joint_topic=/front_left/joint_states --set reference_topic=/front_left/reference "
     "--set stop_topic=/front_left/stop --set wrench_topic=/front_left/wrench "
     "--set command_topic=/front_left/command": "tests/cli/test_ros2.py",
+    "robot evaluate ucat --hold": "tests/cli/test_robot.py",
+    "robot evaluate ucat --out robot": "tests/cli/test_robot.py",
+    "robot view ucat --lemniscate --out lemniscate.html": "tests/cli/test_robot.py",
     "robot ros2 ucat --set max_thrust=3": "tests/cli/test_robot.py",
     "train surrogate --controller grid --engine ray --out grid": "tests/learning/ray_cluster.py",
     "train surrogate --controller grid --engine ray --cluster head:6379 --out grid": "tests/learning/ray_cluster.py",

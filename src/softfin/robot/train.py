@@ -269,7 +269,7 @@ def _table(config: RobotTrainConfig) -> PathPoint:
 
 def train_policy(
     robot: RobotConfig, gaits: Sequence[FinGaits], config: RobotTrainConfig, report: Callable[[float, str], None]
-) -> tuple[ResidualPolicy, list[dict[str, float]]]:
+) -> tuple[ResidualPolicy, list[dict[str, Any]]]:
     """Train a policy, and return it with a row of errors for every twentieth update.
 
     Raises:
