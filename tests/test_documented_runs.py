@@ -72,7 +72,8 @@ ELSEWHERE = {
     "--set joint_topic=/front_left/joint_states --set reference_topic=/front_left/reference "
     "--set stop_topic=/front_left/stop --set wrench_topic=/front_left/wrench "
     "--set command_topic=/front_left/command": "tests/cli/test_ros2.py",
-    "robot evaluate ucat --hold": "tests/cli/test_robot.py",
+    "robot evaluate ucat --hold --out robot": "tests/cli/test_robot.py",
+    "robot evaluate ucat --lemniscate --out robot": "tests/cli/test_robot.py",
     "robot evaluate ucat --out robot": "tests/cli/test_robot.py",
     "robot view ucat --lemniscate --out lemniscate.html": "tests/cli/test_robot.py",
     "robot ros2 ucat --set max_thrust=3": "tests/cli/test_robot.py",

@@ -18,18 +18,18 @@ def cross(a: Array, b: Array) -> Array:
     """Return the vector product of two vectors ``(3,)``; much quicker than NumPy's own on such short ones."""
     xp = _namespace(a, b)
     (a0, a1, a2), (b0, b1, b2) = a, b
-    return xp.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
+    return xp.asarray([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
 
 
 def matrix(quaternion: Array) -> Array:
     """Return the rotation matrix ``(3, 3)`` that takes vectors in body axes to world axes."""
     xp = _namespace(quaternion)
     w, x, y, z = quaternion
-    return xp.stack(
+    return xp.asarray(
         [
-            xp.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]),
-            xp.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]),
-            xp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]),
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
 
@@ -38,7 +38,7 @@ def multiply(a: Array, b: Array) -> Array:
     """Return the rotation that does `b` first, then `a`."""
     xp = _namespace(a, b)
     (aw, ax, ay, az), (bw, bx, by, bz) = a, b
-    return xp.stack(
+    return xp.asarray(
         [
             aw * bw - ax * bx - ay * by - az * bz,
             aw * bx + ax * bw + ay * bz - az * by,
