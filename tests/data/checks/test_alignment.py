@@ -45,6 +45,15 @@ def test_a_slow_drive_that_is_always_on_its_way_has_the_same_dead_time():
     assert command_lag(columns["command_angle_rad"], columns["angle_rad"]) == pytest.approx(29, abs=6)
 
 
+def test_strokes_to_and_fro_have_the_same_dead_time():
+    # Before each command the fin always moves the other way.
+    command = np.repeat([0.5, -0.5] * 40, 40)
+    angle = np.zeros(len(command))
+    for tick in range(4, len(command)):
+        angle[tick] = angle[tick - 1] + np.clip(command[tick - 4] - angle[tick - 1], -0.04, 0.04)
+    assert command_lag(command, angle) == pytest.approx(30, abs=6)
+
+
 def test_the_lag_of_the_force_is_told_whatever_its_axes(log):
     _, angle, force = log
     turned = force_lag(angle, force[:, ::-1] * [-1, 1])

@@ -58,7 +58,6 @@ def command_lag(command: Series, angle: Series) -> float | None:
     # Towards the new target: a slow drive may be on its way there already.
     side = np.sign((-command if mirrored else command) - angle)[steps]
     response = np.median(side[:, None] * np.gradient(angle)[steps[:, None] + OFFSETS], axis=0)
-    response = response - np.median(response[:SEARCHED_TICKS])
     # The drive has begun to obey where a fifth of the peak is reached.
     onset = 0.2 * response.max()
     below = np.flatnonzero(response[: response.argmax()] < onset)
