@@ -20,7 +20,6 @@ from softfin.core.quantities import PAPER_LIMITS, Limits
 from softfin.gaits.force_map import MapConfig, save_map
 from softfin.learning.configuration import SINGLE
 from softfin.learning.controllers import save_controller
-from softfin.robot.description import load_robot
 from softfin.storage.dataset import write_dataset
 from softfin.storage.registry import find_plant
 from softfin.surrogate import Surrogate, save_surrogate
@@ -32,7 +31,6 @@ from tests.data.faulty import columns_of
 from tests.data.recorded import record
 from tests.documents import ROOT
 from tests.gaits.test_map_store import KNOWN
-from tests.robot.policies import policy_of
 from tests.surrogate import small as paper
 from tests.surrogate.paper.test_keras import SCALERS, WINDOW, lstm_layer, write_keras
 from tests.surrogate.streaming import small as streaming
@@ -220,11 +218,6 @@ def force_map(path: Path) -> None:
     save_map(path, KNOWN, MapConfig(), Limits(*map(float, plant.limits)), origin)
 
 
-def robot_policy(path: Path) -> None:
-    """A policy of U-CAT with random weights."""
-    policy_of(0).save(path, load_robot("ucat"), {"training": []})
-
-
 MAKERS = MappingProxyType({
     "dataset": dataset, "same": dataset, "two": dataset, "five": dataset,
     "recordings": recordings, "authors": authors, "run.csv": run_csv, "run1": bag,
@@ -234,7 +227,7 @@ MAKERS = MappingProxyType({
     "streaming-0": surrogate, "streaming-1": surrogate, "streaming-2": surrogate,
     "paper-0": paper_surrogate, "published": paper_surrogate,
     "controller": controller, "single": controller, "run/single/seed-0": controller,
-    "map": force_map, "robot-policy": robot_policy,
+    "map": force_map,
 })  # fmt: skip
 """By the names that the documents give."""
 

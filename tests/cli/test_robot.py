@@ -4,8 +4,10 @@ import json
 import time
 
 import pytest
+import yaml
 
 from softfin.cli import main
+from softfin.robot.description import load_robot
 from tests.rig.ros2_memory import MemoryTransport
 
 
@@ -41,6 +43,17 @@ def test_evaluate_writes_figures_and_a_page(capsys, tmp_path):
 
 
 @pytest.mark.slow
+def test_a_trained_policy_goes_on_when_a_fin_dies(capsys, tmp_path):
+    policy, out = tmp_path / "robot-policy", tmp_path / "with-policy"
+    main(["robot", "train", "ucat", "--out", str(policy), "--set", "num_updates=1", "--set", "num_envs=2",
+          "--set", "num_steps=2", "--set", "hidden=4"])  # fmt: skip
+    main(["robot", "evaluate", "ucat", "--policy", str(policy), "--dead", "--hold", "--out", str(out), "--seeds", "1",
+          "--set", "hold_s=8", "--set", "settled_s=2"])  # fmt: skip
+    assert "front_right dead at" in capsys.readouterr().out
+    assert json.loads((out / "robot.json").read_text())["hold"][0]["dead"] == "front_right"
+
+
+@pytest.mark.slow
 def test_view_writes_a_page(capsys, tmp_path):
     page = tmp_path / "lem.html"
     main(["robot", "view", "--lemniscate", "--out", str(page), "--set", "path_s=20", "--set", "settled_s=5"])
@@ -57,6 +70,10 @@ def test_view_writes_a_page(capsys, tmp_path):
         (("view", "ucat", "--out", "robot.gif"), "ends in .html"),
         (("evaluate", "nemo.yaml"), "nemo.yaml: there is no such file"),
         (("evaluate", "--set", "seeds=0"), "seeds"),
+        (("evaluate", "--set", "hold_s=60"), "must be more than 90 s with settled_s = 30"),
+        (("train", "--dead"), "--dead goes with robot evaluate and robot view"),
+        (("train", "--policy", "robot-policy"), "--policy goes with robot evaluate"),
+        (("evaluate", "--policy", "robot-policy"), "robot-policy: no such folder"),
         (("ros2", "ucat", "--hold"), "robot ros2 runs no trial"),
         (("ros2", "ucat"), "max_thrust: missing"),
         (("ros2", "ucat", "--set", "max_thrust=3", "--set", "stop_topic=stop"), "stop_topic = 'stop'"),
@@ -110,3 +127,11 @@ def ucat_file():
     from importlib.resources import files
 
     return files("softfin.robot").joinpath("robots/ucat.yaml").read_text()
+
+
+def test_fins_of_tanks_that_are_not_alike_are_refused(capsys, tmp_path):
+    (tmp_path / "tank.yaml").write_text("fin: {plates: 2}\n")
+    robot = load_robot("ucat").model_dump(mode="json")
+    robot["fins"]["back_left"]["plant"] = str(tmp_path / "tank.yaml")
+    (tmp_path / "robot.yaml").write_text(yaml.safe_dump(robot))
+    assert "same number of plates" in refused(capsys, "check", str(tmp_path / "robot.yaml"))

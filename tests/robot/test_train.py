@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.core.errors import ArtifactError
+from softfin.core.errors import ArtifactError, ConfigurationError
 from softfin.core.randomness import key_of
 from softfin.robot.averaged import AFTER, BEFORE, AveragedRobot
 from softfin.robot.description import load_robot
@@ -16,7 +16,6 @@ from softfin.robot.paths import PathPoint, hold
 from softfin.robot.residual_policy import OBSERVED, ResidualPolicy, observed
 from softfin.robot.train import RobotTrainConfig, Trainer
 from softfin.robot.trial import NoiseConfig
-from tests.robot.policies import policy_of
 
 SILENT = NoiseConfig(position_m=0, attitude_rad=0, velocity_m_s=0, rate_rad_s=0)
 
@@ -49,6 +48,12 @@ def test_its_fins_make_more_than_the_drag_by_what_they_lose_in_the_current(held,
     assert asked[0] < -1.04 * drag
 
 
+def policy_of(seed, bound=0.1):
+    random = np.random.default_rng(seed)
+    shapes = (OBSERVED, 8), (8,), (8, 8), (8,), (8, 6)
+    return ResidualPolicy(*(random.normal(size=shape).astype(np.float32) for shape in shapes), np.full(6, bound))
+
+
 def test_a_policy_is_bounded_and_sees_the_path_ahead():
     policy, still = policy_of(0), hold()(0.0)
     moving = still._replace(velocity=np.array([0.1, 0.0, 0.0]))
@@ -69,6 +74,25 @@ def test_a_policy_is_the_same_after_it_was_saved(tmp_path, ucat):
     heavier = ucat.merged({"body": {"mass_kg": 20}}, "test")
     with pytest.raises(ArtifactError, match="trained for another body"):
         ResidualPolicy.load(tmp_path / "policy", heavier)
+
+
+@pytest.mark.parametrize(
+    "damage", [{"last": np.zeros((8, 5), np.float32)}, {"second_bias": np.full(8, np.nan, np.float32)}]
+)
+def test_damaged_weights_are_refused(tmp_path, ucat, damage):
+    policy_of(2)._replace(**damage).save(tmp_path / "policy", ucat, {})
+    with pytest.raises(ArtifactError, match="its weights are not those of a policy"):
+        ResidualPolicy.load(tmp_path / "policy", ucat)
+
+
+def test_an_axis_without_fins_is_not_seen():
+    seen = observed(np.zeros((6, 3)), np.ones((2, 6)), [hold()(0.0)] * 4, np.array([0.1, 0, 0, 0, 0, 0.1]))
+    assert np.isfinite(seen).all()
+
+
+def test_updates_end_with_the_episode():
+    with pytest.raises(ConfigurationError, match="must divide 240"):
+        RobotTrainConfig().merged({"num_steps": 32}, "test")
 
 
 @pytest.mark.slow

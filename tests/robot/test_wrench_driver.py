@@ -76,3 +76,18 @@ def test_phases_are_sixths_of_a_period():
         (0, 1), (11, 1), (22, 1), (0, -1), (11, -1), (22, -1),
     ]  # fmt: skip
     assert side_of(0, 1) == -1
+
+
+def test_a_fin_that_dies_makes_nothing_from_then_on(ucat, gaits):
+    driver, wrench = WrenchDriver(ucat, gaits), np.array([6.0, 0, 0, 0, 0, 0])
+    state = driver.init()
+    for _ in range(4):
+        state, _ = driver.act(state, wrench)
+    driver.declare_dead(3)
+    _, orders = driver.act(state, wrench)
+    assert not orders.forces[3].any()
+    assert orders.wrench[0] < 5.5
+    for fin in range(3):
+        driver.declare_dead(fin)
+    _, orders = driver.act(state, wrench)
+    assert not orders.wrench.any()

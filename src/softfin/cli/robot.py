@@ -53,8 +53,13 @@ class RobotArguments(Configured):
         super().check()
         if self.action in ("check", "train", "ros2") and self._tasks():
             raise ConfigurationError(f"--{self._tasks()[0]}: robot {self.action} runs no trial; see robot evaluate")
-        if self.action != "evaluate" and self.policy is not None:
-            raise ConfigurationError("--policy goes with robot evaluate")
+        for option, actions in (
+            ("policy", ("evaluate",)),
+            ("baselines", ("evaluate",)),
+            ("dead", ("evaluate", "view")),
+        ):
+            if getattr(self, option) and self.action not in actions:
+                raise ConfigurationError(f"--{option} goes with robot {' and robot '.join(actions)}")
         if self.action == "view" and (len(self._tasks()) > 1 or self.wrenches):
             raise ConfigurationError("robot view shows one of --hold, --lemniscate, --lissajous")
 

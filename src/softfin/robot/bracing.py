@@ -43,6 +43,8 @@ class BracedAllocation:
         Returns:
             The allocation and the number of its bracing.
         """
+        # Of a dead fin nothing is left to fade out.
+        forces = np.where(self.allocator.reach[:, None] > 0, forces, 0.0)
         brace = self._brace(self.allocator.allocate(wrench, start=forces).forces, brace)
         found = self.allocator.allocate(wrench, self._braces[brace], forces)
         smoothing = self._config.smoothing

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from softfin.robot.allocation import Allocator
+from softfin.robot.body_config import GRAVITY_M_S2
 from softfin.robot.description import AXES, RobotConfig
 from softfin.robot.fin_driver import FinGaits
 
@@ -27,7 +28,7 @@ def check_robot(robot: RobotConfig, gaits: Sequence[FinGaits]) -> dict[str, Any]
         "rank_without": without if count > 1 else {},
         "fin_reach_n": dict(zip(robot.fins, (round(float(r), 3) for r in reach), strict=True)),
         "reach": {name: round(allocator.reach_along(axis), 3) for axis, name in enumerate(AXES)},
-        "sinks_n": round(robot.body.mass_kg * 9.81 - robot.body.upward_n, 3),
+        "sinks_n": round(robot.body.mass_kg * GRAVITY_M_S2 - robot.body.upward_n, 3),
     }
 
 

@@ -30,8 +30,8 @@ class ControlConfig(Configuration):
     """Constants of the motion controller; six numbers are of surge, sway, heave, roll, pitch, yaw."""
 
     bandwidth_rad_s: SixNotNegative = (0.7, 0.7, 0.42, 0, 0, 0.6)
-    """Frequency at which errors are corrected [rad/s]. Forces follow a command by half a second or so, the mean over
-    an action and its gait; a third of 1/delay keeps 60 degrees of phase."""
+    """Frequency at which errors are corrected [rad/s]. An error is seen as a mean over two actions and forces
+    follow, half a second in all; a third of 1/delay keeps 60 degrees of phase."""
     lag_s: float = Field(0.25, ge=0, le=0.33)
     """Time by which forces follow their commands [s]: fins swing to their new direction, and set the water going."""
     damping: PositiveFloat = 1.0

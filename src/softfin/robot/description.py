@@ -32,9 +32,9 @@ class FinMountConfig(Configuration):
     shaft_axis: Three
     """Unit vector about which positive angles turn, by the right hand."""
     range_rad: tuple[float, float] | None = None
-    """Least and greatest angle of the shaft [rad]; none: it turns all the way round."""
+    """Least and greatest angle of the shaft [rad]; none: it turns all the way round. So far others are refused."""
     plant: str = "tank"
-    """Fin: tank, the YAML file of a tank, the folder of a surrogate, or package.module:plant."""
+    """Fin: tank, or the YAML file of another tank; on a real robot it does not count."""
 
     @model_validator(mode="after")
     def _has_axes(self) -> "FinMountConfig":
@@ -66,8 +66,8 @@ class RobotConfig(Configuration):
     """Length, width, height [m]: only to draw it."""
     body: BodyConfig
     """Body without fins."""
-    fins: dict[str, FinMountConfig] = Field(min_length=1)
-    """Fins by name."""
+    fins: dict[str, FinMountConfig] = Field(min_length=1, max_length=7)
+    """Fins by name; of more, all patterns of phases could not be tried."""
     allocation: AllocationConfig = AllocationConfig()
     """How a wrench is shared among the fins."""
     control: ControlConfig = ControlConfig()

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from pydantic import Field, PositiveFloat, PositiveInt
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from softfin.core.action_clock import CYCLE_ACTIONS, WINDOW, rows_of
 from softfin.core.choices import RobotTask
@@ -62,6 +62,19 @@ class RobotEvaluateConfig(Configuration):
     """Noise of the estimate of the robot's state."""
     seed: int = Field(0, ge=0)
     """Seed of all of it."""
+
+    @model_validator(mode="after")
+    def _settles(self) -> "RobotEvaluateConfig":
+        for task in self.tasks:
+            if task == "wrenches":
+                continue
+            name, seconds = ("hold_s", self.hold_s) if task == "hold" else ("path_s", self.path_s)
+            # A push comes within two of them, a death within 0.6 of the time.
+            least = max(self.settled_s * (3 if task == "hold" else 1), self.settled_s * 2.5 * self.dead)
+            if seconds <= least:
+                raise ValueError(f"{name} = {seconds:g}: must be more than {least:g} s with settled_s = "
+                                 f"{self.settled_s:g}, or no time counts")  # fmt: skip
+        return self
 
 
 class RobotEvaluation(NamedTuple):

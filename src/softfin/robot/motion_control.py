@@ -3,7 +3,8 @@
 The wrench that the path needs is computed from the body's model; errors are corrected by proportional and derivative
 action; and a Kalman filter of each axis estimates error, its rate and a constant disturbance, which is taken off. The
 filter is told the wrench that the allocator made, not the one that was asked for, so nothing winds up (Fossen 2021,
-ch. 13 and 15; Sariyildiz, Oboe and Ohnishi 2020).
+ch. 13 and 15; Sariyildiz, Oboe and Ohnishi 2020). Axes of the body stand for those of the path: it has to be turned by
+less than about a radian.
 
 Fins stroke at half the actions' rate. So an error is the mean over two actions, in which strokes cancel: seen once an
 action, each of them alone would look like an error that does not move.
@@ -76,6 +77,9 @@ class AxisFilter(NamedTuple):
 STILL_M_S = 0.01
 """A path slower than this is a place to hold."""
 
+MOST_DAMPING = 8 / ACTION_S
+"""Damping beyond which a filter would see no motion in an action [1/s]."""
+
 STEADY = 600
 """Actions after which a filter's gain has settled."""
 
@@ -108,7 +112,9 @@ class MotionController:
         self._stiffness = np.array([0, 0, 0, lever, lever, 0]) / inertia
         noise = np.array([[config.position_noise_m, config.velocity_noise_m_s]] * 3
                          + [[config.attitude_noise_rad, config.rate_noise_rad_s]] * 3)  # fmt: skip
-        self._filter = AxisFilter.of(config, self._stiffness, self.dynamics.drag_linear / inertia, noise)
+        self._filter = AxisFilter.of(
+            config, self._stiffness, np.minimum(self.dynamics.drag_linear / inertia, MOST_DAMPING), noise
+        )
 
     def init(self) -> ControlState:
         """Return the state before the first action: nothing is known."""

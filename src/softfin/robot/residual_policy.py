@@ -41,11 +41,13 @@ def observed(
     estimate: Float[AnyArray, "6 3"], accelerations: Float[AnyArray, "2 6"], path: Sequence[PathPoint], bound: SixVector
 ) -> Seen:
     """Return the numbers that a policy sees, each over its usual size; `path` is that now and `LATER_S` after."""
-    error, rate, disturbance = estimate.T
+    xp, (error, rate, disturbance) = operations_of(estimate, bound).xp, estimate.T
+    # Axes in which the fins make nothing have no usual size.
+    bound = xp.where(bound > 0, bound, 1.0)
     twists = [twist_of(point) / TWIST for point in path]
     changes = [later - twists[0] for later in twists[1:]]
     parts = [error / ERROR, rate / RATE, disturbance / bound, (accelerations / bound).reshape(-1), twists[0], *changes]
-    seen: Seen = operations_of(estimate).xp.concatenate(parts)
+    seen: Seen = xp.concatenate(parts)
     return seen
 
 
@@ -86,10 +88,16 @@ class ResidualPolicy(NamedTuple):
         if description.get("format") != FORMAT:
             raise ArtifactError(f"{path}: format {description.get('format')}; this softfin reads {FORMAT}; update it")
         own = robot.model_dump(mode="json")
-        other = [name for name in own if name in TRAINED_FOR and own[name] != description["robot"].get(name)]
+        theirs = description.get("robot", {})
+        other = [name for name in own if name in TRAINED_FOR and own[name] != theirs.get(name)]
         if other:
             raise ArtifactError(f"{path}: trained for another {' and another '.join(other)} than this robot's; train "
                                 "one for it: softfin robot train")  # fmt: skip
-        if set(weights) != set(cls._fields) or weights["first"].shape[0] != OBSERVED:
+        hidden = weights["first"].shape[-1] if set(weights) == set(cls._fields) else 0
+        shapes = (OBSERVED, hidden), (hidden,), (hidden, hidden), (hidden,), (hidden, 6), (6,)
+        if not hidden or any(
+            weights[name].shape != shape or not np.isfinite(weights[name]).all()
+            for name, shape in zip(cls._fields, shapes, strict=True)
+        ):
             raise ArtifactError(f"{path}: its weights are not those of a policy for robots; copy it again")
         return cls(**weights)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 from jaxtyping import Array, Float, Int, PRNGKeyArray
-from pydantic import Field, PositiveFloat, PositiveInt
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from softfin.core.action_clock import ACTION_RATE_HZ
 from softfin.core.configuration import Configuration
@@ -38,7 +38,7 @@ class RobotTrainConfig(Configuration):
     num_envs: PositiveInt = 64
     """Robots side by side."""
     num_steps: PositiveInt = 24
-    """Actions between updates; gradients reach back as far."""
+    """Actions between updates, a divisor of 240; gradients reach back as far."""
     num_updates: PositiveInt = 800
     """Updates of policy and critic."""
     learning_rate: PositiveFloat = 1e-3
@@ -56,13 +56,19 @@ class RobotTrainConfig(Configuration):
     current_m_s: float = Field(0.06, ge=0)
     """Fastest current [m/s]."""
     push_n_s: float = Field(1.2, ge=0)
-    """Greatest push [N s]; one in 30 s."""
+    """Greatest push [N s]; one in 60 s."""
     speeds_m_s: tuple[PositiveFloat, PositiveFloat] = (0.05, 0.11)
     """Mean speeds along paths [m/s]."""
     noise: NoiseConfig = NoiseConfig()
     """Noise of the estimate of the robot's state."""
     seed: int = Field(0, ge=0)
     """Seed of networks, paths and disturbances."""
+
+    @model_validator(mode="after")
+    def _divides(self) -> "RobotTrainConfig":
+        if EPISODE_ACTIONS % self.num_steps:
+            raise ValueError(f"num_steps = {self.num_steps}: must divide {EPISODE_ACTIONS}, the actions of an episode")
+        return self
 
 
 PATHS, PATH_S = 24, 150.0

@@ -127,8 +127,8 @@ class WrenchDriver:
         return after, FinOrders(tuple(commands), delays, forces, together, given_up)
 
     def _choose_phases(self, state: WrenchDriverState, forces: Forces, alive: list[int]) -> Phases:
-        if self._phases is not None:
-            return self._phases
+        if self._phases is not None or not alive:
+            return state.phases if self._phases is None else self._phases
         sizes = np.hypot(*forces.T)
         ripple = np.concatenate([self.gaits[fin].ripple_of(sizes[fin : fin + 1]) for fin in range(len(sizes))])
         directions = np.arctan2(-forces[:, 1], forces[:, 0])

@@ -3,6 +3,9 @@
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
+import jax
+
 from softfin.core.errors import ConfigurationError
 from softfin.core.progress import Progress, silent
 from softfin.robot.baselines import drivers_of
@@ -110,4 +113,14 @@ def tanks_of(robot: RobotConfig) -> list[Tank]:
                 raise ConfigurationError(f"robot {robot.name}: {name} is {fin.plant}; a robot moves, and only a tank "
                                          "knows moving water: give tank, or the YAML file of a tank")  # fmt: skip
             built[fin.plant] = plant
+        first = next(iter(built.values()))
+        if _shapes(built[fin.plant]) != _shapes(first):
+            raise ConfigurationError(f"robot {robot.name}: {name} is {fin.plant}, computed in another way than fins "
+                                     "before it; give their tanks the same number of plates")  # fmt: skip
     return [built[fin.plant] for fin in robot.fins.values()]
+
+
+def _shapes(tank: Tank) -> tuple[Any, ...]:
+    """Everything that tanks must share to be one program."""
+    arrays, rest = eqx.partition(tank, eqx.is_array)
+    return jax.tree.structure(rest), [leaf.shape for leaf in jax.tree.leaves(arrays)]

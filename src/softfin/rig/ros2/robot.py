@@ -170,9 +170,6 @@ class RobotNode:
         self._allocation.declare_dead(number)
         if len(self._allocation.dead) == len(self.fins):
             raise SafetyStop(f"{reason}; no fin is left")
-        # It makes nothing any more, and what is left of its force must not fade out in the sum.
-        self._forces = self._forces.copy()
-        self._forces[number] = 0
         self._once.report(f"{reason}: declared dead until this node is started again; the others go on")
 
     def _stop_fins(self, pace: Pace) -> None:
@@ -239,8 +236,11 @@ def fin_reach(robot: RobotConfig, config: RobotNodeConfig) -> list[float]:
 
 
 def check_topics(robot: RobotConfig, config: RobotNodeConfig) -> None:
-    """Raise RigError where a fin's name cannot be in a topic, or two topics would have one name."""
-    for name in robot.fins:
+    """Raise RigError where a fin cannot take part, or two topics would have one name."""
+    for name, fin in robot.fins.items():
+        if fin.range_rad is not None:
+            raise RigError(f"{robot.name}: {name} turns within a range; wrenches are shared among fins that push in "
+                           "every direction: leave range_rad out if it does")  # fmt: skip
         if not (name.isascii() and name.isidentifier()):
             raise RigError(
                 f"{robot.name}: the fin {name!r} cannot be in the name of a topic; use letters, digits and _"
