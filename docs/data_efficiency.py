@@ -62,7 +62,7 @@ KINDS = {"again": "the tank, recorded again", "silent": "the tank, without noise
 PANELS = {
     "force_sd_n": ("force error less offset: standard deviation [N]", 1),
     "force_p999_n": ("99.9% of them within [N]", 1),
-    "mean_force_mae_n": ("mean |error| of the 200-sample mean force [N]", 1),
+    "mean_force_mae_n": ("mean force: mean |error| [N]", 1),
 }
 SETS = {
     "silent": "the same tank, without noise and drift",
