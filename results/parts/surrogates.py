@@ -74,7 +74,7 @@ def ablation(seeds: Sequence[int]) -> Part:
     """What each part of the streaming surrogate is worth."""
     command = "python docs/ablation.py ablation-{0} --dataset dataset --seed {0}"
     tiny = "--minutes 1 --updates 2 --members 1 --batch 4 --horizon 2"
-    steps = [step(f"ablation-{seed}", command.format(seed), 30, seed, tiny) for seed in seeds]
+    steps = [step(f"ablation-{seed}", command.format(seed), 8, seed, tiny) for seed in seeds]
 
     def read(work: Work) -> Figures:
         figures: Figures = {}
@@ -95,7 +95,7 @@ def data_efficiency(seeds: Sequence[int]) -> Part:
     command = "python docs/data_efficiency.py efficiency-{0} --minutes 2,5,10,30,100 --active 5 --seeds {0} "
     command += "--set members=3 --set drive_updates=300 --set force_updates=800"
     tiny = "--minutes 2 --active 3 --set members=2 --set force_updates=2 --set drive_updates=2"
-    runs = [step(f"efficiency-{seed}", command.format(seed), 40, seed, tiny) for seed in seeds]
+    runs = [step(f"efficiency-{seed}", command.format(seed), 12, seed, tiny) for seed in seeds]
     every = " ".join(names_of(runs))
     drawn = step("efficiency", f"python -m results.scripts efficiency efficiency {every}", 0.5)
 
