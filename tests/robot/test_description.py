@@ -54,6 +54,9 @@ def test_a_check_tells_rank_and_reach(ucat, gaits):
     # Along the nose each fin has the cosine of 30 degrees of its force, upwards all of it.
     assert found["reach"]["surge"] == pytest.approx(4 * 0.866 * reach, rel=0.02)
     assert found["reach"]["heave"] == pytest.approx(4 * reach, rel=0.02)
+    # Of the water that moves along, 40 kg in surge, the fins accelerate twice the body's own mass.
+    mass = ucat.body.mass_kg + ucat.body.added_mass[0]
+    assert found["acceleration"]["surge"] == pytest.approx(found["reach"]["surge"] / mass, rel=0.01)
     assert found["sinks_n"] == 0
 
 

@@ -9,13 +9,13 @@ import pytest
 
 from softfin.core.errors import ArtifactError, ConfigurationError
 from softfin.core.randomness import key_of
-from softfin.robot.averaged import AFTER, BEFORE, AveragedRobot
+from softfin.robot.averaged import AFTER, BEFORE, STEP_S, AveragedRobot
 from softfin.robot.description import load_robot
 from softfin.robot.dynamics import BodyState
-from softfin.robot.paths import PathPoint, hold
-from softfin.robot.residual_policy import OBSERVED, ResidualPolicy, observed
+from softfin.robot.noise import NoiseConfig
+from softfin.robot.paths import PathPoint, hold, lemniscate, twist_of
+from softfin.robot.residual_policy import OBSERVED, Perceptron, ResidualPolicy, observed
 from softfin.robot.train import RobotTrainConfig, Trainer
-from softfin.robot.trial import NoiseConfig
 
 SILENT = NoiseConfig(position_m=0, attitude_rad=0, velocity_m_s=0, rate_rad_s=0)
 
@@ -30,9 +30,10 @@ def held(ucat, gaits):
     def act(state, key):
         return model.act(state, None, path, jnp.zeros(6), key)
 
-    start = model.init(key_of(0, "test"), jax.tree.map(jnp.float32, BodyState.rest()), jnp.array([0.04, 0.0, 0.0]))
-    state, outcome = jax.jit(lambda: jax.lax.scan(act, start, jax.random.split(key_of(1, "test"), 120)))()
-    return state, np.asarray(outcome.position).reshape(-1, 3)
+    rest = jax.tree.map(jnp.float32, BodyState.rest())
+    start = model.init(key_of(0, "test"), rest, jnp.array([0.04, 0.0, 0.0]), path)
+    state, errors = jax.jit(lambda: jax.lax.scan(act, start, jax.random.split(key_of(1, "test"), 120)))()
+    return state, np.asarray(errors).reshape(-1, 6)[:, :3]
 
 
 def test_the_averaged_robot_drifts_with_a_current_and_comes_back(held):
@@ -48,10 +49,25 @@ def test_its_fins_make_more_than_the_drag_by_what_they_lose_in_the_current(held,
     assert asked[0] < -1.04 * drag
 
 
+def test_a_robot_on_its_path_sees_no_error(ucat, gaits):
+    """Without noise, and from the first action on, though the path moves and turns."""
+    quiet = ucat.merged({"control": {"force_noise": [1e-9] * 6}}, "test")
+    model, lap = AveragedRobot(quiet, gaits, SILENT), lemniscate(0.08)
+    points = [lap(20 + step * STEP_S) for step in range(BEFORE + AFTER + 1)]
+    path = PathPoint(*(jnp.asarray(np.stack(part), jnp.float32) for part in zip(*points, strict=True)))
+    now = points[BEFORE]
+    body = BodyState(*(jnp.float32(part) for part in (now.position, now.attitude, twist_of(now))))
+    start = model.init(key_of(0, "test"), body, jnp.zeros(3), path)
+    state, errors = model.act(start, None, path, jnp.zeros(6), key_of(1, "test"))
+    assert np.abs(np.asarray(state.estimate)[:3, 0]).max() < 5e-4
+    assert np.abs(np.asarray(errors)[:, :3]).max() < 5e-4
+
+
 def policy_of(seed, bound=0.1):
     random = np.random.default_rng(seed)
     shapes = (OBSERVED, 8), (8,), (8, 8), (8,), (8, 6)
-    return ResidualPolicy(*(random.normal(size=shape).astype(np.float32) for shape in shapes), np.full(6, bound))
+    weights = (random.normal(size=shape).astype(np.float32) for shape in shapes)
+    return ResidualPolicy(Perceptron(*weights), np.full(6, bound))
 
 
 def test_a_policy_is_bounded_and_sees_the_path_ahead():
@@ -80,7 +96,8 @@ def test_a_policy_is_the_same_after_it_was_saved(tmp_path, ucat):
     "damage", [{"last": np.zeros((8, 5), np.float32)}, {"second_bias": np.full(8, np.nan, np.float32)}]
 )
 def test_damaged_weights_are_refused(tmp_path, ucat, damage):
-    policy_of(2)._replace(**damage).save(tmp_path / "policy", ucat, {})
+    policy = policy_of(2)
+    policy._replace(network=policy.network._replace(**damage)).save(tmp_path / "policy", ucat, {})
     with pytest.raises(ArtifactError, match="its weights are not those of a policy"):
         ResidualPolicy.load(tmp_path / "policy", ucat)
 

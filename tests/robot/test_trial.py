@@ -7,8 +7,9 @@ from softfin.core.errors import RunError
 from softfin.robot.baselines import drivers_of
 from softfin.robot.evaluate import RobotEvaluateConfig, trial
 from softfin.robot.motion_control import MotionController
+from softfin.robot.noise import NoiseConfig
 from softfin.robot.paths import hold, lemniscate, lissajous
-from softfin.robot.trial import Disturbances, NoiseConfig, run_trial
+from softfin.robot.trial import Disturbances, run_trial
 from softfin.robot.wrench_driver import WrenchDriver
 
 SHORT = RobotEvaluateConfig(hold_s=40, settled_s=12, path_s=45)

@@ -81,8 +81,9 @@ class RobotArguments(Configured):
             "singular values  " + "  ".join(f"{value:.3f}" for value in found["singular_values"]),
             *(f"without {name}: rank {rank}" for name, rank in found["rank_without"].items()),
             "mean force of each fin  " + ", ".join(f"{name} {n:.2f} N" for name, n in found["fin_reach_n"].items()),
-            *(f"{name:6} up to {value:.2f} {'N' if i < 3 else 'N m'}"
-              for i, (name, value) in enumerate(found["reach"].items())),
+            *(f"{name:6} up to {most:5.2f} {'N' if i < 3 else 'N m'} "
+              f"({found['acceleration'][name]:.2f} {'m/s2' if i < 3 else 'rad/s2'} from rest)"
+              for i, (name, most) in enumerate(found["reach"].items())),
         ]  # fmt: skip
         if abs(found["sinks_n"]) > 1e-3:
             lines.append(f"{'sinks' if found['sinks_n'] > 0 else 'rises'} with {abs(found['sinks_n']):.2f} N")

@@ -8,6 +8,7 @@ import numpy as np
 from softfin.robot.allocation import Allocator
 from softfin.robot.body_config import GRAVITY_M_S2
 from softfin.robot.description import AXES, RobotConfig
+from softfin.robot.dynamics import Dynamics
 from softfin.robot.fin_driver import FinGaits
 
 WEAK = 1e-3
@@ -15,10 +16,12 @@ WEAK = 1e-3
 
 
 def check_robot(robot: RobotConfig, gaits: Sequence[FinGaits]) -> dict[str, Any]:
-    """Return rank and singular values, with all fins and without each of them, and the reach of every axis."""
+    """Return rank and singular values, with all fins and without each of them, reach and acceleration of every axis."""
     matrix, count = robot.matrix(), len(robot.fins)
     reach = np.array([each.reach for each in gaits])
     allocator = Allocator(matrix, reach)
+    along = np.array([allocator.reach_along(axis) for axis in range(6)])
+    inertia = np.asarray(Dynamics.of(robot.body).inertia).diagonal()
     without = {name: _rank(np.delete(matrix, [2 * fin, 2 * fin + 1], axis=1)) for fin, name in enumerate(robot.fins)}
     return {
         "robot": robot.name,
@@ -27,7 +30,8 @@ def check_robot(robot: RobotConfig, gaits: Sequence[FinGaits]) -> dict[str, Any]
         "singular_values": [round(float(value), 4) for value in np.linalg.svd(matrix)[1]],
         "rank_without": without if count > 1 else {},
         "fin_reach_n": dict(zip(robot.fins, (round(float(r), 3) for r in reach), strict=True)),
-        "reach": {name: round(allocator.reach_along(axis), 3) for axis, name in enumerate(AXES)},
+        "reach": {name: round(most, 3) for name, most in zip(AXES, along, strict=True)},
+        "acceleration": {name: round(float(a), 3) for name, a in zip(AXES, along / inertia, strict=True)},
         "sinks_n": round(robot.body.mass_kg * GRAVITY_M_S2 - robot.body.upward_n, 3),
     }
 

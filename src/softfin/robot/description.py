@@ -2,7 +2,7 @@
 
 from importlib.resources import files
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -10,8 +10,10 @@ from pydantic import Field, PositiveFloat, model_validator
 
 from softfin.core.configuration import Configuration, parse_yaml, read_yaml
 from softfin.core.errors import ConfigurationError
+from softfin.core.quantities import AnyArray
 from softfin.robot.body_config import BodyConfig, Three
 from softfin.robot.control_config import AllocationConfig, ControlConfig
+from softfin.robot.rotation import cross
 
 BUILT_IN = ("ucat",)
 """Robots that are part of softfin."""
@@ -57,6 +59,22 @@ class FinMountConfig(Configuration):
         return np.stack([x, np.cross(x, shaft)], axis=1)
 
 
+class FinMounts(NamedTuple):
+    """Mounts of all fins of a robot, in body axes."""
+
+    places: Float[np.ndarray, "fins 3"]
+    """Shafts [m]."""
+    axes: Float[np.ndarray, "fins 3 2"]
+    """The x and y of each fin's own forces, as columns."""
+    shafts: Float[np.ndarray, "fins 3"]
+    """Unit vectors along the shafts."""
+
+    def velocities(self, twist: Float[AnyArray, "6"]) -> list[Float[AnyArray, "2"]]:
+        """Return each mount's velocity in its own axes [m/s] from a twist of the body [m/s, rad/s]."""
+        places = zip(self.places, self.axes, strict=True)
+        return [(twist[:3] + cross(twist[3:], place)) @ axes for place, axes in places]
+
+
 class RobotConfig(Configuration):
     """A robot with fins."""
 
@@ -75,12 +93,16 @@ class RobotConfig(Configuration):
     silent_fin: Literal["stop", "dead"] = "stop"
     """When a fin faults or falls silent: stop the robot, or go on without it."""
 
+    def mounts(self) -> FinMounts:
+        """Return the mounts of the fins, in their order."""
+        fins = self.fins.values()
+        places, shafts = ([getattr(fin, name) for fin in fins] for name in ("position_m", "shaft_axis"))
+        return FinMounts(np.array(places, float), np.array([fin.axes() for fin in fins]), np.array(shafts, float))
+
     def matrix(self) -> Float[np.ndarray, "6 columns"]:
         """Return the wrench in body axes of each fin's unit forces: columns x and y of the first fin, of the second."""
-        columns = []
-        for fin in self.fins.values():
-            axes = fin.axes()
-            columns.append(np.concatenate([axes, np.cross(np.asarray(fin.position_m), axes, axisb=0).T]))
+        places, axes, _ = self.mounts()
+        columns = [np.concatenate([a, np.cross(place, a, axisb=0).T]) for place, a in zip(places, axes, strict=True)]
         return np.concatenate(columns, axis=1)
 
 

@@ -19,10 +19,11 @@ from softfin.robot.baselines import MakeDriver, drivers_of
 from softfin.robot.description import AXES, RobotConfig
 from softfin.robot.fin_driver import FinGaits
 from softfin.robot.fin_gaits import find_fin_gaits
+from softfin.robot.noise import NoiseConfig
 from softfin.robot.paths import hold, lemniscate, lissajous
 from softfin.robot.residual_policy import ResidualPolicy
 from softfin.robot.simulation import Orders, RobotSimulation
-from softfin.robot.trial import Disturbances, NoiseConfig, Record, run_trial
+from softfin.robot.trial import Disturbances, Record, run_trial
 from softfin.robot.wrench_driver import WrenchDriver
 from softfin.tank import Tank
 
@@ -86,12 +87,11 @@ class RobotEvaluation(NamedTuple):
 
 def evaluate_robot(
     robot: RobotConfig, tanks: Sequence[Tank], config: RobotEvaluateConfig, report: Report = lambda *_: None,
-    gaits: Sequence[FinGaits] | None = None, policy: ResidualPolicy | None = None,
+    policy: ResidualPolicy | None = None,
 ) -> RobotEvaluation:  # fmt: skip
     """Evaluate a robot with these tanks as fins, in simulation; a policy adds to its motion controller."""
     report(0.0, "gaits of the fins")
-    gaits = gaits or gaits_of(tanks)
-    simulation = RobotSimulation(robot, tanks)
+    gaits, simulation = gaits_of(tanks), RobotSimulation(robot, tanks)
     drivers = drivers_of(robot, gaits)
     figures: dict[str, Any] = {"robot": robot.name, "reach_n": [round(each.reach, 3) for each in gaits]}
     records: dict[str, Record] = {}

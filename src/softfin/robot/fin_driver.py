@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from softfin.core.action_clock import ACTION_RATE_HZ
-from softfin.core.quantities import Command, Limits
+from softfin.core.operations import operations_of
+from softfin.core.quantities import AnyArray, Command, Limits
 
 MOVING = 0.85
 """Part of an action in which the shaft moves: what is left is time to speed up and to brake."""
@@ -46,21 +47,23 @@ class FinGaits(NamedTuple):
         """Return the ripple of mean forces."""
         return np.stack([np.interp(force_n, self.force, part) for part in self.ripple.T], axis=1)
 
-    def lost(self, force: Float[np.ndarray, "2"], velocity: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
+    def lost(self, force: Float[AnyArray, "2"], velocity: Float[AnyArray, "2"]) -> Float[AnyArray, "2"]:
         """Return what a mean force loses where the fin moves through the water [N]; both in the fin's axes [N, m/s]."""
-        size = math.hypot(*force)
-        if size < WEAK_N:
-            return np.zeros(2)
-        along = force / size
-        part = (velocity @ along) * along
-        loss = [float(np.interp(size, self.force, each)) for each in self.stream_loss.T]
-        return loss[0] * part + loss[1] * (velocity - part)
+        xp = operations_of(force, velocity).xp
+        squared = force @ force + SMALL_N**2
+        part = (velocity @ force) / squared * force
+        along, across = (xp.interp(xp.sqrt(squared), self.force, loss) for loss in self.stream_loss.T)
+        lost: Float[AnyArray, 2] = along * part + across * (velocity - part)
+        return lost
 
     def velocity_of(self, way_rad: float) -> float:
         """Return the velocity at which a fin arrives within its action, or the nearest that the drive has."""
         wanted = way_rad * ACTION_RATE_HZ / MOVING
         return min(max(wanted, self.limits.velocity_min), self.limits.velocity_max)
 
+
+SMALL_N = 0.05
+"""A force below this has no steady direction [N]."""
 
 WEAK_N = 1e-6
 """A force below this has no direction [N]."""

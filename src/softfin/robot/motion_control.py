@@ -23,9 +23,9 @@ from softfin.core.quantities import AnyArray
 from softfin.robot.control_config import ControlConfig
 from softfin.robot.description import RobotConfig
 from softfin.robot.dynamics import Dynamics, SixVector
-from softfin.robot.paths import PathPoint, twist_of
+from softfin.robot.paths import PathPoint, error_of, twist_of
 from softfin.robot.residual_policy import ResidualPolicy
-from softfin.robot.rotation import cross, from_euler, inverse, matrix, multiply, normalized, to_vector
+from softfin.robot.rotation import cross, from_euler, matrix, multiply, normalized
 
 ACTION_S = 1 / ACTION_RATE_HZ
 
@@ -153,11 +153,7 @@ class MotionController:
         position, twist = seen[0].mean(axis=0), seen[2].mean(axis=0)
         # Near one another, so that their mean is theirs but for its length.
         attitude = normalized((seen[1] * xp.sign(seen[1] @ seen[1][-1])[:, None]).mean(axis=0))
-        axes = matrix(middle.attitude)
-        error = xp.concatenate(
-            [(position - middle.position) @ axes, to_vector(multiply(inverse(middle.attitude), attitude))]
-        )
-        measured = xp.stack([error, twist - twist_of(middle)], axis=1)
+        measured = xp.stack([error_of(middle, position, attitude), twist - twist_of(middle)], axis=1)
         f = self._filter
         acted = ((1 - self._lag) * accelerations[0] + self._lag * accelerations[1])[:, None]
         guess = xp.einsum("aij,aj->ai", f.forward, estimate) + f.driven * acted

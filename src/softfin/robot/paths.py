@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from softfin.core.operations import operations_of
 from softfin.core.quantities import AnyArray
-from softfin.robot.rotation import from_euler, matrix
+from softfin.robot.rotation import from_euler, inverse, matrix, multiply, to_vector
 
 Vector = Float[AnyArray, "3"]
 SixVector = Float[AnyArray, "6"]
@@ -37,6 +37,15 @@ def twist_of(target: PathPoint) -> SixVector:
     axes = matrix(target.attitude)
     twist: SixVector = operations_of(axes).xp.concatenate([target.velocity @ axes, target.turn @ axes])
     return twist
+
+
+def error_of(target: PathPoint, position: Vector, attitude: Float[AnyArray, "4"]) -> SixVector:
+    """Return the place relative to the path's, in the path's axes [m], and the vector of the turn from it [rad]."""
+    moved = (position - target.position) @ matrix(target.attitude)
+    error: SixVector = operations_of(position, attitude, *target).xp.concatenate(
+        [moved, to_vector(multiply(inverse(target.attitude), attitude))]
+    )
+    return error
 
 
 Path: TypeAlias = Callable[[float], PathPoint]

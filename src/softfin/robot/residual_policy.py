@@ -34,12 +34,10 @@ RATE = np.array([0.02, 0.02, 0.02, 0.1, 0.1, 0.1])
 TWIST = np.array([0.1, 0.1, 0.1, 0.3, 0.3, 0.3])
 """Usual sizes of what it sees [m, rad; and per s]."""
 
-Seen = Float[AnyArray, "inputs"]
-
 
 def observed(
     estimate: Float[AnyArray, "6 3"], accelerations: Float[AnyArray, "2 6"], path: Sequence[PathPoint], bound: SixVector
-) -> Seen:
+) -> Float[AnyArray, "inputs"]:
     """Return the numbers that a policy sees, each over its usual size; `path` is that now and `LATER_S` after."""
     xp, (error, rate, disturbance) = operations_of(estimate, bound).xp, estimate.T
     # Axes in which the fins make nothing have no usual size.
@@ -47,18 +45,32 @@ def observed(
     twists = [twist_of(point) / TWIST for point in path]
     changes = [later - twists[0] for later in twists[1:]]
     parts = [error / ERROR, rate / RATE, disturbance / bound, (accelerations / bound).reshape(-1), twists[0], *changes]
-    seen: Seen = xp.concatenate(parts)
-    return seen
+    numbers: Float[AnyArray, inputs] = xp.concatenate(parts)
+    return numbers
 
 
-class ResidualPolicy(NamedTuple):
-    """A perceptron with two hidden layers; its outputs are bounded."""
+class Perceptron(NamedTuple):
+    """A network with two hidden layers."""
 
     first: Float[AnyArray, "inputs hidden"]
     first_bias: Float[AnyArray, "hidden"]
     second: Float[AnyArray, "hidden hidden"]
     second_bias: Float[AnyArray, "hidden"]
-    last: Float[AnyArray, "hidden 6"]
+    last: Float[AnyArray, "hidden outputs"]
+
+    def __call__(self, inputs: Float[AnyArray, "inputs"]) -> Float[AnyArray, "outputs"]:
+        """Return the outputs, without limits."""
+        xp = operations_of(inputs).xp
+        hidden = xp.tanh(inputs @ self.first + self.first_bias)
+        hidden = xp.tanh(hidden @ self.second + self.second_bias)
+        outputs: Float[AnyArray, outputs] = hidden @ self.last
+        return outputs
+
+
+class ResidualPolicy(NamedTuple):
+    """A network whose outputs are bounded."""
+
+    network: Perceptron
     bound: SixVector
     """Greatest acceleration that it adds, axis by axis [m/s2, rad/s2]."""
 
@@ -66,20 +78,15 @@ class ResidualPolicy(NamedTuple):
         self, estimate: Float[AnyArray, "6 3"], accelerations: Float[AnyArray, "2 6"], path: Sequence[PathPoint]
     ) -> SixVector:
         """Return the acceleration to add, in body axes; `path` is that now and `LATER_S` after."""
-        return self.added(observed(estimate, accelerations, path, self.bound))
-
-    def added(self, seen: Seen) -> SixVector:
-        """Return the acceleration to add."""
-        xp = operations_of(seen).xp
-        hidden = xp.tanh(seen @ self.first + self.first_bias)
-        hidden = xp.tanh(hidden @ self.second + self.second_bias)
-        added: SixVector = self.bound * xp.tanh(hidden @ self.last)
+        inputs = observed(estimate, accelerations, path, self.bound)
+        added: SixVector = self.bound * operations_of(inputs).xp.tanh(self.network(inputs))
         return added
 
     def save(self, path: Path, robot: RobotConfig, training: Mapping[str, Any], overwrite: bool = False) -> None:
         """Write a folder with the weights, the robot that it is for, and how it was trained."""
         description = {"kind": KIND, "format": FORMAT, "robot": robot.model_dump(mode="json"), **training}
-        artifacts.save(path, KIND, description, self._asdict(), overwrite=overwrite)
+        weights = {**self.network._asdict(), "bound": self.bound}
+        artifacts.save(path, KIND, description, weights, overwrite=overwrite)
 
     @classmethod
     def load(cls, path: Path, robot: RobotConfig) -> "ResidualPolicy":
@@ -93,11 +100,13 @@ class ResidualPolicy(NamedTuple):
         if other:
             raise ArtifactError(f"{path}: trained for another {' and another '.join(other)} than this robot's; train "
                                 "one for it: softfin robot train")  # fmt: skip
-        hidden = weights["first"].shape[-1] if set(weights) == set(cls._fields) else 0
+        names = (*Perceptron._fields, "bound")
+        hidden = weights["first"].shape[-1] if set(weights) == set(names) else 0
         shapes = (OBSERVED, hidden), (hidden,), (hidden, hidden), (hidden,), (hidden, 6), (6,)
         if not hidden or any(
             weights[name].shape != shape or not np.isfinite(weights[name]).all()
-            for name, shape in zip(cls._fields, shapes, strict=True)
+            for name, shape in zip(names, shapes, strict=True)
         ):
             raise ArtifactError(f"{path}: its weights are not those of a policy for robots; copy it again")
-        return cls(**weights)
+        bound = weights.pop("bound")
+        return cls(Perceptron(**weights), bound)

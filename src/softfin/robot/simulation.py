@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from softfin.core.action_clock import MOST_TICKS, ticks_of
@@ -67,18 +66,14 @@ class RobotSimulation:
 
     def __init__(self, robot: RobotConfig, tanks: Sequence[Tank]) -> None:
         self.robot, self.dynamics = robot, Dynamics.of(robot.body)
-        mounts = robot.fins.values()
-        self._places = np.array([fin.position_m for fin in mounts])
-        self._axes = np.array([fin.axes() for fin in mounts])
-        self._shafts = np.array([fin.shaft_axis for fin in mounts])
-        self._matrix = robot.matrix()
+        self._fin_mounts, self._matrix = robot.mounts(), robot.matrix()
         # One program over all of them.
         self.tanks: Tank = jax.tree.map(lambda *x: jnp.stack(x), *tanks)
         self._advance = eqx.filter_jit(self._held)
 
     def init(self, key: PRNGKeyArray, body: BodyState | None = None) -> RobotState:
         """Return fins at rest on a body that is at rest, unless it is given."""
-        keys = jax.random.split(key, len(self._places))
+        keys = jax.random.split(key, len(self.robot.fins))
         fins = eqx.filter_vmap(lambda tank, key: tank.init(key))(self.tanks, keys)
         start = jax.tree.map(jnp.float32, body or BodyState.rest())
         return RobotState(start, jnp.zeros(6), fins)
@@ -104,7 +99,7 @@ class RobotSimulation:
         actions; rows of 34 ticks an action."""
         start = self.init(jax.random.key(0))
         still = jax.tree.map(
-            lambda x: jnp.zeros((len(self._places), *x.shape)), Mount(jnp.zeros(2), jnp.zeros(2), jnp.zeros(()))
+            lambda x: jnp.zeros((len(self.robot.fins), *x.shape)), Mount(jnp.zeros(2), jnp.zeros(2), jnp.zeros(()))
         )
 
         def action(fins: Any, now: tuple[Orders, Array]) -> tuple[Any, Array]:
@@ -122,7 +117,7 @@ class RobotSimulation:
 
     def _wrench(self, loads: Load) -> Float[Array, "6"]:
         wrench = jnp.asarray(self._matrix, jnp.float32) @ loads.force.reshape(-1)
-        return wrench.at[3:].add(loads.torque @ self._shafts)
+        return wrench.at[3:].add(loads.torque @ self._fin_mounts.shafts)
 
     def tick(self, state: RobotState, commands: Command, around: Ambient) -> tuple[RobotState, Ticks]:
         """Advance by one tick of 10 ms."""
@@ -144,7 +139,7 @@ class RobotSimulation:
             speeding = linear + cross(acceleration[3:], place) + cross(turn, around)
             return Mount((velocity + around) @ axes, speeding @ axes, turn @ shaft)
 
-        return jax.vmap(each)(*(jnp.asarray(x, jnp.float32) for x in (self._places, self._axes, self._shafts)))
+        return jax.vmap(each)(*(jnp.asarray(x, jnp.float32) for x in self._fin_mounts))
 
     def _fins(self, states: TankState, commands: Command, mounts: Mount) -> tuple[TankState, Load, Array]:
         def each(tank: Tank, state: TankState, command: Command, mount: Mount) -> tuple[TankState, Load, Array]:

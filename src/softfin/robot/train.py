@@ -18,18 +18,19 @@ from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 from softfin.core.action_clock import ACTION_RATE_HZ
 from softfin.core.configuration import Configuration
 from softfin.core.errors import RunError
+from softfin.core.quantities import AnyArray
 from softfin.core.randomness import generator_of, key_of
 from softfin.learning.layers import weights
 from softfin.learning.rollout import clipped_adam
 from softfin.robot.allocation import Allocator
-from softfin.robot.averaged import AFTER, BEFORE, STEP_S, STEPS, AveragedRobot, AveragedState, Outcome
+from softfin.robot.averaged import AFTER, BEFORE, STEP_S, STEPS, AveragedRobot, AveragedState
 from softfin.robot.description import RobotConfig
 from softfin.robot.dynamics import BodyState
 from softfin.robot.fin_driver import FinGaits
-from softfin.robot.paths import Path, PathPoint, hold, lemniscate, lissajous, twist_of
-from softfin.robot.residual_policy import LATER_S, OBSERVED, ResidualPolicy, observed
-from softfin.robot.rotation import inverse, matrix, multiply, to_vector
-from softfin.robot.trial import NoiseConfig
+from softfin.robot.noise import NoiseConfig
+from softfin.robot.paths import Path, PathPoint, error_of, hold, lemniscate, lissajous, twist_of
+from softfin.robot.residual_policy import ERROR, LATER_S, OBSERVED, RATE, Perceptron, ResidualPolicy, observed
+from softfin.robot.rotation import matrix
 
 
 class RobotTrainConfig(Configuration):
@@ -77,24 +78,11 @@ PATHS, PATH_S = 24, 150.0
 EPISODE_ACTIONS = 240
 """Actions after which a robot begins anew."""
 
+CURRENT_M_S = 0.05
+"""Usual size of a current [m/s]."""
+
 PUSHED = 1 / (60 * ACTION_RATE_HZ)
 """Probability of a push in an action."""
-
-
-class Network(NamedTuple):
-    """The critic: a perceptron with two hidden layers."""
-
-    first: Float[Array, "inputs hidden"]
-    first_bias: Float[Array, "hidden"]
-    second: Float[Array, "hidden hidden"]
-    second_bias: Float[Array, "hidden"]
-    last: Float[Array, "hidden"]
-
-    def __call__(self, x: Float[Array, "inputs"]) -> Float[Array, ""]:
-        """Return the discounted cost that is to come."""
-        hidden = jnp.tanh(x @ self.first + self.first_bias)
-        hidden = jnp.tanh(hidden @ self.second + self.second_bias)
-        return jax.nn.softplus(hidden @ self.last)
 
 
 class Robots(NamedTuple):
@@ -112,8 +100,8 @@ class Agent(NamedTuple):
     """Everything that training carries from update to update."""
 
     policy: ResidualPolicy
-    critic: Network
-    slow: Network
+    critic: Perceptron
+    slow: Perceptron
     """The critic's moving average, which its targets are made with."""
     optimiser: Any
     critic_optimiser: Any
@@ -130,21 +118,26 @@ class Trainer:
         reach = Allocator(robot.matrix(), np.array([each.reach for each in gaits]))
         along = np.array([reach.reach_along(axis) for axis in range(6)])
         self.bound = config.part_of_reach * along / self.model.dynamics.inertia.diagonal()
-        rate = optax.cosine_decay_schedule(config.learning_rate, config.num_updates, 0.01)
-        self.optimiser = clipped_adam(rate, 1.0)
+        self.optimiser, self.critic_optimiser = (
+            clipped_adam(optax.cosine_decay_schedule(config.learning_rate, steps, 0.01), 1.0)
+            for steps in (config.num_updates, CRITIC_STEPS * config.num_updates)
+        )
         self.update = jax.jit(self._update)
 
     def init(self) -> Agent:
         """Return a policy that adds nothing, and robots at rest near their paths."""
         keys, hidden = jax.random.split(key_of(self.config.seed, "robot/train"), 7), self.config.hidden
-        policy = ResidualPolicy(weights(keys[0], (OBSERVED, hidden)), jnp.zeros(hidden),
-                                weights(keys[1], (hidden, hidden)), jnp.zeros(hidden), jnp.zeros((hidden, 6)),
+
+        def network(first: PRNGKeyArray, second: PRNGKeyArray, inputs: int, last: Array) -> Perceptron:
+            return Perceptron(weights(first, (inputs, hidden)), jnp.zeros(hidden), weights(second, (hidden, hidden)),
+                              jnp.zeros(hidden), last)  # fmt: skip
+
+        policy = ResidualPolicy(network(keys[0], keys[1], OBSERVED, jnp.zeros((hidden, 6))),
                                 jnp.asarray(self.bound, jnp.float32))  # fmt: skip
-        critic = Network(weights(keys[2], (OBSERVED + 15, hidden)), jnp.zeros(hidden),
-                         weights(keys[3], (hidden, hidden)), jnp.zeros(hidden),
-                         weights(keys[4], (hidden, 1))[:, 0])  # fmt: skip
+        critic = network(keys[2], keys[3], OBSERVED + 15, weights(keys[4], (hidden, 1)))
         robots = jax.vmap(self._begin)(jax.random.split(keys[5], self.config.num_envs))
-        return Agent(policy, critic, critic, self.optimiser.init(policy), self.optimiser.init(critic), robots, keys[6])
+        optimisers = self.optimiser.init(policy), self.critic_optimiser.init(critic)
+        return Agent(policy, critic, critic, *optimisers, robots, keys[6])
 
     def _begin(self, key: PRNGKeyArray) -> Robots:
         keys = jax.random.split(key, 7)
@@ -158,44 +151,43 @@ class Trainer:
         # On a path the fins have less to spare.
         speed = jnp.where(path % 3 == 0, speed, speed / 3)
         current = speed * jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros(())])
-        return Robots(self.model.init(keys[6], body, current), path, step, left)
+        return Robots(self.model.init(keys[6], body, current, self._window(path, step)), path, step, left)
 
     @property
     def _last_step(self) -> int:
         return int(PATH_S / STEP_S) - AFTER - EPISODE_ACTIONS * STEPS
 
-    def _window(self, robot: Robots) -> PathPoint:
-        return PathPoint(*(jax.lax.dynamic_slice_in_dim(part[robot.path], robot.step - BEFORE, BEFORE + AFTER + 1)
+    def _window(self, path: Int[Array, ""], step: Int[Array, ""]) -> PathPoint:
+        return PathPoint(*(jax.lax.dynamic_slice_in_dim(part[path], step - BEFORE, BEFORE + AFTER + 1)
                            for part in self.paths))  # fmt: skip
 
-    def act(self, policy: ResidualPolicy | None, robot: Robots, key: PRNGKeyArray) -> tuple[Robots, Outcome]:
+    def act(
+        self, policy: ResidualPolicy | None, robot: Robots, key: PRNGKeyArray
+    ) -> tuple[Robots, Float[AnyArray, "steps 6"]]:
         """Let one robot take one action; a push may come from any side."""
         keys = jax.random.split(key, 3)
         angle, size, chance = jax.random.uniform(keys[0], (3,))
         force = jnp.where(chance < PUSHED, size * self.config.push_n_s * ACTION_RATE_HZ, 0.0)
         push = force * jnp.concatenate([jnp.stack([jnp.cos(2 * jnp.pi * angle), jnp.sin(2 * jnp.pi * angle)]),
                                         jnp.zeros(4)])  # fmt: skip
-        state, outcome = self.model.act(robot.state, policy, self._window(robot), push, keys[1])
-        return robot._replace(state=state, step=robot.step + STEPS, left=robot.left - 1), outcome
+        window = self._window(robot.path, robot.step)
+        state, errors = self.model.act(robot.state, policy, window, push, keys[1])
+        return robot._replace(state=state, step=robot.step + STEPS, left=robot.left - 1), errors
 
-    def cost(self, outcome: Outcome) -> Float[Array, ""]:
+    def cost(self, errors: Float[AnyArray, "steps 6"]) -> Float[Array, ""]:
         """Return the cost of an action: quadratic in small errors, and slow to grow in great ones, as of a push."""
-        position = (outcome.position**2).sum(axis=1) / self.config.position_m**2
-        attitude = (outcome.attitude**2).sum(axis=1) / self.config.attitude_rad**2
-        return jnp.log(1 + (position + attitude).mean())
+        scale = jnp.repeat(jnp.array([self.config.position_m, self.config.attitude_rad]), 3)
+        return jnp.log(1 + ((errors / scale) ** 2).sum(axis=1).mean())
 
-    def _value(self, critic: Network, robot: Robots) -> Float[Array, ""]:
-        """Return the critic's value of a robot; it sees what the policy sees, and the truth."""
-        state, path = robot.state, self._window(robot)
+    def _value(self, critic: Perceptron, robot: Robots) -> Float[Array, ""]:
+        """Return the discounted cost to come, by the critic; it sees what the policy sees, and the truth."""
+        state, path = robot.state, self._window(robot.path, robot.step)
         points = [PathPoint(*(part[BEFORE + round(s / STEP_S)] for part in path)) for s in (0.0, *LATER_S)]
         target, body = points[0], state.body
         seen = observed(state.estimate, state.accelerations, points, self.bound)
-        axes = matrix(target.attitude)
-        truth = [(body.position - target.position) @ axes / 0.02,
-                 to_vector(multiply(inverse(target.attitude), body.attitude)) / 0.05,
-                 (body.twist - twist_of(target)) / jnp.array([0.02] * 3 + [0.1] * 3),
-                 state.current @ axes / 0.05]  # fmt: skip
-        return critic(jnp.clip(jnp.concatenate([seen, *truth]), -10, 10))
+        truth = [error_of(target, body.position, body.attitude) / ERROR, (body.twist - twist_of(target)) / RATE,
+                 state.current @ matrix(target.attitude) / CURRENT_M_S]  # fmt: skip
+        return jax.nn.softplus(critic(jnp.clip(jnp.concatenate([seen, *truth]), -10, 10))[0])
 
     def _update(self, agent: Agent) -> tuple[Agent, dict[str, Array]]:
         config, key = self.config, agent.key
@@ -204,8 +196,8 @@ class Trainer:
 
         def loss(policy: ResidualPolicy) -> tuple[Array, Any]:
             def act(robots: Robots, keys: Array) -> tuple[Robots, Any]:
-                after, outcome = jax.vmap(partial(self.act, policy))(robots, keys)
-                return after, (jax.vmap(self.cost)(outcome), jax.lax.stop_gradient((after, outcome)))
+                after, errors = jax.vmap(partial(self.act, policy))(robots, keys)
+                return after, (jax.vmap(self.cost)(errors), jax.lax.stop_gradient((after, errors)))
 
             robots, (costs, happened) = jax.lax.scan(act, agent.robots, keys)
             ahead = jax.vmap(partial(self._value, agent.slow))(robots)
@@ -213,7 +205,7 @@ class Trainer:
             whole = (discounts[:, None] * costs).sum(axis=0) + config.discount**config.num_steps * ahead
             return whole.mean() / config.num_steps, (robots, costs, happened)
 
-        gradient, (robots, costs, (afters, outcomes)) = jax.grad(loss, has_aux=True)(agent.policy)
+        gradient, (robots, costs, (afters, errors)) = jax.grad(loss, has_aux=True)(agent.policy)
         # The bound is a constant.
         gradient = gradient._replace(bound=jnp.zeros_like(gradient.bound))
         change, optimiser = self.optimiser.update(gradient, agent.optimiser, agent.policy)
@@ -228,12 +220,12 @@ class Trainer:
 
         targets = jax.lax.scan(back, values[-1], (costs, values), reverse=True)[1]
 
-        def miss(critic: Network) -> Array:
+        def miss(critic: Perceptron) -> Array:
             return ((jax.vmap(jax.vmap(partial(self._value, critic)))(befores) - targets) ** 2).mean()
 
-        def learn(now: tuple[Network, Any], _: None) -> tuple[tuple[Network, Any], None]:
+        def learn(now: tuple[Perceptron, Any], _: None) -> tuple[tuple[Perceptron, Any], None]:
             critic, optimiser = now
-            step, optimiser = self.optimiser.update(jax.grad(miss)(critic), optimiser, critic)
+            step, optimiser = self.critic_optimiser.update(jax.grad(miss)(critic), optimiser, critic)
             return (optax.apply_updates(critic, step), optimiser), None
 
         (critic, critic_optimiser), _ = jax.lax.scan(
@@ -247,8 +239,8 @@ class Trainer:
         )
         metrics = {
             "cost": costs.mean(), "critic_miss": miss(critic),
-            "position_rms_m": jnp.sqrt((outcomes.position**2).sum(axis=-1).mean()),
-            "attitude_rms_rad": jnp.sqrt((outcomes.attitude**2).sum(axis=-1).mean()),
+            "position_rms_m": jnp.sqrt((errors[..., :3] ** 2).sum(axis=-1).mean()),
+            "attitude_rms_rad": jnp.sqrt((errors[..., 3:] ** 2).sum(axis=-1).mean()),
         }  # fmt: skip
         return Agent(policy, critic, slow, optimiser, critic_optimiser, robots, key), metrics
 
@@ -269,7 +261,10 @@ def _table(config: RobotTrainConfig) -> PathPoint:
         )  # fmt: skip
         start = random.uniform(0, 30)
         points = [kinds[index % 3](start + step * STEP_S) for step in range(int(PATH_S / STEP_S))]
-        rows.append(PathPoint(*(np.stack(part) for part in zip(*points, strict=True))))
+        stacked = PathPoint(*(np.stack(part) for part in zip(*points, strict=True)))
+        # A turn has two quaternions; means of neighbours need the nearer one.
+        signs = np.cumprod(np.sign((stacked.attitude[1:] * stacked.attitude[:-1]).sum(axis=1)))
+        rows.append(stacked._replace(attitude=stacked.attitude * np.concatenate([[1.0], signs])[:, None]))
     return PathPoint(*(jnp.asarray(np.stack(part), jnp.float32) for part in zip(*rows, strict=True)))
 
 
@@ -293,7 +288,7 @@ def train_policy(
                                "learning_rate")  # fmt: skip
             rows.append({"update": update, **row})
             report((update + 1) / config.num_updates, f"off by {100 * row['position_rms_m']:.1f} cm rms")
-    return ResidualPolicy(*map(np.asarray, agent.policy)), rows
+    return jax.tree.map(np.asarray, agent.policy), rows
 
 
 ROW = 20

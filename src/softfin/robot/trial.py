@@ -8,39 +8,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from pydantic import NonNegativeFloat, PositiveFloat
 from scipy.signal import lfilter
 
 from softfin.core.action_clock import ACTION_RATE_HZ, ticks_of
-from softfin.core.configuration import Configuration
 from softfin.core.quantities import TICK_S, Command
 from softfin.core.randomness import generator_of
 from softfin.robot.body_config import Three
 from softfin.robot.dynamics import BodyState
 from softfin.robot.fin_driver import fin_command
 from softfin.robot.motion_control import SEEN_ACTIONS, MotionController
+from softfin.robot.noise import NoiseConfig, estimated
 from softfin.robot.paths import Path, twist_of
 from softfin.robot.residual_policy import LATER_S, ResidualPolicy
-from softfin.robot.rotation import multiply
 from softfin.robot.simulation import Ambient, Orders, RobotSimulation
 from softfin.robot.wrench_driver import WrenchDriver
 
 SWAY = 1
-
-
-class NoiseConfig(Configuration):
-    """Noise of the estimate of the robot's state, normal, each number by itself."""
-
-    position_m: NonNegativeFloat = 0.01
-    """Standard deviation of each coordinate [m]."""
-    attitude_rad: NonNegativeFloat = 0.0087
-    """Standard deviation about each axis [rad]: half a degree."""
-    velocity_m_s: NonNegativeFloat = 0.01
-    """Standard deviation of each velocity [m/s]."""
-    rate_rad_s: NonNegativeFloat = 0.01
-    """Standard deviation of each angular velocity [rad/s]."""
-    memory_s: PositiveFloat = 0.1
-    """Time constant with which the noise forgets itself [s]: an estimate's errors are no white noise."""
 
 
 class Disturbances(NamedTuple):
@@ -96,10 +79,7 @@ def run_trial(
     controller, random = MotionController(simulation.robot, policy), generator_of(seed, "robot/noise")
     start = path(0.0)
     state = simulation.init(jax.random.key(seed), BodyState(start.position, start.attitude, np.zeros(6)))
-    deviation = np.zeros((1, 12))
-    scale = np.repeat([noise.position_m, noise.attitude_rad, noise.velocity_m_s, noise.rate_rad_s], 3)
-    forget = float(np.exp(-TICK_S / noise.memory_s))
-    innovation = np.sqrt(1 - forget**2)
+    deviation, (kept, new) = np.zeros((1, 12)), noise.decay(TICK_S)
     control, driving = controller.init(), driver.init()
     before = commands_of([fin_command(0.0, gaits.limits.velocity_min) for gaits in driver.gaits])
     rows, asked, expected, forces, given_up = [], [], [], [], []
@@ -112,7 +92,7 @@ def run_trial(
             driver.declare_dead(trouble.dead_fin)
             controller.sway_reach_n = driver.allocator.reach_along(SWAY)
         last = [np.concatenate(part) for part in zip(*seen[-SEEN_ACTIONS:], strict=True)]
-        middle = time - len(last[0]) * TICK_S / 2 if len(seen) > 1 else time
+        middle = time - (len(last[0]) - 1) * TICK_S / 2
         ahead = path(time + ticks * TICK_S / 2)
         seen_later = [path(time + later) for later in LATER_S] if policy is not None else []
         control, wrench = controller.act(control, last, path(middle), path(time), ahead, seen_later)
@@ -127,10 +107,8 @@ def run_trial(
         state, happened = simulation.advance(state, orders, around, ticks)
         happened = jax.tree.map(partial(_first, ticks), happened)
         rows.append(happened)
-        noisy, deviation = lfilter(
-            [1.0], [1.0, -forget], innovation * random.normal(size=(ticks, 12)), axis=0, zi=deviation
-        )
-        seen = [*seen[-1:], _estimated(happened.body, noisy * scale)]
+        noisy, deviation = lfilter([1.0], [1.0, -kept], new * random.normal(size=(ticks, 12)), axis=0, zi=deviation)
+        seen = [*seen[-1:], estimated(happened.body, noisy * noise.deviations())]
         asked.append(wrench)
         expected.append(driven.wrench)
         forces.append(driven.forces)
@@ -154,10 +132,3 @@ def commands_of(commands: Sequence[Command]) -> Command:
 
 def _first(count: int, rows: jax.Array) -> np.ndarray:
     return np.asarray(rows)[:count]
-
-
-def _estimated(body: BodyState, noise: Float[np.ndarray, "ticks 12"]) -> tuple[np.ndarray, ...]:
-    """Return position, attitude and twist with noise."""
-    turn = np.concatenate([np.ones((1, len(noise))), noise[:, 3:6].T / 2])
-    attitude = multiply(np.asarray(body.attitude, float).T, turn / np.linalg.norm(turn, axis=0)).T
-    return np.asarray(body.position, float) + noise[:, :3], attitude, np.asarray(body.twist, float) + noise[:, 6:]

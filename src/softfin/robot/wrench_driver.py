@@ -16,9 +16,9 @@ from softfin.core.quantities import Command
 from softfin.robot.allocation import Allocator, Forces, SixVector
 from softfin.robot.bracing import BracedAllocation
 from softfin.robot.description import AXES, RobotConfig
+from softfin.robot.dynamics import Dynamics
 from softfin.robot.fin_driver import REST, DriverState, FinGaits, fin_command, stroke
 from softfin.robot.phases import Phases, choose_phases, delay_of, side_of, wrench_ripple
-from softfin.robot.rotation import cross
 
 STILL = np.zeros(6)
 """Twist of a body that does not move."""
@@ -70,10 +70,7 @@ class WrenchDriver:
     def __init__(self, robot: RobotConfig, gaits: Sequence[FinGaits], phases: Phases | None = None) -> None:
         self.robot, self.gaits, self._phases = robot, tuple(gaits), phases
         self._allocation = BracedAllocation(robot, [each.reach for each in gaits])
-        self._shafts = np.array([fin.shaft_axis for fin in robot.fins.values()], float)
-        self._places = np.array([fin.position_m for fin in robot.fins.values()], float)
-        self._axes = np.array([fin.axes() for fin in robot.fins.values()])
-        self._inverse = np.linalg.inv(robot.body.own_inertia() + np.diag(robot.body.added_mass))
+        self._mounts, self._inverse = robot.mounts(), np.asarray(Dynamics.of(robot.body).inverse)
 
     @property
     def allocator(self) -> Allocator:
@@ -111,15 +108,15 @@ class WrenchDriver:
         (forces, together, given_up), brace = self._allocation.share(wrench, state.forces, state.brace)
         alive = [fin for fin in range(len(self.gaits)) if fin not in self.dead]
         phases = self._choose_phases(state, forces, alive)
-        fins, commands = [], []
+        velocities, fins, commands = self._mounts.velocities(twist), [], []
         for fin, gaits in enumerate(self.gaits):
             if fin in self.dead:
                 fins.append(state.fins[fin])
                 commands.append(fin_command(state.fins[fin].target, gaits.limits.velocity_min))
                 continue
             side = side_of(int(phases[fin]), state.action)
-            velocity = (twist[:3] + cross(twist[3:], self._places[fin])) @ self._axes[fin]
-            moved, command = stroke(gaits, state.fins[fin], forces[fin] + gaits.lost(forces[fin], velocity), side)
+            force = forces[fin] + gaits.lost(forces[fin], velocities[fin])
+            moved, command = stroke(gaits, state.fins[fin], force, side)
             fins.append(moved)
             commands.append(command)
         after = WrenchDriverState(forces, brace, state.action + 1, phases, tuple(fins))
@@ -132,7 +129,7 @@ class WrenchDriver:
         sizes = np.hypot(*forces.T)
         ripple = np.concatenate([self.gaits[fin].ripple_of(sizes[fin : fin + 1]) for fin in range(len(sizes))])
         directions = np.arctan2(-forces[:, 1], forces[:, 0])
-        wrench = wrench_ripple(self.allocator.matrix, self._shafts, directions, ripple)
+        wrench = wrench_ripple(self.allocator.matrix, self._mounts.shafts, directions, ripple)
         phases = state.phases.copy()
         phases[alive] = choose_phases(phases[alive], state.action < STARTING, wrench[:, alive], self._inverse)
         return phases

@@ -1,0 +1,48 @@
+"""Noise of the estimate of a robot's state. NumPy in trials, JAX where a policy is trained."""
+
+import math
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import NonNegativeFloat, PositiveFloat
+
+from softfin.core.configuration import Configuration
+from softfin.core.operations import operations_of
+from softfin.core.quantities import AnyArray
+from softfin.robot.dynamics import BodyState
+from softfin.robot.rotation import multiply
+
+
+class NoiseConfig(Configuration):
+    """Noise of the estimate of the robot's state, normal, each number by itself."""
+
+    position_m: NonNegativeFloat = 0.01
+    """Standard deviation of each coordinate [m]."""
+    attitude_rad: NonNegativeFloat = 0.0087
+    """Standard deviation about each axis [rad]: half a degree."""
+    velocity_m_s: NonNegativeFloat = 0.01
+    """Standard deviation of each velocity [m/s]."""
+    rate_rad_s: NonNegativeFloat = 0.01
+    """Standard deviation of each angular velocity [rad/s]."""
+    memory_s: PositiveFloat = 0.1
+    """Time constant with which the noise forgets itself [s]: an estimate's errors are no white noise."""
+
+    def deviations(self) -> Float[np.ndarray, "12"]:
+        """Return the standard deviations of position, attitude, velocity and angular velocity."""
+        return np.repeat([self.position_m, self.attitude_rad, self.velocity_m_s, self.rate_rad_s], 3)
+
+    def decay(self, seconds: float) -> tuple[float, float]:
+        """Return the weights of the noise that was, and of new noise, after a step of time."""
+        kept = math.exp(-seconds / self.memory_s)
+        return kept, math.sqrt(1 - kept**2)
+
+
+def estimated(body: BodyState, noise: Float[AnyArray, "*rows 12"]) -> tuple[Any, Any, Any]:
+    """Return position, attitude and twist with noise, for one state or for rows of them."""
+    half = noise[..., 3:6] / 2
+    xp = operations_of(*body, noise).xp
+    turn = xp.concatenate([xp.ones_like(half[..., :1]), half], axis=-1)
+    turn = turn / xp.linalg.norm(turn, axis=-1, keepdims=True)
+    attitude = multiply(body.attitude.T, turn.T).T
+    return body.position + noise[..., :3], attitude, body.twist + noise[..., 6:]
