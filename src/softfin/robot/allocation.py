@@ -66,9 +66,10 @@ class Allocator:
         self._scale = np.repeat(self._reach, 2)
         scaled = self.matrix * self._scale
         weighted = scaled.T * self._priority
-        self._normal = weighted @ scaled + RIDGE * np.eye(len(self._scale))
-        self._share, self._gain = weighted, np.linalg.inv(self._normal) @ weighted
-        self._step = 1 / float(np.linalg.eigvalsh(self._normal)[-1])
+        normal = weighted @ scaled + RIDGE * np.eye(len(self._scale))
+        self._share, self._gain = weighted, np.linalg.inv(normal) @ weighted
+        self._step = 1 / float(np.linalg.eigvalsh(normal)[-1])
+        self._descend = np.eye(len(self._scale)) - self._step * normal
 
     def reach_along(self, axis: int) -> float:
         """Return the greatest force or moment along one axis with none along the others [N, N m], within 1%."""
@@ -90,7 +91,7 @@ class Allocator:
         """
         near = self._over_reach(preferred)
         parts = near + self._gain @ (wrench - self.matrix @ (near * self._scale))
-        if np.hypot(parts[::2], parts[1::2]).max() > 1 + TOUCHING:
+        if np.abs(parts.view(complex)).max() > 1 + TOUCHING:
             begin = parts if start is None else self._over_reach(start)
             parts = self._within(self._share @ wrench + RIDGE * near, _clipped(begin))
         forces = parts * self._scale
@@ -107,11 +108,12 @@ class Allocator:
 
     def _within(self, right: Columns, parts: Columns) -> Columns:
         """Return forces over reaches of which none is longer than 1, after some steps towards the best."""
-        ahead, momentum = parts, 1.0
+        # A gradient step is linear: descend @ x + shift.
+        shift, ahead, momentum = self._step * right, parts, 1.0
         for _ in range(STEPS):
-            after = _clipped(ahead - self._step * (self._normal @ ahead - right))
+            after = _clipped(self._descend.dot(ahead) + shift)
             moved = after - parts
-            if (ahead - after) @ moved > 0:
+            if (ahead - after).dot(moved) > 0:
                 momentum = 1.0
             following = (1 + (1 + 4 * momentum * momentum) ** 0.5) / 2
             ahead = after + (momentum - 1) / following * moved
@@ -120,5 +122,6 @@ class Allocator:
 
 
 def _clipped(parts: Columns) -> Columns:
-    longer = np.maximum(np.hypot(parts[::2], parts[1::2]), 1)
-    return np.asarray((parts.reshape(-1, 2) / longer[:, None]).ravel())
+    # As complex numbers, which NumPy measures in one call.
+    pairs = parts.view(complex)
+    return np.asarray((pairs / np.maximum(np.abs(pairs), 1)).view(float))
