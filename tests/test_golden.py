@@ -8,7 +8,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
+from mcap.records import Channel
 
 import softfin
 from softfin import cli
@@ -16,9 +18,17 @@ from softfin.control.controller import Measured
 from softfin.core.quantities import Command
 from softfin.gaits.force_map import load_map
 from softfin.rig.config import load_rig, load_ros2
+from softfin.robot.description import RobotConfig
+from softfin.robot.residual_policy import OBSERVED, ResidualPolicy
+from softfin.storage import artifact as artifacts
+from softfin.storage.bag.recovery import scan
+from softfin.storage.formats import FOLDERS, FORMATS, IN_FILE
 from softfin.task.signals import read_reference_file
+from tests.documents import ROOT
 
 GOLDEN = Path(__file__).parent / "golden"
+NUMBERED = GOLDEN / "numbered"
+"""From when every kind had a number."""
 EXPECTED = json.loads((GOLDEN / "expected.json").read_text())
 ARRAYS = np.load(GOLDEN / "expected.npz")
 CONTROLLERS = ("single", "grid", "gaits")
@@ -139,3 +149,74 @@ def test_references() -> None:
     recorded = read_reference_file(GOLDEN / "references.csv")
     assert recorded.time_s == (0, 1.5, 3)
     assert recorded.force_n == ((1, -1), (0.9, -0.8), (0, 0.25))
+
+
+def numbers() -> set[tuple[str, int]]:
+    """Kind and format number of every golden file."""
+    found = set()
+    for kind in FOLDERS:
+        found |= {(kind, json.loads(file.read_text()).get("format", 1)) for file in GOLDEN.rglob(f"{kind}.json")}
+    for file in GOLDEN.rglob("*.parquet"):
+        found.add(("log", int((pq.read_schema(file).metadata or {}).get(IN_FILE.encode(), b"1"))))
+    for file in GOLDEN.rglob("*.mcap"):
+        channels = (item for item in scan(file) if isinstance(item, Channel))
+        found |= {("recording", int(channel.metadata.get(IN_FILE, "1"))) for channel in channels}
+    return found
+
+
+def test_there_is_a_file_of_each_kind_and_of_each_format_that_is_read() -> None:
+    read = {(kind, number) for kind, each in FORMATS.items() for number in range(each.oldest, each.number + 1)}
+    assert numbers() >= read, "add a golden file of the new format, and keep the old one as long as it is read"
+
+
+@pytest.mark.parametrize("file", sorted(NUMBERED.glob("*/*.json")), ids=lambda file: file.name)
+def test_each_description_is_read(file: Path) -> None:
+    kind = json.loads(file.read_text())["kind"]
+    assert artifacts.load_description(file.parent, kind)["kind"] == kind
+
+
+WRITTEN_ONLY = ("inspection", "comparison", "evaluation", "baselines", "calibration", "robot")
+"""Kinds that softfin itself does not read, but other programs do."""
+
+
+def check_keys(folder: Path) -> None:
+    """A folder that was written just now has what the golden one of its kind and format has, and maybe more."""
+    for kind in WRITTEN_ONLY:
+        if artifacts.is_kind(folder, kind):
+            now = artifacts.load_description(folder, kind)
+            # Those before numbers were written have keys that softfin had dropped by then.
+            golden = [json.loads(file.read_text()) for file in sorted(NUMBERED.rglob(f"{kind}.json"))]
+            before = next(each for each in golden if each["format"] == now["format"])
+            gone = before.keys() - now.keys()
+            assert not gone, f"{kind}.json has lost {gone}: write them, or a new format"
+
+
+def test_a_dataset_and_a_recording_with_numbers(tmp_path: Path) -> None:
+    expected = json.loads((NUMBERED / "expected.json").read_text())
+    dataset = softfin.Dataset.open(NUMBERED / "dataset")
+    assert dataset.data_hash == expected["data_hash"]
+    found = [summary(log) for log in dataset.load((*dataset.train, *dataset.test))]
+    np.testing.assert_allclose(found, expected["dataset"], **EXACT)
+    options = softfin.ImportConfig(shortest_s=1)
+    recorded, _ = softfin.import_logs(NUMBERED / "session.mcap", tmp_path / "dataset", options, ignore_errors=True)
+    np.testing.assert_allclose([summary(log) for log in recorded.load(recorded.train)], expected["recording"], **EXACT)
+
+
+def robot_accelerations() -> np.ndarray:
+    """Accelerations that the golden policy of a robot adds."""
+    description = artifacts.load_description(NUMBERED / "robot-policy", "robot-policy")
+    policy = ResidualPolicy.load(NUMBERED / "robot-policy", RobotConfig.model_validate(description["robot"]))
+    seen = (np.sin(k + np.arange(OBSERVED, dtype=np.float32)) for k in range(3))
+    return np.array([policy.bound * np.tanh(policy.network(each)) for each in seen])
+
+
+def test_robot_policy() -> None:
+    expected = json.loads((NUMBERED / "expected.json").read_text())
+    np.testing.assert_allclose(robot_accelerations(), expected["robot"], rtol=1e-4)
+
+
+def test_the_example_of_that_time_lists_what_it_held() -> None:
+    description = artifacts.load_description(NUMBERED / "example", "example")
+    now = artifacts.load_description(ROOT / "src/softfin/example", "example")
+    assert description.keys() <= now.keys()
+    assert description["files"].keys() <= now["files"].keys()

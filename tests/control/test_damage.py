@@ -62,7 +62,11 @@ def weigh(folder: Path, **changes: Any) -> None:
         ),
         ("single", lambda f: edit(f, cells=[]), "cells: there are 0; a single controller has one"),
         ("single", lambda f: edit(f, controller="neither"), "'neither'; it must be one of single, grid, gaits"),
-        ("single", lambda f: edit(f, format=3), "format is 3; this softfin reads 2; update it"),
+        (
+            "single",
+            lambda f: edit(f, format=3),
+            "format is 3, of a newer softfin; this softfin reads 2",
+        ),
         ("single", lambda f: edit(f, action_rate_hz=5.0), "action_rate_hz is 5.0; this softfin reads 3.0"),
         ("single", lambda f: weigh(f, more=np.zeros(2, np.float32)), "weights more are missing or unknown"),
         ("single", lambda f: weigh(f, log_deviation=np.array([0, np.nan], np.float32)), "numbers that are not finite"),

@@ -94,7 +94,7 @@ def lattice(**changes: Any) -> dict[str, Any]:
 HARMS: list[tuple[Callable[[Path], None], str]] = [
     (lambda f: (f / "weights.safetensors").unlink(), "weights.safetensors: missing"),
     (lambda f: (f / "weights.safetensors").write_bytes(b"12"), "truncated or damaged"),
-    (lambda f: rewrite(f, format=99), r"format (is )?99; this softfin reads \d"),
+    (lambda f: rewrite(f, format=99), "format is 99, of a newer softfin; this softfin reads .; update softfin"),
     (lambda f: rewrite(f, reachable=None), "reachable is None; it must be an object"),
     (lambda f: rewrite(f, reachable={"centre_n": [0, 0], "radius_n": [1, -1, 1]}), "no radius under 0"),
     (lambda f: rewrite(f, limits={}), "angle_min_rad is missing"),

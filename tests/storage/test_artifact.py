@@ -10,7 +10,11 @@ import pytest
 
 from softfin.core.errors import ArtifactError, RunError
 from softfin.storage import artifact as artifacts
+from softfin.storage.formats import FOLDERS
 from softfin.storage.run_directory import RunDirectory
+
+HEAD = {"kind": "surrogate", "format": FOLDERS["surrogate"].number}
+"""Beginning of each description."""
 
 
 def files_in(path):
@@ -21,7 +25,7 @@ def test_a_folder_comes_back_as_it_was_saved(tmp_path):
     weights = {"a": np.arange(6, dtype=np.float32).reshape(2, 3), "count": np.int32(7)}
     artifacts.save(tmp_path / "thing", "surrogate", {"x": 1, "array": np.float32(2)}, weights)
     description, loaded = artifacts.load(tmp_path / "thing", "surrogate")
-    assert description == {"x": 1, "array": 2.0}
+    assert description == HEAD | {"x": 1, "array": 2.0}
     np.testing.assert_array_equal(loaded["a"], weights["a"])
     assert loaded["count"].shape == ()
 
@@ -37,7 +41,7 @@ def test_a_failed_write_leaves_what_was_there(tmp_path, failure):
     with pytest.raises((KeyboardInterrupt, RunError)) as error:
         artifacts.write_folder(tmp_path / "thing", write, overwrite=True)
     assert files_in(tmp_path) == ["thing"]
-    assert artifacts.load_description(tmp_path / "thing", "surrogate") == {"version": 1}
+    assert artifacts.load_description(tmp_path / "thing", "surrogate") == HEAD | {"version": 1}
     if isinstance(failure, OSError):
         assert "thing: cannot be written (No space left on device)" in str(error.value)
 
@@ -45,7 +49,7 @@ def test_a_failed_write_leaves_what_was_there(tmp_path, failure):
 def test_a_folder_is_replaced_whole(tmp_path):
     for version in (1, 2):
         artifacts.save(tmp_path / "thing", "surrogate", {"version": version}, {}, overwrite=version == 2)
-    assert artifacts.load_description(tmp_path / "thing", "surrogate") == {"version": 2}
+    assert artifacts.load_description(tmp_path / "thing", "surrogate") == HEAD | {"version": 2}
     assert files_in(tmp_path) == ["thing"]
 
 
@@ -58,7 +62,7 @@ def test_what_a_kill_left_neither_stops_a_writer_nor_is_touched_by_a_reader(tmp_
     assert files_in(tmp_path) == [".thing.old", ".thing.partial"]
     for version in (1, 2):
         artifacts.save(tmp_path / "thing", "surrogate", {"version": version}, {}, overwrite=True)
-        assert artifacts.load(tmp_path / "thing", "surrogate")[0] == {"version": version}
+        assert artifacts.load(tmp_path / "thing", "surrogate")[0] == HEAD | {"version": version}
 
 
 def test_a_finished_result_is_kept_where_its_place_was_taken_meanwhile(tmp_path):
@@ -86,8 +90,8 @@ def test_a_finished_result_is_kept_where_it_cannot_be_renamed(tmp_path, monkeypa
     monkeypatch.setattr(Path, "rename", fail)
     with pytest.raises(RunError, match=r"cannot be written \(Device or resource busy\); the finished result is in"):
         artifacts.save(tmp_path / "thing", "surrogate", {"version": 2}, {}, overwrite=True)
-    assert artifacts.load(tmp_path / "thing", "surrogate")[0] == {"version": 1}
-    assert artifacts.load(tmp_path / "thing.finished-1", "surrogate")[0] == {"version": 2}
+    assert artifacts.load(tmp_path / "thing", "surrogate")[0] == HEAD | {"version": 1}
+    assert artifacts.load(tmp_path / "thing.finished-1", "surrogate")[0] == HEAD | {"version": 2}
 
 
 def test_a_folder_is_on_the_disk_before_it_is_in_its_place(tmp_path, monkeypatch):
@@ -152,7 +156,7 @@ def test_weights_that_are_no_real_numbers_of_numpys_are_refused_in_one_line(tmp_
 def test_a_missing_folder_and_missing_weights_are_told_apart(tmp_path):
     with pytest.raises(ArtifactError, match="no such folder; it should be a controller"):
         artifacts.load(tmp_path / "none", "controller")
-    (tmp_path / "controller.json").write_text("{}")
+    artifacts.write_description(tmp_path, "controller", {})
     with pytest.raises(ArtifactError, match=r"weights\.safetensors: missing"):
         artifacts.load(tmp_path, "controller")
 

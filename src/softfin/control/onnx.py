@@ -5,28 +5,29 @@ onnxruntime plays an episode from it and the two are compared. Needs the extra `
 """
 
 import importlib
-import importlib.metadata
-import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from softfin.control.controller import LoadedController, Measured
 from softfin.core.action_clock import ACTION_RATE_HZ, ACTION_TICKS
-from softfin.core.errors import ConfigurationError, RunError
 from softfin.core.operations import Array, Number, Operations
 from softfin.core.quantities import command_of
-from softfin.storage.artifact import check_file, write_file
-
-OPSET, IR_VERSION = 17, 8
-"""Versions of ONNX and of its files: what onnxruntime 1.12 (2022) and everything after it runs."""
+from softfin.storage.artifact import check_file
+from softfin.storage.onnx_file import (
+    FORCE_FRAME,
+    NEXT,
+    OPSET,
+    Exported,
+    encode_model,
+    import_extra,
+    keep_model,
+    open_session,
+)
 
 COMMANDS = ("command_angle", "command_velocity")
-
-NEXT = "next_"
-"""Prefix of the outputs that are the state tensors of the next action."""
 
 NEEDED = ("ndonnx", "onnx", "onnxruntime", "onnx.version_converter", "spox.opset.ai.onnx.v17")
 """Modules of the extra; ndonnx builds graphs with spox."""
@@ -36,16 +37,6 @@ TOLERANCE = 1e-4
 
 EPISODE = 240
 """Actions that are compared."""
-
-
-class Exported(NamedTuple):
-    """Facts of an exported file."""
-
-    bytes: int
-    worst: float
-    """Greatest difference from NumPy's commands over the episode [rad, rad/s]."""
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
 
 
 class OnnxOperations(Operations):
@@ -104,20 +95,11 @@ def export_onnx(controller: LoadedController, file: Path, overwrite: bool = Fals
         RunError: the exported step gives other commands than NumPy; nothing is written.
     """
     check_file(file, overwrite, "--onnx")
-    try:
-        ndonnx, onnx, runtime, *_ = (importlib.import_module(name) for name in NEEDED)
-    except ImportError as error:
-        raise ConfigurationError(f"ONNX needs {error.name}, an extra: pip install softfin[onnx]") from None
-    model = _with_metadata(onnx, _traced(ndonnx, onnx, controller), controller)
-    onnx.checker.check_model(model, full_check=True)
-    data: bytes = model.SerializeToString()
-    worst = _difference(runtime, data, controller)
-    if not worst <= TOLERANCE:
-        raise RunError(f"{file}: onnxruntime's commands differ by {worst:.2g} from softfin's (bar {TOLERANCE:g}); "
-                       "not written; export with another version of onnxruntime")  # fmt: skip
-    write_file(file, data)
-    names = tuple(tuple(each.name for each in part) for part in (model.graph.input, model.graph.output))
-    return Exported(len(data), worst, *names)
+    ndonnx, onnx, *_ = import_extra(*NEEDED)
+    initial = {name: np.asarray(value) for name, value in controller.step.init()._asdict().items()}
+    model = _traced(ndonnx, onnx, controller)
+    data = encode_model(model, f"{controller.kind} controller", initial, _metadata(controller))
+    return keep_model(file, data, "commands", _difference(data, controller), TOLERANCE)
 
 
 def _traced(ndonnx: Any, onnx: Any, controller: LoadedController) -> Any:
@@ -147,16 +129,10 @@ def _traced(ndonnx: Any, onnx: Any, controller: LoadedController) -> Any:
     return model
 
 
-def _with_metadata(onnx: Any, model: Any, controller: LoadedController) -> Any:
-    """Add what a user must know as metadata: texts, and JSON where they are more than a word."""
-    model.ir_version = IR_VERSION
-    version = importlib.metadata.version("softfin")
-    model.producer_name, model.producer_version = "softfin", version
-    model.graph.name = f"{controller.kind} controller"
-    state = {name: np.asarray(value) for name, value in controller.step.init()._asdict().items()}
+def _metadata(controller: LoadedController) -> dict[str, Any]:
+    """Facts that a user of the file must know."""
     artifact = controller.artifact
-    metadata = {
-        "softfin": version,
+    return {
         "controller": artifact.name,
         "kind": controller.kind,
         "action_rate_hz": ACTION_RATE_HZ,
@@ -166,33 +142,24 @@ def _with_metadata(onnx: Any, model: Any, controller: LoadedController) -> Any:
         "reachable": artifact.description.get("reachable"),
         "training_range": artifact.description.get("training_range"),
         "fin": artifact.fin,
-        "force_frame": "force of the fin on its mount: +x is the thrust that pushes the robot forward; at angle theta "
-        "the fin points along (-cos theta, +sin theta) from its shaft",
+        "force_frame": FORCE_FRAME,
         "inputs": {
             "angle": "angle of the shaft, the last reading [rad]; 0 before the first",
             "force": "(x, y), mean of the readings since the last action [N]; 0 before the first; not used yet",
             "reference": "(x, y), mean force to hold [N]",
         },
         "outputs": {"command_angle": "[rad]", "command_velocity": "profile velocity on the way there [rad/s]"},
-        "state": {name: f"{NEXT}{name}" for name in state},
         "weights_sha256": artifact.weights_sha256,
-    }  # fmt: skip
-    metadata |= {f"initial_{name}": value.tolist() for name, value in state.items()}
-    onnx.helper.set_model_props(
-        model, {name: value if isinstance(value, str) else json.dumps(value) for name, value in metadata.items()}
-    )
-    return model
+    }
 
 
-def _difference(runtime: Any, data: bytes, controller: LoadedController) -> float:
+def _difference(data: bytes, controller: LoadedController) -> float:
     """Compare the commands over an episode of steps and drifts all over the cells and a little beyond.
 
     Both carry their own state on, so errors that add up show. Returns the greatest difference.
     """
     numbers = np.random.default_rng(0)
-    options = runtime.SessionOptions()
-    options.intra_op_num_threads = 1
-    session = runtime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+    session = open_session(data)
     native = controller.step.init()
     state = {name: np.asarray(value) for name, value in native._asdict().items()}
     low, high = np.min([c.low for c in controller.cells], axis=0), np.max([c.high for c in controller.cells], axis=0)

@@ -22,7 +22,6 @@ from softfin.gaits.reachable import Cell, Reachable
 from softfin.storage import artifact as artifacts
 
 KIND = "controller"
-FORMAT = 2
 AGAIN = "copy the folder again, or train it again"
 """Remedy where a folder is damaged."""
 
@@ -45,10 +44,10 @@ def build_controller(
     description: Mapping[str, Any], arrays: Mapping[str, np.ndarray], source: str, name: str = KIND, digest: str = ""
 ) -> LoadedController:
     """Build a controller from its description and arrays; errors name the `source`."""
-    for key, value, remedy in (("format", FORMAT, "update it, or train it again"),
-                               ("action_rate_hz", ACTION_RATE_HZ, "train it again")):  # fmt: skip
-        if (found := description.get(key, "missing")) != value:
-            raise ArtifactError(f"{source}: {key} is {found!r}; this softfin reads {value}; {remedy}")
+    if (rate := description.get("action_rate_hz", "missing")) != ACTION_RATE_HZ:
+        raise ArtifactError(
+            f"{source}: action_rate_hz is {rate!r}; this softfin reads {ACTION_RATE_HZ}; train it again"
+        )
     kind = str(description.get("controller"))
     if kind not in STEPS:
         raise ArtifactError(f"{source}: controller is {kind[:80]!r}; it must be one of {', '.join(STEPS)}; {AGAIN}")
@@ -82,8 +81,6 @@ def write_controller(
 ) -> None:
     """Write a controller, whole or not at all: `keys` and `arrays` of its kind; `extra_files` adds to the folder."""
     description = {
-        "kind": KIND,
-        "format": FORMAT,
         "controller": kind,
         "action_rate_hz": ACTION_RATE_HZ,
         "limits": limits.to_dict(),

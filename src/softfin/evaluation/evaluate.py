@@ -29,9 +29,6 @@ from softfin.storage import artifact as artifacts
 from softfin.storage.figures import save_figure
 from softfin.task.signals import Recorded
 
-FORMAT = 2
-"""Format of ``evaluation.json``; 1 had the keys ``held_n``, ``beyond_data`` and ``spread``."""
-
 
 class ExperimentsConfig(Configuration):
     """Experiments at constant references."""
@@ -94,7 +91,7 @@ class Evaluation:
         """Conditions, scores by reference and their mean; the first part of what `write_evaluation` writes."""
         uncertain = None if self.uncertainty is None else self.uncertainty.warning()
         return {
-            "format": FORMAT,
+            **artifacts.head("evaluation"),
             "conditions": {
                 "duration_s": self.config.seconds,
                 "seeds": self.repetitions,
@@ -200,7 +197,7 @@ def write_evaluation(
     summary["provenance"] = artifacts.provenance(seed=config.seed)
 
     def write(folder: Path) -> None:
-        (folder / "evaluation.json").write_text(artifacts.dump_json(summary))
+        artifacts.write_description(folder, "evaluation", summary)
         save_figure(experiments_figure(evaluation.recording), folder, "experiments")
         if evaluation.moving:
             save_figure(moving_figure(evaluation.moving), folder, "moving")

@@ -22,7 +22,6 @@ from softfin.gaits.simulate import Report, SurveyConfig, missing_gradient, surve
 from softfin.storage import artifact as artifacts
 
 KIND = "map"
-FORMAT = 1
 
 PARTS = 24
 """Places along the ray to each corner at which the error is interpolated."""
@@ -132,7 +131,6 @@ def save_map(
     from softfin.storage.figures import save_figure
 
     description = {
-        "kind": KIND, "format": FORMAT,
         "limits": limits.to_dict(),
         **force_map.to_dict(),
         "star_shape": check_star(force_map, config.tolerance_n)[0],
@@ -148,8 +146,6 @@ def load_map(path: Path) -> LoadedMap:
     """Load the map in a folder; raises ArtifactError where there is none, or it is damaged."""
     description, weights = artifacts.load(path, KIND)
     source = str(path / f"{KIND}.json")
-    if description.get("format") != FORMAT:
-        raise ArtifactError(f"{source}: format {description.get('format')}; this softfin reads {FORMAT}; update it")
     try:
         return LoadedMap(
             ForceMap.from_dict(description, weights),

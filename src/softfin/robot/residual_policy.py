@@ -18,7 +18,7 @@ from softfin.robot.dynamics import SixVector
 from softfin.robot.paths import PathPoint, twist_of
 from softfin.storage import artifact as artifacts
 
-KIND, FORMAT = "robot-policy", 1
+KIND = "robot-policy"
 
 TRAINED_FOR = ("body", "fins", "allocation", "control")
 """Parts of a robot's file that a policy is trained for."""
@@ -84,7 +84,7 @@ class ResidualPolicy(NamedTuple):
 
     def save(self, path: Path, robot: RobotConfig, training: Mapping[str, Any], overwrite: bool = False) -> None:
         """Write a folder with the weights, the robot that it is for, and how it was trained."""
-        description = {"kind": KIND, "format": FORMAT, "robot": robot.model_dump(mode="json"), **training}
+        description = {"robot": robot.model_dump(mode="json"), **training}
         weights = {**self.network._asdict(), "bound": self.bound}
         artifacts.save(path, KIND, description, weights, overwrite=overwrite)
 
@@ -92,8 +92,6 @@ class ResidualPolicy(NamedTuple):
     def load(cls, path: Path, robot: RobotConfig) -> "ResidualPolicy":
         """Load the policy of a robot; raises ArtifactError where the folder holds another thing, or another robot's."""
         description, weights = artifacts.load(path, KIND)
-        if description.get("format") != FORMAT:
-            raise ArtifactError(f"{path}: format {description.get('format')}; this softfin reads {FORMAT}; update it")
         own = robot.model_dump(mode="json")
         theirs = description.get("robot", {})
         other = [name for name in own if name in TRAINED_FOR and own[name] != theirs.get(name)]

@@ -129,7 +129,7 @@ def train(
     def save_all(folder: Path) -> None:
         for seed in seeds:
             save(folder / f"seed-{seed}", seed)
-        (folder / "controllers.json").write_text(artifacts.dump_json({"seeds": list(seeds)}))
+        artifacts.write_description(folder, "controllers", {"seeds": list(seeds)})
         keep_log(folder)
 
     if len(seeds) == 1:

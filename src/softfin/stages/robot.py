@@ -43,10 +43,10 @@ def evaluate(
     body = load_robot(robot)
     added = None if policy is None else ResidualPolicy.load(policy, body)
     found = evaluate_robot(body, tanks_of(body), config, lambda done, note: progress("robot", done, note), policy=added)
-    result = {**found.figures, "configuration": config.model_dump(mode="json")}
+    result = {**artifacts.head("robot"), **found.figures, "configuration": config.model_dump(mode="json")}
 
     def write(folder: Path) -> None:
-        artifacts.write_file(folder / "robot.json", artifacts.dump_json(result))
+        artifacts.write_description(folder, "robot", result)
         for task, record in found.records.items():
             write_page(folder / f"{task}.html", body, record, _title(body, task, config.dead))
         draw_trials(folder, found.records)

@@ -106,6 +106,7 @@ def compare(
     floor = None if noise_floor is None else (name_of(noise_floor), find_plant(noise_floor))
     comparison = _compare(found, list(data.load(data.test)), config, floor, progress)
     summary = {
+        **artifacts.head("comparison"),
         **comparison.summary,
         "dataset": str(dataset),
         "test_logs": len(data.test),

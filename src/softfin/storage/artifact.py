@@ -21,25 +21,22 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from softfin.core.errors import ArtifactError, RunError
+from softfin.storage.formats import FOLDERS, check_format
 
 WEIGHTS = "weights.safetensors"
 
-KINDS = (
-    "dataset", "surrogate", "controller", "controllers", "evaluation", "reproduction", "calibration", "comparison",
-    "inspection", "map", "baselines",
-)  # fmt: skip
-"""Kinds of folders, each recognised by its ``KIND.json``."""
 
-
-def check_vacant(path: Path, overwrite: bool = False) -> None:
+def check_vacant(path: Path, overwrite: bool = False, option: str = "--out") -> None:
     """Raise ArtifactError unless a folder can be written at `path`: vacant, or a softfin folder and `overwrite`."""
-    check_writable(path)
+    check_writable(path, option)
     if not path.exists() or (path.is_dir() and not any(path.iterdir())):
         return
     if not overwrite:
-        raise ArtifactError(f"{path}: exists already; give another --out, or --overwrite to replace it")
-    if not any(is_kind(path, kind) for kind in KINDS):
-        raise ArtifactError(f"{path}: exists and was not written by softfin, so it is not replaced; give another --out")
+        raise ArtifactError(f"{path}: exists already; give another {option}, or --overwrite to replace it")
+    if not any(is_kind(path, kind) for kind in FOLDERS):
+        raise ArtifactError(
+            f"{path}: exists and was not written by softfin, so it is not replaced; give another {option}"
+        )
 
 
 def check_file(path: Path, overwrite: bool, option: str = "--out") -> None:
@@ -148,11 +145,26 @@ def save(
     def write(folder: Path) -> None:
         # Bytes through Path: safetensors' own writer hides a full disk, and makes files that others cannot read.
         (folder / WEIGHTS).write_bytes(encode(weights))
-        (folder / f"{kind}.json").write_text(dump_json(description))
+        write_description(folder, kind, description)
         if extra_files is not None:
             extra_files(folder)
 
     write_folder(path, write, overwrite)
+
+
+def head(kind: str) -> dict[str, Any]:
+    """Return the entries that begin a description: its kind and its format number."""
+    return {"kind": kind, "format": FOLDERS[kind].number}
+
+
+def write_description(folder: Path, kind: str, description: Mapping[str, Any]) -> None:
+    """Write ``KIND.json`` into a folder that is being written."""
+    (folder / f"{kind}.json").write_text(encode_description(kind, description))
+
+
+def encode_description(kind: str, description: Mapping[str, Any]) -> str:
+    """JSON of a description, which its kind and format number begin."""
+    return dump_json(head(kind) | dict(description))
 
 
 def encode(weights: Mapping[str, Any], metadata: dict[str, str] | None = None) -> bytes:
@@ -182,8 +194,11 @@ def load(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def load_description(path: Path, kind: str) -> dict[str, Any]:
-    """The JSON of a folder of one kind: dataset, surrogate, controller."""
-    return read_json(find_description(path, kind))
+    """The JSON of a folder of one kind; raises ArtifactError for another thing, and for a format that is not read."""
+    file = find_description(path, kind)
+    description = read_json(file)
+    check_format(kind, description.get("format", 1), str(file))
+    return description
 
 
 def find_description(path: Path, kind: str) -> Path:

@@ -68,7 +68,7 @@ def write_dataset(
                 (folder / name).write_bytes(encode_log(log, str(path / name)))
         hashes = _hash_files(folder)
         description = {"rate_hz": RATE_HZ, **metadata, "data_hash": _hash_of(hashes), "files": hashes}
-        (folder / "dataset.json").write_text(artifacts.dump_json(description))
+        artifacts.write_description(folder, "dataset", description)
 
     artifacts.write_folder(path, write, overwrite)
     return Dataset.open(path)

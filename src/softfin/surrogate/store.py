@@ -11,7 +11,6 @@ from softfin.surrogate.paper.surrogate import Surrogate
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 
 KIND = "surrogate"
-FORMAT = 1
 
 AnySurrogate: TypeAlias = Surrogate | StreamingSurrogate
 
@@ -30,8 +29,6 @@ def save_surrogate(
     """Write the folder, whole or not at all; `extra_files` adds some, `metadata` are further entries of the JSON."""
     entries, weights = surrogate.to_files()
     description = {
-        "kind": KIND,
-        "format": FORMAT,
         "model": surrogate.model,
         "rate_hz": RATE_HZ,
         "limits": surrogate.limits.to_dict(),
@@ -47,8 +44,6 @@ def load_surrogate(path: Path) -> AnySurrogate:
     """Load the surrogate in a folder; raises ArtifactError where it is damaged or of another rate or channels."""
     description, weights = artifacts.load(path, KIND)
     source = str(path / f"{KIND}.json")
-    if description.get("format", FORMAT) != FORMAT:
-        raise ArtifactError(f"{source}: format {description['format']}; this softfin reads {FORMAT}; update it")
     if description.get("rate_hz") != RATE_HZ:
         raise ArtifactError(f"{source}: made for {description.get('rate_hz')} Hz; softfin runs at {RATE_HZ} Hz")
     model = description.get("model", "paper")

@@ -24,11 +24,11 @@ def write_inspection(
     inspection: Inspection, logs: Sequence[NamedLog], out: Path, metadata: dict[str, Any], overwrite: bool = False
 ) -> dict[str, Any]:
     """Write the folder, whole or not at all; returns the content of its JSON."""
-    summary = {**inspection.to_dict(), **metadata}
+    summary = {**artifacts.head("inspection"), **inspection.to_dict(), **metadata}
     figure = inspection_figure(inspection, logs)
 
     def write(folder: Path) -> None:
-        (folder / "inspection.json").write_text(artifacts.dump_json(summary))
+        artifacts.write_description(folder, "inspection", summary)
         save_figure(figure, folder, "inspection")
 
     artifacts.write_folder(out, write, overwrite)

@@ -153,7 +153,7 @@ def write_baselines(result: Mapping[str, Any], out: Path, overwrite: bool = Fals
     """Write ``baselines.json`` as a folder."""
 
     def write(folder: Path) -> None:
-        (folder / f"{KIND}.json").write_text(artifacts.dump_json(result))
+        artifacts.write_description(folder, KIND, result)
 
     artifacts.write_folder(out, write, overwrite)
 

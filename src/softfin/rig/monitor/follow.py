@@ -13,10 +13,11 @@ from pathlib import Path
 
 from mcap.records import Channel, Footer, Message, Schema
 
-from softfin.core.errors import LogError
+from softfin.core.errors import ArtifactError, LogError
 from softfin.core.printable import printable
 from softfin.rig.monitor.summary import MOST_CHARACTERS, ROLES, Summary, Trace, summarize
 from softfin.storage.bag.recovery import MAGIC, RawRecord, decode, read_records
+from softfin.storage.formats import check_file_format
 from softfin.storage.paths import check_monitored
 
 READ_BYTES = 4 * 2**20
@@ -81,7 +82,7 @@ class Follower:
                 self._read(file)
         except OSError as error:
             self._problem = f"{self._shown()}: cannot be read ({error.strerror or error}); looking again"
-        except LogError as error:
+        except (LogError, ArtifactError) as error:
             self._broken, self._problem = True, f"{self._shown()}: {error}"
 
     def summary(self) -> Summary:
@@ -166,6 +167,7 @@ class Follower:
             elif isinstance(record, Schema):
                 self._types[record.id] = record.name
             elif isinstance(record, Channel):
+                check_file_format("recording", record.metadata, "recording", ArtifactError)
                 if record.topic in roles:
                     type_name = self._types.get(record.schema_id, "") if record.message_encoding == "cdr" else ""
                     self._channels[record.id] = (self.traces[roles[record.topic]], type_name)

@@ -16,6 +16,8 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
+from softfin.storage.formats import FILES, IN_FILE
+
 COMMAND, JOINT, WRENCH = "/fin/command", "/fin/joint_states", "/fin/wrench"
 REFERENCE, CURRENT, EVENTS = "/fin/reference", "/fin/current", "/fin/events"
 
@@ -128,7 +130,7 @@ class BagWriter:
             for kind in dict.fromkeys(TYPES.values())
         }
         # MCAP's profile for ROS 2 requires the entry; empty is ROS 2's default quality of service.
-        quality = {"offered_qos_profiles": ""}
+        quality = {"offered_qos_profiles": "", IN_FILE: str(FILES["recording"].number)}
         self._channels = {
             topic: self._writer.register_channel(topic, "cdr", schemas[kind], quality) for topic, kind in TYPES.items()
         }

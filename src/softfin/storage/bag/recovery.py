@@ -24,6 +24,7 @@ from mcap.stream_reader import breakup_chunk
 from softfin.core.errors import LogError, one_line
 from softfin.storage import artifact as artifacts
 from softfin.storage.bag.messages import start_writer
+from softfin.storage.formats import check_file_format
 
 MAGIC = b"\x89MCAP0\r\n"
 """First and last bytes of a file."""
@@ -103,13 +104,15 @@ def scan(path: Path) -> Iterator[Record | Damage]:
 
 
 def check_bag(path: Path) -> None:
-    """Raise LogError unless the file is whole."""
-    damage = next((item for item in scan(path) if isinstance(item, Damage)), None)
-    if damage is not None:
-        raise LogError(
-            f"{path}: truncated, or not a ROS 2 bag (at byte {damage.start:,}: {damage.reason}); "
-            f"what it holds is saved by: softfin bag recover {path}"
-        )
+    """Raise LogError unless the file is whole, and not of a newer softfin."""
+    for item in scan(path):
+        if isinstance(item, Channel):
+            check_file_format("recording", item.metadata, str(path))
+        elif isinstance(item, Damage):
+            raise LogError(
+                f"{path}: truncated, or not a ROS 2 bag (at byte {item.start:,}: {item.reason}); "
+                f"what it holds is saved by: softfin bag recover {path}"
+            )
 
 
 def _scan(file: io.BufferedIOBase, size: int) -> Iterator[Record | Damage]:

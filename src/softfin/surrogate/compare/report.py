@@ -30,7 +30,7 @@ STYLES = ((ORANGE, "--", "o"), (BLUE, "-", "s"), (GREEN, "-.", "^"), (BLACK, ":"
 
 def write_comparison(folder: Path, comparison: Comparison, summary: Mapping[str, Any]) -> None:
     """Fill the folder with the summary and the figure."""
-    (folder / "comparison.json").write_text(artifacts.dump_json(summary))
+    artifacts.write_description(folder, "comparison", summary)
     save_figure(comparison_figure(comparison), folder, "comparison")
 
 

@@ -57,6 +57,7 @@ class Calibration:
         modelled = self.read(self.test.command)
         unseen = scores(modelled, self.test)
         summary = {
+            **artifacts.head("calibration"),
             "scores": {"train": scores(self.read(self.train.command), self.train), "test": unseen},
             **self.determination,
             "recording": self.recording.model_dump(),
@@ -64,7 +65,7 @@ class Calibration:
         }
 
         def write(folder: Path) -> None:
-            (folder / "calibration.json").write_text(artifacts.dump_json(summary))
+            artifacts.write_description(folder, "calibration", summary)
             for name, config, head in (
                 ("tank", self.tank, "The tank that was found."),
                 ("recording", self.recording, "How the logs differ from what that tank reads."),

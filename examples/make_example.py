@@ -1,0 +1,153 @@
+"""Makes the example that comes with softfin, src/softfin/example: trains it, scores it in the tank, records a minute.
+
+    python examples/make_example.py                        # some minutes on two cores
+    python examples/make_example.py --work runs/example    # what is there is used; what is missing is made
+
+`softfin example DIR` writes it elsewhere. Its README.md takes its figures from its example.json.
+"""
+
+import argparse
+import hashlib
+import json
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from softfin.stages.example import EXAMPLE, KIND
+from softfin.storage import artifact as artifacts
+from softfin.storage.log_file import read_log
+
+PARTS = {
+    "surrogate": "run/surrogate", "map": "run/map", "gaits": "run/gaits", "single": "run/single/seed-0", "grid": "grid",
+}  # fmt: skip
+"""Folders of the example, and where the commands write them."""
+
+CONTROLLERS = ("gaits", "single", "grid")
+RECORDING = "recordings/minute.csv"
+
+MAKING = {
+    "run": "softfin reproduce --preset demo --plant tank --out run",
+    "grid": "softfin train run/surrogate --controller grid --algorithm gradient --map run/map --out grid",
+    "minute": "softfin collect --plant tank --logs 1 --test-logs 0 --rows 6000 --seed 60 --out minute",
+}
+SCORING = {
+    f"{name}{trim}": f"softfin evaluate {PARTS[name]} --plant tank --seeds 5 {trim and '--trim '}--out {name}{trim}"
+    for name in CONTROLLERS
+    for trim in ("", "-trim")
+}
+"""Commands by the folders that they write."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--work", type=Path, default=Path("runs/example"))
+    work = parser.parse_args().work
+    work.mkdir(parents=True, exist_ok=True)
+    scoring = {f"scores-{name}": command.replace("--out ", "--out scores-") for name, command in SCORING.items()}
+    for folder, command in (MAKING | scoring).items():
+        if not (work / folder).exists():
+            print(f"+ {command}", flush=True)
+            subprocess.run([sys.executable, "-m", "softfin.cli", *shlex.split(command)[1:]], cwd=work, check=True)
+    # Before the example changes, which would count as a change of the commit.
+    origin = artifacts.provenance()
+    shutil.rmtree(EXAMPLE, ignore_errors=True)
+    for name, source in PARTS.items():
+        for file in (f"{'controller' if name in CONTROLLERS else name}.json", artifacts.WEIGHTS):
+            copy(work / source / file, EXAMPLE / name / file)
+    (EXAMPLE / RECORDING).parent.mkdir()
+    (EXAMPLE / RECORDING).write_text(plain_csv(work / "minute/train/0000.parquet"))
+    files = sorted(file for file in EXAMPLE.rglob("*") if file.is_file())
+    description = {
+        "commands": [*MAKING.values(), *scoring.values()],
+        "errors": {name: errors(work / f"scores-{name}") for name in SCORING},
+        "files": {file.relative_to(EXAMPLE).as_posix(): digest(file) for file in files},
+        "provenance": origin,
+    }
+    (EXAMPLE / f"{KIND}.json").write_text(artifacts.encode_description(KIND, description))
+    (EXAMPLE / "README.md").write_text(readme(description))
+
+
+def copy(source: Path, place: Path) -> None:
+    place.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(source, place)
+
+
+def digest(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def plain_csv(file: Path) -> str:
+    """A log with the columns and units that a laboratory's own program would write."""
+    log = read_log(file)
+    angles = np.rad2deg([log.command.angle, log.command.velocity, log.reading.angle]).T
+    rows = zip(log.reading.time, angles, log.reading.force, strict=True)
+    lines = ["t [ms],cmd angle [deg],cmd velocity [deg/s],theta [deg],Fx [N],Fy [N]"]
+    for time_s, (target, velocity, angle), (x, y) in rows:
+        lines.append(f"{1000 * time_s:.0f},{target:.3f},{velocity:.2f},{angle:.3f},{x:.2f},{y:.2f}")
+    return "\n".join(lines) + "\n"
+
+
+def errors(folder: Path) -> dict[str, Any]:
+    """Errors of one evaluation: mean over the references and the seeds, and half of its 95% interval; x, y."""
+    evaluation = json.loads((folder / "evaluation.json").read_text())
+    axes = [evaluation["mean"][axis] for axis in ("x", "y")]
+    return {
+        "error_n": [axis["error_n"] for axis in axes],
+        "half_interval_n": [(high - low) / 2 for low, high in (axis["error_interval_n"] for axis in axes)],
+        **{name: evaluation["conditions"][name] for name in ("seeds", "duration_s")},
+        "references_n": [row["reference_n"] for row in evaluation["references"]],
+    }
+
+
+def readme(description: dict[str, Any]) -> str:
+    """The README of the example; every figure is from its description."""
+    stated = {
+        name: " / ".join(f"{mean:.3f} ± {half:.3f}" for mean, half in zip(*list(row.values())[:2], strict=True))
+        for name, row in description["errors"].items()
+    }
+    table = "\n".join(f"| `{name}` | {stated[name]} | {stated[f'{name}-trim']} |" for name in CONTROLLERS)
+    row, origin = description["errors"]["single"], description["provenance"]
+    references = ", ".join("({:g}, {:g})".format(*reference) for reference in row["references_n"])
+    commands = "\n".join(f"    {command}" for command in description["commands"])
+    return f"""# An example of the virtual tank
+
+Trained already, small, and of softfin's virtual tank, not of a real fin.
+
+| folder | |
+| --- | --- |
+| `surrogate` | streaming ensemble of three, fitted to ten minutes of the tank |
+| `map`, `gaits` | mean forces that the fin can make in it; gaits that make them, as a controller |
+| `single` | one policy for all references, trained by gradients through the surrogate |
+| `grid` | a policy for each of the paper's six cells, trained in the same way |
+| `{RECORDING}` | one minute of random motions with the columns of a laboratory's own program: ms, degrees, N |
+| `example.json` | commands, errors, SHA-256 of each file, versions |
+
+Try them:
+
+    softfin evaluate single --plant tank --reference=2,-1 --seeds 1 --out evaluation
+    softfin view --controller single --plant tank --reference=2,-1 --out fin.html
+    softfin rig emulate && softfin rig zero --arm && softfin run single --reference=2,-1 --seconds 10 --arm
+    softfin import-logs recordings --out dataset
+
+Error of the mean force in the tank, x / y in N: mean of |moving average over 200 samples - reference| over
+{row["duration_s"]} s from rest, at the references {references}; behind ± half of the 95% interval over {row["seeds"]}
+seeds of the tank's noise (one training seed).
+
+| | error | with the outer loop (`--trim`) |
+| --- | --- | --- |
+{table}
+
+Made by `examples/make_example.py` of softfin's repository with these commands (softfin {origin["softfin"]}, commit
+{origin["git_commit"]}, {origin["created"][:10]}):
+
+{commands}
+"""
+
+
+if __name__ == "__main__":
+    main()

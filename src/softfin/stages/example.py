@@ -1,0 +1,30 @@
+"""The example that comes with softfin: a surrogate and controllers of the virtual tank, already trained; no JAX.
+
+``examples/make_example.py`` writes its folder from softfin's own commands; ``example.json`` lists these commands, the
+SHA-256 of each file and the errors of the controllers in the tank.
+"""
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+from softfin.storage import artifact as artifacts
+
+EXAMPLE = Path(__file__).parents[1] / "example"
+"""Folder of the example within the package."""
+
+KIND = "example"
+
+
+def write_example(out: Path, *, overwrite: bool = False) -> dict[str, Any]:
+    """Copy the example to a folder, whole or not at all; returns its description, ``example.json``."""
+
+    def copy(folder: Path) -> None:
+        # Contents alone: the package's files may be ones that the user cannot change.
+        for file in sorted(file for file in EXAMPLE.rglob("*") if file.is_file()):
+            place = folder / file.relative_to(EXAMPLE)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(file, place)
+
+    artifacts.write_folder(out, copy, overwrite)
+    return artifacts.load_description(out, KIND)

@@ -1,0 +1,116 @@
+"""A surrogate's step of 10 ms as ONNX: command and state in, readings and next state out, for Simulink or Gazebo.
+
+The step is traced from the surrogate's own formulas in JAX (`softfin.surrogate.onnx_graph`); before the file is kept,
+onnxruntime runs free for 30 s of random commands and is compared with JAX. Needs the extra ``softfin[onnx]``.
+"""
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from softfin.core.plant import roll
+from softfin.core.quantities import RATE_HZ, Command
+from softfin.data.excitation import ExcitationConfig
+from softfin.storage import artifact as artifacts
+from softfin.storage.onnx_file import FORCE_FRAME, NEXT, Exported, encode_model, import_extra, keep_model, open_session
+from softfin.surrogate.onnx_graph import OPERATORS, build_graph
+from softfin.surrogate.store import KIND, AnySurrogate, load_surrogate
+from softfin.surrogate.streaming.streaming import StreamingSurrogate
+
+CHECK_S = 30
+"""Duration of the free run in which onnxruntime is compared with JAX [s]."""
+
+TOLERANCE = 1e-3
+"""A file whose angle [rad], velocity [rad/s] or force [N] differs by more from JAX's is not written."""
+
+READINGS = ("angle", "velocity", "force")
+"""Outputs that are compared."""
+
+
+def export_surrogate(folder: Path, file: Path, overwrite: bool = False) -> Exported:
+    """Write the step of the surrogate in a folder to a file, checked by onnx and run by onnxruntime.
+
+    Raises:
+        ConfigurationError: the extra is missing.
+        ArtifactError: there is a file already, or no surrogate.
+        RunError: the exported step gives other readings than JAX; nothing is written.
+    """
+    artifacts.check_file(file, overwrite, "--onnx")
+    import_extra("ndonnx", "onnx", "onnxruntime", OPERATORS)
+    surrogate = load_surrogate(folder)
+    start: Any = surrogate.init(jax.random.key(0))
+    flat, unpack = ravel_pytree(start[1:])
+
+    def step(command_angle: Any, command_velocity: Any, state: Any) -> dict[str, Any]:
+        # The first field counts ticks, for the time alone.
+        now = start._replace(**dict(zip(start._fields[1:], unpack(state), strict=True)))
+        command = Command(command_angle, command_velocity)
+        after: Any
+        if isinstance(surrogate, StreamingSurrogate):
+            after, each = surrogate.advance_members(now, command, 1)
+            reading = jax.tree.map(lambda channel: channel.mean(axis=0), each)
+            more = {"force_members": each.force[:, 0], "distance": surrogate.distance(after)}
+        else:
+            (after, reading), more = surrogate.advance(now, command, 1), {}
+        own = {name: getattr(reading, name)[0] for name in READINGS}
+        return {**own, **more, f"{NEXT}state": ravel_pytree(after[1:])[0]}
+
+    model = build_graph(step, {"command_angle": (), "command_velocity": (), "state": flat.shape})
+    initial = {"state": np.asarray(flat)}
+    data = encode_model(model, f"{surrogate.model} surrogate", initial, _metadata(surrogate, folder))
+    return keep_model(file, data, "readings", _difference(data, surrogate, initial), TOLERANCE)
+
+
+def _metadata(surrogate: AnySurrogate, folder: Path) -> dict[str, Any]:
+    """Facts that a user of the file must know."""
+    description = artifacts.load_description(folder, KIND)
+    outputs = {
+        "angle": "angle of the shaft [rad]",
+        "velocity": "angular velocity of the shaft [rad/s]",
+        "force": "(x, y) [N]",
+    }
+    if isinstance(surrogate, StreamingSurrogate):
+        outputs |= {
+            "force_members": "(members, 2), the force that each member predicts [N]; force is their mean",
+            "distance": "distance of the motion from the training data: 1 at their edge, more beyond it",
+        }
+    return {
+        "surrogate": folder.resolve().name,
+        "model": surrogate.model,
+        "rate_hz": RATE_HZ,
+        "limits": surrogate.limits.to_dict(),
+        "training_range": description.get("training_range"),
+        "interval": description.get("interval"),
+        "fin": description.get("fin"),
+        "force_frame": FORCE_FRAME,
+        "inputs": {
+            "command_angle": "target angle, held for the 10 ms of the step [rad]",
+            "command_velocity": "profile velocity on the way there [rad/s]",
+        },
+        "outputs": outputs,
+        "weights_sha256": hashlib.sha256((folder / artifacts.WEIGHTS).read_bytes()).hexdigest(),
+    }
+
+
+def _difference(data: bytes, surrogate: AnySurrogate, state: dict[str, np.ndarray]) -> float:
+    """Run free under random commands, both with a state of their own; returns the greatest difference."""
+    commands = Command(*ExcitationConfig()(jax.random.key(0), CHECK_S * RATE_HZ, surrogate.limits))
+    start = surrogate.init(jax.random.key(0))
+    reading = jax.jit(lambda start, commands: roll(surrogate, start, commands)[1])(start, commands)
+    session, worst = open_session(data), 0.0
+    names = [each.name for each in session.get_outputs()]
+    angles, velocities = (np.asarray(part, np.float32) for part in commands)
+    for index, (angle, velocity) in enumerate(zip(angles, velocities, strict=True)):
+        now = {"command_angle": np.asarray(angle), "command_velocity": np.asarray(velocity)}
+        values = session.run(None, now | state)
+        found = dict(zip(names, values, strict=True))
+        state = {name: found[f"{NEXT}{name}"] for name in state}
+        for name in READINGS:
+            difference = float(np.abs(found[name] - np.asarray(getattr(reading, name)[index])).max())
+            # Not a number is a difference, too.
+            worst = max(worst, difference) if difference == difference else np.inf
+    return worst
