@@ -11,8 +11,9 @@ RUN := $(UV) run --frozen
 PYTEST := $(RUN) pytest -n auto --dist loadfile --no-loadscope-reorder
 OUT ?= runs/demo
 PRESET ?= demo
+PYTHONS ?= $(PYTHON)
 
-.PHONY: setup demo day test test-long test-ray lint structure bench results figures clean
+.PHONY: setup demo day test test-quick test-long test-ray wheel test-wheel lint structure docs bench results figures clean
 
 setup: .venv/.ready ## make the environment
 
@@ -34,11 +35,20 @@ day: setup ## a whole day at an emulated rig in some minutes: check, zero, colle
 test: setup ## all tests
 	$(PYTEST)
 
+test-quick: setup ## the tests that take a few seconds at most
+	$(PYTEST) -m "not slow"
+
 test-long: setup ## all tests, with more cases of each kind and twenty minutes of faults in real time
 	SOFTFIN_LONG=1 $(PYTEST)
 
 test-ray: setup ## the tests that need Ray, in a network of their own; installs the extra: 76 MB to fetch, 201 MB
 	$(RUN) --extra ray pytest -n auto --dist load -rs tests/learning/test_engine.py
+
+wheel: $(filter .tools/bin/uv,$(UV)) ## wheel and source distribution, in dist/
+	$(UV) build --quiet --out-dir dist
+
+test-wheel: setup wheel ## the wheel in empty environments outside this folder; PYTHONS="python3.11 python3.13"
+	UV="$(UV)" SOFTFIN_WHEEL=dist SOFTFIN_PYTHONS="$(PYTHONS)" $(RUN) pytest -rs tests/test_wheel.py
 
 lint: setup ## style, types, the order of imports, the words
 	$(RUN) ruff check .
@@ -49,6 +59,9 @@ lint: setup ## style, types, the order of imports, the words
 
 structure: setup ## rooms, lines and the counts by which the structure is judged
 	$(RUN) python tools/structure.py
+
+docs: setup ## the site of the documentation, in build/docs; warnings are errors
+	$(RUN) --group docs sphinx-build --fail-on-warning --keep-going --quiet docs build/docs
 
 bench: setup ## speed and memory, as JSON; EXTRAS="--extra sb3" brings the peer, 5 GB
 	$(UV) sync --frozen $(EXTRAS)

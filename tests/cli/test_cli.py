@@ -25,7 +25,7 @@ def test_help_lists_every_command(capsys):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["colect"], "unknown command 'colect'; there are collect, "),
+        (["colect"], "unknown command 'colect'; there are example, collect, "),
         (["collect", "--out", "x", "--logs", "0"], "logs = 0: Input should be greater than or equal to 1"),
         (["collect", "--out", "x", "--set", "excitation.hold_min=1"], "did you mean 'hold_min_s'?"),
         (["train", "tests.plants:AnalyticFin", "--steps", "3", "--out", "x"], "steps = 3: fewer than one rollout"),

@@ -19,6 +19,7 @@ import jax
 from softfin.core.choices import EngineName
 from softfin.core.errors import ConfigurationError, RunError, SoftfinError
 from softfin.core.progress import Progress
+from softfin.installation import how_to_add
 
 STORE_BYTES = 256 * 2**20
 """Memory for objects of a cluster started here: plants and policies are small; Ray would take a third of all memory."""
@@ -194,5 +195,5 @@ def _installed(own: bool) -> Any:
     try:
         import ray
     except ImportError:
-        raise ConfigurationError("--engine ray needs the extra: pip install 'softfin[ray]'") from None
+        raise ConfigurationError(f"--engine ray needs ray, which is not installed: {how_to_add('ray')}") from None
     return ray

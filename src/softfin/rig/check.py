@@ -32,7 +32,7 @@ def check_rig(
     """Yield the results as they come; the loop runs for so long without moving."""
     drive, rig = config.drive, Rig(config, clock)
     yield CheckResult("rig file", "well", f"fin {config.fin!r}, {drive.encoder_lines} lines, gear {drive.gear_ratio:g}")
-    yield _check_disk(folder)
+    yield check_disk(folder)
     all_well = True
     for what, results in (
         ("force sensor", _check_sensor(rig)),
@@ -105,7 +105,8 @@ def _check_loop(rig: Rig, seconds: float) -> Iterator[CheckResult]:
     yield CheckResult("readings", "wrong" if complaints else "note" if lost else "well", text)
 
 
-def _check_disk(folder: Path) -> CheckResult:
+def check_disk(folder: Path) -> CheckResult:
+    """Check that a recording finds room in a folder and can be written there."""
     here = folder if folder.exists() else Path.cwd()
     free = shutil.disk_usage(here).free / 1e6
     try:

@@ -219,5 +219,5 @@ def test_without_cyclonedds_the_extra_is_named(monkeypatch):
     monkeypatch.delitem(sys.modules, "softfin.rig.ros2.dds")
     for name in [name for name in sys.modules if name.startswith("cyclonedds.")]:
         monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(RigError, match=r"install it: pip install softfin\[ros2\]"):
+    with pytest.raises(RigError, match=r"need cyclonedds: .*pip install .*\[ros2\]"):
         open_transport(TransportConfig(transport="dds"))

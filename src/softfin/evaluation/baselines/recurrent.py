@@ -20,6 +20,7 @@ from softfin.core.quantities import Command, Limits, Reading, command_of
 from softfin.evaluation.evaluate import ExperimentsConfig
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.gaits.reachable import Cell
+from softfin.installation import how_to_add
 from softfin.task.task import TaskConfig, observation, remember, rest_actions
 
 
@@ -31,7 +32,7 @@ def train_recurrent(plant: Plant, steps: int, seed: int, task: TaskConfig, refer
     try:
         from sb3_contrib import RecurrentPPO
     except ImportError:
-        raise ConfigurationError("sb3-contrib is not installed; pip install 'softfin[sb3]'") from None
+        raise ConfigurationError(f"sb3-contrib is not installed: {how_to_add('sb3')}") from None
     register()
     environment = gymnasium.make(ID, plant=plant, config=task, references=references)
     return RecurrentPPO("MlpLstmPolicy", environment, seed=seed, device="cpu").learn(steps)

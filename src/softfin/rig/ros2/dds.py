@@ -14,6 +14,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
 from softfin.core.errors import DeviceError, RigError, one_line
+from softfin.installation import how_to_add
 from softfin.rig.ros2.config import TransportConfig
 from softfin.rig.ros2.connection import DEPTH, Publisher, Take
 
@@ -28,7 +29,7 @@ try:
     from cyclonedds.sub import DataReader
     from cyclonedds.topic import Topic
 except ImportError:
-    raise RigError("ROS 2's topics without ROS 2 need cyclonedds; install it: pip install softfin[ros2]") from None
+    raise RigError(f"ROS 2's topics without ROS 2 need cyclonedds: {how_to_add('ros2')}") from None
 
 URI = "CYCLONEDDS_URI"
 

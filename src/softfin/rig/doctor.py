@@ -1,0 +1,178 @@
+"""Examine the computer that softfin runs on: installation, devices, disk, and the rig where a file names one.
+
+Nothing moves, nothing is written but files that are removed at once. The lines are made to be pasted into an issue.
+"""
+
+import os
+import platform
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from softfin.core.errors import SoftfinError, one_line
+from softfin.core.program_cache import JAX_VARIABLE, LARGEST_BYTES, SUFFIX, VARIABLE, cache_folder
+from softfin.installation import EXTRAS, how_to_add, missing_from, origin, requirements_of, version_of
+from softfin.rig.check import CheckResult, check_disk, check_rig
+from softfin.rig.config import load_rig
+from softfin.storage.artifact import check_writable
+
+INTERFACES = Path("/sys/class/net")
+"""Network interfaces of Linux, with the kind and state of each."""
+
+CAN_TYPE = "280"
+"""Kind of a CAN interface (ARPHRD_CAN of Linux)."""
+
+NVIDIA = Path("/proc/driver/nvidia/version")
+"""Present where a driver for NVIDIA's GPUs is loaded."""
+
+SPARE_MEMORY_MB = 1300
+"""Memory that fitting a surrogate to the paper's amount of data takes (docs/surrogates.md)."""
+
+RIG_SECONDS = 1.0
+"""Time for which the 100 Hz loop is tried [s]."""
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "XLA_FLAGS", "JAX_PLATFORMS")
+"""Variables that set how many threads compute, and on what."""
+
+
+def examine(rig: Path | None = None) -> Iterator[CheckResult]:
+    """Yield the results as they come, without the name of the user's home folder."""
+    home = str(Path.home())
+    for result in _examine(rig):
+        yield result._replace(text=result.text.replace(home, "~") if len(home) > 1 else result.text)
+
+
+def _examine(rig: Path | None) -> Iterator[CheckResult]:
+    yield _softfin()
+    yield CheckResult("Python", "well", f"{platform.python_implementation()} {platform.python_version()}, "
+                      f"{sys.executable}")  # fmt: skip
+    yield CheckResult("system", "well", platform.platform())
+    yield _processor()
+    yield from _memory()
+    yield _libraries()
+    yield from map(_extra, EXTRAS)
+    yield _devices()
+    yield _cache()
+    yield check_disk(Path.cwd())
+    found = ", ".join(f"{name}={os.environ[name]}" for name in THREADS if name in os.environ)
+    yield CheckResult("threads", "well", found or "as the libraries choose")
+    yield _can()
+    if rig is not None:
+        yield from _rig(rig)
+
+
+def _softfin() -> CheckResult:
+    source = origin()
+    place = "installed from an index or folder that pip did not note" if source is None else source["url"]
+    in_place = source is not None and source.get("dir_info", {}).get("editable")
+    return CheckResult("softfin", "well", f"{version_of('softfin')}, {place}{', used in place' if in_place else ''}")
+
+
+def _processor() -> CheckResult:
+    model = platform.processor() or platform.machine()
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        model = next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        pass
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
+    is_busy = load > cores
+    advice = "; others use it: times and ticks at 100 Hz will suffer" if is_busy else ""
+    text = f"{model}, {cores} cores, load {load:.1f}{advice}"
+    return CheckResult("processor", "note" if is_busy else "well", text)
+
+
+def _memory() -> Iterator[CheckResult]:
+    try:
+        lines = Path("/proc/meminfo").read_text().splitlines()
+    except OSError:
+        return
+    sizes = {line.partition(":")[0]: int(line.split()[1]) / 1024 for line in lines if line.endswith("kB")}
+    free = sizes["MemAvailable"]
+    is_enough = free >= SPARE_MEMORY_MB
+    advice = "" if is_enough else f"; fitting a surrogate takes up to {SPARE_MEMORY_MB} MB: end other programs"
+    text = f"{sizes['MemTotal']:,.0f} MB, {free:,.0f} MB available{advice}"
+    yield CheckResult("memory", "well" if is_enough else "note", text)
+
+
+def _libraries() -> CheckResult:
+    missing = missing_from(None)
+    if missing:
+        return CheckResult("libraries", "wrong", f"not installed: {', '.join(missing)}; install softfin again")
+    return CheckResult("libraries", "well", _versions(requirements_of(None)))
+
+
+def _extra(extra: str) -> CheckResult:
+    shared = requirements_of("learn") if extra != "learn" else []
+    names = [name for name in requirements_of(extra) if name not in shared]
+    missing = [name for name in names if version_of(name) is None]
+    if not names:
+        return CheckResult(f"[{extra}]", "note", "newer than the installation; install softfin again")
+    if not missing:
+        return CheckResult(f"[{extra}]", "well", _versions(names))
+    present = f"lacks {', '.join(missing)}" if len(missing) < len(names) else "not installed"
+    return CheckResult(f"[{extra}]", "note", f"{present}; where you need it: {how_to_add(extra)}")
+
+
+def _versions(names: list[str]) -> str:
+    return ", ".join(f"{name} {version_of(name)}" for name in names)
+
+
+def _devices() -> CheckResult:
+    if version_of("jax") is None:
+        return CheckResult("JAX", "note", "not installed: this softfin runs controllers and does not train them")
+    try:
+        import jax
+
+        devices = jax.devices()
+    except Exception as error:
+        # A plug-in of another version, a driver without its device: JAX and its plug-ins raise anything.
+        return CheckResult("JAX", "wrong", f"finds no device ({one_line(error)}); JAX_PLATFORMS=cpu uses the processor")
+    kinds = ", ".join(f"{device.platform}:{device.id} {device.device_kind}" for device in devices)
+    kinds += f", jaxlib {version_of('jaxlib')}"
+    if NVIDIA.exists() and devices[0].platform == "cpu" and "JAX_PLATFORMS" not in os.environ:
+        advice = "; the NVIDIA GPU is not used: pip install 'jax[cuda12]' brings what JAX needs for it"
+        return CheckResult("JAX", "note", f"{kinds}{advice}")
+    return CheckResult("JAX", "well", kinds)
+
+
+def _cache() -> CheckResult:
+    if given := os.environ.get(JAX_VARIABLE):
+        return CheckResult("compile cache", "well", f"{given} ({JAX_VARIABLE}), which JAX keeps itself")
+    folder = cache_folder()
+    if folder is None:
+        return CheckResult(
+            "compile cache", "note", f"off: every command compiles anew; {VARIABLE}=FOLDER keeps programs"
+        )
+    sizes = [path.stat().st_size for path in folder.glob(f"*{SUFFIX}")] if folder.is_dir() else []
+    try:
+        check_writable(folder / "program", f"{VARIABLE}=FOLDER")
+    except SoftfinError as error:
+        return CheckResult("compile cache", "wrong", str(error))
+    text = f"{folder}: {len(sizes)} programs, {sum(sizes) / 2**20:,.0f} of at most {LARGEST_BYTES / 2**20:,.0f} MiB"
+    return CheckResult("compile cache", "well", text)
+
+
+def _can() -> CheckResult:
+    if not INTERFACES.is_dir():
+        return CheckResult("CAN", "note", f"interfaces are listed on Linux only, this is {platform.system()}")
+    states = {
+        path.name: int((path / "flags").read_text(), 16) & 1
+        for path in sorted(INTERFACES.iterdir())
+        if (path / "type").is_file() and (path / "type").read_text().strip() == CAN_TYPE
+    }
+    if not states:
+        return CheckResult("CAN", "note", "no SocketCAN interface; a rig needs one, or another adapter of python-can")
+    text = ", ".join(f"{name} {'up' if is_up else 'down'}" for name, is_up in states.items())
+    down = next((name for name, is_up in states.items() if not is_up), None)
+    if down is None:
+        return CheckResult("CAN", "well", text)
+    return CheckResult("CAN", "note", f"{text}; ip link set {down} up type can bitrate 1000000")
+
+
+def _rig(path: Path) -> Iterator[CheckResult]:
+    try:
+        yield from check_rig(load_rig(path), path.absolute().parent, RIG_SECONDS)
+    except SoftfinError as error:
+        yield CheckResult("rig file", "wrong", str(error))

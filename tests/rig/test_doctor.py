@@ -1,0 +1,128 @@
+"""What `softfin doctor` says of this computer, and of one that is arranged for the test."""
+
+import subprocess
+import sys
+import types
+from pathlib import Path
+
+import pytest
+
+from softfin.installation import EXTRAS
+from softfin.rig import doctor
+from softfin.rig.check import CheckResult
+from softfin.rig.doctor import examine
+from tests.rig.rigs import filed, simulated
+
+
+def results(rig: Path | None = None) -> dict[str, CheckResult]:
+    return {result.what: result for result in examine(rig)}
+
+
+@pytest.fixture
+def net(tmp_path, monkeypatch):
+    """Network interfaces as Linux lists them: a loopback, and what a test adds."""
+    monkeypatch.setattr(doctor, "INTERFACES", tmp_path / "net")
+
+    def add(name: str, kind: int, flags: int) -> None:
+        folder = tmp_path / "net" / name
+        folder.mkdir(parents=True)
+        (folder / "type").write_text(f"{kind}\n")
+        (folder / "flags").write_text(f"{flags:#x}\n")
+
+    add("lo", 772, 0x9)
+    return add
+
+
+def test_every_part_has_a_line_and_none_names_the_users_home(monkeypatch):
+    monkeypatch.setattr(doctor.Path, "home", lambda: Path(sys.prefix).parent)
+    found = results()
+    assert list(found) == [
+        "softfin", "Python", "system", "processor", "memory", "libraries", *(f"[{extra}]" for extra in EXTRAS), "JAX",
+        "compile cache", "disk", "threads", "CAN",
+    ]  # fmt: skip
+    for result in found.values():
+        assert "\n" not in result.text
+        assert str(Path(sys.prefix).parent) not in result.text
+    assert found["Python"].text.partition(", ")[2].startswith("~/")
+    assert "cpu:0" in found["JAX"].text
+    assert "numpy " in found["libraries"].text
+
+
+def test_can_interfaces_are_listed_with_what_brings_one_up(net):
+    assert results()["CAN"].text.startswith("no SocketCAN interface")
+    net("can0", 280, 0x40081)
+    assert results()["CAN"] == CheckResult("CAN", "well", "can0 up")
+    net("can1", 280, 0x40080)
+    assert results()["CAN"] == CheckResult(
+        "CAN", "note", "can0 up, can1 down; ip link set can1 up type can bitrate 1000000"
+    )
+
+
+def test_the_cache_of_compiled_programs_is_measured(tmp_path, monkeypatch):
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
+    monkeypatch.setenv("SOFTFIN_CACHE", str(tmp_path / "programs"))
+    assert "programs: 0 programs, 0 of" in results()["compile cache"].text
+    (tmp_path / "programs").mkdir()
+    (tmp_path / "programs" / "a.program").write_bytes(bytes(3 * 2**20))
+    assert "programs: 1 programs, 3 of at most 1,024 MiB" in results()["compile cache"].text
+    monkeypatch.setenv("SOFTFIN_CACHE", "off")
+    assert results()["compile cache"].state == "note"
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("SOFTFIN_CACHE", str(tmp_path / "file" / "programs"))
+    assert results()["compile cache"].state == "wrong"
+
+
+def test_an_extra_that_is_not_there_says_how_it_is_added(monkeypatch):
+    monkeypatch.setattr(doctor, "requirements_of", lambda extra: {"learn": ["numpy", "no-such-thing"]}.get(extra, []))
+    learn = results()["[learn]"]
+    assert learn.state == "note"
+    assert learn.text.startswith("lacks no-such-thing; where you need it: ")
+    assert "[learn]" in learn.text
+
+
+def test_what_jax_raises_is_a_line(monkeypatch):
+    def broken() -> None:
+        raise RuntimeError("no\ndevice")
+
+    monkeypatch.setattr("jax.devices", broken)
+    assert results()["JAX"].state == "wrong"
+    assert "finds no device (no device)" in results()["JAX"].text
+
+
+def test_a_gpu_that_jax_does_not_use_is_a_note(tmp_path, monkeypatch):
+    monkeypatch.delenv("JAX_PLATFORMS", raising=False)
+    monkeypatch.setattr(doctor, "NVIDIA", tmp_path / "version")
+    assert results()["JAX"].state == "well"
+    (tmp_path / "version").touch()
+    monkeypatch.setattr("jax.devices", lambda: [types.SimpleNamespace(platform="cpu", id=0, device_kind="cpu")])
+    assert results()["JAX"].state == "note"
+    assert "the NVIDIA GPU is not used" in results()["JAX"].text
+
+
+def test_a_rig_is_asked_whether_its_devices_answer(tmp_path):
+    with simulated() as behind, filed(behind, tmp_path / "rig.yaml") as file:
+        found = results(file)
+        assert found["force sensor"].state == found["drive"].state == "well"
+        behind.sensor.close()
+        found = results(file)
+        assert found["force sensor"].state == "wrong"
+        assert found["drive"].state == "well"
+
+
+def test_a_rigs_file_that_cannot_be_is_a_line(tmp_path):
+    (tmp_path / "rig.yaml").write_text("fin: 1\n")
+    assert results(tmp_path / "rig.yaml")["rig file"].state == "wrong"
+
+
+def test_without_jax_it_is_a_note():
+    code = (
+        "import sys; sys.modules['jax'] = None\n"
+        "import importlib.metadata as metadata; version = metadata.version\n"
+        "def absent(name):\n"
+        "    if name == 'jax': raise metadata.PackageNotFoundError(name)\n"
+        "    return version(name)\n"
+        "metadata.version = absent\n"
+        "from softfin.cli import main; main(['doctor'])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert "  note  JAX            not installed: this softfin runs controllers" in done.stdout

@@ -1,0 +1,146 @@
+"""The wheel, installed into empty environments outside the tree: the robot's part alone, then with what trains.
+
+``make test-wheel`` builds the wheel and names it, and the Pythons to try it on.
+"""
+
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from tests.documents import ROOT
+
+PYTHONS = os.environ.get("SOFTFIN_PYTHONS", "").split()
+VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not PYTHONS, reason="installs softfin from a registry; make test-wheel runs it"),
+]
+
+OF_TESTS = str(ROOT / ".pytest_cache" / "programs")
+"""Compiled programs of the tests, which are less optimised."""
+
+LARGEST_MB = 125
+"""Files of the robot's part without compiled bytecode, to which pip adds some 30 MB: together at most 150 (issue 18),
+but for Python 3.11, whose NumPy is larger."""
+
+
+def run(words: Sequence[object], folder: Path, code: int = 0) -> subprocess.CompletedProcess[str]:
+    """Run a program outside the tree, as a user would who has nothing of it but the wheel."""
+    mine = {name: value for name, value in os.environ.items()
+            if not name.startswith(("PYTHON", "VIRTUAL_ENV", "JAX_", "XLA_", "UV_PROJECT"))}  # fmt: skip
+    if mine.get("SOFTFIN_CACHE") == OF_TESTS:
+        # As for a user, so that what `make demo` has compiled is not compiled again.
+        del mine["SOFTFIN_CACHE"]
+    done = subprocess.run([str(word) for word in words], cwd=folder, env=mine, capture_output=True, text=True,
+                          timeout=3600, check=False)  # fmt: skip
+    assert done.returncode == code, f"{words}: {done.returncode}\n{done.stdout}\n{done.stderr}"
+    return done
+
+
+@cache
+def uv() -> str:
+    """The uv of the Makefile, which may be a path within the tree."""
+    name = os.environ.get("UV", "uv")
+    return str((ROOT / name).absolute()) if "/" in name else name
+
+
+def wheel() -> Path:
+    return ROOT / os.environ["SOFTFIN_WHEEL"] / f"softfin-{VERSION}-py3-none-any.whl"
+
+
+class Environment:
+    """A virtual environment with softfin, and a folder beside it to work in."""
+
+    def __init__(self, folder: Path, python: str) -> None:
+        self.folder, self.work = folder / "environment", folder / "work"
+        self.work.mkdir(parents=True)
+        run([uv(), "venv", "--quiet", "--python", python, self.folder], self.work)
+
+    def pip_install(self, requirement: object) -> None:
+        run([uv(), "pip", "install", "--quiet", "--python", self.folder / "bin" / "python", requirement], self.work)
+
+    def softfin(self, *words: str, code: int = 0) -> subprocess.CompletedProcess[str]:
+        return run([self.folder / "bin" / "softfin", *words], self.work, code)
+
+
+@pytest.fixture(scope="module", params=PYTHONS)
+def robot(request, tmp_path_factory):
+    """The robot's part alone."""
+    environment = Environment(tmp_path_factory.mktemp("robot"), request.param)
+    environment.pip_install(wheel())
+    return environment
+
+
+@pytest.fixture(scope="module")
+def learner(robot, tmp_path_factory):
+    """An environment to which the extra was added by the command that a message names."""
+    environment = Environment(tmp_path_factory.mktemp("learner"), str(robot.folder / "bin" / "python"))
+    environment.pip_install(wheel())
+    told = environment.softfin("collect", "--plant", "tank", "--out", "dataset", code=2).stderr
+    assert told.count("\n") == 1
+    assert "needs jax, of the extra 'learn', which is not installed: pip install " in told
+    program, install, requirement = shlex.split(told.partition("not installed: ")[2])
+    assert (program, install) == ("pip", "install")
+    environment.pip_install(requirement)
+    return environment
+
+
+def test_the_robots_part_is_small_and_has_nothing_that_trains(robot):
+    files = [path for path in robot.folder.rglob("*") if path.is_file() and "__pycache__" not in path.parts]
+    assert sum(path.lstat().st_size for path in files) / 1e6 < LARGEST_MB
+    names = {re.split(r"[-.]", path.name)[0].lower() for path in robot.folder.glob("lib/python*/site-packages/*")}
+    assert not names & {"jax", "jaxlib", "scipy", "pyarrow", "matplotlib", "torch", "onnxruntime"}
+
+
+@pytest.fixture
+def emulated(robot):
+    """A rig that the checkout emulates in real time, in the folder where the robot's part works."""
+    words = [sys.executable, "-m", "softfin.cli", "rig", "emulate", "--real-time"]
+    with subprocess.Popen(words, cwd=robot.work, stdout=subprocess.PIPE, text=True) as emulator:
+        try:
+            assert "written" in emulator.stdout.readline()
+            yield
+        finally:
+            emulator.terminate()
+
+
+def test_the_robots_part_holds_a_force_on_an_emulated_rig(robot, emulated):
+    robot.softfin("example", "example")
+    robot.softfin("rig", "zero", "--arm", "--yes")
+    words = ("--reference=2,0", "--seconds", "6", "--bag", "run.mcap", "--trim", "--arm", "--yes", "--json")
+    result = json.loads(robot.softfin("run", "example/single", *words).stdout)
+    assert result["seconds"] == pytest.approx(6, abs=0.2)
+    assert max(result["error_x_n"], result["error_y_n"]) < 0.3
+    watched = json.loads(robot.softfin("monitor", "run.mcap", "--json").stdout)
+    assert (watched["state"], watched["problem"]) == ("ended", None)
+
+
+def test_the_robots_part_says_what_emulating_needs(robot):
+    told = robot.softfin("rig", "emulate", "--rig", "other.yaml", code=2).stderr
+    assert "needs jax, of the extra 'learn'" in told
+
+
+def test_the_doctor_of_the_robots_part_finds_nothing_wrong(robot):
+    rows = {row["what"]: row for row in json.loads(robot.softfin("doctor", "--json").stdout)}
+    assert rows["libraries"]["state"] == "well"
+    assert rows["JAX"]["state"] == rows["[learn]"]["state"] == "note"
+    assert wheel().name in rows["softfin"]["text"]
+
+
+def test_with_what_trains_the_tiny_reproduction_runs(learner):
+    learner.softfin("reproduce", "--preset", "tiny", "--plant", "tank", "--out", "run")
+    report = (learner.work / "run" / "report.html").read_text()
+    assert "<svg" in report
+    assert json.loads((learner.work / "run" / "results.json").read_text())
+    rows = {row["what"]: row for row in json.loads(learner.softfin("doctor", "--json").stdout)}
+    assert rows["[learn]"]["state"] == rows["JAX"]["state"] == "well"
