@@ -20,6 +20,8 @@ from .stages.controllers import train as train
 from .stages.evaluation import baselines as baselines
 from .stages.evaluation import evaluate as evaluate
 from .stages.evaluation import view as view
+from .stages.example import write_example as write_example
+from .stages.explore import explore as explore
 from .stages.logs import import_logs as import_logs
 from .stages.logs import inspect_logs as inspect_logs
 from .stages.reproduce import reproduce as reproduce

@@ -37,7 +37,7 @@ def test_every_reference_and_axis_has_its_scores_and_intervals(evaluation):
         assert row["shaft_travel_rad_s"] > 1
     assert summary["conditions"]["window_samples"] == 200
     assert summary["conditions"]["seeds"] == 3
-    assert summary["format"] == 2
+    assert (summary["kind"], summary["format"]) == ("evaluation", 2)
     assert [row["tracked_reference_n"] for row in summary["references"]] == [[1, -1], [2, 0]]
 
 

@@ -1,3 +1,5 @@
+import re
+
 import numpy as np
 import pytest
 
@@ -6,11 +8,15 @@ from softfin.core.progress import silent
 from softfin.core.quantities import Command, Reading
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, together
 from softfin.evaluation.experiment import ExperimentRecording
+from softfin.evaluation.report import write_report
 from softfin.evaluation.scores import Scores, SurrogateUncertainty
 from softfin.learning.configuration import GRADIENT_SINGLE
 from softfin.stages.reproduce import RESULTS, _Reproduction
 from softfin.stages.reproduce_config import PRESETS, ReproduceConfig
+from softfin.surrogate import save_surrogate
 from softfin.task.references import PAPER_RANGE
+from tests.control.folders import folder_of
+from tests.surrogate.streaming import small
 
 ROWS = np.zeros((1, 1, 3))
 RECORDING = ExperimentRecording(
@@ -88,3 +94,24 @@ def test_a_complete_run_is_kept_until_the_one_that_replaces_it_is_complete(tmp_p
     # The second run is stopped, and a third one begun.
     claim(True)
     assert (kept / RESULTS).read_text() == "of the first run"
+
+
+def test_the_controllers_of_the_first_seed_can_be_tried_in_a_page_where_their_plants_can_move_in_one(tmp_path):
+    config = PRESETS["tiny"].model_copy(update={"grid": None})
+    for kind, place in (("gaits", "gaits"), ("single", "single/seed-3"), ("single", "single/seed-4")):
+        (tmp_path / place).parent.mkdir(exist_ok=True)
+        folder_of(kind, tmp_path / "made").rename(tmp_path / place)
+    save_surrogate(tmp_path / "surrogate", small.surrogate(), None, {"data_hash": "dataset"}, configuration={})
+    run = _Reproduction("tank", tmp_path, config, 3, silent)
+    run.make_page()
+    page = (tmp_path / "explore.html").read_text()
+    assert re.findall(r"<option value=\"\d\">([^<]*)<", page.partition("Speed")[0]) == [
+        "gaits",
+        "single",
+        "tank",
+        "surrogate",
+    ]
+    (stage,) = run.stages
+    assert stage["page"] == "explore.html"
+    write_report(tmp_path / "report.html", {"stages": run.stages})
+    assert '<a href="explore.html">A page in which' in (tmp_path / "report.html").read_text()

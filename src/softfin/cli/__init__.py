@@ -14,6 +14,7 @@ from softfin.core.printable import printable
 from softfin.core.program_cache import describe_cache
 
 COMMANDS = {
+    "example": ("example", "write an example to begin with: a trained surrogate, controllers, a recording"),
     "collect": ("data", "record motions of a fin, random or chosen by a surrogate, and its force as a dataset"),
     "inspect": ("data", "check logs before a surrogate is fitted to them"),
     "import-logs": ("data", "turn CSV, Parquet or ROS 2 bags into a dataset"),
@@ -29,13 +30,15 @@ COMMANDS = {
         "evaluate baselines without learning: best sine, analytic model, random search",
     ),
     "view": ("evaluation", "show a fin in motion, as a film or as a page that plays it"),
+    "explore": ("evaluation", "make a page in which one drags the force and watches the fin hold it"),
     "rig": ("rig", "the real fin: check it, zero it, or emulate its drive and sensor"),
     "run": ("driving", "hold reference forces on the real fin"),
     "bag": ("data", "recover a recording that was cut off; convert recordings to logs and back"),
     "monitor": ("rig", "watch a recording while it is made, in the terminal or as a page"),
     "ros2": ("driving", "run as a ROS 2 node: readings out, references in"),
     "robot": ("robot", "a robot with several fins: what it can do, how it holds its place and follows a path"),
-    "export": ("controllers", "write a controller as ONNX, for hosts without Python"),
+    "export": ("controllers", "write a controller or a surrogate as ONNX, for hosts without Python"),
+    "doctor": ("doctor", "examine this computer and the installation: what is well, what is not, what to do"),
     "reproduce": ("evaluation", "run all stages, with the paper's tables and figures"),
 }
 """For each command its module, and what it does."""
@@ -83,6 +86,7 @@ def _run(name: str, words: list[str]) -> None:
     # Imported here: --version needs none of it.
     from softfin.cli import options
     from softfin.core.errors import SoftfinError, one_line
+    from softfin.installation import extra_of, how_to_add
 
     debug = "--debug" in words
     # XLA's notes on how it compiles would hide the lines of a command.
@@ -113,6 +117,9 @@ def _run(name: str, words: list[str]) -> None:
             raise
         if isinstance(error, SoftfinError):
             _exit(f"softfin {name}: {error}", error.exit_code)
+        if isinstance(error, ModuleNotFoundError) and (extra := extra_of(error)) is not None:
+            missing = f"needs {error.name}, of the extra {extra!r}, which is not installed"
+            _exit(f"softfin {name}: {missing}: {how_to_add(extra)}", 2)
         if isinstance(error, OSError):
             _exit(f"softfin {name}: {error.filename or 'system'}: {error.strerror or error}", STOPPED)
         _exit(f"softfin {name}: {type(error).__name__}: {one_line(error)} "

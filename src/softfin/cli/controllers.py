@@ -198,22 +198,43 @@ def asked_cells(
 
 
 class ExportArguments(Common):
-    """Write one step of a controller as ONNX, with its state as inputs and outputs; needs softfin[onnx]."""
+    """Write one step of a controller, or of a surrogate, as ONNX, with its state as inputs and outputs.
 
-    controller: Controller
-    """Folder of the controller."""
+    It needs softfin[onnx].
+    """
+
+    controller: Controller | None = None
+    """Folder of the controller; leave it out with --surrogate."""
+    surrogate: Annotated[Path, folder_of("surrogate")] | None = None
+    """Folder of a surrogate instead: a step of 10 ms, a fin for other simulators."""
     onnx: File
     """File to write; what its inputs mean is in its metadata."""
 
-    def __call__(self) -> None:
-        from softfin.control.onnx import EPISODE, OPSET, export_onnx
-        from softfin.control.store import load_controller
+    def check(self) -> None:
+        """Refuse a controller and a surrogate, or neither."""
+        if (self.controller is None) == (self.surrogate is None):
+            raise ConfigurationError("give the folder of a controller, or --surrogate DIR, one of them")
+        super().check()
 
-        exported = export_onnx(load_controller(self.controller), self.onnx, self.overwrite)
-        summary = {"onnx": str(self.onnx), "opset": OPSET, **exported._asdict()}
+    def __call__(self) -> None:
+        from softfin.storage.onnx_file import OPSET
+
+        if self.controller is not None:
+            from softfin.control.onnx import EPISODE, export_onnx
+            from softfin.control.store import load_controller
+
+            exported = export_onnx(load_controller(self.controller), self.onnx, self.overwrite)
+            checked = (
+                f"over {EPISODE} actions onnxruntime's commands differ from softfin's by {{}} (rad, rad/s) at most"
+            )
+        elif self.surrogate is not None:
+            from softfin.surrogate.onnx import CHECK_S, export_surrogate
+
+            exported = export_surrogate(self.surrogate, self.onnx, self.overwrite)
+            checked = f"over {CHECK_S} s of random commands onnxruntime's readings differ from softfin's by {{}} "
+            checked += "(rad, rad/s, N) at most"
         self.tell(
-            summary,
-            f"{self.onnx}: {exported.bytes:,} bytes, ONNX opset {OPSET}; over {EPISODE} actions onnxruntime's commands "
-            f"differ from softfin's by {exported.worst:.1g} (rad, rad/s) at most\n"
+            {"onnx": str(self.onnx), "opset": OPSET, **exported._asdict()},
+            f"{self.onnx}: {exported.bytes:,} bytes, ONNX opset {OPSET}; {checked.format(f'{exported.worst:.1g}')}\n"
             f"in:  {', '.join(exported.inputs)}\nout: {', '.join(exported.outputs)}",
         )

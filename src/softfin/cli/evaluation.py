@@ -7,6 +7,7 @@ from typing import Annotated, Any
 from softfin.cli.common import (
     AnyPlant,
     Armed,
+    Common,
     Configured,
     Controller,
     File,
@@ -18,6 +19,7 @@ from softfin.cli.common import (
 )
 from softfin.core.choices import MovingReference, ReproducePreset
 from softfin.core.errors import ConfigurationError
+from softfin.storage import artifact as artifacts
 from softfin.storage.registry import is_live
 
 
@@ -208,8 +210,35 @@ class ViewArguments(Configured):
         )
 
 
+class ExploreArguments(Common):
+    """Make a page to try controllers in: drag the force that you want, and watch the fin hold it; no network."""
+
+    controllers: tuple[Controller, ...]
+    """Folders of the controllers, which the page switches between."""
+    out: File
+    """File to write, as .html."""
+    plant: tuple[Plant, ...] = ("tank",)
+    """The fin: tank, a tank's YAML, or the folder of a streaming surrogate; several are switched between, and the mean
+    force that a surrogate predicts is drawn beside that of the tank."""
+
+    def check(self) -> None:
+        """Refuse a file of another kind."""
+        super().check()
+        if self.out.suffix != ".html":
+            raise ConfigurationError(f"--out {self.out}: a page is written as .html; name it so")
+        artifacts.check_file(self.out, self.overwrite)
+
+    def __call__(self) -> None:
+        from softfin.stages.explore import explore
+
+        summary = explore(self.controllers, self.out, self.plant, overwrite=self.overwrite)
+        held, moved = (", ".join(summary[name]) for name in ("controllers", "plants"))
+        self.tell(summary, f"{self.out}: {held} in {moved}, {summary['bytes'] / 1e6:.1f} MB; open it in a browser")
+
+
 class ReproduceArguments(Configured):
-    """Collect, fit, find gaits, train, evaluate, report in one run: results.json, report.html, the paper's tables."""
+    """Collect, fit, find gaits, train, evaluate, report in one run: results.json, report.html, the paper's tables, and
+    explore.html to try the controllers in."""
 
     out: Out
     """Folder of the run."""
@@ -247,4 +276,6 @@ class ReproduceArguments(Configured):
                      f"{results['peak_memory_gib']:.1f} GiB at most")  # fmt: skip
         best = headline(results)
         parts.append(f"{'' if best is None else best.sentence}\n{self.out / 'report.html'} shows it")
+        pages = [stage["page"] for stage in results["stages"] if "page" in stage]
+        parts += [f"{self.out / page}: drag the force yourself, and watch the fin hold it" for page in pages]
         self.tell(results, "\n\n".join(parts))

@@ -125,3 +125,45 @@ function drawPointed(pen, layout, top, x, y, text) {
   pen.textBaseline = "middle";
   pen.fillText(text, box[0] + 5, box[1] + 10);
 }
+
+/* Through the points from the pen's place, smoothly (Catmull and Rom). */
+function curve(pen, line) {
+  for (let i = 1; i < line.length; i++) {
+    const [p, a, b, n] = [line[Math.max(i - 2, 0)], line[i - 1], line[i], line[Math.min(i + 1, line.length - 1)]];
+    pen.bezierCurveTo(a[0] + (b[0] - p[0]) / 6, a[1] + (b[1] - p[1]) / 6, b[0] - (n[0] - a[0]) / 6, b[1] - (n[1] - a[1]) / 6, b[0], b[1]);
+  }
+}
+
+/* A fin along its middle line, with its thickness at each point; both in pixels. */
+function drawFin(pen, middle, thickness) {
+  const last = middle.length - 1;
+  const side = (sign) => middle.map(([x, y], i) => {
+    const a = middle[Math.max(i - 1, 0)], b = middle[Math.min(i + 1, last)];
+    const length = Math.hypot(b[0] - a[0], b[1] - a[1]) || 1;
+    const half = (sign * thickness[i]) / 2;
+    return [x - (half * (b[1] - a[1])) / length, y + (half * (b[0] - a[0])) / length];
+  });
+  const left = side(1), right = side(-1).reverse(), tip = middle[last];
+  const start = Math.atan2(left[last][1] - tip[1], left[last][0] - tip[0]);
+  pen.beginPath();
+  pen.moveTo(...left[0]);
+  curve(pen, left);
+  pen.arc(tip[0], tip[1], thickness[last] / 2, start, start - Math.PI, true);
+  curve(pen, right);
+  pen.closePath();
+  pen.fill();
+}
+
+/* An arrow from a point along a vector, both in pixels. */
+function drawArrow(pen, from, vector, width) {
+  const length = Math.hypot(...vector);
+  if (length < 0.5) return;
+  const [ux, uy] = [vector[0] / length, vector[1] / length];
+  const head = Math.min(3.2 * width, 0.6 * length), half = head / 6.4;
+  const at = (far, wide) => [from[0] + ux * far - uy * wide, from[1] + uy * far + ux * wide];
+  const outline = [[0, half], [length - head, half], [length - head, 3 * half], [length, 0], [length - head, -3 * half], [length - head, -half], [0, -half]];
+  pen.beginPath();
+  outline.forEach(([far, wide], i) => (i ? pen.lineTo(...at(far, wide)) : pen.moveTo(...at(far, wide))));
+  pen.closePath();
+  pen.fill();
+}

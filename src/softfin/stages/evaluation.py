@@ -51,11 +51,11 @@ def evaluate(
 def evaluation_of(controller: Path, plant: EvaluationTarget, config: EvaluateConfig, named: str) -> Evaluation:
     """A controller's experiments on a plant, not yet written."""
     holding = load_controller(controller)
-    _check_limits(holding.limits, Limits(*plant.limits), controller, named)
+    check_limits(holding.limits, Limits(*plant.limits), controller, named)
     return _evaluate(holding, plant, config)
 
 
-def _check_limits(asked: Limits, taken: Limits, controller: Path, named: str) -> None:
+def check_limits(asked: Limits, taken: Limits, controller: Path, named: str) -> None:
     """Raise PlantError where a controller commands more than a plant takes."""
     for i, quantity in ((0, "angle"), (2, "velocity")):
         ours, theirs = asked[i : i + 2], taken[i : i + 2]
@@ -80,6 +80,7 @@ def baselines(
     moving = find_plant(plant)
     search_in = moving if surrogate is None else find_plant(surrogate)
     result = {
+        **artifacts.head("baselines"),
         **evaluate_baselines(moving, search_in, config, partial(progress, "baselines")),
         "plant": name_of(plant),
         "searched_in": name_of(plant if surrogate is None else surrogate),
@@ -109,7 +110,7 @@ def view(
         reference, *following = (force for force, _ in pairs)
         config = config.merged({"next_references": following}, "view")
         warnings = [warning for _, warning in pairs if warning is not None]
-        _check_limits(holding.limits, Limits(*moving.limits), controller, name_of(plant))
+        check_limits(holding.limits, Limits(*moving.limits), controller, name_of(plant))
     title = title_of(name_of(plant), config, reference)
     progress("view", 0.0, "")
     footage = footage_of(moving, config, holding, reference)

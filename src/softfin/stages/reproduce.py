@@ -24,6 +24,7 @@ from softfin.learning.controllers import learning_figure
 from softfin.stages.collect import collect
 from softfin.stages.controllers import find_gaits, map_forces, train
 from softfin.stages.evaluation import evaluation_of
+from softfin.stages.explore import explore, is_shown
 from softfin.stages.reproduce_config import PRESETS, ReproduceConfig
 from softfin.stages.surrogates import fit
 from softfin.storage import artifact as artifacts
@@ -35,6 +36,7 @@ from softfin.surrogate.compare.scores import free_run
 
 KIND = "reproduction"
 RESULTS = "results.json"
+PAGE = "explore.html"
 SHOWN_S = 8
 """Length of the stretch of a test log in the report [s]."""
 
@@ -46,7 +48,10 @@ def reproduce(
     plant: str, out: Path, config: ReproduceConfig | None = None, *,
     seed: int = 0, resume: bool = False, overwrite: bool = False, progress: Progress = silent,
 ) -> dict[str, Any]:  # fmt: skip
-    """Run all stages into `out` and write ``results.json``, whose keys docs/files.md lists, and ``report.html``."""
+    """Run all stages into `out` and write ``results.json``, whose keys docs/files.md lists, and ``report.html``.
+
+    Where the plant or the surrogate can move in a page, write ``explore.html``, too, to try the controllers in.
+    """
     config = config or ReproduceConfig()
     run = _Reproduction(plant, out, config, seed, progress)
     run.claim(resume, overwrite)
@@ -55,11 +60,13 @@ def reproduce(
     evaluated = run.evaluate(plant, "evaluation")
     observed = None if config.evaluate.trim is None else run.evaluate(plant, "evaluation-trimmed", trim=True)
     within = None if is_surrogate(plant) else run.evaluate(str(run.surrogate), "evaluation-in-surrogate", moving=False)
+    run.make_page()
 
     def summaries(evaluated: Evaluated | None) -> dict[str, Any] | None:
         return None if evaluated is None else {kind: summary for kind, (summary, _) in evaluated.items()}
 
     results = {
+        **artifacts.head(KIND),
         "title": "softfin: force control of a soft fin",
         "preset": next((name for name, preset in PRESETS.items() if preset == config), "custom"),
         "plant": plant,
@@ -121,7 +128,7 @@ class _Reproduction:
             shutil.rmtree(self.replaced, ignore_errors=True)
             self.out.rename(self.replaced)
         shutil.rmtree(self.out, ignore_errors=True)
-        artifacts.write_file(self.out / f"{KIND}.json", artifacts.dump_json(metadata))
+        artifacts.write_file(self.out / f"{KIND}.json", artifacts.encode_description(KIND, metadata))
         artifacts.write_file(self.out / "configuration.yaml", yaml.safe_dump(configuration, sort_keys=False))
 
     def stage(self, name: str, what: str, result: Path, work: Callable[..., Any], *given: Any, **options: Any) -> None:
@@ -182,6 +189,21 @@ class _Reproduction:
             options = {"force_map": mapped if config.begins_as_gaits else None, "seeds": self.seeds, "resume": True}
             self.stage(f"train {kind}", what, self.out / kind, train, *given, **options)
 
+    def controller(self, kind: str, seed: int) -> Path:
+        """Return the folder of the controller that was trained from a seed; of gaits there is one for all."""
+        return self.out / kind / f"seed-{seed}" if kind != "gaits" and len(self.seeds) > 1 else self.out / kind
+
+    def make_page(self) -> None:
+        """Write the page to try the controllers of the first seed in, where a plant of this run can move in it."""
+        plants = [name for name in dict.fromkeys((self.plant, str(self.surrogate))) if is_shown(find_plant(name))]
+        if not plants:
+            return
+        start = time.perf_counter(), time.process_time()
+        controllers = [self.controller(kind, self.seed) for kind in self.config.kinds]
+        explore(controllers, self.out / PAGE, plants, overwrite=True)
+        self.end("explore", "a page in which one drags the force and watches these controllers hold it", start)
+        self.stages[-1]["page"] = PAGE
+
     def evaluate(self, plant: str, folder: str, *, trim: bool = False, moving: bool = True) -> Evaluated:
         """Every seed's controller of each kind on a plant, as one evaluation over the seeds."""
         start = time.perf_counter(), time.process_time()
@@ -191,7 +213,7 @@ class _Reproduction:
         for place, kind in enumerate(self.config.kinds, start=1):
             each = []
             for seed in self.seeds:
-                path = self.out / kind / f"seed-{seed}" if kind != "gaits" and len(self.seeds) > 1 else self.out / kind
+                path = self.controller(kind, seed)
                 config = self.config.evaluate.model_copy(update=changes | {"seed": seed})
                 each.append(evaluation_of(path, target, config, plant))
             # Not after every seed: the first one is waited for, the others share its program.

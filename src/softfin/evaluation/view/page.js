@@ -18,46 +18,6 @@ const secondsAt = (tick) => ((tick + 1) / footage.rate_hz).toFixed(2) + " s";
 const shapeAt = (tick) => Array.from({ length: points }, (_, i) => [
   footage.shape[2 * (tick * points + i)] * footage.shape_unit_m, footage.shape[2 * (tick * points + i) + 1] * footage.shape_unit_m]);
 
-/* Through the points from the pen's place, smoothly (Catmull and Rom). */
-function curve(pen, line) {
-  for (let i = 1; i < line.length; i++) {
-    const [p, a, b, n] = [line[Math.max(i - 2, 0)], line[i - 1], line[i], line[Math.min(i + 1, line.length - 1)]];
-    pen.bezierCurveTo(a[0] + (b[0] - p[0]) / 6, a[1] + (b[1] - p[1]) / 6, b[0] - (n[0] - a[0]) / 6, b[1] - (n[1] - a[1]) / 6, b[0], b[1]);
-  }
-}
-
-function drawFin(pen, place, tick, pixelsPerMetre) {
-  const middle = shapeAt(tick).map(place);
-  const side = (sign) => middle.map(([x, y], i) => {
-    const a = middle[Math.max(i - 1, 0)], b = middle[Math.min(i + 1, points - 1)];
-    const length = Math.hypot(b[0] - a[0], b[1] - a[1]) || 1;
-    const half = (sign * footage.thickness[i] * pixelsPerMetre) / 2;
-    return [x - (half * (b[1] - a[1])) / length, y + (half * (b[0] - a[0])) / length];
-  });
-  const left = side(1), right = side(-1).reverse(), tip = middle[points - 1];
-  const start = Math.atan2(left[points - 1][1] - tip[1], left[points - 1][0] - tip[0]);
-  pen.beginPath();
-  pen.moveTo(...left[0]);
-  curve(pen, left);
-  pen.arc(tip[0], tip[1], (footage.thickness[points - 1] * pixelsPerMetre) / 2, start, start - Math.PI, true);
-  curve(pen, right);
-  pen.closePath();
-  pen.fill();
-}
-
-function drawArrow(pen, from, vector, width) {
-  const length = Math.hypot(...vector);
-  if (length < 0.5) return;
-  const [ux, uy] = [vector[0] / length, vector[1] / length];
-  const head = Math.min(3.2 * width, 0.6 * length), half = head / 6.4;
-  const at = (far, wide) => [from[0] + ux * far - uy * wide, from[1] + uy * far + ux * wide];
-  const outline = [[0, half], [length - head, half], [length - head, 3 * half], [length, 0], [length - head, -3 * half], [length - head, -half], [0, -half]];
-  pen.beginPath();
-  outline.forEach(([far, wide], i) => (i ? pen.lineTo(...at(far, wide)) : pen.moveTo(...at(far, wide))));
-  pen.closePath();
-  pen.fill();
-}
-
 function drawTank(tick) {
   const { pen, width, height } = prepare(tank);
   const margin = { left: 12, right: 12, top: footage.reference_x ? 56 : 34, bottom: 30 };
@@ -69,7 +29,7 @@ function drawTank(tick) {
   ];
   const place = ([x, y]) => [origin[0] + pixels * x, origin[1] - pixels * y];
   const vector = (x, y, metres) => [x * metres * pixels, -y * metres * pixels];
-  const thick = 0.035 * scale.length_m * pixels;
+  const thick = 0.035 * scale.length_m * pixels, thickness = footage.thickness.map((metres) => metres * pixels);
 
   pen.strokeStyle = colours.grid;
   pen.lineWidth = 1;
@@ -88,10 +48,10 @@ function drawTank(tick) {
   pen.fillStyle = colours.fin;
   footage.trail.slice().reverse().forEach((ago, i) => {
     pen.globalAlpha = 0.04 + (0.12 * i) / (footage.trail.length - 1);
-    drawFin(pen, place, Math.max(tick - ago, 0), pixels);
+    drawFin(pen, shapeAt(Math.max(tick - ago, 0)).map(place), thickness);
   });
   pen.globalAlpha = 1;
-  drawFin(pen, place, tick, pixels);
+  drawFin(pen, shapeAt(tick).map(place), thickness);
   if (footage.reference_x) {
     pen.fillStyle = colours.asked;
     drawArrow(pen, origin, vector(footage.reference_x[tick], footage.reference_y[tick], scale.metres_per_mean_newton), thick);

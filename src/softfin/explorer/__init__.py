@@ -1,0 +1,1 @@
+"""The page to try controllers in, as one HTML file."""

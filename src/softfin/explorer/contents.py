@@ -1,0 +1,111 @@
+"""Plants and controllers as plain data for the page: weights in base64, configurations as JSON.
+
+The page's scripts compute what `softfin.tank`, `softfin.surrogate.streaming` and `softfin.control` do, from these data.
+"""
+
+import base64
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+
+from softfin.control.controller import LoadedController
+from softfin.control.disturbance_observer import DisturbanceObserverConfig
+from softfin.control.gait import GaitStep
+from softfin.control.grid import GridStep
+from softfin.control.single import SingleStep
+from softfin.core.errors import PlantError
+from softfin.core.plant import Plant
+from softfin.gaits.gait import GaitTable
+from softfin.surrogate import StreamingSurrogate
+from softfin.surrogate.training import named
+from softfin.tank import Tank, with_parameters
+from softfin.tank.drive import DEAD_TICKS
+
+COLD_C = 5.0
+"""Temperature of the cold water that the page offers [degrees Celsius]."""
+
+
+def encode(array: Any) -> dict[str, Any]:
+    """Shape of an array, and its numbers in single precision as base64."""
+    values = np.asarray(array, np.float32)
+    return {"shape": list(values.shape), "data": base64.b64encode(values.astype("<f4").tobytes()).decode()}
+
+
+def plant_data(name: str, plant: Plant) -> dict[str, Any]:
+    """Data of a virtual tank or a streaming surrogate; raises PlantError for any other plant."""
+    if isinstance(plant, Tank):
+        return tank_data(plant)
+    if isinstance(plant, StreamingSurrogate):
+        return surrogate_data(plant)
+    kind = f"a surrogate of the kind {plant.model!r}" if hasattr(plant, "model") else f"a {type(plant).__name__}"
+    raise PlantError(
+        f"plant {name}: {kind} cannot run in the page, which moves virtual tanks and streaming surrogates; give "
+        "--plant tank, or one that softfin fit made with --model streaming"
+    )
+
+
+def tank_data(tank: Tank) -> dict[str, Any]:
+    """Data of a virtual tank; its sensor's noise, drift and resolution are left out."""
+    cold = with_parameters(tank, temperature_c=COLD_C - tank.water.temperature).water
+    return {
+        "kind": "tank",
+        "steps_per_tick": tank.steps_per_tick,
+        "drive": {**_numbers(tank.drive), "dead_ticks": DEAD_TICKS},
+        "fin": _numbers(tank.fin),
+        "water": _numbers(tank.water),
+        "cold_water": _numbers(cold),
+        "sensor": _numbers(tank.sensor),
+    }
+
+
+def surrogate_data(surrogate: StreamingSurrogate) -> dict[str, Any]:
+    """Data of a streaming surrogate, with the state of its members long at rest."""
+    description, arrays = surrogate.to_files()
+    return {
+        "kind": "surrogate",
+        "members": surrogate.size,
+        "scales": description["scales"],
+        "interval": description["interval"],
+        "arrays": {name: encode(array) for name, array in (arrays | named({"rest": surrogate.rest})).items()},
+    }
+
+
+def controller_data(controller: LoadedController) -> dict[str, Any]:
+    """Data of a controller of any kind, and the configuration of the outer loop that the page can put about it."""
+    step, reachable = controller.step, controller.reachable
+    data: dict[str, Any] = {
+        "kind": controller.kind,
+        "limits": controller.limits.to_dict(),
+        "cells": [cell.model_dump(mode="json") for cell in controller.cells],
+        "reachable": None if reachable is None else reachable.to_dict(),
+        "trim": DisturbanceObserverConfig().model_dump(mode="json"),
+    }
+    if isinstance(step, GaitStep):
+        return data | {"table": _table(step.table)}
+    assert isinstance(step, SingleStep | GridStep)
+    network = step.networks if isinstance(step, GridStep) else step.network
+    return data | {
+        "network": {name: encode(array) for name, array in network._asdict().items()},
+        "task": {"past_actions": step.observation.past_actions, "phase": step.observation.phase},
+        "rest": list(step.rest),
+        "gaits": None if step.gaits is None else _table(step.gaits),
+        "switching": step.switching.model_dump(mode="json") if isinstance(step, GridStep) else None,
+    }
+
+
+def _table(table: GaitTable) -> dict[str, Any]:
+    low, high = np.asarray(table.low, float), np.asarray(table.high, float)
+    return {"low": low.tolist(), "high": high.tolist(), "actions": encode(table.actions)}
+
+
+def _numbers(module: eqx.Module) -> dict[str, Any]:
+    """The arrays of a module as nested numbers, under the names of its fields."""
+    numbers: dict[str, Any] = {}
+    for place, array in named(module).items():
+        *outer, last = place.split(".")
+        inside = numbers
+        for name in outer:
+            inside = inside.setdefault(name, {})
+        inside[last] = np.asarray(array, float).tolist()
+    return numbers

@@ -1,0 +1,198 @@
+/* Controllers (softfin.control): a reference force in, a command out, three times a second. Inputs are rounded to single
+ * precision, as there, so that a reference on the edge of a cell belongs to the same cell. */
+
+const GREATEST_ACTION = Math.fround(0.999);
+const PHASES = Array.from({ length: CYCLE_ACTIONS }, (_, k) => [Math.sin((2 * Math.PI * k) / CYCLE_ACTIONS), Math.cos((2 * Math.PI * k) / CYCLE_ACTIONS)]);
+
+/* Gaits of six actions on a lattice of references, blended between its nodes; in single precision, as with NumPy. */
+class GaitTable {
+  constructor({ low, high, actions }) {
+    [this.low, this.high, this.actions] = [low, high, decoded(actions)];
+  }
+
+  /* The action, (angle, velocity) in [-1, 1], of the gait for a reference. */
+  action(reference, age) {
+    const { fround } = Math, [x, i] = this.place(reference[0], 0), [y, j] = this.place(reference[1], 1);
+    const blend = [0, 0], corners = [[0, 0, (1 - x) * (1 - y)], [0, 1, (1 - x) * y], [1, 0, x * (1 - y)], [1, 1, x * y]];
+    for (const [right, up, weight] of corners) {
+      const actions = part(part(this.actions, i + right), j + up).values.subarray(2 * (age % CYCLE_ACTIONS));
+      for (const k of [0, 1]) blend[k] = fround(blend[k] + fround(fround(weight) * actions[k]));
+    }
+    return blend;
+  }
+
+  /* The node before a force, and the distance from it in units of the spacing; in single precision, as there: on a
+   * fine lattice its rounding shows in the forces. */
+  place(force, axis) {
+    const { fround } = Math, last = this.actions.shape[axis] - 1, width = fround(fround(this.high[axis] - this.low[axis]) + fround(1e-9));
+    const place = last * clip(fround(fround(force - this.low[axis]) / width), 0, 1), node = Math.min(Math.trunc(place), last - 1);
+    return [place - node, node];
+  }
+}
+
+/* What a policy observes: now (angle, reference x, y), past actions, and on demand the clock's phase. */
+function observed(task, now, actions, age) {
+  return joined(now, actions.slice(0, 2 * (task.past_actions + 1)), task.phase ? PHASES[age % CYCLE_ACTIONS] : []);
+}
+
+/* An LSTM and the layer behind it; its memory is {hidden, cell}. */
+class PolicyNetwork {
+  constructor(arrays) {
+    Object.assign(this, arrays);
+    this.units = this.bias.values.length / 4;
+  }
+
+  empty() {
+    return { hidden: new Float64Array(this.units), cell: new Float64Array(this.units) };
+  }
+
+  remember(memory, observation) {
+    const n = this.units, gates = product(joined(observation, memory.hidden), this.kernel, this.bias).map(Math.tanh);
+    const opened = (k, i) => 0.5 * gates[k * n + i] + 0.5;
+    const cell = memory.cell.map((value, i) => opened(1, i) * value + opened(0, i) * gates[3 * n + i]);
+    return { hidden: cell.map((value, i) => opened(2, i) * Math.tanh(value)), cell };
+  }
+
+  action(memory, gaits, reference, age) {
+    const inner = product(memory.hidden, this.hidden, this.hidden_bias).map(Math.tanh), before = product(inner, this.output, this.output_bias);
+    const gait = gaits === null ? [0, 0] : gaits.action(reference, age).map((action) => Math.atanh(GREATEST_ACTION * action));
+    return [0, 1].map((k) => Math.tanh(before[k] + gait[k]));
+  }
+}
+
+class GaitController {
+  constructor({ table }) {
+    this.table = new GaitTable(table);
+    this.age = 0;
+  }
+
+  act(now) {
+    return this.table.action(now.slice(1), this.age++);
+  }
+}
+
+class SingleController {
+  constructor({ network, task, rest, gaits }) {
+    this.network = new PolicyNetwork(Object.fromEntries(Object.entries(network).map(([name, array]) => [name, decoded(array)])));
+    this.gaits = gaits === null ? null : new GaitTable(gaits);
+    this.task = task;
+    this.memory = this.network.empty();
+    this.actions = joined(...Array(task.past_actions + 1).fill(rest));
+    this.age = 0;
+  }
+
+  act(now) {
+    this.memory = this.network.remember(this.memory, observed(this.task, now, this.actions, this.age));
+    const action = this.network.action(this.memory, this.gaits, now.slice(1), this.age++);
+    this.actions = joined(action, this.actions.slice(0, -2));
+    return action;
+  }
+}
+
+/* A policy for each cell, switched on demand: with hysteresis, replayed observations and blended actions. */
+class GridController {
+  constructor({ network, cells, task, rest, gaits, switching }) {
+    const stacked = Object.entries(network).map(([name, array]) => [name, decoded(array)]);
+    this.networks = cells.map((_, index) => new PolicyNetwork(Object.fromEntries(stacked.map(([name, array]) => [name, part(array, index)]))));
+    this.gaits = gaits === null ? null : new GaitTable(gaits);
+    Object.assign(this, { cells, task, switching, memory: this.networks[0].empty(), age: 0, activeCell: 0, blend: 0 });
+    this.actions = joined(...Array(CYCLE_ACTIONS + task.past_actions + 1).fill(rest));
+    this.angles = Array(CYCLE_ACTIONS).fill(0);
+    this.lastReference = [0, 0];
+  }
+
+  act(now) {
+    const reference = now.slice(1), cell = this.nearestCell(reference), switched = cell !== this.activeCell && this.age > 0;
+    const network = this.networks[cell], memory = switched ? this.warmUp(network, reference) : this.memory;
+    this.memory = network.remember(memory, observed(this.task, now, this.actions, this.age));
+    const blend = this.blending(switched, reference), before = this.actions.slice(2 * (CYCLE_ACTIONS - 1), 2 * CYCLE_ACTIONS);
+    const action = network.action(this.memory, this.gaits, reference, this.age).map((value, k) => (1 - blend) * value + blend * before[k]);
+    this.blend = clip(blend - 1 / Math.max(1, this.switching.fade_actions), 0, 1);
+    this.actions = joined(action, this.actions.slice(0, -2));
+    this.angles = [now[0], ...this.angles.slice(0, -1)];
+    this.lastReference = reference;
+    this.activeCell = cell;
+    this.age++;
+    return action;
+  }
+
+  /* Index of the cell whose policy acts: the last one, unless another is nearer by the margin. */
+  nearestCell(reference) {
+    const distances = this.cells.map((cell) => distanceTo(withinCell(cell, reference), reference)), least = Math.min(...distances);
+    return this.age > 0 && distances[this.activeCell] <= least + this.switching.margin_n ? this.activeCell : distances.indexOf(least);
+  }
+
+  /* Replay the last cycle, or as much of it as there was, as if the reference had long been this one. */
+  warmUp(network, reference) {
+    let memory = network.empty();
+    for (let ago = Math.min(CYCLE_ACTIONS, this.age); this.switching.replay && ago > 0; ago--) {
+      memory = network.remember(memory, observed(this.task, [this.angles[ago - 1], ...reference], this.actions.slice(2 * ago), this.age - ago));
+    }
+    return memory;
+  }
+
+  /* Weight of the action one cycle ago: at first 1, once there is a whole cycle. */
+  blending(switched, reference) {
+    if (!this.switching.fade_actions) return 0;
+    const blend = switched ? Number(this.age >= CYCLE_ACTIONS) : this.blend;
+    return blend * clip(1 - distanceTo(reference, this.lastReference) / this.switching.step_n, 0, 1);
+  }
+}
+
+/* The slow outer loop: what the mean force lacks is measured and taken off the reference. */
+class DisturbanceObserver {
+  /* `phase` of the clock, 0 to 2, at which it begins. */
+  constructor(config, cells, reachable, phase) {
+    Object.assign(this, { config, reachable, phase, bias: [0, 0], age: 0 });
+    const corner = (name, pick) => [0, 1].map((axis) => Math.fround(pick(...cells.map((cell) => cell[name][axis]))));
+    this.box = { low: corner("low", Math.min), high: corner("high", Math.max) };
+    const series = () => Array.from({ length: CYCLE_ACTIONS + config.lag_actions }, () => [0, 0]);
+    Object.assign(this, { forces: series().slice(0, CYCLE_ACTIONS), tracked: series(), references: series() });
+  }
+
+  /* The reference for the controller inside, from the mean force since the last action. */
+  correct(force, reference) {
+    const { config } = this, weights = Array.from({ length: CYCLE_ACTIONS }, (_, ago) => ACTION_TICKS[(this.phase + this.age + 2 * CYCLE_ACTIONS - 1 - ago) % 3] / WINDOW);
+    this.forces = [force, ...this.forces.slice(0, -1)];
+    const before = this.tracked.slice(-CYCLE_ACTIONS);
+    const range = (axis) => { const values = this.references.map((each) => each[axis]); return Math.max(...values) - Math.min(...values); };
+    const trust = Math.min(1, config.still_n / Math.max(range(0), range(1), 1e-6)), gain = this.age >= config.settle_actions ? config.gain * trust ** 2 : 0;
+    this.bias = this.bias.map((bias, axis) => {
+      const error = weights.reduce((sum, weight, k) => sum + weight * (this.forces[k][axis] - before[k][axis]), 0);
+      return clip(bias + gain * (error - bias), -config.limit_n, config.limit_n);
+    });
+    let tracked = withinCell(this.box, reference.map((value, axis) => value - this.bias[axis]));
+    if (this.reachable !== null) tracked = this.reachable.project(tracked);
+    this.tracked = [tracked, ...this.tracked.slice(0, -1)];
+    this.references = [reference, ...this.references.slice(0, -1)];
+    this.age++;
+    return tracked;
+  }
+}
+
+const CONTROLLERS = { gaits: GaitController, single: SingleController, grid: GridController };
+
+/* A controller of any kind at rest, with the outer loop about it on demand. */
+class Controller {
+  constructor(description) {
+    Object.assign(this, { description, limits: description.limits, cells: description.cells, observer: null });
+    this.step = new CONTROLLERS[description.kind](description);
+    this.reachable = description.reachable === null ? null : new Reachable(description.reachable);
+  }
+
+  /* Begin or end the outer loop, before the action that has this number since the start of the clock. */
+  trim(wanted, action) {
+    this.observer = wanted ? new DisturbanceObserver(this.description.trim, this.cells, this.reachable, action % 3) : null;
+  }
+
+  /* The command for a reference [N], from the angle [rad] and the mean force since the last action [N]. */
+  act(angle, force, reference) {
+    const inner = this.observer === null ? reference : this.observer.correct(force, reference), { limits } = this;
+    const action = this.step.act([angle, ...inner].map(Math.fround));
+    const within = (value, low, high) => clip(low + ((value + 1) / 2) * (high - low), low, high);
+    return {
+      angle: within(action[0], limits.angle_min_rad, limits.angle_max_rad),
+      velocity: within(action[1], limits.velocity_min_rad_s, limits.velocity_max_rad_s),
+    };
+  }
+}

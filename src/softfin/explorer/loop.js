@@ -1,0 +1,79 @@
+/* The closed loop: a controller acts on a plant on the 33/33/34 clock; what is measured is kept for a while. */
+
+const KEPT = 1000;
+
+/* The last `length` pairs, and the sums by which means and the Sobolev term of a window are computed. */
+class MovingWindow {
+  constructor(length) {
+    [this.length, this.pairs, this.next] = [length, [], 0];
+  }
+
+  push(pair) {
+    this.pairs[this.next] = pair;
+    this.next = (this.next + 1) % this.length;
+  }
+
+  /* Oldest first. */
+  series() {
+    return this.pairs.length < this.length ? this.pairs : [...this.pairs.slice(this.next), ...this.pairs.slice(0, this.next)];
+  }
+
+  mean() {
+    const count = Math.max(this.pairs.length, 1);
+    return [0, 1].map((axis) => this.pairs.reduce((sum, pair) => sum + pair[axis], 0) / count);
+  }
+
+  /* Root of the mean square by which consecutive forces differ, on either axis [N]. */
+  sobolev() {
+    const series = this.series();
+    return [0, 1].map((axis) => {
+      let square = 0;
+      for (let i = 1; i < series.length; i++) square += (series[i][axis] - series[i - 1][axis]) ** 2;
+      return Math.sqrt(square / Math.max(series.length - 1, 1));
+    });
+  }
+}
+
+/* Plants by name under the commands of one controller; all move, one of them is measured. */
+class Loop {
+  constructor(plants, plant, controller, reference) {
+    Object.assign(this, { plants, plant, reference, time: 0 });
+    this.averages = Object.fromEntries(Object.keys(plants).map((name) => [name, new MovingWindow(WINDOW)]));
+    this.memberAverages = Object.fromEntries(Object.entries(plants).map(([name, each]) => [name, (each.members || []).map(() => new MovingWindow(WINDOW))]));
+    this.readings = {};
+    this.history = [];
+    this.change(controller);
+  }
+
+  /* Let another controller act from now on, as from rest, at the start of the clock. */
+  change(controller) {
+    Object.assign(this, { controller, action: 0, left: 0, sum: [0, 0], command: { angle: 0, velocity: 1 } });
+  }
+
+  tick() {
+    if (this.left === 0) {
+      const ticks = this.action > 0 ? ACTION_TICKS[(this.action - 1) % 3] : 1, reading = this.readings[this.plant];
+      this.command = this.controller.act(reading ? reading.angle : 0, this.sum.map((value) => value / ticks), this.reference);
+      [this.left, this.sum] = [ACTION_TICKS[this.action % 3], [0, 0]];
+      this.action++;
+    }
+    for (const [name, plant] of Object.entries(this.plants)) {
+      const reading = (this.readings[name] = plant.tick(this.command));
+      this.averages[name].push(reading.force);
+      this.memberAverages[name].forEach((window, index) => window.push(reading.forces[index]));
+    }
+    this.left--;
+    this.time++;
+    const reading = this.readings[this.plant], force = reading.force;
+    this.sum = this.sum.map((value, axis) => value + force[axis]);
+    const plant = this.plants[this.plant], shape = plant.shape ? plant.shape() : null;
+    this.history.push({ angle: reading.angle, command: this.command.angle, force, mean: this.averages[this.plant].mean(), reference: this.reference, shape });
+    if (this.history.length > KEPT) this.history.splice(0, this.history.length - KEPT);
+    return reading;
+  }
+
+  /* |moving average - reference| on either axis [N]. */
+  error() {
+    return this.averages[this.plant].mean().map((value, axis) => Math.abs(value - this.reference[axis]));
+  }
+}

@@ -1,0 +1,51 @@
+"""The page as one HTML file: template, scripts in their order, and the data of controllers and plants."""
+
+import importlib.resources
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from markupsafe import Markup
+
+from softfin.core.canvas import with_canvas
+from softfin.explorer.contents import COLD_C
+from softfin.storage import artifact as artifacts
+
+SIMULATION = ("numbers", "profile", "surrogate", "tank", "region", "controllers", "loop")
+"""Scripts that compute, in their order; they need no page."""
+
+DRAWN = ("drawing", "page")
+"""Scripts that draw, and that answer to hands and keys."""
+
+
+def read_script(*names: str) -> str:
+    """Return scripts of this folder, one after the other."""
+    folder = importlib.resources.files("softfin.explorer")
+    return "\n".join(folder.joinpath(f"{name}.js").read_text("utf-8") for name in names)
+
+
+def write_page(
+    path: Path, title: str, controllers: Sequence[Mapping[str, Any]], plants: Sequence[Mapping[str, Any]],
+    fin: Mapping[str, Any],
+) -> None:  # fmt: skip
+    """Write the page: nothing is fetched, so it opens by a double click."""
+    template = importlib.resources.files("softfin.explorer").joinpath("page.html.jinja").read_text("utf-8")
+    surrogate = next((plant for plant in plants if plant["kind"] == "surrogate"), None)
+    contents = json.dumps(
+        {"controllers": controllers, "plants": plants, "fin": fin}, separators=(",", ":"), allow_nan=False
+    )
+    page = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(template).render(
+        title=title,
+        controllers=controllers,
+        plants=plants,
+        surrogate=None if surrogate is None else surrogate["name"],
+        coverage=None if surrogate is None else f"{surrogate['interval']['coverage']:.0%}",
+        grid=any(controller["kind"] == "grid" for controller in controllers),
+        cold_c=f"{COLD_C:g}",
+        # No text within may close the element.
+        contents=Markup(contents.replace("<", "\\u003c")),
+        script=Markup(with_canvas(f'"use strict";\n/* canvas.js */\n{read_script(*SIMULATION, *DRAWN)}')),
+    )  # fmt: skip
+    artifacts.write_file(path, page)

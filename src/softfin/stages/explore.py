@@ -1,0 +1,72 @@
+"""The stage that makes a page to try controllers in: plants and controllers in, one HTML file out."""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from softfin.control.store import load_controller
+from softfin.core.errors import ConfigurationError
+from softfin.core.plant import Plant
+from softfin.core.quantities import Limits
+from softfin.explorer.contents import controller_data, plant_data
+from softfin.explorer.page import write_page
+from softfin.stages.evaluation import check_limits
+from softfin.storage import artifact as artifacts
+from softfin.storage.registry import find_plant
+from softfin.surrogate import StreamingSurrogate
+from softfin.tank import Tank
+
+TITLE = "Drag the force, watch the fin"
+
+
+def explore(
+    controllers: Sequence[Path], out: Path, plants: Sequence[str] = ("tank",), *, overwrite: bool = False
+) -> dict[str, Any]:
+    """Write a page in which these controllers hold forces that one drags, in these plants; returns its size and parts.
+
+    Raises PlantError for a plant that the page cannot move, or that does not take a controller's commands.
+    """
+    artifacts.check_file(out, overwrite)
+    moving = {name: find_plant(name) for name in plants}
+    holding = {str(path): load_controller(path) for path in controllers}
+    for given, kept in ((plants, moving), (controllers, holding)):
+        if len(kept) < len(given) or not given:
+            raise ConfigurationError(f"{', '.join(map(str, given)) or 'nothing'}: name one or more, each once")
+    data_of_plants = {name: plant_data(name, plant) for name, plant in moving.items()}
+    for path, controller in holding.items():
+        for name, plant in moving.items():
+            check_limits(controller.limits, Limits(*plant.limits), Path(path), name)
+    tank = next((plant for plant in moving.values() if isinstance(plant, Tank)), None) or Tank()
+    fin = {
+        "length_m": float(tank.fin.plate_length) * len(tank.fin.stiffness),
+        "thickness_m": np.asarray(tank.fin.thickness, float).tolist(),
+    }
+    kinds = _labels({path: controller.kind for path, controller in holding.items()})
+    names = _labels({name: Path(name).name for name in moving})
+    write_page(
+        out,
+        TITLE,
+        [{"name": kinds[path], **controller_data(controller)} for path, controller in holding.items()],
+        [{"name": names[name], **data} for name, data in data_of_plants.items()],
+        fin,
+    )
+    return {
+        "page": str(out),
+        "controllers": list(kinds.values()),
+        "plants": list(names.values()),
+        "bytes": out.stat().st_size,
+    }
+
+
+def is_shown(plant: Plant) -> bool:
+    """Whether the page can move such a plant."""
+    return isinstance(plant, Tank | StreamingSurrogate)
+
+
+def _labels(short: dict[str, str]) -> dict[str, str]:
+    """Return a short name for each, or where two would be the same, with what the user wrote."""
+    counts = Counter(short.values())
+    return {given: name if counts[name] == 1 else f"{name} ({given})" for given, name in short.items()}

@@ -1,0 +1,31 @@
+"""The page's scripts that compute, run by Node on data from its standard input."""
+
+import json
+import shutil
+import subprocess
+from typing import Any
+
+import pytest
+
+from softfin.explorer.page import SIMULATION, read_script
+
+LONGEST_S = 120
+
+
+def run(driver: str, **given: Any) -> Any:
+    """Value of `output` after the driver, which finds what is given in `input`; skips the test without Node."""
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("node is not on PATH")
+    script = f"""
+"use strict";
+const input = JSON.parse(require("fs").readFileSync(0, "utf8"));
+{read_script(*SIMULATION)}
+let output;
+{driver}
+require("fs").writeSync(1, JSON.stringify(output));
+"""
+    done = subprocess.run([node, "-e", script], input=json.dumps(given), capture_output=True, text=True,
+                          timeout=LONGEST_S)  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    return json.loads(done.stdout)

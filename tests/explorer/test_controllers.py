@@ -1,0 +1,133 @@
+"""The controllers in the page act as softfin's own do with NumPy, command for command."""
+
+import numpy as np
+import pytest
+
+from softfin.control.controller import Measured
+from softfin.control.disturbance_observer import DisturbanceObserver
+from softfin.control.references import nearest_trackable
+from softfin.control.store import load_controller
+from softfin.core.errors import CoverageError
+from softfin.core.quantities import Command
+from softfin.core.window import moving_error, sobolev, window_mean
+from softfin.explorer.contents import controller_data, surrogate_data
+from tests.control.folders import KINDS, folder_of
+from tests.control.test_numpy import episode
+from tests.explorer import fins, node
+from tests.surrogate.streaming import small
+
+ACT = """
+output = [false, true].map((trimmed) => {
+  const controller = new Controller(input.controller);
+  controller.trim(trimmed, 0);
+  return input.episode.map(([angle, force, reference]) => {
+    const command = controller.act(angle, force, reference);
+    return [command.angle, command.velocity];
+  });
+});
+"""
+
+LOOP = """
+const plants = { own: new StreamingSurrogate(input.plant) };
+const loop = new Loop(plants, "own", new Controller(input.controller), input.references[0]);
+loop.controller.trim(true, 0);
+output = input.references.map((reference) => {
+  loop.reference = reference;
+  const { force } = loop.tick(), window = loop.averages.own;
+  return [loop.command.angle, loop.command.velocity, ...force, ...window.mean(), ...loop.error(), ...window.sobolev()];
+});
+"""
+
+
+@pytest.fixture(scope="module")
+def controllers(tmp_path_factory):
+    out = tmp_path_factory.mktemp("controllers")
+    return {kind: load_controller(folder_of(kind, out)) for kind in KINDS}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_controller_commands_what_it_commands_with_numpy(controllers, kind):
+    controller, played = controllers[kind], episode(5)
+    rows = [list(row) for row in zip(*(part.tolist() for part in played), strict=True)]
+    page = np.array(node.run(ACT, controller=controller_data(controller), episode=rows))
+    for acting, commands in zip((controller, DisturbanceObserver(controller)), page, strict=True):
+        state, expected = acting.init(), []
+        for angle, force, reference in rows:
+            state, command = acting.act(state, Measured(angle, np.array(force)), tuple(reference))
+            expected.append(tuple(command))
+        np.testing.assert_allclose(commands, expected, atol=1e-5, rtol=0)
+    assert np.abs(page[0] - page[1]).max() > 1e-3
+
+
+def closed(controller, surrogate, references):
+    """Command and force of every tick, with the outer loop, under a reference that each action observes anew."""
+    acting, (plant, roll) = DisturbanceObserver(controller), fins.roll_surrogate(surrogate)
+    state, rows, measured = acting.init(), [], Measured(0.0, np.zeros(2))
+    for ticks in (33, 33, 34) * (len(references) // 100):
+        state, command = acting.act(state, measured, tuple(references[len(rows)].tolist()))
+        plant, reading, _ = roll(plant, Command(*(np.full(ticks, part) for part in command)))
+        rows += [[*command, *force] for force in reading[:, 2:]]
+        measured = Measured(float(reading[-1, 0]), reading[:, 2:].mean(axis=0))
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("kind", ["single", "grid", "gaits"])
+def test_thirty_seconds_of_moving_references_are_the_same_in_the_closed_loop(controllers, kind):
+    controller, surrogate = controllers[kind], small.surrogate()
+    time = np.arange(3000) / 100
+    jumps = np.where((time > 12) & (time < 20), 0.9, 0.0)
+    references = np.stack([2 + np.sin(time), jumps - 0.6 * np.cos(0.7 * time)], axis=1)
+    page = np.array(node.run(
+        LOOP, controller=controller_data(controller), plant=surrogate_data(surrogate), references=references.tolist()
+    ))  # fmt: skip
+    expected = closed(controller, surrogate, references)
+    np.testing.assert_allclose(page[:, :2], expected[:, :2], atol=1e-5, rtol=0)
+    # Policies run in single precision with NumPy, and what that rounds off the commands shows at corners of the force.
+    np.testing.assert_allclose(page[:, 2:4], expected[:, 2:], atol=3e-5 if kind == "grid" else 1e-5, rtol=0)
+    for tick in (50, 199, 1000, 2999):
+        force, count = expected[: tick + 1, 2:], np.int64(min(tick + 1, 200))
+        np.testing.assert_allclose(page[tick, 4:6], window_mean(force, count), atol=1e-5)
+        np.testing.assert_allclose(page[tick, 8:10], sobolev(force, count), atol=1e-5)
+    last = moving_error(expected[-200:, 2:], references[-1])
+    np.testing.assert_allclose(page[-1, 6:8], last, atol=1e-5)
+
+
+def test_a_force_that_cannot_be_held_is_moved_to_the_nearest_that_can(controllers):
+    numbers = np.random.default_rng(1)
+    compared = 0
+    for kind in ("single", "grid", "gaits"):
+        controller = controllers[kind]
+        forces = numbers.uniform((-2, -4), (6, 4), (40, 2))
+        page = np.array(node.run(
+            """
+            const { cells, reachable } = input.controller;
+            const region = reachable === null ? null : new Reachable(reachable);
+            output = input.forces.map((force) => nearestReference(cells, region, force));
+            """, controller=controller_data(controller), forces=forces.tolist(),
+        ))  # fmt: skip
+        for force, near in zip(forces, page, strict=True):
+            try:
+                expected = nearest_trackable(controller, force[None])[0]
+            except CoverageError:
+                # The page holds the nearest in a cell there, where softfin run would refuse it.
+                controller.check(tuple(near.tolist()))
+                continue
+            compared += 1
+            np.testing.assert_allclose(near, expected, atol=1e-4)
+    assert compared > 20
+
+
+@pytest.mark.parametrize("begun", [0, 1, 2])
+def test_the_outer_loop_may_begin_at_any_phase_of_the_clock(controllers, begun):
+    """It weighs actions of 33 and 34 ticks by their place on the clock: here those of 34 alone make a force, 1 N."""
+    gain = 1e-3
+    bias = node.run(
+        """
+        const observer = new DisturbanceObserver(input.trim, input.cells, null, input.begun);
+        const act = (action) => observer.correct([(action + 2) % 3 === 2 ? 1 : 0, 0], [2, 0]);
+        for (let k = 0; k <= input.trim.settle_actions; k++) act(input.begun + k);
+        output = observer.bias[0];
+        """, trim=controller_data(controllers["single"])["trim"] | {"gain": gain},
+        cells=controller_data(controllers["single"])["cells"], begun=begun,
+    )  # fmt: skip
+    np.testing.assert_allclose(bias / gain, 0.34 - 2, atol=1e-9)
