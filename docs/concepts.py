@@ -1,37 +1,81 @@
-"""Draws the fin, its frame and the window of the evaluation: ``python docs/concepts.py docs/concepts.png``."""
+"""Draws the figures of the concepts, by their names:
+
+    python docs/concepts.py docs/concept-frame.png docs/concept-plant.png docs/concept-window.png \
+        docs/concept-gait.png docs/concept-map.png docs/concept-trim.png
+"""
 
 import sys
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from matplotlib.patches import FancyBboxPatch
+from matplotlib.figure import Figure
+from matplotlib.patches import FancyBboxPatch, Polygon, Rectangle
+from PIL import Image
 
+import softfin
+from softfin.control.controller import Measured
+from softfin.control.disturbance_observer import DisturbanceObserver
+from softfin.control.store import load_controller
 from softfin.core.action_clock import ACTION_TICKS, CYCLE_ACTIONS, WINDOW
 from softfin.core.plant import hold
-from softfin.core.quantities import RATE_HZ, Command
+from softfin.core.quantities import RATE_HZ, Command, command_of
+from softfin.gaits.force_map import load_map
 from softfin.storage.figures import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, save_figure, styled
 from softfin.tank import Tank
 
+EXAMPLE = Path(softfin.__file__).parent / "example"
 CENTRE_RAD, SWING_RAD, VELOCITY_RAD_S = 0.3, 0.5, 2.8
 ACTIONS = 15
-REFERENCE_N = 4.0
+WIDTH_IN = 7.2
+COLOURS = 64
+RED = "#D55E00"
 
 
-def draw_frame(axes: Any, shape_m: np.ndarray, angle_rad: float) -> None:
-    """The robot's body, the shaft, the fin at an angle, and the directions of force."""
+def actions(count: int = ACTIONS) -> Command:
+    """Commands to and fro about an angle."""
+    targets = CENTRE_RAD + SWING_RAD * (-1.0) ** np.arange(count)
+    return Command(jnp.asarray(targets, jnp.float32), jnp.full(count, VELOCITY_RAD_S))
+
+
+@cache
+def beat() -> Any:
+    """The readings of the virtual tank under these commands."""
+    tank = Tank()
+    return jax.tree.map(np.asarray, jax.jit(lambda: hold(tank, tank.init(jax.random.key(0)), actions()))()[1])
+
+
+def mean_force(force_n: np.ndarray) -> np.ndarray:
+    """Moving average over the window, from the first full one on."""
+    return np.convolve(force_n, np.ones(WINDOW) / WINDOW, "valid")
+
+
+def without_axes(axes: Any) -> None:
+    axes.set(xticks=[], yticks=[])
+    axes.spines[:].set_visible(False)
+    axes.grid(visible=False)
+
+
+def frame(figure: Figure) -> None:
+    """The robot's body, the shaft, the bent fin at an angle, and the directions of force."""
+    tank, angle_rad = Tank(), 0.8
+    bent, _ = jax.jit(lambda: hold(tank, tank.init(jax.random.key(0)), actions(9)))()
+    figure.set_size_inches(WIDTH_IN, 4.4)
+    axes = figure.subplots()
     axes.add_patch(FancyBboxPatch(
         (0.02, -0.06), 0.13, 0.12, boxstyle="round,pad=0.01", facecolor="#E8ECEF", edgecolor=GREY))  # fmt: skip
     axes.text(0.085, 0.045, "robot", ha="center", va="center", color=GREY)
     axes.plot([0, -0.22], [0, 0], ":", color=GREY, linewidth=1)
     rigid = 0.2 * np.array([-np.cos(angle_rad), np.sin(angle_rad)])
     axes.plot([0, rigid[0]], [0, rigid[1]], "--", color=GREY, linewidth=1)
-    axes.plot(*shape_m.T, color="#3E4C59", linewidth=9, solid_capstyle="round")
+    axes.text(rigid[0] + 0.012, rigid[1] - 0.005, "a rigid fin", color=GREY, ha="left")
+    axes.plot(*np.asarray(tank.shape(bent)).T, color="#3E4C59", linewidth=9, solid_capstyle="round")
     turn = np.linspace(0, angle_rad, 30)
     axes.plot(-0.12 * np.cos(turn), 0.12 * np.sin(turn), color=ORANGE, linewidth=1.5)
-    axes.text(-0.135, 0.03, "angle θ\n(of the shaft)", color=ORANGE, ha="right", va="center")
+    axes.text(-0.135, 0.03, "angle θ\n(of the shaft)", color=RED, ha="right", va="center")
     axes.text(-0.215, -0.015, "θ = 0", color=GREY, ha="left", va="top")
     thrust = "+x: thrust, pushes\nthe robot forward"
     for tip, name, place in (((0.1, 0), thrust, (0.03, -0.105)), ((0, 0.1), "+y", (0.01, 0.1))):
@@ -39,32 +83,60 @@ def draw_frame(axes: Any, shape_m: np.ndarray, angle_rad: float) -> None:
         axes.text(*place, name, color=BLUE, va="center")
     axes.plot(0, 0, "o", markersize=9, markerfacecolor="white", markeredgecolor=BLACK)
     axes.text(0.0, -0.03, "shaft and\nforce sensor", ha="center", va="top", fontsize=8)
-    axes.set(xlim=(-0.25, 0.2), ylim=(-0.15, 0.17), aspect="equal", xticks=[], yticks=[])
-    axes.spines[:].set_visible(False)
-    axes.grid(visible=False)
-    axes.set_title("The fin and its frame", weight="bold")
+    axes.set(xlim=(-0.25, 0.2), ylim=(-0.15, 0.17), aspect="equal")
+    without_axes(axes)
 
 
-def draw_window(panels: Any, command_rad: np.ndarray, angle_rad: np.ndarray, force_n: np.ndarray) -> None:
-    """Commands held for 33, 33 and 34 ticks, and the mean force over six of them."""
-    time = (np.arange(len(angle_rad)) + 1) / RATE_HZ
+def plant(figure: Figure) -> None:
+    """A controller and a plant in a loop, and what can be the plant."""
+    figure.set_size_inches(WIDTH_IN, 2.6)
+    axes = figure.subplots()
+    arrow = {"arrowstyle": "-|>", "color": BLACK, "linewidth": 1.4, "shrinkA": 0, "shrinkB": 0}
+    boxes = ((2.0, "controller", "3 times a second", "#E5F1F8"), (6.4, "plant", "100 times a second", "#E3F3EE"))
+    for x, name, rate, colour in boxes:
+        axes.add_patch(FancyBboxPatch(
+            (x, 1.5), 1.8, 1.1, boxstyle="round,pad=0.08", facecolor=colour, edgecolor=BLACK))  # fmt: skip
+        axes.text(x + 0.9, 2.2, name, ha="center", va="center", weight="bold")
+        axes.text(x + 0.9, 1.8, rate, ha="center", va="center", fontsize=8, color=GREY)
+    axes.annotate("", (1.92, 2.05), (0.1, 2.05), arrowprops=arrow)
+    axes.text(0.95, 2.15, "reference\nforce [N]", ha="center", va="bottom", color=RED)
+    axes.annotate("", (6.32, 2.05), (3.88, 2.05), arrowprops=arrow)
+    axes.text(5.1, 2.15, "command: angle [rad],\nvelocity [rad/s]", ha="center", va="bottom", color=RED)
+    axes.annotate("", (9.9, 2.05), (8.28, 2.05), arrowprops=arrow)
+    axes.text(9.1, 2.15, "readings", ha="center", va="bottom", color=BLUE)
+    axes.plot([9.1, 9.1, 2.9], [2.05, 0.75, 0.75], color=BLACK, linewidth=1.4)
+    axes.annotate("", (2.9, 1.42), (2.9, 0.74), arrowprops=arrow)
+    axes.text(6.0, 0.82, "angle [rad], force (x, y) [N]", ha="center", va="bottom", color=BLUE)
+    axes.text(5.0, 0.2, "A plant is the virtual tank, a surrogate, your own simulator, or the rig with the real fin.",
+              ha="center", va="center", color=GREY)  # fmt: skip
+    axes.set(xlim=(0, 10), ylim=(0, 3))
+    without_axes(axes)
+
+
+def window(figure: Figure) -> None:
+    """Commands held for 33, 33 and 34 ticks, and the mean force over six of them against the reference."""
+    reference_n, reading = 4.0, beat()
+    ticks = [ACTION_TICKS[index % len(ACTION_TICKS)] for index in range(ACTIONS)]
+    assert sum(ticks[:CYCLE_ACTIONS]) == WINDOW
+    figure.set_size_inches(WIDTH_IN, 4.6)
+    panels = figure.subplots(2, 1, sharex=True)
+    time, force_n = (np.arange(len(reading.angle)) + 1) / RATE_HZ, reading.force[:, 0]
     end = len(time) - 20
-    start = end - WINDOW
-    mean = np.convolve(force_n, np.ones(WINDOW) / WINDOW, "valid")
+    start, mean = end - WINDOW, mean_force(force_n)
     for axes in panels:
         axes.axvspan(start / RATE_HZ, end / RATE_HZ, color=GREEN, alpha=0.12, linewidth=0)
-    panels[0].step(time - 1 / RATE_HZ, command_rad, where="post", color=ORANGE, label="command, held for one action")
-    panels[0].plot(time, angle_rad, color=BLUE, label="angle")
+    commanded = np.repeat(np.asarray(actions().angle), ticks)
+    panels[0].step(time - 1 / RATE_HZ, commanded, where="post", color=ORANGE, label="command, held for one action")
+    panels[0].plot(time, reading.angle, color=BLUE, label="angle")
     panels[0].set(xlim=(0, 5.4), ylabel="angle [rad]", ylim=(-0.5, 1.5))
     panels[0].legend(ncols=2, loc="upper left", fontsize=8)
-    panels[0].set_title("Action clock and window", weight="bold")
     panels[1].plot(time, force_n, color=BLUE, linewidth=0.9, label="force x at 100 Hz")
     panels[1].plot(time[WINDOW - 1 :], mean, color=BLACK, linewidth=2, label="mean of the last 200 samples")
-    panels[1].axhline(REFERENCE_N, color=ORANGE, linestyle="--", label="reference force")
+    panels[1].axhline(reference_n, color=ORANGE, linestyle="--", label="reference force")
     last = float(mean[end - WINDOW])
     arrow = {"arrowstyle": "<->", "color": BLACK, "shrinkA": 0, "shrinkB": 0}
-    panels[1].annotate("", (end / RATE_HZ, REFERENCE_N), (end / RATE_HZ, last), arrowprops=arrow)
-    panels[1].text(end / RATE_HZ + 0.05, (REFERENCE_N + last) / 2, "error", va="center")
+    panels[1].annotate("", (end / RATE_HZ, reference_n), (end / RATE_HZ, last), arrowprops=arrow)
+    panels[1].text(end / RATE_HZ + 0.05, (reference_n + last) / 2, "error", va="center")
     panels[1].text(
         (start + end) / 2 / RATE_HZ, -5, "window: six actions,\n200 samples, 2 s", ha="center", color=GREEN, fontsize=8
     )
@@ -72,24 +144,110 @@ def draw_window(panels: Any, command_rad: np.ndarray, angle_rad: np.ndarray, for
     panels[1].legend(ncols=2, loc="upper left", fontsize=8)
 
 
-def main(path: Path) -> None:
-    """Beat the fin of the virtual tank and draw."""
+def gait(figure: Figure) -> None:
+    """A gait of the example, repeated three times in the tank without noise, and its mean force."""
+    table, reference_n, times = load_map(EXAMPLE / "map").force_map.gaits.table, (2.0, 0.0), 4
+    scaled = np.tile(np.asarray(table.gait(np.asarray(reference_n, np.float32))), (times, 1))
     tank = Tank()
-    targets = CENTRE_RAD + SWING_RAD * (-1.0) ** np.arange(ACTIONS)
-    actions = Command(jnp.asarray(targets, jnp.float32), jnp.full(ACTIONS, VELOCITY_RAD_S))
-    state = tank.init(jax.random.key(0))
-    _, reading = jax.jit(lambda: hold(tank, state, actions))()
-    bent, _ = jax.jit(lambda: hold(tank, state, Command(*(field[:9] for field in actions))))()
-    ticks = [ACTION_TICKS[index % len(ACTION_TICKS)] for index in range(ACTIONS)]
-    assert sum(ticks[:CYCLE_ACTIONS]) == WINDOW
-    with styled():
-        figure = new_figure(10, 4)
-        left, right = figure.subfigures(1, 2, width_ratios=(1, 1.35))
-        draw_frame(left.subplots(), np.asarray(tank.shape(bent)), 0.8)
-        panels = right.subplots(2, 1, sharex=True)
-        draw_window(panels, np.repeat(targets, ticks), reading.angle, np.asarray(reading.force[:, 0]))
-    save_figure(figure, path.parent, path.stem, ("png",))
+    command = command_of(load_controller(EXAMPLE / "gaits").limits, jnp.asarray(scaled.T))
+    reading = jax.tree.map(np.asarray, jax.jit(lambda: hold(tank, tank.init(jax.random.key(0)), command))()[1])
+    time = (np.arange(len(reading.angle)) + 1) / RATE_HZ
+    figure.set_size_inches(WIDTH_IN, 4.0)
+    panels = figure.subplots(2, 1, sharex=True)
+    cycle = WINDOW / RATE_HZ
+    for axes in panels:
+        for first in range(0, times, 2):
+            axes.axvspan(first * cycle, (first + 1) * cycle, color=GREY, alpha=0.1, linewidth=0)
+    ticks = [ACTION_TICKS[index % len(ACTION_TICKS)] for index in range(len(scaled))]
+    panels[0].step(
+        time - 1 / RATE_HZ,
+        np.repeat(np.asarray(command.angle), ticks),
+        where="post",
+        color=ORANGE,
+        label="six actions, repeated",
+    )
+    panels[0].plot(time, reading.angle, color=BLUE, label="angle")
+    panels[0].set(ylabel="angle [rad]", ylim=(-0.9, 1.3), xlim=(0, times * cycle))
+    panels[0].legend(ncols=2, loc="upper left", fontsize=8)
+    panels[1].plot(time, reading.force[:, 0], color=BLUE, linewidth=0.9, label="force x at 100 Hz")
+    panels[1].plot(
+        time[WINDOW - 1 :], mean_force(reading.force[:, 0]), color=BLACK, linewidth=2, label="its mean over 2 s"
+    )
+    panels[1].axhline(reference_n[0], color=ORANGE, linestyle="--", label="force that the gait is for")
+    top = 1.45 * float(reading.force[:, 0].max())
+    panels[1].set(xlabel="time [s]", ylabel="force x [N]", ylim=(None, top))
+    panels[1].legend(ncols=3, loc="upper left", fontsize=8)
+
+
+def force_map(figure: Figure) -> None:
+    """What the fin of the example can make, the nodes of its map, and the cells of its grid."""
+    found, grid = load_map(EXAMPLE / "map").force_map, load_controller(EXAMPLE / "grid")
+    figure.set_size_inches(WIDTH_IN, 5.0)
+    axes = figure.subplots()
+    axes.add_patch(Polygon(found.reachable.corners(), facecolor=BLUE, alpha=0.12))
+    outline = np.concatenate([found.reachable.corners(), found.reachable.corners()[:1]])
+    axes.plot(*outline.T, color=BLUE, linewidth=1.6, label="edge of what the fin can make: the reachable forces")
+    nodes = found.gaits.table.references()
+    held = found.gaits.force_error() <= 0.1
+    axes.plot(
+        *nodes[held].T, "o", color=BLACK, markersize=2.2, label="node of the map, with the gait that makes this force"
+    )
+    for index, cell in enumerate(grid.cells):
+        (left, bottom), (right, top) = cell.low, cell.high
+        axes.add_patch(Rectangle((left, bottom), right - left, top - bottom, fill=False, edgecolor=RED, linewidth=1.8,
+                                 label="cell of a grid, with a policy of its own" if index == 0 else None))  # fmt: skip
+        axes.text(left + 0.06, top - 0.06, str(index + 1), ha="left", va="top", color=RED, fontsize=8,
+                  bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6})  # fmt: skip
+    axes.set(aspect="equal", xlabel="mean force x (thrust) [N]", ylabel="mean force y [N]")
+    figure.legend(loc="outside lower center", fontsize=8)
+
+
+def trim(figure: Figure) -> None:
+    """The mean force that a controller of the example holds in the tank, with and without the outer loop."""
+    tank, reference_n, count = Tank(), np.array([2.0, 1.0]), 90
+    single = load_controller(EXAMPLE / "single")
+    steps = {ticks: jax.jit(lambda state, command, ticks=ticks: tank.advance(state, command, ticks))
+             for ticks in set(ACTION_TICKS)}  # fmt: skip
+
+    def run(controller: Any) -> np.ndarray:
+        state, memory, forces = tank.init(jax.random.key(0)), controller.init(), []
+        measured = Measured(0.0, np.zeros(2))
+        for index in range(count):
+            memory, command = controller.act(memory, measured, reference_n)
+            state, reading = steps[ACTION_TICKS[index % 3]](state, Command(*map(jnp.float32, command)))
+            forces.append(np.asarray(reading.force))
+            measured = Measured(float(reading.angle[-1]), forces[-1].mean(axis=0))
+        return np.concatenate(forces)
+
+    figure.set_size_inches(WIDTH_IN, 4.0)
+    panels = figure.subplots(2, 1, sharex=True)
+    runs = (("without", run(single), GREY), ("with --trim", run(DisturbanceObserver(single)), BLUE))
+    for axis, axes in enumerate(panels):
+        for name, force_n, colour in runs:
+            mean = mean_force(force_n[:, axis])
+            axes.plot((np.arange(len(mean)) + WINDOW) / RATE_HZ, mean, color=colour, linewidth=1.6, label=name)
+        axes.axhline(reference_n[axis], color=ORANGE, linestyle="--", label="reference force")
+        axes.set(ylabel=f"mean force {'xy'[axis]} [N]", ylim=(reference_n[axis] - 0.35, reference_n[axis] + 0.35))
+    panels[0].legend(ncols=3, loc="upper right", fontsize=8)
+    panels[1].set(xlabel="time [s]", xlim=(0, count / 3))
+
+
+FIGURES = {"frame": frame, "plant": plant, "window": window, "gait": gait, "map": force_map, "trim": trim}
+
+
+def main(paths: list[Path]) -> None:
+    """Draw each figure that is named, with few colours, so that its file is small."""
+    for path in paths:
+        name = path.stem.removeprefix("concept-")
+        if name not in FIGURES or path.suffix != ".png":
+            sys.exit(f"{path}: no such figure; there are {', '.join(f'concept-{each}.png' for each in FIGURES)}")
+        with styled():
+            figure = new_figure(WIDTH_IN, 4)
+            FIGURES[name](figure)
+        save_figure(figure, path.parent, path.stem, ("png",))
+        image = Image.open(path).convert("RGB")
+        image.quantize(COLOURS).save(path, optimize=True)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main([Path(word) for word in sys.argv[1:]])

@@ -9,7 +9,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
-MARKDOWN = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+MARKDOWN = (
+    *sorted(ROOT.glob("*.md")),
+    *sorted((ROOT / "docs").glob("*.md")),
+    *sorted((ROOT / "docs").glob("[!_]*/*.md")),
+)
+CELL = "code-cell"
+"""Kind of a block that the build of the site runs."""
 SHOWING = (
     ROOT / "src/softfin/__init__.py",
     *sorted((ROOT / "docs").glob("*.py")),
@@ -41,6 +47,8 @@ class Shown(NamedTuple):
     """Whether it stands in a sentence, where much may be left out of it."""
     fails: bool = False
     """Whether the document shows that it ends in an error."""
+    in_cell: bool = False
+    """Whether the build of the site runs it, as it stands."""
 
     def __str__(self) -> str:
         return f"{self.document}:{self.line} {shlex.join(self.words)}"
@@ -71,7 +79,7 @@ def _blocks(path: Path) -> Iterator[Block]:
     lines = text_of(path).splitlines()
     at = 0
     while at < len(lines):
-        fence = re.match(r"( *)```(\w*)", lines[at])
+        fence = re.match(r"( *)```\{?([\w-]*)", lines[at])
         first = at + 1
         if fence:
             at = next(i for i in range(first, len(lines)) if lines[i].strip() == "```")
@@ -102,10 +110,11 @@ def prose_of(path: Path) -> str:
     lines = text_of(path).splitlines()
     for block in _blocks(path):
         first = block.line - 1
-        for at in range(first, first + block.text.count("\n") + 1):
+        behind = first + (block.text.count("\n") + 1 if block.text else 0)
+        for at in range(first, behind):
             lines[at] = ""
         if block.kind:
-            lines[first - 1] = lines[first + block.text.count("\n") + 1] = ""
+            lines[first - 1] = lines[behind] = ""
     return "\n".join(lines)
 
 
@@ -125,13 +134,18 @@ def _commands(block: Block) -> Iterator[Shown]:
     at = block.line
     for i, line in enumerate(lines):
         text = line.removeprefix("$ ") if prompted else line
+        if block.kind == CELL:
+            # Its redirections and pipes are the shell's.
+            text = re.split(r" (?:\d?>|\|)", text)[0] if "$(" not in text else ""
         first, _, rest = text.partition(" ")
         # What a command says of itself begins with its name and a colon.
         says = rest.split()[:1] and rest.split()[0].endswith(":")
         if first in PROGRAMS and not says and (line.startswith("$ ") or not prompted):
             words = _split(text.replace("\0", " "))
             answer = lines[i + 1] if prompted and i + 1 < len(lines) else ""
-            yield Shown(block.document, at, words, False, answer.startswith(" ".join(words[:2]) + ": "))
+            yield Shown(
+                block.document, at, words, False, answer.startswith(" ".join(words[:2]) + ": "), block.kind == CELL
+            )
         at += 1 + line.count("\0")
 
 

@@ -16,6 +16,7 @@ from softfin.cli import main
 from tests import staged
 from tests.documents import ROOT, Shown, commands, softfin_words
 from tests.staged import short_search  # noqa: F401  # pytest finds fixtures here
+from tests.test_golden import check_keys
 
 
 def flat(values, path=""):
@@ -65,6 +66,8 @@ IN_THE_DAY = (
 """Commands that need devices, which CI does at emulated ones: `make day`, examples/rig_day.py."""
 
 ELSEWHERE = {
+    "doctor --rig rig.yaml": "tests/cli/test_doctor.py",
+    "run example/single --reference=2,0 --arm": "tests/test_wheel.py",
     "ros2 controller --reference=2,0 --arm": "tests/cli/test_ros2.py",
     "ros2 controller --reference=0,0 --plant rig:front_left.yaml --arm "
     "--set joint_topic=/front_left/joint_states --set reference_topic=/front_left/reference "
@@ -88,9 +91,9 @@ ELSEWHERE = {
 
 
 def runs(shown: Shown) -> bool:
-    """Whether a command is whole: in a sentence, one that says where its result goes."""
+    """Whether a command is whole (in a sentence, one that says where its result goes), and not run by the site."""
     words = softfin_words(shown)
-    return bool(words) and (not shown.in_sentence or "--out" in words or "--onnx" in words)
+    return bool(words) and not shown.in_cell and (not shown.in_sentence or "--out" in words or "--onnx" in words)
 
 
 def kind(shown: Shown) -> tuple[str, ...]:
@@ -183,7 +186,9 @@ def test_a_command_of_the_documents_runs(shown, made, place, capsys):
     assert not shown.fails or stop.value.code == 2
     for option in ("--out", "--onnx"):
         if option in words:
-            assert Path(words[words.index(option) + 1]).exists()
+            written = Path(words[words.index(option) + 1])
+            assert written.exists()
+            check_keys(written)
 
 
 def test_every_entry_stands_for_a_command_that_is_shown():

@@ -1,0 +1,48 @@
+"""Configuration of Sphinx; `make docs` builds the site into build/docs."""
+
+import importlib.metadata
+import os
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE), str(HERE.parent)]
+# Notebooks call softfin as a reader does.
+os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+os.environ["PYTHONPATH"] = os.pathsep.join([str(HERE), *filter(None, [os.environ.get("PYTHONPATH")])])
+
+import generate  # noqa: E402  # beside this file
+
+project = "softfin"
+author = "softfin contributors"
+copyright = "softfin contributors, Apache-2.0"
+release = importlib.metadata.version("softfin")
+
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "links"]
+exclude_patterns = ["_generated"]
+html_theme = "furo"
+html_title = "softfin"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+# Options begin with two hyphens.
+smartquotes = False
+html_extra_path = [str(HERE.parent / "build" / "extra")]
+
+myst_enable_extensions = ["colon_fence", "deflist"]
+myst_heading_anchors = 3
+suppress_warnings = ["myst.header"]
+
+nb_execution_mode = "force"
+nb_execution_timeout = 300
+nb_execution_raise_on_error = True
+nb_execution_in_temp = True
+nb_merge_streams = True
+
+autodoc_member_order = "bysource"
+autodoc_preserve_defaults = True
+autodoc_typehints = "description"
+autodoc_typehints_format = "short"
+python_use_unqualified_type_names = True
+
+generate.pages(HERE / "_generated")
+generate.explorer(HERE.parent / "build" / "extra")
