@@ -21,7 +21,8 @@ def test_the_folder_holds_scores_and_figures(tmp_path):
         "comparison.png",
         "comparison.svg",
     ]
-    assert json.loads((tmp_path / "c" / "comparison.json").read_text()) == summary
+    written = json.loads((tmp_path / "c" / "comparison.json").read_text())
+    assert written == {"kind": "comparison", "format": 1, **summary}
     assert summary["dataset"] == "d"
 
 
