@@ -2,16 +2,16 @@
 
 import importlib.metadata
 import os
+import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 HERE = Path(__file__).parent
-sys.path[:0] = [str(HERE), str(HERE.parent)]
+sys.path[:0] = [str(HERE)]
 # Notebooks call softfin as a reader does.
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
 os.environ["PYTHONPATH"] = os.pathsep.join([str(HERE), *filter(None, [os.environ.get("PYTHONPATH")])])
-
-import generate  # noqa: E402  # beside this file
 
 project = "softfin"
 author = "softfin contributors"
@@ -44,5 +44,16 @@ autodoc_typehints = "description"
 autodoc_typehints_format = "short"
 python_use_unqualified_type_names = True
 
-generate.pages(HERE / "_generated")
-generate.explorer(HERE.parent / "build" / "extra")
+
+def deal_out(app: Any, env: Any, pages: list[str]) -> None:
+    """Two processes read the pages; of neighbours, as the tutorials are, each gets every second one."""
+    pages[:] = pages[::2] + pages[1::2]
+
+
+def setup(app: Any) -> None:
+    """Called by Sphinx."""
+    app.connect("env-before-read-docs", deal_out)
+
+
+# In a process of its own: one in which JAX has computed must not fork, and Sphinx forks.
+subprocess.run([sys.executable, "-m", "docs.generate"], cwd=HERE.parent, check=True)

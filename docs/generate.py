@@ -212,3 +212,8 @@ def _machine(record: dict[str, Any]) -> str:
     if not machine:
         return "Carried over from before there were these files."
     return f"{machine['processor']}, {machine['cores']} cores, {machine['system']}, Python {machine['python']}."
+
+
+if __name__ == "__main__":
+    pages(ROOT / "docs" / "_generated")
+    explorer(ROOT / "build" / "extra")
