@@ -47,7 +47,6 @@ TINY = {
     "evaluate --random": "--random 4",
     "baselines": f"--config baselines.yaml --seconds 3 --seeds 1 --plant {staged.PLANT}",
     "view": "--seconds 0.5 --plant tank.yaml",
-    "robot view": "--set hold_s=8 --set path_s=8 --set settled_s=2",
     "monitor": "--json",
     "inspect --rows-per-log": f"--rows-per-log {staged.ROWS}",
     "import-logs --rows-per-log": f"--rows-per-log {staged.ROWS}",
@@ -68,17 +67,18 @@ IN_THE_DAY = (
 ELSEWHERE = {
     "doctor --rig rig.yaml": "tests/cli/test_doctor.py",
     "run example/single --reference=2,0 --arm": "tests/test_wheel.py",
+    "rig emulate --real-time": "tests/test_wheel.py",
     "ros2 controller --reference=2,0 --arm": "tests/cli/test_ros2.py",
     "ros2 controller --reference=0,0 --plant rig:front_left.yaml --arm "
     "--set joint_topic=/front_left/joint_states --set reference_topic=/front_left/reference "
     "--set stop_topic=/front_left/stop --set wrench_topic=/front_left/wrench "
     "--set command_topic=/front_left/command": "tests/cli/test_ros2.py",
     "robot evaluate ucat --hold --out robot": "tests/cli/test_robot.py",
-    "robot evaluate ucat --lemniscate --out robot": "tests/cli/test_robot.py",
     "robot evaluate ucat --out robot": "tests/cli/test_robot.py",
     "robot evaluate ucat --dead --out one-fin-dead": "tests/cli/test_robot.py",
     "robot evaluate ucat --policy robot-policy --out with-policy": "tests/cli/test_robot.py",
     "robot train ucat --out robot-policy": "tests/cli/test_robot.py",
+    "robot view ucat --out robot.html": "tests/cli/test_robot.py",
     "robot view ucat --lemniscate --out lemniscate.html": "tests/cli/test_robot.py",
     "robot ros2 ucat --set max_thrust=3": "tests/cli/test_robot.py",
     "train surrogate --controller grid --engine ray --out grid": "tests/learning/ray_cluster.py",
