@@ -18,6 +18,7 @@ NAMES = (
     "recording",
     "rig",
     "robot",
+    "explore",
 )
 
 

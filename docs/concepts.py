@@ -106,7 +106,7 @@ def plant(figure: Figure) -> None:
     axes.text(9.1, 2.15, "readings", ha="center", va="bottom", color=BLUE)
     axes.plot([9.1, 9.1, 2.9], [2.05, 0.75, 0.75], color=BLACK, linewidth=1.4)
     axes.annotate("", (2.9, 1.42), (2.9, 0.74), arrowprops=arrow)
-    axes.text(6.0, 0.82, "angle [rad], force (x, y) [N]", ha="center", va="bottom", color=BLUE)
+    axes.text(6.0, 0.82, "angle [rad]; with --trim also force (x, y) [N]", ha="center", va="bottom", color=BLUE)
     axes.text(5.0, 0.2, "A plant is the virtual tank, a surrogate, your own simulator, or the rig with the real fin.",
               ha="center", va="center", color=GREY)  # fmt: skip
     axes.set(xlim=(0, 10), ylim=(0, 3))

@@ -18,7 +18,7 @@ author = "softfin contributors"
 copyright = "softfin contributors, Apache-2.0"
 release = importlib.metadata.version("softfin")
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "links"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "pages"]
 exclude_patterns = ["_generated"]
 html_theme = "furo"
 html_title = "softfin"

@@ -13,8 +13,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
-import messages
 import numpy as np
+from docs import messages
 from results.record import FOLDER, load, shown, source
 
 import softfin

@@ -1,12 +1,15 @@
 """The messages of softfin's errors, as the code raises them; docs/generate.py writes them into the page of errors."""
 
 import ast
+import re
 from collections import defaultdict
 from collections.abc import Collection, Iterator
 from pathlib import Path
 
 GAP = "…"
-"""In place of what a message fills in: a file, a value, the values that are allowed."""
+"""In place of what a message fills in, where the code has no name for it; else the name is there, in capitals."""
+
+GAPS = re.compile(rf"{GAP}|\b[A-Z][A-Z_]+\b")
 
 LEAST_LETTERS = 8
 """Of a message without its gaps; with fewer it only passes on what something else says."""
@@ -19,9 +22,11 @@ def messages(package: Path, kinds: Collection[str]) -> dict[str, list[str]]:
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call) and isinstance(node.exc.func, ast.Name):
                 name, arguments = node.exc.func.id, node.exc.args
-                if name in kinds and arguments and sum(map(str.isalpha, text := _text(arguments[0]))) >= LEAST_LETTERS:
-                    found[name].add(" ".join(text.split()))
-    return {name: sorted(texts, key=lambda text: text.strip(f"{GAP}:' ").lower()) for name, texts in found.items()}
+                if name in kinds and arguments and _letters(_text(arguments[0])) >= LEAST_LETTERS:
+                    found[name].add(" ".join(_text(arguments[0]).split()))
+    return {
+        name: sorted(texts, key=lambda text: GAPS.sub("", text).strip(" :'").lower()) for name, texts in found.items()
+    }
 
 
 def table(texts: list[str]) -> Iterator[str]:
@@ -29,7 +34,7 @@ def table(texts: list[str]) -> Iterator[str]:
     yield from ("| message | what to do |", "| --- | --- |")
     for text in texts:
         said, semicolon, remedy = text.rpartition("; ")
-        if not semicolon or sum(map(str.isalpha, said)) < LEAST_LETTERS:
+        if not semicolon or not _letters(said):
             said, remedy = text, ""
         yield f"| {_escaped(said)} | {_escaped(remedy)} |"
 
@@ -41,7 +46,21 @@ def _text(node: ast.expr) -> str:
         return "".join(map(_text, node.values))
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add):
         return _text(node.left) + _text(node.right)
+    if isinstance(node, ast.FormattedValue):
+        return _text(node.value) if isinstance(node.value, ast.Constant) else _name(node.value)
     return GAP
+
+
+def _name(node: ast.expr) -> str:
+    """What is filled in, as the code calls it: ``{path}`` and ``{self.path}`` are both PATH."""
+    if isinstance(node, ast.Name | ast.Attribute):
+        name = (node.id if isinstance(node, ast.Name) else node.attr).strip("_").upper()
+        return {"STRERROR": "REASON", "SOURCE": "FILE", "AGAIN": GAP, "REMEDY": GAP}.get(name, name)
+    return GAP
+
+
+def _letters(text: str) -> int:
+    return sum(map(str.isalpha, GAPS.sub("", text)))
 
 
 def _escaped(text: str) -> str:

@@ -26,9 +26,7 @@ LAYOUT = json.loads((ROOT / "docs/foxglove-layout.json").read_text())
 @pytest.fixture(scope="module")
 def generate() -> SimpleNamespace:
     """The functions of docs/generate.py."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(ROOT / "docs"))
-        return SimpleNamespace(**runpy.run_path(str(ROOT / "docs/generate.py")))
+    return SimpleNamespace(**runpy.run_path(str(ROOT / "docs/generate.py")))
 
 
 def test_the_command_line_page_has_every_option_of_every_command(generate, monkeypatch):
@@ -104,7 +102,7 @@ def test_every_path_of_the_layout_leads_to_a_value_of_a_recording(tmp_path):
 
 
 def test_a_dead_link_of_the_site_is_told(tmp_path):
-    dead_links = runpy.run_path(str(ROOT / "docs/links.py"))["dead_links"]
+    dead_links = runpy.run_path(str(ROOT / "docs/pages.py"))["dead_links"]
     (tmp_path / "more").mkdir()
     (tmp_path / "index.html").write_text(
         '<h1 id="top"></h1><a href="more/page.html#place"></a><a href="#top"></a><a href="https://example.org/x"></a>'

@@ -138,7 +138,7 @@ def test_the_folder_describes_itself(run: TrainingResult, tmp_path: Path) -> Non
     assert (tmp_path / "c" / "note.txt").read_text() == "hello"
     assert len(description["scores"]) == len(run.config.cells) * run.config.lattice**2
     assert description["scores"][0]["error_n"] == [0.25, 0.25]
-    assert description["scores"][0]["held_n"] == pytest.approx(description["scores"][0]["reference_n"])
+    assert description["scores"][0]["tracked_reference_n"] == pytest.approx(description["scores"][0]["reference_n"])
     assert description["configuration"]["steps"] == run.config.steps
 
 

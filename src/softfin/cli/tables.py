@@ -69,7 +69,7 @@ def _scores(row: Mapping[str, Any]) -> list[str]:
 
 def held(row: Mapping[str, Any]) -> str:
     """Return a note where another force is held than was asked for."""
-    held = row.get("tracked_reference_n") or row.get("held_n") or row["reference_n"]
+    held = row.get("tracked_reference_n") or row["reference_n"]
     if max(abs(a - b) for a, b in zip(held, row["reference_n"], strict=True)) < 1e-3:
         return ""
     return f"  cannot be made: ({held[0]:.2f}, {held[1]:.2f}) N is held"

@@ -107,7 +107,7 @@ function tell(predicted) {
     element("status").textContent = `(${numeral(chosen.x, 2)}, ${numeral(chosen.y, 2)}) N held within ${SETTLED_N} N, ${seconds(Math.max(asked.within - asked.time, 0))} s after it was asked for.`;
   } else if (!within && (asked.told || !element("status").textContent.startsWith("Asked"))) {
     asked.told = false;
-    element("status").textContent = `Asked for (${numeral(chosen.x, 2)}, ${numeral(chosen.y, 2)}) N \u2026`;
+    element("status").textContent = `Asked for (${numeral(chosen.x, 2)}, ${numeral(chosen.y, 2)}) N; not held yet.`;
   }
 }
 

@@ -109,14 +109,19 @@ def _scores(
 ) -> list[dict[str, Any]]:
     """List, for each cell, its references and the force errors in the plant that it was trained in.
 
-    Errors are against ``held_n``, the nearest force that the fin can make, where its reach is known. ``beyond_data`` is
-    the share of actions that left the training data of the plant, where that is a surrogate with such a measure.
+    Errors are against ``tracked_reference_n``, the nearest force that the fin can make, where its reach is known.
+    ``out_of_distribution_fraction`` is the share of actions that left the training data of the plant, where that is a
+    surrogate with such a measure.
     """
     rows, outside = [], scored.out_of_distribution_fraction
     for i, cell in enumerate(config.cells):
         for j, reference in enumerate(cell.lattice(config.lattice)):
-            forces = {"held_n": tracked[i, j], "error_n": scored.error[index, i, j], "std_n": scored.std[index, i, j]}
+            forces = {
+                "tracked_reference_n": tracked[i, j],
+                "error_n": scored.error[index, i, j],
+                "std_n": scored.std[index, i, j],
+            }
             rounded = {name: [round(float(x), 4) for x in force] for name, force in forces.items()}
-            beyond = {} if outside is None else {"beyond_data": float(outside[index, i, j])}
+            beyond = {} if outside is None else {"out_of_distribution_fraction": float(outside[index, i, j])}
             rows.append({"cell": i, "reference_n": list(reference), **rounded, **beyond})
     return rows

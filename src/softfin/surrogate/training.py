@@ -44,7 +44,10 @@ def keep_best(state: TrainingState, losses: Any, held_out: Any, name: str) -> tu
 def hold_out(logs: Sequence[Log], share: float) -> tuple[Sequence[Log], Sequence[Log]]:
     """Logs to learn from and, the last ones, to hold out; raises LogError where there are fewer than two."""
     if (count := len(logs)) < 2:
-        raise LogError(f"{count} training log: at least 2 are needed, one to learn from and one held out; record more")
+        raise LogError(
+            f"{count} training log: at least 2 are needed, one to learn from and one held out; "
+            "record more, or cut a long file into logs by --rows-per-log"
+        )
     held_out = min(count - 1, max(1, round(count * share)))
     return logs[:-held_out], logs[-held_out:]
 

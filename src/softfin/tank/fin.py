@@ -2,7 +2,7 @@
 
 The first joint holds the fin on the shaft, and loads it back. One step of time takes bending, structural damping, the
 water's resistance and the shaft by the implicit midpoint rule, and what is left of the nonlinearity at a midpoint that
-the last accelerations foretell: second order in the step, one linear solve. No stiffness and no damping makes it
+the last accelerations predict: second order in the step, one linear solve. No stiffness and no damping makes it
 unstable; turning far in one step does (docs/tank.md, "Step of time").
 """
 

@@ -91,6 +91,8 @@ def _draw_lags(axes: Axes, inspection: Inspection) -> None:
         lags = [getattr(one, f"{name}_lag_ms") for one in inspection.logs]
         found = [lag for lag in lags if lag is not None]
         axes.plot(np.linspace(place - 0.25, place + 0.25, len(found)), found, ".", color=BLUE)
+        if not found:
+            axes.text(place, np.mean(plausible), "not known", ha="center", va="center")
     axes.set_xticks([0, 1], ["command\nto angle", "angle\nto force"])
     axes.set(title="clocks: plausible in grey", ylabel="lag [ms]", xlim=(-0.5, 1.5))
     axes.grid(visible=False, axis="x")

@@ -104,6 +104,7 @@ def _draw_means(axes: Axes, comparison: Comparison) -> None:
     axes.axhline(0.95, color=GREY, linewidth=0.8, linestyle=":")
     axes.text(0.99, 0.94, "95%", color=GREY, ha="right", va="top", transform=axes.get_yaxis_transform(), fontsize=7)
     axes.set(xlabel="error of the mean force over 2 s [N]", ylabel="share within", ylim=(0, 1.02), xlim=(0, None))
+    axes.locator_params(axis="x", nbins=5)
     axes.set_title(f"Mean force, free-running for {comparison.summary['horizons_s'][-1]:g} s")
     axes.legend(fontsize=7, loc="lower right")
 

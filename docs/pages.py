@@ -1,4 +1,4 @@
-"""Extension of Sphinx: links that are named by a file show its page's title; a dead link is an error."""
+"""Extension of Sphinx: cells as one types them, links by a page's title, and an error for a dead link."""
 
 import re
 from html.parser import HTMLParser
@@ -44,6 +44,24 @@ def dead_links(site: Path) -> list[str]:
     return sorted(dead)
 
 
+def show_as_typed(app: Any, doctree: Any) -> None:
+    """Show shell cells without ``%%sh``, and the file that ``%%writefile`` writes under its name."""
+    from docutils import nodes
+
+    for block in doctree.findall(nodes.literal_block):
+        first, _, rest = block.astext().partition("\n")
+        magic, *names = first.split() or [""]
+        if magic == "%%sh":
+            language, text = "sh", rest
+        elif magic == "%%writefile":
+            language, text = Path(names[0]).suffix.lstrip(".").replace("py", "python"), f"# {names[0]}\n{rest}"
+        else:
+            continue
+        block["language"] = language
+        block.rawsource = text
+        block.children[:] = [nodes.Text(text)]
+
+
 def name_by_title(app: Any, doctree: Any, docname: str) -> None:
     """Show the title of a page where its file is the text of a link."""
     from docutils import nodes
@@ -65,7 +83,8 @@ def check(app: Any, failure: Exception | None) -> None:
 
 
 def setup(app: Any) -> dict[str, Any]:
-    """Add both to a build."""
+    """Called by Sphinx."""
+    app.connect("doctree-read", show_as_typed)
     app.connect("doctree-resolved", name_by_title)
     app.connect("build-finished", check)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
