@@ -19,7 +19,8 @@ from softfin.core.quantities import Command
 from softfin.gaits.force_map import load_map
 from softfin.rig.config import load_rig, load_ros2
 from softfin.robot.description import RobotConfig
-from softfin.robot.residual_policy import OBSERVED, ResidualPolicy
+from softfin.robot.paths import PathPoint
+from softfin.robot.residual_policy import ResidualPolicy
 from softfin.storage import artifact as artifacts
 from softfin.storage.bag.recovery import scan
 from softfin.storage.formats import FOLDERS, FORMATS, IN_FILE
@@ -206,8 +207,16 @@ def robot_accelerations() -> np.ndarray:
     """Accelerations that the golden policy of a robot adds."""
     description = artifacts.load_description(NUMBERED / "robot-policy", "robot-policy")
     policy = ResidualPolicy.load(NUMBERED / "robot-policy", RobotConfig.model_validate(description["robot"]))
-    seen = (np.sin(k + np.arange(OBSERVED, dtype=np.float32)) for k in range(3))
-    return np.array([policy.bound * np.tanh(policy.network(each)) for each in seen])
+    return np.array([policy.act(*robot_state(begin)) for begin in (0.0, 1.0, 2.0)])
+
+
+def robot_state(begin: float) -> tuple[np.ndarray, np.ndarray, list[PathPoint]]:
+    """An estimate, accelerations and a path whose numbers all differ."""
+    numbers = np.sin(begin + np.arange(200.0))
+    estimate, accelerations = 0.05 * numbers[:18].reshape(6, 3), 0.2 * numbers[18:30].reshape(2, 6)
+    points = [0.2 * row for row in numbers[40:104].reshape(4, 16)]
+    path = [PathPoint(p[:3], np.array([0.9, *p[3:6]]), p[6:9], p[9:12], p[12:15], p[13:16]) for p in points]
+    return estimate, accelerations, path
 
 
 def test_robot_policy() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from softfin import installation
-from softfin.installation import EXTRAS, extra_of, how_to_add, missing_from, requirements_of
+from softfin.installation import EXTRAS, how_to_add, missing_from, requirements_of, what_is_missing
 
 PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
 
@@ -28,34 +28,66 @@ def test_what_trains_is_no_part_of_what_runs_a_controller():
 @pytest.mark.parametrize(
     ("source", "command"),
     [
+        ({"url": "file:///a%20b/softfin.whl", "archive_info": {}}, '"softfin[x] @ file:///a%20b/softfin.whl"'),
+        ({"url": "file:///a%20b", "dir_info": {"editable": True}}, '-e "/a b[x]"'),
         (
-            {"url": "file:///a%20b/softfin.whl", "archive_info": {}},
-            'pip install "softfin[x] @ file:///a%20b/softfin.whl"',
+            {"url": "https://host/r", "vcs_info": {"vcs": "git", "commit_id": "1a2b"}},
+            '"softfin[x] @ git+https://host/r@1a2b"',
         ),
-        ({"url": "file:///a%20b", "dir_info": {"editable": True}}, 'pip install -e "/a b[x]"'),
-        ({"url": "https://host/r", "vcs_info": {"vcs": "git"}}, 'pip install "softfin[x] @ git+https://host/r"'),
-        (None, 'make wheel, in a checkout of softfin, then pip install "dist/softfin-'),
+        (None, f'"dist/softfin-{PROJECT["version"]}-py3-none-any.whl[x]"'),
     ],
 )
 def test_an_extra_is_added_from_where_softfin_came(source, command, monkeypatch):
+    """By the installer that is there: an environment of uv has no pip."""
     monkeypatch.setattr(installation, "origin", lambda: source)
-    assert how_to_add("x").startswith(command)
-    assert "[x]" in how_to_add("x")
+    for installer, install in (("pip", "pip install"), ("uv", f"uv pip install --python {sys.executable}")):
+        monkeypatch.setattr(installation, "installer", lambda name=installer: name)
+        assert how_to_add("x").endswith(f"{install} {command}")
+    assert how_to_add("x").startswith("make wheel") == (source is None)
 
 
-@pytest.mark.parametrize(("module", "extra"), [("jax.numpy", "learn"), ("PIL", "learn"), ("cyclonedds.core", "ros2"),
-                                               ("softfin.no", None), ("os", None)])  # fmt: skip
-def test_a_module_that_is_not_there_is_of_an_extra_or_of_none(module, extra):
-    assert extra_of(ModuleNotFoundError(f"No module named {module!r}", name=module)) == extra
+def test_an_extra_that_brings_another_needs_what_that_needs():
+    assert set(requirements_of("learn")) < set(requirements_of("onnx"))
 
 
-def test_a_command_without_what_it_needs_names_the_extra_in_one_line(tmp_path):
-    code = "import sys; sys.modules['jax'] = None; from softfin.cli import main; main(sys.argv[1:])"
-    words = ("collect", "--out", "dataset", "--plant", "tank")
+@pytest.mark.parametrize(
+    ("module", "there", "told"),
+    [
+        ("jax.numpy", None, "needs jax.numpy, of the extra 'learn', which is not installed: "),
+        ("PIL", None, "needs PIL, of the extra 'learn', which is not installed: "),
+        ("cyclonedds.core", None, "needs cyclonedds.core, of the extra 'ros2', which is not installed: "),
+        ("yaml", None, "needs yaml, without which no command works, and which is not installed; install softfin again"),
+        ("jax.extend.no", "0.1", "needs jax.extend.no, which jax 0.1 lacks; install jax again"),
+    ],
+)
+def test_a_module_that_is_not_there_is_told_with_the_way_out(module, there, told, monkeypatch):
+    monkeypatch.setattr(installation, "version_of", lambda _: there)
+    assert (what_is_missing(ModuleNotFoundError(name=module)) or "").startswith(told)
+
+
+@pytest.mark.parametrize("module", ["softfin.no", "os"])
+def test_a_module_that_softfin_does_not_need_is_a_bug(module):
+    assert what_is_missing(ModuleNotFoundError(name=module)) is None
+
+
+@pytest.mark.parametrize(
+    ("module", "told"),
+    [
+        ("jax", "needs jax, of the extra 'learn', which is not installed: "),
+        ("canopen", "needs canopen, without which no command works"),
+        ("pydantic", "needs pydantic"),
+    ],
+)
+def test_a_command_without_what_it_needs_says_so_in_one_line(module, told, tmp_path):
+    code = (
+        f"import sys; sys.modules[{module!r}] = None; import softfin.installation as installation\n"
+        "installation.version_of = lambda name: None; from softfin.cli import main; main(sys.argv[1:])"
+    )
+    words = ("collect", "--out", "dataset", "--plant", "tank") if module == "jax" else ("doctor",)
     done = subprocess.run(
         [sys.executable, "-c", code, *words], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
     )
     assert done.returncode == 2
-    assert done.stderr.startswith("softfin collect: needs jax, of the extra 'learn', which is not installed: ")
+    assert done.stderr.startswith(f"softfin {words[0]}: {told}")
     assert done.stderr.count("\n") == 1
     assert not list(tmp_path.iterdir())

@@ -15,8 +15,10 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+import yaml
 
 from tests.documents import ROOT
+from tests.rig.rigs import WIDE
 
 PYTHONS = os.environ.get("SOFTFIN_PYTHONS", "").split()
 VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
@@ -88,10 +90,10 @@ def learner(robot, tmp_path_factory):
     environment.pip_install(wheel())
     told = environment.softfin("collect", "--plant", "tank", "--out", "dataset", code=2).stderr
     assert told.count("\n") == 1
-    assert "needs jax, of the extra 'learn', which is not installed: pip install " in told
-    program, install, requirement = shlex.split(told.partition("not installed: ")[2])
-    assert (program, install) == ("pip", "install")
-    environment.pip_install(requirement)
+    assert "needs jax, of the extra 'learn', which is not installed: uv pip install " in told
+    program, *words = shlex.split(told.partition("not installed: ")[2])
+    assert program == "uv"
+    run([uv(), *words], environment.work)
     return environment
 
 
@@ -109,6 +111,10 @@ def emulated(robot):
     with subprocess.Popen(words, cwd=robot.work, stdout=subprocess.PIPE, text=True) as emulator:
         try:
             assert "written" in emulator.stdout.readline()
+            file = robot.work / "rig.yaml"
+            values = yaml.safe_load(file.read_text())
+            values["safety"] |= WIDE
+            file.write_text(yaml.safe_dump(values))
             yield
         finally:
             emulator.terminate()
@@ -119,7 +125,6 @@ def test_the_robots_part_holds_a_force_on_an_emulated_rig(robot, emulated):
     robot.softfin("rig", "zero", "--arm", "--yes")
     words = ("--reference=2,0", "--seconds", "6", "--bag", "run.mcap", "--trim", "--arm", "--yes", "--json")
     result = json.loads(robot.softfin("run", "example/single", *words).stdout)
-    assert result["seconds"] == pytest.approx(6, abs=0.2)
     assert max(result["error_x_n"], result["error_y_n"]) < 0.3
     watched = json.loads(robot.softfin("monitor", "run.mcap", "--json").stdout)
     assert (watched["state"], watched["problem"]) == ("ended", None)

@@ -3,13 +3,16 @@
 import importlib.metadata
 import json
 import re
+import sys
 from typing import Any
 from urllib.parse import unquote, urlparse
 
 EXTRAS = ("learn", "onnx", "ros2", "ray", "sb3")
 """Parts of softfin beside the robot's, as pyproject.toml has them; `learn` records in simulation, learns and draws."""
 
-DISTRIBUTIONS = {"PIL": "pillow", "jaxlib": "jax", "stable_baselines3": "sb3-contrib"}
+DISTRIBUTIONS = {
+    "PIL": "pillow", "can": "python-can", "jaxlib": "jax", "stable_baselines3": "sb3-contrib", "yaml": "pyyaml",
+}  # fmt: skip
 """Distributions of modules that have another name."""
 
 
@@ -22,14 +25,15 @@ def version_of(distribution: str) -> str | None:
 
 
 def requirements_of(extra: str | None) -> list[str]:
-    """Distributions that softfin itself needs, or that an extra of it adds."""
-    names = []
+    """Distributions that softfin itself needs, or that an extra of it adds, with those of an extra that it brings."""
+    names: list[str] = []
     for line in importlib.metadata.requires("softfin") or ():
         requirement, _, marker = line.partition(";")
         of = re.search(r"extra == ['\"]([\w-]+)['\"]", marker)
         name = re.split(r"[\s<>=!~\[(]", requirement.strip())[0].lower().replace("_", "-")
-        if (of and of[1]) == extra and name != "softfin":
-            names.append(name)
+        if (of and of[1]) == extra:
+            brought = re.search(r"\[([\w-]+)\]", requirement)
+            names += requirements_of(brought[1]) if name == "softfin" and brought else [name]
     return names
 
 
@@ -38,25 +42,41 @@ def missing_from(extra: str | None) -> list[str]:
     return [name for name in requirements_of(extra) if version_of(name) is None]
 
 
-def extra_of(error: ModuleNotFoundError) -> str | None:
-    """The extra that brings the module that was not there; None where none does."""
+def what_is_missing(error: ModuleNotFoundError) -> str | None:
+    """What softfin lacks where a module was not there, and the way out; None where it needs no such module."""
     module = (error.name or "").partition(".")[0]
     distribution = DISTRIBUTIONS.get(module, module).lower().replace("_", "-")
-    return next((extra for extra in EXTRAS if distribution in requirements_of(extra)), None)
+    parts = [extra for extra in (None, *EXTRAS) if distribution in requirements_of(extra)]
+    if not parts:
+        return None
+    if (version := version_of(distribution)) is not None:
+        return f"needs {error.name}, which {distribution} {version} lacks; install {distribution} again"
+    if parts[0] is None:
+        return f"needs {error.name}, without which no command works, and which is not installed; install softfin again"
+    return f"needs {error.name}, of the extra {parts[0]!r}, which is not installed: {how_to_add(parts[0])}"
 
 
 def how_to_add(extra: str) -> str:
-    """The command that adds an extra to this installation, from the wheel or folder that it was installed from."""
-    source = origin()
+    """The command that adds an extra to this installation, from the wheel, folder or commit that it came from."""
+    source, install = origin(), "pip install"
+    if installer() == "uv":
+        # Its environments have no pip.
+        install = f"uv pip install --python {sys.executable}"
     if source is None:
         # Nothing is published: by its name alone pip would find nothing, or somebody else's package.
         wheel = f"dist/softfin-{version_of('softfin')}-py3-none-any.whl"
-        return f'make wheel, in a checkout of softfin, then pip install "{wheel}[{extra}]"'
-    url = source["url"]
+        return f'make wheel, in a checkout of softfin, then {install} "{wheel}[{extra}]"'
+    url, vcs = source["url"], source.get("vcs_info")
     if source.get("dir_info", {}).get("editable"):
-        return f'pip install -e "{unquote(urlparse(url).path)}[{extra}]"'
-    vcs = source.get("vcs_info", {}).get("vcs")
-    return f'pip install "softfin[{extra}] @ {f"{vcs}+" if vcs else ""}{url}"'
+        return f'{install} -e "{unquote(urlparse(url).path)}[{extra}]"'
+    if vcs is not None:
+        url = f"{vcs['vcs']}+{url}@{vcs['commit_id']}"
+    return f'{install} "softfin[{extra}] @ {url}"'
+
+
+def installer() -> str:
+    """The program that installed softfin, such as pip or uv."""
+    return (importlib.metadata.distribution("softfin").read_text("INSTALLER") or "pip").strip()
 
 
 def origin() -> dict[str, Any] | None:

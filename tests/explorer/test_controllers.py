@@ -1,5 +1,7 @@
 """The controllers in the page act as softfin's own do with NumPy, command for command."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from softfin.control.disturbance_observer import DisturbanceObserver
 from softfin.control.references import nearest_trackable
 from softfin.control.store import load_controller
 from softfin.core.errors import CoverageError
+from softfin.core.operations import operations_of
 from softfin.core.quantities import Command
 from softfin.core.window import moving_error, sobolev, window_mean
 from softfin.explorer.contents import controller_data, surrogate_data
@@ -131,3 +134,19 @@ def test_the_outer_loop_may_begin_at_any_phase_of_the_clock(controllers, begun):
         cells=controller_data(controllers["single"])["cells"], begun=begun,
     )  # fmt: skip
     np.testing.assert_allclose(bias / gain, 0.34 - 2, atol=1e-9)
+
+
+def test_where_cells_touch_the_same_policy_acts(controllers):
+    """1.1 has no exact single precision, in which NumPy has references and cells."""
+    grid, edges, forces = controllers["grid"], ((0.5, 1.1), (1.1, 3.5)), [[1.1, 0.0], [0.9, 0.0], [1.2, 0.0]]
+    data = controller_data(grid) | {"cells": [{"low": [x, -1.5], "high": [y, 1.5]} for x, y in edges] * 3}
+    page = node.run(
+        """
+        const controller = new Controller(input.controller);
+        output = input.forces.map((force) => controller.step.nearestCell(force.map(Math.fround)));
+        """, controller=data, forces=forces,
+    )  # fmt: skip
+    low, high = (np.array([cell[name] for cell in data["cells"]], np.float32) for name in ("low", "high"))
+    step = dataclasses.replace(grid.step, low=low, high=high)
+    singles = [np.array(force, np.float32) for force in forces]
+    assert page == [int(step.active_cell(operations_of(low), step.init(), force)) for force in singles] == [0, 0, 1]

@@ -136,11 +136,28 @@ def test_a_mouse_drags_the_force_and_the_loop_follows_it(opened):
     assert float(opened.run("element('x').value")) == pytest.approx(3, abs=0.02)
     assert "reference=3.0" in opened.run("location.hash").replace("2.99", "3.0").replace("%2C", ",")
     assert opened.run("loop.time") == 0
+    assert (
+        opened.run("draw() || element('status').textContent")
+        == f"Asked for {force_text(asked(opened))} N; not held yet."
+    )
     opened.run("run(400); draw()")
     assert opened.run("loop.time") == 400
     assert opened.run("loop.history.at(-1).reference") == asked(opened)
     assert opened.run("element('time').textContent") == "4.0 s"
     assert float(opened.run("element('error-x').textContent")) == pytest.approx(opened.run("loop.error()[0]"), abs=1e-3)
+
+
+def force_text(force):
+    return "({}, {})".format(*(f"{value:.2f}".replace("-", "\u2212") for value in force))
+
+
+def test_only_the_first_button_drags(opened):
+    before = asked(opened)
+    box = middle(opened, (1, 1))
+    for kind in ("mousePressed", "mouseReleased"):
+        opened.call("Input.dispatchMouseEvent", type=kind, x=box[0], y=box[1], button="right", buttons=2, clickCount=1)
+        assert asked(opened) == before
+    assert not opened.run("dragging")
 
 
 def test_beyond_reach_the_nearest_force_is_asked_for(opened):
@@ -212,6 +229,22 @@ def test_a_link_holds_the_state(opened):
     opened.frames(2)
     assert opened.run("[chosen.controller, chosen.plant, chosen.speed]") == [1, 0, "0.25"]
     np.testing.assert_allclose(asked(opened), (1.2, -0.7))
+    # Copied there and opened here, it says what is as it was at first, too.
+    opened.run("choose({ speed: '1', fin: '1', cold: false, trim: true, plant: 0 })")
+    usual = opened.run("location.hash")
+    opened.run("choose({ speed: '0.25', fin: '1.4', cold: true, trim: false })")
+    opened.run(f"location.hash = '{usual}'")
+    opened.frames(2)
+    assert opened.run("[chosen.speed, chosen.fin, chosen.cold, chosen.trim]") == ["1", "1", False, True]
+
+
+def test_a_restart_clears_the_figures(opened):
+    opened.run("run(250); draw()")
+    assert opened.run("element('predicted-x').textContent") != "\u2013"
+    opened.run("begin(); draw()")
+    assert {opened.run(f"element('{name}').textContent") for name in ("predicted-x", "half-y", "distance")} == {
+        "\u2013"
+    }
 
 
 def test_controllers_and_plants_are_switched_in_place(opened):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from softfin import installation
 from softfin.installation import EXTRAS
 from softfin.rig import doctor
 from softfin.rig.check import CheckResult
@@ -64,6 +65,8 @@ def test_the_cache_of_compiled_programs_is_measured(tmp_path, monkeypatch):
     assert "programs: 0 programs, 0 of" in results()["compile cache"].text
     (tmp_path / "programs").mkdir()
     (tmp_path / "programs" / "a.program").write_bytes(bytes(3 * 2**20))
+    # As if another softfin took it away between listing and looking.
+    (tmp_path / "programs" / "b.program").symlink_to(tmp_path / "gone")
     assert "programs: 1 programs, 3 of at most 1,024 MiB" in results()["compile cache"].text
     monkeypatch.setenv("SOFTFIN_CACHE", "off")
     assert results()["compile cache"].state == "note"
@@ -73,7 +76,11 @@ def test_the_cache_of_compiled_programs_is_measured(tmp_path, monkeypatch):
 
 
 def test_an_extra_that_is_not_there_says_how_it_is_added(monkeypatch):
-    monkeypatch.setattr(doctor, "requirements_of", lambda extra: {"learn": ["numpy", "no-such-thing"]}.get(extra, []))
+    wanted = {"learn": ["numpy", "no-such-thing"], "onnx": ["mcap", "numpy", "no-such-thing"]}
+    monkeypatch.setattr(installation, "requirements_of", lambda extra: wanted.get(extra, []))
+    monkeypatch.setattr(doctor, "requirements_of", installation.requirements_of)
+    # It brings `learn`, and does not work without it.
+    assert results()["[onnx]"].text.startswith("lacks no-such-thing; where you need it: ")
     learn = results()["[learn]"]
     assert learn.state == "note"
     assert learn.text.startswith("lacks no-such-thing; where you need it: ")

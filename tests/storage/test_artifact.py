@@ -130,6 +130,10 @@ def test_nothing_of_the_user_is_replaced(tmp_path):
     (tmp_path / "thesis.tex").write_text("mine")
     with pytest.raises(ArtifactError, match="was not written by softfin, so it is not replaced"):
         artifacts.check_vacant(tmp_path, overwrite=True)
+    for text in ("{}", "[]", "{", '{"kind": "example"}'):
+        (tmp_path / "robot.json").write_text(text)
+        with pytest.raises(ArtifactError, match="was not written by softfin, so it is not replaced"):
+            artifacts.check_vacant(tmp_path, overwrite=True)
     artifacts.save(tmp_path / "s", "surrogate", {}, {})
     with pytest.raises(ArtifactError, match="give another --out, or --overwrite"):
         artifacts.check_vacant(tmp_path / "s")

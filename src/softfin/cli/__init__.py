@@ -84,11 +84,16 @@ def arguments_of(name: str) -> type[Any]:
 
 def _run(name: str, words: list[str]) -> None:
     # Imported here: --version needs none of it.
-    from softfin.cli import options
-    from softfin.core.errors import SoftfinError, one_line
-    from softfin.installation import extra_of, how_to_add
+    from softfin.installation import what_is_missing
 
     debug = "--debug" in words
+    try:
+        from softfin.cli import options
+        from softfin.core.errors import SoftfinError, one_line
+    except ModuleNotFoundError as error:
+        if debug or (missing := what_is_missing(error)) is None:
+            raise
+        _exit(f"softfin {name}: {missing}", 2)
     # XLA's notes on how it compiles would hide the lines of a command.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
     # Threads of OpenBLAS spin while they wait for one another: beside other work, sums that NumPy does in 0.1 s of
@@ -117,9 +122,8 @@ def _run(name: str, words: list[str]) -> None:
             raise
         if isinstance(error, SoftfinError):
             _exit(f"softfin {name}: {error}", error.exit_code)
-        if isinstance(error, ModuleNotFoundError) and (extra := extra_of(error)) is not None:
-            missing = f"needs {error.name}, of the extra {extra!r}, which is not installed"
-            _exit(f"softfin {name}: {missing}: {how_to_add(extra)}", 2)
+        if isinstance(error, ModuleNotFoundError) and (missing := what_is_missing(error)) is not None:
+            _exit(f"softfin {name}: {missing}", 2)
         if isinstance(error, OSError):
             _exit(f"softfin {name}: {error.filename or 'system'}: {error.strerror or error}", STOPPED)
         _exit(f"softfin {name}: {type(error).__name__}: {one_line(error)} "

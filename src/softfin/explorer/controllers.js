@@ -95,7 +95,9 @@ class GridController {
     const stacked = Object.entries(network).map(([name, array]) => [name, decoded(array)]);
     this.networks = cells.map((_, index) => new PolicyNetwork(Object.fromEntries(stacked.map(([name, array]) => [name, part(array, index)]))));
     this.gaits = gaits === null ? null : new GaitTable(gaits);
-    Object.assign(this, { cells, task, switching, memory: this.networks[0].empty(), age: 0, activeCell: 0, blend: 0 });
+    // In single precision, as references are: where cells touch, the same one acts.
+    this.cells = cells.map(({ low, high }) => ({ low: low.map(Math.fround), high: high.map(Math.fround) }));
+    Object.assign(this, { task, switching, memory: this.networks[0].empty(), age: 0, activeCell: 0, blend: 0 });
     this.actions = joined(...Array(CYCLE_ACTIONS + task.past_actions + 1).fill(rest));
     this.angles = Array(CYCLE_ACTIONS).fill(0);
     this.lastReference = [0, 0];

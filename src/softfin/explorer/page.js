@@ -7,12 +7,12 @@ const range = planeRange(controllers), makers = { tank: Tank, surrogate: Streami
 /* What is chosen; the address holds it behind the #. */
 const chosen = { controller: 0, plant: 0, x: 2, y: 0, speed: "1", fin: "1", cold: false, trim: true, paused: matchMedia("(prefers-reduced-motion: reduce)").matches };
 
-let loop = null, last = null, asked = { time: 0, within: null, told: false }, pushed = -Infinity, told = -Infinity, dragging = false;
+let loop = null, last = null, asked = { time: 0, within: null }, pushed = -Infinity, told = -Infinity, dragging = false;
 
 function begin() {
   const made = Object.fromEntries(plants.map((each, index) => [index, new makers[each.kind](each)]));
   loop = new Loop(made, String(chosen.plant), new Controller(controllers[chosen.controller]), [chosen.x, chosen.y]);
-  asked = { time: 0, within: null, told: false };
+  asked = { time: 0, within: null };
   pushed = -Infinity;
   apply();
 }
@@ -32,11 +32,8 @@ function apply() {
   const inTank = plants[chosen.plant].kind === "tank";
   for (const name of ["cold", "push", "fin"]) element(name).disabled = !inTank;
   element("tank-only").hidden = inTank;
-  const state = new URLSearchParams({ controller: controllers[chosen.controller].name, plant: plants[chosen.plant].name, reference: `${chosen.x.toFixed(2)},${chosen.y.toFixed(2)}` });
-  if (chosen.speed !== "1") state.set("speed", chosen.speed);
-  if (chosen.fin !== "1") state.set("fin", chosen.fin);
-  if (!chosen.trim) state.set("trim", "0");
-  for (const name of ["cold", "paused"]) if (chosen[name]) state.set(name, "1");
+  const flags = Object.fromEntries(["cold", "trim", "paused"].map((name) => [name, Number(chosen[name])]));
+  const state = new URLSearchParams({ controller: controllers[chosen.controller].name, plant: plants[chosen.plant].name, reference: `${chosen.x.toFixed(2)},${chosen.y.toFixed(2)}`, speed: chosen.speed, fin: chosen.fin, ...flags });
   element("link").href = `#${state}`;
   // Not while one drags: browsers refuse to write the address a hundred times in ten seconds.
   if (!dragging) history.replaceState(null, "", `#${state}`);
@@ -59,7 +56,7 @@ function ask(x, y) {
   const { cells, reachable } = loop.controller, near = nearestReference(cells, reachable, [x, y]) || loop.reference;
   [chosen.x, chosen.y] = near.map((value) => Math.round(value * 100) / 100);
   const inside = nearestReference(cells, reachable, [chosen.x, chosen.y]) || near;
-  if (distanceTo(inside, loop.reference) > 1e-9) asked = { time: loop.time, within: null, told: false };
+  if (distanceTo(inside, loop.reference) > 1e-9) asked = { time: loop.time, within: null };
   loop.reference = inside;
   for (const [name, value] of [["x", chosen.x], ["y", chosen.y]]) if (document.activeElement !== element(name)) element(name).value = value.toFixed(2);
 }
@@ -93,22 +90,18 @@ function tell(predicted) {
   show("mean", loop.averages[loop.plant].mean());
   show("error", loop.error(), 3);
   show("sobolev", loop.averages[loop.plant].sobolev());
-  if (predicted !== null) {
-    show("predicted", predicted.mean);
-    show("half", predicted.half);
-    element("distance").textContent = `${predicted.distance.toFixed(2)}${predicted.distance > 1 ? ": beyond its data" : ""}`;
+  if (surrogateName >= 0) {
+    show("predicted", predicted ? predicted.mean : [null, null]);
+    show("half", predicted ? predicted.half : [null, null]);
+    element("distance").textContent = predicted ? `${predicted.distance.toFixed(2)}${predicted.distance > 1 ? ": beyond its data" : ""}` : "\u2013";
   }
   element("time").textContent = `${seconds(loop.time)} s`;
   element("cell").textContent = controller.cells.length > 1 ? `policy ${controller.step.activeCell + 1} of ${controller.cells.length} acts` : "";
   element("bias").textContent = controller.observer ? `taken off: (${controller.observer.bias.map((value) => numeral(value, 2)).join(", ")}) N` : "";
-  const within = asked.within !== null && loop.time - asked.within >= 50;
-  if (within && !asked.told) {
-    asked.told = true;
-    element("status").textContent = `(${numeral(chosen.x, 2)}, ${numeral(chosen.y, 2)}) N held within ${SETTLED_N} N, ${seconds(Math.max(asked.within - asked.time, 0))} s after it was asked for.`;
-  } else if (!within && (asked.told || !element("status").textContent.startsWith("Asked"))) {
-    asked.told = false;
-    element("status").textContent = `Asked for (${numeral(chosen.x, 2)}, ${numeral(chosen.y, 2)}) N; not held yet.`;
-  }
+  const held = asked.within !== null && loop.time - asked.within >= 50, force = `(${numeral(chosen.x, 2)}, ${numeral(chosen.y, 2)}) N`;
+  const status = held ? `${force} held within ${SETTLED_N} N, ${seconds(Math.max(asked.within - asked.time, 0))} s after it was asked for.` : `Asked for ${force}; not held yet.`;
+  // Screen readers speak what is written anew.
+  if (element("status").textContent !== status) element("status").textContent = status;
 }
 
 function draw() {
@@ -148,12 +141,13 @@ function drag(event) {
 }
 
 plane.addEventListener("pointerdown", (event) => {
+  if (event.button !== 0) return;
   plane.setPointerCapture(event.pointerId);
   dragging = true;
   drag(event);
 });
 plane.addEventListener("pointermove", (event) => { if (dragging) drag(event); });
-for (const name of ["pointerup", "pointercancel"]) plane.addEventListener(name, () => { dragging = false; apply(); });
+plane.addEventListener("lostpointercapture", () => { dragging = false; apply(); });
 
 const next = (list, value) => list[(list.indexOf(value) + 1) % list.length];
 const push = () => {

@@ -3,6 +3,7 @@
 Nothing moves, nothing is written but files that are removed at once. The lines are made to be pasted into an issue.
 """
 
+import contextlib
 import os
 import platform
 import sys
@@ -37,7 +38,11 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "XLA_FL
 
 def examine(rig: Path | None = None) -> Iterator[CheckResult]:
     """Yield the results as they come, without the name of the user's home folder."""
-    home = str(Path.home())
+    try:
+        home = str(Path.home())
+    except RuntimeError:
+        # A user without one, as in some containers.
+        home = ""
     for result in _examine(rig):
         yield result._replace(text=result.text.replace(home, "~") if len(home) > 1 else result.text)
 
@@ -88,8 +93,9 @@ def _memory() -> Iterator[CheckResult]:
         lines = Path("/proc/meminfo").read_text().splitlines()
     except OSError:
         return
-    sizes = {line.partition(":")[0]: int(line.split()[1]) / 1024 for line in lines if line.endswith("kB")}
-    free = sizes["MemAvailable"]
+    sizes = {line.partition(":")[0]: int(line.split()[1]) * 1024e-6 for line in lines if line.endswith("kB")}
+    # Old systems do not tell what programs could get.
+    free = sizes.get("MemAvailable", sizes["MemFree"])
     is_enough = free >= SPARE_MEMORY_MB
     advice = "" if is_enough else f"; fitting a surrogate takes up to {SPARE_MEMORY_MB} MB: end other programs"
     text = f"{sizes['MemTotal']:,.0f} MB, {free:,.0f} MB available{advice}"
@@ -104,14 +110,13 @@ def _libraries() -> CheckResult:
 
 
 def _extra(extra: str) -> CheckResult:
-    shared = requirements_of("learn") if extra != "learn" else []
+    missing, shared = missing_from(extra), requirements_of("learn") if extra != "learn" else []
     names = [name for name in requirements_of(extra) if name not in shared]
-    missing = [name for name in names if version_of(name) is None]
     if not names:
         return CheckResult(f"[{extra}]", "note", "newer than the installation; install softfin again")
     if not missing:
         return CheckResult(f"[{extra}]", "well", _versions(names))
-    present = f"lacks {', '.join(missing)}" if len(missing) < len(names) else "not installed"
+    present = "not installed" if set(names) <= set(missing) else f"lacks {', '.join(missing)}"
     return CheckResult(f"[{extra}]", "note", f"{present}; where you need it: {how_to_add(extra)}")
 
 
@@ -145,7 +150,11 @@ def _cache() -> CheckResult:
         return CheckResult(
             "compile cache", "note", f"off: every command compiles anew; {VARIABLE}=FOLDER keeps programs"
         )
-    sizes = [path.stat().st_size for path in folder.glob(f"*{SUFFIX}")] if folder.is_dir() else []
+    sizes = []
+    for path in folder.glob(f"*{SUFFIX}"):
+        # Others write and take away programs meanwhile.
+        with contextlib.suppress(FileNotFoundError):
+            sizes.append(path.stat().st_size)
     try:
         check_writable(folder / "program", f"{VARIABLE}=FOLDER")
     except SoftfinError as error:

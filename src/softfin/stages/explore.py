@@ -45,7 +45,7 @@ def explore(
         "thickness_m": np.asarray(tank.fin.thickness, float).tolist(),
     }
     kinds = _labels({path: controller.kind for path, controller in holding.items()})
-    names = _labels({name: Path(name).name for name in moving})
+    names = _labels({name: Path(name).resolve().name for name in moving})
     write_page(
         out,
         TITLE,

@@ -195,7 +195,9 @@ class _Reproduction:
 
     def make_page(self) -> None:
         """Write the page to try the controllers of the first seed in, where a plant of this run can move in it."""
-        plants = [name for name in dict.fromkeys((self.plant, str(self.surrogate))) if is_shown(find_plant(name))]
+        # By its folder, the surrogate may be this run's plant, too.
+        places = {Path(name).resolve(): name for name in (str(self.surrogate), self.plant)}
+        plants = [name for name in reversed(places.values()) if is_shown(find_plant(name))]
         if not plants:
             return
         start = time.perf_counter(), time.process_time()

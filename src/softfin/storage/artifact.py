@@ -33,7 +33,7 @@ def check_vacant(path: Path, overwrite: bool = False, option: str = "--out") -> 
         return
     if not overwrite:
         raise ArtifactError(f"{path}: exists already; give another {option}, or --overwrite to replace it")
-    if not any(is_kind(path, kind) for kind in FOLDERS):
+    if not any(_is_own(path, kind) for kind in FOLDERS):
         raise ArtifactError(
             f"{path}: exists and was not written by softfin, so it is not replaced; give another {option}"
         )
@@ -62,6 +62,15 @@ def check_writable(path: Path, option: str = "--out") -> None:
 def is_kind(path: Path, kind: str) -> bool:
     """Whether `path` holds a ``KIND.json``."""
     return (path / f"{kind}.json").is_file()
+
+
+def _is_own(path: Path, kind: str) -> bool:
+    """Whether softfin wrote a folder of this kind: others, too, have a ``robot.json``."""
+    with contextlib.suppress(OSError, ValueError, RecursionError):
+        described = json.loads((path / f"{kind}.json").read_text())
+        # The first ones had no kind.
+        return isinstance(described, dict) and (described.get("kind") == kind or "provenance" in described)
+    return False
 
 
 def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = False) -> None:
