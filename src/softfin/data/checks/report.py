@@ -92,7 +92,7 @@ def _draw_lags(axes: Axes, inspection: Inspection) -> None:
         found = [lag for lag in lags if lag is not None]
         axes.plot(np.linspace(place - 0.25, place + 0.25, len(found)), found, ".", color=BLUE)
         if not found:
-            axes.text(place, np.mean(plausible), "not known", ha="center", va="center")
+            axes.text(place, sum(plausible) / 2, "not known", ha="center", va="center")
     axes.set_xticks([0, 1], ["command\nto angle", "angle\nto force"])
     axes.set(title="clocks: plausible in grey", ylabel="lag [ms]", xlim=(-0.5, 1.5))
     axes.grid(visible=False, axis="x")
