@@ -43,7 +43,7 @@ def missing_from(extra: str | None) -> list[str]:
 
 
 def what_is_missing(error: ModuleNotFoundError) -> str | None:
-    """What softfin lacks where a module was not there, and the way out; None where it needs no such module."""
+    """Message of what softfin lacks where a module was not there, with the way out; None where it needs no such one."""
     module = (error.name or "").partition(".")[0]
     distribution = DISTRIBUTIONS.get(module, module).lower().replace("_", "-")
     parts = [extra for extra in (None, *EXTRAS) if distribution in requirements_of(extra)]

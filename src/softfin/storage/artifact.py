@@ -67,9 +67,9 @@ def is_kind(path: Path, kind: str) -> bool:
 def _is_own(path: Path, kind: str) -> bool:
     """Whether softfin wrote a folder of this kind: others, too, have a ``robot.json``."""
     with contextlib.suppress(OSError, ValueError, RecursionError):
-        described = json.loads((path / f"{kind}.json").read_text())
+        content = json.loads((path / f"{kind}.json").read_text())
         # The first ones had no kind.
-        return isinstance(described, dict) and (described.get("kind") == kind or "provenance" in described)
+        return isinstance(content, dict) and (content.get("kind") == kind or "provenance" in content)
     return False
 
 
