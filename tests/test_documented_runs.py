@@ -168,8 +168,9 @@ def named(words: tuple[str, ...]) -> list[str]:
 
 
 def expand(word: str) -> list[str]:
-    """As a shell does it, and what the document leaves out."""
-    return sorted(map(str, Path().glob(word))) if "*" in word else [staged.MAPPING if word == "..." else word]
+    """As a shell does it, which leaves a pattern that fits no file, and what the document leaves out."""
+    found = sorted(map(str, Path().glob(word))) if "*" in word else []
+    return found or [staged.MAPPING if word == "..." else word]
 
 
 @pytest.mark.slow
