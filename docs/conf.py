@@ -1,6 +1,7 @@
 """Configuration of Sphinx; `make docs` builds the site into build/docs."""
 
 import importlib.metadata
+import logging
 import os
 import subprocess
 import sys
@@ -12,6 +13,10 @@ sys.path[:0] = [str(HERE)]
 # Notebooks call softfin as a reader does.
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
 os.environ["PYTHONPATH"] = os.pathsep.join([str(HERE), *filter(None, [os.environ.get("PYTHONPATH")])])
+
+# A kernel that warns of nothing, as its connection never leaves this computer; and no line for each notebook.
+os.environ["JUPYTER_PATH"] = str(HERE / "jupyter")
+logging.getLogger("traitlets").setLevel(logging.WARNING)
 
 project = "softfin"
 author = "softfin contributors"
