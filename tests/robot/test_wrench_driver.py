@@ -32,6 +32,30 @@ def test_a_robot_that_is_asked_for_nothing_braces_its_fins(ucat, gaits):
     np.testing.assert_allclose(orders.wrench, 0, atol=0.01)
 
 
+def test_bracing_does_not_depend_on_how_the_library_of_linear_algebra_turns_what_makes_no_wrench(
+    ucat, gaits, monkeypatch
+):
+    svd, (_, as_it_is) = np.linalg.svd, acted(WrenchDriver(ucat, gaits), np.zeros(6), 12)
+
+    def turned(matrix):
+        left, values, rows = svd(matrix)
+        cos, sin = np.cos(0.7), np.sin(0.7)
+        return left, values, np.vstack([rows[:-2], [[cos, sin], [sin, -cos]] @ rows[-2:]])
+
+    monkeypatch.setattr(np.linalg, "svd", turned)
+    _, orders = acted(WrenchDriver(ucat, gaits), np.zeros(6), 12)
+    np.testing.assert_allclose(orders.forces, as_it_is.forces, atol=1e-9)
+
+
+def test_a_robot_without_a_fin_left_asks_for_nothing(ucat, gaits):
+    driver = WrenchDriver(ucat, gaits)
+    for fin in range(4):
+        driver.declare_dead(fin)
+    _, orders = acted(driver, [1, 0.5, 0, 0, 0, 0.1], 3)
+    assert not orders.forces.any()
+    assert orders.given_up.any()
+
+
 def test_all_of_a_wrench_within_reach_is_made_without_one_fin(ucat, gaits):
     driver = WrenchDriver(ucat, gaits)
     driver.declare_dead(1)

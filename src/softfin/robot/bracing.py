@@ -53,19 +53,17 @@ class BracedAllocation:
 
     def _bracing(self) -> Float[np.ndarray, "braces fins 2"]:
         """Forces that cancel one another, about the least force in size; the first is none."""
-        reach = self.allocator.reach
-        weighted = self.allocator.matrix * np.repeat(reach > 0, 2)
-        _, values, rows = np.linalg.svd(weighted)
-        rank = int((values > 1e-6 * values[0]).sum())
-        # Of the directions that make no wrench, those of dead fins are none.
-        free = [row for row in rows[rank:] if np.abs(row[np.repeat(reach > 0, 2)]).max(initial=0) > 1e-6]
-        basis = np.array([row * np.repeat(reach > 0, 2) for row in free]).reshape(-1, len(rows))
+        alive = np.repeat(self.allocator.reach > 0, 2)
+        _, values, rows = np.linalg.svd(self.allocator.matrix[:, alive])
+        free = rows[(values > 1e-6 * values.max(initial=0)).sum() :]
         least = self._config.brace_n
-        found = [np.zeros(len(rows))]
-        if least and len(basis):
+        found = [np.zeros(len(alive))]
+        if least and len(free):
+            first, second = _axes(free)
             for angle, size in itertools.product(np.linspace(0, 2 * np.pi, WAYS, endpoint=False), SIZES):
-                way = basis[0] * np.cos(angle) + (basis[1] * np.sin(angle) if len(basis) > 1 else 0)
-                greatest = np.sqrt((way.reshape(-1, 2) ** 2).sum(axis=1)).max()
+                way = np.zeros(len(alive))
+                way[alive] = first * np.cos(angle) + second * np.sin(angle)
+                greatest = np.abs(way.view(complex)).max()
                 if greatest > 1e-6:
                     found.append(size * least * way / greatest)
         return np.array(found).reshape(len(found), -1, 2)
@@ -82,4 +80,20 @@ class BracedAllocation:
         beyond = (np.maximum(sizes - self.allocator.reach, 0) ** 2)[:, alive].sum(axis=1)
         costs = lacking + 10 * beyond + EFFORT * (together**2).sum(axis=(1, 2))
         costs[present] -= self._config.brace_change
-        return int(costs.argmin())
+        # Of ways that cost the same the first, however the last digits are rounded.
+        return int(costs.round(6).argmin())
+
+
+def _axes(free: Float[np.ndarray, "ways columns"]) -> Float[np.ndarray, "2 columns"]:
+    """Two ways to push that make no wrench: as near to y of the last fin as one can, and across; 0 where there is none.
+
+    The rows of `free` span all ways; how they are turned in their span depends on the library of linear algebra.
+    """
+    left, found = free.T @ free, np.zeros((2, free.shape[1]))
+    for axis in found:
+        lengths = np.linalg.norm(left, axis=1)
+        if lengths.max() > 1e-6:
+            nearest = left[np.flatnonzero(lengths > 1e-6)[-1]]
+            axis[:] = nearest / np.linalg.norm(nearest)
+            left = left - np.outer(axis, axis)
+    return found

@@ -61,7 +61,7 @@ class GraphBuilder:
         name, params = equation.primitive.name, equation.params
         inner = params.get("jaxpr", params.get("call_jaxpr"))
         if name == "scan":
-            return self._scan(params, values)
+            return self._scan(equation, values)
         if inner is not None:
             closed = hasattr(inner, "consts")
             return self.run(inner.jaxpr if closed else inner, inner.consts if closed else (), values)
@@ -79,15 +79,20 @@ class GraphBuilder:
         found = translate(equation, *values)
         return list(found) if isinstance(found, tuple) else [found]
 
-    def _scan(self, params: Mapping[str, Any], values: list[Value]) -> list[Value]:
-        """Write out every iteration: surrogates step by one tick."""
-        consts, carries = params["num_consts"], params["num_carry"]
-        fixed, carry, series = values[:consts], values[consts : consts + carries], values[consts + carries :]
+    def _scan(self, equation: Any, values: list[Value]) -> list[Value]:
+        """Write out every iteration: surrogates step by one tick.
+
+        Versions of JAX say in different ways how many values are carried: they are those of which no series comes out.
+        """
+        params, body = equation.params, equation.params["jaxpr"]
+        carries = sum(out.aval.ndim == each.ndim for out, each in zip(equation.outvars, body.out_avals, strict=True))
+        before = sum(given.aval.ndim == each.ndim for given, each in zip(equation.invars, body.in_avals, strict=True))
+        fixed, carry, series = values[: before - carries], values[before - carries : before], values[before:]
         order = range(params["length"])
         each: list[list[Value]] = [[] for _ in order]
         for index in reversed(order) if params["reverse"] else order:
             now = [self._row(values, index) for values in series]
-            found = self.run(params["jaxpr"].jaxpr, params["jaxpr"].consts, [*fixed, *carry, *now])
+            found = self.run(body.jaxpr, body.consts, [*fixed, *carry, *now])
             carry, each[index] = found[:carries], found[carries:]
         return [*carry, *(self._stacked(rows, 0) for rows in zip(*each, strict=True))]
 
