@@ -134,17 +134,23 @@ def test_a_mouse_drags_the_force_and_the_loop_follows_it(opened):
     opened.mouse("mouseReleased", *middle(opened, (3, -1)))
     np.testing.assert_allclose(asked(opened), (3, -1), atol=0.02)
     assert float(opened.run("element('x').value")) == pytest.approx(3, abs=0.02)
-    assert "reference=3.0" in opened.run("location.hash").replace("2.99", "3.0").replace("%2C", ",")
+    assert "reference=3.0" in address(opened).replace("2.99", "3.0").replace("%2C", ",")
     assert opened.run("loop.time") == 0
     assert (
-        opened.run("draw() || element('status').textContent")
-        == f"Asked for {force_text(asked(opened))} N; not held yet."
+        opened.run("draw() || element('status').textContent") == f"Asked for {force_text(asked(opened))} N; press Play."
     )
     opened.run("run(400); draw()")
     assert opened.run("loop.time") == 400
     assert opened.run("loop.history.at(-1).reference") == asked(opened)
     assert opened.run("element('time').textContent") == "4.0 s"
     assert float(opened.run("element('error-x').textContent")) == pytest.approx(opened.run("loop.error()[0]"), abs=1e-3)
+
+
+def address(browser):
+    """What the address holds behind the #, once it was written."""
+    return browser.run(
+        "new Promise((done) => (function look() { writing ? requestAnimationFrame(look) : done(location.hash); })())"
+    )
 
 
 def force_text(force):
@@ -157,13 +163,22 @@ def test_only_the_first_button_drags(opened):
     for kind in ("mousePressed", "mouseReleased"):
         opened.call("Input.dispatchMouseEvent", type=kind, x=box[0], y=box[1], button="right", buttons=2, clickCount=1)
         assert asked(opened) == before
-    assert not opened.run("dragging")
+    assert opened.run("finger") is None
 
 
 def test_beyond_reach_the_nearest_force_is_asked_for(opened):
     opened.mouse("mousePressed", *middle(opened, (2, 2.3)))
     opened.mouse("mouseReleased", *middle(opened, (2, 2.3)))
     np.testing.assert_allclose(asked(opened), (2, 1.5), atol=0.03)
+    wish = opened.run("[chosen.x, chosen.y]")
+    assert opened.run("draw() || element('status').textContent").startswith(
+        f"{force_text(wish)} N cannot be held: the ring is at the nearest. Asked for {force_text(asked(opened))} N"
+    )
+    # Each controller is asked for what is wished for, whatever another one could not hold.
+    opened.run("choose({ x: 3.2, y: 1.3 })")
+    for controller, near in ((1, False), (0, True)):
+        opened.run(f"choose({{ controller: {controller} }})")
+        assert np.allclose(asked(opened), (3.2, 1.3)) == near
 
 
 def test_a_finger_drags_on_a_phone_and_nothing_is_cut_off(opened):
@@ -172,6 +187,8 @@ def test_a_finger_drags_on_a_phone_and_nothing_is_cut_off(opened):
     opened.touch("touchStart", middle(opened, (2, 0)))
     opened.touch("touchMove", middle(opened, (1.5, 0.5)))
     opened.touch("touchEnd")
+    np.testing.assert_allclose(asked(opened), (1.5, 0.5), atol=0.03)
+    opened.run("plane.dispatchEvent(new PointerEvent('pointermove', { pointerId: 7, clientX: 99, clientY: 99 }))")
     np.testing.assert_allclose(asked(opened), (1.5, 0.5), atol=0.03)
     assert opened.run("document.documentElement.scrollWidth") <= 400
     heights = opened.run("[...document.querySelectorAll('button, select')].map((each) => each.offsetHeight)")
@@ -223,16 +240,17 @@ def test_a_link_holds_the_state(opened):
     np.testing.assert_allclose(asked(opened), (1.2, -0.7))
     assert opened.run("loop.controller.observer === null")
     assert opened.run("['cold', 'push', 'fin'].every((name) => element(name).disabled)")
-    address = opened.run("location.hash")
-    assert opened.run("element('link').getAttribute('href')") == address
+    assert opened.run("element('link').getAttribute('href')") == address(opened)
     opened.run("location.hash = '#controller=none&plant=tank&reference=what,1&speed=7'")
     opened.frames(2)
     assert opened.run("[chosen.controller, chosen.plant, chosen.speed]") == [1, 0, "0.25"]
+    assert opened.run("draw() || element('missing').textContent") == "Not in this page: controller none."
     np.testing.assert_allclose(asked(opened), (1.2, -0.7))
     # Copied there and opened here, it says what is as it was at first, too.
     opened.run("choose({ speed: '1', fin: '1', cold: false, trim: true, plant: 0 })")
-    usual = opened.run("location.hash")
+    usual = address(opened)
     opened.run("choose({ speed: '0.25', fin: '1.4', cold: true, trim: false })")
+    assert address(opened) != usual
     opened.run(f"location.hash = '{usual}'")
     opened.frames(2)
     assert opened.run("[chosen.speed, chosen.fin, chosen.cold, chosen.trim]") == ["1", "1", False, True]
@@ -242,9 +260,31 @@ def test_a_restart_clears_the_figures(opened):
     opened.run("run(250); draw()")
     assert opened.run("element('predicted-x').textContent") != "\u2013"
     opened.run("begin(); draw()")
-    assert {opened.run(f"element('{name}').textContent") for name in ("predicted-x", "half-y", "distance")} == {
-        "\u2013"
-    }
+    names = ("mean-x", "error-y", "average-x", "sobolev-x", "predicted-x", "half-y", "distance")
+    assert {opened.run(f"element('{name}').textContent") for name in names} == {"\u2013"}
+
+
+def test_the_average_error_is_that_of_the_windows_since_the_last_change(opened):
+    opened.run("run(100); choose({ x: 1.5, y: 0.3 }); run(199); draw()")
+    assert opened.run("element('average-x').textContent") == "\u2013"
+    errors = np.array([opened.run("run(1) || loop.error()") for _ in range(30)])
+    shown = [float(opened.run(f"draw() || element('average-{axis}').textContent")) for axis in "xy"]
+    np.testing.assert_allclose(shown, errors.mean(axis=0), atol=6e-4)
+    opened.run("element('push').click(); draw()")
+    assert opened.run("[element('average-y').textContent, watched.what]") == ["\u2013", "the push"]
+
+
+def test_pushes_do_not_add_up_and_a_key_that_is_held_acts_once(opened):
+    opened.run("run(50)")
+    for repeat in ("false", "true", "true"):
+        key = f"{{ key: 't', repeat: {repeat}, bubbles: true }}"
+        opened.run(f"document.body.dispatchEvent(new KeyboardEvent('keydown', {key}))")
+    assert not opened.run("chosen.trim")
+    for _ in range(40):
+        opened.run("element('push').click()")
+    assert opened.run("loop.plants[0].flow.stream") == [0, 0.6]
+    opened.run("run(300)")
+    assert opened.run("loop.error().every(Number.isFinite)")
 
 
 def test_controllers_and_plants_are_switched_in_place(opened):
@@ -277,8 +317,8 @@ def test_dark_and_light_differ_and_both_can_be_read(opened):
         colours = opened.run("colours")
         pages.append(colours["page"])
         assert contrast(colours["text"], colours["page"]) > 7
-        for name, least in (("soft", 4.5), ("measured", 3), ("predicted", 3), ("asked", 2.5), ("mean", 7)):
-            for ground in ("page", "reach"):
+        for name, least in (("soft", 4.5), ("measured", 3), ("predicted", 3), ("asked", 3), ("mean", 7)):
+            for ground in ("page", "reach", "lit", "water") if name == "asked" else ("page", "reach"):
                 assert contrast(colours[name], colours[ground]) > least, (dark, name)
     assert pages[0] != pages[1]
 

@@ -59,6 +59,14 @@ def tank_data(tank: Tank) -> dict[str, Any]:
     }
 
 
+def outline(tank: Tank) -> dict[str, Any]:
+    """Length [m] of a tank's fin, and the thickness [m] of its plates, mount first: what is drawn."""
+    return {
+        "length_m": float(tank.fin.plate_length) * len(tank.fin.stiffness),
+        "thickness_m": np.asarray(tank.fin.thickness, float).tolist(),
+    }
+
+
 def surrogate_data(surrogate: StreamingSurrogate) -> dict[str, Any]:
     """Data of a streaming surrogate, with the state of its members long at rest."""
     description, arrays = surrogate.to_files()

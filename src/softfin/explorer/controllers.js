@@ -177,7 +177,8 @@ const CONTROLLERS = { gaits: GaitController, single: SingleController, grid: Gri
 /* A controller of any kind at rest, with the outer loop about it on demand. */
 class Controller {
   constructor(description) {
-    Object.assign(this, { description, limits: description.limits, cells: description.cells, observer: null });
+    // `tracked` is the reference that the outer loop gave last; null before the first action.
+    Object.assign(this, { description, limits: description.limits, cells: description.cells, observer: null, tracked: null });
     this.step = new CONTROLLERS[description.kind](description);
     this.reachable = description.reachable === null ? null : new Reachable(description.reachable);
   }
@@ -189,8 +190,9 @@ class Controller {
 
   /* The command for a reference [N], from the angle [rad] and the mean force since the last action [N]. */
   act(angle, force, reference) {
-    const inner = this.observer === null ? reference : this.observer.correct(force, reference), { limits } = this;
-    const action = this.step.act([angle, ...inner].map(Math.fround));
+    const { limits } = this;
+    this.tracked = this.observer === null ? reference : this.observer.correct(force, reference);
+    const action = this.step.act([angle, ...this.tracked].map(Math.fround));
     const within = (value, low, high) => clip(low + ((value + 1) / 2) * (high - low), low, high);
     return {
       angle: within(action[0], limits.angle_min_rad, limits.angle_max_rad),

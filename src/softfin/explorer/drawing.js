@@ -42,7 +42,7 @@ function drawPlane(canvas, range, loop, predicted) {
   }
   controller.cells.forEach((cell, index) => {
     const [x, y] = place([cell.low[0], cell.high[1]]), size = [0, 1].map((axis) => (cell.high[axis] - cell.low[axis]) * scale.pixels);
-    if (controller.cells.length > 1 && index === controller.step.activeCell) {
+    if (controller.cells.length > 1 && controller.tracked !== null && index === controller.step.activeCell) {
       pen.fillStyle = colours.lit;
       pen.fillRect(x, y, ...size);
     }
@@ -72,15 +72,16 @@ function drawPlane(canvas, range, loop, predicted) {
   }
   drawTrail(pen, place, loop);
   drawAsked(pen, place(loop.reference));
+  if (controller.observer !== null && controller.tracked !== null) drawTracked(pen, place(controller.tracked));
   if (predicted !== null) drawInterval(pen, place, scale.pixels, predicted);
-  drawMean(pen, place(loop.averages[loop.plant].mean()));
+  if (loop.time > 0) drawMean(pen, place(loop.averages[loop.plant].mean()));
   pen.restore();
   drawPlaneAxes(pen, scale, marks);
 }
 
 /* Where the mean force was in the last seconds. */
 function drawTrail(pen, place, loop) {
-  const trail = loop.history.slice(-TRAIL).filter((_, i) => i % 4 === 0).map((entry) => place(entry.mean));
+  const last = loop.history.slice(-TRAIL), trail = last.filter((_, i) => (loop.time - last.length + i) % 4 === 0).map((entry) => place(entry.mean));
   pen.strokeStyle = colours.mean;
   pen.lineWidth = 1.5;
   for (let i = 1; i < trail.length; i++) {
@@ -128,6 +129,16 @@ function drawAsked(pen, [x, y]) {
   }
 }
 
+/* The reference as the outer loop corrects it: a small oblique cross. */
+function drawTracked(pen, [x, y]) {
+  pen.strokeStyle = colours.asked;
+  pen.lineWidth = 2;
+  for (const tilt of [1, -1]) {
+    outline(pen, [[x - 5, y - 5 * tilt], [x + 5, y + 5 * tilt]]);
+    pen.stroke();
+  }
+}
+
 function drawPlaneAxes(pen, scale, marks) {
   pen.fillStyle = colours.soft;
   pen.textAlign = "center";
@@ -145,22 +156,23 @@ function drawPlaneAxes(pen, scale, marks) {
   pen.restore();
 }
 
-/* The fin, faint where it was in the last quarter of a second, with the forces as arrows. */
+/* The fin, faint where it was in the last quarter of a second, with the forces as arrows; at rest before the first. */
 function drawWater(canvas, loop, fin, note) {
   const { pen, width, height } = prepare(canvas), length = fin.length_m;
   const pixels = Math.min(width / (2.1 * length), height / (2.05 * length)), origin = [width / 2 + 0.25 * length * pixels, height / 2];
   const place = ([x, y]) => [origin[0] + pixels * x, origin[1] - pixels * y], last = loop.history.length - 1;
   const vector = ([x, y], longest, most) => [(x * longest * length * pixels) / most, (-y * longest * length * pixels) / most];
-  if (last < 0) return;
+  const rest = { angle: 0, shape: null, force: [0, 0], mean: [0, 0], reference: loop.reference };
   pen.fillStyle = colours.fin;
   [...GHOSTS, 0].forEach((ago, i) => {
-    const entry = loop.history[Math.max(last - ago, 0)], straight = [[0, 0], [-length * Math.cos(entry.angle), length * Math.sin(entry.angle)]];
+    const entry = loop.history[Math.max(last - ago, 0)] || rest, straight = [[0, 0], [-length * Math.cos(entry.angle), length * Math.sin(entry.angle)]];
     const shape = entry.shape || straight, thickness = shape.map((_, k) => fin.thickness_m[Math.round((k * (fin.thickness_m.length - 1)) / (shape.length - 1))] * pixels);
     pen.globalAlpha = ago ? 0.05 + 0.04 * i : 1;
     drawFin(pen, shape.map(place), thickness);
   });
   pen.globalAlpha = 1;
-  const { force, mean, reference } = loop.history[last], thick = 0.035 * length * pixels;
+  drawFrame(pen, 0.05 * pixels);
+  const { force, mean, reference } = loop.history[last] || rest, thick = 0.035 * length * pixels;
   for (const [colour, values, longest, most, wide] of [["asked", reference, MEAN_LONGEST, MEAN_N, thick], ["measured", force, LONGEST, FORCE_N, thick], ["mean", mean, MEAN_LONGEST, MEAN_N, thick / 2]]) {
     pen.fillStyle = colours[colour];
     drawArrow(pen, origin, vector(values, longest, most), wide);
@@ -183,6 +195,19 @@ function drawWater(canvas, loop, fin, note) {
     pen.fillStyle = colours.text;
     pen.fillText(text, width - 16 - at, y);
   }
+}
+
+/* The frame in which forces are stated, with axes of 5 cm. */
+function drawFrame(pen, length) {
+  const x = 12, y = 18 + length;
+  pen.fillStyle = colours.soft;
+  drawArrow(pen, [x, y], [length, 0], 1.5);
+  drawArrow(pen, [x, y], [0, -length], 1.5);
+  pen.textAlign = "left";
+  pen.textBaseline = "alphabetic";
+  pen.fillText("x", x + length + 3, y + 4);
+  pen.fillText("y", x - 3, y - length - 5);
+  pen.fillText("5 cm", x + 6, y - 6);
 }
 
 /* Angle and force over the last ten seconds. */
@@ -209,7 +234,8 @@ function drawTraces(canvas, loop) {
       // No more points than half the pixels: a thousand a line would cost more than the fin.
       const stride = steps ? 1 : Math.max(1, Math.floor((2 * history.length) / (right - left)));
       let before = null;
-      for (let i = 0; i < history.length; i += stride) {
+      // The same ticks from frame to frame, or the line would shimmer.
+      for (let i = (stride - (offset % stride)) % stride; i < history.length; i += stride) {
         const value = of(history[i]);
         if (steps && value === before && i < history.length - 1) continue;
         const at = x((offset + i + 1) * TICK_S);

@@ -40,6 +40,8 @@ class Loop {
     Object.assign(this, { plants, plant, reference, time: 0 });
     this.averages = Object.fromEntries(Object.keys(plants).map((name) => [name, new MovingWindow(WINDOW)]));
     this.memberAverages = Object.fromEntries(Object.entries(plants).map(([name, each]) => [name, (each.members || []).map(() => new MovingWindow(WINDOW))]));
+    // Of the last window, for the plants that know their distance from their training data.
+    this.distances = Object.fromEntries(Object.entries(plants).filter(([, each]) => each.distance).map(([name]) => [name, []]));
     this.readings = {};
     this.history = [];
     this.change(controller);
@@ -61,6 +63,7 @@ class Loop {
       const reading = (this.readings[name] = plant.tick(this.command));
       this.averages[name].push(reading.force);
       this.memberAverages[name].forEach((window, index) => window.push(reading.forces[index]));
+      if (this.distances[name]) this.distances[name] = [...this.distances[name].slice(1 - WINDOW), plant.distance()];
     }
     this.left--;
     this.time++;

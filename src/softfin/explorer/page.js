@@ -1,19 +1,29 @@
 /* The page: what is chosen, what is dragged, and the loop in real time. */
 
-const contents = JSON.parse(element("contents").textContent), { controllers, plants, fin } = contents;
+const contents = JSON.parse(element("contents").textContent), { controllers, plants } = contents;
 const plane = element("plane"), water = element("water"), traces = element("traces"), SETTLED_N = 0.1, PUSH_M_S = [0, 0.6];
-const range = planeRange(controllers), makers = { tank: Tank, surrogate: StreamingSurrogate }, surrogateName = plants.findIndex((each) => each.kind === "surrogate");
+const range = planeRange(controllers), makers = { tank: Tank, surrogate: StreamingSurrogate };
+/* Shortest time between two writes of the address: Safari takes a hundred in thirty seconds. */
+const WRITE_MS = 400;
 
-/* What is chosen; the address holds it behind the #. */
-const chosen = { controller: 0, plant: 0, x: 2, y: 0, speed: "1", fin: "1", cold: false, trim: true, paused: matchMedia("(prefers-reduced-motion: reduce)").matches };
+/* What is chosen; the address holds it behind the #. (x, y) is the force that is wished for; the loop's reference is the
+ * nearest that the controller can hold. */
+const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
+const chosen = { controller: 0, plant: 0, x: 2, y: 0, speed: "1", fin: "1", cold: false, trim: true, paused: still };
 
-let loop = null, last = null, asked = { time: 0, within: null }, pushed = -Infinity, told = -Infinity, dragging = false;
+let loop = null, last = null, applied = "", missing = [], pushed = -Infinity, told = -Infinity, finger = null, writing = false;
+
+/* How the force does since something was asked for or changed: when the error came within the limit, and its sum. */
+let watched = null;
+function watch(what) {
+  watched = { what, since: loop.time, within: null, sum: [0, 0], count: 0 };
+}
 
 function begin() {
   const made = Object.fromEntries(plants.map((each, index) => [index, new makers[each.kind](each)]));
   loop = new Loop(made, String(chosen.plant), new Controller(controllers[chosen.controller]), [chosen.x, chosen.y]);
-  asked = { time: 0, within: null };
   pushed = -Infinity;
+  applied = "";
   apply();
 }
 
@@ -25,7 +35,10 @@ function apply() {
   for (const plant of Object.values(loop.plants)) {
     if (plant instanceof Tank) [plant.stiffness, plant.cold] = [Number(chosen.fin), chosen.cold];
   }
-  ask(chosen.x, chosen.y);
+  const conditions = [chosen.controller, chosen.plant, chosen.trim, chosen.fin, chosen.cold].join();
+  if (conditions !== applied) watch(applied ? "the change" : "it was asked for");
+  applied = conditions;
+  ask();
   for (const name of ["controller", "plant", "speed", "fin"]) element(name).value = String(chosen[name]);
   for (const name of ["cold", "trim"]) element(name).setAttribute("aria-pressed", String(chosen[name]));
   element("pause").textContent = chosen.paused ? "Play" : "Pause";
@@ -35,34 +48,62 @@ function apply() {
   const flags = Object.fromEntries(["cold", "trim", "paused"].map((name) => [name, Number(chosen[name])]));
   const state = new URLSearchParams({ controller: controllers[chosen.controller].name, plant: plants[chosen.plant].name, reference: `${chosen.x.toFixed(2)},${chosen.y.toFixed(2)}`, speed: chosen.speed, fin: chosen.fin, ...flags });
   element("link").href = `#${state}`;
-  // Not while one drags: browsers refuse to write the address a hundred times in ten seconds.
-  if (!dragging) history.replaceState(null, "", `#${state}`);
+  element("link").textContent = "Copy link";
+  writeAddress();
   redraw();
 }
 
-/* Choose what the address holds; anything that it does not, or that there is not, stays. */
-function readAddress() {
-  const state = new URLSearchParams(location.hash.slice(1)), named = (list, name) => list.findIndex((each) => each.name === state.get(name));
-  if (named(controllers, "controller") >= 0) chosen.controller = named(controllers, "controller");
-  if (named(plants, "plant") >= 0) chosen.plant = named(plants, "plant");
+/* Write the link to the address, soon; a page in a sandboxed frame may not. */
+function writeAddress() {
+  if (writing) return;
+  writing = true;
+  setTimeout(() => {
+    writing = false;
+    try {
+      history.replaceState(null, "", element("link").href);
+    } catch { /* The link can be copied all the same. */ }
+  }, WRITE_MS);
+}
+
+async function copyLink(event) {
+  event.preventDefault();
+  let copied = "Copied";
+  try {
+    await navigator.clipboard.writeText(element("link").href);
+  } catch {
+    copied = "Copy the address";
+  }
+  element("link").textContent = copied;
+}
+
+/* Choose what an address holds; anything that it does not, or that there is not, stays. */
+function readAddress(address) {
+  const state = new URLSearchParams(new URL(address).hash.slice(1));
+  missing = [];
+  for (const [name, list] of [["controller", controllers], ["plant", plants]]) {
+    const index = list.findIndex((each) => each.name === state.get(name));
+    if (index >= 0) chosen[name] = index;
+    else if (state.has(name)) missing.push(`${name} ${state.get(name)}`);
+  }
   const [x, y] = (state.get("reference") || "").split(",").map(Number);
   if (Number.isFinite(x) && Number.isFinite(y)) [chosen.x, chosen.y] = [x, y];
   for (const name of ["speed", "fin"]) if ([...element(name).options].some((option) => option.value === state.get(name))) chosen[name] = state.get(name);
-  for (const name of ["cold", "trim", "paused"]) if (state.has(name)) chosen[name] = state.get(name) === "1";
+  for (const name of ["cold", "trim", "paused"]) if (["0", "1"].includes(state.get(name))) chosen[name] = state.get(name) === "1";
+  chosen.paused ||= still;
 }
 
-/* Ask for a force, or for the nearest that this controller can hold. */
-function ask(x, y) {
-  const { cells, reachable } = loop.controller, near = nearestReference(cells, reachable, [x, y]) || loop.reference;
-  [chosen.x, chosen.y] = near.map((value) => Math.round(value * 100) / 100);
-  const inside = nearestReference(cells, reachable, [chosen.x, chosen.y]) || near;
-  if (distanceTo(inside, loop.reference) > 1e-9) asked = { time: loop.time, within: null };
-  loop.reference = inside;
+/* Ask for the force that is wished for, or for the nearest that this controller can hold. */
+function ask() {
+  [chosen.x, chosen.y] = [chosen.x, chosen.y].map(hundredths);
+  const { cells, reachable } = loop.controller, reference = nearestReference(cells, reachable, [chosen.x, chosen.y]) || loop.reference;
+  if (distanceTo(reference, loop.reference) > 1e-9) watch("it was asked for");
+  loop.reference = reference;
   for (const [name, value] of [["x", chosen.x], ["y", chosen.y]]) if (document.activeElement !== element(name)) element(name).value = value.toFixed(2);
 }
 
 function choose(changes) {
   Object.assign(chosen, changes);
+  missing = [];
   apply();
 }
 
@@ -70,36 +111,53 @@ function choose(changes) {
 function run(ticks) {
   for (let k = 0; k < ticks; k++) {
     loop.tick();
-    if (Math.max(...loop.error()) > SETTLED_N) asked.within = null;
-    else if (asked.within === null) asked.within = loop.time;
+    const error = loop.error();
+    if (!(Math.max(...error) <= SETTLED_N)) watched.within = null;
+    else if (watched.within === null) watched.within = loop.time;
+    if (loop.time - watched.since < WINDOW) continue;
+    watched.sum = watched.sum.map((sum, axis) => sum + error[axis]);
+    watched.count++;
   }
 }
 
-const seconds = (ticks) => (ticks * TICK_S).toFixed(1);
+const hundredths = (value) => Math.round(value * 100) / 100, seconds = (ticks) => (ticks * TICK_S).toFixed(1);
+const forceText = ([x, y]) => `(${numeral(x, 2)}, ${numeral(y, 2)}) N`;
 
-/* The surrogate's mean force, its interval, and the distance of its motion from its training data; null without one. */
+/* The surrogate that predicts: the plant that is chosen, or else the first surrogate; -1 without one. */
+const predictor = () => (plants[chosen.plant].kind === "surrogate" ? chosen.plant : plants.findIndex((each) => each.kind === "surrogate"));
+
+/* Its mean force and interval, and of the last 2 s the greatest distance of its motion from its training data and the
+ * part of the time beyond them; null without one. */
 function prediction() {
-  if (surrogateName < 0 || loop.time === 0) return null;
-  const plant = loop.plants[surrogateName], means = loop.memberAverages[surrogateName].map((window) => window.mean());
-  return { mean: loop.averages[surrogateName].mean(), half: [0, 1].map((axis) => plant.halfWidth(means.map((mean) => mean[axis]))), distance: plant.distance() };
+  const index = predictor();
+  if (index < 0 || loop.time === 0) return null;
+  const plant = loop.plants[index], means = loop.memberAverages[index].map((window) => window.mean()), distances = loop.distances[index];
+  const half = [0, 1].map((axis) => plant.halfWidth(means.map((mean) => mean[axis])));
+  return { mean: loop.averages[index].mean(), half, farthest: Math.max(...distances), beyond: distances.filter((distance) => distance > 1).length / distances.length };
 }
 
 function tell(predicted) {
   const show = (name, values, digits = 2) => values.forEach((value, axis) => { element(`${name}-${"xy"[axis]}`).textContent = value === null ? "\u2013" : numeral(value, digits); });
-  const { controller } = loop;
-  show("mean", loop.averages[loop.plant].mean());
-  show("error", loop.error(), 3);
-  show("sobolev", loop.averages[loop.plant].sobolev());
-  if (surrogateName >= 0) {
-    show("predicted", predicted ? predicted.mean : [null, null]);
-    show("half", predicted ? predicted.half : [null, null]);
-    element("distance").textContent = predicted ? `${predicted.distance.toFixed(2)}${predicted.distance > 1 ? ": beyond its data" : ""}` : "\u2013";
+  const { controller } = loop, average = loop.averages[loop.plant], none = [null, null];
+  show("mean", loop.time ? average.mean() : none);
+  show("error", loop.time ? loop.error() : none, 3);
+  show("average", watched.count ? watched.sum.map((sum) => sum / watched.count) : none, 3);
+  show("sobolev", loop.time ? average.sobolev() : none);
+  if (predictor() >= 0) {
+    element("predictor").textContent = `mean in ${plants[predictor()].name}`;
+    element("coverage").textContent = `its ${Math.round(100 * plants[predictor()].interval.coverage)}% interval, \u00b1`;
+    show("predicted", predicted ? predicted.mean : none);
+    show("half", predicted ? predicted.half : none);
+    element("distance").textContent = predicted ? `${predicted.farthest.toFixed(2)}; ${(100 * predicted.beyond).toFixed(0)}% of the time > 1` : "\u2013";
   }
   element("time").textContent = `${seconds(loop.time)} s`;
-  element("cell").textContent = controller.cells.length > 1 ? `policy ${controller.step.activeCell + 1} of ${controller.cells.length} acts` : "";
-  element("bias").textContent = controller.observer ? `taken off: (${controller.observer.bias.map((value) => numeral(value, 2)).join(", ")}) N` : "";
-  const held = asked.within !== null && loop.time - asked.within >= 50, force = `(${numeral(chosen.x, 2)}, ${numeral(chosen.y, 2)}) N`;
-  const status = held ? `${force} held within ${SETTLED_N} N, ${seconds(Math.max(asked.within - asked.time, 0))} s after it was asked for.` : `Asked for ${force}; not held yet.`;
+  element("cell").textContent = controller.cells.length > 1 && controller.tracked !== null ? `policy ${controller.step.activeCell + 1} of ${controller.cells.length} acts` : "";
+  element("bias").textContent = controller.observer && controller.tracked ? `Trim adds ${forceText(controller.tracked.map((value, axis) => value - loop.history.at(-1).reference[axis]))}.` : "";
+  element("missing").textContent = missing.length ? `Not in this page: ${missing.join(", ")}.` : "";
+  const held = watched.within !== null && loop.time - watched.within >= 50, wish = [chosen.x, chosen.y], force = forceText(loop.reference);
+  const near = distanceTo(wish, loop.reference) > 0.01 ? `${forceText(wish)} cannot be held: the ring is at the nearest. ` : "";
+  const yet = chosen.paused && loop.time === 0 ? "press Play" : "not held yet";
+  const status = near + (held ? `${force} held within ${SETTLED_N} N, ${seconds(watched.within - watched.since)} s after ${watched.what}.` : `Asked for ${force}; ${yet}.`);
   // Screen readers speak what is written anew.
   if (element("status").textContent !== status) element("status").textContent = status;
 }
@@ -108,7 +166,7 @@ function draw() {
   const predicted = prediction(), tank = plants[chosen.plant].kind === "tank";
   drawPlane(plane, range, loop, predicted);
   const note = (loop.time - pushed) * TICK_S < 1.5 ? "The water was pushed towards +y." : tank ? "" : "Shape not known: drawn straight at the shaft's angle.";
-  drawWater(water, loop, fin, note);
+  drawWater(water, loop, plants[chosen.plant].outline, note);
   drawTraces(traces, loop);
   const now = performance.now();
   if (now - told > 100 || chosen.paused) {
@@ -120,6 +178,7 @@ function draw() {
 /* Move in real time; where the browser leaves out frames, for as long as a tenth of a second at once. */
 let owed = 0;
 function advance(now) {
+  requestAnimationFrame(advance);
   if (!chosen.paused) {
     owed += last === null ? 0 : Math.min((now - last) / 1000, 0.1) * Number(chosen.speed) / TICK_S;
     run(Math.floor(owed));
@@ -127,7 +186,6 @@ function advance(now) {
     draw();
   }
   last = now;
-  requestAnimationFrame(advance);
 }
 
 function forceUnder(event) {
@@ -141,18 +199,19 @@ function drag(event) {
 }
 
 plane.addEventListener("pointerdown", (event) => {
-  if (event.button !== 0) return;
+  if (event.button !== 0 || finger !== null) return;
   plane.setPointerCapture(event.pointerId);
-  dragging = true;
+  finger = event.pointerId;
   drag(event);
 });
-plane.addEventListener("pointermove", (event) => { if (dragging) drag(event); });
-plane.addEventListener("lostpointercapture", () => { dragging = false; apply(); });
+plane.addEventListener("pointermove", (event) => { if (event.pointerId === finger) drag(event); });
+plane.addEventListener("lostpointercapture", (event) => { if (event.pointerId === finger) finger = null; });
 
 const next = (list, value) => list[(list.indexOf(value) + 1) % list.length];
 const push = () => {
   Object.values(loop.plants).filter((plant) => plant instanceof Tank).forEach((plant) => plant.push(PUSH_M_S));
   pushed = loop.time;
+  watch("the push");
   redraw();
 };
 const ACTIONS = {
@@ -170,22 +229,24 @@ const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowD
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches("input, select")) return;
   const step = event.shiftKey ? 0.5 : 0.1, arrow = ARROWS[event.key], action = ACTIONS[event.key.toLowerCase()];
-  if (arrow) choose({ x: chosen.x + step * arrow[0], y: chosen.y + step * arrow[1] });
-  else if (action && !(event.key === " " && event.target.matches("button, summary, a"))) action();
-  else return;
+  if (!arrow && (!action || (event.key === " " && event.target.matches("button, summary, a")))) return;
   event.preventDefault();
+  if (arrow) choose({ x: loop.reference[0] + step * arrow[0], y: loop.reference[1] + step * arrow[1] });
+  // Held down, a key acts once.
+  else if (!event.repeat) action();
 });
 for (const name of ["controller", "plant"]) element(name).addEventListener("change", () => choose({ [name]: Number(element(name).value) }));
 for (const name of ["speed", "fin"]) element(name).addEventListener("change", () => choose({ [name]: element(name).value }));
 for (const [name, key] of [["pause", " "], ["trim", "t"], ["cold", "w"], ["push", "p"], ["restart", "r"]]) element(name).addEventListener("click", ACTIONS[key]);
 for (const name of ["x", "y"]) {
   element(name).addEventListener("change", () => { if (element(name).value !== "") choose({ [name]: Number(element(name).value) }); });
-  element(name).addEventListener("blur", () => ask(chosen.x, chosen.y));
+  element(name).addEventListener("blur", ask);
 }
-addEventListener("hashchange", () => { readAddress(); apply(); });
+element("link").addEventListener("click", copyLink);
+addEventListener("hashchange", (event) => { readAddress(event.newURL); apply(); });
 
-followColours(["page", "text", "soft", "rule", "beyond", "reach", "lit", "fin", "measured", "asked", "mean", "predicted"]);
-readAddress();
+followColours(["page", "text", "soft", "rule", "beyond", "reach", "lit", "fin", "measured", "asked", "mean", "predicted", "water"]);
+readAddress(location.href);
 begin();
 new ResizeObserver(redraw).observe(document.querySelector("main"));
 requestAnimationFrame(advance);

@@ -27,21 +27,16 @@ def read_script(*names: str) -> str:
 
 
 def write_page(
-    path: Path, title: str, controllers: Sequence[Mapping[str, Any]], plants: Sequence[Mapping[str, Any]],
-    fin: Mapping[str, Any],
-) -> None:  # fmt: skip
+    path: Path, title: str, controllers: Sequence[Mapping[str, Any]], plants: Sequence[Mapping[str, Any]]
+) -> None:
     """Write the page: nothing is fetched, so it opens by a double click."""
     template = importlib.resources.files("softfin.explorer").joinpath("page.html.jinja").read_text("utf-8")
-    surrogate = next((plant for plant in plants if plant["kind"] == "surrogate"), None)
-    contents = json.dumps(
-        {"controllers": controllers, "plants": plants, "fin": fin}, separators=(",", ":"), allow_nan=False
-    )
+    contents = json.dumps({"controllers": controllers, "plants": plants}, separators=(",", ":"), allow_nan=False)
     page = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(template).render(
         title=title,
         controllers=controllers,
         plants=plants,
-        surrogate=None if surrogate is None else surrogate["name"],
-        coverage=None if surrogate is None else f"{surrogate['interval']['coverage']:.0%}",
+        surrogate=any(plant["kind"] == "surrogate" for plant in plants),
         grid=any(controller["kind"] == "grid" for controller in controllers),
         cold_c=f"{COLD_C:g}",
         # No text within may close the element.

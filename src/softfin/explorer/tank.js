@@ -309,9 +309,9 @@ class Tank {
     return this.fin.shape();
   }
 
-  /* Set the water round the fin in motion, by a velocity (x, y) [m/s] that dies down as the fin's own stream does. */
+  /* Have the water round the fin stream at a velocity (x, y) [m/s], which dies down as the fin's own stream does. */
   push(velocity) {
-    this.flow.stream = this.flow.stream.map((value, axis) => value + velocity[axis]);
+    this.flow.stream = [...velocity];
   }
 
   /* Hold a command for a tick; returns {angle, velocity, force}. */

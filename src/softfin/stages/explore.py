@@ -5,13 +5,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from softfin.control.store import load_controller
 from softfin.core.errors import ConfigurationError
 from softfin.core.plant import Plant
 from softfin.core.quantities import Limits
-from softfin.explorer.contents import controller_data, plant_data
+from softfin.explorer.contents import controller_data, outline, plant_data
 from softfin.explorer.page import write_page
 from softfin.stages.evaluation import check_limits
 from softfin.storage import artifact as artifacts
@@ -39,19 +37,16 @@ def explore(
     for path, controller in holding.items():
         for name, plant in moving.items():
             check_limits(controller.limits, Limits(*plant.limits), Path(path), name)
+    # A surrogate does not know its fin's size.
     tank = next((plant for plant in moving.values() if isinstance(plant, Tank)), None) or Tank()
-    fin = {
-        "length_m": float(tank.fin.plate_length) * len(tank.fin.stiffness),
-        "thickness_m": np.asarray(tank.fin.thickness, float).tolist(),
-    }
+    outlines = {name: outline(plant if isinstance(plant, Tank) else tank) for name, plant in moving.items()}
     kinds = _labels({path: controller.kind for path, controller in holding.items()})
     names = _labels({name: Path(name).resolve().name for name in moving})
     write_page(
         out,
         TITLE,
         [{"name": kinds[path], **controller_data(controller)} for path, controller in holding.items()],
-        [{"name": names[name], **data} for name, data in data_of_plants.items()],
-        fin,
+        [{"name": names[name], "outline": outlines[name], **data} for name, data in data_of_plants.items()],
     )
     return {
         "page": str(out),
