@@ -167,8 +167,11 @@ def code(words: Sequence[str]) -> str:
     # The paper's nets and the authors' need nothing of the streaming ones.
     streaming = words[0] != "softfin" or words[1] == "reproduce" or any("streaming" in word for word in words)
     left_out = () if streaming else (PACKAGE / "surrogate" / "streaming",)
-    # Of all commands, those of robots alone run their code.
-    left_out += () if name == "robot" else (PACKAGE / "robot",)
+    # Of all commands, those of robots and of the page alone run their code, the page's with its scripts.
+    left_out += tuple(
+        PACKAGE / room for word, room in (("robot", "robot"), ("explore", "explorer")) if word not in words
+    )
+    places += sorted((PACKAGE / "explorer").glob("*.j*")) if "explore" in words else []
     return _hash(*(_code_of(place, left_out) for place in places))
 
 
