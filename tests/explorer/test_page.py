@@ -143,6 +143,9 @@ def test_a_mouse_drags_the_force_and_the_loop_follows_it(opened):
     assert opened.run("loop.time") == 400
     assert opened.run("loop.history.at(-1).reference") == asked(opened)
     assert opened.run("element('time').textContent") == "4.0 s"
+    added = np.subtract(opened.run("loop.controller.tracked"), asked(opened))
+    assert np.abs(added).max() > 0.01
+    assert opened.run("element('bias').textContent") == f"Trim adds {force_text(added)} N."
     assert float(opened.run("element('error-x').textContent")) == pytest.approx(opened.run("loop.error()[0]"), abs=1e-3)
 
 

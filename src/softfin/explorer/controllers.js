@@ -177,8 +177,8 @@ const CONTROLLERS = { gaits: GaitController, single: SingleController, grid: Gri
 /* A controller of any kind at rest, with the outer loop about it on demand. */
 class Controller {
   constructor(description) {
-    // `tracked` is the reference that the outer loop gave last; null before the first action.
-    Object.assign(this, { description, limits: description.limits, cells: description.cells, observer: null, tracked: null });
+    // `tracked` is the reference of the last action as the outer loop corrected it, `added` the correction; null before.
+    Object.assign(this, { description, limits: description.limits, cells: description.cells, observer: null, tracked: null, added: null });
     this.step = new CONTROLLERS[description.kind](description);
     this.reachable = description.reachable === null ? null : new Reachable(description.reachable);
   }
@@ -192,6 +192,7 @@ class Controller {
   act(angle, force, reference) {
     const { limits } = this;
     this.tracked = this.observer === null ? reference : this.observer.correct(force, reference);
+    this.added = this.tracked.map((value, axis) => value - reference[axis]);
     const action = this.step.act([angle, ...this.tracked].map(Math.fround));
     const within = (value, low, high) => clip(low + ((value + 1) / 2) * (high - low), low, high);
     return {

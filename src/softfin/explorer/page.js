@@ -152,7 +152,7 @@ function tell(predicted) {
   }
   element("time").textContent = `${seconds(loop.time)} s`;
   element("cell").textContent = controller.cells.length > 1 && controller.tracked !== null ? `policy ${controller.step.activeCell + 1} of ${controller.cells.length} acts` : "";
-  element("bias").textContent = controller.observer && controller.tracked ? `Trim adds ${forceText(controller.tracked.map((value, axis) => value - loop.history.at(-1).reference[axis]))}.` : "";
+  element("bias").textContent = controller.observer && controller.added ? `Trim adds ${forceText(controller.added)}.` : "";
   element("missing").textContent = missing.length ? `Not in this page: ${missing.join(", ")}.` : "";
   const held = watched.within !== null && loop.time - watched.within >= 50, wish = [chosen.x, chosen.y], force = forceText(loop.reference);
   const near = distanceTo(wish, loop.reference) > 0.01 ? `${forceText(wish)} cannot be held: the ring is at the nearest. ` : "";
