@@ -22,7 +22,8 @@ from results.steps import step
 
 __all__ = ["BENCHMARKS", "PARTS", "SEEDS", "Part", "Work", "parts"]
 
-SEEDS = (0, 1, 2, 3, 4)
+SEEDS = (10, 11, 12, 13, 14)
+"""No setting of softfin was chosen on these seeds; 0 to 9 were used while settings were chosen."""
 
 BENCHMARKS = {
     "tank": (2, 5), "task": (2, 5), "surrogate": (1, 5), "fit": (2, 5), "ppo": (6, 3), "controllers": (7, 3),

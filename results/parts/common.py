@@ -1,7 +1,7 @@
 """What parts are made of: steps that several share, and how their files are read.
 
-Names end in the seed. Whole chains are repeated: controllers for the tank of seed N are trained with seed N in the
-surrogate of seed N.
+Names end in the seed. Whole chains are repeated. In the chain of seed N the logs, the surrogate that is fitted to
+them, the controllers that are trained in it and the tanks, noise and drift of their evaluation all have seed N.
 """
 
 import json
@@ -79,13 +79,26 @@ PUBLISHED = step(
     "--scalers $SOFTFIN_PUBLISHED/scalers.json",
     0.2,
 )
-DATASET = step("dataset", "softfin collect --plant tank", 0.5, tiny="--logs 12 --test-logs 1 --rows 1500")
-SAME_LOGS = step("same-logs", "softfin collect --plant tank --logs 12 --test-logs 0 --seed 777", 1,
-                 tiny="--logs 2 --rows 1500")  # fmt: skip
-OTHERS = step("others", "softfin collect --plant tank --logs 1 --test-logs 120 --rows 3400 --seed 778", 1,
-              tiny="--test-logs 2 --rows 1500")  # fmt: skip
-"""As many other tanks as tell how often intervals hold: drift does not forget itself within a log."""
-SAME = step("same", "python -m results.scripts as-test same-logs same", 0.2)
+
+
+def dataset(seed: int) -> Step:
+    """The paper's number of logs of the tank."""
+    return step(f"dataset-{seed}", f"softfin collect --plant tank --seed {seed}", 0.5, seed,
+                "--logs 12 --test-logs 1 --rows 1500")  # fmt: skip
+
+
+def same_tank_logs(seed: int) -> tuple[Step, Step]:
+    """Logs of the same tank that no surrogate has seen, as training logs and as the test logs of a dataset."""
+    command = f"softfin collect --plant tank --logs 12 --test-logs 0 --seed {700 + seed}"
+    collected = step(f"same-logs-{seed}", command, 1, seed, "--logs 2 --rows 1500")
+    return collected, step(f"same-{seed}", f"python -m results.scripts as-test same-logs-{seed} same-{seed}", 0.2, seed)
+
+
+def perturbed_tank_logs(seed: int) -> Step:
+    """Logs of 120 perturbed tanks: so many show how often intervals hold, since drift is correlated within a log."""
+    command = f"softfin collect --plant tank --logs 1 --test-logs 120 --rows 3400 --seed {800 + seed}"
+    return step(f"perturbed-{seed}", command, 1, seed, "--test-logs 2 --rows 1500")
+
 
 TINY_NETS = "--set members=2 --set drive_updates=2 --set force_updates=2 --set batch=8"
 TINY_POLICY = "--set num_evaluations=1 --set policy.units=8 --set policy.width=8"
@@ -101,12 +114,12 @@ TINY = {
 
 def streaming(seed: int) -> Step:
     """Fit of the streaming surrogate on the paper's rows."""
-    return step(f"streaming-{seed}", f"softfin fit dataset --seed {seed}", 3, seed, TINY_NETS)
+    return step(f"streaming-{seed}", f"softfin fit dataset-{seed} --seed {seed}", 3, seed, TINY_NETS)
 
 
 def paper(seed: int) -> Step:
     """Fit of the paper's nets on the same rows."""
-    command = f"softfin fit dataset --model paper --seed {seed}"
+    command = f"softfin fit dataset-{seed} --model paper --seed {seed}"
     return step(f"paper-{seed}", command, 10, seed, "--epochs 1 --set batch=64")
 
 
@@ -116,7 +129,8 @@ CONTROLLERS = {
     "grid": ("--controller grid --algorithm gradient", 1.5),
     "single-ppo": ("--controller single --algorithm ppo", 0.7),
     "grid-ppo": ("--controller grid --algorithm ppo", 1),
-    "grid-ppo-phase": ("--controller grid --algorithm ppo --set task.phase=true", 1),
+    "single-hindsight": ("--controller single --algorithm ppo-hindsight", 0.7),
+    "grid-hindsight": ("--controller grid --algorithm ppo-hindsight", 1),
 }
 """Ways to a controller: options of `softfin train`, and minutes."""
 
@@ -132,7 +146,8 @@ def train(kind: str, options: str, surrogate: str, seed: int | None, minutes: fl
 
 
 def evaluate(controller: Step, plant: str, name: str, options: str, minutes: float) -> Step:
-    """Evaluation of a trained controller."""
+    """Evaluation of a trained controller, with the noise, drift and tanks of its seed."""
     tiny = "--seconds 6 --random 3" if "--random" in options else "--seconds 6"
-    command = f"softfin evaluate {controller.name} --plant {plant} {options}"
+    seed = "" if controller.seed is None else f" --seed {controller.seed}"
+    command = f"softfin evaluate {controller.name} --plant {plant} {options}{seed}"
     return step(f"{name}-{controller.name}", command, minutes, controller.seed, tiny)

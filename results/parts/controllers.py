@@ -4,12 +4,12 @@ from collections.abc import Callable, Mapping, Sequence
 
 from results.parts.common import (
     CONTROLLERS,
-    DATASET,
     PUBLISHED,
     TINY,
     Figures,
     Part,
     Work,
+    dataset,
     evaluate,
     names_of,
     pair,
@@ -50,16 +50,22 @@ def controllers_published(seeds: Sequence[int]) -> Part:
         return figures
 
     steps = (PUBLISHED, *(each for kind in CONTROLLERS for each in (*trained[kind], *judged[kind])))
-    pictures = {"docs/error_map.png": "judged-single-published-0/error_map.png",
-                "docs/experiments.png": "judged-grid-published-0/experiments.png"}  # fmt: skip
+    pictures = {
+        "docs/error_map.png": f"judged-single-published-{seeds[0]}/error_map.png",
+        "docs/experiments.png": f"judged-grid-published-{seeds[0]}/experiments.png",
+    }
     return Part("Controllers in the published surrogate", steps, read, pictures)
 
 
 def controllers_tank(seeds: Sequence[int]) -> Part:
     """All controllers from streaming surrogates of the tank in the tank."""
     kinds = ("gaits", "single", "grid", "single-ppo", "grid-ppo")
-    ways = {"tank": "--moving step", "others": "--randomize 0.15 --seeds 20",
-            "trim": "--randomize 0.15 --seeds 20 --trim --moving step"}  # fmt: skip
+    ways = {
+        "tank": "--moving step",
+        "tank-feedback": "--trim",
+        "perturbed": "--randomize 0.15 --seeds 20",
+        "perturbed-feedback": "--randomize 0.15 --seeds 20 --trim --moving step",
+    }
     return _in_tank("Controllers from streaming surrogates in the tank", kinds, "streaming", streaming, seeds, ways)
 
 
@@ -87,9 +93,9 @@ def _in_tank(
     ways: Mapping[str, str],
 ) -> Part:  # fmt: skip
     """Controllers trained in the surrogate of each seed, judged in some ways in the tank, or within that surrogate."""
-    steps = [DATASET]
+    steps = []
     for seed in seeds:
-        steps.append(fit(seed))
+        steps += [dataset(seed), fit(seed)]
         for kind in kinds:
             options, minutes = CONTROLLERS[kind]
             trained = train(kind, options, f"{model}-{seed}", seed, minutes)
@@ -104,10 +110,22 @@ def _in_tank(
                 key = f"{kind}.{way}"
                 rows = work.evaluations([f"{way}-{kind}-{model}-{seed}" for seed in seeds])
                 figures[key] = figure("N", [pair(row["mean"]) for row in rows], seeds)
+                if "reading_error_n" in rows[0]["mean"]["x"]:
+                    readings = [pair(row["mean"], "reading_error_n") for row in rows]
+                    figures[f"{key}.reading"] = figure("N", readings, seeds)
+                if way.startswith("perturbed"):
+                    # A value per tank, so that tables can state how much tanks differ.
+                    tanks = [
+                        list(tank) for row in rows for tank in zip(*pair(row["mean"], "error_seeds_n"), strict=True)
+                    ]
+                    figures[f"{key}.tanks"] = figure("N", tanks)
+                deviations = [pair(row["mean"], "std_n") for row in rows]
+                figures[f"{key}.std"] = figure("N", deviations, seeds)
                 for index, row in enumerate(rows[0]["references"]):
                     x, y = row["reference_n"]
-                    values = [pair(each["references"][index]) for each in rows]
-                    figures[f"{key}.{x:g},{y:g}"] = figure("N", values, seeds)
+                    own = [each["references"][index] for each in rows]
+                    figures[f"{key}.{x:g},{y:g}"] = figure("N", [pair(each) for each in own], seeds)
+                    figures[f"{key}.std.{x:g},{y:g}"] = figure("N", [pair(each, "std_n") for each in own], seeds)
                 if "moving" in rows[0]:
                     step_times(figures, key, rows, seeds)
         return figures
@@ -122,8 +140,8 @@ def baselines_published(seeds: Sequence[int]) -> Part:
 
 def baselines_tank(seeds: Sequence[int]) -> Part:
     """What needs no learning, searched for in the surrogate of each seed, in the tank."""
-    fits = (streaming(seed) for seed in seeds)
-    return _baselines("tank", "--plant tank --surrogate streaming-{}", (DATASET, *fits), seeds)
+    before = [each for seed in seeds for each in (dataset(seed), streaming(seed))]
+    return _baselines("tank", "--plant tank --surrogate streaming-{}", before, seeds)
 
 
 def _baselines(plant: str, options: str, before: Sequence[Step], seeds: Sequence[int]) -> Part:
@@ -207,7 +225,8 @@ def whole_map(seeds: Sequence[int]) -> Part:
 
 def faster(seeds: Sequence[int]) -> Part:
     """Settling time against ripple, with other action rates and windows."""
-    command = f"python docs/faster_reaction.py streaming-0 faster --seeds {len(seeds)}"
+    first = seeds[0]
+    command = f"python docs/faster_reaction.py streaming-{first} faster --seeds {len(seeds)}"
     study = step("faster", command, 20, tiny="--tiny")
 
     def read(work: Work) -> Figures:
@@ -219,4 +238,4 @@ def faster(seeds: Sequence[int]) -> Part:
                 figures[f"{key}.{score}"] = figure("N", [row[score] for row in rows], own)
         return figures
 
-    return Part("Other action rates and windows", (DATASET, streaming(0), study), read)
+    return Part("Other action rates and windows", (dataset(first), streaming(first), study), read)

@@ -5,16 +5,15 @@ from collections.abc import Sequence
 from typing import Any
 
 from results.parts.common import (
-    DATASET,
-    OTHERS,
     PUBLISHED,
-    SAME,
-    SAME_LOGS,
     Figures,
     Part,
     Work,
+    dataset,
     names_of,
     paper,
+    perturbed_tank_logs,
+    same_tank_logs,
     scores_of,
     streaming,
 )
@@ -33,13 +32,13 @@ ERRORS = {
 
 def surrogates(seeds: Sequence[int]) -> Part:
     """Both surrogates on the same rows."""
-    sets = {"same": (SAME.name, ""), "other": (OTHERS.name, " --horizons 30")}
+    sets = {"same": ("same", ""), "other": ("perturbed", " --horizons 30")}
     fits = {"streaming": [streaming(seed) for seed in seeds], "paper": [paper(seed) for seed in seeds]}
     floor = "--noise-floor tank"
     compared = [
-        step(f"compare-{name}-{seed}", f"softfin compare streaming-{seed} paper-{seed} --dataset {data} {floor} "
+        step(f"compare-{name}-{seed}", f"softfin compare streaming-{seed} paper-{seed} --dataset {logs}-{seed} {floor} "
              f"--seed {seed}{horizons}", 1, seed, "--horizons 2")
-        for seed in seeds for name, (data, horizons) in sets.items()
+        for seed in seeds for name, (logs, horizons) in sets.items()
     ]  # fmt: skip
 
     def read(work: Work) -> Figures:
@@ -61,8 +60,9 @@ def surrogates(seeds: Sequence[int]) -> Part:
                 figures[f"{model}.{key}"] = work.spent([[each.name] for each in steps], seeds, kind)
         return figures
 
-    steps = (DATASET, SAME_LOGS, SAME, OTHERS, *fits["streaming"], *fits["paper"], *compared)
-    pictures = {"docs/surrogates.png": "compare-same-0/comparison.png"}
+    logs = [each for seed in seeds for each in (dataset(seed), *same_tank_logs(seed), perturbed_tank_logs(seed))]
+    steps = (*logs, *fits["streaming"], *fits["paper"], *compared)
+    pictures = {"docs/surrogates.png": f"compare-same-{seeds[0]}/comparison.png"}
     return Part("Surrogates, free-running for 30 s", steps, read, pictures)
 
 
@@ -72,7 +72,7 @@ def _means(horizon: dict[str, Any]) -> dict[str, float]:
 
 def ablation(seeds: Sequence[int]) -> Part:
     """What each part of the streaming surrogate is worth."""
-    command = "python docs/ablation.py ablation-{0} --dataset dataset --seed {0}"
+    command = "python docs/ablation.py ablation-{0} --dataset dataset-{0} --seed {0}"
     tiny = "--minutes 1 --updates 2 --members 1 --batch 4 --horizon 2"
     steps = [step(f"ablation-{seed}", command.format(seed), 8, seed, tiny) for seed in seeds]
 
@@ -87,7 +87,7 @@ def ablation(seeds: Sequence[int]) -> Part:
             figures[f"{name}.flops"] = figure("FLOPs a tick", [first["flops_per_tick"]])
         return figures
 
-    return Part("Parts of the streaming surrogate", (DATASET, *steps), read)
+    return Part("Parts of the streaming surrogate", (*map(dataset, seeds), *steps), read)
 
 
 def data_efficiency(seeds: Sequence[int]) -> Part:

@@ -27,7 +27,8 @@ def test_a_batch_of_different_tanks_runs_as_each_of_them_alone():
     for i, key in enumerate(KEYS):
         alone = record(sample_tank(TANK, key))
         np.testing.assert_allclose(together.force[i], alone.force, atol=0.025)
-        np.testing.assert_allclose(together.angle[i], alone.angle, atol=1e-5)
+        # One step of the encoder: an angle at the edge of two steps may be rounded either way.
+        np.testing.assert_allclose(together.angle[i], alone.angle, atol=3e-5)
     assert np.asarray(together.force).std(0).max() > 0.1
 
 

@@ -20,8 +20,10 @@ ControllerKind: TypeAlias = Literal["single", "grid", "gaits"]
 """One policy for all references, one for each cell of a grid, or a table of gaits without a policy."""
 
 Algorithm: TypeAlias = Literal["gradient", "ppo"]
-AlgorithmOption: TypeAlias = Literal["auto", "gradient", "ppo"]
-"""How policies are trained; auto: by gradients wherever the plant has them."""
+AlgorithmPreset: TypeAlias = Literal["gradient", "ppo", "ppo-hindsight"]
+"""Gradients through the plant, plain LSTM-PPO as in the paper, or LSTM-PPO with hindsight relabelling."""
+AlgorithmOption: TypeAlias = Literal["auto", AlgorithmPreset]
+"""How policies are trained; auto: by gradients if the plant has them, else by LSTM-PPO with hindsight relabelling."""
 
 EngineName: TypeAlias = Literal["local", "ray"]
 Split: TypeAlias = Literal["none", "seed", "cell"]

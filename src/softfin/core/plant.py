@@ -47,6 +47,14 @@ class Plant(Protocol):
 
 
 @runtime_checkable
+class TrueForcePlant(Plant, Protocol):
+    """A plant that simulates a sensor, and so knows the force behind its readings; errors are judged by that force."""
+
+    def true_force(self, state: State) -> Float[Array, "2"]:
+        """Mean force of the fin on its mount over the last tick (x, y) [N], without the errors of a sensor."""
+
+
+@runtime_checkable
 class ForceInterval(Protocol):
     """Interval on the mean force of an ensemble over one window."""
 

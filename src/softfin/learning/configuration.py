@@ -10,7 +10,7 @@ from pydantic import Field, NonNegativeFloat, PositiveInt, model_validator
 
 from softfin.control.grid import SwitchingConfig
 from softfin.core.action_clock import ACTION_TICKS
-from softfin.core.choices import Algorithm, AlgorithmOption, PolicyLayout
+from softfin.core.choices import Algorithm, AlgorithmOption, AlgorithmPreset, PolicyLayout
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
 from softfin.core.plant import EnsemblePlant, Plant
@@ -49,15 +49,18 @@ class TrainConfig(Configuration):
     """Use of an ensemble: fins are the mean of all members or each is another member; the mean is evaluated. Only
     ensembles of two members or more take `each`."""
     algorithm: Algorithm = "ppo"
-    """LSTM-PPO, as the paper has it, or gradients through the plant."""
+    """LSTM-PPO or gradients through the plant."""
     ppo: PPOConfig = PPOConfig()
     """Settings of LSTM-PPO."""
     gradient: GradientConfig = GradientConfig()
     """Settings of gradient training."""
     num_evaluations: PositiveInt = 10
     """Number of evaluations of the deterministic policies, evenly over the run; a checkpoint is written each time."""
-    lattice: PositiveInt = 1
-    """Policies are evaluated at lattice x lattice references of each cell; these actions do not count as `steps`."""
+    lattice: PositiveInt = 2
+    """Policies are evaluated at lattice x lattice references of each cell; these actions do not count as `steps`.
+
+    The best policy is kept. The defaults avoid the paper's six references, which are the centres of its cells: a policy
+    must not be selected on the references that its errors are reported for."""
 
     @model_validator(mode="after")
     def _fits(self) -> "TrainConfig":
@@ -104,7 +107,7 @@ SINGLE = TrainConfig(
     cells=(PAPER_RANGE,),
     task=TaskConfig(reference_actions=45),
     ppo=PPOConfig(num_envs=32, num_epochs=8),
-    lattice=3,
+    lattice=4,
 )
 """The paper's single controller on its budget."""
 
@@ -124,8 +127,12 @@ GRADIENT_GRID = GRADIENT_SINGLE.merged(
 )  # fmt: skip
 """A policy a cell by gradients through the plant: 20 updates."""
 
-TRAIN_PRESETS: Mapping[tuple[Algorithm, PolicyLayout], TrainConfig] = MappingProxyType({
+HINDSIGHT = ("ppo.relabelling=1",)
+"""Learn from each rollout for other references, too; not in the paper."""
+
+TRAIN_PRESETS: Mapping[tuple[AlgorithmPreset, PolicyLayout], TrainConfig] = MappingProxyType({
     ("ppo", "single"): SINGLE, ("ppo", "grid"): GRID,
+    ("ppo-hindsight", "single"): SINGLE.changed(HINDSIGHT), ("ppo-hindsight", "grid"): GRID.changed(HINDSIGHT),
     ("gradient", "single"): GRADIENT_SINGLE, ("gradient", "grid"): GRADIENT_GRID,
 })  # fmt: skip
 """Configurations by algorithm and kind of controller."""
@@ -140,7 +147,7 @@ def choose_preset(
     missing = missing_gradient(plant)
     if missing is None:
         return TRAIN_PRESETS["gradient", controller], "gradient, as the plant has gradients"
-    return TRAIN_PRESETS["ppo", controller], f"ppo, as the plant has no gradient: {missing}"
+    return TRAIN_PRESETS["ppo-hindsight", controller], f"ppo-hindsight, because the plant has no gradient: {missing}"
 
 
 def check(plant: Plant, config: TrainConfig, seeds: Sequence[int], force_map: ForceMap | None = None) -> None:

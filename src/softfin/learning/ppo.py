@@ -40,9 +40,9 @@ class PPOConfig(Configuration):
     """Actions of each fin between updates, whole cycles of three; gradients reach back as far."""
     num_epochs: PositiveInt = 10
     """Passes over each rollout."""
-    relabelling: NonNegativeFloat = 1.0
-    """Distance of the other references that a rollout is learnt from as well, in root mean square and units of that of
-    its force error; 0 learns from the references asked for alone."""
+    relabelling: NonNegativeFloat = 0.0
+    """Root mean square distance between a rollout's references and the other references that it is learnt from as well
+    (hindsight), in units of the rollout's root mean square force error; 0: none, as in the paper."""
     num_minibatches: PositiveInt = 8
     """Updates a pass; each takes whole sequences of num_envs/num_minibatches fins, and as many relabelled ones."""
     learning_rate: PositiveFloat = 3e-3

@@ -9,13 +9,15 @@ from typing import TypeAlias
 
 import equinox as eqx
 import jax
-from jaxtyping import PRNGKeyArray
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
 from pydantic import Field
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
-from softfin.core.quantities import Command, Limits, Reading
+from softfin.core.quantities import TICK_S, Command, Limits, Reading
 from softfin.tank.chain import Scalar
+from softfin.tank.drive import DEAD_TICKS
 from softfin.tank.tank import Tank, TankState
 
 USUAL_PART = 0.15
@@ -38,6 +40,8 @@ class DomainRandomization(Configuration):
     """Added mass, relative [-]."""
     lag: float = Field(0.2, ge=0, lt=1)
     """Lag of the servo, relative [-]."""
+    dead_time: float = Field(0.2, ge=0, lt=1)
+    """Delay from a command to the motion that follows it, relative [-]."""
     drift: float = Field(0.5, ge=0, lt=1)
     """Standard deviation of the force sensor's drift, relative [-]."""
     misalignment_rad: float = Field(0.02, ge=0, le=0.5)
@@ -54,7 +58,9 @@ class DomainRandomization(Configuration):
             raise ConfigurationError(f"--randomize {part:g}: give a part from 0, the very same tank, to less than 1")
         usual, share = cls(), min(1.0, part / USUAL_PART)
         own = {name: share * getattr(usual, name) for name in ("temperature_c", "drift", "misalignment_rad")}
-        return usual.merged(own | dict.fromkeys(("stiffness", "drag", "added_mass", "lag"), part), "spread")
+        return usual.merged(
+            own | dict.fromkeys(("stiffness", "drag", "added_mass", "lag", "dead_time"), part), "spread"
+        )
 
     @property
     def is_none(self) -> bool:
@@ -70,6 +76,7 @@ def with_parameters(
     drag: Scalar | float = 1.0,
     added_mass: Scalar | float = 1.0,
     lag: Scalar | float = 1.0,
+    dead_time: Scalar | float = 1.0,
     drift: Scalar | float = 1.0,
     misalignment_rad: Scalar | float = 0.0,
 ) -> Tank:
@@ -77,8 +84,8 @@ def with_parameters(
     water, fin = tank.water, tank.fin
     changed: Tank = eqx.tree_at(
         lambda tank: (
-            tank.fin.stiffness, tank.fin.damping, tank.water, tank.drive.lag, tank.sensor.drift,
-            tank.sensor.misalignment,
+            tank.fin.stiffness, tank.fin.damping, tank.water, tank.drive.lag, tank.drive.dead_time,
+            tank.sensor.drift, tank.sensor.misalignment,
         ),
         tank,
         (
@@ -87,6 +94,8 @@ def with_parameters(
             fin.damping * stiffness,
             water.varied(water.temperature + temperature_c, added_mass, drag),
             tank.drive.lag * lag,
+            # Beyond the queue of waiting commands there is nothing to obey.
+            jnp.minimum(tank.drive.dead_time * dead_time, DEAD_TICKS * TICK_S),
             tank.sensor.drift * drift,
             tank.sensor.misalignment + misalignment_rad,
         ),
@@ -128,6 +137,11 @@ class RandomizedTank(eqx.Module):
         parameters, own = jax.random.split(key)
         tank = sample_tank(self.tank, parameters, self.widths)
         return tank, tank.init(own)
+
+    def true_force(self, state: RandomizedTankState) -> Float[Array, "2"]:
+        """Return the mean force of the sampled tank's fin on its mount over the last tick [N]."""
+        tank, inner = state
+        return tank.true_force(inner)
 
     def advance(self, state: RandomizedTankState, command: Command, ticks: int) -> tuple[RandomizedTankState, Reading]:
         """Advance the sampled tank."""

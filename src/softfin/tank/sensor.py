@@ -1,6 +1,7 @@
 """The force sensor under the fin, after an ATI Axia80-M20: the true force in, what it reports at 100 Hz out.
 
 Low-pass filter, mounting misalignment, slow drift (Ornstein-Uhlenbeck), white noise, resolution, range, in this order.
+Before each experiment the sensor is zeroed while the fin rests, when the true force is known to be zero.
 The numbers are assumptions of the right order, not a datasheet's; `IDEAL` turns every one of them off. Drive and water
 use what is here of sampling: relaxation within a sample, rounding to a resolution.
 """
@@ -56,6 +57,8 @@ class SensorConfig(Configuration):
     """Readings are multiples of this [N]."""
     range_n: float = Field(500.0, ge=0)
     """Readings end at this, either way, on each axis [N]."""
+    zero_s: float = Field(2.0, ge=0)
+    """Time at rest over which the mean reading is taken as zero before each experiment [s]; 0: not zeroed."""
 
 
 IDEAL = SensorConfig(filter_s=0.0, noise_n=0.0, drift_n=0.0, resolution_n=0.0, range_n=0.0)
@@ -63,10 +66,14 @@ IDEAL = SensorConfig(filter_s=0.0, noise_n=0.0, drift_n=0.0, resolution_n=0.0, r
 
 
 class SensorState(NamedTuple):
-    """Output of the filter and drift, both (x, y) [N]."""
+    """State of the sensor, each (x, y) [N]."""
 
     filtered: Float[Array, "2"]
+    """Output of the low-pass filter."""
     drift: Float[Array, "2"]
+    """Drift since the sensor was built in."""
+    zero: Float[Array, "2"]
+    """Mean reading at rest before the experiment; it is subtracted from every reading."""
 
 
 class Sensor(eqx.Module):
@@ -79,16 +86,29 @@ class Sensor(eqx.Module):
     drift_time: Float[Array, ""]
     resolution: Float[Array, ""]
     range: Float[Array, ""]
+    zero_time: Float[Array, ""]
 
     def __init__(self, config: SensorConfig):
         (
             self.filter_time, self.misalignment, self.noise, self.drift, self.drift_time, self.resolution, self.range,
+            self.zero_time,
         ) = arrays_of(config)  # fmt: skip
 
     def rest(self, key: PRNGKeyArray) -> SensorState:
-        """Return the state without force yet; the drift is wherever its past has left it."""
-        drift = self.drift * jax.random.normal(key, (2,), self.drift.dtype)
-        return SensorState(jnp.zeros_like(drift), drift)
+        """Return the state at rest after zeroing; the drift is wherever its past has left it.
+
+        The zero is the mean reading over the last T seconds. It misses the drift of this moment by what white noise
+        leaves in a mean of T / TICK_S samples, and by what the drift moved within T. A random walk of variance q per
+        second ends at a distance of variance q T / 3 from its mean; here q = 2 drift^2 / drift_time.
+        """
+        drift_key, zero_key = jax.random.split(key)
+        drift = self.drift * jax.random.normal(drift_key, (2,), self.drift.dtype)
+        samples = jnp.maximum(self.zero_time / TICK_S, 1.0)
+        variance = self.noise**2 / samples + 2 * self.drift**2 / self.drift_time * self.zero_time / 3
+        # Noise and drift may both be 0, where the square root has no derivative.
+        deviation = jnp.where(variance > 0, jnp.sqrt(jnp.where(variance > 0, variance, 1.0)), 0.0)
+        zero = drift + deviation * jax.random.normal(zero_key, (2,), self.drift.dtype)
+        return SensorState(jnp.zeros_like(drift), drift, jnp.where(self.zero_time > 0, zero, 0.0))
 
     def read(
         self, state: SensorState, force: Float[Array, "2"], key: PRNGKeyArray
@@ -101,6 +121,7 @@ class Sensor(eqx.Module):
         cos, sin = jnp.cos(self.misalignment), jnp.sin(self.misalignment)
         x, y = filtered
         turned = jnp.stack([cos * x + sin * y, cos * y - sin * x])
-        reading = to_multiple(turned + drift + self.noise * white, self.resolution)
+        raw = to_multiple(turned + drift + self.noise * white, self.resolution)
         most = jnp.where(self.range > 0, self.range, jnp.inf)
-        return SensorState(filtered, drift), jnp.clip(reading, -most, most)
+        # The electronics saturate before the zero is subtracted.
+        return SensorState(filtered, drift, state.zero), jnp.clip(raw, -most, most) - state.zero

@@ -43,6 +43,8 @@ class TankState(NamedTuple):
     fin: FinState
     flow: Flow
     sensor: SensorState
+    force: Float[Array, "2"]
+    """True mean force on the mount over the last tick (x, y) [N]."""
     key: PRNGKeyArray
 
 
@@ -78,11 +80,13 @@ class Tank(eqx.Module):
         )
 
     def init(self, key: PRNGKeyArray) -> TankState:
-        """The fin at rest at angle 0; the key draws the sensor's drift and its noise."""
+        """The fin at rest at angle 0, the sensor just zeroed; the key draws the sensor's drift and its noise."""
         drift, noise = jax.random.split(key)
+        sensor = self.sensor.rest(drift)
         return TankState(
-            jnp.int32(0), self.drive.rest(), self.fin.rest(), self.water.rest(), self.sensor.rest(drift), noise
-        )
+            jnp.int32(0), self.drive.rest(), self.fin.rest(), self.water.rest(), sensor, jnp.zeros_like(sensor.drift),
+            noise,
+        )  # fmt: skip
 
     def advance(self, state: TankState, command: Command, ticks: int) -> tuple[TankState, Reading]:
         """Hold the command for `ticks` samples of 10 ms and read after each: fields ``(ticks,)``."""
@@ -95,6 +99,10 @@ class Tank(eqx.Module):
             return state, reading
 
         return jax.lax.scan(tick, state, length=ticks)
+
+    def true_force(self, state: TankState) -> Float[Array, "2"]:
+        """Return the mean force on the mount over the last tick, without the errors of the sensor [N]."""
+        return state.force
 
     def shape(self, state: TankState) -> Float[Array, "points 2"]:
         """Return where the fin is: the shaft and the outer end of each plate, in the axes of the tank [m]."""
@@ -138,4 +146,4 @@ class Tank(eqx.Module):
         reading = Reading(ticks * jnp.asarray(TICK_S, angle.dtype), angle, velocity, measured)
         # The fin turns the gearbox's housing with what the motor does not need to speed up its own inertia.
         torque = self.drive.inertia * (drive.rate - state.drive.rate) / TICK_S - torques.mean()
-        return TankState(ticks, drive, fin, flow, sensor, state.key), reading, Load(force, torque)
+        return TankState(ticks, drive, fin, flow, sensor, force, state.key), reading, Load(force, torque)
