@@ -1,7 +1,7 @@
 """What parts are made of: steps that several share, and how their files are read.
 
 Names end in the seed. Whole chains are repeated. In the chain of seed N the logs, the surrogate that is fitted to
-them, the controllers that are trained in it and the tanks, noise and drift of their evaluation all have seed N.
+them, the controllers that are trained in it and the tanks, noise and drift of their evaluation all come from N.
 """
 
 import json
@@ -148,6 +148,7 @@ def train(kind: str, options: str, surrogate: str, seed: int | None, minutes: fl
 def evaluate(controller: Step, plant: str, name: str, options: str, minutes: float) -> Step:
     """Evaluation of a trained controller, with the noise, drift and tanks of its seed."""
     tiny = "--seconds 6 --random 3" if "--random" in options else "--seconds 6"
-    seed = "" if controller.seed is None else f" --seed {controller.seed}"
+    # Force feedback was tried out in tanks of small seeds.
+    seed = "" if controller.seed is None else f" --seed {100 + controller.seed}"
     command = f"softfin evaluate {controller.name} --plant {plant} {options}{seed}"
     return step(f"{name}-{controller.name}", command, minutes, controller.seed, tiny)

@@ -1,27 +1,37 @@
-"""A slow outer loop about any controller: the steady-state force error is measured and taken off the reference.
+"""Force feedback around any controller: estimate its steady-state force error and subtract it from the reference.
 
-A bias of the surrogate, a softer fin or colder water shows as a difference between the mean force over the window and
-the mean of the references that the inner controller got over the same window. That difference, smoothed, is subtracted
-from the reference: a disturbance observer (Ohnishi 1987; Sariyildiz, Oboe and Ohnishi 2020), which is integral action
-that knows its own output, so the window's delay does not destabilise it. The inner reference stays within the
-controller's cells and the reachable forces, so the observer does not wind up at their edge.
+A bias of the surrogate, a softer fin or colder water shows as a difference e between the mean force over the window
+and the mean of the references that the inner controller got over the same window. Subtracting the estimated difference
+makes this a disturbance observer (Ohnishi 1987; Sariyildiz, Oboe and Ohnishi 2020): integral action that knows its own
+output, so the window's delay does not destabilise it.
+
+The sensor measures the bias b of the controller and its own drift d together, e = b + d. Only b may be corrected: a
+correction of d would move the true force away from the reference. The two differ in time. The sensor is zeroed at rest,
+so d starts at 0 and then wanders; b is there from the start, and changes with the reference. A Kalman filter with the
+states b and d, on each axis, therefore attributes an early error to the controller and a late, slow one to the sensor:
+
+    b: random walk with the reference      d: Ornstein-Uhlenbeck, standard deviation and time constant of the sensor
+
+An error that drift cannot explain is a change of the fin, and reopens the estimate of b. The inner reference stays
+within the controller's cells and the reachable forces, so the observer does not wind up at their edge.
 """
 
+import math
 import sys
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from pydantic import Field, PositiveFloat, model_validator
+from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from softfin.control.controller import STATIC, Controller, Measured, register_pytrees
 from softfin.control.references import cells_of, reachable_of
-from softfin.core.action_clock import ACTION_TICKS, CYCLE_ACTIONS, WINDOW
+from softfin.core.action_clock import ACTION_RATE_HZ, ACTION_TICKS, CYCLE_ACTIONS, WINDOW
 from softfin.core.configuration import Configuration
-from softfin.core.operations import NUMPY, Array, Number, operations_of
+from softfin.core.operations import NUMPY, Array, Number, Operations, operations_of
 from softfin.core.quantities import Command, Limits
-from softfin.gaits.reachable import Cell, Force, Reachable, bounding_box
+from softfin.gaits.reachable import Cell, Force, Reachable
 
 WINDOW_WEIGHTS = np.array(
     [[ACTION_TICKS[(age - 1 - ago) % 3] / WINDOW for ago in range(CYCLE_ACTIONS)] for age in range(3)]
@@ -30,17 +40,25 @@ WINDOW_WEIGHTS = np.array(
 
 
 class DisturbanceObserverConfig(Configuration):
-    """Configuration of the disturbance observer."""
+    """Configuration of the force feedback."""
 
-    gain: float = Field(default=0.15, gt=0, le=1)
-    """Part of the difference that is taken over each action; 0.15 forgets within 2 s."""
+    bias_n: PositiveFloat = 0.2
+    """Standard deviation of the controller's force error before anything is measured [N]."""
+    bias_per_n: NonNegativeFloat = 0.03
+    """Standard deviation of the change of that error when the reference changes by 1 N [-]."""
+    drift_n: NonNegativeFloat = 0.05
+    """Standard deviation of the force sensor's drift [N]; 0 attributes every error to the controller."""
+    drift_s: PositiveFloat = 300.0
+    """Time constant of the drift [s]."""
+    noise_n: PositiveFloat = 0.04
+    """Standard deviation of the mean force over a window at a constant reference [N]."""
     lag_actions: int = Field(default=1, ge=0, le=6)
     """Actions until the force follows the reference; the window of references is that much older."""
     settle_actions: int = Field(default=8, ge=6)
     """Actions from rest during which nothing is learnt: the fin is still starting."""
-    still_n: PositiveFloat = 0.1
-    """The reference counts as constant while it moves by less than this within the window [N]; beyond, the gain falls
-    with the square."""
+    still_n: PositiveFloat = 0.05
+    """The reference counts as constant while it moves by less than this within the window [N]; beyond that, the
+    variance of the noise grows with the fourth power of the movement."""
     limit_n: PositiveFloat = 1.0
     """Limit of the correction of each axis [N]."""
 
@@ -59,7 +77,11 @@ class DisturbanceObserverState(NamedTuple):
     """State of the observer and of the controller inside; series have the newest first."""
 
     bias: Array
-    """Estimated steady-state force error (x, y) [N]."""
+    """Estimated steady-state force error of the controller (x, y) [N]."""
+    drift: Array
+    """Estimated drift of the sensor since it was zeroed (x, y) [N]."""
+    covariance: Array
+    """Variance of the bias, covariance, variance of the drift [N2]; the same on both axes."""
     inner: Any
     """State of the controller inside."""
     forces: Array
@@ -74,7 +96,7 @@ class DisturbanceObserverState(NamedTuple):
 
 @dataclass(frozen=True)
 class DisturbanceObserver:
-    """A controller with the outer loop about it; meets the Controller contract, as the one inside does."""
+    """A controller with force feedback around it; meets the Controller contract, as the one inside does."""
 
     controller: Any
     """The Controller inside."""
@@ -101,51 +123,116 @@ class DisturbanceObserver:
         return reachable_of(self.controller)
 
     @cached_property
-    def _box(self) -> tuple[np.ndarray, np.ndarray] | None:
+    def _corners(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Lower and upper corners of the cells ``(cells, 2)`` [N]; None for a controller that covers everything."""
         if not self.cells:
             return None
-        box = bounding_box(self.cells)
-        return np.array(box.low, np.float32), np.array(box.high, np.float32)
+        low = np.array([cell.low for cell in self.cells], np.float32)
+        high = np.array([cell.high for cell in self.cells], np.float32)
+        return low, high
 
     def init(self) -> DisturbanceObserverState:
-        """Return the state of a fin at rest, with no bias."""
+        """Return the state of a fin at rest with a sensor that was just zeroed."""
         controller: Controller = self.controller
         series = np.zeros((CYCLE_ACTIONS + self.config.lag_actions, 2))
-        return DisturbanceObserverState(np.zeros(2), controller.init(), series[:CYCLE_ACTIONS], series, series, 0)
+        return DisturbanceObserverState(
+            bias=np.zeros(2),
+            drift=np.zeros(2),
+            covariance=np.array([self.config.bias_n**2, 0.0, 0.0]),
+            inner=controller.init(),
+            forces=series[:CYCLE_ACTIONS],
+            tracked=series,
+            references=series,
+            age=0,
+        )
 
     def act(
         self, state: DisturbanceObserverState, measured: Measured, reference: Any
     ) -> tuple[DisturbanceObserverState, Command]:
         """Act with the controller inside on the reference less the bias."""
-        ops, config = operations_of(*measured, reference, state.bias), self.config
+        ops = operations_of(*measured, reference, state.bias)
         xp = ops.xp
-        force, reference = xp.asarray(measured.force), xp.asarray(reference)
+        force = xp.asarray(measured.force)
+        reference = xp.asarray(reference)
         forces = xp.concatenate([force[None], state.forces[:-1]])
         weights = ops.row(ops.constant(WINDOW_WEIGHTS), state.age % len(ACTION_TICKS))
         error = ops.dot(weights, forces - state.tracked[-CYCLE_ACTIONS:])
-        # While the reference moves, the fin's own lag looks like a bias: then little is learnt. The correction's own
-        # motion, which is slow, does not count: it would hold itself up.
-        moved = (state.references.max(axis=0) - state.references.min(axis=0)).max()
-        trust = xp.minimum(1, config.still_n / xp.maximum(moved, 1e-6))
-        gain = ops.choose(state.age >= config.settle_actions, lambda: config.gain * trust**2, lambda: 0.0)
-        bias = state.bias + gain * (error - state.bias)
-        bias = xp.maximum(xp.minimum(bias, config.limit_n), -config.limit_n)
-        tracked = reference - bias
-        if self._box is not None:
-            tracked = xp.maximum(xp.minimum(tracked, self._box[1]), self._box[0])
-        if self.reachable is not None:
-            tracked = self.reachable.project(tracked)
+        bias, drift, covariance = self._estimate(ops, state, error, reference)
+        tracked = self._trackable(ops, reference, reference - bias)
         inner, command = self.controller.act(
             state.inner, measured, tuple(tracked.tolist()) if ops is NUMPY else tracked
         )
         return DisturbanceObserverState(
-            bias,
-            inner,
-            forces,
-            xp.concatenate([tracked[None], state.tracked[:-1]]),
-            xp.concatenate([reference[None], state.references[:-1]]),
-            state.age + 1,
+            bias=bias,
+            drift=drift,
+            covariance=covariance,
+            inner=inner,
+            forces=forces,
+            tracked=xp.concatenate([tracked[None], state.tracked[:-1]]),
+            references=xp.concatenate([reference[None], state.references[:-1]]),
+            age=state.age + 1,
         ), command
+
+    def _estimate(
+        self, ops: Operations, state: DisturbanceObserverState, error: Array, reference: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return bias, drift and their covariance after one action of the Kalman filter."""
+        config = self.config
+        xp = ops.xp
+        # Predict. The bias may change where the reference changes; before the first action there is no change yet.
+        step = abs(reference - state.references[0]).max()
+        change = ops.choose(state.age > 0, lambda: (config.bias_per_n * step) ** 2, lambda: 0.0 * step)
+        kept = math.exp(-1 / (ACTION_RATE_HZ * config.drift_s))
+        drift = kept * state.drift
+        bias_variance = state.covariance[0] + change
+        cross = kept * state.covariance[1]
+        drift_variance = kept**2 * state.covariance[2] + (1 - kept**2) * config.drift_n**2
+        # Neighbouring windows share all actions but one, so a window counts as one sixth of a measurement. While the
+        # reference moves, the fin's own lag looks like an error: it grows with the movement and lasts as long, so that
+        # windows side by side do not average it out. The correction's own motion, which is slow, does not count: it
+        # would hold itself up.
+        moved = (state.references.max(axis=0) - state.references.min(axis=0)).max()
+        trust = xp.minimum(1, config.still_n / xp.maximum(moved, 1e-6)) ** 4
+        noise_variance = CYCLE_ACTIONS * config.noise_n**2 / trust
+        innovation = error - state.bias - drift
+        # An error beyond three standard deviations is no drift: the fin or its water has changed.
+        expected = bias_variance + 2 * cross + drift_variance + config.noise_n**2
+        learns = ops.choose(state.age >= config.settle_actions, lambda: 1.0, lambda: 0.0)
+        bias_variance = bias_variance + learns * trust * xp.maximum((innovation**2).max() - 9 * expected, 0.0)
+        # Update.
+        total = bias_variance + 2 * cross + drift_variance + noise_variance
+        bias_gain = learns * (bias_variance + cross) / total
+        drift_gain = learns * (cross + drift_variance) / total
+        bias = state.bias + bias_gain * innovation
+        bias = xp.maximum(xp.minimum(bias, config.limit_n), -config.limit_n)
+        drift = drift + drift_gain * innovation
+        covariance = xp.stack(
+            [
+                bias_variance - bias_gain * (bias_variance + cross),
+                cross - bias_gain * (cross + drift_variance),
+                drift_variance - drift_gain * (cross + drift_variance),
+            ]
+        )
+        return bias, drift, covariance
+
+    def _trackable(self, ops: Operations, reference: Array, corrected: Array) -> Array:
+        """Return the corrected reference, moved into the controller's cells and the reachable forces.
+
+        A correction may lead into another cell. Where it leads between cells, it ends at the edge of the reference's
+        own cell. Cells come last: beyond them the controller's command means nothing, beyond the reachable forces the
+        fin only falls short.
+        """
+        if self.reachable is not None:
+            corrected = self.reachable.project(corrected)
+        if self._corners is None:
+            return corrected
+        xp = ops.xp
+        low, high = map(ops.constant, self._corners)
+        within = ((low <= corrected) & (corrected <= high)).all(axis=1).any()
+        beyond = xp.maximum(xp.maximum(low - reference, reference - high), 0.0)
+        own = (beyond**2).sum(axis=1).argmin()
+        clipped = xp.maximum(xp.minimum(corrected, ops.row(high, own)), ops.row(low, own))
+        return xp.where(within, corrected, clipped)
 
     def check(self, reference: Force) -> None:
         """Raise CoverageError where the controller inside does."""

@@ -132,6 +132,18 @@ def hold_action(plant: Plant, state: State, command: Command, ticks: Ticks) -> t
     return repeat(lambda state: _tick(plant, state, command), state, ticks)
 
 
+def hold_action_with_true_force(
+    plant: TrueForcePlant, state: State, command: Command, ticks: Ticks
+) -> tuple[State, tuple[Reading, Array]]:
+    """Hold a command as `hold_action` does; also return the true force of each tick ``(34, 2)`` [N]."""
+
+    def tick(state: State) -> tuple[State, tuple[Reading, Array]]:
+        state, reading = _tick(plant, state, command)
+        return state, (reading, plant.true_force(state))
+
+    return repeat(tick, state, ticks)
+
+
 def repeat(tick: Callable[[State], tuple[State, Output]], state: State, ticks: Ticks) -> tuple[State, Output]:
     """`tick` so many times; what it gives is stacked to ``(34, ...)``, of which the first `ticks` count."""
     # Where it is differentiated, a tick is computed again: quicker than to keep what lies within it.

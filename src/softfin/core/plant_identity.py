@@ -19,7 +19,7 @@ from jaxtyping import PRNGKeyArray, PyTree
 
 from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.errors import PlantError, one_line
-from softfin.core.plant import EnsemblePlant, Plant
+from softfin.core.plant import EnsemblePlant, Plant, TrueForcePlant
 from softfin.core.quantities import Command, Limits
 
 PLAIN = (bool, int, float, str, type(None))
@@ -74,7 +74,11 @@ def jit_argument(plant: Plant) -> Plant:
     program = _program(plant, arrays, static)
     # Equal programs that call back into Python call different objects.
     key = (_digest(None, program), id(static) if CALLBACK.search(program) else None)
-    kind: Any = TracedEnsemble if isinstance(plant, EnsemblePlant) else TracedPlant
+    kind: Any = TracedPlant
+    if isinstance(plant, EnsemblePlant):
+        kind = TracedEnsemble
+    elif isinstance(plant, TrueForcePlant):
+        kind = TracedTrueForcePlant
     traced: Plant = kind(arrays, _Program(static, key))
     return traced
 
@@ -105,6 +109,12 @@ class TracedPlant(eqx.Module):
         return Limits(*eqx.combine(self.arrays, self.program.static).limits)
 
 
+class TracedTrueForcePlant(TracedPlant):
+    """Meets the TrueForcePlant contract: a user's simulator of a fin and its sensor."""
+
+    true_force = _of_simulator("true_force")
+
+
 class TracedEnsemble(TracedPlant):
     """Meets the EnsemblePlant contract: a user's ensemble as an argument of compiled programs."""
 
@@ -132,6 +142,8 @@ def _program(plant: Plant, arrays: PyTree[Any], static: PyTree[Any]) -> str:
             member = whole.member(jnp.int32(0))
             held += [whole.advance_members(state, command, 1), whole.distance(state),
                      member.advance(member.init(key), command, 1)]  # fmt: skip
+        if isinstance(whole, TrueForcePlant):
+            held.append(whole.true_force(state))
         return [whole.advance(state, command, ticks) for ticks in (1, ACTION_TICKS[0])] + held
 
     try:

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pydantic
@@ -23,7 +24,14 @@ from softfin.evaluation.experiment import MIN_SECONDS, EvaluationTarget, Experim
 from softfin.evaluation.figures import error_map_figure, experiments_figure, moving_figure
 from softfin.evaluation.moving_references import MovingScores, moving_together, plan_moving
 from softfin.evaluation.range_errors import MAX_RANDOM, ErrorMap, map_errors, random_errors
-from softfin.evaluation.scores import STILL_RAD_S, Scores, SurrogateUncertainty, score, uncertainty_of
+from softfin.evaluation.scores import (
+    STILL_RAD_S,
+    Scores,
+    SurrogateUncertainty,
+    judged_force,
+    score,
+    uncertainty_of,
+)
 from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.storage import artifact as artifacts
 from softfin.storage.figures import save_figure
@@ -101,6 +109,7 @@ class Evaluation:
                 "rate_hz": RATE_HZ,
                 "action_rate_hz": ACTION_RATE_HZ,
                 "start": "at rest at angle 0",
+                "judged_by": judged_force(self.recording),
                 "confidence": CONFIDENCE,
                 "still_below_rad_s": STILL_RAD_S,
             },
@@ -108,13 +117,13 @@ class Evaluation:
                 {
                     "reference_n": list(reference),
                     "tracked_reference_n": [round(float(x), 4) for x in self.recording.reference[i]],
-                    **_row(Scores(*(field[i] for field in self.scores))),
+                    **_row(jax.tree.map(lambda field, i=i: field[i], self.scores)),
                     "still": bool((self.scores.late_travel[i] < STILL_RAD_S).all()),
                     **({} if self.uncertainty is None else {"surrogate": self.uncertainty.to_dict(i)}),
                 }
                 for i, reference in enumerate(self.config.references)
             ],
-            "mean": _row(Scores(*(field.mean(axis=0) for field in self.scores))),
+            "mean": _row(jax.tree.map(lambda field: field.mean(axis=0), self.scores)),
             "warning": "; ".join([*self.warnings, *([uncertain] if uncertain else [])]) or None,
             **({"moving": [row for moving in self.moving for row in moving.rows]} if self.moving else {}),
             **({} if self.error_map is None else {"error_map": self.error_map.to_dict()}),
@@ -125,7 +134,10 @@ class Evaluation:
 def _row(scores: Scores) -> dict[str, Any]:
     """Scores of one reference, or the mean of all: fields ``(seeds, 2)`` and ``(seeds,)``."""
     row: dict[str, Any] = {axis: {} for axis in AXES}
-    for name in ("error", "std", "raw_std"):
+    names = ["error", "std", "raw_std"]
+    if scores.reading_error is not None:
+        names.append("reading_error")
+    for name in names:
         for axis, values in zip(AXES, getattr(scores, name).T, strict=True):
             row[axis] |= {f"{name}_n": float(values.mean()), f"{name}_interval_n": interval(values)}
             row[axis] |= {f"{name}_seeds_n": values.tolist()}
@@ -168,8 +180,8 @@ def score_experiments(recording: ExperimentRecording, plant: EvaluationTarget, c
 
 def together(each: Sequence[Evaluation]) -> Evaluation:
     """One evaluation whose repetitions are these, each the mean of its own; the recordings are the first's."""
-    means = [[field.mean(axis=1) for field in e.scores] for e in each]
-    scores = Scores(*(np.stack(fields, axis=1) for fields in zip(*means, strict=True)))
+    means = [jax.tree.map(lambda field: field.mean(axis=1), e.scores) for e in each]
+    scores: Scores = jax.tree.map(lambda *fields: np.stack(fields, axis=1), *means)
     estimates = [e.uncertainty for e in each if e.uncertainty is not None]
     uncertainty = SurrogateUncertainty(
         np.mean([estimate.out_of_distribution_fraction for estimate in estimates], axis=0),

@@ -16,7 +16,16 @@ from softfin.control.controller import Controller, ControllerState, Measured
 from softfin.core.action_clock import ACTION_TICKS, MOST_TICKS, ticks_of
 from softfin.core.compilation import briefly_used
 from softfin.core.errors import PlantError
-from softfin.core.plant import Plant, State, Ticks, counted, hold_action, mean_of
+from softfin.core.plant import (
+    Plant,
+    State,
+    Ticks,
+    TrueForcePlant,
+    counted,
+    hold_action,
+    hold_action_with_true_force,
+    mean_of,
+)
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import RATE_HZ, AnyArray, Command, Limits, Reading
 
@@ -36,11 +45,18 @@ class ExperimentRecording(NamedTuple):
     """Fields ``(references, seeds, ticks)``: the command under which the reading of that tick came about."""
     reading: Reading
     """Fields ``(references, seeds, ticks)``, force ``(references, seeds, ticks, 2)``."""
+    true_force: Float[AnyArray, "references seeds ticks 2"] | None = None
+    """Force on the mount without the errors of the sensor [N]; None if the plant has only readings."""
+
+    @property
+    def force(self) -> Float[AnyArray, "references seeds ticks 2"]:
+        """Force by which a controller is judged [N]: the true one if it is known, else the reading."""
+        return self.reading.force if self.true_force is None else self.true_force
 
     def first(self) -> "ExperimentRecording":
         """The first seed alone, its axis kept, as NumPy arrays."""
-        command, reading = jax.tree.map(lambda x: np.asarray(x[:, :1]), (self.command, self.reading))
-        return ExperimentRecording(np.asarray(self.reference), command, reading)
+        series = jax.tree.map(lambda x: np.asarray(x[:, :1]), (self.command, self.reading, self.true_force))
+        return ExperimentRecording(np.asarray(self.reference), *series)
 
 
 @runtime_checkable
@@ -75,8 +91,8 @@ def run(
         return plant.experiments(asked, seconds, len(keys))
     series = np.broadcast_to(asked[:, None] if asked.ndim == 2 else asked, (len(asked), seconds * RATE_HZ, 2))
     starts = np.cumsum([0, *ticks_of(seconds * len(ACTION_TICKS))])[:-1]
-    command, reading = _program((controller, jit_argument(plant)), jnp.asarray(series[:, starts]), keys)
-    return ExperimentRecording(references, command, reading)
+    recorded = _program((controller, jit_argument(plant)), jnp.asarray(series[:, starts]), keys)
+    return ExperimentRecording(references, *recorded)
 
 
 def run_together(
@@ -86,17 +102,20 @@ def run_together(
     """Run several sets of references, each for seconds of its own: in a simulated plant all in one program."""
     if isinstance(plant, RealTime) or len(experiments) == 1:
         return [run(controller, plant, references, seconds, keys) for references, seconds in experiments]
-    ticks, series = max(seconds for _, seconds in experiments) * RATE_HZ, []
+    ticks = max(seconds for _, seconds in experiments) * RATE_HZ
+    asked_series = []
     for references, _ in experiments:
         asked = np.asarray(references, np.float32)
         asked = asked[:, None] if asked.ndim == 2 else asked
         # Beyond its end the last force is held, and what comes of it is left out below.
-        series.append(np.pad(asked, ((0, 0), (0, ticks - asked.shape[1]), (0, 0)), mode="edge"))
-    whole, first, recordings = run(controller, plant, np.concatenate(series), ticks // RATE_HZ, keys), 0, []
+        asked_series.append(np.pad(asked, ((0, 0), (0, ticks - asked.shape[1]), (0, 0)), mode="edge"))
+    whole = run(controller, plant, np.concatenate(asked_series), ticks // RATE_HZ, keys)
+    first = 0
+    recordings = []
     for references, seconds in experiments:
         part = slice(first, first + len(references)), slice(None), slice(seconds * RATE_HZ)
-        command, reading = jax.tree.map(lambda x, part=part: x[part], (whole.command, whole.reading))
-        recordings.append(ExperimentRecording(references, command, reading))
+        series = jax.tree.map(lambda x, part=part: x[part], (whole.command, whole.reading, whole.true_force))
+        recordings.append(ExperimentRecording(references, *series))
         first += len(references)
     return recordings
 
@@ -118,29 +137,37 @@ def independent(recording: ExperimentRecording) -> ExperimentRecording:
     return recording.first() if (force == force[:, :1]).all() else recording
 
 
+Recorded: TypeAlias = tuple[Command, Reading, Array | None]
+"""Commands, readings and, if the plant knows it, the true force of a series of ticks."""
+
+
 @briefly_used
 def _program(
     parties: tuple[Controller, Plant], references: Float[Array, "references actions 2"], keys: Key[Array, "seeds"]
-) -> tuple[Command, Reading]:
+) -> Recorded:
     """Run experiments; compiled once for controllers and plants that are alike but for their arrays."""
     controller, plant = parties
     actions = references.shape[1]
     Carry: TypeAlias = tuple[ControllerState, State, Measured]
 
-    def action(carry: Carry, now: tuple[Float[Array, "2"], Ticks]) -> tuple[Carry, tuple[Command, Reading]]:
+    def action(carry: Carry, now: tuple[Float[Array, "2"], Ticks]) -> tuple[Carry, Recorded]:
         """Act on what was read while the action before was held."""
         (memory, state, measured), (reference, ticks) = carry, now
         memory, command = controller.act(memory, measured, reference)
-        state, reading = hold_action(plant, state, command, ticks)
+        true_force = None
+        if isinstance(plant, TrueForcePlant):
+            state, (reading, true_force) = hold_action_with_true_force(plant, state, command, ticks)
+        else:
+            state, reading = hold_action(plant, state, command, ticks)
         measured = Measured(jnp.asarray(reading.angle)[ticks - 1], mean_of(jnp.asarray(reading.force), ticks))
         held = jax.tree.map(lambda x: jnp.full(MOST_TICKS, x, jnp.float32), command)
-        return (memory, state, measured), (held, reading)
+        return (memory, state, measured), (held, reading, true_force)
 
-    def one(asked: Float[Array, "actions 2"], key: PRNGKeyArray) -> tuple[Command, Reading]:
+    def one(asked: Float[Array, "actions 2"], key: PRNGKeyArray) -> Recorded:
         carry = (controller.init(), plant.init(key), Measured(jnp.float32(0.0), jnp.zeros(2)))
         _, kept = jax.lax.scan(action, carry, (asked, jnp.asarray(ticks_of(actions))))
-        command, reading = jax.tree.map(lambda x: counted(x, actions), kept)
-        return command, reading
+        recorded: Recorded = jax.tree.map(lambda x: counted(x, actions), kept)
+        return recorded
 
-    each: tuple[Command, Reading] = jax.vmap(jax.vmap(one, in_axes=(None, 0)), in_axes=(0, None))(references, keys)
+    each: Recorded = jax.vmap(jax.vmap(one, in_axes=(None, 0)), in_axes=(0, None))(references, keys)
     return each

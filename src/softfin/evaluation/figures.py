@@ -31,7 +31,7 @@ def experiments_figure(recording: ExperimentRecording) -> Figure:
     count = len(recording.reference)
     columns = min(count, 2)
     rows = math.ceil(count / columns)
-    shown = recording.reading.force[:, 0, : FORCE_SECONDS * RATE_HZ]
+    shown = recording.force[:, 0, : FORCE_SECONDS * RATE_HZ]
     low = np.floor(np.minimum(shown.min(axis=(0, 1)), recording.reference.min(axis=0)))
     high = np.ceil(np.maximum(shown.max(axis=(0, 1)), recording.reference.max(axis=0)))
     with styled():
@@ -51,7 +51,7 @@ def _draw_experiment(panel: SubFigure, recording: ExperimentRecording, index: in
     above = panel.add_subplot(grid[0, 1])
     below = panel.add_subplot(grid[1, 1], sharex=above)
     above.tick_params(labelbottom=False)
-    force = np.asarray(recording.reading.force[index, 0, : FORCE_SECONDS * RATE_HZ])
+    force = np.asarray(recording.force[index, 0, : FORCE_SECONDS * RATE_HZ])
     time = np.arange(1, len(force) + 1) / RATE_HZ
     late, average = time[WINDOW - 1 :], moving_average(force)
     for axis, axes in enumerate((above, below)):
@@ -94,8 +94,9 @@ def moving_figure(experiments: Sequence[MovingScores]) -> Figure:
 
 
 def _draw_moving(panel: SubFigure, moving: MovingScores, index: int) -> None:
-    reading, reference = moving.recording.reading, np.asarray(moving.recording.reference[index])
-    force = np.asarray(reading.force[index, 0])
+    recording = moving.recording
+    reference = np.asarray(recording.reference[index])
+    force = np.asarray(recording.force[index, 0])
     *averages, forces, angles = panel.subplots(4, 1, sharex=True, height_ratios=(1.3, 1.3, 1, 0.8))
     time = np.arange(1, len(force) + 1) / RATE_HZ
     late, average, asked = time[WINDOW - 1 :], moving_average(force), moving_average(reference)
@@ -115,7 +116,7 @@ def _draw_moving(panel: SubFigure, moving: MovingScores, index: int) -> None:
     for axis, colour in enumerate((BLUE, GREY)):
         forces.plot(time, force[:, axis], color=colour, linewidth=0.6, label=f"force {AXES[axis]}")
     forces.set(ylabel="force [N]")
-    angles.plot(time, np.degrees(reading.angle[index, 0]), color=BLACK, linewidth=0.8)
+    angles.plot(time, np.degrees(recording.reading.angle[index, 0]), color=BLACK, linewidth=0.8)
     angles.set(ylabel="angle [°]", xlabel="time [s]", xlim=(0, time[-1]))
     panel.align_ylabels([*averages, forces, angles])
     row = moving.rows[index]
@@ -179,7 +180,7 @@ def held_figure(recording: ExperimentRecording) -> Figure:
         for axes in panels.flat[count:]:
             axes.set_visible(False)
         for index, axes in enumerate(panels.flat[:count]):
-            average = moving_average(np.asarray(recording.reading.force[index, 0]))
+            average = moving_average(np.asarray(recording.force[index, 0]))
             time = np.arange(WINDOW, WINDOW + len(average)) / RATE_HZ
             for axis, (colour, name) in enumerate(((BLUE, "thrust x, forward"), (ORANGE, "side force y"))):
                 asked = float(recording.reference[index, axis])

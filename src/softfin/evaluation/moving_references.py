@@ -97,19 +97,29 @@ class MovingPlan(NamedTuple):
     def score(self, recording: ExperimentRecording) -> MovingScores:
         """Score the signals, each at every seed; errors are against the tracked reference."""
         recording = independent(recording)
-        forces, errors = np.asarray(recording.reading.force, np.float64), score(recording).error
-        each = zip(self.signals, self.tracked, forces, errors, strict=True)
-        return MovingScores(recording.first(), [_row(*signal) for signal in each])
+        forces = np.asarray(recording.force, np.float64)
+        scores = score(recording)
+        rows = []
+        for index, (signal, tracked) in enumerate(zip(self.signals, self.tracked, strict=True)):
+            reading_error = None if scores.reading_error is None else scores.reading_error[index]
+            rows.append(_row(signal, tracked, forces[index], scores.error[index], reading_error))
+        return MovingScores(recording.first(), rows)
 
 
-def _row(signal: Signal, tracked: Series, forces: np.ndarray, error: Float[np.ndarray, "seeds 2"]) -> dict[str, Any]:
+def _row(
+    signal: Signal, tracked: Series, forces: np.ndarray, error: Float[np.ndarray, "seeds 2"],
+    reading_error: Float[np.ndarray, "seeds 2"] | None,
+) -> dict[str, Any]:  # fmt: skip
     responses = [step_responses(force, tracked) for force in forces]
     # Against the reference of that very instant, so the window's own delay counts too.
     instantaneous = moving_error(forces, np.asarray(tracked, np.float64)[WINDOW - 1 :])
     axes = {
-        axis: _errors(error[:, k]) | {"instantaneous_error_n": float(instantaneous[:, k].mean())}
+        axis: _errors("error", error[:, k]) | {"instantaneous_error_n": float(instantaneous[:, k].mean())}
         for k, axis in enumerate(AXES)
     }
+    if reading_error is not None:
+        for k, axis in enumerate(AXES):
+            axes[axis] |= _errors("reading_error", reading_error[:, k])
     times = [step["settling_s"] for seed in responses for step in seed]
     settles = None not in times if times else None
     # The rows of a recorded signal may be many; they stand in its file.
@@ -135,9 +145,11 @@ def moving_together(each: Sequence[MovingScores]) -> MovingScores:
 def _row_together(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     axes = {}
     for axis in AXES:
-        errors = np.concatenate([row[axis]["error_seeds_n"] for row in rows])
         instantaneous = float(np.mean([row[axis]["instantaneous_error_n"] for row in rows]))
-        axes[axis] = _errors(errors) | {"instantaneous_error_n": instantaneous}
+        axes[axis] = {"instantaneous_error_n": instantaneous}
+        for name in ("error", "reading_error"):
+            if f"{name}_n" in rows[0][axis]:
+                axes[axis] |= _errors(name, np.concatenate([row[axis][f"{name}_seeds_n"] for row in rows]))
     settles = None if rows[0]["settles"] is None else all(row["settles"] for row in rows)
     return rows[0] | axes | {
         "settles": settles,
@@ -146,8 +158,12 @@ def _row_together(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _errors(errors: Float[np.ndarray, " seeds"]) -> dict[str, Any]:
-    return {"error_n": float(errors.mean()), "error_interval_n": interval(errors), "error_seeds_n": errors.tolist()}
+def _errors(name: str, errors: Float[np.ndarray, " seeds"]) -> dict[str, Any]:
+    return {
+        f"{name}_n": float(errors.mean()),
+        f"{name}_interval_n": interval(errors),
+        f"{name}_seeds_n": errors.tolist(),
+    }
 
 
 def _resolve_signal(controller: Controller, signal: Signal, ticks: int, strict: bool) -> tuple[Series, str | None]:

@@ -1,7 +1,11 @@
 """The scores of Table II and of responses to steps: a recording goes in, errors by reference, seed and axis come out.
 
-With m the moving average of the force f over the 200 samples up to each instant, where those are all recorded, and r
-the reference, which is averaged over the same samples where it moves (`softfin.core.window`):
+The force f is the true one if the plant knows it, as the virtual tank does. The sensor's reading must not judge a
+controller with force feedback: feedback integrates that reading to the reference, so drift and mounting errors of the
+sensor would not be seen. On a real rig there is only the reading.
+
+With m the moving average of f over the 200 samples up to each instant, where those are all recorded, and r the
+reference, which is averaged over the same samples where it moves (`softfin.core.window`):
 
     error = mean |m - r|        std = standard deviation of m        raw std = standard deviation of f
 
@@ -43,7 +47,7 @@ class Scores(NamedTuple):
     """Scores of each experiment, in float64."""
 
     error: Float[np.ndarray, "references seeds 2"]
-    """Mean |moving average - reference| (x, y) [N]."""
+    """Mean |moving average - reference| (x, y) [N] of the true force, or of the reading if there is only that."""
     std: Float[np.ndarray, "references seeds 2"]
     """Standard deviation of the moving average [N]."""
     raw_std: Float[np.ndarray, "references seeds 2"]
@@ -54,11 +58,13 @@ class Scores(NamedTuple):
     """Path of the shaft a second [rad/s]."""
     late_travel: Float[np.ndarray, "references seeds"]
     """Path of the shaft a second in the second half [rad/s]; below `STILL_RAD_S` it stands still."""
+    reading_error: Float[np.ndarray, "references seeds 2"] | None
+    """The same error of the sensor's reading [N]; None if `error` is that already."""
 
 
 def score(recording: ExperimentRecording) -> Scores:
     """Score every experiment of a recording, of at least one window."""
-    force = np.asarray(recording.reading.force, np.float64)
+    force = np.asarray(recording.force, np.float64)
     asked = np.asarray(recording.reference, np.float64)
     reference = (asked[:, None] if asked.ndim == 2 else moving_average(asked))[:, None]
     shaft = np.asarray(recording.reading.angle, np.float64)
@@ -69,7 +75,15 @@ def score(recording: ExperimentRecording) -> Scores:
         command_travel=travel(np.asarray(recording.command.angle, np.float64)),
         shaft_travel=travel(shaft),
         late_travel=travel(shaft[..., shaft.shape[-1] // (2 * RATE_HZ) * RATE_HZ :]),
+        reading_error=None
+        if recording.true_force is None
+        else moving_error(np.asarray(recording.reading.force, np.float64), reference),
     )
+
+
+def judged_force(recording: ExperimentRecording) -> str:
+    """Name of the force that `score` judges by, for files and reports."""
+    return "reading" if recording.true_force is None else "true force"
 
 
 def travel(angle: Float[np.ndarray, "*batch ticks"]) -> Float[np.ndarray, "*batch"]:

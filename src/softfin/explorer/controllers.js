@@ -141,13 +141,15 @@ class GridController {
   }
 }
 
-/* The slow outer loop: what the mean force lacks is measured and taken off the reference. */
+/* Force feedback (softfin.control.disturbance_observer): the estimated steady-state error is subtracted from the
+ * reference; a Kalman filter separates it from the drift of a sensor. */
 class DisturbanceObserver {
   /* `phase` of the clock, 0 to 2, at which it begins. */
   constructor(config, cells, reachable, phase) {
-    Object.assign(this, { config, reachable, phase, bias: [0, 0], age: 0 });
-    const corner = (name, pick) => [0, 1].map((axis) => Math.fround(pick(...cells.map((cell) => cell[name][axis]))));
-    this.box = { low: corner("low", Math.min), high: corner("high", Math.max) };
+    Object.assign(this, { config, reachable, phase, bias: [0, 0], drift: [0, 0], age: 0 });
+    // Variance of the bias, covariance, variance of the drift; the same on both axes.
+    this.covariance = [config.bias_n ** 2, 0, 0];
+    this.cells = cells.map(({ low, high }) => ({ low: low.map(Math.fround), high: high.map(Math.fround) }));
     const series = () => Array.from({ length: CYCLE_ACTIONS + config.lag_actions }, () => [0, 0]);
     Object.assign(this, { forces: series().slice(0, CYCLE_ACTIONS), tracked: series(), references: series() });
   }
@@ -157,18 +159,38 @@ class DisturbanceObserver {
     const { config } = this, weights = Array.from({ length: CYCLE_ACTIONS }, (_, ago) => ACTION_TICKS[(this.phase + this.age + 2 * CYCLE_ACTIONS - 1 - ago) % 3] / WINDOW);
     this.forces = [force, ...this.forces.slice(0, -1)];
     const before = this.tracked.slice(-CYCLE_ACTIONS);
-    const range = (axis) => { const values = this.references.map((each) => each[axis]); return Math.max(...values) - Math.min(...values); };
-    const trust = Math.min(1, config.still_n / Math.max(range(0), range(1), 1e-6)), gain = this.age >= config.settle_actions ? config.gain * trust ** 2 : 0;
-    this.bias = this.bias.map((bias, axis) => {
-      const error = weights.reduce((sum, weight, k) => sum + weight * (this.forces[k][axis] - before[k][axis]), 0);
-      return clip(bias + gain * (error - bias), -config.limit_n, config.limit_n);
-    });
-    let tracked = withinCell(this.box, reference.map((value, axis) => value - this.bias[axis]));
-    if (this.reachable !== null) tracked = this.reachable.project(tracked);
+    this.estimate([0, 1].map((axis) => weights.reduce((sum, weight, k) => sum + weight * (this.forces[k][axis] - before[k][axis]), 0)), reference);
+    const tracked = this.trackable(reference, reference.map((value, axis) => value - this.bias[axis]));
     this.tracked = [tracked, ...this.tracked.slice(0, -1)];
     this.references = [reference, ...this.references.slice(0, -1)];
     this.age++;
     return tracked;
+  }
+
+  /* One action of the Kalman filter, from the mean force less the mean of the tracked references. */
+  estimate(error, reference) {
+    const { config } = this, kept = Math.exp(-1 / (ACTION_RATE_HZ * config.drift_s));
+    const step = Math.max(...reference.map((value, axis) => Math.abs(value - this.references[0][axis])));
+    const drift = this.drift.map((value) => kept * value);
+    let variance = this.covariance[0] + (this.age > 0 ? (config.bias_per_n * step) ** 2 : 0);
+    const cross = kept * this.covariance[1], driftVariance = kept ** 2 * this.covariance[2] + (1 - kept ** 2) * config.drift_n ** 2;
+    const range = (axis) => { const values = this.references.map((each) => each[axis]); return Math.max(...values) - Math.min(...values); };
+    const trust = Math.min(1, config.still_n / Math.max(range(0), range(1), 1e-6)) ** 4;
+    const innovation = error.map((value, axis) => value - this.bias[axis] - drift[axis]);
+    const expected = variance + 2 * cross + driftVariance + config.noise_n ** 2, learns = Number(this.age >= config.settle_actions);
+    variance += learns * trust * Math.max(Math.max(...innovation.map((value) => value ** 2)) - 9 * expected, 0);
+    const total = variance + 2 * cross + driftVariance + CYCLE_ACTIONS * config.noise_n ** 2 / trust;
+    const gain = learns * (variance + cross) / total, driftGain = learns * (cross + driftVariance) / total;
+    this.bias = this.bias.map((bias, axis) => clip(bias + gain * innovation[axis], -config.limit_n, config.limit_n));
+    this.drift = drift.map((value, axis) => value + driftGain * innovation[axis]);
+    this.covariance = [variance - gain * (variance + cross), cross - gain * (cross + driftVariance), driftVariance - driftGain * (cross + driftVariance)];
+  }
+
+  /* The corrected reference within reach and within the cells: between cells it ends at the edge of the reference's own. */
+  trackable(reference, corrected) {
+    if (this.reachable !== null) corrected = this.reachable.project(corrected);
+    if (this.cells.some((cell) => distanceTo(withinCell(cell, corrected), corrected) === 0)) return corrected;
+    return withinCell(nearestCellTo(this.cells, reference), corrected);
   }
 }
 

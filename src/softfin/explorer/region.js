@@ -32,6 +32,12 @@ const nearestOf = (points, force) => points.reduce((best, point) => (best === nu
 
 const withinCell = (cell, [x, y]) => [clip(x, cell.low[0], cell.high[0]), clip(y, cell.low[1], cell.high[1])];
 
+/* The first of the cells that are nearest to a force. */
+function nearestCellTo(cells, force) {
+  const distances = cells.map((cell) => distanceTo(withinCell(cell, force), force));
+  return cells[distances.indexOf(Math.min(...distances))];
+}
+
 /* The force nearest to one that was asked for, of those in a cell that the fin can make; null where there is none. */
 function nearestReference(cells, reachable, force) {
   if (reachable === null) return nearestOf(cells.map((cell) => withinCell(cell, force)), force);
