@@ -12,6 +12,7 @@ from results.parts.controllers import (
     controllers_published,
     controllers_tank,
     faster,
+    ppo_published,
     recurrent,
     whole_map,
 )
@@ -41,9 +42,12 @@ def demo(seeds: Sequence[int]) -> Part:
     def read(work: Work) -> Figures:
         names, found = names_of(runs), [work.json(f"{run.name}/results.json") for run in runs]
         figures = {key: work.spent([[name] for name in names], seeds, key) for key in ("wall_s", "processor_s")}
-        for key, name in (("error", "controllers"), ("trim", "trimmed")):
+        for key, name in (("error", "controllers"), ("feedback", "trimmed")):
             for kind in found[0].get(name) or ():
-                figures[f"{kind}.{key}"] = figure("N", [pair(row[name][kind]["mean"]) for row in found], seeds)
+                means = [row[name][kind]["mean"] for row in found]
+                figures[f"{kind}.{key}"] = figure("N", [pair(mean) for mean in means], seeds)
+                readings = [pair(mean, "reading_error_n") for mean in means]
+                figures[f"{kind}.{key}.reading"] = figure("N", readings, seeds)
         return figures
 
     return Part("make demo", tuple(runs), read)
@@ -54,7 +58,8 @@ def rig_day(seeds: Sequence[int]) -> Part:
     day = step("rig-day", "python examples/rig_day.py --out rig-day", 20, tiny="--quick")
 
     def read(work: Work) -> Figures:
-        return {"error": figure("N", [pair(work.json("rig-day/evaluation/evaluation.json")["mean"])])}
+        mean = work.json("rig-day/evaluation/evaluation.json")["mean"]
+        return {"error": figure("N", [pair(mean)])}
 
     return Part("A day at an emulated rig", (day,), read)
 
@@ -87,7 +92,7 @@ def bench(name: str) -> Callable[[Sequence[int]], Part]:
 
 
 PARTS: dict[str, Callable[[Sequence[int]], Part]] = {
-    "surrogates": surrogates, "controllers-published": controllers_published, "controllers-tank": controllers_tank,
+    "surrogates": surrogates, "controllers-published": controllers_published, "ppo-published": ppo_published, "controllers-tank": controllers_tank,
     "controllers-paper": controllers_paper, "baselines-published": baselines_published,
     "baselines-tank": baselines_tank, "recurrent": recurrent, "choices": choices,
     "whole-map": whole_map, "faster": faster, "ablation": ablation, "data-efficiency": data_efficiency, "tank": tank,

@@ -26,17 +26,34 @@ JUDGED = "--seeds 1 --moving step --random 100"
 
 
 def controllers_published(seeds: Sequence[int]) -> Part:
-    """All controllers in the authors' published surrogate."""
+    """Gaits and controllers trained by gradients, in the authors' published surrogate."""
+    pictures = {
+        "docs/error_map.png": f"judged-single-published-{seeds[0]}/error_map.png",
+        "docs/experiments.png": f"judged-grid-published-{seeds[0]}/experiments.png",
+    }
+    part = _in_published("Controllers in the published surrogate", ("gaits", "single", "grid"), seeds)
+    return part._replace(pictures=pictures)
+
+
+def ppo_published(seeds: Sequence[int]) -> Part:
+    """LSTM-PPO of the paper's budgets, plain and with hindsight relabelling, in the authors' published surrogate."""
+    kinds = ("single-ppo", "grid-ppo", "single-hindsight", "grid-hindsight")
+    return _in_published("LSTM-PPO in the published surrogate", kinds, seeds)
+
+
+def _in_published(title: str, kinds: Sequence[str], seeds: Sequence[int]) -> Part:
     trained, judged = dict[str, list[Step]](), dict[str, list[Step]]()
-    for kind, (options, minutes) in CONTROLLERS.items():
+    for kind in kinds:
+        options, minutes = CONTROLLERS[kind]
         own = (None,) if kind == "gaits" else seeds
         trained[kind] = [train(kind, options, "published", seed, minutes) for seed in own]
         judged[kind] = [evaluate(each, "published", "judged", f"{JUDGED} --error-map", 0.5) for each in trained[kind]]
 
     def read(work: Work) -> Figures:
         figures: Figures = {}
-        for kind in CONTROLLERS:
-            own, names = [each.seed or 0 for each in trained[kind]], [[each.name] for each in trained[kind]]
+        for kind in kinds:
+            own = [each.seed or 0 for each in trained[kind]]
+            names = [[each.name] for each in trained[kind]]
             rows = work.evaluations(names_of(judged[kind]))
             figures[f"{kind}.error"] = figure("N", [pair(row["mean"]) for row in rows], own)
             figures[f"{kind}.trained_in"] = work.spent(names, own)
@@ -49,12 +66,8 @@ def controllers_published(seeds: Sequence[int]) -> Part:
             step_times(figures, kind, rows, own)
         return figures
 
-    steps = (PUBLISHED, *(each for kind in CONTROLLERS for each in (*trained[kind], *judged[kind])))
-    pictures = {
-        "docs/error_map.png": f"judged-single-published-{seeds[0]}/error_map.png",
-        "docs/experiments.png": f"judged-grid-published-{seeds[0]}/experiments.png",
-    }
-    return Part("Controllers in the published surrogate", steps, read, pictures)
+    steps = (PUBLISHED, *(each for kind in kinds for each in (*trained[kind], *judged[kind])))
+    return Part(title, steps, read)
 
 
 def controllers_tank(seeds: Sequence[int]) -> Part:

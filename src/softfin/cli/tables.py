@@ -56,7 +56,17 @@ def table_two(controllers: Mapping[str, Any]) -> str:
         means = PAPER_PRINTED_MEANS[name] if paper and complete else ()
         rows.append(["  mean", *_scores(summary["mean"]), *map("{:.3f}".format, means)])
         lines += [line + note for line, note in zip(aligned(rows), [*notes, ""], strict=True)]
+        lines.append(f"  {judged(summary)}")
     return "\n".join(lines)
+
+
+def judged(summary: Mapping[str, Any]) -> str:
+    """Return a line about the force behind the errors, with the error of the sensor's reading if that is another."""
+    mean = summary["mean"]
+    if summary["conditions"].get("judged_by") != "true force":
+        return "errors are those of the reported force; errors of a sensor itself do not show"
+    x, y = (mean[axis]["reading_error_n"] for axis in AXES)
+    return f"errors are those of the true force; the sensor reads a mean error of {x:.3f}, {y:.3f} N"
 
 
 def _scores(row: Mapping[str, Any]) -> list[str]:

@@ -110,7 +110,8 @@ def _table_two(name: str, summary: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _cell(scores: Mapping[str, Any], name: str) -> dict[str, Any]:
-    return {"mean": scores[f"{name}_n"], "over_seeds": over_seeds(scores, name)}
+    reading = scores.get("reading_error_n") if name == "error" else None
+    return {"mean": scores[f"{name}_n"], "over_seeds": over_seeds(scores, name), "reading": reading}
 
 
 def _overview(results: Mapping[str, Any]) -> list[dict[str, Any]]:
