@@ -92,7 +92,8 @@ def bench(name: str) -> Callable[[Sequence[int]], Part]:
 
 
 PARTS: dict[str, Callable[[Sequence[int]], Part]] = {
-    "surrogates": surrogates, "controllers-published": controllers_published, "ppo-published": ppo_published, "controllers-tank": controllers_tank,
+    "surrogates": surrogates, "controllers-published": controllers_published,
+    "ppo-published": ppo_published, "controllers-tank": controllers_tank,
     "controllers-paper": controllers_paper, "baselines-published": baselines_published,
     "baselines-tank": baselines_tank, "recurrent": recurrent, "choices": choices,
     "whole-map": whole_map, "faster": faster, "ablation": ablation, "data-efficiency": data_efficiency, "tank": tank,

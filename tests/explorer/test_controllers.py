@@ -123,7 +123,7 @@ def test_a_force_that_cannot_be_held_is_moved_to_the_nearest_that_can(controller
 @pytest.mark.parametrize("begun", [0, 1, 2])
 def test_the_outer_loop_may_begin_at_any_phase_of_the_clock(controllers, begun):
     """It weighs actions of 33 and 34 ticks by their place on the clock: here those of 34 alone make a force, 1 N."""
-    # So unsure of the measurement that next to nothing of it is taken over, and no error looks like a change of the fin.
+    # So unsure of its measurements that it learns next to nothing, and that no error looks like a change of the fin.
     trim = controller_data(controllers["single"])["trim"] | {"bias_n": 1e-3, "noise_n": 1.0, "drift_n": 0.0}
     gain = trim["bias_n"] ** 2 / (trim["bias_n"] ** 2 + 6 * trim["noise_n"] ** 2)
     bias = node.run(

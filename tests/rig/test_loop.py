@@ -7,11 +7,11 @@ from tests.rig.machines import Wagging
 from tests.rig.test_session import Made
 
 
-def held(controller, actions=6, references=lambda at: (1.0, -1.0)):
+def held(controller, actions=6, references=lambda at: (1.0, -1.0), zero=(0.0, 0.0)):
     made = Made()
     with made.session as session:
         session.activate()
-        return made, list(run_controller(session, controller, references, actions))
+        return made, list(run_controller(session, controller, references, actions, zero))
 
 
 def test_three_actions_take_a_second_to_the_tick():
@@ -27,6 +27,14 @@ def test_the_controller_sees_the_mean_force_since_its_last_action():
     for force, before in zip(controller.forces[1:], acted, strict=False):
         mean = sum(sample.wrench[0] for sample in before.samples) / len(before.samples)
         assert force == pytest.approx((mean, 0.1))
+
+
+def test_the_controller_sees_forces_without_what_the_sensor_read_at_rest():
+    raw, zeroed = Wagging(), Wagging()
+    held(raw)
+    held(zeroed, zero=(0.3, -0.2))
+    for force, plain in zip(zeroed.forces[1:], raw.forces[1:], strict=True):
+        assert force == pytest.approx((plain[0] - 0.3, plain[1] + 0.2))
 
 
 def test_references_are_asked_for_at_the_time_of_each_action():

@@ -308,6 +308,28 @@ def test_a_fin_goes_to_rest_slowly_and_one_that_is_held_does_not_come_to_rest():
             session.rest(0.5)
 
 
+def test_at_rest_the_zero_of_the_force_is_measured():
+    """Once the water has come to rest: in the second half of the wait."""
+    made = Made()
+    offset = 9.0
+
+    def altered(sample):
+        return sample._replace(wrench=(offset, -0.2, 0.0, 0.0, 0.0, 0.0))
+
+    with made.session as session:
+        session.activate()
+        made.machine.altered = altered
+        ticks = 0
+
+        def settle(sample, target):
+            nonlocal ticks, offset
+            ticks += 1
+            offset = 9.0 if ticks < 60 else 0.3
+
+        session.observers = (settle,)
+        assert session.rest(2.0) == pytest.approx((0.3, -0.2))
+
+
 def test_each_reading_is_recorded_once():
     made = Made()
     with made.session as session:

@@ -22,13 +22,12 @@ from softfin.rig.loop import (
     ActionResult,
     LiveReference,
     References,
-    mean_force,
     recorded_reference,
     run_controller,
 )
 from softfin.rig.robot_setup import RobotSetup, find_robot
 from softfin.rig.safety import Guard
-from softfin.rig.session import Observer, Session
+from softfin.rig.session import Observer, Session, mean_force
 from softfin.rig.stop import StopRequest, listen_to_keyboard
 from softfin.storage import artifact as artifacts
 
@@ -84,8 +83,8 @@ class Driving(Armed, Common):
             session.stop_on_signals()
             with session.recording(bag):
                 session.activate()
-                session.rest(robot.settle_s)
-                summary = _follow(session, acting, references, seconds)
+                zero = session.rest(robot.settle_s)
+                summary = _follow(session, acting, references, zero, seconds)
                 session.deactivate()
         return {"bag": str(bag), **summary, "clock": session.pace.to_dict(), "counters": robot.machine.counters()}
 
@@ -108,15 +107,20 @@ def say(text: str) -> None:
 
 
 def _follow(
-    session: Session, controller: LoadedController | DisturbanceObserver, references: References, seconds: int | None
+    session: Session,
+    controller: LoadedController | DisturbanceObserver,
+    references: References,
+    zero: Force,
+    seconds: int | None,
 ) -> dict[str, Any]:
     """Run the controller and print a line every second; returns the errors of the last window."""
     window: list[ActionResult] = []
     ticks = printed = 0
     actions = None if seconds is None else seconds * len(ACTION_TICKS)
-    for result in run_controller(session, controller, references, actions):
+    for result in run_controller(session, controller, references, actions, zero):
         window = [*window[-CYCLE_ACTIONS + 1 :], result]
         x, y = mean_force([sample for each in window for sample in each.samples])
+        x, y = x - zero[0], y - zero[1]
         ticks += len(result.samples)
         if ticks - printed >= RATE_HZ:
             printed = ticks

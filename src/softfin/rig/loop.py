@@ -15,10 +15,7 @@ from softfin.core.errors import SoftfinError
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.machine import Sample, Target
 from softfin.rig.safety import Trip
-from softfin.rig.session import Session, in_one_line
-
-Force: TypeAlias = tuple[float, float]
-"""Force (x, y) [N]."""
+from softfin.rig.session import Force, Session, in_one_line, mean_force
 
 References: TypeAlias = Callable[[float], Force]
 """Function that returns the reference [N] at so many seconds since the start; called at each action."""
@@ -37,9 +34,16 @@ class ActionResult:
 
 
 def run_controller(
-    session: Session, controller: Controller, references: References, actions: int | None = None
+    session: Session,
+    controller: Controller,
+    references: References,
+    actions: int | None = None,
+    zero: Force = (0.0, 0.0),
 ) -> Iterator[ActionResult]:
-    """Act so many times, or until a stop; the session is active and its fin at rest."""
+    """Act so many times, or until a stop; the session is active and its fin at rest.
+
+    The controller gets forces less `zero`, which `Session.rest` measured [N].
+    """
     state = controller.init()
     angle, force = (session.newest or session.tick()).angle, (0.0, 0.0)
     ticks = 0
@@ -53,13 +57,10 @@ def run_controller(
         session.record_reference(reference)
         samples = session.hold(target, ACTION_TICKS[index % len(ACTION_TICKS)])
         ticks += len(samples)
-        angle, force = samples[-1].angle, mean_force(samples)
+        angle = samples[-1].angle
+        x, y = mean_force(samples)
+        force = (x - zero[0], y - zero[1])
         yield ActionResult(reference, target, samples)
-
-
-def mean_force(samples: list[Sample]) -> Force:
-    """Return the mean force (x, y) of samples [N]."""
-    return sum(s.wrench[0] for s in samples) / len(samples), sum(s.wrench[1] for s in samples) / len(samples)
 
 
 class LiveReference:

@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager
 from itertools import count
 from pathlib import Path
 from types import TracebackType
-from typing import Literal, NoReturn
+from typing import Literal, NoReturn, TypeAlias
 
 from softfin.core.errors import RunError, SafetyStop, SoftfinError, one_line
 from softfin.core.quantities import RATE_HZ
@@ -20,6 +20,9 @@ from softfin.rig.pace import Pace
 from softfin.rig.safety import Guard, Trip, check_target
 from softfin.rig.stop import StopRequest, Watchdog, stopped_by_signals
 from softfin.storage.bag.writer import BagRecorder
+
+Force: TypeAlias = tuple[float, float]
+"""Force (x, y) [N]."""
 
 State = Literal["unconfigured", "inactive", "active", "stopped"]
 
@@ -208,8 +211,12 @@ class Session:
         self.command(target)
         return [self.tick() for _ in range(ticks)]
 
-    def rest(self, seconds: float) -> None:
-        """Go to angle 0 slowly, then wait for so long with the fin at rest, for the water to come to rest too."""
+    def rest(self, seconds: float) -> Force:
+        """Go to angle 0 slowly, then wait for so long with the fin at rest, for the water to come to rest too.
+
+        Returns the mean force (x, y) over the second half of the wait [N]. The true one is zero there, so this is the
+        zero of the sensor for the experiment that follows; drift makes it another one each time.
+        """
         slowest = self.machine.limits.velocity_min
         sample = self.newest or self.tick()
         longest = max(HOMING_S, 2 * abs(sample.angle) / slowest)
@@ -221,8 +228,10 @@ class Session:
         else:
             self.abort(Trip("rest", f"the shaft did not come to rest at angle 0 within {longest:.3g} s (it is at "
                             f"{sample.angle:.3f} rad); is it blocked?"))  # fmt: skip
-        for _ in range(round(seconds * RATE_HZ)):
-            self.tick()
+        samples = [self.tick() for _ in range(round(seconds * RATE_HZ))]
+        zero = mean_force(samples[len(samples) // 2 :])
+        self._record_event(f"force at rest: ({zero[0]:.4f}, {zero[1]:.4f}) N")
+        return zero
 
     def abort(self, trip: Trip) -> NoReturn:
         """Stop the machine, record why, and raise SafetyStop; the reason is that of the first stop."""
@@ -253,6 +262,12 @@ class Session:
     def _record_event(self, text: str) -> None:
         if self.recorder is not None:
             self.recorder.event(self.pace.clock(), text)
+
+
+def mean_force(samples: Sequence[Sample]) -> Force:
+    """Return the mean force (x, y) of samples [N]; zero of none."""
+    count = max(len(samples), 1)
+    return sum(s.wrench[0] for s in samples) / count, sum(s.wrench[1] for s in samples) / count
 
 
 def in_one_line(error: BaseException, what: str) -> str:

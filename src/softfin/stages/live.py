@@ -153,14 +153,14 @@ class LiveFin:
 
     def _one(self, asked: Float[np.ndarray, "ticks 2"], seconds: int) -> tuple[Command, Reading]:
         session = self._session
-        session.rest(self._robot.settle_s)
+        zero = session.rest(self._robot.settle_s)
         first = session.newest or session.tick()
 
         def reference(at: float) -> tuple[float, float]:
             x, y = asked[round(at * RATE_HZ)].tolist()
             return x, y
 
-        results = list(run_controller(session, self._controller, reference, seconds * len(ACTION_TICKS)))
+        results = list(run_controller(session, self._controller, reference, seconds * len(ACTION_TICKS), zero))
         samples = [first, *(sample for result in results for sample in result.samples)]
         tail = [session.tick() for _ in range(EXTRA_TICKS)]
         # A tick's reading is the one at its end: the rest before the first action is row 0, and left out.
@@ -168,7 +168,8 @@ class LiveFin:
         log = log_from_samples([*samples, *tail], issued, len(samples), longest_gap(self._robot))
         ticks = [result.target for result in results for _ in result.samples]
         reading = Reading(*(field[1:] for field in log.reading))
-        reading = reading._replace(time=(reading.time - reading.time[0] + 1 / RATE_HZ).astype(np.float32))
+        time = (reading.time - reading.time[0] + 1 / RATE_HZ).astype(np.float32)
+        reading = reading._replace(time=time, force=reading.force - np.array(zero, np.float32))
         return Command(*np.array(ticks, np.float32).T), reading
 
 
@@ -237,7 +238,7 @@ def _record(
     sampled = config.excitation(key, config.rows + 1, robot.machine.limits)
     commands = [Target(*command) for command in np.stack(sampled, axis=1).astype(float).tolist()]
     session.activate()
-    session.rest(robot.settle_s)
+    zero = session.rest(robot.settle_s)
     samples: list[Sample] = []
     issued: list[tuple[float, Target]] = []
     for tick in range(len(commands) + EXTRA_TICKS):
@@ -250,4 +251,5 @@ def _record(
             if tick % (RATE_HZ // 2) == 0 or tick >= config.rows:
                 report(tick, sample)
     session.deactivate()
-    return log_from_samples(samples[1:], issued, len(commands) - 1, longest_gap(robot))
+    log = log_from_samples(samples[1:], issued, len(commands) - 1, longest_gap(robot))
+    return log._replace(reading=log.reading._replace(force=log.reading.force - np.array(zero, np.float32)))

@@ -8,11 +8,12 @@ import time
 from collections.abc import Callable
 
 from softfin.core.errors import DeviceError, SoftfinError
-from softfin.rig.loop import Force, ResolveReference
+from softfin.rig.loop import ResolveReference
 from softfin.rig.machine import Sample, Target
 from softfin.rig.ros2.config import NodeConfig
 from softfin.rig.ros2.connection import VECTOR, Subscription, Transport, reference_of
 from softfin.rig.ros2.inputs import EmergencyStop, NewestReference, OnceReporter
+from softfin.rig.session import Force
 from softfin.rig.stop import StopRequest
 from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr
 
