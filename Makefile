@@ -13,7 +13,7 @@ OUT ?= runs/demo
 PRESET ?= demo
 PYTHONS ?= $(PYTHON)
 
-.PHONY: setup demo day test test-quick test-long test-ray wheel test-wheel lint structure docs bench results figures clean
+.PHONY: setup demo day test test-quick test-long test-ray wheel test-wheel lint structure docs bench results results-quick figures clean
 
 setup: .venv/.ready ## make the environment
 
@@ -67,11 +67,14 @@ bench: setup ## speed and memory, as JSON; EXTRAS="--extra sb3" brings the peer,
 	$(UV) sync --frozen $(EXTRAS)
 	$(RUN) $(EXTRAS) python -m benchmarks
 
-results: setup ## what the tables state, where it is not there or out of date: hours; MINUTES=60 PART="surrogates choices/3"
-	$(RUN) $(EXTRAS) python -m results $(PART) $(if $(MINUTES),--minutes $(MINUTES))
+results: setup ## rerun the figures of README and docs: hours; MINUTES=60 PART="surrogates choices/3" SINCE=COMMIT
+	$(RUN) $(EXTRAS) python -m results $(PART) $(if $(MINUTES),--minutes $(MINUTES)) $(if $(SINCE),--since $(SINCE))
 	$(RUN) python -m results --write
 
-figures: setup ## README and docs take their figures from results/
+results-quick: setup ## rerun one seed of every part in under an hour and compare it with the figures; before a release
+	$(RUN) $(EXTRAS) python -m results --quick $(PART)
+
+figures: setup ## write the figures of results/, and their age, into README and docs
 	$(RUN) python -m results --write
 
 clean:

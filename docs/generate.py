@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import numpy as np
 from docs import messages
+from results.parts import PARTS, SEEDS
 from results.record import FOLDER, load, shown, source
 
 import softfin
@@ -171,12 +172,9 @@ def error_classes() -> Iterator[str]:
 def evidence() -> Iterator[str]:
     for file in sorted(FOLDER.glob("*.json")):
         record = load(file.stem)
-        steps = record.get("steps", {}).values()
-        yield from (f"## {record.get('title', file.stem)}", "", f"{source(file.stem, record)}. {_machine(record)}", "")
-        if "skipped" in record:
-            yield from (f"Not run again: {record['skipped']}.", "")
-        for name in record.get("pictures", ()):
-            yield from (f"![{record.get('title', file.stem)}]({name.removeprefix('docs/')})", "")
+        yield from (f"## {record['title']}", "", f"{source(file.stem, record)}. {_versions(record)}", "")
+        for name in PARTS[file.stem](SEEDS).pictures:
+            yield from (f"![{record['title']}]({name.removeprefix('docs/')})", "")
         yield from ("| figure | value | seeds |", "| --- | --- | --- |")
         for name, figure in record["figures"].items():
             value, unit = shown(figure, _form(figure)).replace("|", r"\|"), figure.get("unit", "")
@@ -184,8 +182,7 @@ def evidence() -> Iterator[str]:
             title = re.sub(r"\.(?!\d)", ": ", name).replace("_", " ")
             yield f"| {title}{f' [{unit}]' if unit and unit not in value else ''} | {value} | {_seeds(figure)} |"
         yield ""
-        if steps:
-            yield from ("```text", *(step["command"] for step in steps), "```", "")
+        yield from ("```text", *(step["command"] for step in record["steps"].values()), "```", "")
 
 
 def _form(figure: dict[str, Any]) -> str:
@@ -199,19 +196,16 @@ def _form(figure: dict[str, Any]) -> str:
 
 
 def _seeds(figure: dict[str, Any]) -> str:
-    seeds = figure.get("seeds") or []
-    if not isinstance(seeds, list):
-        return f"{seeds} of them"
+    seeds = figure["seeds"]
     if len(seeds) > 2 and seeds == list(range(seeds[0], seeds[-1] + 1)):
         return f"{seeds[0]} to {seeds[-1]}"
     return ", ".join(map(str, seeds))
 
 
-def _machine(record: dict[str, Any]) -> str:
-    machine = record.get("machine", {})
-    if not machine:
-        return "Carried over from before there were these files."
-    return f"{machine['processor']}, {machine['cores']} cores, {machine['system']}, Python {machine['python']}."
+def _versions(record: dict[str, Any]) -> str:
+    # Older files state the version of Python alone, with the machine.
+    versions = record.get("versions") or {"python": record["machine"]["python"]}
+    return f"{record['machine']['system']}; {', '.join(f'{name} {number}' for name, number in versions.items())}."
 
 
 if __name__ == "__main__":

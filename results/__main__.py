@@ -1,166 +1,182 @@
-"""Runs what README and docs state: ``python -m results [PART[/SEED] ...] [--minutes N] [--again] [--tiny DIR]``.
+"""Rerun the figures of README and docs: ``python -m results [PART[/SEED] ...]``; without a part, all of them.
 
-Without a part it runs all whose JSON is not there, is carried over from before, or has another digest: over commands
-and the code that they run. ``--list`` says which these are and how long they take. Each step is kept below
-runs/results: a run that is stopped, by Ctrl-C or because the next step would pass ``--minutes``, goes on where it was.
-``PART/3`` runs seed 3 alone; the JSON is written when all seeds are there. ``--write`` puts the figures into README
-and docs.
+Steps run below runs/results. A run that you stop, or that ``--minutes`` ends, continues at the same commit: finished
+steps are reused. ``--since COMMIT`` also reuses those that ran at COMMIT or later. ``PART/3`` runs seed 3 alone; the
+JSON of a part is written when all of its seeds are finished. Then ``--write`` puts the figures into README and docs.
 """
 
 import argparse
-import hashlib
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from results import ROOT, documents
+from results import ROOT, documents, history, quick
 from results.parts import PARTS, SEEDS, Part, Work, parts
-from results.record import FOLDER, load, machine, write
+from results.record import FOLDER, load, write
 from results.steps import Runner, Step
 
 WORK = ROOT / "runs" / "results"
+QUICK_WORK = ROOT / "runs" / "results-quick"
 TINY_SEEDS = (0, 1)
 
 
+class PartError(Exception):
+    """A step failed, or its files are not as expected."""
+
+
 def main() -> int:
-    """Run, list or write; the exit code is 1 where something failed or could not be run."""
-    parser = argparse.ArgumentParser(prog="python -m results", description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)  # fmt: skip
-    parser.add_argument("parts", nargs="*", help=", ".join(PARTS))
-    parser.add_argument("--minutes", type=float, default=float("inf"), help="start no step that is expected to pass it")
-    parser.add_argument("--again", action="store_true", help="run the steps of the named parts again")
-    parser.add_argument("--tiny", type=Path, metavar="DIR", help="a few steps, two seeds, below DIR: does it all work?")
-    parser.add_argument("--list", action="store_true", help="what there is, and what has to be run")
-    parser.add_argument("--write", action="store_true", help="put the figures into README and docs")
-    words = parser.parse_args()
-    if words.write:
+    """Run, list or write; return 1 if something failed."""
+    parser = make_parser()
+    arguments = parser.parse_args()
+    asked = [name.partition("/")[::2] for name in arguments.parts] or [(name, "") for name in PARTS]
+    unknown = [name for name, _ in asked if name not in PARTS]
+    if unknown:
+        parser.error(f"{', '.join(unknown)}: unknown part; there are {', '.join(PARTS)}")
+    if arguments.write:
         for path in documents.write():
             say(f"{path.relative_to(ROOT)}: written")
         return 0
-    tiny = words.tiny is not None
-    table = parts(TINY_SEEDS if tiny else SEEDS)
-    work, folder = (words.tiny / "work", words.tiny / "results") if tiny else (WORK, FOLDER)
-    steps = {each.name: each for part in table.values() for each in part.steps}
-    runner = Runner(work.absolute(), tuple(steps.values()), tiny)
-    asked = [name.partition("/")[::2] for name in words.parts] or [
-        (name, "") for name in PARTS if not stands(runner, name, table[name], folder)
-    ]
-    if unknown := [name for name, _ in asked if name not in PARTS]:
-        parser.error(f"{', '.join(unknown)}: no such part; there are {', '.join(PARTS)}")
-    if words.list:
-        return tell(runner, table, folder)
-    end, failed = time.monotonic() + 60 * words.minutes, False
-    for name, seed in asked:
-        if words.again:
-            for each in table[name].steps:
-                (runner.work / f"{each.name}.step.json").unlink(missing_ok=True)
-        failed |= not run(runner, name, table[name], seed, end, folder)
-    return int(failed)
-
-
-def run(runner: Runner, name: str, part: Part, seed: str, end: float, folder: Path) -> bool:
-    """Run a part, or its steps of one seed; False where a step failed or its files cannot be read."""
-    for each in wanted(runner, part, seed):
-        if runner.record(each) is not None:
-            continue
-        if (reason := each.missing()) is not None:
-            say(f"{name}: not run, {reason}")
-            skipped(name, reason, folder)
-            return True
-        if time.monotonic() + 60 * each.minutes > end:
-            say(f"{name}: {each.name} needs about {each.minutes:g} minutes; goes on here next time")
-            return True
-        say(f"{name}: {each.command}")
-        try:
-            runner.run(each)
-        except subprocess.CalledProcessError as error:
-            say(f"{name}: {each.name} failed with exit code {error.returncode}; see {runner.work / each.name}.log")
-            return False
-    records = [(each.name, runner.record(each)) for each in part.steps]
-    if missing := [step_name for step_name, record in records if record is None]:
-        say(f"{name}: {len(missing)} of {len(records)} steps are left")
-        return True
+    if arguments.list:
+        for name, _ in asked:
+            sys.stdout.write(f"{name:24} {describe(name, FOLDER)}\n")
+        return 0
     try:
-        record = assemble(runner, part, {step_name: record for step_name, record in records if record is not None})
+        if arguments.quick:
+            table = parts(quick.SEEDS)
+            return quick.run_quick({name: table[name] for name, _ in asked}, QUICK_WORK, FOLDER, say)
+        if arguments.tiny is not None:
+            return run_parts(asked, arguments, parts(TINY_SEEDS), arguments.tiny / "work", arguments.tiny / "results")
+        return run_parts(asked, arguments, parts(SEEDS), WORK, FOLDER)
+    except ValueError as error:
+        parser.error(str(error))
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m results", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("parts", nargs="*", metavar="PART[/SEED]", help=", ".join(PARTS))
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="start no step expected to end later")
+    parser.add_argument("--again", action="store_true", help="reuse no finished step of these parts")
+    parser.add_argument("--since", metavar="COMMIT", help="reuse finished steps from COMMIT on (default: HEAD)")
+    parser.add_argument("--tiny", type=Path, metavar="DIR", help="two seeds of a few updates, below DIR, as a test")
+    parser.add_argument("--quick", action="store_true", help="compare one seed of each part with the stated figures")
+    parser.add_argument("--list", action="store_true", help="print the age of each part and what has changed since")
+    parser.add_argument("--write", action="store_true", help="write the figures and their age into README and docs")
+    return parser
+
+
+def run_parts(
+    asked: Sequence[tuple[str, str]], arguments: argparse.Namespace, table: Mapping[str, Part], work: Path, folder: Path
+) -> int:
+    """Run parts one after another and write their JSON; return 1 if one failed, after the others."""
+    steps = {step.name: step for part in table.values() for step in part.steps}
+    runner = Runner(work.absolute(), tuple(steps.values()), arguments.tiny is not None, arguments.since)
+    if arguments.again:
+        for name, seed in asked:
+            for step in runner.ordered(select_steps(table[name], seed)):
+                runner.forget(step)
+    end_s = time.monotonic() + 60 * arguments.minutes
+    failed = []
+    unfinished = []
+    for name, seed in asked:
+        try:
+            reason = run_part(runner, name, table[name], seed, end_s, folder)
+        except PartError as error:
+            failed.append(f"{name}: failed: {error}")
+            say(failed[-1])
+        else:
+            if reason is not None:
+                unfinished.append(f"{name}: not finished: {reason}")
+    for line in (*unfinished, *failed):
+        say(line)
+    return int(bool(failed))
+
+
+def run_part(runner: Runner, name: str, part: Part, seed: str, end_s: float, folder: Path) -> str | None:
+    """Run the steps of a part, or of one seed, and write its JSON; return why it is not finished.
+
+    Raises PartError if a step fails or its files are not as expected.
+    """
+    for step in runner.ordered(select_steps(part, seed)):
+        if runner.record(step) is not None:
+            continue
+        reason = step.missing()
+        if reason is not None:
+            return reason
+        if time.monotonic() + 60 * step.minutes > end_s:
+            return f"{step.name} needs about {step.minutes:g} minutes; run again to continue"
+        say(f"{name}: {step.command}")
+        try:
+            runner.run(step)
+        except subprocess.CalledProcessError as error:
+            log = runner.work / f"{step.name}.log"
+            raise PartError(f"{step.name} ended with exit code {error.returncode}; see {log}") from error
+    records: dict[str, dict[str, Any]] = {}
+    for step in part.steps:
+        record = runner.record(step)
+        if record is None:
+            return f"{step.name} and perhaps more steps have not run"
+        records[step.name] = record
+    try:
+        figures = part.figures(Work(runner.work))
     except (LookupError, OSError, TypeError, ValueError) as error:
-        say(f"{name}: all steps stand, but their files are not as expected: {error!r}")
-        return False
-    for target, source in part.pictures.items():
-        if folder == FOLDER:
+        raise PartError(f"the files of its steps are not as expected: {error!r}") from error
+    if folder == FOLDER:
+        for target, source in part.pictures.items():
             subprocess.run([sys.executable, "docs/figure.py", runner.work / source, target], cwd=ROOT, check=True)
-            record.setdefault("pictures", {})[target] = picture_digest(ROOT / target)
-    write(name, record, folder)
-    say(f"{name}: {folder / name}.json")
-    return True
+    write(name, assemble(part, figures, records, runner.tiny), folder)
+    say(f"{name}: {folder / name}.json written")
+    return None
 
 
-def wanted(runner: Runner, part: Part, seed: str = "") -> Iterator[Step]:
-    """The steps of a part, each behind those that it needs."""
-    told: set[str] = set()
-
-    def ordered(each: Step) -> Iterator[Step]:
-        for other in runner.needs(each):
-            yield from ordered(other)
-        if each.name not in told:
-            told.add(each.name)
-            yield each
-
-    for each in part.steps:
-        if not seed or each.seed == int(seed):
-            yield from ordered(each)
+def select_steps(part: Part, seed: str) -> list[Step]:
+    """Return the steps of a part, or those of one seed."""
+    return [step for step in part.steps if not seed or step.seed == int(seed)]
 
 
-def assemble(runner: Runner, part: Part, steps: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """The JSON of a part."""
+def assemble(
+    part: Part, figures: Mapping[str, dict[str, Any]], records: Mapping[str, dict[str, Any]], tiny: bool
+) -> dict[str, Any]:
+    """Return the JSON of a part; machine and versions are those of the last step, and each step has its own."""
+    last = max(records.values(), key=lambda record: record["date"])
+    seeds = {seed for figure in figures.values() for seed in figure["seeds"]}
     return {
         "title": part.title,
-        "commit": ", ".join(dict.fromkeys(record["commit"] for record in steps.values())),
-        "date": max(record["date"] for record in steps.values()),
-        "configuration": configuration(runner, part),
-        "scale": "tiny" if runner.tiny else "full",
-        "machine": machine(),
-        "figures": part.figures(Work(runner.work)),
-        "steps": steps,
+        "commits": list(dict.fromkeys(record["commit"] for record in records.values())),
+        "date": last["date"][: len("2026-11-24")],
+        "seeds": sorted(seeds),
+        "scale": "tiny" if tiny else "full",
+        "machine": last["machine"],
+        "versions": last["versions"],
+        "figures": figures,
+        "steps": records,
     }
 
 
-def configuration(runner: Runner, part: Part) -> str:
-    """Digest of all steps of a part: commands, the code that they run, and what they need."""
-    return hashlib.sha256(" ".join(map(runner.digest, part.steps)).encode()).hexdigest()[:16]
-
-
-def stands(runner: Runner, name: str, part: Part, folder: Path) -> bool:
-    """Whether the JSON of a part is there, and of this configuration."""
-    file = folder / f"{name}.json"
-    return file.is_file() and load(name, folder).get("configuration") == configuration(runner, part)
-
-
-def skipped(name: str, reason: str, folder: Path) -> None:
-    """Record in the JSON of figures from before why they were not run anew."""
-    record = load(name, folder) if (folder / f"{name}.json").is_file() else {"title": PARTS[name](SEEDS).title}
-    if "configuration" not in record:
-        write(name, {**record, "skipped": reason, "figures": record.get("figures", {})}, folder)
-
-
-def picture_digest(path: Path) -> str:
-    """Digest of a picture, by which its JSON knows it."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
-
-
-def tell(runner: Runner, table: dict[str, Part], folder: Path) -> int:
-    """Print the parts, what is left of them and how long that takes."""
-    for name, part in table.items():
-        state = "stands" if stands(runner, name, part, folder) else "to run"
-        left = [each for each in wanted(runner, part) if runner.record(each) is None] if state == "to run" else []
-        say(f"{name:24} {state:7} {len(left):3} steps, {sum(each.minutes for each in left):4.0f} min  {part.title}")
-    return 0
+def describe(name: str, folder: Path) -> str:
+    """Return the date, commits and age of a part and what has changed since, in one line."""
+    if not (folder / f"{name}.json").is_file():
+        return f"no {name}.json; run `python -m results {name}`"
+    record = load(name, folder)
+    text = f"{record['date']}  {', '.join(record['commits'])}"
+    if any(step["changed"] for step in record["steps"].values()):
+        text += " with uncommitted changes"
+    oldest = history.find_oldest(record["commits"])
+    if oldest is None:
+        unknown = [commit for commit in record["commits"] if not history.has_commit(commit)]
+        return f"{text}; age unknown: this clone does not have {', '.join(unknown)}; run `git fetch --unshallow`"
+    commit, age = oldest
+    changes = history.list_changes_since(commit)
+    return f"{text}; {history.format_age(age)}; changed since: {', '.join(changes) or 'nothing'}"
 
 
 def say(line: str) -> None:
-    """Print a line."""
+    """Print a line with the time."""
     sys.stdout.write(f"{time.strftime('%H:%M')} {line}\n")
     sys.stdout.flush()
 

@@ -1,20 +1,22 @@
-"""README and docs take their figures from ``results/*.json``: blocks between two comments are written by this module.
+"""README and docs take their figures from ``results/*.json``: this module writes the blocks between two comments.
 
     <!-- results: NAME -->
     ...
     <!-- end -->
 
-What stands between them is ``results/blocks/NAME.md``, in which ``{PART.FIGURE}`` is a figure; ``{PART.FIGURE:.2f}``
-has other digits than three, and ``{PART.FIGURE:.2f plain}`` another summary (mean, plain for a mean without its
-interval, median, worst). Behind a table stands where its figures come from; elsewhere ``{PART}`` puts that phrase.
+``results/blocks/NAME.md`` is the template of the block. In it ``{PART.FIGURE}`` is a figure, ``{PART.FIGURE:.2f}`` has
+other digits than three and ``{PART.FIGURE:.2f plain}`` another summary (mean, plain for a mean without its interval,
+median, worst). A line below a table names the sources of its figures and their age; elsewhere ``{PART}`` does so.
 """
 
+import math
 import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from results import ROOT
+from results.history import UNKNOWN_AGE
 from results.record import load, shown, source
 
 BLOCKS = ROOT / "results" / "blocks"
@@ -23,29 +25,35 @@ BLOCK = re.compile(r"(<!-- results: ([\w-]+) -->\n)(.*?)(<!-- end -->)", re.DOTA
 PLACE = re.compile(r"\{([a-z][\w-]*)(?:\.([^{}:]+))?(?::(\S+?)(?: (\w+))?)?\}")
 
 
+AGE = re.compile(rf"\d+ commits? old on \d{{4}}-\d\d-\d\d|{UNKNOWN_AGE}")
+"""The age of a source, which each commit changes."""
+
+DEFAULT_FORM = ".3f"
+
+
 def documents() -> list[Path]:
-    """README and all docs."""
+    """Return the paths of README and all docs."""
     return [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 
 def names(text: str) -> list[str]:
-    """The blocks of a document."""
+    """Return the names of the blocks of a document."""
     return [found[2] for found in BLOCK.finditer(text)]
 
 
 def filled(text: str, read: Callable[[str], dict[str, Any]] = load) -> str:
-    """A document with all of its blocks as the JSON files have them."""
+    """Return a document with all of its blocks as the JSON files have them."""
     return BLOCK.sub(lambda found: f"{found[1]}{block(template(found[2]), read)}{found[4]}", text)
 
 
 def template(name: str) -> str:
-    """The text of a block with its places."""
+    """Return the template of a block."""
     return (BLOCKS / f"{name}.md").read_text()
 
 
 def block(text: str, read: Callable[[str], dict[str, Any]] = load) -> str:
-    """A block with its places filled, behind a table its sources; raises KeyError for a figure that is not there."""
-    sources: dict[str, str] = {}
+    """Fill a template and add the sources below a table; raises KeyError for an unknown figure."""
+    records: dict[str, dict[str, Any]] = {}
 
     def fill(found: re.Match[str]) -> str:
         part, name, form, summary = found.groups()
@@ -54,28 +62,54 @@ def block(text: str, read: Callable[[str], dict[str, Any]] = load) -> str:
             return source(part, record)
         if name not in record["figures"]:
             raise KeyError(f"results/{part}.json has no figure {name}; it has {', '.join(record['figures'])}")
-        sources[part] = source(part, record)
-        return shown(record["figures"][name], form or ".3f", summary)
+        records[part] = record
+        return shown(record["figures"][name], form or DEFAULT_FORM, summary)
 
-    done = PLACE.sub(fill, text)
-    if not any(line.startswith("|") for line in text.splitlines()):
-        return done
-    # Files with the same note stand together.
+    filled_text = PLACE.sub(fill, text)
+    has_table = any(line.startswith("|") for line in text.splitlines())
+    if not has_table:
+        return filled_text
+    # Files with the same note share it.
     files: dict[str, list[str]] = {}
-    for file, _, note in (each.partition(" ") for each in sources.values()):
+    for part, record in records.items():
+        file, _, note = source(part, record).partition(" ")
         files.setdefault(note, []).append(file)
-    told = "; ".join(f"{', '.join(those)} {note}" for note, those in files.items())
-    return f"{done}\n*Sources: {told}.*\n"
+    joined = "; ".join(f"{', '.join(names_of_files)} {note}" for note, names_of_files in files.items())
+    return f"{filled_text}\n*Sources: {joined}.*\n"
+
+
+def printed_digits() -> dict[tuple[str, str], float]:
+    """Return the last digit that a document prints of each (part, figure), such as 0.001; the finest of several."""
+    digits: dict[tuple[str, str], float] = {}
+    for path in sorted(BLOCKS.glob("*.md")):
+        for part, name, form, _ in PLACE.findall(path.read_text()):
+            digits[part, name] = min(last_digit(form or DEFAULT_FORM), digits.get((part, name), math.inf))
+    return digits
+
+
+def last_digit(form: str) -> float:
+    """Return the value of the last digit that a format such as ``.3f`` prints."""
+    found = re.search(r"\.(\d+)", form)
+    return 10.0 ** -int(found[1]) if found else 1.0
 
 
 def differing(read: Callable[[str], dict[str, Any]] = load) -> list[Path]:
-    """The documents whose blocks are not as the JSON files have them."""
-    return [path for path in documents() if filled(path.read_text(), read) != path.read_text()]
+    """Return the documents whose blocks, but for the age of their sources, are not as the JSON files have them."""
+    paths = []
+    for path in documents():
+        text = path.read_text()
+        if AGE.sub("", filled(text, read)) != AGE.sub("", text):
+            paths.append(path)
+    return paths
 
 
 def write() -> list[Path]:
-    """Write all blocks anew; returns the documents that this changed."""
-    changed = differing()
-    for path in changed:
-        path.write_text(filled(path.read_text()))
+    """Write all blocks with the age of today; return the documents that this changed."""
+    changed = []
+    for path in documents():
+        text = path.read_text()
+        filled_text = filled(text)
+        if filled_text != text:
+            path.write_text(filled_text)
+            changed.append(path)
     return changed

@@ -1,24 +1,24 @@
-"""The JSON of a part: figures with the value of every seed, and where they come from.
+"""The JSON of a part: its figures with the value of every seed, and where they come from.
 
-A figure is ``{"unit", "summary", "seeds", "values"}``; a value is a number, null, or a pair x, y. The summary says how
-a document states it: ``mean`` with half of its 95% interval by Student's t over the seeds, ``median`` with the least
-and the greatest (of times), or ``worst``, the greatest. Figures that were stated before there were such files, and have
-not been run since, are ``{"text", "seeds"}``, with the number of seeds where it is known.
+A figure is ``{"unit", "summary", "seeds", "values"}``. A value is a number, null or a pair x, y. The summary is how a
+document states the figure: ``mean`` with half of its 95% interval by Student's t over the seeds, ``median`` with the
+minimum and maximum, or ``worst``, the maximum. ``"machine_dependent": true`` marks times, memory and rates.
 """
 
 import json
 import math
 import os
 import platform
-import re
 import statistics
 from collections.abc import Mapping, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from results import ROOT
+from results.history import describe_age
 from softfin.core.window import interval
 
 FOLDER = ROOT / "results"
@@ -32,9 +32,27 @@ UNITS = ("s", "ms", "us", "min", "GiB", "kB", "%", "actions/s")
 """Units that are written behind a median; those of errors stand in the head of their table."""
 
 
-def figure(unit: str, values: Sequence[Value], seeds: Sequence[int] = (), summary: str = "mean") -> dict[str, Any]:
-    """A figure of a part; without seeds it is of the first so many."""
-    return {"unit": unit, "summary": summary, "seeds": list(seeds or range(len(values))), "values": list(values)}
+PACKAGES = ("jax", "jaxlib", "numpy", "equinox", "optax", "softfin")
+"""Packages whose versions can change a figure."""
+
+
+def figure(
+    unit: str,
+    values: Sequence[Value],
+    seeds: Sequence[int] = (),
+    summary: str = "mean",
+    machine_dependent: bool = False,
+) -> dict[str, Any]:
+    """Return a figure of a part; without seeds they are 0, 1, 2 and so on."""
+    made: dict[str, Any] = {
+        "unit": unit,
+        "summary": summary,
+        "seeds": list(seeds or range(len(values))),
+        "values": list(values),
+    }
+    if machine_dependent:
+        made["machine_dependent"] = True
+    return made
 
 
 def load(part: str, folder: Path = FOLDER) -> dict[str, Any]:
@@ -46,7 +64,7 @@ def load(part: str, folder: Path = FOLDER) -> dict[str, Any]:
 def write(part: str, record: Mapping[str, Any], folder: Path = FOLDER) -> None:
     """Write the JSON of a part, a line for each figure and each step."""
     folder.mkdir(parents=True, exist_ok=True)
-    nested = {key: record[key] for key in ("figures", "steps", "pictures") if key in record}
+    nested = {key: record[key] for key in ("figures", "steps") if key in record}
     lines = [f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in record.items() if key not in nested]
     for key, value in nested.items():
         rows = ",\n".join(f"    {json.dumps(name)}: {json.dumps(row)}" for name, row in value.items())
@@ -55,26 +73,27 @@ def write(part: str, record: Mapping[str, Any], folder: Path = FOLDER) -> None:
 
 
 def machine() -> dict[str, Any]:
-    """The machine, in words of its own."""
-    info = Path("/proc/cpuinfo")
-    names = (
-        [line.partition(": ")[2] for line in info.read_text().splitlines() if line.startswith("model name")]
-        if (info.is_file())
-        else []
-    )
-    return {
-        "processor": names[0] if names else platform.processor(),
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
-        "system": f"{platform.system()} {platform.machine()}",
-        "python": platform.python_version(),
-    }
+    """Return what this machine is."""
+    processor = platform.processor()
+    processor_file = Path("/proc/cpuinfo")
+    if processor_file.is_file():
+        for line in processor_file.read_text().splitlines():
+            if line.startswith("model name"):
+                processor = line.partition(": ")[2]
+                break
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return {"processor": processor, "cores": cores, "system": f"{platform.system()} {platform.machine()}"}
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of Python and of the packages that can change a figure."""
+    return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
 
 
 def shown(stated: Mapping[str, Any], form: str = ".3f", summary: str | None = None) -> str:
     """The figure as a document states it, x and y apart by a slash."""
-    if "text" in stated:
-        return re.sub(" \N{PLUS-MINUS SIGN} [0-9.]+", "", stated["text"]) if summary == "plain" else stated["text"]
-    values, summary = [value for value in stated["values"] if value is not None], summary or stated["summary"]
+    values = [value for value in stated["values"] if value is not None]
+    summary = summary or stated["summary"]
     if not values:
         return "\N{EN DASH}"
     if len(values) < len(stated["values"]):
@@ -104,16 +123,16 @@ def _summed(values: np.ndarray, form: str, summary: str) -> str:
 
 
 def source(part: str, record: Mapping[str, Any]) -> str:
-    """Where the figures of a part come from, and on what machine they were measured."""
-    note = f"; {record['note']}" if record.get("note") else ""
-    skipped = f"; not run here: {record['skipped']}" if record.get("skipped") else ""
-    if "steps" not in record:
-        return f"`results/{part}.json` (not run yet, carried over from commit {record['carried_over']}{note}{skipped})"
-    seeds = max(len(each["values"]) for each in record["figures"].values())
-    busy = max((step["others_cores"] or 0.0 for step in record["steps"].values()), default=0.0)
-    load = "quiet" if busy <= QUIET_CORES else f"others used up to {busy:.1f} of them"
-    changed = " with changes" if any(step["changed"] for step in record["steps"].values()) else ""
-    return (
-        f"`results/{part}.json` (commit {record['commit']}{changed}, {record['date']}, "
-        f"{seeds} seed{'s' if seeds > 1 else ''}, {record['machine']['cores']} cores, {load}{note})"
-    )
+    """Return where the figures of a part come from: its file, commits, date, seeds, machine and age."""
+    commits = ", ".join(record["commits"])
+    commits = f"commit{'s' if len(record['commits']) > 1 else ''} {commits}"
+    steps = record["steps"].values()
+    if any(step["changed"] for step in steps):
+        commits += " with uncommitted changes"
+    num_seeds = max(len(each["values"]) for each in record["figures"].values())
+    seeds = f"{num_seeds} seed{'s' if num_seeds > 1 else ''}"
+    machine = f"{record['machine']['processor']} with {record['machine']['cores']} cores"
+    busy_cores = max((step["others_cores"] or 0.0 for step in steps), default=0.0)
+    load = "quiet" if busy_cores <= QUIET_CORES else f"other programs used up to {busy_cores:.1f} cores"
+    age = describe_age(record["commits"])
+    return f"`results/{part}.json` ({commits}; {record['date']}; {seeds}; {machine}, {load}; {age})"

@@ -17,6 +17,8 @@ from pathlib import Path
 import pytest
 import yaml
 from PIL import Image
+from results.__main__ import make_parser
+from results.parts import PARTS
 
 import softfin
 from softfin import cli
@@ -241,6 +243,10 @@ def test_what_pip_installs_is_softfin_from_here(shown):
 )
 def test_a_script_is_there_and_understands_its_options(shown, monkeypatch, tmp_path):
     program, *words = shown.words[1:]
+    if program == "-m" and words[0] == "results":
+        arguments = make_parser().parse_args(words[1:])
+        assert {name.partition("/")[0] for name in arguments.parts} <= set(PARTS)
+        return
     if program == "-m":
         package, *names = words
         assert all((ROOT / package / f"{name}.py").is_file() for name in ("__main__", *names))

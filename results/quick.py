@@ -1,0 +1,247 @@
+"""Rerun one seed of every part at full scale and compare its figures with the stated ones: ``make results-quick``.
+
+Steps run in a folder of their own, two at a time on one thread each: their times are not judged. A run that was stopped
+continues at the same commit; after a complete one the next run starts afresh.
+"""
+
+import json
+import math
+import os
+import shutil
+import subprocess
+import time
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from results import documents, history
+from results.comparison import Comparison, Verdict, compare_figures
+from results.parts import Part, Work
+from results.record import load, machine, shown, versions
+from results.steps import Runner, Step
+
+SEEDS = (0,)
+
+SIMULTANEOUS_STEPS = 2
+
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false"}
+"""Variables that keep NumPy and XLA to one thread per process."""
+
+REPORT = "report.json"
+
+Say = Callable[[str], None]
+
+
+class PartResult(NamedTuple):
+    """What became of one part."""
+
+    reason: str | None
+    """Why it has no figures; None if it has been compared."""
+    is_failure: bool = False
+    """Whether this fails the run; leaving a part out does not."""
+    comparisons: Mapping[str, Comparison] = {}
+
+    def count(self, verdict: Verdict) -> int:
+        """Return the number of figures with a verdict."""
+        return sum(comparison.verdict == verdict for comparison in self.comparisons.values())
+
+
+def find_reason_to_leave_out(name: str) -> str | None:
+    """Return why a quick run leaves a part out; None if it runs the part."""
+    if name.startswith("bench-"):
+        return "measures times alone, which other steps disturb and which are not judged"
+    return None
+
+
+def estimate_minutes(table: Mapping[str, Part], folder: Path) -> float:
+    """Return the expected time of a run [min], from the times of the stated figures."""
+    last_s: dict[str, float] = {}
+    for name in table:
+        if (folder / f"{name}.json").is_file():
+            for step_name, record in load(name, folder)["steps"].items():
+                # One thread takes the processor time of several.
+                last_s[step_name] = max(record["wall_s"], record["processor_s"])
+    steps = {step.name: step for part in table.values() for step in part.steps}
+    total_s = sum(last_s.get(name, 60 * step.minutes) for name, step in steps.items())
+    return total_s / 60 / SIMULTANEOUS_STEPS
+
+
+def run_quick(table: Mapping[str, Part], work: Path, folder: Path, say: Say) -> int:
+    """Run parts, compare them with the JSON files in `folder`, print and write the report; return the exit code."""
+    report_file = work / REPORT
+    if report_file.is_file():
+        shutil.rmtree(work)
+    parts_to_run = {name: part for name, part in table.items() if explain_missing(name, part) is None}
+    say(f"quick: {len(parts_to_run)} parts, about {estimate_minutes(parts_to_run, folder):.0f} minutes on two cores")
+    steps = {step.name: step for part in parts_to_run.values() for step in part.steps}
+    runner = Runner(work, tuple(steps.values()), environment=ONE_THREAD)
+    start_s = time.perf_counter()
+    failures = run_steps(runner, say)
+    results: dict[str, PartResult] = {}
+    for name, part in table.items():
+        reason = explain_missing(name, part)
+        results[name] = compare_part(name, part, work, folder, failures) if reason is None else PartResult(reason)
+    verdict = describe_verdict(results)
+    report = make_report(results, verdict, (time.perf_counter() - start_s) / 60)
+    work.mkdir(parents=True, exist_ok=True)
+    report_file.write_text(json.dumps(report, indent=1) + "\n")
+    for line in (*format_table(results), *format_figures(results, folder), verdict):
+        say(line)
+    return int(not has_passed(results))
+
+
+def explain_missing(name: str, part: Part) -> str | None:
+    """Return why a part does not run: a quick run leaves it out, or this machine cannot run it."""
+    reasons = [find_reason_to_leave_out(name), *(step.missing() for step in part.steps)]
+    return next((reason for reason in reasons if reason is not None), None)
+
+
+def run_steps(runner: Runner, say: Say) -> dict[str, str]:
+    """Run all steps of a runner, some at a time and each after those it needs; return why steps failed, by name."""
+    waiting = [step for step in runner.ordered(tuple(runner.steps.values())) if runner.record(step) is None]
+    running: dict[Future[None], Step] = {}
+    failures: dict[str, str] = {}
+    with ThreadPoolExecutor(SIMULTANEOUS_STEPS) as pool:
+        while waiting or running:
+            for step in tuple(waiting):
+                failed = [needed.name for needed in runner.needs(step) if needed.name in failures]
+                if failed:
+                    failures[step.name] = f"{step.name} needs {failed[0]}, which failed"
+                    waiting.remove(step)
+                elif len(running) < SIMULTANEOUS_STEPS and is_ready(step, runner, waiting, running.values()):
+                    say(f"{step.name}: {step.command}")
+                    waiting.remove(step)
+                    running[pool.submit(runner.run, step)] = step
+            done, _ = wait(running, return_when=FIRST_COMPLETED)
+            for future in done:
+                step = running.pop(future)
+                failure = future.exception()
+                if isinstance(failure, subprocess.CalledProcessError):
+                    log = runner.work / f"{step.name}.log"
+                    failures[step.name] = f"{step.name} failed with exit code {failure.returncode}; see {log}"
+                elif failure is not None:
+                    failures[step.name] = f"{step.name} failed: {failure!r}"
+                if failure is not None:
+                    say(failures[step.name])
+    return failures
+
+
+def is_ready(step: Step, runner: Runner, waiting: Iterable[Step], running: Iterable[Step]) -> bool:
+    """Return whether all steps that a step needs are finished."""
+    unfinished = {each.name for each in (*waiting, *running)}
+    return all(needed.name not in unfinished for needed in runner.needs(step))
+
+
+def compare_part(name: str, part: Part, work: Path, folder: Path, failures: Mapping[str, str]) -> PartResult:
+    """Compare the figures of one seed of a part with its JSON."""
+    for step in part.steps:
+        if step.name in failures:
+            return PartResult(failures[step.name], is_failure=True)
+    if not (folder / f"{name}.json").is_file():
+        return PartResult(f"no results/{name}.json to compare with; run `python -m results {name}`", is_failure=True)
+    digits = {figure: digit for (owner, figure), digit in documents.printed_digits().items() if owner == name}
+    default_digit = documents.last_digit(documents.DEFAULT_FORM)
+    try:
+        measured = part.figures(Work(work))
+        comparisons = compare_figures(load(name, folder)["figures"], measured, digits, default_digit)
+    except (LookupError, OSError, TypeError, ValueError) as error:
+        return PartResult(f"its files are not as expected: {error!r}", is_failure=True)
+    return PartResult(None, comparisons=comparisons)
+
+
+def count_all(results: Mapping[str, PartResult], verdict: Verdict) -> int:
+    """Return the number of figures of all parts with a verdict."""
+    return sum(result.count(verdict) for result in results.values())
+
+
+def has_passed(results: Mapping[str, PartResult]) -> bool:
+    """Return whether no part failed and all figures that were compared, at least one, lie inside."""
+    if any(result.is_failure for result in results.values()):
+        return False
+    is_complete = count_all(results, "outside") == 0 and count_all(results, "missing") == 0
+    return is_complete and count_all(results, "inside") > 0
+
+
+def describe_verdict(results: Mapping[str, PartResult]) -> str:
+    """Return the last line of a run, which starts with PASS or FAIL."""
+    counts = (
+        f"{count_all(results, 'inside')} figures inside their intervals, {count_all(results, 'outside')} outside, "
+        f"{count_all(results, 'missing')} missing"
+    )
+    text = f"{'PASS' if has_passed(results) else 'FAIL'}: {counts}"
+    failed = [name for name, result in results.items() if result.is_failure]
+    if failed:
+        text += f"; failed: {', '.join(failed)}"
+    not_run = [name for name, result in results.items() if result.reason is not None and not result.is_failure]
+    if not_run:
+        text += f"; not run: {', '.join(not_run)}"
+    return text
+
+
+def format_table(results: Mapping[str, PartResult]) -> list[str]:
+    """Return a line for each part."""
+    lines = [f"{'part':24} {'inside':>7} {'outside':>7} {'missing':>7} {'not judged':>10}"]
+    for name, result in results.items():
+        if result.reason is not None:
+            state = "FAILED" if result.is_failure else "not run"
+            lines.append(f"{name:24} {state}: {result.reason}")
+        else:
+            inside, outside, missing = (result.count(verdict) for verdict in ("inside", "outside", "missing"))
+            not_judged = result.count("not judged")
+            lines.append(f"{name:24} {inside:7} {outside:7} {missing:7} {not_judged:10}")
+    return lines
+
+
+def format_figures(results: Mapping[str, PartResult], folder: Path) -> list[str]:
+    """Return a line for each figure that is not inside: outside, missing, or not judged (times, memory and rates)."""
+    lines = []
+    for name, result in results.items():
+        if result.reason is not None:
+            continue
+        stated = load(name, folder)["figures"]
+        for figure, comparison in result.comparisons.items():
+            if comparison.verdict == "inside":
+                continue
+            values = " and ".join(format_value(value) for value in comparison.values) or "-"
+            unit = f" {comparison.unit}" if comparison.unit else ""
+            line = f"{comparison.verdict}: {name}.{figure} = {values}{unit}"
+            line += f"; stated {shown(stated[figure], '.4g')}" if figure in stated else "; not stated"
+            if comparison.verdict == "outside":
+                line += f"; expected {' / '.join(format_interval(*each) for each in comparison.intervals)}"
+            lines.append(line)
+    return sorted(lines, key=lambda line: line.startswith("not judged"))
+
+
+def format_value(value: Any) -> str:
+    """Return a number, or x / y."""
+    if value is None:
+        return "never"
+    return f"{value:.4g}" if isinstance(value, int | float) else " / ".join(f"{axis:.4g}" for axis in value)
+
+
+def format_interval(low: float, high: float) -> str:
+    """Return an interval, or the maximum of a worst case."""
+    return f"at most {high:.4g}" if math.isinf(low) else f"{low:.4g} to {high:.4g}"
+
+
+def make_report(results: Mapping[str, PartResult], verdict: str, minutes: float) -> dict[str, Any]:
+    """Return the JSON of a run."""
+    parts = {}
+    for name, result in results.items():
+        figures = {}
+        for figure, comparison in result.comparisons.items():
+            intervals = [[None if math.isinf(end) else end for end in interval] for interval in comparison.intervals]
+            figures[figure] = {**comparison._asdict(), "intervals": intervals}
+        parts[name] = {"reason": result.reason, "failed": result.is_failure, "figures": figures}
+    return {
+        "verdict": verdict,
+        "commit": history.read_head(),
+        "changed": history.has_changes(),
+        "date": time.strftime("%Y-%m-%d"),
+        "minutes": round(minutes, 1),
+        "seeds": list(SEEDS),
+        "machine": {**machine(), "load": os.getloadavg()},
+        "versions": versions(),
+        "parts": parts,
+    }
