@@ -83,7 +83,7 @@ def bench(name: str) -> Callable[[Sequence[int]], Part]:
                     if any(isinstance(value, int | float) for value in values):
                         unit = rows[0].get("unit", "") if key == "value" else ""
                         name = title if key == "value" else f"{title}.{key}"
-                        figures[name] = figure(unit, values, seeds, "median")
+                        figures[name] = figure(unit, values, seeds, "median", machine_dependent=True)
             return figures
 
         return Part(f"Benchmark {name}", tuple(runs), read)

@@ -36,7 +36,8 @@ class Work(NamedTuple):
         records = [[self.json(f"{name}.step.json") for name in names] for names in steps]
         whole = [(seed, each) for seed, each in zip(seeds, records, strict=True) if not any(r["resumed"] for r in each)]
         values = [round(sum(record[kind] for record in each), 2) for _, each in whole]
-        return figure("GiB" if kind == "peak_gib" else "s", values, [seed for seed, _ in whole], "median")
+        unit = "GiB" if kind == "peak_gib" else "s"
+        return figure(unit, values, [seed for seed, _ in whole], "median", machine_dependent=True)
 
 
 class Part(NamedTuple):
