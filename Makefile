@@ -1,4 +1,5 @@
-# Everything works from a fresh clone with Python >= 3.11, make and a network; nothing is installed outside this folder.
+# Everything works from a fresh clone with Python 3.11, 3.12 or 3.13, make and a network. Packages are installed inside this
+# folder; compiled programs are cached in ~/.cache/softfin.
 
 PYTHON ?= python3
 UV := $(shell command -v uv 2>/dev/null)
@@ -25,7 +26,7 @@ setup: .venv/.ready ## make the environment
 	$(UV) sync --frozen --python $(PYTHON)
 	touch $@
 
-demo: setup ## collect, fit, find gaits, train, evaluate, report: some minutes on 2 cores
+demo: setup ## collect, fit, find gaits, train, evaluate, report: about two minutes on 2 cores, once set up
 	$(RUN) softfin reproduce --preset $(PRESET) --plant tank --out $(OUT) --overwrite
 
 day: OUT = runs/day

@@ -20,6 +20,7 @@ def test_help_lists_every_command(capsys):
     main(["--help"])
     text = capsys.readouterr().out
     assert all(f"  {name} " in text for name in COMMANDS)
+    assert "softfin --version" in text
 
 
 @pytest.mark.parametrize(

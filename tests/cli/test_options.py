@@ -137,6 +137,7 @@ def test_the_help_of_every_command_names_kinds_of_values_and_describes_each_opti
     text = help_of(arguments_of(name), f"softfin {name}")
     assert "None" not in text
     assert "STR" not in text
+    assert "('" not in text, "a default is shown as Python writes it"
     for field in fields_of(arguments_of(name)):
         assert field.usage in text
         if field.option.positional:

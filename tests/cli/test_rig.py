@@ -1,8 +1,11 @@
 import json
+import re
 import signal
+from pathlib import Path
 
 import pytest
 
+import softfin
 from softfin.cli import main
 from softfin.rig.config import load_rig
 from softfin.rig.epos2.protocol import State
@@ -87,6 +90,17 @@ def test_an_emulated_rig_in_real_time_runs_until_ctrl_c(tmp_path):
         terminal.signal(signal.SIGINT)
         assert terminal.ended() == 0
         assert "Traceback" not in terminal.said
+
+
+def test_every_message_that_suggests_to_zero_the_fin_gives_a_command_that_is_not_refused():
+    """Without --arm, only --force is zeroed."""
+    suggested = []
+    for file in Path(softfin.__file__).parent.rglob("*.py"):
+        # A message may be cut into pieces over several lines.
+        suggested += re.findall(r"softfin rig zero.{,60}", file.read_text(), re.DOTALL)
+    assert len(suggested) >= 5
+    for text in suggested:
+        assert "--arm" in text or "--force" in text, text
 
 
 def test_an_emulated_rig_is_a_file_that_says_so_and_never_overwrites_one(tmp_path, capsys, monkeypatch):

@@ -21,7 +21,7 @@ def test_a_force_that_is_not_zero_is_a_note_and_says_what_to_do(tmp_path):
         found = findings(robot.machine, tmp_path)
     assert found["force at rest"].state == "note"
     assert "+1.500" in found["force at rest"].text
-    assert "softfin rig zero" in found["force at rest"].text
+    assert "softfin rig zero --force" in found["force at rest"].text
 
 
 def test_a_folder_that_cannot_be_written_is_wrong(tmp_path):

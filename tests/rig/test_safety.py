@@ -42,7 +42,7 @@ def test_nothing_is_wrong_with_a_fin_that_is_well():
     ("changes", "cause", "figures"),
     [
         ({"complaints": ("drive fault 0x8611, following error: look",)}, "device", ("0x8611",)),
-        ({"angle": 1.8}, "angle", ("1.800", "1.721", "softfin rig zero")),
+        ({"angle": 1.8}, "angle", ("1.800", "1.721", "softfin rig zero --arm")),
         ({"angle": -1.8}, "angle", ("-1.800",)),
         ({"velocity": 10.5}, "velocity", ("10.50", "10", "gear")),
         ({"velocity": -10.5}, "velocity", ("-10.50",)),

@@ -133,8 +133,9 @@ def _run(name: str, words: list[str]) -> None:
 def _usage() -> str:
     lines = "\n".join(f"  {name:{len('import-keras')}}  {what}" for name, (_, what) in COMMANDS.items())
     return (
-        "usage: softfin COMMAND [OPTION ...]\n\nLearn to make the force that you ask a soft fin for.\n\n"
-        f"{lines}\n\nsoftfin COMMAND --help lists a command's options; --debug shows tracebacks.\n{describe_cache()}"
+        "usage: softfin COMMAND [OPTION ...]\n\nMake a soft fin produce the force you ask for.\n\n"
+        f"{lines}\n\nsoftfin COMMAND --help lists a command's options; --debug shows tracebacks;"
+        f" softfin --version prints the version.\n{describe_cache()}"
     )
 
 

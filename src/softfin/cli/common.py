@@ -167,7 +167,7 @@ class Armed(Configuration):
     """Options of every command that may move a real fin."""
 
     arm: bool = False
-    """With --plant rig or ros2: the fin may move, once you confirm it on the terminal."""
+    """Let the real fin move, once you confirm it on the terminal."""
     yes: bool = False
     """With --arm, do not ask: for scripts. Nobody stands by, so see that nobody can come near the fin."""
 

@@ -53,9 +53,10 @@ class TrainArguments(Configured):
     out: Out
     """Folder of the controller to write."""
     controller: ControllerKind = "grid"
-    """One policy for all references, one a cell of a grid, or a table of gaits without any net."""
+    """One policy for all references, one policy per cell of a grid, or a table of gaits (no network)."""
     algorithm: AlgorithmOption = "auto"
-    """Gradients through the plant, or LSTM-PPO as in the paper; auto: gradients wherever the plant has them."""
+    """Gradients through the plant, or LSTM-PPO: ppo as in the paper, ppo-hindsight with relabelling; auto: gradients if
+    the plant has them."""
     cells: Annotated[str, Option("CELLS")] | None = None
     """Cells of a grid: paper (the default), a lattice over --range such as 3x3, or a .yaml file of boxes."""
     range: Annotated[str, Option("X0,Y0,X1,Y1")] | None = None

@@ -46,7 +46,7 @@ class Driving(Armed, Common):
     strict: bool = False
     """Refuse a reference that the fin cannot make; else the nearest one that it can make is tracked, with a warning."""
     trim: bool = False
-    """Add a slow outer loop that cancels the steady-state force error, from the measured mean force."""
+    """Add force feedback, which removes the steady-state error of the measured mean force."""
 
     def check(self) -> None:
         """Refuse a recording that would replace another one, before anything moves."""

@@ -44,10 +44,9 @@ class EvaluateArguments(Armed, Configured):
     strict: bool = False
     """Refuse a reference that the fin cannot make; else the nearest one that it can make is tracked, with a warning."""
     trim: bool = False
-    """Add a slow outer loop that cancels the steady-state force error, from the measured mean force."""
+    """Add force feedback, which removes the steady-state error of the measured mean force."""
     randomize: float | None = None
-    """With the tank: each repetition in another one, material, water and servo within this part of theirs, from 0 (the
-    same tank) to less than 1, such as 0.15."""
+    """With the tank: each repetition in a perturbed tank, whose parameters differ by up to this fraction; 0: none."""
     moving: tuple[MovingReference, ...] = ()
     """References that move too, within the controller's range: --moving step, --moving ramp, --moving sine."""
     reference_file: ReferenceFile | None = None
@@ -219,7 +218,7 @@ class ExploreArguments(Common):
     """File to write, as .html."""
     plant: tuple[Plant, ...] = ("tank",)
     """The fin: tank, a tank's YAML, or the folder of a streaming surrogate; several are switched between, and the mean
-    force that a surrogate predicts is drawn beside that of the tank."""
+    force that a surrogate predicts is drawn next to that of the tank."""
 
     def check(self) -> None:
         """Refuse a file of another kind."""
@@ -263,7 +262,7 @@ class ReproduceArguments(Configured):
         parts = [] if results["surrogate"] is None else [table_one(results["surrogate"]["scores"])]
         evaluated = {
             f"On {self.plant}": "controllers",
-            "The same, correcting themselves by the measured force": "trimmed",
+            "The same, with force feedback (--trim)": "trimmed",
             "The same in the surrogate that they were trained in": "in_surrogate",
         }
         for title, key in evaluated.items():

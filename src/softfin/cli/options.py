@@ -212,7 +212,8 @@ def _notes(field: Field) -> str:
     if field.repeats and not field.option.positional:
         notes.append("may be repeated")
     if not (field.required or field.default is None or field.default is False or field.default in ((), {})):
-        notes.append(f"default: {field.default}")
+        values = field.default if field.repeats else (field.default,)
+        notes.append(f"default: {' '.join(map(str, values))}")
     return f" ({'; '.join(notes)})" if notes else ""
 
 

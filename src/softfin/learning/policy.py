@@ -28,7 +28,7 @@ class PolicyConfig(Configuration):
     """Size and start of the networks."""
 
     units: PositiveInt = 64
-    """Units of the LSTM; the paper has 256, in a policy of 592,325 weights."""
+    """Units of the LSTM; the paper does not give its own."""
     width: PositiveInt = 64
     """Units of the layer after the LSTM."""
     critic_width: PositiveInt = 128
@@ -193,7 +193,7 @@ def memory_of(policy: Policy) -> dict[str, int]:
     count = math.prod(policy.log_std.shape[:-1])
     leaves = jax.tree.leaves(policy)
     weights, size = sum(leaf.size for leaf in leaves) // count, sum(leaf.nbytes for leaf in leaves) // count
-    # Adam keeps two numbers for each weight; the paper's 7.2 MB are weights and these.
+    # Adam keeps two numbers for each weight.
     optimiser = 2 * size
     return {"policies": count, "weights": weights, "weights_bytes": size, "optimiser_bytes": optimiser,
             "total_weights_bytes": count * size, "total_bytes": count * (size + optimiser)}  # fmt: skip

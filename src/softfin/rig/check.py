@@ -60,7 +60,7 @@ def _check_sensor(rig: Rig) -> Iterator[CheckResult]:
     force = ", ".join(f"{value:+.3f}" for value in mean[:3])
     noise = ", ".join(f"{value:.3f}" for value in deviation[:3])
     is_zero = max(map(abs, mean[:3])) < 0.2
-    advice = "" if is_zero else "; with the fin at rest in water: softfin rig zero"
+    advice = "" if is_zero else "; with the fin at rest in the water, run: softfin rig zero --force"
     text = f"({force}) N, noise ({noise}) N a record{advice}"
     yield CheckResult("force at rest", "well" if is_zero else "note", text)
     yield from (CheckResult("sensor status", "wrong", line) for line in sensor.complaints())
@@ -79,7 +79,7 @@ def _check_drive(rig: Rig) -> Iterator[CheckResult]:
     yield CheckResult("angle", "well" if inside else "wrong", f"{angle:+.3f} rad, limits "
                       f"{config.angle_min_rad:+.2f} .. {config.angle_max_rad:+.2f} rad")  # fmt: skip
     is_known = rig.drive.referenced or not config.zero_needed
-    text = "known" if is_known else "not known since power-up: softfin rig zero"
+    text = "known" if is_known else "not known since power-up; turn the fin to zero and run: softfin rig zero --arm"
     yield CheckResult("zero", "well" if is_known else "wrong", text)
     yield from (CheckResult("drive status", "wrong", line) for line in rig.drive.complaints())
 

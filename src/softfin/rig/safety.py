@@ -139,7 +139,7 @@ class Guard:
         low, high = limits.angle_min - config.angle_margin_rad, limits.angle_max + config.angle_margin_rad
         if not low <= sample.angle <= high:
             return Trip("angle", f"the shaft is at {sample.angle:.3f} rad, beyond {low:.3f} to {high:.3f} rad; "
-                        "turn it back, and see that its zero is right (softfin rig zero)")  # fmt: skip
+                        "turn it back; is its zero wrong? Turn it to zero and run: softfin rig zero --arm")  # fmt: skip
         if abs(sample.velocity) > config.velocity_rad_s:
             return Trip("velocity", f"the shaft turns at {sample.velocity:.2f} rad/s: at most "
                         f"{config.velocity_rad_s:g} (safety.velocity_rad_s); is the gear ratio right?")  # fmt: skip

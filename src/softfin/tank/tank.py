@@ -32,7 +32,7 @@ class TankConfig(Configuration):
     sensor: SensorConfig = SensorConfig()
     """Force sensor under the fin."""
     steps_per_tick: int = Field(2, ge=1, le=1000)
-    """Steps of time in each sample of 10 ms [-]; the error of the force falls as their square: 0.2% at 2 (rms)."""
+    """Steps of time in each sample of 10 ms [-]; the error of the force falls as their square: 0.4% at 2 (rms)."""
 
 
 class TankState(NamedTuple):

@@ -51,7 +51,7 @@ class RewardConfig(Configuration):
     smoothness: tuple[NonNegativeFloat, NonNegativeFloat] = (0.01, 0.01)
     """Weight lambda of x and y; for a full window 0.01 in the form `sum` weighs as much as 0.14 in the form `mean`."""
     sobolev: Literal["sum", "mean"] = "sum"
-    """Form of the Sobolev term: the paper's sum of squared steps or the published code's mean."""
+    """Form of the Sobolev term: the root of the sum of squared steps, as in the paper, or of their mean."""
     target: Literal["now", "window"] = "now"
     """Target of the window's mean force: the reference of this moment, as in the paper, or the mean of the references
     over the window, which does not reward making up for earlier ones."""
@@ -75,7 +75,7 @@ class TaskConfig(Configuration):
     """The force-tracking task."""
 
     past_actions: int = Field(default=3, ge=0)
-    """Number k of actions before the last one that are observed; 3 makes 11 observations, as in the paper."""
+    """Number k of actions before the last one that are observed; 3 makes 11 observations. The paper gives no k."""
     window_samples: int = Field(default=200, ge=8, multiple_of=8)
     """Evaluation window of the mean force and the Sobolev term [samples at 100 Hz]."""
     episode_actions: int = Field(default=90, ge=3, multiple_of=3)

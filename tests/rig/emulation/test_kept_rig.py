@@ -74,7 +74,7 @@ def test_the_same_seed_and_commands_give_the_same_readings_and_another_seed_othe
 
 def test_what_a_command_leaves_is_what_the_next_one_finds(tmp_path, tank):
     file = made(tmp_path, tank)
-    with pytest.raises(RigError, match="softfin rig zero"):
+    with pytest.raises(RigError, match="softfin rig zero --arm"):
         moved(file)
     zeroed(file)
     first = moved(file)

@@ -98,7 +98,7 @@ def test_homing_moves_nothing_and_makes_here_zero() -> None:
 def test_a_fin_without_a_zero_is_not_enabled() -> None:
     with bench() as made:
         made.drive.open()
-        with pytest.raises(RigError, match="softfin rig zero"):
+        with pytest.raises(RigError, match="softfin rig zero --arm"):
             made.drive.enable()
         assert made.emulated.state in AT_REST
 

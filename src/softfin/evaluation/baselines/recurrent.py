@@ -1,4 +1,4 @@
-"""RecurrentPPO of sb3-contrib (extra ``sb3``), the paper's method, evaluated as controllers are.
+"""RecurrentPPO of sb3-contrib (extra ``sb3``), another LSTM-PPO than softfin's, evaluated as controllers are.
 
 It learns through the Gymnasium environment with the library's defaults: two LSTMs of 256 units, 128 actions a rollout,
 10 epochs. It lives outside JAX, so all experiments go through it in lock step, action by action.

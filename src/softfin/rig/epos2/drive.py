@@ -144,11 +144,13 @@ class Epos2(Exchange):
         angle, low, high = self._new_reading().angle, self.config.angle_min_rad, self.config.angle_max_rad
         if self.config.zero_needed and not self.referenced:
             raise RigError(
-                "fin's zero is not known since the drive's power-up; turn the fin to zero and run: softfin rig zero"
+                "fin's zero is not known since the drive's power-up; turn the fin to zero and run: "
+                "softfin rig zero --arm"
             )
         if not low - OVERSHOOT_RAD <= angle <= high + OVERSHOOT_RAD:
             raise RigError(
-                f"fin stands at {angle:.3f} rad, outside {low:g} .. {high:g}; turn it inside by hand, or zero it anew"
+                f"fin stands at {angle:.3f} rad, outside {low:g} .. {high:g}; turn it inside by hand, or "
+                "turn it to zero and run: softfin rig zero --arm"
             )
         # A homing that failed must not have left its mode: there a target would be a new zero.
         procedures.set_mode(self.connection, protocol.PROFILE_POSITION)
