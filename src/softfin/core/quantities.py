@@ -165,9 +165,9 @@ def command_of(limits: Limits, action: Any) -> Command:
 
 
 def command_limits(logs: Sequence[Log]) -> Limits:
-    """Return the range of the commands in logs, up to angle 0 if it ends near there: limits of what is learnt from them.
+    """Return the range of the commands in logs, which are the limits of a surrogate that learns from them.
 
-    Random commands from a range that ends at angle 0 never quite reach it, but the fin rests there.
+    A range that ends close to angle 0 ends there: random commands never quite reach it, but the fin rests there.
     """
     angles = [np.asarray(log.command.angle, np.float32) for log in logs]
     velocities = [np.asarray(log.command.velocity, np.float32) for log in logs]

@@ -7,6 +7,7 @@ from typing import Any
 from softfin.core.errors import ArtifactError, LogError
 from softfin.core.plant import EnsemblePlant, Plant
 from softfin.core.progress import Progress, silent
+from softfin.core.quantities import command_limits
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.recordings import open_logs
 from softfin.storage import artifact as artifacts
