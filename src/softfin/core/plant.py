@@ -37,7 +37,7 @@ class Plant(Protocol):
 
     @property
     def limits(self) -> Limits:
-        """The commands that the plant takes [rad, rad/s]; beyond them its readings mean nothing."""
+        """The commands that the plant takes, angle 0 among them [rad, rad/s]; beyond them its readings mean nothing."""
 
     def init(self, key: PRNGKeyArray) -> State:
         """The fin at rest at angle 0, time 0. The key draws whatever is random (sensor noise, conditions)."""
