@@ -156,9 +156,10 @@ def check_velocity(log: CheckedLog) -> Iterator[Issue]:
     correlation, slope = velocity_slope(log.columns)
     if slope == 0:
         # Many publishers of joint states leave the velocity at 0.
-        # The rate of one sample in a hundred may be a spike's.
-        if np.percentile(np.abs(rate_of(log.calm.angle)), 99) > STILL_RAD_S:
-            message = f"the velocity is {log.columns.velocity[0]:.3g} rad/s throughout while the angle changes"
+        # The rate of one sample in a hundred may be a spike's; an angle may change steadily, too.
+        velocity = log.columns.velocity[0]
+        if np.percentile(np.abs(rate_of(log.calm.angle) - velocity), 99) > STILL_RAD_S:
+            message = f"the velocity is {velocity:.3g} rad/s throughout while the angle changes"
             fix = "--columns velocity=- derives it from the angle"
             yield log.issue("error", "constant velocity", "velocity", message, fix)
         return
